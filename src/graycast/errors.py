@@ -1,0 +1,25 @@
+"""The errors that a caller may want to handle; every one names the thing and the remedy."""
+
+
+class GraycastError(Exception):
+    """Base of the errors below. Its text is one line, fit to be shown to a user."""
+
+
+class ConfigError(GraycastError):
+    """A configuration, rig or calibration file says something that Graycast cannot use."""
+
+
+class MeshError(GraycastError):
+    """A mesh file cannot be a part: empty, open, inside out, of impossible size."""
+
+
+class DeviceError(GraycastError):
+    """No usable render device: no LLVM library, no NVIDIA driver."""
+
+
+class DropError(GraycastError):
+    """Parts did not come to an acceptable rest in the bin within the allowed tries."""
+
+
+class DatasetError(GraycastError):
+    """A dataset folder is not what it should be, or belongs to another run."""

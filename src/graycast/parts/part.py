@@ -1,0 +1,106 @@
+"""What a part is: a mesh, a material, and the few facts that physics and datasets need."""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from jaxtyping import Float, Int, UInt8
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Material:
+    """A surface in a few physical words.
+
+    `base_color` is linear RGB reflectance; where `texture` (8-bit sRGB, row 0 on top, mapped by
+    the mesh's uv with v up) is given it takes the colour's place. `metallic` 0 is a dielectric:
+    diffuse base under a clear rough coat whose normal reflectance is `0.08 * specular` (0.5 is
+    an index of 1.5; 0 has no coat: a perfect Lambertian). `metallic` 1 is a conductor whose normal
+    reflectance is the base colour. `roughness` is perceptual: the GGX alpha is its square; mirrors (below 0.05)
+    are refused, since no path finds a pinhole projector's mirror image.
+
+    Leaves out: translucency, anisotropy, spectra finer than three bands.
+    """
+
+    base_color: tuple[float, float, float] = (0.5, 0.5, 0.5)
+    texture: UInt8[np.ndarray, "h w 3"] | None = None
+    metallic: float = 0.0
+    roughness: float = 0.5
+    specular: float = 0.5
+
+    def __post_init__(self) -> None:
+        if len(self.base_color) != 3 or not all(0 <= c <= 1 for c in self.base_color):
+            raise ValueError(f"base_color is {self.base_color}; three linear values in 0 to 1")
+        if not 0.05 <= self.roughness <= 1:
+            raise ValueError(f"roughness is {self.roughness}; 0.05 (polished) to 1")
+        for name in ("metallic", "specular"):
+            if not 0 <= getattr(self, name) <= 1:
+                raise ValueError(f"{name} is {getattr(self, name)}; it is between 0 and 1")
+        if self.texture is not None:
+            self.texture.flags.writeable = False
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Mesh:
+    """A triangle mesh [m], counter-clockwise seen from outside.
+
+    uv and shading normals belong to face corners, so seams and sharp edges need no doubled
+    vertices and a watertight mesh stays watertight. Without normals a mesh is shaded flat.
+    """
+
+    vertices_m: Float[np.ndarray, "v 3"]
+    faces: Int[np.ndarray, "f 3"]
+    corner_uv: Float[np.ndarray, "f 3 2"] | None = None
+    corner_normals: Float[np.ndarray, "f 3 3"] | None = None
+
+    def __post_init__(self) -> None:
+        for array in (self.vertices_m, self.faces, self.corner_uv, self.corner_normals):
+            if array is not None:
+                array.flags.writeable = False
+        if len(self.faces) == 0:
+            raise ValueError("the mesh has no faces")
+        if self.faces.min() < 0 or self.faces.max() >= len(self.vertices_m):
+            span = f"[{self.faces.min()}, {self.faces.max()}]"
+            raise ValueError(
+                f"face indices span {span}, the mesh has {len(self.vertices_m)} vertices"
+            )
+        if not np.isfinite(self.vertices_m).all():
+            raise ValueError("the mesh has vertices that are not finite")
+
+    @property
+    def bounds_m(self) -> Float[np.ndarray, "2 3"]:
+        """Lowest and highest corner of the axis-aligned box."""
+        return np.stack([self.vertices_m.min(axis=0), self.vertices_m.max(axis=0)])
+
+    @property
+    def extent_m(self) -> Float[np.ndarray, "3"]:
+        return np.ptp(self.vertices_m, axis=0)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Symmetry:
+    """The rigid motions that leave a part looking the same, in its own frame.
+
+    `discrete`: transforms other than the identity. `continuous`: (axis, point on the axis [m]) of
+    rotational symmetry.
+    """
+
+    discrete: tuple[Float[np.ndarray, "4 4"], ...] = ()
+    continuous: tuple[tuple[tuple[float, float, float], tuple[float, float, float]], ...] = ()
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Part:
+    """One kind of part. `source` says where it came from, for datasets and error messages."""
+
+    name: str
+    mesh: Mesh
+    material: Material
+    density_kg_m3: float
+    friction: float
+    symmetry: Symmetry = field(default_factory=Symmetry)
+    source: str = "built in"
+
+    def __post_init__(self) -> None:
+        if not self.density_kg_m3 > 0:
+            raise ValueError(f"part {self.name}: density_kg_m3 is {self.density_kg_m3}; above 0")
+        if not self.friction >= 0:
+            raise ValueError(f"part {self.name}: friction is {self.friction}; 0 or more")

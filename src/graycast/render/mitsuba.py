@@ -1,0 +1,428 @@
+"""The one-pass renderer: every projected pattern from one set of light paths, by Mitsuba 3.
+
+Light transport is linear in the projector's picture and the scene stands still. So a path from
+the camera is traced once, and at each of its vertices the light that arrives straight from the
+projector goes to every pattern's sum, weighted by that pattern's level at the projector pixel which
+sees the vertex. All patterns share their paths: their Monte Carlo errors are one error, as if the
+picture were taken through slightly different pixels, not an error that differs from bit to bit.
+The noise that does is the sensor's, added later.
+
+Limits: no light passes through a surface; a surface smoother than roughness 0.05 is refused, since
+paths cannot find a pinhole projector's mirror image.
+"""
+
+from dataclasses import dataclass
+from typing import final
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+
+from ..frames import inverse, transform_points
+from ..optics import Optics, project
+from ..scene import Layout, Scene
+from .mitsuba_scene import PartShape, build
+from .radiance import GroundTruth, Quality, Radiance, Rendering, Silhouette
+
+NEWTON_STEPS = 6  # double the digits each; lenses need four for float32
+ROULETTE_FROM = 2  # vertices that every path gets before Russian roulette
+MAX_SURVIVAL = 0.95  # ends paths between perfect whites
+R2 = (0.7548776662466927, 0.5698402909980532)  # M. Roberts' low-discrepancy additive recurrence
+
+
+@final
+class MitsubaRenderer:
+    """See the module. Holds nothing: each call builds its scene and lets it go."""
+
+    def render(
+        self,
+        scene: Scene,
+        layout: Layout,
+        pattern: np.ndarray,
+        *,
+        quality: Quality,
+        seed: int,
+    ) -> Rendering:
+        projector = scene.rig.projector
+        if pattern.shape[1:] != (projector.height_px, projector.width_px):
+            size = f"{pattern.shape[2]} x {pattern.shape[1]}"
+            raise ValueError(
+                f"patterns are {size} px, the projector is "
+                f"{projector.width_px} x {projector.height_px} px"
+            )
+        world, part_shapes = build(scene, layout)
+        radiance = _radiance(world, scene, pattern, quality, seed)
+        return Rendering(radiance=radiance, truth=_truth(world, part_shapes, scene, layout))
+
+
+# --- light -----------------------------------------------------------------------------------
+
+
+def _radiance(
+    world: mi.Scene, scene: Scene, pattern: np.ndarray, quality: Quality, seed: int
+) -> Radiance:
+    camera = scene.rig.camera
+    h, w = camera.height_px, camera.width_px
+    paths = _Tracer(world, scene, pattern, quality).trace(seed)
+    dr.eval(paths)
+
+    share = np.float32(1 / quality.samples)
+    stack = np.empty((len(pattern), h, w), dtype=np.float32)
+    for k, channel in enumerate(paths.pattern):
+        np.multiply(channel.numpy().reshape(h, w), share, out=stack[k])
+
+    def colour(channels: mi.Color3f) -> np.ndarray:
+        return np.ascontiguousarray(channels.numpy().T).reshape(h, w, 3) * share
+
+    return Radiance(
+        pattern=stack,
+        white_rgb=colour(paths.white),
+        ambient_rgb=colour(paths.ambient),
+        albedo=colour(paths.albedo),
+    )
+
+
+def _packed(pattern: np.ndarray) -> tuple[list[mi.UInt32], int]:
+    """Patterns as 32-bit words per projector pixel: one bit each if all are binary, else a byte."""
+    binary = bool(np.isin(pattern, (0, 255)).all())
+    bits_each = 1 if binary else 8
+    per_word = 32 // bits_each
+    level = (pattern >> 7 if binary else pattern).astype(np.uint32)
+    words = []
+    for first in range(0, len(level), per_word):
+        word = np.zeros(level.shape[1:], dtype=np.uint32)
+        for k, image in enumerate(level[first : first + per_word]):
+            word |= image << np.uint32(k * bits_each)
+        words.append(mi.UInt32(word.ravel()))
+    return words, bits_each
+
+
+@dataclass
+class _Paths:
+    """One path and its pixel's sums per lane: the state of the loop."""
+
+    rng: mi.PCG32
+    offset: mi.Point2f  # of the pixel's sample sequence
+    sample: mi.UInt32
+    vertex: mi.UInt32  # of the path; 0 asks for a new one
+    throughput: mi.Color3f
+    origin: mi.Point3f
+    direction: mi.Vector3f
+    last_pdf: mi.Float  # of the direction that led here
+    last_p: mi.Point3f
+    last_n: mi.Normal3f
+    pattern: list[mi.Float]
+    white: mi.Color3f
+    ambient: mi.Color3f
+    albedo: mi.Color3f
+
+
+class _Tracer:
+    """The scene's constants, and what happens at one vertex of every path.
+
+    A lane is a pixel. A lane whose path has ended takes up its next sample at once, so none waits
+    for the longest path among its neighbours.
+    """
+
+    def __init__(self, world: mi.Scene, scene: Scene, pattern: np.ndarray, quality: Quality):
+        rig = scene.rig
+        T_world_proj = scene.T_world_cam @ rig.T_cam_proj
+        self.world, self.quality = world, quality
+        self.camera, self.projector = rig.camera, rig.projector
+        self.R_world_cam = mi.Matrix3f(scene.T_world_cam[:3, :3])
+        self.eye = mi.Point3f(scene.T_world_cam[:3, 3])
+        self.T_proj_world = mi.Matrix4f(inverse(T_world_proj))
+        self.lens = mi.Point3f(T_world_proj[:3, 3])
+        self.intensity_w_sr = rig.intensity_w_sr
+        self.weights = mi.Color3f(rig.band_weights)
+        self.bands = self.weights * 3  # projector power per band; equal bands are white (1, 1, 1)
+        self.context = mi.BSDFContext()
+        self.ambient = len(world.emitters()) > 0
+        self.pattern_count = len(pattern)
+        self.words, self.bits_each = _packed(pattern)
+
+    def trace(self, seed: int) -> _Paths:
+        pixels = self.camera.width_px * self.camera.height_px
+        rng = mi.PCG32(size=pixels, initstate=seed)
+        paths = _Paths(
+            offset=mi.Point2f(rng.next_float32(), rng.next_float32()),
+            rng=rng,
+            sample=mi.UInt32(0),
+            vertex=mi.UInt32(0),
+            throughput=mi.Color3f(1),
+            origin=mi.Point3f(0),
+            direction=mi.Vector3f(0, 0, 1),
+            last_pdf=mi.Float(0),
+            last_p=mi.Point3f(0),
+            last_n=mi.Normal3f(0, 0, 1),
+            pattern=[dr.zeros(mi.Float, pixels) for _ in range(self.pattern_count)],
+            white=dr.zeros(mi.Color3f, pixels),
+            ambient=dr.zeros(mi.Color3f, pixels),
+            albedo=dr.zeros(mi.Color3f, pixels),
+        )
+        samples = self.quality.samples
+        (paths,) = dr.while_loop(
+            state=(paths,), cond=lambda p: p.sample < samples, body=lambda p: (self._vertex(p),)
+        )
+        return paths
+
+    def _vertex(self, p: _Paths) -> _Paths:
+        """Find the vertex, gather its light, choose the way on."""
+        fresh = p.vertex == 0
+        p.origin = dr.select(fresh, self.eye, p.origin)
+        p.direction = dr.select(fresh, self._camera_direction(p), p.direction)
+        p.throughput = dr.select(fresh, mi.Color3f(1), p.throughput)
+        ray = mi.Ray3f(p.origin, p.direction)
+        si = self.world.ray_intersect(ray)
+        hit = si.is_valid()
+        bsdf = si.bsdf(ray)
+        last = p.vertex + 1 >= self.quality.depth
+        p.albedo += dr.select(fresh & hit, bsdf.eval_diffuse_reflectance(si, hit), 0)
+        self._add_projector(p, si, bsdf, hit)
+        if self.ambient:
+            self._add_emission(p, si, fresh)
+            self._add_lamps(p, si, bsdf, hit, last)
+        self._go_on(p, si, bsdf, hit & ~last)
+        return p
+
+    def _camera_direction(self, p: _Paths) -> mi.Vector3f:
+        lane = dr.arange(mi.UInt32, self.camera.width_px * self.camera.height_px)
+        n = mi.Float(p.sample)
+        jitter = mi.Point2f(dr.fma(n, R2[0], p.offset.x), dr.fma(n, R2[1], p.offset.y))
+        jitter -= dr.floor(jitter)
+        x = mi.Float(lane % self.camera.width_px) + jitter.x - 0.5
+        y = mi.Float(lane // self.camera.width_px) + jitter.y - 0.5
+        return self.R_world_cam @ _camera_ray(self.camera, x, y)
+
+    def _add_projector(self, p: _Paths, si, bsdf, hit: mi.Bool) -> None:
+        """Light straight from the projector: I / d^2 in the field, to each pattern by its level."""
+        pixel, in_field = _projector_pixel(self.projector, self.T_proj_world, si.p)
+        to_lens = self.lens - si.p
+        inverse_square = dr.rcp(dr.squared_norm(to_lens))
+        wo = si.to_local(to_lens * dr.sqrt(inverse_square))
+        lit = hit & in_field & (wo.z > 0) & (si.wi.z > 0)
+        lit &= ~self.world.ray_test(si.spawn_ray_to(self.lens), lit)
+        value = dr.select(lit, bsdf.eval(self.context, si, wo, lit), 0)
+        seen = p.throughput * value * (self.intensity_w_sr * inverse_square)
+        p.white += seen * self.bands
+        mono = dr.sum(seen * self.weights)
+        per_word = 32 // self.bits_each
+        for k in range(self.pattern_count):
+            if k % per_word == 0:
+                word = dr.gather(mi.UInt32, self.words[k // per_word], pixel, lit)
+            level = word >> (k % per_word * self.bits_each)
+            if self.bits_each == 1:
+                p.pattern[k] += dr.select((level & 1) != 0, mono, 0)
+            else:
+                p.pattern[k] += mono * (mi.Float(level & 255) / 255)
+
+    def _add_emission(self, p: _Paths, si, fresh: mi.Bool) -> None:
+        """Lamps and environment that a sampled direction happened to meet."""
+        previous = dr.zeros(mi.Interaction3f)
+        previous.p, previous.n = p.last_p, p.last_n
+        ds = mi.DirectionSample3f(self.world, si, previous)
+        light_pdf = self.world.pdf_emitter_direction(previous, ds, ~fresh)
+        weight = dr.select(fresh, 1.0, _power_heuristic(p.last_pdf, light_pdf))
+        p.ambient += p.throughput * si.emitter(self.world).eval(si) * weight
+
+    def _add_lamps(self, p: _Paths, si, bsdf, hit: mi.Bool, last: mi.Bool) -> None:
+        """Lamps and environment by a shadow ray; the last vertex has no other way to them."""
+        uv = mi.Point2f(p.rng.next_float32(), p.rng.next_float32())
+        ds, emitted = self.world.sample_emitter_direction(si, uv, True, hit)
+        wo = si.to_local(ds.d)
+        value, bsdf_pdf = bsdf.eval_pdf(self.context, si, wo, hit & (ds.pdf > 0))
+        weight = dr.select(last | ds.delta, 1.0, _power_heuristic(ds.pdf, bsdf_pdf))
+        p.ambient += dr.select(hit, p.throughput * value * emitted * weight, 0)
+
+    def _go_on(self, p: _Paths, si, bsdf, hit: mi.Bool) -> None:
+        """Sample the next direction, or end the path and start the pixel's next sample."""
+        pick = p.rng.next_float32()
+        uv = mi.Point2f(p.rng.next_float32(), p.rng.next_float32())
+        bs, gain = bsdf.sample(self.context, si, pick, uv, hit)
+        p.throughput = dr.select(hit, p.throughput * gain, 0)
+        survival = dr.minimum(dr.max(p.throughput), MAX_SURVIVAL)
+        survival = dr.select((p.vertex + 1 >= ROULETTE_FROM) | (survival == 0), survival, 1.0)
+        alive = hit & (p.rng.next_float32() < survival)
+        p.throughput = dr.select(alive, p.throughput / survival, 0)
+        onward = si.spawn_ray(si.to_world(bs.wo))
+        p.origin, p.direction = onward.o, onward.d
+        p.last_pdf, p.last_p, p.last_n = bs.pdf, si.p, si.n
+        p.vertex = dr.select(alive, p.vertex + 1, 0)
+        p.sample = dr.select(alive, p.sample, p.sample + 1)
+
+
+def _power_heuristic(a: mi.Float, b: mi.Float) -> mi.Float:
+    """Weight of technique a against b (E. Veach, 1997, power 2); 0 where a cannot occur."""
+    return dr.select(a > 0, dr.square(a) / dr.fma(a, a, dr.square(b)), 0)
+
+
+def _camera_ray(camera: Optics, x: mi.Float, y: mi.Float) -> mi.Vector3f:
+    """Unit direction of a pixel position, camera frame, distortion taken off by Newton steps."""
+    xd, yd = (x - camera.cx_px) / camera.fx_px, (y - camera.cy_px) / camera.fy_px
+    xi, yi = mi.Float(xd), mi.Float(yd)
+    if camera.has_distortion:
+        k1, k2, p1, p2, k3 = camera.distortion
+        for _ in range(NEWTON_STEPS):
+            r2 = xi * xi + yi * yi
+            radial = 1 + r2 * (k1 + r2 * (k2 + r2 * k3))
+            slope = 2 * (k1 + r2 * (2 * k2 + 3 * r2 * k3))
+            a = radial + slope * xi * xi + 2 * p1 * yi + 6 * p2 * xi
+            b = slope * xi * yi + 2 * p1 * xi + 2 * p2 * yi
+            d = radial + slope * yi * yi + 6 * p1 * yi + 2 * p2 * xi
+            fx, fy = _distorted(xi, yi, camera.distortion)
+            ex, ey = fx - xd, fy - yd
+            scale = dr.rcp(a * d - b * b)
+            xi, yi = xi - (d * ex - b * ey) * scale, yi - (a * ey - b * ex) * scale
+    return dr.normalize(mi.Vector3f(xi, yi, 1))
+
+
+def _distorted(x, y, distortion):
+    k1, k2, p1, p2, k3 = distortion
+    r2 = x * x + y * y
+    radial = 1 + r2 * (k1 + r2 * (k2 + r2 * k3))
+    return (
+        x * radial + 2 * p1 * x * y + p2 * (r2 + 2 * x * x),
+        y * radial + p1 * (r2 + 2 * y * y) + 2 * p2 * x * y,
+    )
+
+
+def _projector_pixel(
+    projector: Optics, T_proj_world: mi.Matrix4f, p: mi.Point3f
+) -> tuple[mi.UInt32, mi.Bool]:
+    """Index of the projector pixel that lights a world point, and whether there is one."""
+    q = T_proj_world @ mi.Vector4f(p.x, p.y, p.z, 1)
+    ahead = q.z > 0
+    scale = dr.select(ahead, dr.rcp(q.z), 0)
+    x, y = q.x * scale, q.y * scale
+    if projector.has_distortion:
+        x, y = _distorted(x, y, projector.distortion)
+    # A pixel is a square around its centre, so the nearest centre is the pixel.
+    u = dr.floor(dr.fma(x, projector.fx_px, projector.cx_px + 0.5))
+    v = dr.floor(dr.fma(y, projector.fy_px, projector.cy_px + 0.5))
+    inside = ahead & (u >= 0) & (u < projector.width_px) & (v >= 0) & (v < projector.height_px)
+    pixel = mi.UInt32(dr.select(inside, v * projector.width_px + u, 0))  # exact below 2^24 pixels
+    return pixel, inside
+
+
+# --- geometry --------------------------------------------------------------------------------
+
+
+def _truth(
+    world: mi.Scene, part_shapes: tuple[PartShape, ...], scene: Scene, layout: Layout
+) -> GroundTruth:
+    camera = scene.rig.camera
+    h, w = camera.height_px, camera.width_px
+    boxes = [_silhouette_box(scene, layout, i) for i in range(len(layout.part_index))]
+    ray = _centre_rays(scene, left=0, top=0, width=w, height=h)
+    si = world.ray_intersect(ray)
+    hit = si.is_valid()
+    R_cam_world = mi.Matrix3f(scene.T_world_cam[:3, :3].T)
+    axis = mi.Vector3f(scene.T_world_cam[:3, 2])
+    depth = dr.select(hit, si.t * dr.dot(ray.d, axis), dr.nan)
+    n = dr.select(hit, R_cam_world @ si.n, dr.nan)
+    n = dr.mulsign(n, -dr.dot(si.n, ray.d))
+    instance = _instance(si, part_shapes)
+    dr.eval(depth, n, instance)
+    bits, left, top = _amodal_bits(world, part_shapes, scene, boxes)
+    return GroundTruth(
+        depth_m=np.array(depth).reshape(h, w),
+        normal=np.array(n).T.reshape(h, w, 3),
+        instance=np.array(instance).reshape(h, w),
+        amodal=tuple(_silhouette(bits, left, top, i, box) for i, box in enumerate(boxes)),
+    )
+
+
+def _centre_rays(scene: Scene, *, left: int, top: int, width: int, height: int) -> mi.Ray3f:
+    """Rays through the pixel centres of a canvas whose first pixel is (left, top)."""
+    lane = dr.arange(mi.UInt32, width * height)
+    x, y = mi.Float(mi.Int32(lane % width) + left), mi.Float(mi.Int32(lane // width) + top)
+    direction = mi.Matrix3f(scene.T_world_cam[:3, :3]) @ _camera_ray(scene.rig.camera, x, y)
+    return mi.Ray3f(mi.Point3f(scene.T_world_cam[:3, 3]), direction)
+
+
+def _instance(si: mi.SurfaceInteraction3f, part_shapes: tuple[PartShape, ...]) -> mi.Int32:
+    """Layout index of what was hit; -1 for anything but a part."""
+    instance = dr.full(mi.Int32, -1, dr.width(si))
+    for part in part_shapes:
+        table = mi.Int32(part.instances.astype(np.int32))
+        mine = si.is_valid() & (si.shape == mi.ShapePtr(part.shape))
+        index = dr.gather(mi.Int32, table, si.prim_index // part.faces_each, mine)
+        instance = dr.select(mine, index, instance)
+    return instance
+
+
+def _silhouette_box(scene: Scene, layout: Layout, index: int) -> tuple[int, int, int, int]:
+    """Pixels (left, top, right, bottom; ends excluded) that can meet an instance.
+
+    Reaches at most one image size beyond each border.
+    """
+    camera = scene.rig.camera
+    part = scene.parts[layout.part_index[index]]
+    T_cam_part = inverse(scene.T_world_cam) @ layout.T_world_part[index]
+    pixel = project(camera, transform_points(T_cam_part, part.mesh.vertices_m))
+    size = np.array([camera.width_px, camera.height_px])
+    if np.isnan(pixel).any():  # reaches behind the lens: it may be anywhere
+        low, high = -size, 2 * size
+    else:
+        # A pixel of slack: distortion bends the edges between the vertices.
+        low = np.clip(np.floor(pixel.min(axis=0)).astype(int) - 1, -size, 2 * size)
+        high = np.clip(np.ceil(pixel.max(axis=0)).astype(int) + 2, -size, 2 * size)
+    return int(low[0]), int(low[1]), int(high[0]), int(high[1])
+
+
+def _amodal_bits(
+    world: mi.Scene,
+    part_shapes: tuple[PartShape, ...],
+    scene: Scene,
+    boxes: list[tuple[int, int, int, int]],
+) -> tuple[np.ndarray, int, int]:
+    """One bit per instance and pixel, uint32 (words, rows, columns), and the canvas's first pixel.
+
+    Follows each centre ray through everything it meets, so hidden surfaces count as well.
+    """
+    if not boxes:
+        return np.zeros((0, 0, 0), dtype=np.uint32), 0, 0
+    box = np.array(boxes)
+    left, top = (int(e) for e in box[:, :2].min(axis=0))
+    width, height = (int(e) for e in box[:, 2:].max(axis=0) - [left, top])
+    ray = _centre_rays(scene, left=left, top=top, width=width, height=height)
+    words = _follow(world, part_shapes, ray, (len(boxes) + 31) // 32)
+    dr.eval(words)
+    return np.stack([np.array(word).reshape(height, width) for word in words]), left, top
+
+
+def _follow(
+    world: mi.Scene, part_shapes: tuple[PartShape, ...], ray: mi.Ray3f, word_count: int
+) -> list[mi.UInt32]:
+    """The instances that each ray meets on its whole way, as a set of bits."""
+
+    def body(origin, going, words):
+        si = world.ray_intersect(
+            mi.Ray3f(origin, ray.d), mi.RayFlags.Minimal, coherent=True, active=going
+        )
+        instance = _instance(si, part_shapes)
+        bit = mi.UInt32(1) << mi.UInt32(instance & 31)
+        words = [
+            word | dr.select((instance >= 0) & (instance >> 5 == k), bit, 0)
+            for k, word in enumerate(words)
+        ]
+        return si.spawn_ray(ray.d).o, si.is_valid(), words
+
+    none = [dr.zeros(mi.UInt32, dr.width(ray.d)) for _ in range(word_count)]
+    _, _, words = dr.while_loop(
+        state=(mi.Point3f(ray.o), mi.Bool(True), none), cond=lambda o, going, w: going, body=body
+    )
+    return words
+
+
+def _silhouette(
+    bits: np.ndarray, left: int, top: int, index: int, box: tuple[int, int, int, int]
+) -> Silhouette:
+    x0, y0, x1, y1 = box
+    word = bits[index // 32, y0 - top : y1 - top, x0 - left : x1 - left]
+    mask = (word >> np.uint32(index % 32)) & np.uint32(1) == 1
+    rows, columns = np.flatnonzero(mask.any(axis=1)), np.flatnonzero(mask.any(axis=0))
+    if len(rows) == 0:
+        return Silhouette(left_px=x0, top_px=y0, mask=np.zeros((0, 0), dtype=bool))
+    mask = mask[rows[0] : rows[-1] + 1, columns[0] : columns[-1] + 1]
+    return Silhouette(left_px=x0 + int(columns[0]), top_px=y0 + int(rows[0]), mask=mask.copy())

@@ -1,0 +1,191 @@
+"""A Graycast scene as a Mitsuba 3 scene: materials, merged part meshes, lights.
+
+Imported only by `mitsuba.py`, after a variant was set.
+"""
+
+import math
+from dataclasses import dataclass
+
+import mitsuba as mi
+import numpy as np
+
+from ..errors import ConfigError
+from ..parts import Material, Mesh
+from ..scene import Lamp, Layout, Quad, Scene, Sphere, bin_mesh
+
+TABLE_HALF_M = 4.0
+
+
+@dataclass(frozen=True, slots=True)
+class PartShape:
+    """One kind of part: all its instances in one Mitsuba mesh, `faces_each` faces after another."""
+
+    shape: mi.Mesh
+    faces_each: int
+    instances: np.ndarray  # layout indices in the order in which they lie in the mesh
+
+
+def build(scene: Scene, layout: Layout) -> tuple[mi.Scene, tuple[PartShape, ...]]:
+    """The world for Mitsuba, and which of its meshes hold which instances."""
+    world: dict[str, object] = {"type": "scene"}
+    part_shapes = []
+    for index, part in enumerate(scene.parts):
+        instances = np.flatnonzero(layout.part_index == index)
+        if len(instances) == 0:
+            continue
+        shape = _mesh(f"part{index}", part.mesh, part.material, layout.T_world_part[instances])
+        part_shapes.append(PartShape(shape, len(part.mesh.faces), instances))
+        world[f"part{index}"] = shape
+    if scene.bin is not None:
+        world["bin"] = _mesh("bin", bin_mesh(scene.bin), scene.bin.material, np.eye(4)[None])
+        world["table"] = _quad(
+            Quad(
+                center_m=(0.0, 0.0, -scene.bin.wall_m),
+                half_u_m=(TABLE_HALF_M, 0.0, 0.0),
+                half_v_m=(0.0, TABLE_HALF_M, 0.0),
+                material=scene.table,
+            )
+        )
+    for index, surface in enumerate(scene.surfaces):
+        world[f"surface{index}"] = _quad(surface) if isinstance(surface, Quad) else _ball(surface)
+    environment = _environment(scene)
+    if environment is not None:
+        world["environment"] = environment
+    for index, lamp in enumerate(scene.lamps):
+        world[f"lamp{index}"] = _lamp(lamp)
+    return mi.load_dict(world), tuple(part_shapes)
+
+
+def _bsdf(material: Material) -> dict[str, object]:
+    """The physical words of a material as Mitsuba BSDFs; docs/derivations.md, "Materials"."""
+    if material.metallic == 0:
+        return _dielectric(material)
+    if material.metallic == 1:
+        return _conductor(material)
+    return {
+        "type": "blendbsdf",
+        "weight": material.metallic,
+        "dielectric": _dielectric(material),
+        "conductor": _conductor(material),
+    }
+
+
+def _dielectric(material: Material) -> dict[str, object]:
+    if material.specular == 0:
+        return {"type": "diffuse", "reflectance": _reflectance(material)}
+    root = math.sqrt(0.08 * material.specular)  # of the reflectance at normal incidence
+    return {
+        "type": "roughplastic",
+        "distribution": "ggx",
+        "alpha": material.roughness**2,
+        "int_ior": (1 + root) / (1 - root),
+        "diffuse_reflectance": _reflectance(material),
+    }
+
+
+def _conductor(material: Material) -> dict[str, object]:
+    return {
+        "type": "principled",
+        "base_color": _reflectance(material),
+        "metallic": 1.0,
+        "roughness": material.roughness,
+    }
+
+
+def _reflectance(material: Material) -> dict[str, object]:
+    if material.texture is None:
+        return {"type": "rgb", "value": list(material.base_color)}
+    return {"type": "bitmap", "bitmap": mi.Bitmap(np.array(material.texture)), "raw": False}
+
+
+def _mesh(name: str, mesh: Mesh, material: Material, T_world_part: np.ndarray) -> mi.Mesh:
+    """All copies of a mesh, in world coordinates, as one flat shape that Embree traces fastest."""
+    n, corners = len(T_world_part), 3 * len(mesh.faces)
+    properties = mi.Properties()
+    properties["bsdf"] = mi.load_dict(_bsdf(material))
+    shape = mi.Mesh(
+        name,
+        vertex_count=n * corners,
+        face_count=n * len(mesh.faces),
+        has_vertex_normals=mesh.corner_normals is not None,
+        has_vertex_texcoords=mesh.corner_uv is not None,
+        props=properties,
+    )
+    parameters = mi.traverse(shape)
+    rotation, translation = T_world_part[:, :3, :3], T_world_part[:, None, :3, 3]
+    corner = mesh.vertices_m[mesh.faces].reshape(-1, 3)
+    placed = corner @ np.swapaxes(rotation, 1, 2) + translation
+    parameters["vertex_positions"] = _flat(placed)
+    parameters["faces"] = mi.UInt32(np.arange(n * corners, dtype=np.uint32))
+    if mesh.corner_normals is not None:
+        normal = mesh.corner_normals.reshape(-1, 3) @ np.swapaxes(rotation, 1, 2)
+        parameters["vertex_normals"] = _flat(normal)
+    if mesh.corner_uv is not None:
+        uv = mesh.corner_uv.reshape(-1, 2) * [1.0, -1.0] + [0.0, 1.0]  # Mitsuba's v runs down
+        parameters["vertex_texcoords"] = _flat(np.broadcast_to(uv, (n, *uv.shape)))
+    parameters.update()
+    return shape
+
+
+def _flat(array: np.ndarray) -> mi.Float:
+    return mi.Float(np.ascontiguousarray(array, dtype=np.float32).ravel())
+
+
+def _quad(quad: Quad) -> dict[str, object]:
+    return {
+        "type": "rectangle",
+        "to_world": _rectangle(quad.center_m, quad.half_u_m, quad.half_v_m),
+        "bsdf": _bsdf(quad.material),
+    }
+
+
+def _rectangle(center: object, half_u: object, half_v: object) -> mi.ScalarTransform4f:
+    matrix = np.eye(4)
+    matrix[:3, 0], matrix[:3, 1], matrix[:3, 3] = half_u, half_v, center
+    matrix[:3, 2] = np.cross(half_u, half_v) / np.linalg.norm(np.cross(half_u, half_v))
+    return mi.ScalarTransform4f(matrix)
+
+
+def _ball(sphere: Sphere) -> dict[str, object]:
+    return {
+        "type": "sphere",
+        "center": list(sphere.center_m),
+        "radius": sphere.radius_m,
+        "bsdf": _bsdf(sphere.material),
+    }
+
+
+def _lamp(lamp: Lamp) -> dict[str, object]:
+    center, target = np.array(lamp.center_m), np.array(lamp.target_m)
+    direction = (target - center) / np.linalg.norm(target - center)
+    aside = np.cross(direction, np.eye(3)[np.abs(direction).argmin()])
+    aside *= 0.5 * lamp.size_m / np.linalg.norm(aside)
+    return {
+        "type": "rectangle",
+        "to_world": _rectangle(center, aside, np.cross(direction, aside)),
+        "emitter": {"type": "area", "radiance": {"type": "rgb", "value": list(lamp.radiance)}},
+        "bsdf": {"type": "diffuse", "reflectance": {"type": "rgb", "value": 0.0}},
+    }
+
+
+def _environment(scene: Scene) -> dict[str, object] | None:
+    environment = scene.environment
+    if environment.map_file is None:
+        if not any(environment.radiance):
+            return None
+        return {
+            "type": "constant",
+            "radiance": {"type": "rgb", "value": list(environment.radiance)},
+        }
+    try:
+        bitmap = mi.Bitmap(str(environment.map_file))
+    except RuntimeError as error:
+        why = str(error).splitlines()[-1]
+        raise ConfigError(
+            f"environment map {environment.map_file} cannot be read: {why}; "
+            "give a latitude-longitude EXR or HDR picture"
+        ) from error
+    pixels = np.array(bitmap.convert(mi.Bitmap.PixelFormat.RGB, mi.Struct.Type.Float32, False))
+    pixels = pixels * np.array(environment.radiance, dtype=np.float32)
+    z_up = mi.ScalarTransform4f().rotate([1, 0, 0], 90.0)  # Mitsuba's maps have y up
+    return {"type": "envmap", "bitmap": mi.Bitmap(pixels), "to_world": z_up}

@@ -1,0 +1,121 @@
+"""What a renderer returns, and the protocol that every renderer keeps."""
+
+from dataclasses import dataclass
+from typing import Protocol, runtime_checkable
+
+import numpy as np
+from jaxtyping import Bool, Float, Int, UInt8
+
+from ..scene import Layout, Scene
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Quality:
+    """How much work a renderer does: paths per pixel, and vertices per path.
+
+    Depth 1 is direct light alone; each further vertex adds one interreflection.
+    """
+
+    samples: int = 16
+    depth: int = 4
+
+    def __post_init__(self) -> None:
+        if not 1 <= self.samples <= 65536:
+            raise ValueError(f"samples is {self.samples}; 1 to 65536 paths per pixel")
+        if not 1 <= self.depth <= 64:
+            raise ValueError(f"depth is {self.depth}; 1 to 64 vertices per path")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Radiance:
+    """Linear images of one scene before any sensor [W sr^-1 m^-2].
+
+    `pattern[k]` is what projected pattern k alone adds, weighted over the bands; `white_rgb` is
+    what an all-white projector adds in each band; `ambient_rgb` is all other light. Light adds,
+    so any picture is a sum of these.
+    """
+
+    pattern: Float[np.ndarray, "n h w"]
+    white_rgb: Float[np.ndarray, "h w 3"]
+    ambient_rgb: Float[np.ndarray, "h w 3"]
+    albedo: Float[np.ndarray, "h w 3"]  # first surface's base reflectance, for denoisers
+
+    def __post_init__(self) -> None:
+        for name in self.__dataclass_fields__:
+            getattr(self, name).flags.writeable = False
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Silhouette:
+    """All pixels whose ray meets one instance, hidden or not, cropped to their box.
+
+    `mask[0, 0]` is the pixel (left_px, top_px), which may lie outside the image: silhouettes are
+    complete to at most one image size beyond each border. No pixel at all is a (0, 0) mask.
+    """
+
+    left_px: int
+    top_px: int
+    mask: Bool[np.ndarray, "bh bw"]
+
+    def __post_init__(self) -> None:
+        self.mask.flags.writeable = False
+
+    def in_image(self, height_px: int, width_px: int) -> Bool[np.ndarray, "h w"]:
+        """The part of the silhouette that lies in an image."""
+        image = np.zeros((height_px, width_px), dtype=bool)
+        h, w = self.mask.shape
+        top, left = max(self.top_px, 0), max(self.left_px, 0)
+        bottom, right = min(self.top_px + h, height_px), min(self.left_px + w, width_px)
+        if top < bottom and left < right:
+            image[top:bottom, left:right] = self.mask[
+                top - self.top_px : bottom - self.top_px, left - self.left_px : right - self.left_px
+            ]
+        return image
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class GroundTruth:
+    """Geometry at pixel centres, from the scene itself.
+
+    `depth_m` is z of the camera frame, NaN where a ray meets nothing. `normal` is the geometric
+    unit normal in the camera frame, towards the camera; NaN likewise. `instance` indexes the
+    layout; -1 is anything else. `amodal[i]` is the silhouette of instance i.
+    """
+
+    depth_m: Float[np.ndarray, "h w"]
+    normal: Float[np.ndarray, "h w 3"]
+    instance: Int[np.ndarray, "h w"]
+    amodal: tuple[Silhouette, ...]
+
+    def __post_init__(self) -> None:
+        for array in (self.depth_m, self.normal, self.instance):
+            array.flags.writeable = False
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Rendering:
+    """All that one scene build gives."""
+
+    radiance: Radiance
+    truth: GroundTruth
+
+
+@runtime_checkable
+class Renderer(Protocol):
+    """Light transport and geometry only: no noise, no exposure, no files."""
+
+    def render(
+        self,
+        scene: Scene,
+        layout: Layout,
+        pattern: UInt8[np.ndarray, "n ph pw"],
+        *,
+        quality: Quality,
+        seed: int,
+    ) -> Rendering:
+        """Render every pattern (grey levels, 255 is white) and the ground truth.
+
+        Raises:
+            ValueError: the patterns have another size than the scene's projector.
+        """
+        ...

@@ -1,0 +1,178 @@
+"""A small exact renderer: planes and spheres under the projector's direct light, in NumPy.
+
+It settles half pixels, signs and radiometry for the others; it is not meant to be fast. Rays go
+through a regular grid of positions in each pixel, so there is no noise, and the seed is not used.
+
+Limits: Lambertian `surfaces` only, without parts, bin, lamps or environment; path depth 1.
+"""
+
+import math
+from typing import final
+
+import numpy as np
+from jaxtyping import Bool, Float, UInt8
+
+from ..frames import inverse, pixel_grid, transform_points
+from ..optics import project, rays
+from ..scene import Layout, Quad, Scene, Sphere
+from .radiance import GroundTruth, Quality, Radiance, Rendering
+
+CLEARANCE_M = 1e-9  # a shadow ray starts this far from its surface; float64 needs no more
+
+
+@final
+class ReferenceRenderer:
+    """See the module. Raises ValueError for whatever is beyond its limits."""
+
+    def render(
+        self,
+        scene: Scene,
+        layout: Layout,
+        pattern: UInt8[np.ndarray, "n ph pw"],
+        *,
+        quality: Quality,
+        seed: int,
+    ) -> Rendering:
+        _refuse_beyond_limits(scene, layout, pattern, quality)
+        camera = scene.rig.camera
+        side = math.isqrt(quality.samples)
+        offsets = (np.arange(side) + 0.5) / side - 0.5
+        grid = pixel_grid(camera.height_px, camera.width_px)
+        h, w = grid.shape[:2]
+        image = np.zeros((len(pattern), h, w))
+        white, albedo = np.zeros((h, w, 3)), np.zeros((h, w, 3))
+        for dy in offsets:
+            for dx in offsets:
+                radiance, base, pixel = _direct(scene, grid + np.array([dx, dy]))
+                white += radiance / side**2
+                albedo += base / side**2
+                level = pattern[:, pixel[..., 1], pixel[..., 0]] / 255.0
+                image += level * (radiance @ np.array(scene.rig.band_weights)) / side**2
+        bands = 3 * np.array(scene.rig.band_weights)
+        radiance = Radiance(
+            pattern=image.astype(np.float32),
+            white_rgb=(white * bands).astype(np.float32),
+            ambient_rgb=np.zeros((h, w, 3), dtype=np.float32),
+            albedo=albedo.astype(np.float32),
+        )
+        return Rendering(radiance=radiance, truth=_truth(scene, grid))
+
+
+def _refuse_beyond_limits(
+    scene: Scene, layout: Layout, pattern: np.ndarray, quality: Quality
+) -> None:
+    projector = scene.rig.projector
+    if pattern.shape[1:] != (projector.height_px, projector.width_px):
+        size = f"{pattern.shape[2]} x {pattern.shape[1]}"
+        wanted = f"{projector.width_px} x {projector.height_px}"
+        raise ValueError(f"patterns are {size} px, the projector is {wanted} px")
+    if scene.bin is not None or len(layout.part_index) or scene.lamps:
+        raise ValueError("the reference renderer knows surfaces alone: no parts, bin or lamps")
+    if any(scene.environment.radiance):
+        raise ValueError("the reference renderer has no environment light: set it to 0, 0, 0")
+    if quality.depth != 1 or math.isqrt(quality.samples) ** 2 != quality.samples:
+        raise ValueError("the reference renderer needs depth 1 and a square number of samples")
+    for surface in scene.surfaces:
+        material = surface.material
+        if material.metallic or material.specular or material.texture is not None:
+            raise ValueError("the reference renderer is Lambertian: metallic 0, specular 0")
+
+
+def _direct(scene: Scene, pixel: Float[np.ndarray, "h w 2"]) -> tuple:
+    """Radiance of an all-white projector, base colour, and the projector pixel of each ray."""
+    rig = scene.rig
+    direction = rays(rig.camera, pixel) @ scene.T_world_cam[:3, :3].T
+    eye = scene.T_world_cam[:3, 3]
+    t, index = _nearest(scene, eye, direction)
+    hit = index >= 0
+    point = eye + np.where(hit, t, 1.0)[..., None] * direction
+    normal, base = _normals(scene, point, index), _base_colors(scene, index)
+    T_world_proj = scene.T_world_cam @ rig.T_cam_proj
+    seen_by = project(rig.projector, transform_points(inverse(T_world_proj), point))
+    size = np.array([rig.projector.width_px, rig.projector.height_px])
+    with np.errstate(invalid="ignore"):
+        inside = ((seen_by >= -0.5) & (seen_by < size - 0.5)).all(axis=-1)
+    column_row = np.where(inside[..., None], np.floor(seen_by + 0.5), 0).astype(int)
+    to_lens = T_world_proj[:3, 3] - point
+    distance = np.linalg.norm(to_lens, axis=-1)
+    cosine = (normal * to_lens).sum(axis=-1) / distance
+    faces_camera = (normal * direction).sum(axis=-1) < 0
+    start = point + CLEARANCE_M * normal
+    lit = hit & inside & (cosine > 0) & faces_camera & ~_blocked(scene, start, T_world_proj[:3, 3])
+    irradiance = np.where(lit, rig.intensity_w_sr * cosine / distance**2, 0.0)
+    return base / math.pi * irradiance[..., None], base, column_row
+
+
+def _nearest(scene: Scene, origin: np.ndarray, direction: np.ndarray) -> tuple:
+    """Smallest positive ray parameter and the surface it belongs to; -1 for none."""
+    best = np.full(direction.shape[:-1], np.inf)
+    index = np.full(direction.shape[:-1], -1)
+    for i, surface in enumerate(scene.surfaces):
+        t = _meet(surface, origin, direction)
+        nearer = t < best
+        best, index = np.where(nearer, t, best), np.where(nearer, i, index)
+    return best, index
+
+
+def _blocked(scene: Scene, start: np.ndarray, lens: np.ndarray) -> Bool[np.ndarray, "h w"]:
+    direction = lens - start
+    blocked = np.zeros(direction.shape[:-1], dtype=bool)
+    for surface in scene.surfaces:
+        blocked |= _meet(surface, start, direction) < 1
+    return blocked
+
+
+def _meet(surface: Quad | Sphere, origin: np.ndarray, direction: np.ndarray) -> np.ndarray:
+    """Smallest positive t of `origin + t direction` on a surface; infinity for none."""
+    away = origin - np.array(surface.center_m)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        if isinstance(surface, Sphere):
+            a = (direction**2).sum(axis=-1)
+            b = (direction * away).sum(axis=-1)
+            c = (away * away).sum(axis=-1) - surface.radius_m**2
+            root = np.sqrt(b * b - a * c)
+            near, far = (-b - root) / a, (-b + root) / a
+            t = np.where(near > 0, near, far)
+            return np.where(t > 0, t, np.inf)  # NaN (a miss) compares false
+        u, v = np.array(surface.half_u_m), np.array(surface.half_v_m)
+        normal = np.cross(u, v)
+        t = -(away @ normal) / (direction @ normal)
+        place = away + t[..., None] * direction
+        inside = (abs(place @ u) <= u @ u) & (abs(place @ v) <= v @ v)
+        return np.where((t > 0) & inside, t, np.inf)
+
+
+def _normals(scene: Scene, point: np.ndarray, index: np.ndarray) -> np.ndarray:
+    normal = np.full(point.shape, np.nan)
+    for i, surface in enumerate(scene.surfaces):
+        if isinstance(surface, Sphere):
+            n = (point - np.array(surface.center_m)) / surface.radius_m
+        else:
+            n = np.cross(surface.half_u_m, surface.half_v_m)
+            n = np.broadcast_to(n / np.linalg.norm(n), point.shape)
+        normal = np.where((index == i)[..., None], n, normal)
+    return normal
+
+
+def _base_colors(scene: Scene, index: np.ndarray) -> np.ndarray:
+    base = np.zeros((*index.shape, 3))
+    for i, surface in enumerate(scene.surfaces):
+        base[index == i] = surface.material.base_color
+    return base
+
+
+def _truth(scene: Scene, grid: np.ndarray) -> GroundTruth:
+    ray_cam = rays(scene.rig.camera, grid)
+    direction = ray_cam @ scene.T_world_cam[:3, :3].T
+    eye = scene.T_world_cam[:3, 3]
+    t, index = _nearest(scene, eye, direction)
+    hit = index >= 0
+    point = eye + np.where(hit, t, 0.0)[..., None] * direction
+    normal = _normals(scene, point, index) @ scene.T_world_cam[:3, :3]
+    towards = -np.sign((normal * ray_cam).sum(axis=-1, keepdims=True))
+    return GroundTruth(
+        depth_m=np.where(hit, t, np.nan),  # rays have unit z, so t is the depth
+        normal=normal * towards,
+        instance=np.full(index.shape, -1),
+        amodal=(),
+    )

@@ -1,0 +1,206 @@
+"""A camera and a projector that hold still to each other: presets and what they can see."""
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+from jaxtyping import Float
+
+from .frames import axis_rotation, inverse, is_rigid, look_at, rigid, transform_points
+from .optics import Optics, project, rays
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Rig:
+    """One camera and one projector.
+
+    `T_cam_proj` maps projector coordinates to camera coordinates [m]. A white projector pixel
+    has the radiant intensity `intensity_w_sr` [W/sr] in every direction of its field;
+    `band_weights` is the share of the projector's power in the red, green and blue band, and
+    also the band-pass of the measuring camera, so a pattern picture is monochrome.
+    `picture_level` is what the projector shows, 0 to 1, while the colour picture is taken.
+
+    Leaves out: defocus and vignetting of both; spectra finer than three bands.
+    """
+
+    name: str
+    camera: Optics
+    projector: Optics
+    T_cam_proj: Float[np.ndarray, "4 4"]
+    near_m: float
+    far_m: float
+    intensity_w_sr: float = 10.0
+    band_weights: tuple[float, float, float] = (1 / 3, 1 / 3, 1 / 3)
+    picture_level: float = 0.0
+
+    def __post_init__(self) -> None:
+        self.T_cam_proj.flags.writeable = False
+        if not is_rigid(self.T_cam_proj):
+            raise ValueError("T_cam_proj is not a rotation and a translation: check R and T")
+        if not 0 < self.near_m < self.far_m:
+            span = f"near_m {self.near_m}, far_m {self.far_m}"
+            raise ValueError(f"working range is {span}; it needs 0 < near_m < far_m")
+        if self.baseline_m < 1e-6:
+            raise ValueError(
+                "camera and projector are in one place; triangulation needs a baseline"
+            )
+        if self.baseline_m > 10:
+            raise ValueError(
+                f"baseline is {self.baseline_m:.3g} m: is T in millimetres? it must be in metres"
+            )
+        if not self.intensity_w_sr > 0:
+            raise ValueError(f"intensity_w_sr is {self.intensity_w_sr}; it must be positive")
+        if min(self.band_weights) < 0 or abs(sum(self.band_weights) - 1) > 1e-6:
+            raise ValueError(f"band_weights are {self.band_weights}; shares of 1 in R, G, B")
+        if not 0 <= self.picture_level <= 1:
+            raise ValueError(f"picture_level is {self.picture_level}; it is between 0 and 1")
+
+    @property
+    def baseline_m(self) -> float:
+        return float(np.linalg.norm(self.T_cam_proj[:3, 3]))
+
+    @property
+    def toe_in_rad(self) -> float:
+        """Angle between the two optical axes."""
+        return float(np.arccos(np.clip(self.T_cam_proj[2, 2], -1.0, 1.0)))
+
+
+# fx at full resolution [px], baseline [m], toe-in of either device [deg], range [m]: figures of the
+# Photoneo PhoXi family from secondary sources that agree; 2064 x 1544, low resolution halves it.
+# Both devices are read as toed in: only then do the axes cross inside each stated range.
+_PHOXI = {
+    "phoxi-s": (2246.0, 0.230, 15.45, 0.384, 0.520),
+    "phoxi-m": (2269.0, 0.350, 11.75, 0.458, 1.118),
+    "phoxi-l": (2263.0, 0.550, 9.45, 0.870, 2.150),
+}
+_PHOXI_PROJECTOR_FIELD_DEG = (47.5, 36.0)
+_RED_LASER = (1.0, 0.0, 0.0)  # 637 nm lies in the red band
+
+PRESETS = ("paper", *_PHOXI)
+RESOLUTIONS = ("low", "full")
+
+
+def preset(name: str, resolution: str = "low") -> Rig:
+    """A rig known by name.
+
+    Args:
+        name: one of `PRESETS`.
+        resolution: 'low' is 1032 x 772, 'full' is 2064 x 1544 camera pixels.
+
+    Raises:
+        ValueError: no such preset or resolution.
+    """
+    if resolution not in RESOLUTIONS:
+        raise ValueError(f"no resolution {resolution!r}: choose {' or '.join(RESOLUTIONS)}")
+    if name == "paper":
+        return _paper(resolution)
+    if name not in _PHOXI:
+        raise ValueError(f"no rig preset {name!r}: choose one of {', '.join(PRESETS)}")
+    fx_px, baseline_m, toe_in_deg, near_m, far_m = _PHOXI[name]
+    return Rig(
+        name=name,
+        camera=_phoxi_camera(fx_px, resolution),
+        projector=_field_optics(1024, 768, *np.radians(_PHOXI_PROJECTOR_FIELD_DEG)),
+        T_cam_proj=_toed_in(baseline_m, math.radians(toe_in_deg)),
+        near_m=near_m,
+        far_m=far_m,
+        band_weights=_RED_LASER,
+    )
+
+
+def _paper(resolution: str) -> Rig:
+    """The paper's rig: a PhoXi M's camera and baseline with a white Gray-code projector.
+
+    The paper prints neither intrinsics nor resolution; it names the PhoXi M and L.
+    """
+    return replace(
+        preset("phoxi-m", resolution),
+        name="paper",
+        band_weights=(1 / 3, 1 / 3, 1 / 3),
+        picture_level=0.25,
+    )
+
+
+def _phoxi_camera(fx_full_px: float, resolution: str) -> Optics:
+    binning = {"low": 2, "full": 1}[resolution]
+    width_px, height_px = 2064 // binning, 1544 // binning
+    fx_px = fx_full_px / binning
+    return Optics(
+        width_px=width_px,
+        height_px=height_px,
+        fx_px=fx_px,
+        fy_px=fx_px,
+        cx_px=(width_px - 1) / 2,
+        cy_px=(height_px - 1) / 2,
+    )
+
+
+def _field_optics(
+    width_px: int, height_px: int, horizontal_rad: float, vertical_rad: float
+) -> Optics:
+    return Optics(
+        width_px=width_px,
+        height_px=height_px,
+        fx_px=width_px / 2 / math.tan(horizontal_rad / 2),
+        fy_px=height_px / 2 / math.tan(vertical_rad / 2),
+        cx_px=(width_px - 1) / 2,
+        cy_px=(height_px - 1) / 2,
+    )
+
+
+def _toed_in(baseline_m: float, toe_in_rad: float) -> Float[np.ndarray, "4 4"]:
+    """Projector to the camera's right; both turned towards each other by `toe_in_rad`."""
+    T_rig_cam = rigid(axis_rotation("y", toe_in_rad), np.array([-baseline_m / 2, 0.0, 0.0]))
+    T_rig_proj = rigid(axis_rotation("y", -toe_in_rad), np.array([baseline_m / 2, 0.0, 0.0]))
+    return inverse(T_rig_cam) @ T_rig_proj
+
+
+def depth_per_column_m(rig: Rig, z_m: float) -> float:
+    """Change of depth on the camera's axis per projector column, at depth `z_m`; NaN if unlit.
+
+    Derived numerically from the projection, so it holds for any pose and distortion.
+    """
+    step_m = 1e-4 * z_m
+    centre = np.array([[rig.camera.cx_px, rig.camera.cy_px]])
+    ray = rays(rig.camera, centre)[0]
+    point = np.stack([ray * (z_m - step_m), ray * (z_m + step_m)])
+    T_proj_cam = inverse(rig.T_cam_proj)
+    column = project(rig.projector, transform_points(T_proj_cam, point))[:, 0]
+    lit = -0.5 <= column.mean() <= rig.projector.width_px - 0.5
+    return float(2 * step_m / abs(column[1] - column[0])) if lit else math.nan
+
+
+def place(
+    rig: Rig,
+    *,
+    target_m: Float[np.ndarray, "3"],
+    distance_m: float,
+    tilt_rad: float,
+    azimuth_rad: float,
+) -> Float[np.ndarray, "4 4"]:
+    """`T_world_cam` of a rig that looks at a target from above, as its housing would hang there.
+
+    The middle of the baseline is `distance_m` from the target; the bisector of the two optical
+    axes points at it, `tilt_rad` from the vertical. At azimuth 0 the baseline is along world x
+    and a tilted rig stands towards -y; the azimuth turns all of it about the world's z.
+    """
+    turn = axis_rotation("z", azimuth_rad)
+    away = turn @ np.array([0.0, -np.sin(tilt_rad), np.cos(tilt_rad)])
+    down = turn @ np.array([0.0, -np.cos(tilt_rad), -np.sin(tilt_rad)])
+    T_world_rig = look_at(np.asarray(target_m) + distance_m * away, np.asarray(target_m), down)
+    # The rig's own frame: origin mid-baseline, z the bisector, y the camera's as near as may be.
+    bisector = np.array([0.0, 0.0, 1.0]) + rig.T_cam_proj[:3, 2]
+    middle = rig.T_cam_proj[:3, 3] / 2
+    T_cam_rig = look_at(middle, middle + bisector, np.array([0.0, 1.0, 0.0]))
+    return T_world_rig @ inverse(T_cam_rig)
+
+
+def best_distance_m(rig: Rig) -> float:
+    """Depth at which the two optical axes come closest, kept within the working range."""
+    origin, axis = rig.T_cam_proj[:3, 3], rig.T_cam_proj[:3, 2]
+    # Closest point of the lines s * e_z and origin + t * axis.
+    c = axis[2]
+    if 1 - c * c < 1e-12:
+        return 0.5 * (rig.near_m + rig.far_m)
+    s = (origin[2] - c * (origin @ axis)) / (1 - c * c)
+    return float(np.clip(s, rig.near_m, rig.far_m))

@@ -1,0 +1,155 @@
+"""The world before physics and light: parts, bin, surfaces, lights, rig.
+
+World frame: origin in the middle of the bin's inner floor, z up. The bin stands on an endless
+looking table whose top is at `z = -bin.wall_m`.
+"""
+
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from .frames import is_rigid
+from .parts import Material, Mesh, Part
+from .rig import Rig
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Bin:
+    """An open box. Its walls carry the material's texture once per `texture_size_m`."""
+
+    inner_m: tuple[float, float, float]
+    wall_m: float = 0.01
+    material: Material = field(default_factory=Material)
+    texture_size_m: float = 0.5
+    friction: float = 0.5
+
+    def __post_init__(self) -> None:
+        if not all(0.01 <= size <= 5 for size in self.inner_m):
+            raise ValueError(f"inner_m of the bin is {self.inner_m}; metres, each 0.01 to 5")
+        if not 0.0005 <= self.wall_m <= 0.2:
+            raise ValueError(f"wall_m of the bin is {self.wall_m}; metres, 0.0005 to 0.2")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Quad:
+    """A flat rectangle: centre and half edges in world coordinates [m]; lit on one side.
+
+    Its front is `cross(half_u_m, half_v_m)`.
+    """
+
+    center_m: tuple[float, float, float]
+    half_u_m: tuple[float, float, float]
+    half_v_m: tuple[float, float, float]
+    material: Material
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Sphere:
+    center_m: tuple[float, float, float]
+    radius_m: float
+    material: Material
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Environment:
+    """Light from all around [W sr^-1 m^-2]: constant `radiance`, or an EXR map scaled by it.
+
+    A map is latitude-longitude with its top row at the world's zenith.
+    """
+
+    radiance: tuple[float, float, float] = (0.3, 0.3, 0.3)
+    map_file: Path | None = None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Lamp:
+    """A square area lamp that looks at `target_m`; its front emits `radiance` [W sr^-1 m^-2]."""
+
+    center_m: tuple[float, float, float]
+    target_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    size_m: float = 0.3
+    radiance: tuple[float, float, float] = (5.0, 5.0, 5.0)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Scene:
+    """Everything that light meets but the poses of the dropped parts.
+
+    `parts` are the kinds; a `Layout` says how many of each lie where. `surfaces` are analytic
+    shapes for measurement. Without a bin there is no table either.
+    """
+
+    rig: Rig
+    T_world_cam: Float[np.ndarray, "4 4"]
+    parts: tuple[Part, ...] = ()
+    bin: Bin | None = None
+    table: Material = field(default_factory=lambda: Material(base_color=(0.35, 0.35, 0.36)))
+    surfaces: tuple[Quad | Sphere, ...] = ()
+    environment: Environment = field(default_factory=Environment)
+    lamps: tuple[Lamp, ...] = ()
+
+    def __post_init__(self) -> None:
+        self.T_world_cam.flags.writeable = False
+        if not is_rigid(self.T_world_cam):
+            raise ValueError("T_world_cam is not a rotation and a translation")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Layout:
+    """Where the parts came to lie, and how well: the outcome of a drop.
+
+    `part_index[i]` indexes `Scene.parts`; instance i has the pose `T_world_part[i]`. The numbers
+    are what an acceptance test needs: nobody has judged them yet.
+    """
+
+    T_world_part: Float[np.ndarray, "n 4 4"]
+    part_index: Int[np.ndarray, "n"]
+    at_rest: bool = True
+    last_speed_m_s: float = 0.0
+    last_spin_rad_s: float = 0.0
+    deepest_penetration_m: float = 0.0
+    outside: int = 0
+    simulated_s: float = 0.0
+    attempt: int = 0
+
+    def __post_init__(self) -> None:
+        self.T_world_part.flags.writeable = False
+        self.part_index.flags.writeable = False
+
+
+EMPTY_LAYOUT = Layout(T_world_part=np.zeros((0, 4, 4)), part_index=np.zeros(0, dtype=np.int64))
+
+
+def bin_mesh(box: Bin) -> Mesh:
+    """The bin as a watertight mesh, textured in metres along each face's own two axes."""
+    inner_x, inner_y, height = box.inner_m
+    outer = np.array([inner_x / 2 + box.wall_m, inner_y / 2 + box.wall_m])
+    inner = np.array([inner_x / 2, inner_y / 2])
+    corners = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]])
+
+    def ring(half: np.ndarray, z: float) -> np.ndarray:
+        return np.column_stack([corners * half, np.full(4, z)])
+
+    # Vertex rings: 0-3 outer bottom, 4-7 outer top, 8-11 inner top, 12-15 inner floor.
+    vertices = np.vstack(
+        [ring(outer, -box.wall_m), ring(outer, height), ring(inner, height), ring(inner, 0.0)]
+    )
+    quads = [[3, 2, 1, 0], [12, 13, 14, 15]]
+    for i in range(4):
+        j = (i + 1) % 4
+        quads += [
+            [i, j, j + 4, i + 4],
+            [i + 4, j + 4, j + 8, i + 8],
+            [i + 8, j + 8, j + 12, i + 12],
+        ]
+    faces = np.array([f for a, b, c, d in quads for f in ((a, b, c), (a, c, d))])
+    corner = vertices[faces]
+    normal = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
+    axis = np.abs(normal).argmax(axis=1)
+    # Wood grain (u) runs along the longer horizontal direction of each face.
+    u = np.where((axis == 0)[:, None], corner[..., 1], corner[..., 0])
+    v = np.where((axis == 2)[:, None], corner[..., 1], corner[..., 2])
+    uv = np.stack([u, v], axis=-1) / box.texture_size_m
+    return Mesh(vertices_m=vertices, faces=faces, corner_uv=uv)

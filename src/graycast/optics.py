@@ -86,6 +86,7 @@ def distort(
     )
 
 
+@np.errstate(all="ignore")  # what diverges is refused at the end, by its residual
 def undistort(
     xy: Float[np.ndarray, "*n 2"], distortion: tuple[float, float, float, float, float]
 ) -> Float[np.ndarray, "*n 2"]:
@@ -129,9 +130,17 @@ def undistort(
 
 
 def project(optics: Optics, point: Float[np.ndarray, "*n 3"]) -> Float[np.ndarray, "*n 2"]:
-    """Pixel coordinates (x, y) of points in the camera frame; NaN at and behind the lens."""
+    """Pixel coordinates (x, y) of points in the camera frame; NaN where the lens model ends.
+
+    It ends at and behind the lens, and beyond the field angle at which radial distortion folds
+    over: there the polynomial would put points far outside the field back into the image.
+    """
     z = np.where(point[..., 2:] > 0, point[..., 2:], np.nan)
-    xy = distort(point[..., :2] / z, optics.distortion)
+    ideal = point[..., :2] / z
+    if optics.has_distortion:
+        r2 = np.square(ideal).sum(axis=-1, keepdims=True)
+        ideal = np.where(r2 < fold_radius2(optics.distortion), ideal, np.nan)
+    xy = distort(ideal, optics.distortion)
     return xy * [optics.fx_px, optics.fy_px] + [optics.cx_px, optics.cy_px]
 
 
@@ -140,3 +149,15 @@ def rays(optics: Optics, pixel: Float[np.ndarray, "*n 2"]) -> Float[np.ndarray, 
     xy = (pixel - [optics.cx_px, optics.cy_px]) / [optics.fx_px, optics.fy_px]
     xy = undistort(xy, optics.distortion)
     return np.concatenate([xy, np.ones_like(xy[..., :1])], axis=-1)
+
+
+def fold_radius2(distortion: tuple[float, float, float, float, float]) -> float:
+    """Squared ideal radius at which radial distortion stops growing outwards; inf if it never does.
+
+    The smallest positive root of d(r radial)/dr = 1 + 3 k1 s + 5 k2 s^2 + 7 k3 s^3, s = r^2.
+    Leaves out the tangential terms, which move the fold by about their own size.
+    """
+    k1, k2, _, _, k3 = distortion
+    root = np.roots([7 * k3, 5 * k2, 3 * k1, 1.0])
+    real = root.real[(np.abs(root.imag) < 1e-9 * np.abs(root)) & (root.real > 0)]
+    return float(real.min(initial=np.inf))

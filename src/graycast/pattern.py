@@ -4,11 +4,14 @@ A pattern is what a projector is given: 8-bit grey levels, 255 is white. The val
 projector pixel itself, so code k is the pixel whose centre is at k.
 """
 
+from collections.abc import Iterator
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Literal
 
 import numpy as np
 from jaxtyping import Int, UInt8
+from PIL import Image
 
 Axis = Literal["column", "row"]
 
@@ -70,9 +73,10 @@ class GrayCode:
             image[k] = self._line(frame)
         return image
 
-    def _line(self, frame: Frame) -> UInt8[np.ndarray, "..."]:
+    def _line(self, frame: Frame) -> UInt8[np.ndarray, "h w"]:
+        """What a frame repeats: one row for columns, one column for rows, one pixel for neither."""
         if frame.kind != "gray":
-            return np.uint8(255 if frame.kind == "white" else 0)
+            return np.full((1, 1), 255 if frame.kind == "white" else 0, dtype=np.uint8)
         bit = (gray_from_binary(np.arange(self.size_px(frame.axis))) >> frame.bit) & 1
         level = ((bit ^ frame.inverse) * 255).astype(np.uint8)
         return level[None, :] if frame.axis == "column" else level[:, None]
@@ -81,3 +85,12 @@ class GrayCode:
 def gray_from_binary(value: Int[np.ndarray, "*n"]) -> Int[np.ndarray, "*n"]:
     """Gray code of integers: neighbours differ in one bit."""
     return value ^ (value >> 1)
+
+
+def write_pngs(code: GrayCode, folder: Path) -> Iterator[Path]:
+    """Write every pattern as an 8-bit PNG, numbered in the order in which they are to be shown."""
+    folder.mkdir(parents=True, exist_ok=True)
+    for k, (frame, image) in enumerate(zip(code.frames, code.render(), strict=True)):
+        path = folder / f"{k:02d}_{frame.name}.png"
+        Image.fromarray(image).save(path)
+        yield path

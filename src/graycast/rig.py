@@ -156,8 +156,9 @@ def _toed_in(baseline_m: float, toe_in_rad: float) -> Float[np.ndarray, "4 4"]:
 
 
 def depth_per_column_m(rig: Rig, z_m: float) -> float:
-    """Change of depth on the camera's axis per projector column, at depth `z_m`; NaN if unlit.
+    """Change of depth on the camera's axis per projector column, at depth `z_m`.
 
+    NaN where that point is unlit, inf where columns do not move with depth.
     Derived numerically from the projection, so it holds for any pose and distortion.
     """
     step_m = 1e-4 * z_m
@@ -167,7 +168,10 @@ def depth_per_column_m(rig: Rig, z_m: float) -> float:
     T_proj_cam = inverse(rig.T_cam_proj)
     column = project(rig.projector, transform_points(T_proj_cam, point))[:, 0]
     lit = -0.5 <= column.mean() <= rig.projector.width_px - 0.5
-    return float(2 * step_m / abs(column[1] - column[0])) if lit else math.nan
+    if not lit:
+        return math.nan
+    shift = float(abs(column[1] - column[0]))  # 0 where the baseline runs along the columns
+    return 2 * step_m / shift if shift > 0 else math.inf
 
 
 def place(

@@ -1,0 +1,149 @@
+"""What is installed here, and what each missing thing would give."""
+
+import os
+import platform
+from collections.abc import Iterator
+from dataclasses import dataclass
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+
+from . import __version__
+from .errors import DeviceError
+from .render.device import OLDEST_LLVM, choose_device, examine_cuda, find_llvm, list_llvm
+
+_OLDEST_PYTHON = (3, 11)
+_PACKAGES = {  # distribution: what it gives
+    "numpy": "arrays; nothing runs without it",
+    "mitsuba": "rendering",
+    "drjit": "rendering",
+    "numba": "fast decoding",
+    "rapier3d": "dropping parts",
+    "coacd": "dropping parts that are not convex",
+    "pyoidn": "a clean colour picture from few samples on a processor",
+}
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Finding:
+    """One thing that was looked for; `gives` is what it is good for. Not all of them are needed."""
+
+    name: str
+    found: str
+    ok: bool
+    gives: str
+    needed: bool = True
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Diagnosis:
+    """All findings, in the order of reading."""
+
+    findings: tuple[Finding, ...]
+
+    @property
+    def ready(self) -> bool:
+        """Whether everything that is needed was found."""
+        return all(finding.ok for finding in self.findings if finding.needed)
+
+
+def examine() -> Diagnosis:
+    """Look for everything that Graycast can use, without importing or loading any of it."""
+    return Diagnosis(findings=tuple((*_software(), *_machine(), *_devices())))
+
+
+def describe(diagnosis: Diagnosis) -> str:
+    """One line a finding; under what is missing, what it would give."""
+    width = max(len(finding.name) for finding in diagnosis.findings)
+    lines = []
+    for finding in diagnosis.findings:
+        mark = "ok" if finding.ok else ("MISSING" if finding.needed else "none")
+        lines.append(f"{mark:8}{finding.name:{width}}  {finding.found}")
+        if not finding.ok:
+            lines.append(f"{'':8}{'':{width}}  it gives: {finding.gives}")
+    lines.append("ready" if diagnosis.ready else "not ready: see what is MISSING above")
+    return "\n".join(lines)
+
+
+def _software() -> Iterator[Finding]:
+    yield Finding(name="graycast", found=__version__, ok=True, gives="this program")
+    yield Finding(
+        name="Python",
+        found=platform.python_version(),
+        ok=tuple(map(int, platform.python_version_tuple()[:2])) >= _OLDEST_PYTHON,
+        gives=f"Python {'.'.join(map(str, _OLDEST_PYTHON))} or newer runs Graycast",
+    )
+    for package, gives in _PACKAGES.items():
+        try:
+            found, ok = version(package), True
+        except PackageNotFoundError:
+            found, ok = f"not installed; run: pip install {package}", False
+        yield Finding(name=package, found=found, ok=ok, gives=gives)
+
+
+def _machine() -> Iterator[Finding]:
+    usable = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
+    model = _field(Path("/proc/cpuinfo"), "model name") or platform.machine()
+    yield Finding(name="CPU", found=f"{usable} cores, {model}", ok=True, gives="all computing")
+    total, free = (_kib(key) for key in ("MemTotal", "MemAvailable"))
+    known = total is not None and free is not None
+    amount = f"{total / 2**20:.1f} GiB, {free / 2**20:.1f} GiB available" if known else "unknown"
+    gives = "about 4 GiB render a scene of 1032 x 772 pixels"
+    yield Finding(name="memory", found=amount, ok=known, gives=gives, needed=False)
+
+
+def _devices() -> Iterator[Finding]:
+    libraries = ", ".join(f"{library.major} ({library.path})" for library in list_llvm())
+    yield Finding(
+        name="LLVM found",
+        found=libraries or "none",
+        ok=bool(libraries),
+        gives=f"rendering on the processor, if {OLDEST_LLVM} or newer",
+        needed=False,
+    )
+    try:
+        chosen = find_llvm()
+        words = str(chosen) if chosen else f"none of {OLDEST_LLVM} or newer"
+    except DeviceError as error:
+        chosen, words = None, str(error)
+    gives = "rendering on the processor; a GPU does without it"
+    yield Finding(name="LLVM used", found=words, ok=bool(chosen), gives=gives, needed=False)
+
+    cuda = examine_cuda()
+    gpus = f"{', '.join(cuda.devices)}; driver for CUDA {cuda.driver_cuda}"
+    yield Finding(
+        name="NVIDIA GPU",
+        found=gpus if cuda.devices else (cuda.problem or "none"),
+        ok=bool(cuda.devices),
+        gives="rendering on the GPU, together with OptiX",
+        needed=False,
+    )
+    yield Finding(
+        name="OptiX",
+        found="libnvoptix.so.1" if cuda.has_optix else "libnvoptix.so.1 does not load",
+        ok=cuda.has_optix,
+        gives="ray tracing and denoising on an NVIDIA GPU; it is part of the driver",
+        needed=False,
+    )
+    try:
+        device, ok = choose_device("auto"), True
+    except DeviceError as error:
+        device, ok = str(error), False
+    yield Finding(name="device auto", found=device, ok=ok, gives="rendering at all")
+
+
+def _kib(key: str) -> int | None:
+    text = _field(Path("/proc/meminfo"), key)
+    return int(text.split()[0]) if text else None
+
+
+def _field(path: Path, key: str) -> str | None:
+    """The value of the first `key : value` line; None where the system has no such file."""
+    try:
+        lines = path.read_text().splitlines()
+    except OSError:
+        return None
+    for line in lines:
+        name, _, value = line.partition(":")
+        if name.strip() == key:
+            return value.strip()
+    return None

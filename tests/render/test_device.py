@@ -1,0 +1,239 @@
+"""The LLVM is chosen by name alone, the old ones are never loaded, and the chosen one computes."""
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from graycast.errors import DeviceError
+from graycast.render import device
+from graycast.render.device import CudaState, choose_device, find_llvm, list_llvm, open_device
+
+HAS_LLVM = find_llvm() is not None
+NEEDS_LLVM = pytest.mark.skipif(not HAS_LLVM, reason="no shared LLVM >= 19 on this machine")
+NO_GPU = CudaState(problem="no NVIDIA driver")
+GPU = CudaState(devices=("NVIDIA X",), driver_cuda="12.8", has_optix=True)
+
+
+@pytest.fixture
+def no_user_choice(monkeypatch):
+    monkeypatch.delenv("DRJIT_LIBLLVM_PATH", raising=False)
+
+
+def make_library(folder, name, *, header=None):
+    """A file that looks like a library of this machine: the head of the running Python."""
+    folder.mkdir(parents=True, exist_ok=True)
+    own = Path(sys.executable).read_bytes()[:64]
+    (folder / name).write_bytes(own if header is None else header)
+    return folder / name
+
+
+@pytest.mark.parametrize(
+    ("name", "major"),
+    [
+        ("libLLVM-14.so.1", 14),
+        ("libLLVM-14.0.6.so.1", 14),
+        ("libLLVM-19.so.1", 19),
+        ("libLLVM-19.so", 19),
+        ("libLLVM.so.19.1", 19),
+        ("libLLVM.so.22.1", 22),
+        ("libLLVM-20.1.so", 20),
+        ("libLLVM.so.100.0", 100),
+    ],
+)
+def test_the_release_is_read_off_the_usual_names(tmp_path, name, major):
+    path = make_library(tmp_path, name)
+    assert [(library.path, library.major) for library in list_llvm([tmp_path])] == [(path, major)]
+
+
+@pytest.mark.parametrize(
+    "name", ["libLLVM.so", "libLLVM-C.so", "libLLVM-19-rust-1.82.0-stable.so", "libLLVMCore.so.19"]
+)
+def test_names_that_do_not_tell_a_release_are_passed_over(tmp_path, name):
+    make_library(tmp_path, name)
+    assert list_llvm([tmp_path]) == ()
+
+
+def test_files_of_another_machine_or_none_are_passed_over(tmp_path):
+    own = bytearray(Path(sys.executable).read_bytes()[:64])
+    other_size, other_machine = own.copy(), own.copy()
+    other_size[4] ^= 3  # 64 bit to 32 bit
+    other_machine[18] ^= 0xFF
+    make_library(tmp_path, "libLLVM.so.19.1", header=bytes(other_size))
+    make_library(tmp_path, "libLLVM.so.20.1", header=bytes(other_machine))
+    make_library(tmp_path, "libLLVM.so.21.1", header=b"INPUT(-lLLVM-21)")
+    make_library(tmp_path, "libLLVM.so.22.1", header=b"")
+    assert list_llvm([tmp_path]) == ()
+
+
+def test_the_newest_wins_and_links_to_one_file_count_once(tmp_path, no_user_choice):
+    old = make_library(tmp_path / "a", "libLLVM-15.so.1")
+    good = make_library(tmp_path / "a", "libLLVM.so.19.1")
+    newest = make_library(tmp_path / "b", "libLLVM.so.22.1")
+    (tmp_path / "a" / "libLLVM-19.so").symlink_to("libLLVM.so.19.1")
+    (tmp_path / "b" / "libLLVM.so").symlink_to("libLLVM.so.22.1")
+    (tmp_path / "b" / "libLLVM-23.so").symlink_to("gone.so")
+    folders = [tmp_path / "a", tmp_path / "b"]
+    assert [library.path for library in list_llvm(folders)] == [newest, good, old]
+    assert find_llvm(folders) == newest
+
+
+def test_old_libraries_alone_are_none(tmp_path, no_user_choice):
+    for major in (14, 15, 16, 18):
+        make_library(tmp_path, f"libLLVM-{major}.so.1")
+    assert find_llvm([tmp_path]) is None
+
+
+def test_the_user_s_library_goes_before_a_newer_one(tmp_path, monkeypatch):
+    chosen = make_library(tmp_path / "mine", "libLLVM.so.19.1")
+    make_library(tmp_path / "system", "libLLVM.so.22.1")
+    monkeypatch.setenv("DRJIT_LIBLLVM_PATH", str(chosen))
+    assert find_llvm([tmp_path / "system"]) == chosen
+
+
+def test_a_user_s_link_is_judged_by_what_it_points_to(tmp_path, monkeypatch):
+    make_library(tmp_path, "libLLVM-15.so.1")
+    (tmp_path / "libLLVM-19.so").symlink_to("libLLVM-15.so.1")
+    monkeypatch.setenv("DRJIT_LIBLLVM_PATH", str(tmp_path / "libLLVM-19.so"))
+    with pytest.raises(DeviceError, match=r"LLVM 15, which can end the process.*unset"):
+        find_llvm()
+
+
+@pytest.mark.parametrize(
+    ("name", "message"),
+    [("gone/libLLVM-19.so", "which is no file: unset"), ("odd.so", "whose release is unknown")],
+)
+def test_a_user_s_library_that_cannot_be_is_refused(tmp_path, monkeypatch, name, message):
+    make_library(tmp_path, "odd.so")
+    monkeypatch.setenv("DRJIT_LIBLLVM_PATH", str(tmp_path / name))
+    with pytest.raises(DeviceError, match=message) as error:
+        choose_device("cpu")
+    assert "DRJIT_LIBLLVM_PATH" in str(error.value)
+    assert "\n" not in str(error.value)
+
+
+@NEEDS_LLVM
+def test_a_library_whose_name_says_nothing_is_asked_in_a_child(tmp_path, monkeypatch):
+    real = next(library for library in list_llvm() if library.major >= 19)
+    copy = tmp_path / "libfoo.so"
+    copy.symlink_to(real.path)
+    monkeypatch.setattr(device, "_major_from_name", lambda path: None)
+    monkeypatch.setenv("DRJIT_LIBLLVM_PATH", str(copy))
+    assert find_llvm() == copy
+    assert device._major_from_child(str(copy)) == real.major
+
+
+@pytest.mark.parametrize(
+    ("name", "cuda", "llvm", "chosen"),
+    [
+        ("auto", GPU, True, "cuda"),
+        ("auto", NO_GPU, True, "llvm"),
+        ("auto", CudaState(devices=("NVIDIA X",)), True, "llvm"),  # a driver without OptiX
+        ("auto", CudaState(has_optix=True), True, "llvm"),
+        ("auto", GPU, False, "cuda"),
+        ("cpu", GPU, True, "llvm"),
+        ("llvm", NO_GPU, True, "llvm"),
+        ("cuda", GPU, False, "cuda"),
+    ],
+)
+def test_the_device_follows_from_what_is_there(monkeypatch, name, cuda, llvm, chosen):
+    monkeypatch.setattr(device, "examine_cuda", lambda: cuda)
+    monkeypatch.setattr(device, "find_llvm", lambda: Path("libLLVM.so.19.1") if llvm else None)
+    assert choose_device(name) == chosen
+
+
+@pytest.mark.parametrize("name", ["auto", "cpu", "llvm"])
+@pytest.mark.parametrize(("user", "sudo"), [(0, ""), (1000, "sudo ")])
+def test_without_a_library_the_one_command_is_told(monkeypatch, tmp_path, name, user, sudo):
+    old = (
+        device.LlvmLibrary(path=Path("a"), major=15),
+        device.LlvmLibrary(path=Path("b"), major=14),
+    )
+    monkeypatch.setattr(device, "examine_cuda", lambda: NO_GPU)
+    monkeypatch.setattr(device, "find_llvm", lambda: None)
+    monkeypatch.setattr(device, "list_llvm", lambda: old)
+    monkeypatch.setattr(os, "geteuid", lambda: user)
+    monkeypatch.setattr(device.shutil, "which", lambda word: f"/usr/bin/{word}")
+    with pytest.raises(DeviceError) as error:
+        choose_device(name)
+    assert str(error.value).endswith(
+        f"found only 14, 15, too old); run: {sudo}apt-get install libllvm19"
+    )
+
+
+@pytest.mark.parametrize(
+    ("cuda", "why"),
+    [(NO_GPU, "no NVIDIA driver"), (CudaState(devices=("X",)), "libnvoptix.so.1 does not load")],
+)
+def test_cuda_that_is_not_there_says_why(monkeypatch, cuda, why):
+    monkeypatch.setattr(device, "examine_cuda", lambda: cuda)
+    with pytest.raises(DeviceError, match=why):
+        choose_device("cuda")
+
+
+def test_an_unknown_device_lists_those_there_are():
+    with pytest.raises(ValueError, match="auto, cpu, llvm, cuda"):
+        choose_device("gpu")
+    with pytest.raises(ValueError, match="llvm or cuda"):
+        open_device("auto")
+
+
+KERNEL = """
+import json, os, sys
+from graycast.errors import DeviceError
+from graycast.render.device import open_device
+open_device("llvm", threads=1)
+open_device("llvm", threads=1)
+import drjit as dr, mitsuba as mi
+from drjit.llvm import Float
+n = 1000
+x = dr.arange(Float, n)
+y = n / 2 + 0 * x
+dr.make_opaque(x, y)
+maps = open("/proc/self/maps").read()
+loaded = sorted({line.split()[-1] for line in maps.splitlines() if "libLLVM" in line})
+try:
+    open_device("cuda")
+    refused = ""
+except DeviceError as error:
+    refused = str(error)
+print(json.dumps({
+    "low": dr.sum(dr.minimum(x, y))[0], "high": dr.sum(dr.maximum(x, y))[0], "loaded": loaded,
+    "variant": mi.variant(), "threads": dr.thread_count(), "refused": refused,
+}))
+"""
+
+
+@NEEDS_LLVM
+def test_minimum_and_maximum_compile_and_run_on_the_chosen_library():
+    """With LLVM 15 these two abort the process (AVX-512); sums by hand for n = 1000 around 500."""
+    environment = {k: v for k, v in os.environ.items() if k != "DRJIT_LIBLLVM_PATH"}
+    said = json.loads(
+        subprocess.check_output([sys.executable, "-c", KERNEL], text=True, env=environment)
+    )
+    assert said["low"] == sum(min(k, 500) for k in range(1000))
+    assert said["high"] == sum(max(k, 500) for k in range(1000))
+    newest = next(library for library in list_llvm() if library.major >= 19)
+    assert said["loaded"] == [str(newest.path)]
+    assert said["variant"] == "llvm_ad_rgb"
+    assert said["threads"] == 1
+    assert "already renders with llvm_ad_rgb; start another process" in said["refused"]
+
+
+@NEEDS_LLVM
+def test_opening_after_drjit_came_up_without_llvm_says_so():
+    program = (
+        "import os; os.environ['DRJIT_LIBLLVM_PATH'] = '/gone.so'\n"
+        "import drjit\nfrom graycast.render.device import open_device\n"
+        "try:\n    open_device('llvm')\nexcept Exception as e:\n    print(type(e).__name__, e)"
+    )
+    said = subprocess.check_output([sys.executable, "-c", program], text=True)
+    assert said.startswith("DeviceError Dr.Jit has no LLVM: /gone.so does not load")
+
+
+def test_threads_below_one_are_refused():
+    with pytest.raises(ValueError, match="threads is 0"):
+        open_device("llvm", threads=0)

@@ -1,0 +1,160 @@
+"""Rig presets, depth per column, and how a rig hangs over its target."""
+
+import math
+
+import numpy as np
+import pytest
+
+from graycast.frames import inverse, is_rigid, transform_points
+from graycast.optics import Optics
+from graycast.rig import PRESETS, Rig, best_distance_m, depth_per_column_m, place, preset
+
+# baseline [m], toe-in of either axis [deg], range [m], and the camera's focal length at 2064 px.
+PHOXI = {
+    "phoxi-s": (0.230, 15.45, 0.384, 0.520, 2246.0),
+    "phoxi-m": (0.350, 11.75, 0.458, 1.118, 2269.0),
+    "phoxi-l": (0.550, 9.45, 0.870, 2.150, 2263.0),
+    "paper": (0.350, 11.75, 0.458, 1.118, 2269.0),
+}
+EVERY = pytest.mark.parametrize("name", PRESETS)
+
+
+def parallel_rig(along, fx_px=900.0, baseline_m=0.2):
+    """Projector beside (or below) the camera, axes parallel; the projector's field covers much."""
+    optics = {"width_px": 801, "height_px": 601, "cx_px": 400.0, "cy_px": 300.0}
+    T_cam_proj = np.eye(4)
+    T_cam_proj["xy".index(along), 3] = baseline_m
+    return Rig(
+        name="parallel",
+        camera=Optics(**optics, fx_px=700.0, fy_px=700.0),
+        projector=Optics(**optics, fx_px=fx_px, fy_px=fx_px),
+        T_cam_proj=T_cam_proj,
+        near_m=0.6,
+        far_m=2.0,
+    )
+
+
+@EVERY
+def test_presets_have_the_figures_of_their_family(name):
+    baseline_m, toe_in_deg, near_m, far_m, fx_px = PHOXI[name]
+    low, full = preset(name), preset(name, "full")
+    assert low.baseline_m == pytest.approx(baseline_m)
+    assert math.degrees(low.toe_in_rad) == pytest.approx(2 * toe_in_deg)
+    assert (low.near_m, low.far_m) == (near_m, far_m)
+    assert (low.camera.width_px, low.camera.height_px) == (1032, 772)
+    assert (full.camera.width_px, full.camera.height_px) == (2064, 1544)
+    assert full.camera.fx_px == fx_px
+    assert low.camera.field_of_view_rad == pytest.approx(full.camera.field_of_view_rad)
+    assert np.degrees(low.projector.field_of_view_rad) == pytest.approx([47.5, 36.0])
+
+
+@EVERY
+def test_toed_in_axes_cross_inside_the_working_range(name):
+    """Oracle: the isosceles triangle over the baseline, sides b / 2 / sin(toe-in)."""
+    baseline_m, toe_in_deg, near_m, far_m, _ = PHOXI[name]
+    crossing_m = baseline_m / 2 / math.sin(math.radians(toe_in_deg))
+    rig = preset(name)
+    assert near_m < crossing_m < far_m
+    assert best_distance_m(rig) == pytest.approx(crossing_m, rel=1e-12)
+    meeting = np.array([[0.0, 0.0, crossing_m]])
+    assert np.allclose(
+        transform_points(inverse(rig.T_cam_proj), meeting), meeting, rtol=0, atol=1e-12
+    )
+
+
+def test_axes_that_never_meet_are_best_in_the_middle_of_the_range():
+    assert best_distance_m(parallel_rig("x")) == pytest.approx(1.3)
+
+
+@pytest.mark.parametrize("z_m", [0.7, 1.0, 1.7])
+def test_depth_per_column_of_a_parallel_rig_follows_similar_triangles(z_m):
+    """column = const - f b / z, so one column is z^2 / (f b) of depth."""
+    assert depth_per_column_m(parallel_rig("x"), z_m) == pytest.approx(
+        z_m**2 / (900.0 * 0.2), rel=1e-7
+    )
+
+
+def test_depth_per_column_of_a_toed_in_rig_is_that_of_a_ray_turning_by_one_column():
+    """Where the axes meet, a projector ray turns by 1 / f per column and cuts the camera's axis.
+
+    Both devices are equally far from there, so the cut moves by distance / f / sin(angle).
+    """
+    rig = preset("phoxi-m")
+    z_m = best_distance_m(rig)
+    expected = z_m / rig.projector.fx_px / math.sin(rig.toe_in_rad)
+    assert depth_per_column_m(rig, z_m) == pytest.approx(expected, rel=1e-6)
+
+
+def test_depth_per_column_is_nan_where_the_projector_does_not_reach():
+    """The projector's edge is 400.5 columns from its middle: f b / z = 400.5 at z = 0.4494 m."""
+    rig = parallel_rig("x")
+    assert math.isnan(depth_per_column_m(rig, 0.449))
+    assert not math.isnan(depth_per_column_m(rig, 0.450))
+
+
+def test_columns_along_the_baseline_tell_nothing_about_depth():
+    assert depth_per_column_m(parallel_rig("y"), 1.0) == math.inf
+
+
+@EVERY
+@pytest.mark.parametrize("azimuth_rad", [0.0, 0.4, -2.0])
+@pytest.mark.parametrize("tilt_rad", [0.0, 0.3])
+def test_a_placed_rig_hangs_level_and_looks_at_its_target(name, azimuth_rad, tilt_rad):
+    rig, target, distance_m = preset(name), np.array([0.05, -0.1, 0.02]), 0.9
+    T_world_cam = place(
+        rig, target_m=target, distance_m=distance_m, tilt_rad=tilt_rad, azimuth_rad=azimuth_rad
+    )
+    assert is_rigid(T_world_cam)
+    T_world_proj = T_world_cam @ rig.T_cam_proj
+    camera, projector = T_world_cam[:3, 3], T_world_proj[:3, 3]
+    middle, bisector = (camera + projector) / 2, T_world_cam[:3, 2] + T_world_proj[:3, 2]
+    assert np.linalg.norm(middle - target) == pytest.approx(distance_m)
+    bisector /= np.linalg.norm(bisector)
+    assert np.allclose(middle + distance_m * bisector, target, rtol=0, atol=1e-12)
+    assert math.acos(np.clip(-bisector[2], -1, 1)) == pytest.approx(tilt_rad, abs=1e-7)
+    along = (projector - camera) / rig.baseline_m
+    level = [math.cos(azimuth_rad), math.sin(azimuth_rad), 0]
+    assert np.allclose(along, level, rtol=0, atol=1e-12)
+    stands = [math.sin(azimuth_rad), -math.cos(azimuth_rad)]  # -y, turned with the azimuth
+    offset = distance_m * math.sin(tilt_rad)
+    assert np.allclose(middle[:2] - target[:2], np.multiply(stands, offset), rtol=0, atol=1e-12)
+
+
+def test_the_image_of_a_tilted_rig_has_y_down():
+    """A rig that stands towards -y and looks north: what is higher is higher in the picture."""
+    rig = preset("phoxi-m")
+    T_world_cam = place(rig, target_m=np.zeros(3), distance_m=0.9, tilt_rad=0.5, azimuth_rad=0.0)
+    above = transform_points(inverse(T_world_cam), np.array([[0.0, 0, 0], [0, 0, 0.1]]))
+    y = above[:, 1] / above[:, 2]
+    assert y[1] < y[0]
+    assert T_world_cam[2, 1] < 0
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"near_m": 2.5}, "0 < near_m < far_m"),
+        ({"T_cam_proj": np.eye(4)}, "needs a baseline"),
+        ({"T_cam_proj": np.diag([1.0, 1, -1, 1])}, "not a rotation"),
+        ({"intensity_w_sr": 0.0}, "must be positive"),
+        ({"band_weights": (0.5, 0.5, 0.5)}, "shares of 1"),
+        ({"picture_level": 1.5}, "between 0 and 1"),
+    ],
+)
+def test_an_impossible_rig_is_refused(change, message):
+    rig = parallel_rig("x")
+    fields = {name: getattr(rig, name) for name in rig.__dataclass_fields__}
+    with pytest.raises(ValueError, match=message):
+        Rig(**(fields | change))
+
+
+def test_a_baseline_in_millimetres_is_noticed():
+    with pytest.raises(ValueError, match="is T in millimetres"):
+        parallel_rig("x", baseline_m=230.0)
+
+
+def test_an_unknown_preset_lists_those_there_are():
+    with pytest.raises(ValueError, match="paper, phoxi-s, phoxi-m, phoxi-l"):
+        preset("phoxi-z")
+    with pytest.raises(ValueError, match="low or full"):
+        preset("paper", "medium")

@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass
 from enum import IntEnum
+from typing import no_type_check
 
 import numba
 import numpy as np
@@ -33,8 +34,8 @@ class DecodeSpec:
 
     `min_contrast`: brightest minus darkest frame, as a share of the sensor's range. A bit is
     doubtful where its signal is under `doubt` times that contrast. At any place of a Gray code at
-    most one bit is changing, so two doubtful bits contradict each other; the `fine_bits` finest
-    bits of each axis do not count: there a pixel may see several stripes and still be right.
+    most one bit is changing, so two doubtful bits of an axis contradict each other; its `fine_bits`
+    finest bits do not count: there a pixel may see several stripes and still be right.
     """
 
     min_contrast: float = 0.02
@@ -106,7 +107,7 @@ def decode_plain(capture: Capture, code: GrayCode, spec: DecodeSpec) -> CodeMap:
     pairs, counted, sizes, dark_dn, saturation_dn, range_dn, doubt = _plan(capture, code, spec)
     stack = capture.frames.astype(np.int32)
     high, low = stack.max(axis=0), stack.min(axis=0)
-    doubtful = np.zeros(high.shape, dtype=int)
+    doubtful = np.zeros((2, *high.shape), dtype=int)
     position = np.full((2, *high.shape), np.nan, dtype=np.float32)
     outside = np.zeros(high.shape, dtype=bool)
     for axis, size in enumerate(sizes):
@@ -120,14 +121,14 @@ def decode_plain(capture: Capture, code: GrayCode, spec: DecodeSpec) -> CodeMap:
                 margin = stack[first] - stack[second]
             bit = bit ^ (margin > 0)
             value = 2 * value + bit
-            doubtful += counts & (
+            doubtful[axis] += counts & (
                 np.abs(margin) < np.float32(doubt) * (high - low).astype(np.float32)
             )
         if size:
             position[axis] = value
             outside |= value >= size
     reason = np.select(
-        [high - low < dark_dn, high >= saturation_dn, doubtful >= 2, outside],
+        [high - low < dark_dn, high >= saturation_dn, (doubtful >= 2).any(axis=0), outside],
         [Reason.TOO_DARK, Reason.SATURATED, Reason.CONTRADICTORY, Reason.OUTSIDE_PROJECTOR],
         Reason.DECODED,
     ).astype(np.uint8)
@@ -169,6 +170,7 @@ def _plan(capture: Capture, code: GrayCode, spec: DecodeSpec) -> tuple:
 
 
 @numba.njit(parallel=True, cache=True)
+@no_type_check  # the tests' type checker wraps functions, which numba cannot compile
 def _decode(
     stack,
     pairs,
@@ -196,7 +198,7 @@ def _decode(
                 low[x] = min(low[x], frame[x])
         middle = np.empty(w, dtype=np.int32)
         limit = np.empty(w, dtype=np.float32)
-        doubtful = np.zeros(w, dtype=np.int32)
+        doubtful = np.zeros((2, w), dtype=np.int32)
         value = np.zeros((2, w), dtype=np.int32)
         for x in range(w):
             middle[x] = np.int32(high[x]) + np.int32(low[x])
@@ -204,18 +206,19 @@ def _decode(
         for k in range(len(pairs)):
             first = stack[pairs[k, 0], y]
             of_axis = value[pairs[k, 2]]
+            doubts = doubtful[pairs[k, 2]]
             count = np.int32(counted[k])
             if pairs[k, 1] >= 0:
                 second = stack[pairs[k, 1], y]
                 for x in range(w):
                     margin = np.int32(first[x]) - np.int32(second[x])
                     of_axis[x] = (of_axis[x] << 1) | np.int32(margin > 0)
-                    doubtful[x] += count & np.int32(np.float32(abs(margin)) < limit[x])
+                    doubts[x] += count & np.int32(np.float32(abs(margin)) < limit[x])
             else:
                 for x in range(w):
                     margin = 2 * np.int32(first[x]) - middle[x]
                     of_axis[x] = (of_axis[x] << 1) | np.int32(margin > 0)
-                    doubtful[x] += count & np.int32(np.float32(abs(margin)) < limit[x])
+                    doubts[x] += count & np.int32(np.float32(abs(margin)) < limit[x])
         for x in range(w):
             contrast = np.int32(high[x]) - np.int32(low[x])
             modulation[y, x] = np.float32(contrast) / per_range
@@ -225,7 +228,7 @@ def _decode(
                 why = 1
             elif high[x] >= saturation_dn:
                 why = 2
-            elif doubtful[x] >= 2:
+            elif doubtful[0, x] >= 2 or doubtful[1, x] >= 2:
                 why = 3
             elif outside:
                 why = 4
@@ -239,6 +242,7 @@ def _decode(
 
 
 @numba.njit(cache=True)
+@no_type_check  # the tests' type checker wraps functions, which numba cannot compile
 def _binary_from_gray(gray):
     """Prefix exclusive-or of up to 32 bits."""
     gray ^= gray >> 16

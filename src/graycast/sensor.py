@@ -9,6 +9,7 @@ of the colour picture is taken by a sensor of its own).
 
 import math
 from dataclasses import dataclass
+from typing import no_type_check
 
 import numba
 import numpy as np
@@ -130,6 +131,7 @@ def expose(
 
 
 @numba.njit(cache=True)
+@no_type_check  # the tests' type checker wraps functions, which numba cannot compile
 def _mix(z: np.uint64) -> np.uint64:
     """Finaliser of SplitMix64 (Steele, Lea, Flood, OOPSLA 2014): 64 well-mixed bits."""
     z = (z ^ (z >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
@@ -138,6 +140,7 @@ def _mix(z: np.uint64) -> np.uint64:
 
 
 @numba.njit(parallel=True, cache=True)
+@no_type_check  # the tests' type checker wraps functions, which numba cannot compile
 def _expose(
     radiance, background, frames, scale, full_well_e, read_noise_e, gain, offset_dn, max_dn, key
 ):
@@ -163,6 +166,7 @@ def _expose(
 
 
 @numba.njit(cache=True)
+@no_type_check  # the tests' type checker wraps functions, which numba cannot compile
 def _poisson(mean: float, bits: np.uint64) -> int:
     """A Poisson number by inversion of its distribution function at one uniform draw."""
     u = (np.float64(bits >> np.uint64(11)) + 0.5) * 2.0**-53

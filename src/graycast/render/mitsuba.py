@@ -7,6 +7,12 @@ sees the vertex. All patterns share their paths: their Monte Carlo errors are on
 picture were taken through slightly different pixels, not an error that differs from bit to bit.
 The noise that does is the sensor's, added later.
 
+One of n samples of a rough reflection stands for a cone of directions, and its end for a patch of
+surface, not for a point of one stripe. So interreflected light takes the patterns' mean level over
+the patch that its vertex stands for (`Quality.footprint`), as ray cones filter textures. The patch
+shrinks with the number of samples: the estimate is consistent, the white frame is untouched, and
+stripes seen in a rough reflection blur, as they do in the limit, rather than sparkle.
+
 Limits: no light passes through a surface; a surface smoother than roughness 0.05 is refused, since
 paths cannot find a pinhole projector's mirror image.
 """
@@ -19,7 +25,7 @@ import mitsuba as mi
 import numpy as np
 
 from ..frames import inverse, transform_points
-from ..optics import Optics, project
+from ..optics import Optics, fold_radius2, project
 from ..scene import Layout, Scene
 from .mitsuba_scene import PartShape, build
 from .radiance import GroundTruth, Quality, Radiance, Rendering, Silhouette
@@ -27,6 +33,7 @@ from .radiance import GroundTruth, Quality, Radiance, Rendering, Silhouette
 NEWTON_STEPS = 6  # double the digits each; lenses need four for float32
 ROULETTE_FROM = 2  # vertices that every path gets before Russian roulette
 MAX_SURVIVAL = 0.95  # ends paths between perfect whites
+FOOTPRINT_LOOKUPS = 7
 R2 = (0.7548776662466927, 0.5698402909980532)  # M. Roberts' low-discrepancy additive recurrence
 
 
@@ -51,15 +58,15 @@ class MitsubaRenderer:
                 f"{projector.width_px} x {projector.height_px} px"
             )
         world, part_shapes = build(scene, layout)
-        radiance = _radiance(world, scene, pattern, quality, seed)
-        return Rendering(radiance=radiance, truth=_truth(world, part_shapes, scene, layout))
+        radiance = light(world, scene, pattern, quality=quality, seed=seed)
+        return Rendering(radiance=radiance, truth=truth(world, part_shapes, scene, layout))
 
 
 # --- light -----------------------------------------------------------------------------------
 
 
-def _radiance(
-    world: mi.Scene, scene: Scene, pattern: np.ndarray, quality: Quality, seed: int
+def light(
+    world: mi.Scene, scene: Scene, pattern: np.ndarray, *, quality: Quality, seed: int
 ) -> Radiance:
     camera = scene.rig.camera
     h, w = camera.height_px, camera.width_px
@@ -111,6 +118,7 @@ class _Paths:
     last_pdf: mi.Float  # of the direction that led here
     last_p: mi.Point3f
     last_n: mi.Normal3f
+    spread: mi.Float  # radius of what the vertex stands for [m]
     pattern: list[mi.Float]
     white: mi.Color3f
     ambient: mi.Color3f
@@ -140,6 +148,8 @@ class _Tracer:
         self.ambient = len(world.emitters()) > 0
         self.pattern_count = len(pattern)
         self.words, self.bits_each = _packed(pattern)
+        filters = quality.footprint and quality.depth > 1
+        self.lookups = FOOTPRINT_LOOKUPS if filters else 1
 
     def trace(self, seed: int) -> _Paths:
         pixels = self.camera.width_px * self.camera.height_px
@@ -155,6 +165,7 @@ class _Tracer:
             last_pdf=mi.Float(0),
             last_p=mi.Point3f(0),
             last_n=mi.Normal3f(0, 0, 1),
+            spread=mi.Float(0),
             pattern=[dr.zeros(mi.Float, pixels) for _ in range(self.pattern_count)],
             white=dr.zeros(mi.Color3f, pixels),
             ambient=dr.zeros(mi.Color3f, pixels),
@@ -192,11 +203,11 @@ class _Tracer:
         jitter -= dr.floor(jitter)
         x = mi.Float(lane % self.camera.width_px) + jitter.x - 0.5
         y = mi.Float(lane // self.camera.width_px) + jitter.y - 0.5
-        return self.R_world_cam @ _camera_ray(self.camera, x, y)
+        return mi.Vector3f(self.R_world_cam @ _camera_ray(self.camera, x, y))
 
     def _add_projector(self, p: _Paths, si, bsdf, hit: mi.Bool) -> None:
         """Light straight from the projector: I / d^2 in the field, to each pattern by its level."""
-        pixel, in_field = _projector_pixel(self.projector, self.T_proj_world, si.p)
+        place, focal_px, in_field = _projector_place(self.projector, self.T_proj_world, si.p)
         to_lens = self.lens - si.p
         inverse_square = dr.rcp(dr.squared_norm(to_lens))
         wo = si.to_local(to_lens * dr.sqrt(inverse_square))
@@ -206,15 +217,40 @@ class _Tracer:
         seen = p.throughput * value * (self.intensity_w_sr * inverse_square)
         p.white += seen * self.bands
         mono = dr.sum(seen * self.weights)
+        if self.lookups == 1:
+            pixels = [_pixel_index(self.projector, place)]
+        else:
+            pixels = self._footprint(p, si, place, focal_px)
+        self._add_levels(p, mono / self.lookups, pixels, lit)
+
+    def _footprint(self, p: _Paths, si, place: mi.Point2f, focal_px: mi.Float) -> list[mi.UInt32]:
+        """Projector pixels spread over the disk for which this vertex stands."""
+        grown = si.t * dr.sqrt(dr.inv_pi / (self.quality.samples * p.last_pdf))
+        p.spread = dr.select(p.vertex == 0, 0, p.spread + dr.select(p.last_pdf > 0, grown, 0))
+        turn, start = p.rng.next_float32(), p.rng.next_float32()
+        pixels = []
+        for j in range(self.lookups):
+            area = start + j * R2[0]  # equal areas of the disk, in turn
+            radius_px = p.spread * focal_px * dr.sqrt(area - dr.floor(area))
+            sine, cosine = dr.sincos(dr.two_pi * (turn + j / self.lookups))
+            beside = place + radius_px * mi.Vector2f(cosine, sine)
+            pixels.append(_pixel_index(self.projector, beside))
+        return pixels
+
+    def _add_levels(self, p: _Paths, mono: mi.Float, pixels: list[mi.UInt32], lit: mi.Bool) -> None:
+        """To each pattern its level at each pixel."""
         per_word = 32 // self.bits_each
-        for k in range(self.pattern_count):
-            if k % per_word == 0:
-                word = dr.gather(mi.UInt32, self.words[k // per_word], pixel, lit)
-            level = word >> (k % per_word * self.bits_each)
-            if self.bits_each == 1:
-                p.pattern[k] += dr.select((level & 1) != 0, mono, 0)
-            else:
-                p.pattern[k] += mono * (mi.Float(level & 255) / 255)
+        for first in range(0, self.pattern_count, per_word):
+            words = self.words[first // per_word]
+            levels = [dr.gather(mi.UInt32, words, pixel, lit) for pixel in pixels]
+            for k in range(first, min(first + per_word, self.pattern_count)):
+                shift = (k - first) * self.bits_each
+                if self.bits_each == 1:
+                    for level in levels:
+                        p.pattern[k] += dr.select((level & (1 << shift)) != 0, mono, 0)
+                else:
+                    total = sum((level >> shift) & 255 for level in levels)
+                    p.pattern[k] += mono * (mi.Float(total) / 255)
 
     def _add_emission(self, p: _Paths, si, fresh: mi.Bool) -> None:
         """Lamps and environment that a sampled direction happened to meet."""
@@ -286,28 +322,35 @@ def _distorted(x, y, distortion):
     )
 
 
-def _projector_pixel(
+def _projector_place(
     projector: Optics, T_proj_world: mi.Matrix4f, p: mi.Point3f
-) -> tuple[mi.UInt32, mi.Bool]:
-    """Index of the projector pixel that lights a world point, and whether there is one."""
+) -> tuple[mi.Point2f, mi.Float, mi.Bool]:
+    """Where the projector sees a world point [px], pixels per metre there, and if at all."""
     q = T_proj_world @ mi.Vector4f(p.x, p.y, p.z, 1)
     ahead = q.z > 0
     scale = dr.select(ahead, dr.rcp(q.z), 0)
     x, y = q.x * scale, q.y * scale
     if projector.has_distortion:
+        ahead &= x * x + y * y < fold_radius2(projector.distortion)
         x, y = _distorted(x, y, projector.distortion)
-    # A pixel is a square around its centre, so the nearest centre is the pixel.
-    u = dr.floor(dr.fma(x, projector.fx_px, projector.cx_px + 0.5))
-    v = dr.floor(dr.fma(y, projector.fy_px, projector.cy_px + 0.5))
-    inside = ahead & (u >= 0) & (u < projector.width_px) & (v >= 0) & (v < projector.height_px)
-    pixel = mi.UInt32(dr.select(inside, v * projector.width_px + u, 0))  # exact below 2^24 pixels
-    return pixel, inside
+    u = dr.fma(x, projector.fx_px, projector.cx_px)
+    v = dr.fma(y, projector.fy_px, projector.cy_px)
+    inside = ahead & (u >= -0.5) & (u < projector.width_px - 0.5)
+    inside &= (v >= -0.5) & (v < projector.height_px - 0.5)
+    return mi.Point2f(u, v), projector.fx_px * scale, inside
+
+
+def _pixel_index(projector: Optics, place: mi.Point2f) -> mi.UInt32:
+    """The pixel at a place; a pixel is a square around its centre, so the nearest centre is it."""
+    u = dr.clip(dr.floor(place.x + 0.5), 0, projector.width_px - 1)
+    v = dr.clip(dr.floor(place.y + 0.5), 0, projector.height_px - 1)
+    return mi.UInt32(v * projector.width_px + u)  # exact below 2^24 pixels
 
 
 # --- geometry --------------------------------------------------------------------------------
 
 
-def _truth(
+def truth(
     world: mi.Scene, part_shapes: tuple[PartShape, ...], scene: Scene, layout: Layout
 ) -> GroundTruth:
     camera = scene.rig.camera

@@ -1,0 +1,45 @@
+"""Denoising of the colour picture: Open Image Denoise on the CPU, NVIDIA OptiX on the GPU.
+
+Pattern pictures are not denoised: a network trained on photographs moves the borders of stripes,
+and with them the decoded depth.
+"""
+
+import numpy as np
+from jaxtyping import Float
+
+
+def denoise(
+    rgb: Float[np.ndarray, "h w 3"],
+    albedo: Float[np.ndarray, "h w 3"],
+    normal: Float[np.ndarray, "h w 3"],
+    *,
+    device: str,
+) -> Float[np.ndarray, "h w 3"]:
+    """A clean copy of a linear colour picture.
+
+    Args:
+        rgb: radiance [W sr^-1 m^-2], any scale.
+        albedo: base reflectance of what each pixel sees.
+        normal: unit normals, NaN where there is nothing.
+        device: 'cuda' uses OptiX, anything else Open Image Denoise.
+    """
+    guides = np.clip(albedo, 0, 1), np.nan_to_num(normal, nan=0.0)
+    images = [np.ascontiguousarray(image, dtype=np.float32) for image in (rgb, *guides)]
+    return _optix(*images) if device == "cuda" else _oidn(*images)
+
+
+def _oidn(rgb: np.ndarray, albedo: np.ndarray, normal: np.ndarray) -> np.ndarray:
+    import pyoidn
+
+    return pyoidn.denoise(rgb, albedo, normal, hdr=True)
+
+
+def _optix(rgb: np.ndarray, albedo: np.ndarray, normal: np.ndarray) -> np.ndarray:
+    import mitsuba as mi
+
+    h, w = rgb.shape[:2]
+    denoiser = mi.OptixDenoiser(input_size=[w, h], albedo=True, normals=True, temporal=False)
+    clean = denoiser(
+        mi.TensorXf(rgb), False, albedo=mi.TensorXf(albedo), normals=mi.TensorXf(normal)
+    )
+    return np.array(clean)

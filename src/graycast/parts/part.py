@@ -14,8 +14,9 @@ class Material:
     the mesh's uv with v up) is given it takes the colour's place. `metallic` 0 is a dielectric:
     diffuse base under a clear rough coat whose normal reflectance is `0.08 * specular` (0.5 is
     an index of 1.5; 0 has no coat: a perfect Lambertian). `metallic` 1 is a conductor whose normal
-    reflectance is the base colour. `roughness` is perceptual: the GGX alpha is its square; mirrors (below 0.05)
-    are refused, since no path finds a pinhole projector's mirror image.
+    reflectance is the base colour.
+    `roughness` is perceptual: the GGX alpha is its square; mirrors (below 0.05) are refused, since
+    no path finds a pinhole projector's mirror image.
 
     Leaves out: translucency, anisotropy, spectra finer than three bands.
     """

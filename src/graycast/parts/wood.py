@@ -1,0 +1,30 @@
+"""A wood of our own making for bins: growth rings cut lengthwise, with fine grain."""
+
+import numpy as np
+from jaxtyping import UInt8
+from scipy.ndimage import gaussian_filter
+
+SIZE_PX = 1024
+_LIGHT_SRGB = np.array([214.0, 174.0, 122.0])
+_DARK_SRGB = np.array([158.0, 112.0, 66.0])
+_SEED = 7
+
+
+def wood_texture() -> UInt8[np.ndarray, "h w 3"]:
+    """An sRGB picture with the grain along its rows; it repeats without a seam."""
+    rng = np.random.default_rng(_SEED)
+
+    def noise(along_px: float, across_px: float) -> np.ndarray:
+        field = rng.standard_normal((SIZE_PX, SIZE_PX))
+        field = gaussian_filter(field, (across_px, along_px), mode="wrap")
+        return field / field.std()
+
+    y = np.arange(SIZE_PX)[:, None] / SIZE_PX
+    # Distance from a wavering heart line, in whole rings over the height so that edges meet.
+    ring = 14 * y + 0.9 * noise(260, 60) + 0.12 * noise(120, 12)
+    late = np.abs((ring % 1.0) - 0.5) * 2
+    dark = 0.75 * late**3 + 0.10 * noise(60, 1.2) + 0.05 * noise(25, 0.7)
+    # Dark pores: short strokes along the grain.
+    pores = noise(14, 0.8) > 2.6
+    share = np.clip(dark + 0.35 * pores, 0, 1)[..., None]
+    return np.round(_LIGHT_SRGB + share * (_DARK_SRGB - _LIGHT_SRGB)).astype(np.uint8)

@@ -1,0 +1,16 @@
+"""Ground truth on disk: BOP and COCO, written scene by scene, and read back to be checked."""
+
+from .bop import depth_scale_mm
+from .sample import Sample
+from .store import Store, open_store, write_scene
+from .validate import Problem, validate
+
+__all__ = [
+    "Problem",
+    "Sample",
+    "Store",
+    "depth_scale_mm",
+    "open_store",
+    "validate",
+    "write_scene",
+]

@@ -1,0 +1,354 @@
+"""One scene as the files of a BOP scene folder, after bop_toolkit's docs and scripts.
+
+The scene folder holds one image, `im_id` 0. What the colour camera sees bears BOP's plain names;
+what the scanner measured bears the camera type `sl`. Both look through the same lens from the same
+place, so poses and masks are equal and written under both names, as bop_toolkit looks them up.
+
+Lengths are millimetres. A depth picture times `depth_scale` is z of the camera frame; 0 is unknown.
+Pixel (0, 0) is the centre of the top-left pixel in BOP as it is here.
+"""
+
+import json
+import math
+import struct
+import zlib
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+from jaxtyping import Bool, Float, UInt8, UInt16
+from scipy import ndimage
+
+from ..decode import Reason
+from ..errors import DatasetError
+from ..frames import inverse
+from ..optics import Optics
+from ..render.radiance import Silhouette
+from .coco import run_lengths, scene_annotation, scene_coco
+from .models import MM_PER_M
+from .sample import Sample
+
+_PNG_LEVEL = 2  # higher ones take twice the time for a hundredth of the size
+_DEPTH_MAX = 65535  # of 16 bits
+_NOTHING = [-1, -1, -1, -1]  # BOP's box of what cannot be seen
+
+
+def depth_scale_mm(far_m: float) -> float:
+    """The millimetres that one step of a depth picture stands for, for depths up to `far_m`.
+
+    0.1 mm reaches 6.5 m, beyond that the finest of 0.2, 0.5 and 1 mm that reaches `far_m`. A
+    writer may be given a finer one where no part lies deeper than 65535 steps: 0.02 mm reaches
+    1.3 m. It is one number per dataset.
+
+    Raises:
+        ValueError: `far_m` is not positive, or beyond 65 m.
+    """
+    if not far_m > 0:
+        raise ValueError(f"far_m is {far_m}; a depth in metres above 0")
+    for scale_mm in (0.1, 0.2, 0.5, 1.0):
+        if far_m * MM_PER_M <= scale_mm * _DEPTH_MAX:
+            return scale_mm
+    raise ValueError(f"far_m is {far_m}; 16-bit depth in millimetres ends at 65.535 m")
+
+
+def camera_json(camera: Optics, scale_mm: float) -> dict[str, Any]:
+    """`camera.json` of the dataset. A lens with distortion adds OpenCV's five coefficients."""
+    return {
+        "cx": camera.cx_px,
+        "cy": camera.cy_px,
+        "depth_scale": scale_mm,
+        "fx": camera.fx_px,
+        "fy": camera.fy_px,
+        "height": camera.height_px,
+        "width": camera.width_px,
+    } | _distortion(camera)
+
+
+def scene_files(sample: Sample, scale_mm: float) -> Iterator[tuple[str, bytes]]:
+    """Every file of a scene folder as (path inside the folder, content), equal for equal samples.
+
+    Raises:
+        ValueError: images of the sample have other sizes than its camera, or its silhouettes
+            are not one per instance.
+        DatasetError: a depth does not fit into 16 bits at this scale.
+    """
+    camera = sample.scene.rig.camera
+    _check_shapes(sample, (camera.height_px, camera.width_px))
+    seen = _instances(sample)
+    truth = _depth_steps(sample.truth.depth_m, scale_mm, needed=sample.truth.instance >= 0)
+    known = sample.scanner.reason == Reason.DECODED
+    scanned = _depth_steps(sample.scanner.depth_m, scale_mm, needed=known)
+    modulation, modulation_scale = _modulation_steps(sample.modulation)
+    yield "rgb/000000.png", _png(np.ascontiguousarray(sample.rgb[..., ::-1]))
+    yield "gray_sl/000000.png", _png(sample.gray)
+    yield "depth/000000.png", _png(truth)
+    yield "depth_sl/000000.png", _png(scanned)
+    yield "reason_sl/000000.png", _png(sample.scanner.reason)
+    yield "modulation_sl/000000.png", _png(modulation)
+    for i, instance in enumerate(seen):
+        amodal = _mask_png(instance.inside, camera.height_px, camera.width_px)
+        visible = _mask_png(instance.visible, camera.height_px, camera.width_px)
+        for suffix in ("", "_sl"):
+            yield f"mask{suffix}/000000_{i:06d}.png", amodal
+            yield f"mask_visib{suffix}/000000_{i:06d}.png", visible
+    poses = json_bytes({"0": _poses(sample)})
+    view = json_bytes({"0": _view(sample, scale_mm)})
+    for suffix, depth, image in (("", truth, "rgb"), ("_sl", scanned, "gray_sl")):
+        yield f"scene_camera{suffix}.json", view
+        yield f"scene_gt{suffix}.json", poses
+        yield f"scene_gt_info{suffix}.json", json_bytes({"0": [_info(s, depth) for s in seen]})
+        yield f"scene_gt_coco{suffix}.json", json_bytes(_coco(sample, seen, f"{image}/000000.png"))
+    yield "scene_gt_box3d.json", json_bytes({"0": _boxes_3d(sample)})
+    reasons = {reason.name: reason.value for reason in Reason}
+    scanner = {"modulation_scale": modulation_scale, "reasons": reasons}
+    yield "scene_sl.json", json_bytes({"0": scanner})
+    yield "manifest.json", json_bytes(sample.manifest)
+
+
+def json_bytes(content: Mapping[str, Any]) -> bytes:
+    """JSON with sorted keys, one line per key of the outermost object, as bop_toolkit writes it.
+
+    Raises:
+        ValueError: something in it has no JSON form.
+    """
+    tree = plain(content)
+    lines = [f"  {json.dumps(key)}: {_compact(tree[key])}" for key in sorted(tree)]
+    return ("{\n" + ",\n".join(lines) + "\n}\n").encode()
+
+
+def plain(value: Any) -> Any:
+    """Values of NumPy, paths, tuples and mappings as JSON has them; NaN is null.
+
+    Raises:
+        ValueError: a value of another type, or an infinite number.
+    """
+    match value:
+        case None | bool() | str() | int():
+            return value
+        case np.ndarray() | np.generic():
+            return plain(value.tolist())
+        case float():
+            if math.isinf(value):
+                raise ValueError("infinity has no JSON form")
+            return None if math.isnan(value) else value
+        case Path():
+            return str(value)
+        case Mapping():
+            return {str(key): plain(item) for key, item in value.items()}
+        case list() | tuple():
+            return [plain(item) for item in value]
+    raise ValueError(f"{value!r} has no JSON form")
+
+
+def _compact(tree: Any) -> str:
+    return json.dumps(tree, sort_keys=True, allow_nan=False)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Seen:
+    """What the image shows of one instance: all, the part inside the image, the visible part."""
+
+    whole: Silhouette
+    inside: Silhouette
+    visible: Silhouette
+
+
+def _instances(sample: Sample) -> list[_Seen]:
+    truth = sample.truth
+    height_px, width_px = truth.instance.shape
+    found = ndimage.find_objects(truth.instance + 1, max_label=len(truth.amodal))
+    seen = []
+    for i, (whole, box) in enumerate(zip(truth.amodal, found, strict=True)):
+        rows, columns = box if box is not None else (slice(0, 0), slice(0, 0))
+        visible = Silhouette(
+            left_px=columns.start, top_px=rows.start, mask=truth.instance[rows, columns] == i
+        )
+        if visible.mask.sum() > whole.mask.sum():
+            raise ValueError(f"instance {i} has more visible pixels than its silhouette has")
+        inside = _inside(whole, height_px, width_px)
+        seen.append(_Seen(whole=whole, inside=inside, visible=visible))
+    return seen
+
+
+def _inside(whole: Silhouette, height_px: int, width_px: int) -> Silhouette:
+    h, w = whole.mask.shape
+    top, left = max(whole.top_px, 0), max(whole.left_px, 0)
+    bottom, right = min(whole.top_px + h, height_px), min(whole.left_px + w, width_px)
+    if bottom <= top or right <= left:
+        return Silhouette(left_px=0, top_px=0, mask=np.zeros((0, 0), dtype=bool))
+    rows = slice(top - whole.top_px, bottom - whole.top_px)
+    columns = slice(left - whole.left_px, right - whole.left_px)
+    return Silhouette(left_px=left, top_px=top, mask=whole.mask[rows, columns])
+
+
+def _check_shapes(sample: Sample, size: tuple[int, int]) -> None:
+    images = {
+        "rgb": sample.rgb[..., 0],
+        "gray": sample.gray,
+        "true depth": sample.truth.depth_m,
+        "instance": sample.truth.instance,
+        "scanner depth": sample.scanner.depth_m,
+        "reason": sample.scanner.reason,
+        "modulation": sample.modulation,
+    }
+    for name, image in images.items():
+        if image.shape != size:
+            raise ValueError(f"{name} is {image.shape}, the camera has {size} (rows, columns)")
+    count, poses = len(sample.truth.amodal), len(sample.layout.T_world_part)
+    if count != poses or sample.truth.instance.max(initial=-1) >= poses:
+        raise ValueError(f"{poses} poses, {count} silhouettes: another layout's ground truth?")
+
+
+def _depth_steps(
+    depth_m: Float[np.ndarray, "h w"], scale_mm: float, *, needed: Bool[np.ndarray, "h w"]
+) -> UInt16[np.ndarray, "h w"]:
+    """Depth in steps of the scale; 0 where unknown, and for unneeded pixels too deep for 16 bits.
+
+    A table without end has no largest depth, so only parts and measurements must fit.
+    """
+    steps = np.rint(depth_m.astype(np.float64) * (MM_PER_M / scale_mm))
+    fits = (steps >= 1) & (steps <= _DEPTH_MAX)  # False for NaN
+    if (needed & ~fits).any():
+        worst_m = depth_m[needed & ~fits][0]
+        raise DatasetError(
+            f"a depth of {worst_m:.6g} m does not fit 16 bits in steps of {scale_mm} mm "
+            f"(up to {scale_mm * _DEPTH_MAX / MM_PER_M:.3f} m): give a coarser depth_scale_mm"
+        )
+    return np.where(fits, steps, 0).astype(np.uint16)
+
+
+def _modulation_steps(
+    modulation: Float[np.ndarray, "h w"],
+) -> tuple[UInt16[np.ndarray, "h w"], float]:
+    """16-bit steps and the power of two that, times a step, is the modulation again.
+
+    NaN and what noise has made negative are stored as 0: no modulation.
+    """
+    value = np.nan_to_num(modulation.astype(np.float64), nan=0.0).clip(min=0.0)
+    scale = 2.0 ** math.ceil(math.log2(max(value.max(initial=0.0), 2.0**-16) / _DEPTH_MAX))
+    return np.rint(value / scale).astype(np.uint16), scale
+
+
+def _png(image: UInt8[np.ndarray, "..."] | UInt16[np.ndarray, "..."]) -> bytes:
+    """OpenCV's channel order."""
+    return cv2.imencode(".png", image, [cv2.IMWRITE_PNG_COMPRESSION, _PNG_LEVEL])[1].tobytes()
+
+
+def _mask_png(crop: Silhouette, height_px: int, width_px: int) -> bytes:
+    """An 8-bit grey PNG, 255 inside the mask.
+
+    Written here because OpenCV tries filters on every row: eight times slower on masks, of which
+    a full bin has 500.
+    """
+    rows = np.zeros((height_px, 1 + width_px), dtype=np.uint8)  # a row starts with its filter, 0
+    bh, bw = crop.mask.shape
+    rows[crop.top_px : crop.top_px + bh, 1 + crop.left_px : 1 + crop.left_px + bw] = (
+        crop.mask.astype(np.uint8) * 255
+    )
+    header = struct.pack(">IIBBBBB", width_px, height_px, 8, 0, 0, 0, 0)
+    deflate = zlib.compressobj(1, strategy=zlib.Z_RLE)
+    pixels = deflate.compress(rows) + deflate.flush()
+    chunks = [(b"IHDR", header), (b"IDAT", pixels), (b"IEND", b"")]
+    body = [
+        struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data))
+        for kind, data in chunks
+    ]
+    return b"\x89PNG\r\n\x1a\n" + b"".join(body)
+
+
+def _distortion(camera: Optics) -> dict[str, Any]:
+    """BOP has no distortion: readers who ignore the key see an ideal lens."""
+    return {"distortion": list(camera.distortion)} if camera.has_distortion else {}
+
+
+def _view(sample: Sample, scale_mm: float) -> dict[str, Any]:
+    T_cam_world = inverse(sample.scene.T_world_cam)
+    camera = sample.scene.rig.camera
+    return {
+        "cam_K": camera.K.ravel(),
+        "cam_R_w2c": T_cam_world[:3, :3].ravel(),
+        "cam_t_w2c": T_cam_world[:3, 3] * MM_PER_M,
+        "depth_scale": scale_mm,
+    } | _distortion(camera)
+
+
+def _T_cam_part(sample: Sample) -> Float[np.ndarray, "n 4 4"]:
+    return inverse(sample.scene.T_world_cam) @ sample.layout.T_world_part
+
+
+def _poses(sample: Sample) -> list[dict[str, Any]]:
+    return [
+        {
+            "cam_R_m2c": T[:3, :3].ravel(),
+            "cam_t_m2c": T[:3, 3] * MM_PER_M,
+            "obj_id": int(part) + 1,
+        }
+        for T, part in zip(_T_cam_part(sample), sample.layout.part_index, strict=True)
+    ]
+
+
+def _boxes_3d(sample: Sample) -> list[dict[str, Any]]:
+    """The part's own bounding box, carried to its pose, in the camera frame."""
+    boxes = []
+    for T, part in zip(_T_cam_part(sample), sample.layout.part_index, strict=True):
+        mesh = sample.scene.parts[part].mesh
+        corner_m = mesh.vertices_m[np.unique(mesh.faces)].astype(np.float64)
+        middle_m = (corner_m.min(axis=0) + corner_m.max(axis=0)) / 2
+        boxes.append(
+            {
+                "R": T[:3, :3].ravel(),
+                "center": (T[:3, :3] @ middle_m + T[:3, 3]) * MM_PER_M,
+                "size": np.ptp(corner_m, axis=0) * MM_PER_M,
+            }
+        )
+    return boxes
+
+
+def _info(seen: _Seen, depth: UInt16[np.ndarray, "h w"]) -> dict[str, Any]:
+    """One entry of `scene_gt_info.json`, counted as bop_toolkit's calc_gt_info counts."""
+    inside, visible_px = seen.inside, int(seen.visible.mask.sum())
+    h, w = inside.mask.shape
+    window = depth[inside.top_px : inside.top_px + h, inside.left_px : inside.left_px + w]
+    whole_px = int(seen.whole.mask.sum())
+    return {
+        "bbox_obj": _span(seen.whole) if visible_px else _NOTHING,
+        "bbox_visib": _span(seen.visible) if visible_px else _NOTHING,
+        "px_count_all": whole_px,
+        "px_count_valid": int((window[inside.mask] > 0).sum()),
+        "px_count_visib": visible_px,
+        "visib_fract": visible_px / whole_px if whole_px else 0.0,
+    }
+
+
+def _span(crop: Silhouette) -> list[int]:
+    """BOP's box [x, y, w, h] of a mask: w is the last column minus the first, not their number."""
+    rows, columns = np.flatnonzero(crop.mask.any(axis=1)), np.flatnonzero(crop.mask.any(axis=0))
+    left, top = int(columns[0]) + crop.left_px, int(rows[0]) + crop.top_px
+    return [left, top, int(columns[-1] - columns[0]), int(rows[-1] - rows[0])]
+
+
+def _coco(sample: Sample, seen: list[_Seen], file_name: str) -> dict[str, Any]:
+    camera = sample.scene.rig.camera
+    size = {"height_px": camera.height_px, "width_px": camera.width_px}
+    annotations: list[dict[str, Any]] = []
+    for instance, part in zip(seen, sample.layout.part_index, strict=True):
+        area_px = int(instance.visible.mask.sum())
+        if area_px == 0:
+            continue
+        x, y, w, h = _span(instance.inside)
+        annotations.append(
+            scene_annotation(
+                annotation_id=len(annotations) + 1,
+                obj_id=int(part) + 1,
+                run_length=run_lengths(instance.visible, **size),
+                box=[x, y, w + 1, h + 1],
+                area_px=area_px,
+                visib_fract=area_px / int(instance.whole.mask.sum()),
+                **size,
+            )
+        )
+    obj_ids = range(1, len(sample.scene.parts) + 1)
+    return scene_coco(obj_ids=obj_ids, file_name=file_name, annotations=annotations, **size)

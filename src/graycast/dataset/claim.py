@@ -1,0 +1,111 @@
+"""`graycast.json`: which configuration a dataset folder belongs to."""
+
+import hashlib
+import json
+import platform
+from collections.abc import Mapping
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from .. import __version__
+from ..errors import DatasetError
+from ..parts import Part
+from ..rig import Rig
+from .bop import plain
+
+CLAIM = "graycast.json"
+FORMAT_VERSION = 1
+_CLAIMED = ("format_version", "seed", "depth_scale_mm", "rig", "parts", "config")
+
+
+def make_claim(
+    config: Mapping[str, Any], seed: int, parts: tuple[Part, ...], rig: Rig, depth_scale_mm: float
+) -> dict[str, Any]:
+    """What `graycast.json` says; the fingerprint covers all but versions and the parts' sources."""
+    described = [
+        {"obj_id": obj_id, "name": part.name, "content": _digest(part)}
+        for obj_id, part in enumerate(parts, start=1)
+    ]
+    claim = plain(
+        {
+            "format_version": FORMAT_VERSION,
+            "config": config,
+            "seed": seed,
+            "depth_scale_mm": depth_scale_mm,
+            "rig": asdict(rig),
+            "parts": described,
+        }
+    )
+    text = json.dumps(claim, sort_keys=True, allow_nan=False)
+    versions = {
+        "graycast": __version__,
+        "numpy": np.__version__,
+        "python": platform.python_version(),
+    }
+    return claim | {
+        "fingerprint": hashlib.sha256(text.encode()).hexdigest(),
+        "sources": [part.source for part in parts],
+        "versions": versions,
+    }
+
+
+def _digest(part: Part) -> str:
+    """SHA-256 over a part's shape, material and symmetries."""
+    digest = hashlib.sha256()
+    mesh, material = part.mesh, part.material
+    for array in (mesh.vertices_m, mesh.faces, mesh.corner_uv, mesh.corner_normals):
+        digest.update(b"none" if array is None else np.ascontiguousarray(array).tobytes())
+    if material.texture is not None:
+        digest.update(np.ascontiguousarray(material.texture).tobytes())
+    look = (material.base_color, material.metallic, material.roughness, material.specular)
+    discrete = [T.tolist() for T in part.symmetry.discrete]
+    body = (part.density_kg_m3, part.friction, discrete, part.symmetry.continuous)
+    digest.update(json.dumps(plain([look, body])).encode())
+    return digest.hexdigest()
+
+
+def refuse_other(path: Path, claim: Mapping[str, Any]) -> None:
+    """Compare a folder's `graycast.json` with what this run would write there.
+
+    Raises:
+        DatasetError: it is damaged, or of another configuration; says where that differs.
+    """
+    try:
+        held = json.loads(path.read_bytes())
+        fingerprint = held["fingerprint"]
+    except (ValueError, KeyError, TypeError) as error:
+        raise DatasetError(f"{path} cannot be read ({error}): choose another folder") from error
+    if fingerprint != claim["fingerprint"]:
+        where = next(
+            (
+                found
+                for key in _CLAIMED
+                if (found := _difference(held.get(key), claim[key], key)) is not None
+            ),
+            "the fingerprint",
+        )
+        raise DatasetError(
+            f"{path.parent} holds a dataset of another configuration, which differs in {where}: "
+            "choose another folder, or remove this one"
+        )
+
+
+def _difference(a: Any, b: Any, where: str) -> str | None:
+    """The first place where two JSON values differ, as `key.key[index]` with both values."""
+    if a == b:
+        return None
+    if isinstance(a, dict) and isinstance(b, dict):
+        pairs = ((a.get(key), b.get(key), f"{where}.{key}") for key in sorted({*a, *b}))
+    elif isinstance(a, list) and isinstance(b, list) and len(a) == len(b):
+        pairs = ((x, y, f"{where}[{i}]") for i, (x, y) in enumerate(zip(a, b, strict=True)))
+    else:
+        return f"{where} ({_short(a)} there, {_short(b)} here)"
+    return next((found for x, y, key in pairs if (found := _difference(x, y, key))), where)
+
+
+def _short(value: Any) -> str:
+    text = json.dumps(value)
+    return text if len(text) <= 40 else text[:37] + "..."

@@ -1,0 +1,131 @@
+"""COCO annotations: masks as run lengths, one file per scene as BOP has it, one per split."""
+
+import json
+from collections.abc import Iterable, Iterator, Mapping
+from typing import Any
+
+import numpy as np
+from pycocotools import mask as coco_mask
+
+from ..render.radiance import Silhouette
+
+IGNORED_BELOW = 0.1  # bop_toolkit's calc_gt_coco ignores instances that are visible for less
+
+
+def run_lengths(crop: Silhouette, *, height_px: int, width_px: int) -> list[int]:
+    """COCO's uncompressed RLE of a mask in an image: lengths of runs, column by column.
+
+    Runs of 0 and 1 alternate and the first is of 0. The crop lies inside the image.
+    """
+    bh, bw = crop.mask.shape
+    slab = np.zeros((bw, height_px), dtype=bool)  # transposed: COCO counts down the columns
+    slab[:, crop.top_px : crop.top_px + bh] = crop.mask.T
+    flat = np.zeros(slab.size + 2, dtype=np.int8)
+    flat[1:-1] = slab.ravel()
+    turns = np.flatnonzero(np.diff(flat)) + crop.left_px * height_px
+    end = height_px * width_px
+    lengths = np.diff(np.concatenate([[0], turns, [end]]))
+    # A mask that ends in the last pixel has no closing run of 0.
+    return lengths.tolist() if lengths[-1] > 0 else lengths[:-1].tolist()
+
+
+def scene_annotation(
+    *,
+    annotation_id: int,
+    obj_id: int,
+    run_length: list[int],
+    box: list[int],
+    area_px: int,
+    visib_fract: float,
+    height_px: int,
+    width_px: int,
+) -> dict[str, Any]:
+    """One entry of `scene_gt_coco.json`, with the keys of bop_toolkit's calc_gt_coco.
+
+    `box` is [x, y, width, height] of the amodal mask inside the image, as there.
+    """
+    return {
+        "id": annotation_id,
+        "image_id": 0,
+        "category_id": obj_id,
+        "iscrowd": 0,
+        "area": area_px,
+        "bbox": box,
+        "segmentation": {"counts": run_length, "size": [height_px, width_px]},
+        "width": width_px,
+        "height": height_px,
+        "ignore": visib_fract < IGNORED_BELOW,
+    }
+
+
+def scene_coco(
+    *,
+    obj_ids: Iterable[int],
+    file_name: str,
+    height_px: int,
+    width_px: int,
+    annotations: list[dict[str, Any]],
+) -> dict[str, Any]:
+    """`scene_gt_coco.json`; without BOP's dates, so that equal scenes are equal files."""
+    return {
+        "info": {"description": "graycast_train", "version": "0.1.0"},
+        "licenses": [],
+        "categories": [
+            {"id": obj_id, "name": str(obj_id), "supercategory": "graycast"} for obj_id in obj_ids
+        ],
+        "images": [{"id": 0, "file_name": file_name, "width": width_px, "height": height_px}],
+        "annotations": annotations,
+    }
+
+
+def split_coco(
+    scenes: Iterable[tuple[int, Mapping[str, Any], list[Mapping[str, Any]]]],
+    *,
+    scene_ids: Iterable[int],
+    categories: list[dict[str, Any]],
+    height_px: int,
+    width_px: int,
+) -> Iterator[str]:
+    """The text of the split's COCO file, piece by piece: memory stays flat over many scenes.
+
+    Args:
+        scenes: (scene id, its `scene_gt_coco.json`, its list in `scene_gt_info.json`).
+        scene_ids: the same ids; they become the image ids.
+        categories: COCO categories with the parts' names.
+
+    Boxes are those of the visible masks, which the segmentations hold as compressed RLE.
+    """
+    yield '{"info": {"description": "Graycast, training split"},\n"licenses": [],\n'
+    yield f'"categories": {json.dumps(categories)},\n"images": ['
+    separator = "\n"
+    for scene_id in scene_ids:
+        image = {"id": scene_id, "file_name": f"train/{scene_id:06d}/rgb/000000.png"}
+        yield separator + json.dumps(image | {"width": width_px, "height": height_px})
+        separator = ",\n"
+    yield '],\n"annotations": ['
+    separator, annotation_id = "\n", 0
+    for scene_id, coco, infos in scenes:
+        seen = [info["visib_fract"] for info in infos if info["px_count_visib"] > 0]
+        for annotation, visib_fract in zip(coco["annotations"], seen, strict=True):
+            annotation_id += 1
+            entry = _split_annotation(annotation, annotation_id, scene_id)
+            yield separator + json.dumps(entry | {"visib_fract": visib_fract})
+            separator = ",\n"
+    yield "]}\n"
+
+
+def _split_annotation(
+    annotation: Mapping[str, Any], annotation_id: int, image_id: int
+) -> dict[str, Any]:
+    runs = annotation["segmentation"]
+    height_px, width_px = runs["size"]
+    compressed = coco_mask.frPyObjects(dict(runs), height_px, width_px)
+    return {
+        "id": annotation_id,
+        "image_id": image_id,
+        "category_id": annotation["category_id"],
+        "iscrowd": 0,
+        "area": annotation["area"],
+        "bbox": [int(b) for b in coco_mask.toBbox(compressed)],
+        "segmentation": {"counts": compressed["counts"].decode(), "size": [height_px, width_px]},
+    }

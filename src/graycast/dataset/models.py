@@ -1,0 +1,139 @@
+"""Parts as BOP object models: PLY files in millimetres, textures, `models_info.json`.
+
+A model keeps the part's own frame, so that poses speak of the user's CAD coordinates; BOP's habit
+of an origin in the middle of the bounding box is only a habit (`models_info.json` has the box).
+"""
+
+import io
+from typing import Any
+
+import cv2
+import numpy as np
+from jaxtyping import Float, Int
+from scipy.spatial import ConvexHull, QhullError
+from scipy.spatial.distance import cdist
+
+from ..parts import Mesh, Part
+
+MM_PER_M = 1000.0
+_CHUNK = 2048  # rows of the distance matrix held at once
+
+
+def model_files(parts: tuple[Part, ...]) -> dict[str, bytes]:
+    """The content of `models/` but `models_info.json`, by file name."""
+    files = {}
+    for obj_id, part in enumerate(parts, start=1):
+        textured = part.material.texture is not None and part.mesh.corner_uv is not None
+        texture_name = f"obj_{obj_id:06d}.png" if textured else None
+        files[f"obj_{obj_id:06d}.ply"] = _ply(part, texture_name)
+        if texture_name is not None:
+            encoded = cv2.imencode(".png", np.ascontiguousarray(part.material.texture[..., ::-1]))
+            files[texture_name] = encoded[1].tobytes()
+    return files
+
+
+def models_info(parts: tuple[Part, ...]) -> dict[str, Any]:
+    """`models_info.json`: box, diameter and symmetries of every model [mm], keyed by object id."""
+    return {str(obj_id): _info(part) for obj_id, part in enumerate(parts, start=1)}
+
+
+def _info(part: Part) -> dict[str, Any]:
+    vertices_mm = _used_vertices_mm(part.mesh)
+    low, size = vertices_mm.min(axis=0), np.ptp(vertices_mm, axis=0)
+    info: dict[str, Any] = {"diameter": diameter(vertices_mm)}
+    for i, axis in enumerate("xyz"):
+        info[f"min_{axis}"], info[f"size_{axis}"] = float(low[i]), float(size[i])
+    if part.symmetry.discrete:
+        scale = np.array([[1, 1, 1, MM_PER_M]] * 3 + [[1, 1, 1, 1]])
+        info["symmetries_discrete"] = [(T * scale).ravel().tolist() for T in part.symmetry.discrete]
+    if part.symmetry.continuous:
+        info["symmetries_continuous"] = [
+            {"axis": [float(a) for a in axis], "offset": [MM_PER_M * o for o in offset_m]}
+            for axis, offset_m in part.symmetry.continuous
+        ]
+    return info
+
+
+def diameter(points: Float[np.ndarray, "n 3"]) -> float:
+    """The largest distance between any two points, in their unit.
+
+    Only corners of the convex hull can be that far apart; flat point sets have none and are
+    searched in full.
+    """
+    try:
+        points = points[ConvexHull(points).vertices]
+    except QhullError:
+        pass
+    chunks = (points[i : i + _CHUNK] for i in range(0, len(points), _CHUNK))
+    return max(float(cdist(chunk, points).max()) for chunk in chunks)
+
+
+def _used_vertices_mm(mesh: Mesh) -> Float[np.ndarray, "v 3"]:
+    return mesh.vertices_m[np.unique(mesh.faces)].astype(np.float64) * MM_PER_M
+
+
+def _ply(part: Part, texture_name: str | None) -> bytes:
+    """ASCII PLY as bop_toolkit's `load_ply` reads it: one normal, uv or colour per vertex.
+
+    A vertex whose corners disagree in normal or uv is written once per kind of corner.
+    """
+    mesh = part.mesh
+    columns = [mesh.faces.reshape(-1, 1), np.round(_corner_normals(mesh).reshape(-1, 3), 6) + 0.0]
+    if texture_name is not None:
+        columns.append(mesh.corner_uv.reshape(-1, 2))
+    rows, index = np.unique(np.hstack(columns), axis=0, return_inverse=True)
+    vertices_mm = mesh.vertices_m[rows[:, 0].astype(np.int64)].astype(np.float64) * MM_PER_M
+    names, types = "x y z nx ny nz".split(), ["float"] * 6
+    table = np.hstack([vertices_mm, rows[:, 1:]])
+    formats = ["%.9g"] * table.shape[1]
+    if texture_name is not None:
+        names, types = [*names, "texture_u", "texture_v"], [*types, "float", "float"]
+    else:
+        color = np.broadcast_to(_srgb(part.material.base_color), (len(table), 3))
+        names, types = [*names, "red", "green", "blue"], [*types, *["uchar"] * 3]
+        table, formats = np.hstack([table, color]), [*formats, "%d", "%d", "%d"]
+    header = [
+        "ply",
+        "format ascii 1.0",
+        *([f"comment TextureFile {texture_name}"] if texture_name is not None else []),
+        f"element vertex {len(table)}",
+        *(f"property {kind} {name}" for kind, name in zip(types, names, strict=True)),
+        f"element face {len(mesh.faces)}",
+        "property list uchar int vertex_indices",
+        "end_header",
+    ]
+    text = io.BytesIO()
+    text.write(("\n".join(header) + "\n").encode())
+    np.savetxt(text, table, fmt=formats)
+    np.savetxt(text, index.reshape(-1, 3), fmt="3 %d %d %d")
+    return text.getvalue()
+
+
+def _corner_normals(mesh: Mesh) -> Float[np.ndarray, "f 3 3"]:
+    """The mesh's own normals, else the angle-weighted mean of the faces around each vertex.
+
+    Source: G. Thürmer, C. Wüthrich, "Computing vertex normals from polygonal facets", 1998.
+    """
+    if mesh.corner_normals is not None:
+        return mesh.corner_normals.astype(np.float64)
+    corner = mesh.vertices_m[mesh.faces].astype(np.float64)
+    ahead = _unit(np.roll(corner, -1, axis=1) - corner)
+    behind = _unit(np.roll(corner, 1, axis=1) - corner)
+    angle_rad = np.arccos(np.clip((ahead * behind).sum(axis=-1), -1.0, 1.0))
+    face_normal = _unit(np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0]))
+    total = np.zeros(mesh.vertices_m.shape)
+    np.add.at(total, mesh.faces, angle_rad[..., None] * face_normal[:, None])
+    return _unit(total)[mesh.faces]
+
+
+def _unit(vector: Float[np.ndarray, "*n 3"]) -> Float[np.ndarray, "*n 3"]:
+    """Vectors of length one; a vector without direction stays zero."""
+    length = np.linalg.norm(vector, axis=-1, keepdims=True)
+    return vector / np.where(length > 0, length, 1.0)
+
+
+def _srgb(linear: tuple[float, float, float]) -> Int[np.ndarray, "3"]:
+    """8-bit sRGB of a linear colour (IEC 61966-2-1)."""
+    value = np.asarray(linear, dtype=np.float64)
+    curve = np.where(value <= 0.0031308, 12.92 * value, 1.055 * value ** (1 / 2.4) - 0.055)
+    return np.rint(255 * curve).astype(np.int64)

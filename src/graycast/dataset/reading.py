@@ -1,0 +1,59 @@
+"""Files of a dataset, read without trust in them."""
+
+import zlib
+from pathlib import Path
+from typing import TypeVar
+
+import cv2
+import numpy as np
+import pydantic
+
+R = TypeVar("R", bound=pydantic.BaseModel)
+
+
+class Unreadable(Exception):
+    """A file that is missing, damaged or of another form than it must have."""
+
+
+def read_json(path: Path, form: type[R]) -> R:
+    """A JSON file as the record it must be.
+
+    Raises:
+        Unreadable: it is not there, not JSON or of another form.
+    """
+    try:
+        return form.model_validate_json(path.read_bytes())
+    except FileNotFoundError as error:
+        raise Unreadable(f"{path.name} is missing") from error
+    except OSError as error:
+        raise Unreadable(f"{path.name} cannot be read: {error.strerror}") from error
+    except pydantic.ValidationError as error:
+        first = error.errors()[0]
+        where = ".".join(str(key) for key in first["loc"])
+        raise Unreadable(f"{path.name}: {where}: {first['msg']}") from error
+
+
+def read_png(path: Path) -> np.ndarray:
+    """A PNG's pixels, every chunk's checksum verified: decoders forgive a file that ends early.
+
+    Raises:
+        Unreadable: it is not there or damaged.
+    """
+    name = f"{path.parent.name}/{path.name}"
+    try:
+        data = path.read_bytes()
+    except OSError as error:
+        raise Unreadable(f"{name} is missing") from error
+    at, kind = 8, b""
+    while data[:8] == b"\x89PNG\r\n\x1a\n" and kind != b"IEND" and at + 12 <= len(data):
+        end = at + 8 + int.from_bytes(data[at : at + 4], "big")
+        kind = data[at + 4 : at + 8]
+        if zlib.crc32(data[at + 4 : end]) != int.from_bytes(data[end : end + 4], "big"):
+            break
+        at = end + 4
+    if kind != b"IEND" or at != len(data):
+        raise Unreadable(f"{name} is cut off or damaged")
+    image = cv2.imdecode(np.frombuffer(data, dtype=np.uint8), cv2.IMREAD_UNCHANGED)
+    if image is None:
+        raise Unreadable(f"{name} is not an image")
+    return image

@@ -1,0 +1,217 @@
+"""The JSON files of a dataset as values: every key and shape, nothing else, nothing missing."""
+
+from typing import Annotated, Any
+
+from pydantic import BaseModel, ConfigDict, Field, RootModel
+
+Vector = Annotated[list[float], Field(min_length=3, max_length=3)]
+Matrix3 = Annotated[list[float], Field(min_length=9, max_length=9)]
+Matrix4 = Annotated[list[float], Field(min_length=16, max_length=16)]
+Box = Annotated[list[int], Field(min_length=4, max_length=4)]
+Distortion = Annotated[list[float], Field(min_length=5, max_length=5)]
+Count = Annotated[int, Field(ge=0)]
+Positive = Annotated[float, Field(gt=0)]
+
+
+class _Record(BaseModel):
+    model_config = ConfigDict(frozen=True, extra="forbid", strict=True, allow_inf_nan=False)
+
+
+class PartClaim(_Record):
+    obj_id: Annotated[int, Field(ge=1)]
+    name: str
+    content: str
+
+
+class Claim(_Record):
+    """`graycast.json`."""
+
+    format_version: int
+    fingerprint: str
+    config: dict[str, Any]
+    seed: int
+    depth_scale_mm: Positive
+    rig: dict[str, Any]
+    parts: list[PartClaim]
+    sources: list[str]
+    versions: dict[str, str]
+
+
+class Camera(_Record):
+    """`camera.json`."""
+
+    cx: float
+    cy: float
+    depth_scale: Positive
+    fx: Positive
+    fy: Positive
+    height: Annotated[int, Field(ge=1)]
+    width: Annotated[int, Field(ge=1)]
+    distortion: Distortion = [0.0] * 5
+
+
+class Continuous(_Record):
+    axis: Vector
+    offset: Vector
+
+
+class ModelInfo(_Record):
+    """One model in `models_info.json`."""
+
+    diameter: Positive
+    min_x: float
+    min_y: float
+    min_z: float
+    size_x: Annotated[float, Field(ge=0)]
+    size_y: Annotated[float, Field(ge=0)]
+    size_z: Annotated[float, Field(ge=0)]
+    symmetries_discrete: list[Matrix4] = []
+    symmetries_continuous: list[Continuous] = []
+
+    @property
+    def low(self) -> list[float]:
+        return [self.min_x, self.min_y, self.min_z]
+
+    @property
+    def size(self) -> list[float]:
+        return [self.size_x, self.size_y, self.size_z]
+
+
+class ModelsInfo(RootModel[dict[str, ModelInfo]]):
+    """`models_info.json`."""
+
+
+class View(_Record):
+    """One image in `scene_camera.json`."""
+
+    cam_K: Matrix3
+    cam_R_w2c: Matrix3
+    cam_t_w2c: Vector
+    depth_scale: Positive
+    distortion: Distortion = [0.0] * 5
+
+
+class Pose(_Record):
+    """One instance in `scene_gt.json`."""
+
+    cam_R_m2c: Matrix3
+    cam_t_m2c: Vector
+    obj_id: Annotated[int, Field(ge=1)]
+
+
+class Info(_Record):
+    """One instance in `scene_gt_info.json`."""
+
+    bbox_obj: Box
+    bbox_visib: Box
+    px_count_all: Count
+    px_count_valid: Count
+    px_count_visib: Count
+    visib_fract: Annotated[float, Field(ge=0, le=1)]
+
+
+class Box3d(_Record):
+    """One instance in `scene_gt_box3d.json`."""
+
+    R: Matrix3
+    center: Vector
+    size: Vector
+
+
+class Scanner(_Record):
+    """One image in `scene_sl.json`."""
+
+    modulation_scale: Positive
+    reasons: dict[str, int]
+
+
+# A scene file holds one image, so its only key is that image's id.
+class SceneCamera(_Record):
+    image: Annotated[View, Field(alias="0")]
+
+
+class SceneGt(_Record):
+    image: Annotated[list[Pose], Field(alias="0")]
+
+
+class SceneGtInfo(_Record):
+    image: Annotated[list[Info], Field(alias="0")]
+
+
+class SceneBox3d(_Record):
+    image: Annotated[list[Box3d], Field(alias="0")]
+
+
+class SceneScanner(_Record):
+    image: Annotated[Scanner, Field(alias="0")]
+
+
+class RunLengths(_Record):
+    counts: list[Count]
+    size: Annotated[list[int], Field(min_length=2, max_length=2)]
+
+
+class CompressedRunLengths(_Record):
+    counts: str
+    size: Annotated[list[int], Field(min_length=2, max_length=2)]
+
+
+class CocoImage(_Record):
+    id: Count
+    file_name: str
+    width: int
+    height: int
+
+
+class CocoCategory(_Record):
+    id: int
+    name: str
+    supercategory: str
+
+
+class SceneAnnotation(_Record):
+    id: int
+    image_id: int
+    category_id: int
+    iscrowd: int
+    area: int
+    bbox: Box
+    segmentation: RunLengths
+    width: int
+    height: int
+    ignore: bool
+
+
+class SplitAnnotation(_Record):
+    id: int
+    image_id: int
+    category_id: int
+    iscrowd: int
+    area: int
+    bbox: Box
+    segmentation: CompressedRunLengths
+    visib_fract: float
+
+
+class SceneCoco(_Record):
+    """`scene_gt_coco.json`."""
+
+    info: dict[str, str]
+    licenses: list[Any]
+    categories: list[CocoCategory]
+    images: list[CocoImage]
+    annotations: list[SceneAnnotation]
+
+
+class SplitCoco(_Record):
+    """`train_coco.json`."""
+
+    info: dict[str, str]
+    licenses: list[Any]
+    categories: list[CocoCategory]
+    images: list[CocoImage]
+    annotations: list[SplitAnnotation]
+
+
+class Manifest(RootModel[dict[str, Any]]):
+    """`manifest.json` of a scene: whatever its run had to say."""

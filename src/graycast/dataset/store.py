@@ -1,0 +1,324 @@
+"""A dataset's folder: one run at a time, one configuration, whole scenes only.
+
+`graycast.json` claims the folder for a configuration before anything else is written. A scene is
+written beside its place and renamed into it, so that a reader or a restart sees all of it or
+nothing. Names that begin with `.tmp-` are what a killed run left; the next run removes them.
+
+Leaves out: a power cut may lose the masks of the last scenes, which are not forced to the disk one
+by one (a thousand files a scene); `validate` finds such scenes.
+"""
+
+import errno
+import fcntl
+import json
+import os
+import secrets
+import shutil
+from collections.abc import Iterable, Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import IO, Any, final
+
+from ..errors import DatasetError
+from ..parts import Part
+from ..rig import Rig
+from .bop import camera_json, json_bytes, scene_files
+from .claim import CLAIM, make_claim, refuse_other
+from .coco import split_coco
+from .models import model_files, models_info
+from .sample import Sample
+
+_ASIDE = ".tmp-"
+_LOCK = ".lock"
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Store:
+    """An open dataset folder, locked against other runs until it is closed."""
+
+    out: Path
+    depth_scale_mm: float
+    categories: tuple[tuple[int, str], ...]  # object id, name of the part
+    size_px: tuple[int, int]  # height, width
+    lock: IO[str]
+
+    def finished(self) -> set[int]:
+        """The scenes that are in the folder, each of them whole."""
+        return finished_scenes(self.out)
+
+    def write(self, scene_id: int, sample: Sample) -> None:
+        """Write one scene; see `write_scene`."""
+        write_scene(self.out, scene_id, sample, self.depth_scale_mm)
+
+    def finish(self, scene_ids: Iterable[int]) -> None:
+        """Write the split's COCO file over every finished scene.
+
+        Args:
+            scene_ids: scenes that must be among them.
+
+        Raises:
+            DatasetError: one of `scene_ids` is not there, or the disk refuses.
+        """
+        finished = sorted(self.finished())
+        missing = sorted(set(scene_ids) - set(finished))
+        if missing:
+            raise DatasetError(f"{self.out}: scenes {missing} are not finished: run them first")
+        height_px, width_px = self.size_px
+        categories = [
+            {"id": obj_id, "name": name, "supercategory": "graycast"}
+            for obj_id, name in self.categories
+        ]
+        text = split_coco(
+            (_annotations(self.out, scene_id) for scene_id in finished),
+            scene_ids=finished,
+            categories=categories,
+            height_px=height_px,
+            width_px=width_px,
+        )
+        _replace(self.out / "train_coco.json", (piece.encode() for piece in text))
+
+    def close(self) -> None:
+        """Let other runs have the folder."""
+        self.lock.close()
+
+    def __enter__(self) -> "Store":
+        return self
+
+    def __exit__(self, *exception: object) -> None:
+        self.close()
+
+
+def open_store(
+    out: Path,
+    *,
+    config: Mapping[str, Any],
+    seed: int,
+    parts: tuple[Part, ...],
+    rig: Rig,
+    depth_scale_mm: float,
+) -> Store:
+    """Create a dataset folder, or open one that the same configuration made, and lock it.
+
+    Removes what a killed run left and writes the models and `camera.json` where they are missing.
+
+    Raises:
+        DatasetError: the folder belongs to something else, to another configuration or to a run
+            that is still going, or the disk refuses.
+        ValueError: something in `config` has no JSON form.
+    """
+    claim = make_claim(config, seed, parts, rig, depth_scale_mm)
+    _refuse_foreign(out)
+    with _disk_errors(out):
+        out.mkdir(parents=True, exist_ok=True)
+    lock = _locked(out)
+    try:
+        with _disk_errors(out):
+            _sweep(out)
+            if (out / CLAIM).exists():
+                refuse_other(out / CLAIM, claim)
+            else:
+                _replace(out / CLAIM, [json_bytes(claim)])
+            (out / "train").mkdir(exist_ok=True)
+            if not (out / "models").exists():
+                _write_models(out, parts)
+            if not (out / "camera.json").exists():
+                camera = camera_json(rig.camera, depth_scale_mm)
+                _replace(out / "camera.json", [json_bytes(camera)])
+    except BaseException:
+        lock.close()
+        raise
+    return Store(
+        out=out,
+        depth_scale_mm=depth_scale_mm,
+        categories=tuple((obj_id, part.name) for obj_id, part in enumerate(parts, start=1)),
+        size_px=(rig.camera.height_px, rig.camera.width_px),
+        lock=lock,
+    )
+
+
+def finished_scenes(out: Path) -> set[int]:
+    """The scenes of a dataset folder; a scene that has its name is whole."""
+    train = out / "train"
+    names = [entry.name for entry in train.iterdir()] if train.is_dir() else []
+    return {int(name) for name in names if name.isdecimal() and len(name) >= 6}
+
+
+def write_scene(out: Path, scene_id: int, sample: Sample, depth_scale_mm: float) -> None:
+    """Write one scene of an open store, all of it or nothing; for worker processes too.
+
+    A scene that is already there, because a worker of a killed parent finished it meanwhile, is
+    kept if it is the same.
+
+    Raises:
+        DatasetError: the disk refuses, a depth does not fit, or another scene has this id.
+        ValueError: the sample contradicts itself; see `scene_files`.
+    """
+    place = out / "train" / f"{scene_id:06d}"
+    aside = out / "train" / f"{_ASIDE}{scene_id:06d}-{secrets.token_hex(4)}"
+    try:
+        with _disk_errors(out):
+            aside.mkdir()
+            for folder in ("mask", "mask_visib", "mask_sl", "mask_visib_sl"):
+                (aside / folder).mkdir()
+            for name, content in scene_files(sample, depth_scale_mm):
+                path = aside / name
+                path.parent.mkdir(exist_ok=True)
+                _write(path, [content], to_disk=not name.startswith("mask"))
+            _commit(aside, place)
+    finally:
+        shutil.rmtree(aside, ignore_errors=True)
+
+
+def _commit(aside: Path, place: Path) -> None:
+    try:
+        aside.rename(place)
+    except OSError as error:
+        if error.errno not in (errno.ENOTEMPTY, errno.EEXIST):
+            raise
+        if not _same_scene(aside, place):
+            raise DatasetError(
+                f"{place} already holds another scene: remove it, or choose another scene id"
+            ) from error
+        return
+    folder = os.open(place.parent, os.O_RDONLY)
+    try:
+        os.fsync(folder)  # the new name reaches the disk with the scene
+    finally:
+        os.close(folder)
+
+
+def _same_scene(a: Path, b: Path) -> bool:
+    """Whether two scene folders hold the same bytes; timings in the manifests may differ."""
+    files = [
+        sorted(path.relative_to(folder) for path in folder.rglob("*") if path.is_file())
+        for folder in (a, b)
+    ]
+    if files[0] != files[1]:
+        return False
+    manifests = [json.loads((folder / "manifest.json").read_bytes()) for folder in (a, b)]
+    for manifest in manifests:
+        manifest.pop("timings", None)
+    return manifests[0] == manifests[1] and all(
+        (a / name).read_bytes() == (b / name).read_bytes()
+        for name in files[0]
+        if name.name != "manifest.json"
+    )
+
+
+def _annotations(
+    out: Path, scene_id: int
+) -> tuple[int, Mapping[str, Any], list[Mapping[str, Any]]]:
+    scene = out / "train" / f"{scene_id:06d}"
+    try:
+        coco = json.loads((scene / "scene_gt_coco.json").read_bytes())
+        infos = json.loads((scene / "scene_gt_info.json").read_bytes())["0"]
+    except (OSError, ValueError, KeyError) as error:
+        raise DatasetError(
+            f"{scene} cannot be read back ({error}): remove this folder and run again"
+        ) from error
+    return scene_id, coco, infos
+
+
+def _refuse_foreign(out: Path) -> None:
+    if out.exists() and not out.is_dir():
+        raise DatasetError(f"{out} is a file: give a folder for the dataset")
+    if not out.exists() or (out / CLAIM).exists():
+        return
+    with _disk_errors(out):
+        foreign = [
+            entry.name
+            for entry in out.iterdir()
+            if entry.name != _LOCK and not entry.name.startswith(_ASIDE)
+        ]
+    if foreign:
+        raise DatasetError(
+            f"{out} is not empty and holds no Graycast dataset (it has {min(foreign)}): "
+            "choose another folder"
+        )
+
+
+def _locked(out: Path) -> IO[str]:
+    with _disk_errors(out):
+        lock = open(out / _LOCK, "a")
+        try:
+            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError as error:
+            lock.close()
+            raise DatasetError(
+                f"another run is writing to {out}: wait for it, or choose another folder"
+            ) from error
+    return lock
+
+
+def _sweep(out: Path) -> None:
+    """Remove what killed runs left.
+
+    A worker that outlived its parent may still be writing there: the folder is renamed before it
+    is emptied, so that the worker finds no place to put another file.
+    """
+    for left in [*out.glob(f"{_ASIDE}*"), *out.glob(f"train/{_ASIDE}*")]:
+        if left.is_dir():
+            doomed = out / f"{_ASIDE}{secrets.token_hex(4)}"
+            left.rename(doomed)
+            shutil.rmtree(doomed)
+        else:
+            left.unlink()
+
+
+def _write_models(out: Path, parts: tuple[Part, ...]) -> None:
+    aside = out / f"{_ASIDE}models-{secrets.token_hex(4)}"
+    try:
+        aside.mkdir()
+        for name, content in model_files(parts).items():
+            _write(aside / name, [content], to_disk=True)
+        _write(aside / "models_info.json", [json_bytes(models_info(parts))], to_disk=True)
+        aside.rename(out / "models")
+    finally:
+        shutil.rmtree(aside, ignore_errors=True)
+
+
+def _replace(path: Path, pieces: Iterable[bytes]) -> None:
+    """Write a file beside its place and rename it there."""
+    aside = path.parent / f"{_ASIDE}{path.name}-{secrets.token_hex(4)}"
+    try:
+        with _disk_errors(path.parent):
+            _write(aside, pieces, to_disk=True)
+            aside.rename(path)
+    finally:
+        aside.unlink(missing_ok=True)
+
+
+def _write(path: Path, pieces: Iterable[bytes], *, to_disk: bool) -> None:
+    with open(path, "wb") as file:
+        for piece in pieces:
+            file.write(piece)
+        if to_disk:
+            file.flush()
+            os.fsync(file.fileno())
+
+
+@contextmanager
+def _disk_errors(out: Path) -> Iterator[None]:
+    """Turns what the operating system refuses into an error that says what to do."""
+    try:
+        yield
+    except OSError as error:
+        remedy = {
+            errno.ENOSPC: "free space",
+            errno.EDQUOT: "free space in your quota",
+            errno.EACCES: "make the folder writable",
+            errno.EROFS: "choose a folder on a writable disk",
+        }.get(error.errno or 0, "see to it")
+        raise DatasetError(
+            f"cannot write to {out} ({error.strerror or error}{_free(out)}): {remedy} and run the "
+            "same command again; finished scenes are kept"
+        ) from error
+
+
+def _free(out: Path) -> str:
+    try:
+        return f", {shutil.disk_usage(out).free / 2**30:.2f} GiB free"
+    except OSError:
+        return ""

@@ -1,0 +1,261 @@
+"""The dataset folder under crashes, full disks, other runs and other configurations."""
+
+import errno
+import json
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from graycast.dataset import store as store_module
+from graycast.dataset.store import write_scene
+from graycast.errors import DatasetError
+
+
+def content(out: Path, *, timings: bool = True):
+    files = {
+        str(path.relative_to(out)): path.read_bytes() for path in out.rglob("*") if path.is_file()
+    }
+    if not timings:
+        for name in [name for name in files if name.endswith("manifest.json")]:
+            manifest = json.loads(files[name])
+            files[name] = {key: value for key, value in manifest.items() if key != "timings"}
+    return files
+
+
+def fail_after(monkeypatch, writes, error):
+    """Let some files be written, then the next write fails half way through its content."""
+    real, count = store_module._write, iter(range(10**6))
+
+    def write(path, pieces, *, to_disk):
+        if next(count) < writes:
+            return real(path, pieces, to_disk=to_disk)
+        path.write_bytes(b"".join(pieces)[:10])
+        raise error
+
+    monkeypatch.setattr(store_module, "_write", write)
+
+
+@pytest.mark.parametrize("writes", [0, 7, 47])
+def test_a_crash_while_writing_leaves_no_scene(opened, samples, tmp_path, monkeypatch, writes):
+    with opened(tmp_path / "out") as store:
+        before = content(store.out)
+        with monkeypatch.context() as patch:
+            fail_after(patch, writes, KeyboardInterrupt())
+            with pytest.raises(KeyboardInterrupt):
+                store.write(0, samples[0])
+        assert store.finished() == set()
+        assert content(store.out) == before
+        store.write(0, samples[0])
+        assert store.finished() == {0}
+
+
+@pytest.mark.parametrize("number", [errno.ENOSPC, errno.EDQUOT])
+def test_a_full_disk_says_where_how_full_and_what_to_do(
+    opened, samples, tmp_path, monkeypatch, number
+):
+    with opened(tmp_path / "out") as store:
+        store.write(3, samples[3])
+        before = content(store.out)
+        fail_after(monkeypatch, 5, OSError(number, os.strerror(number)))
+        with pytest.raises(DatasetError) as caught:
+            store.write(0, samples[0])
+        assert str(store.out) in str(caught.value)
+        assert "GiB free" in str(caught.value)
+        assert "free space" in str(caught.value)
+        assert "run the same command again; finished scenes are kept" in str(caught.value)
+        with pytest.raises(DatasetError, match="same command again"):
+            fail_after(monkeypatch, 0, OSError(number, os.strerror(number)))
+            store.finish([3])
+        assert content(store.out) == before
+
+
+@pytest.mark.slow
+def test_a_small_disk_fills_up_without_a_half_scene(opened, samples, tmp_path):
+    disk = tmp_path / "disk"
+    disk.mkdir()
+    mount = ["mount", "-t", "tmpfs", "-o", "size=700k", "tmpfs", str(disk)]
+    if shutil.which("mount") is None or subprocess.run(mount, capture_output=True).returncode != 0:
+        pytest.skip("mounting a tmpfs needs root")
+    try:
+        out = disk / "out"
+        with opened(out) as store, pytest.raises(DatasetError, match="No space left"):
+            for scene_id in range(100):
+                store.write(scene_id, samples[0])
+        finished = sorted(store.finished())
+        assert finished == list(range(len(finished))) != []
+        assert {path.name for path in (out / "train").iterdir()} == {
+            f"{scene_id:06d}" for scene_id in finished
+        }
+    finally:
+        subprocess.run(["umount", str(disk)], check=True)
+
+
+def test_two_runs_with_and_without_a_restart_give_the_same_files(
+    opened, samples, another_time, tmp_path, dataset
+):
+    out = tmp_path / "out"
+    with opened(out) as store:
+        store.write(3, samples[3])
+    (out / "train" / ".tmp-000000-dead" / "rgb").mkdir(parents=True)
+    (out / "train" / ".tmp-000000-dead" / "rgb" / "000000.png").write_bytes(b"half")
+    (out / ".tmp-train_coco.json-dead").write_bytes(b"half")
+    with opened(out) as store:
+        assert store.finished() == {3}
+        store.write(0, another_time(samples[0]))
+        store.finish([0, 3])
+    assert content(out, timings=False) == content(dataset, timings=False)
+
+
+def test_another_configuration_is_refused_by_the_key_that_differs(
+    opened, dataset, tmp_path, parts, rig
+):
+    out = shutil.copytree(dataset, tmp_path / "out")
+    before = content(out)
+    heavy = (replace(parts[0], density_kg_m3=801.0), parts[1])
+    narrow = replace(rig, far_m=0.9)
+    for changed, where in [
+        ({"config": {"rig": "test", "bin": {"size_m": [0.4, 0.31]}}}, r"config\.bin\.size_m\[1\]"),
+        ({"config": {"rig": "test"}}, r"config\.bin .*null here"),
+        ({"seed": 8}, r"seed \(7 there, 8 here\)"),
+        ({"depth_scale_mm": 0.05}, "depth_scale_mm"),
+        ({"parts": heavy}, r"parts\[0\]\.content"),
+        ({"rig": narrow}, r"rig\.far_m"),
+    ]:
+        with pytest.raises(DatasetError, match=where) as caught:
+            opened(out, **changed)
+        assert "choose another folder" in str(caught.value)
+    assert content(out) == before
+    opened(out).close()
+
+
+def test_a_folder_with_other_things_in_it_is_left_alone(opened, tmp_path):
+    (tmp_path / "thesis.txt").write_text("mine")
+    with pytest.raises(DatasetError, match=r"not empty .* thesis\.txt.* another folder"):
+        opened(tmp_path)
+    assert [path.name for path in tmp_path.iterdir()] == ["thesis.txt"]
+    with pytest.raises(DatasetError, match="is a file"):
+        opened(tmp_path / "thesis.txt")
+
+
+def test_a_damaged_claim_is_refused(opened, dataset, tmp_path):
+    out = shutil.copytree(dataset, tmp_path / "out")
+    (out / "graycast.json").write_text("{")
+    with pytest.raises(DatasetError, match=r"graycast\.json cannot be read"):
+        opened(out)
+
+
+def test_a_second_run_is_refused_until_the_first_ends(opened, tmp_path):
+    out = tmp_path / "out"
+    with opened(out):
+        with pytest.raises(DatasetError, match="another run is writing"):
+            opened(out)
+    opened(out).close()
+
+
+@pytest.mark.parametrize("lost", ["models", "camera.json", "train"])
+def test_a_run_killed_while_opening_is_taken_up(opened, samples, tmp_path, lost):
+    """`graycast.json` comes first, so everything else may be missing."""
+    out = tmp_path / "out"
+    opened(out).close()
+    before = content(out)
+    target = out / lost
+    shutil.rmtree(target) if target.is_dir() else target.unlink()
+    opened(out).close()
+    assert content(out) == before
+    assert (out / "train").is_dir()
+
+
+def test_a_scene_finished_by_an_orphaned_worker_is_kept_if_it_is_the_same(
+    opened, samples, another_time, tmp_path
+):
+    with opened(tmp_path / "out") as store:
+        store.write(0, samples[0])
+        before = content(store.out)
+        write_scene(store.out, 0, another_time(samples[0]), store.depth_scale_mm)
+        with pytest.raises(DatasetError, match="already holds another scene"):
+            write_scene(store.out, 0, samples[3], store.depth_scale_mm)
+        assert content(store.out) == before
+
+
+def test_an_orphaned_worker_cannot_write_into_a_new_run(opened, samples, tmp_path, monkeypatch):
+    """A worker of a killed run is half way through a scene when the next run opens the folder."""
+    out = tmp_path / "out"
+    opened(out).close()
+    real = store_module.scene_files
+
+    def slow(sample, scale_mm):
+        for count, file in enumerate(real(sample, scale_mm)):
+            if count == 10:
+                opened(out).close()
+            yield file
+
+    monkeypatch.setattr(store_module, "scene_files", slow)
+    with pytest.raises(DatasetError, match="No such file"):
+        write_scene(out, 0, samples[0], 0.1)
+    assert list((out / "train").iterdir()) == []
+    assert list(out.glob(".tmp-*")) == []
+
+
+def test_the_split_is_refused_while_scenes_are_missing(opened, samples, tmp_path):
+    with opened(tmp_path / "out") as store:
+        store.write(3, samples[3])
+        with pytest.raises(DatasetError, match=r"scenes \[0, 5\] are not finished"):
+            store.finish([0, 3, 5])
+        assert not (store.out / "train_coco.json").exists()
+
+
+def test_scene_folders_are_as_readable_as_others(opened, samples, tmp_path):
+    umask = os.umask(0o022)
+    try:
+        with opened(tmp_path / "out") as store:
+            store.write(0, samples[0])
+            modes = {path.stat().st_mode & 0o777 for path in store.out.rglob("*")}
+    finally:
+        os.umask(umask)
+    assert modes == {0o755, 0o644}
+
+
+def test_a_folder_that_cannot_be_made_is_named(opened, tmp_path):
+    (tmp_path / "file").write_text("")
+    with pytest.raises(DatasetError, match=r"file/out .*Not a directory"):
+        opened(tmp_path / "file" / "out")
+
+
+_KILLED_RUN = """
+import sys
+from pathlib import Path
+sys.path.insert(0, sys.argv[2])
+from prisms import box_part, build_sample, make_rig, wedge_part
+from graycast.dataset.store import open_store
+parts, rig = (box_part(), wedge_part()), make_rig()
+samples = {0: build_sample(0, parts=parts, rig=rig), 3: build_sample(3, parts=parts, rig=rig)}
+print("ready", flush=True)
+config = {"rig": "test", "bin": {"size_m": [0.4, 0.3]}}
+with open_store(
+    Path(sys.argv[1]), config=config, seed=7, parts=parts, rig=rig, depth_scale_mm=0.1
+) as store:
+    for scene_id in set(samples) - store.finished():
+        store.write(scene_id, samples[scene_id])
+    store.finish(samples)
+"""
+
+
+@pytest.mark.slow
+def test_runs_killed_at_random_moments_end_in_the_same_dataset(dataset, tmp_path):
+    out, delay_s = tmp_path / "out", np.random.default_rng(2).uniform(0.0, 0.12, 10)
+    command = [sys.executable, "-c", _KILLED_RUN, str(out), str(Path(__file__).parent)]
+    for wait_s in delay_s:
+        with subprocess.Popen(command, stdout=subprocess.PIPE) as run:
+            run.stdout.readline()
+            time.sleep(wait_s)
+            run.send_signal(signal.SIGKILL)
+    subprocess.run(command, check=True, capture_output=True)
+    assert content(out) == content(dataset)

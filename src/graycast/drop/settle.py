@@ -1,0 +1,143 @@
+"""Drops a scene's parts, judges the outcome and tries again with the next sub-seed."""
+
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from ..errors import DropError
+from ..parts import Part
+from ..scene import Bin, Layout, Scene
+from .decomposition import convex_hulls
+from .grid import start_poses
+from .rapier import Body, body_of, simulate
+
+PARTS_MAX = 255  # instance ids of a scene fit eight bits
+PACKING = 0.5  # share of its box that a random heap fills, generously
+HEAP_ABOVE_RIM = 1.5  # no heap holds more than this many bins full
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class DropLimits:
+    """What a layout must keep to be used. At rest, and all parts inside, it must be anyway.
+
+    `simulated_s` is how long one attempt may fall and settle, in simulated time.
+    """
+
+    penetration_m: float = 0.5e-3
+    attempts: int = 5
+    simulated_s: float = 20.0
+
+    def __post_init__(self) -> None:
+        if not 0 < self.penetration_m <= 0.1:
+            raise ValueError(f"penetration_m is {self.penetration_m}; metres, above 0, up to 0.1")
+        if self.attempts < 1:
+            raise ValueError(f"attempts is {self.attempts}; at least 1")
+        if not 0 < self.simulated_s <= 600:
+            raise ValueError(f"simulated_s is {self.simulated_s}; seconds, above 0, up to 600")
+
+
+def flaws(layout: Layout, limits: DropLimits) -> tuple[str, ...]:
+    """What is wrong with a layout, in words with numbers; empty if it may be used."""
+    found = []
+    if layout.outside:
+        found.append(f"{layout.outside} of {len(layout.part_index)} parts lie outside the bin")
+    if not layout.at_rest:
+        found.append(
+            f"not at rest after {layout.simulated_s:.1f} s "
+            f"({1e3 * layout.last_speed_m_s:.1f} mm/s, {layout.last_spin_rad_s:.2f} rad/s)"
+        )
+    if not layout.deepest_penetration_m <= limits.penetration_m:  # NaN must fail too
+        found.append(
+            f"parts press {1e3 * layout.deepest_penetration_m:.2f} mm into each other or the bin, "
+            f"the limit is {1e3 * limits.penetration_m:.2f} mm"
+        )
+    return tuple(found)
+
+
+def drop(
+    scene: Scene,
+    counts: tuple[int, ...],
+    *,
+    seed: int,
+    limits: DropLimits,
+    hull_folder: Path | None = None,
+) -> Layout:
+    """Drops `counts[i]` of `scene.parts[i]` into the bin until they lie within the limits.
+
+    Attempt k starts from `SeedSequence(seed, spawn_key=(k,))`; the first layout without `flaws`
+    is returned, with its attempt number. One seed gives one layout, bit for bit.
+
+    Args:
+        scene: its bin and parts are used.
+        counts: 0 or more of each kind, 1 to 255 in all.
+        seed: 0 or more.
+        limits: what is asked of the layout.
+        hull_folder: cache of `convex_hulls`; the user's cache folder if None.
+
+    Raises:
+        ValueError: no bin, wrong counts, a part that does not fit, more than the bin could hold.
+        DropError: no attempt was within the limits; says what the best one came to.
+    """
+    if scene.bin is None:
+        raise ValueError("the scene has no bin to drop parts into")
+    if len(counts) != len(scene.parts) or min(counts, default=0) < 0:
+        names = ", ".join(part.name for part in scene.parts)
+        raise ValueError(f"counts is {counts}; give a number, 0 or more, for each of: {names}")
+    if not 1 <= sum(counts) <= PARTS_MAX:
+        raise ValueError(f"counts is {counts}, {sum(counts)} in all; 1 to {PARTS_MAX} parts")
+    kinds = np.flatnonzero(counts)  # a kind that is not dropped costs no decomposition
+    parts = tuple(scene.parts[kind] for kind in kinds)
+    number = tuple(counts[kind] for kind in kinds)
+    _check_sizes(scene.bin, parts)
+    bodies = tuple(body_of(part, convex_hulls(part.mesh, folder=hull_folder)) for part in parts)
+    _check_volume(scene.bin, bodies, number)
+    corners_m = tuple(np.vstack([vertices for vertices, _ in body.hulls]) for body in bodies)
+
+    tried = []
+    for attempt in range(limits.attempts):
+        rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(attempt,)))
+        start, index = start_poses(scene.bin, corners_m, number, rng)
+        layout = simulate(
+            scene.bin, bodies, start, index, simulated_s=limits.simulated_s, attempt=attempt
+        )
+        if not flaws(layout, limits):
+            return replace(layout, part_index=kinds[index])
+        tried.append(layout)
+    best = min(tried, key=_badness)
+    raise DropError(
+        f"{sum(counts)} parts in a bin of {_mm(scene.bin.inner_m)} came to no acceptable rest in "
+        f"{limits.attempts} attempts; the best: {'; '.join(flaws(best, limits))}. "
+        "Take fewer parts or a larger bin, or allow more attempts, time or penetration"
+    )
+
+
+def _badness(layout: Layout) -> tuple[int, bool, float]:
+    return layout.outside, not layout.at_rest, layout.deepest_penetration_m
+
+
+def _check_sizes(box: Bin, parts: tuple[Part, ...]) -> None:
+    opening_m = min(box.inner_m[:2])
+    for part in parts:
+        if part.mesh.extent_m.min() > opening_m:
+            raise ValueError(
+                f"part {part.name} measures {_mm(part.mesh.extent_m)} and does not fit into a bin "
+                f"of {_mm(box.inner_m)}: is its unit right? Take a larger bin"
+            )
+
+
+def _check_volume(box: Bin, bodies: tuple[Body, ...], number: tuple[int, ...]) -> None:
+    """Refuses what no drop can succeed at, before time is spent on it."""
+    volume_m3 = sum(n * body.volume_m3 for n, body in zip(number, bodies, strict=True))
+    bin_m3 = float(np.prod(box.inner_m))
+    if volume_m3 / PACKING > HEAP_ABOVE_RIM * bin_m3:
+        most = int(sum(number) * HEAP_ABOVE_RIM * bin_m3 * PACKING / volume_m3)
+        raise ValueError(
+            f"{sum(number)} parts of {1e3 * volume_m3:.3g} litres in all, heaped loosely, do not "
+            f"fit into a bin of {1e3 * bin_m3:.3g} litres: drop {most} at most, or take a larger bin"
+        )
+
+
+def _mm(size_m: Iterable[float]) -> str:
+    return " x ".join(f"{1e3 * size:.0f}" for size in size_m) + " mm"

@@ -17,6 +17,7 @@ Limits: no light passes through a surface; a surface smoother than roughness 0.0
 paths cannot find a pinhole projector's mirror image.
 """
 
+import math
 from dataclasses import dataclass
 from typing import final
 
@@ -31,9 +32,11 @@ from .mitsuba_scene import PartShape, build
 from .radiance import GroundTruth, Quality, Radiance, Rendering, Silhouette
 
 NEWTON_STEPS = 6  # double the digits each; lenses need four for float32
+STEP_THROUGH_M = 2e-5  # past a surface: float32 errs by less, parts that touch overlap by less
 ROULETTE_FROM = 2  # vertices that every path gets before Russian roulette
 MAX_SURVIVAL = 0.95  # ends paths between perfect whites
-FOOTPRINT_LOOKUPS = 7
+FOOTPRINT_LOOKUPS = 7  # what `_bit_counts` counts in three bits
+OUTLINE_POINTS = 33  # on each side of a part's box, which distortion bends
 R2 = (0.7548776662466927, 0.5698402909980532)  # M. Roberts' low-discrepancy additive recurrence
 
 
@@ -148,8 +151,7 @@ class _Tracer:
         self.ambient = len(world.emitters()) > 0
         self.pattern_count = len(pattern)
         self.words, self.bits_each = _packed(pattern)
-        filters = quality.footprint and quality.depth > 1
-        self.lookups = FOOTPRINT_LOOKUPS if filters else 1
+        self.footprint = quality.footprint and quality.depth > 1
 
     def trace(self, seed: int) -> _Paths:
         pixels = self.camera.width_px * self.camera.height_px
@@ -217,40 +219,50 @@ class _Tracer:
         seen = p.throughput * value * (self.intensity_w_sr * inverse_square)
         p.white += seen * self.bands
         mono = dr.sum(seen * self.weights)
-        if self.lookups == 1:
-            pixels = [_pixel_index(self.projector, place)]
-        else:
+        if self.footprint:
             pixels = self._footprint(p, si, place, focal_px)
-        self._add_levels(p, mono / self.lookups, pixels, lit)
+        else:
+            pixels = [_pixel_index(self.projector, place)]
+        self._add_levels(p, mono, pixels, lit)
 
     def _footprint(self, p: _Paths, si, place: mi.Point2f, focal_px: mi.Float) -> list[mi.UInt32]:
         """Projector pixels spread over the disk for which this vertex stands."""
         grown = si.t * dr.sqrt(dr.inv_pi / (self.quality.samples * p.last_pdf))
         p.spread = dr.select(p.vertex == 0, 0, p.spread + dr.select(p.last_pdf > 0, grown, 0))
-        turn, start = p.rng.next_float32(), p.rng.next_float32()
+        start = p.rng.next_float32()
+        sine, cosine = dr.sincos(dr.two_pi * p.rng.next_float32())
         pixels = []
-        for j in range(self.lookups):
-            area = start + j * R2[0]  # equal areas of the disk, in turn
+        for j in range(FOOTPRINT_LOOKUPS):
+            # Equal areas of the disk in turn, and equal angles, from a random start of both.
+            area = start + j * R2[0]
             radius_px = p.spread * focal_px * dr.sqrt(area - dr.floor(area))
-            sine, cosine = dr.sincos(dr.two_pi * (turn + j / self.lookups))
-            beside = place + radius_px * mi.Vector2f(cosine, sine)
+            angle = 2 * math.pi * j / FOOTPRINT_LOOKUPS
+            c, s = math.cos(angle), math.sin(angle)
+            aside = mi.Vector2f(c * cosine - s * sine, s * cosine + c * sine)
+            beside = mi.Point2f(place + radius_px * aside)
             pixels.append(_pixel_index(self.projector, beside))
         return pixels
 
     def _add_levels(self, p: _Paths, mono: mi.Float, pixels: list[mi.UInt32], lit: mi.Bool) -> None:
-        """To each pattern its level at each pixel."""
+        """To each pattern its mean level over the pixels."""
         per_word = 32 // self.bits_each
         for first in range(0, self.pattern_count, per_word):
             words = self.words[first // per_word]
             levels = [dr.gather(mi.UInt32, words, pixel, lit) for pixel in pixels]
-            for k in range(first, min(first + per_word, self.pattern_count)):
-                shift = (k - first) * self.bits_each
-                if self.bits_each == 1:
-                    for level in levels:
-                        p.pattern[k] += dr.select((level & (1 << shift)) != 0, mono, 0)
-                else:
+            shifts = range(
+                0, min(per_word, self.pattern_count - first) * self.bits_each, self.bits_each
+            )
+            if self.bits_each == 1:
+                planes = _bit_counts(levels)
+                shares = [mono * (2**i / len(pixels)) for i in range(len(planes))]
+                for k, shift in enumerate(shifts, start=first):
+                    for plane, share in zip(planes, shares, strict=True):
+                        p.pattern[k] += dr.select((plane & (1 << shift)) != 0, share, 0)
+            else:
+                share = mono / (255 * len(pixels))
+                for k, shift in enumerate(shifts, start=first):
                     total = sum((level >> shift) & 255 for level in levels)
-                    p.pattern[k] += mono * (mi.Float(total) / 255)
+                    p.pattern[k] += share * mi.Float(total)
 
     def _add_emission(self, p: _Paths, si, fresh: mi.Bool) -> None:
         """Lamps and environment that a sampled direction happened to meet."""
@@ -285,6 +297,25 @@ class _Tracer:
         p.last_pdf, p.last_p, p.last_n = bs.pdf, si.p, si.n
         p.vertex = dr.select(alive, p.vertex + 1, 0)
         p.sample = dr.select(alive, p.sample, p.sample + 1)
+
+
+def _bit_counts(words: list[mi.UInt32]) -> list[mi.UInt32]:
+    """How many of seven words have each bit set, as the three bits of that count; of one, itself.
+
+    Four full adders count all 32 bits at once, so that a pattern costs three additions, not seven.
+    """
+
+    def add(a: mi.UInt32, b: mi.UInt32, c: mi.UInt32) -> tuple[mi.UInt32, mi.UInt32]:
+        return a ^ b ^ c, (a & b) | (c & (a ^ b))
+
+    if len(words) == 1:
+        return words
+    a, b, c, d, e, f, g = words
+    low_1, carry_1 = add(a, b, c)
+    low_2, carry_2 = add(d, e, f)
+    ones, carry_3 = add(low_1, low_2, g)
+    twos, fours = add(carry_1, carry_2, carry_3)
+    return [ones, twos, fours]
 
 
 def _power_heuristic(a: mi.Float, b: mi.Float) -> mi.Float:
@@ -366,7 +397,7 @@ def truth(
     n = dr.mulsign(n, -dr.dot(si.n, ray.d))
     instance = _instance(si, part_shapes)
     dr.eval(depth, n, instance)
-    bits, left, top = _amodal_bits(world, part_shapes, scene, boxes)
+    bits, left, top = _amodal_bits(part_shapes, scene, boxes)
     return GroundTruth(
         depth_m=np.array(depth).reshape(h, w),
         normal=np.array(n).T.reshape(h, w, 3),
@@ -402,26 +433,39 @@ def _silhouette_box(scene: Scene, layout: Layout, index: int) -> tuple[int, int,
     camera = scene.rig.camera
     part = scene.parts[layout.part_index[index]]
     T_cam_part = inverse(scene.T_world_cam) @ layout.T_world_part[index]
-    pixel = project(camera, transform_points(T_cam_part, part.mesh.vertices_m))
+    pixel = project(camera, _outline(transform_points(T_cam_part, part.mesh.vertices_m)))
     size = np.array([camera.width_px, camera.height_px])
     if np.isnan(pixel).any():  # reaches behind the lens: it may be anywhere
         low, high = -size, 2 * size
     else:
-        # A pixel of slack: distortion bends the edges between the vertices.
+        # A pixel of slack: distortion bends the outline between its points.
         low = np.clip(np.floor(pixel.min(axis=0)).astype(int) - 1, -size, 2 * size)
         high = np.clip(np.ceil(pixel.max(axis=0)).astype(int) + 2, -size, 2 * size)
     return int(low[0]), int(low[1]), int(high[0]), int(high[1])
 
 
+def _outline(point: np.ndarray) -> np.ndarray:
+    """Points around the image of others in an ideal lens; a real one maps their curve around it."""
+    if (point[:, 2] <= 0).any():
+        return point
+    ideal = point[:, :2] / point[:, 2:]
+    low, high = ideal.min(axis=0), ideal.max(axis=0)
+    step = np.linspace(0.0, 1.0, OUTLINE_POINTS)
+    along = np.concatenate([step, step, 0 * step, 0 * step + 1])
+    across = np.concatenate([0 * step, 0 * step + 1, step, step])
+    border = low + (high - low) * np.stack([along, across], axis=-1)
+    return np.concatenate([border, np.ones_like(border[:, :1])], axis=-1)
+
+
 def _amodal_bits(
-    world: mi.Scene,
     part_shapes: tuple[PartShape, ...],
     scene: Scene,
     boxes: list[tuple[int, int, int, int]],
 ) -> tuple[np.ndarray, int, int]:
     """One bit per instance and pixel, uint32 (words, rows, columns), and the canvas's first pixel.
 
-    Follows each centre ray through everything it meets, so hidden surfaces count as well.
+    Follows each centre ray through all parts it meets, so hidden surfaces count as well. The bin
+    is left out: a part that lies flat on it would share its depth.
     """
     if not boxes:
         return np.zeros((0, 0, 0), dtype=np.uint32), 0, 0
@@ -429,13 +473,35 @@ def _amodal_bits(
     left, top = (int(e) for e in box[:, :2].min(axis=0))
     width, height = (int(e) for e in box[:, 2:].max(axis=0) - [left, top])
     ray = _centre_rays(scene, left=left, top=top, width=width, height=height)
-    words = _follow(world, part_shapes, ray, (len(boxes) + 31) // 32)
+    going = _exists(scene, ray, left=left, top=top, width=width)
+    parts_alone = {f"part{i}": part.shape for i, part in enumerate(part_shapes)}
+    world = mi.load_dict({"type": "scene"} | parts_alone)
+    words = _follow(world, part_shapes, ray, going, (len(boxes) + 31) // 32)
     dr.eval(words)
     return np.stack([np.array(word).reshape(height, width) for word in words]), left, top
 
 
+def _exists(scene: Scene, ray: mi.Ray3f, *, left: int, top: int, width: int) -> mi.Bool:
+    """Whether a canvas ray goes back to its pixel: beyond the fold of a lens there is none."""
+    camera = scene.rig.camera
+    if not camera.has_distortion:
+        return dr.full(mi.Bool, True, dr.width(ray.d))
+    d = mi.Matrix3f(scene.T_world_cam[:3, :3].T) @ ray.d
+    x, y = d.x / d.z, d.y / d.z
+    u, v = _distorted(x, y, camera.distortion)
+    lane = dr.arange(mi.UInt32, dr.width(ray.d))
+    du = dr.fma(u, camera.fx_px, camera.cx_px) - mi.Float(mi.Int32(lane % width) + left)
+    dv = dr.fma(v, camera.fy_px, camera.cy_px) - mi.Float(mi.Int32(lane // width) + top)
+    returns = (dr.abs(du) < 0.05) & (dr.abs(dv) < 0.05)
+    return returns & (x * x + y * y < fold_radius2(camera.distortion))
+
+
 def _follow(
-    world: mi.Scene, part_shapes: tuple[PartShape, ...], ray: mi.Ray3f, word_count: int
+    world: mi.Scene,
+    part_shapes: tuple[PartShape, ...],
+    ray: mi.Ray3f,
+    going: mi.Bool,
+    word_count: int,
 ) -> list[mi.UInt32]:
     """The instances that each ray meets on its whole way, as a set of bits."""
 
@@ -449,11 +515,12 @@ def _follow(
             word | dr.select((instance >= 0) & (instance >> 5 == k), bit, 0)
             for k, word in enumerate(words)
         ]
-        return si.spawn_ray(ray.d).o, si.is_valid(), words
+        # Not `spawn_ray`: it steps along the normal and would leave the pixel's ray.
+        return mi.Point3f(origin + (si.t + STEP_THROUGH_M) * ray.d), si.is_valid(), words
 
     none = [dr.zeros(mi.UInt32, dr.width(ray.d)) for _ in range(word_count)]
     _, _, words = dr.while_loop(
-        state=(mi.Point3f(ray.o), mi.Bool(True), none), cond=lambda o, going, w: going, body=body
+        state=(mi.Point3f(ray.o), going, none), cond=lambda o, going, w: going, body=body
     )
     return words
 

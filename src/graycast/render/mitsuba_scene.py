@@ -53,7 +53,9 @@ def build(scene: Scene, layout: Layout) -> tuple[mi.Scene, tuple[PartShape, ...]
         world["environment"] = environment
     for index, lamp in enumerate(scene.lamps):
         world[f"lamp{index}"] = _lamp(lamp)
-    return mi.load_dict(world), tuple(part_shapes)
+    # Optimising, Mitsuba 3.9 melts rectangles of one material into a shape without bounds; the
+    # environment's shadow rays, as long as the scene is large, then end before what blocks them.
+    return mi.load_dict(world, optimize=False), tuple(part_shapes)
 
 
 def _bsdf(material: Material) -> dict[str, object]:

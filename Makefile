@@ -1,0 +1,23 @@
+# The two commands of the README: `make demo` and `make test`. Set-up goes into .venv.
+.PHONY: demo test test-slow setup clean
+
+GRAYCAST = .venv/bin/graycast
+
+demo: setup
+	$(GRAYCAST) generate configs/demo.yaml --out out/demo
+	$(GRAYCAST) validate out/demo
+	$(GRAYCAST) preview configs/demo.yaml --out out/demo/preview.png
+
+test: setup
+	.venv/bin/ruff check src tests examples
+	.venv/bin/ruff format --check src tests examples
+	.venv/bin/pytest
+
+test-slow: setup
+	.venv/bin/pytest -m 'slow and not gpu'
+
+setup:
+	@scripts/setup
+
+clean:
+	rm -rf .venv out build

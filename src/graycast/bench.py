@@ -1,0 +1,211 @@
+"""Speed and memory on this machine: figures, no judgement. Ratios are measured in one run, in turn.
+
+`run` returns plain numbers, ready for JSON.
+"""
+
+import platform
+import resource
+import tempfile
+import time
+from collections.abc import Callable
+from pathlib import Path
+from statistics import median
+from typing import Any
+
+import numpy as np
+
+from .config import Config, resolve_quality
+from .dataset import depth_scale_mm, open_store
+from .decode import DecodeSpec, decode, decode_plain
+from .drop import drop
+from .generate import Cell, make_scene, resolve_cell
+from .pattern import GrayCode
+from .render.device import choose_device, open_device
+from .sensor import Capture, SensorSpec
+
+PAIRS = 5  # timed in turn, A B A B ...
+
+
+def run(what: str, *, device: str, count: int, scenes: int) -> dict[str, Any]:
+    """Measure 'render', 'decode', 'drop' or 'scene'.
+
+    Args:
+        device: 'auto', 'cpu' or 'cuda'; 'decode' and 'drop' do not use it.
+        count: parts per scene.
+        scenes: how many scenes 'scene' makes after one that warms up.
+    """
+    match what:
+        case "render":
+            figures = _render(choose_device(device), count)
+        case "decode":
+            figures = _decode()
+        case "drop":
+            figures = _drop(count)
+        case "scene":
+            figures = _scene(choose_device(device), count, scenes)
+        case _:
+            raise ValueError(f"no benchmark {what!r}: choose render, decode, drop or scene")
+    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024
+    return {"benchmark": what, "machine": platform.machine()} | figures | {"peak_rss_bytes": peak}
+
+
+def describe(figures: dict[str, Any]) -> str:
+    """The figures for a terminal, one a line."""
+    lines = []
+    for name, value in figures.items():
+        if isinstance(value, dict):
+            lines.append(f"{name}:")
+            lines += [f"  {key:26} {_short(number)}" for key, number in value.items()]
+        else:
+            lines.append(f"{name:28} {_short(value)}")
+    return "\n".join(lines)
+
+
+def _short(value: Any) -> str:
+    if isinstance(value, list):
+        return " ".join(_short(item) for item in value)
+    return f"{value:.4g}" if isinstance(value, float) else str(value)
+
+
+def _cell(count: int) -> Cell:
+    """The paper-like scene: metal brackets in a wooden box, 22 patterns, 16 samples, depth 4."""
+    config = Config.model_validate({"parts": [{"builtin": "metal_workpiece_1"}], "count": count})
+    return resolve_cell(config, Path())
+
+
+def _in_turn(first: Callable[[], object], second: Callable[[], object]) -> tuple[float, float]:
+    """Median seconds of two jobs that are run in turn, after one run of each to warm up."""
+    first(), second()
+    seconds: tuple[list[float], list[float]] = ([], [])
+    for _ in range(PAIRS):
+        for job, times in zip((first, second), seconds, strict=True):
+            start = time.perf_counter()
+            job()
+            times.append(time.perf_counter() - start)
+    return median(seconds[0]), median(seconds[1])
+
+
+def _render(device: str, count: int) -> dict[str, Any]:
+    open_device(device)
+    from .render.mitsuba import light, truth
+    from .render.mitsuba_scene import build
+
+    cell = _cell(count)
+    layout = drop(cell.scene, (count,), seed=0)
+    start = time.perf_counter()
+    world, part_shapes = build(cell.scene, layout)
+    build_s = time.perf_counter() - start
+    patterns, quality = cell.code.render(), resolve_quality(cell.config)
+
+    def stack() -> object:
+        return light(world, cell.scene, patterns, quality=quality, seed=1)
+
+    def frame() -> object:
+        return light(world, cell.scene, patterns[:1], quality=quality, seed=1)
+
+    stack_s, frame_s = _in_turn(stack, frame)
+    start = time.perf_counter()
+    truth(world, part_shapes, cell.scene, layout)
+    camera = cell.scene.rig.camera
+    return {
+        "device": device,
+        "parts": count,
+        "patterns": len(patterns),
+        "width_px": camera.width_px,
+        "height_px": camera.height_px,
+        "samples": quality.samples,
+        "depth": quality.depth,
+        "stack_s": stack_s,
+        "one_white_frame_s": frame_s,
+        "stack_over_frame": stack_s / frame_s,
+        "build_s": build_s,
+        "ground_truth_s": time.perf_counter() - start,
+    }
+
+
+def _decode() -> dict[str, Any]:
+    """44 frames of 1920 x 1080, 8 bit: 11 + 10 bits with inverses, white and black."""
+    code = GrayCode(width_px=1280, height_px=720, inverses=True)
+    rng = np.random.default_rng(0)
+    frames = rng.integers(0, 256, (len(code.frames), 1080, 1920), dtype=np.uint8)
+    sensor = SensorSpec(bit_depth=8, offset_dn=4.0, gain_dn_per_e=0.025)
+    capture, spec = Capture(frames=frames, sensor=sensor, exposure_s=1.0), DecodeSpec()
+    decode_s, copy_s = _in_turn(lambda: decode(capture, code, spec), frames.copy)
+    start = time.perf_counter()
+    decode_plain(capture, code, spec)
+    return {
+        "frames": len(frames),
+        "width_px": 1920,
+        "height_px": 1080,
+        "decode_s": decode_s,
+        "copy_s": copy_s,
+        "decode_over_copy": decode_s / copy_s,
+        "plain_numpy_s": time.perf_counter() - start,
+    }
+
+
+def _drop(count: int) -> dict[str, Any]:
+    cell = _cell(count)
+    drop(cell.scene, (count,), seed=0)  # decomposes the part once
+    seconds, depths, attempts = [], [], []
+    for seed in range(1, 1 + PAIRS):
+        start = time.perf_counter()
+        layout = drop(cell.scene, (count,), seed=seed)
+        seconds.append(time.perf_counter() - start)
+        depths.append(layout.deepest_penetration_m)
+        attempts.append(layout.attempt + 1)
+    return {
+        "parts": count,
+        "drop_s": median(seconds),
+        "each_s": seconds,
+        "deepest_penetration_m": max(depths),
+        "attempts": attempts,
+    }
+
+
+def _scene(device: str, count: int, scenes: int) -> dict[str, Any]:
+    cell = _cell(count)
+    open_device(device)
+    scale_mm = depth_scale_mm(cell.scene.rig.far_m)
+    stages: dict[str, list[float]] = {}
+    seconds, rss = [], []
+    with tempfile.TemporaryDirectory() as folder:
+        store = open_store(
+            Path(folder) / "bench",
+            config={},
+            seed=0,
+            parts=cell.scene.parts,
+            rig=cell.scene.rig,
+            depth_scale_mm=scale_mm,
+        )
+        with store:
+            for scene_id in range(1 + scenes):
+                start = time.perf_counter()
+                shot = make_scene(cell, scene_id, seed=0, device=device)
+                made = time.perf_counter()
+                store.write(scene_id, shot.sample)
+                ended = time.perf_counter()
+                rss.append(_rss_bytes())
+                if scene_id == 0:
+                    continue  # compiles the kernels
+                seconds.append(ended - start)
+                timings = shot.sample.manifest["timings"] | {"write": ended - made}
+                for stage, value in timings.items():
+                    stages.setdefault(stage, []).append(value)
+    split = {stage: median(values) for stage, values in stages.items()}
+    total = sum(split.values())
+    return {
+        "device": device,
+        "parts": count,
+        "patterns": len(cell.code.frames),
+        "scenes": scenes,
+        "seconds_per_scene": median(seconds),
+        "stages": split,
+        "render_share": split["render"] / total,
+        "rss_bytes_after_each_scene": rss,
+    }
+
+
+def _rss_bytes() -> int:
+    pages = int(Path("/proc/self/statm").read_text().split()[1])
+    return pages * resource.getpagesize()

@@ -1,0 +1,382 @@
+"""One scene all the way from parts to files, and many scenes on one or several processes.
+
+A scene depends on (configuration, dataset seed, scene id) alone, not on the number of workers, the
+order of scenes or a restart.
+"""
+
+import multiprocessing
+import os
+import platform
+import time
+from collections.abc import Callable, Iterator
+from concurrent.futures import FIRST_COMPLETED, ProcessPoolExecutor, wait
+from concurrent.futures.process import BrokenProcessPool
+from contextlib import contextmanager
+from dataclasses import asdict, dataclass
+from importlib.metadata import version
+from pathlib import Path
+
+import numba
+import numpy as np
+from jaxtyping import Float, UInt8
+
+from . import __version__
+from . import config as words
+from .config import Config
+from .dataset import Sample, depth_scale_mm, open_store, write_scene
+from .decode import CodeMap, Reason, decode, triangulate
+from .drop import drop
+from .errors import GraycastError
+from .pattern import GrayCode
+from .render import Radiance, Rendering, open_renderer
+from .render.denoise import denoise
+from .render.device import choose_device, open_device
+from .rig import best_distance_m, place
+from .scene import Scene
+from .sensor import Capture, SensorSpec, auto_exposure_s, expose
+
+PICTURE_PERCENTILE, PICTURE_TARGET = 98.0, 0.85
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Cell:
+    """A configuration with its files read: what all scenes of a dataset share.
+
+    `scene` holds every kind of part; a scene drops one kind of it, or all where `config.mix`.
+    """
+
+    config: Config
+    scene: Scene
+    code: GrayCode
+    sensor: SensorSpec
+    notes: tuple[str, ...]
+    file_digests: dict[str, str]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Shot:
+    """One finished scene with what lies between radiance and sample, for pictures of it."""
+
+    sample: Sample
+    rendering: Rendering
+    capture: Capture
+    codes: CodeMap
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Progress:
+    """A scene has ended: its id, seconds it took and share of pixels per reason."""
+
+    scene_id: int
+    seconds: float
+    reasons: dict[str, float]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Summary:
+    """What a run did."""
+
+    written: int
+    found: int
+    seconds: float
+    reasons: dict[str, float]
+
+
+def resolve_cell(config: Config, folder: Path) -> Cell:
+    """Read what a configuration names; `folder` is where its relative paths start.
+
+    Raises:
+        GraycastError, ValueError: a file or a value that cannot be used, named.
+    """
+    parts, notes = words.resolve_parts(config, folder)
+    rig = words.resolve_config_rig(config, folder)
+    box = words.resolve_bin(config.bin, folder)
+    view = config.view
+    target = view.target_m or (0.0, 0.0, box.inner_m[2] / 3)
+    T_world_cam = place(
+        rig,
+        target_m=np.array(target),
+        distance_m=view.distance_m or best_distance_m(rig),
+        tilt_rad=np.radians(view.tilt_deg),
+        azimuth_rad=np.radians(view.azimuth_deg),
+    )
+    scene = Scene(
+        rig=rig,
+        T_world_cam=T_world_cam,
+        parts=parts,
+        bin=box,
+        environment=words.resolve_environment(config.light.environment, folder),
+        lamps=words.resolve_lamps(config.light),
+    )
+    return Cell(
+        config=config,
+        scene=scene,
+        code=words.resolve_code(config, rig),
+        sensor=words.resolve_sensor(config),
+        notes=notes,
+        file_digests=words.file_digests(config, folder),
+    )
+
+
+# --- one scene ---------------------------------------------------------------------------------
+
+
+def make_scene(cell: Cell, scene_id: int, *, seed: int, device: str) -> Shot:
+    """One scene from its seeds to its sample; `device` is already open.
+
+    Raises:
+        DropError: the parts did not come to an acceptable rest.
+        ValueError: the picture is dark, or a value is out of its range.
+    """
+    config = cell.config
+    # One independent stream per stage, so that a change in one leaves the others as they were.
+    stream = np.random.SeedSequence(seed, spawn_key=(scene_id,)).generate_state(5, np.uint64)
+    seeds = dict(
+        zip(("counts", "drop", "render", "noise", "picture"), map(int, stream), strict=True)
+    )
+    timings: dict[str, float] = {}
+    with _timed(timings, "drop"):
+        counts = _counts(cell, scene_id, np.random.default_rng(seeds["counts"]))
+        layout = drop(cell.scene, counts, seed=seeds["drop"], limits=words.resolve_limits(config))
+    with _timed(timings, "render"):
+        rendering = open_renderer("mitsuba").render(
+            cell.scene,
+            layout,
+            cell.code.render(),
+            quality=words.resolve_quality(config),
+            seed=seeds["render"],
+        )
+    with _timed(timings, "sensor"):
+        capture = _capture(cell, rendering.radiance, seed=seeds["noise"])
+    with _timed(timings, "picture"):
+        rgb = _picture(cell, rendering, seed=seeds["picture"], device=device)
+    with _timed(timings, "decode"):
+        codes = decode(capture, cell.code, words.resolve_decode(config))
+        scanner = triangulate(codes, cell.scene.rig)
+    manifest = {
+        "scene_id": scene_id,
+        "dataset_seed": seed,
+        "seeds": seeds,
+        "device": device,
+        "versions": _versions(),
+        "counts": {p.name: n for p, n in zip(cell.scene.parts, counts, strict=True) if n},
+        "physics": {
+            key: value
+            for key, value in asdict(layout).items()
+            if key not in ("T_world_part", "part_index")
+        },
+        "exposure_s": capture.exposure_s,
+        "reasons": {r.name.lower(): float((scanner.reason == r).mean()) for r in Reason},
+        "config": config.model_dump(mode="json", exclude={"scenes", "seed"}),
+        "timings": timings,
+    }
+    sample = Sample(
+        scene=cell.scene,
+        layout=layout,
+        truth=rendering.truth,
+        rgb=rgb,
+        gray=_gray(capture),
+        scanner=scanner,
+        modulation=codes.modulation,
+        manifest=manifest,
+    )
+    return Shot(sample=sample, rendering=rendering, capture=capture, codes=codes)
+
+
+def _counts(cell: Cell, scene_id: int, rng: np.random.Generator) -> tuple[int, ...]:
+    """How many of each kind: one kind in turn, or all kinds drawn at random."""
+    low, high = cell.config.count_range
+    total = int(rng.integers(low, high + 1))
+    kinds = len(cell.scene.parts)
+    if cell.config.mix:
+        return tuple(int(n) for n in rng.multinomial(total, np.full(kinds, 1 / kinds)))
+    return tuple(total if kind == scene_id % kinds else 0 for kind in range(kinds))
+
+
+def _capture(cell: Cell, radiance: Radiance, *, seed: int) -> Capture:
+    """The measuring camera's stack: each pattern with the light that is always there."""
+    weights = np.array(cell.scene.rig.band_weights, dtype=np.float32)
+    background = radiance.ambient_rgb @ weights
+    exposure = cell.config.exposure
+    exposure_s = exposure.exposure_s or auto_exposure_s(
+        radiance.pattern[0] + background,
+        cell.sensor,
+        percentile=exposure.percentile,
+        target=exposure.target,
+    )
+    return expose(radiance.pattern, background, cell.sensor, exposure_s=exposure_s, seed=seed)
+
+
+def _picture(
+    cell: Cell, rendering: Rendering, *, seed: int, device: str
+) -> UInt8[np.ndarray, "h w 3"]:
+    """The colour picture: lamps, environment and the projector's idle level, 8-bit sRGB."""
+    radiance = rendering.radiance
+    linear = radiance.ambient_rgb + cell.scene.rig.picture_level * radiance.white_rgb
+    if cell.config.render.denoise:
+        linear = denoise(linear, radiance.albedo, rendering.truth.normal, device=device)
+    bands = np.ascontiguousarray(np.moveaxis(np.maximum(linear, 0), -1, 0), dtype=np.float32)
+    exposure_s = auto_exposure_s(
+        bands, cell.sensor, percentile=PICTURE_PERCENTILE, target=PICTURE_TARGET
+    )
+    capture = expose(bands, None, cell.sensor, exposure_s=exposure_s, seed=seed)
+    return srgb(np.moveaxis(_share(capture), 0, -1))
+
+
+def _gray(capture: Capture) -> UInt8[np.ndarray, "h w"]:
+    """The white frame as the measuring camera saw it, linear, 8 bit."""
+    share = (capture.frames[0] - np.float32(capture.sensor.offset_dn)) / _range_dn(capture)
+    return np.round(np.clip(share, 0, 1) * 255).astype(np.uint8)
+
+
+def _share(capture: Capture) -> Float[np.ndarray, "n h w"]:
+    """Signal as a share of the sensor's range, 0 to 1."""
+    share = (capture.frames - np.float32(capture.sensor.offset_dn)) / _range_dn(capture)
+    return np.clip(share, 0, 1)
+
+
+def _range_dn(capture: Capture) -> np.float32:
+    return np.float32(capture.sensor.saturation_dn - capture.sensor.offset_dn)
+
+
+def srgb(linear: Float[np.ndarray, "*n"]) -> UInt8[np.ndarray, "*n"]:
+    """8-bit sRGB of linear values; below 0 and above 1 is clipped. Source: IEC 61966-2-1."""
+    x = np.clip(linear, 0, 1)
+    encoded = np.where(x <= 0.0031308, 12.92 * x, 1.055 * x ** (1 / 2.4) - 0.055)
+    return np.round(encoded * 255).astype(np.uint8)
+
+
+@contextmanager
+def _timed(timings: dict[str, float], stage: str) -> Iterator[None]:
+    start = time.perf_counter()
+    yield
+    timings[stage] = time.perf_counter() - start
+
+
+def _versions() -> dict[str, str]:
+    packages = ("numpy", "mitsuba", "drjit", "rapier3d", "coacd", "numba", "pyoidn")
+    return {
+        "graycast": __version__,
+        "python": platform.python_version(),
+        **{name: version(name) for name in packages},
+    }
+
+
+# --- many scenes -------------------------------------------------------------------------------
+
+
+def generate(
+    cell: Cell,
+    out: Path,
+    *,
+    scenes: int,
+    seed: int,
+    device: str,
+    workers: int,
+    on_start: Callable[[int], None],
+    on_progress: Callable[[Progress], None],
+) -> Summary:
+    """Make the scenes 0 .. scenes-1 that are not in `out` yet, and the split's COCO file.
+
+    Args:
+        out: the dataset's folder; made, or continued where the same configuration began it.
+        device: 'auto', 'cpu' or 'cuda'.
+        workers: processes; with more than one the cores are shared out among them.
+        on_start: called with the number of scenes that are there already.
+        on_progress: called in this process after each scene.
+
+    Raises:
+        DatasetError: the folder is another dataset's, is in use, or the disk refuses.
+        DeviceError: no such device here.
+        DropError: parts that do not come to rest; scenes made so far are kept.
+    """
+    start = time.perf_counter()
+    device = choose_device(device)
+    scale_mm = depth_scale_mm(cell.scene.rig.far_m)
+    identity = cell.config.model_dump(mode="json", exclude={"scenes", "seed"})
+    with open_store(
+        out,
+        config=identity | {"files": cell.file_digests},
+        seed=seed,
+        parts=cell.scene.parts,
+        rig=cell.scene.rig,
+        depth_scale_mm=scale_mm,
+    ) as store:
+        found = store.finished()
+        todo = [scene_id for scene_id in range(scenes) if scene_id not in found]
+        task = _Task(cell=cell, out=out, seed=seed, device=device, depth_scale_mm=scale_mm)
+        on_start(scenes - len(todo))
+        run = _run_here if workers == 1 or len(todo) <= 1 else _run_on_processes
+        done = []
+        for progress in run(task, todo, workers):
+            done.append(progress)
+            on_progress(progress)
+        store.finish(range(scenes))
+    reasons = {
+        reason.name.lower(): float(np.mean([p.reasons[reason.name.lower()] for p in done]))
+        for reason in Reason
+        if done
+    }
+    return Summary(
+        written=len(done),
+        found=scenes - len(todo),
+        seconds=time.perf_counter() - start,
+        reasons=reasons,
+    )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Task:
+    """What a worker needs to make any scene."""
+
+    cell: Cell
+    out: Path
+    seed: int
+    device: str
+    depth_scale_mm: float
+
+
+def _run_here(task: _Task, todo: list[int], workers: int) -> Iterator[Progress]:
+    if todo:
+        open_device(task.device)
+    for scene_id in todo:
+        yield _finish_scene(task, scene_id)
+
+
+def _run_on_processes(task: _Task, todo: list[int], workers: int) -> Iterator[Progress]:
+    threads = max(1, (os.cpu_count() or 1) // workers)
+    pool = ProcessPoolExecutor(
+        min(workers, len(todo)),
+        mp_context=multiprocessing.get_context("spawn"),  # forked threads of a JIT do not live on
+        initializer=_start_worker,
+        initargs=(task.device, threads),
+    )
+    try:
+        waiting = {pool.submit(_finish_scene, task, scene_id) for scene_id in todo}
+        while waiting:
+            ended, waiting = wait(waiting, return_when=FIRST_COMPLETED)
+            for future in ended:
+                yield future.result()
+    except BrokenProcessPool as error:
+        raise GraycastError(
+            "a worker process died (killed, or out of memory): use fewer --workers and run the "
+            "same command again; finished scenes are kept"
+        ) from error
+    finally:
+        pool.shutdown(wait=True, cancel_futures=True)
+
+
+def _start_worker(device: str, threads: int) -> None:
+    numba.set_num_threads(min(threads, numba.config.NUMBA_NUM_THREADS))
+    open_device(device, threads=threads)
+
+
+def _finish_scene(task: _Task, scene_id: int) -> Progress:
+    start = time.perf_counter()
+    shot = make_scene(task.cell, scene_id, seed=task.seed, device=task.device)
+    write_scene(task.out, scene_id, shot.sample, task.depth_scale_mm)
+    return Progress(
+        scene_id=scene_id,
+        seconds=time.perf_counter() - start,
+        reasons=dict(shot.sample.manifest["reasons"]),
+    )

@@ -1,0 +1,197 @@
+"""Lamps and surroundings against closed forms."""
+
+import numpy as np
+import pytest
+from stage import centre_rays, centred, in_camera, lambert, make_rig, plain_pattern, wall
+
+from graycast.errors import ConfigError
+from graycast.frames import axis_rotation, look_at, rigid
+from graycast.render import Quality
+from graycast.scene import EMPTY_LAYOUT, Environment, Lamp, Quad, Scene
+
+
+def ambient(renderer, scene, *, samples=256, depth=1, seed=0):
+    pattern = plain_pattern(scene.rig, 255)
+    quality = Quality(samples=samples, depth=depth)
+    rendering = renderer.render(scene, EMPTY_LAYOUT, pattern, quality=quality, seed=seed)
+    return rendering.radiance.ambient_rgb.astype(float)
+
+
+def corner_form_factor(a, b, h):
+    """Of a rectangle a x b at height h, parallel to the surface, one corner above the point.
+
+    Source: J. R. Howell, "A Catalog of Radiation Heat Transfer Configuration Factors", B-3.
+    """
+    x, y = a / h, b / h
+    p, q = np.sqrt(1 + x * x), np.sqrt(1 + y * y)
+    return (x / p * np.arctan(y / p) + y / q * np.arctan(x / q)) / (2 * np.pi)
+
+
+@pytest.mark.parametrize("sky", [0.0, 0.7])
+@pytest.mark.parametrize("depth", [1, 3])
+def test_a_square_lamp_and_the_sky_light_a_floor_by_their_form_factors(
+    mitsuba_renderer, sky, depth
+):
+    """albedo * (L_lamp F + L_sky (1 - F)): the black lamp hides the sky behind it. A floor alone
+    has no second bounce, so a deeper path may change nothing but the noise.
+    """
+    rig = make_rig(centred(32, 24, 40), centred(8, 8, 8))
+    lamp_rgb, albedo = np.array([5.0, 3.0, 1.0]), np.array([0.8, 0.6, 0.4])
+    side, height = 0.4, 0.5
+    T_world_cam = rigid(axis_rotation("x", -2.6), np.array([0.1, -0.3, 0.4]))
+    floor = Quad(
+        center_m=(0.0, 0.0, 0.0),
+        half_u_m=(5.0, 0.0, 0.0),
+        half_v_m=(0.0, 5.0, 0.0),
+        material=lambert(*albedo.tolist()),
+    )
+    scene = Scene(
+        rig=rig,
+        T_world_cam=T_world_cam,
+        surfaces=(floor,),
+        environment=Environment(radiance=(sky, sky, sky)),
+        lamps=(Lamp(center_m=(0.0, 0.0, height), size_m=side, radiance=tuple(lamp_rgb.tolist())),),
+    )
+    image = ambient(mitsuba_renderer, scene, depth=depth)
+    ray = centre_rays(rig.camera) @ T_world_cam[:3, :3].T
+    t = -T_world_cam[2, 3] / ray[..., 2]
+    x, y = np.moveaxis(T_world_cam[:2, 3] + t[..., None] * ray[..., :2], -1, 0)
+    lo_x, hi_x, lo_y, hi_y = -side / 2 - x, side / 2 - x, -side / 2 - y, side / 2 - y
+    factor = (
+        corner_form_factor(hi_x, hi_y, height)
+        - corner_form_factor(lo_x, hi_y, height)
+        - corner_form_factor(hi_x, lo_y, height)
+        + corner_form_factor(lo_x, lo_y, height)
+    )
+    assert 0.02 < factor.min() and 0.1 < factor.max()
+    expected = albedo * (lamp_rgb * factor[..., None] + sky * (1 - factor[..., None]))
+    blocks = (image / expected).reshape(4, 6, 4, 8, 3).mean(axis=(1, 3))
+    assert np.abs(blocks - 1).max() < 0.02
+    assert abs(blocks.mean() - 1) < 0.004
+
+
+def test_a_lamp_and_the_sky_themselves_look_as_bright_as_they_are_said_to_be(mitsuba_renderer):
+    """Seen straight, at any depth; the back of a lamp is black."""
+    rig = make_rig(centred(32, 24, 40), centred(8, 8, 8))
+    sky = (0.4, 0.2, 0.1)
+    for front in (True, False):
+        target = (0.0, 0.0, 0.0) if front else (0.0, 0.0, 9.0)
+        scene = Scene(
+            rig=rig,
+            T_world_cam=np.eye(4),
+            environment=Environment(radiance=sky),
+            lamps=(
+                Lamp(
+                    center_m=(0.0, 0.0, 1.0), target_m=target, size_m=0.3, radiance=(7.0, 6.0, 5.0)
+                ),
+            ),
+        )
+        for depth in (1, 4):
+            image = ambient(mitsuba_renderer, scene, samples=4, depth=depth)
+            inside = (7.0, 6.0, 5.0) if front else (0.0, 0.0, 0.0)
+            assert np.allclose(image[9:15, 13:19], inside, atol=1e-5)
+            assert np.allclose(image[:3, :3], sky, atol=1e-5)
+
+
+def test_constant_light_on_a_wall_is_albedo_times_it_in_every_band(mitsuba_renderer):
+    rig = make_rig(centred(32, 24, 40), centred(8, 8, 8))
+    sky, albedo = (0.9, 0.5, 0.2), (0.3, 0.6, 0.9)
+    scene = in_camera(
+        rig, wall(1.0, lambert(*albedo), half_m=50.0), environment=Environment(radiance=sky)
+    )
+    for depth in (1, 4):
+        image = ambient(mitsuba_renderer, scene, samples=64, depth=depth)
+        expected = np.multiply(sky, albedo)
+        assert np.abs(image.mean(axis=(0, 1)) / expected - 1).max() < 0.01
+
+
+def hemisphere_map(path):
+    """Upper half of the sphere bright, lower half black."""
+    import mitsuba as mi
+
+    pixels = np.zeros((64, 128, 3), dtype=np.float32)
+    pixels[:32] = 1.0
+    mi.Bitmap(pixels).write(str(path))
+    return path
+
+
+@pytest.mark.parametrize(
+    ("normal", "share"), [((0, 0, 1), 1.0), ((0, 0, -1), 0.0), ((1, 0, 0), 0.5), ((0, 1, 0), 0.5)]
+)
+def test_the_top_row_of_a_map_is_at_the_zenith_of_the_world(
+    mitsuba_renderer, tmp_path, normal, share
+):
+    """A white wall under the bright half of the sky gets all, none or half of it."""
+    file = hemisphere_map(tmp_path / "sky.exr")
+    normal = np.array(normal, dtype=float)
+    u = np.roll(normal, 1)
+    v = np.cross(normal, u)
+    quad = Quad(
+        center_m=(0.0, 0.0, 0.0),
+        half_u_m=tuple((9 * u).tolist()),
+        half_v_m=tuple((9 * v).tolist()),
+        material=lambert(1.0),
+    )
+    rig = make_rig(centred(16, 12, 40), centred(8, 8, 8))
+    scene = Scene(
+        rig=rig,
+        T_world_cam=look_at(normal + 0.2 * u, np.zeros(3), v),
+        surfaces=(quad,),
+        environment=Environment(radiance=(2.0, 1.0, 0.5), map_file=file),
+    )
+    image = ambient(mitsuba_renderer, scene).mean(axis=(0, 1))
+    # Half a texel at the horizon is interpolated: sin(1.4 deg) of the light at grazing angles.
+    assert np.abs(image - share * np.array([2.0, 1.0, 0.5])).max() < 0.03
+
+
+def test_a_bright_spot_at_the_zenith_is_seen_when_looking_up(mitsuba_renderer, tmp_path):
+    import mitsuba as mi
+
+    pixels = np.zeros((32, 64, 3), dtype=np.float32)
+    pixels[:2] = 5.0
+    mi.Bitmap(pixels).write(str(tmp_path / "spot.exr"))
+    rig = make_rig(centred(16, 16, 40), centred(8, 8, 8))
+    environment = Environment(radiance=(1.0, 1.0, 1.0), map_file=tmp_path / "spot.exr")
+    for angle, bright in [(0.0, True), (np.pi, False), (np.pi / 2, False)]:
+        pose = rigid(axis_rotation("x", angle), np.zeros(3))  # the camera's z is up at 0
+        scene = Scene(rig=rig, T_world_cam=pose, environment=environment)
+        image = ambient(mitsuba_renderer, scene, samples=4)
+        assert (image[8, 8] > 4.9).all() == bright
+
+
+def test_a_map_that_cannot_be_read_is_named(mitsuba_renderer, tmp_path):
+    rig = make_rig(centred(16, 16, 40), centred(8, 8, 8))
+    broken = tmp_path / "broken.exr"
+    broken.write_bytes(b"not a picture")
+    for file in (broken, tmp_path / "missing.exr"):
+        scene = in_camera(rig, wall(1.0, lambert(0.5)), environment=Environment(map_file=file))
+        with pytest.raises(ConfigError, match=file.name):
+            ambient(mitsuba_renderer, scene, samples=1)
+
+
+def test_real_maps_are_read(mitsuba_renderer, shared):
+    """Mean of a real sky over all directions, by the map's own cosine weights and by rendering."""
+    import mitsuba as mi
+
+    file = shared / "data" / "hdri" / "forest.exr"
+    pixels = np.array(mi.Bitmap(str(file)).convert(mi.Bitmap.PixelFormat.RGB))[..., :3]
+    upper = pixels[: len(pixels) // 2]
+    theta = (np.arange(len(upper)) + 0.5) / len(pixels) * np.pi
+    weight = np.cos(theta) * np.sin(theta)
+    expected = (upper.mean(axis=1) * weight[:, None]).sum(axis=0) / weight.sum()
+    rig = make_rig(centred(32, 24, 400), centred(8, 8, 8))
+    pose = rigid(axis_rotation("x", np.pi), np.array([0.0, 0.0, 1.0]))
+    floor = Quad(
+        center_m=(0.0, 0.0, 0.0),
+        half_u_m=(9.0, 0.0, 0.0),
+        half_v_m=(0.0, 9.0, 0.0),
+        material=lambert(1.0),
+    )
+    scene = Scene(
+        rig=rig,
+        T_world_cam=pose,
+        surfaces=(floor,),
+        environment=Environment(radiance=(1.0, 1.0, 1.0), map_file=file),
+    )
+    image = ambient(mitsuba_renderer, scene).mean(axis=(0, 1))
+    assert np.abs(image / expected - 1).max() < 0.02

@@ -1,0 +1,249 @@
+"""Every pattern from one set of paths must be what each pattern alone would give."""
+
+import mitsuba_alone
+import numpy as np
+import pytest
+from stage import (
+    askew_rig,
+    box_part,
+    centred,
+    in_camera,
+    lambert,
+    layout_in_camera,
+    leaning_wall,
+    make_rig,
+    plain_pattern,
+    turned,
+)
+
+from graycast.frames import rigid
+from graycast.parts import Material
+from graycast.pattern import GrayCode
+from graycast.render import Quality
+from graycast.scene import EMPTY_LAYOUT, Sphere
+
+DEPTH = 3
+BLOCK_PX = 6
+METAL = Material(base_color=(0.9, 0.8, 0.7), metallic=1.0, roughness=0.5)
+COAT = Material(base_color=(0.6, 0.3, 0.2), roughness=0.4)
+
+
+def corner_scene():
+    """Two walls that light each other, a metal box, a coated ball: every kind of material."""
+    rig = make_rig(
+        centred(48, 36, 52),
+        centred(48, 36, 62),
+        baseline_m=(0.15, 0.02, 0.01),
+        rotation=turned(0.0, -0.15, 0.0),
+        band_weights=(0.5, 0.3, 0.2),
+    )
+    pose = rigid(turned(0.4, 0.5, 0.1), np.array([-0.12, 0.02, 0.8]))
+    return in_camera(
+        rig,
+        leaning_wall([0.8, 0.0, 1.0], 0.85, lambert(0.9, 0.8, 0.7)),
+        leaning_wall([-0.8, 0.0, 1.0], 0.85, lambert(0.7, 0.8, 0.9)),
+        Sphere(center_m=(0.1, 0.0, 0.85), radius_m=0.08, material=COAT),
+        parts=(box_part(0.06, METAL),),
+    ), layout_in_camera([0], [pose])
+
+
+def blocks(image):
+    """Sums over squares of pixels: nearly normal, nearly independent."""
+    h, w = image.shape[-2:]
+    split = image.reshape(*image.shape[:-2], h // BLOCK_PX, BLOCK_PX, w // BLOCK_PX, BLOCK_PX)
+    return split.sum(axis=(-3, -1)).reshape(*image.shape[:-2], -1)
+
+
+def scores(one, other):
+    """Welch's t of every block, and of the whole picture; the first axis is the seed."""
+
+    def t(a, b):
+        variance = a.var(axis=0, ddof=1) / len(a) + b.var(axis=0, ddof=1) / len(b)
+        return (a.mean(axis=0) - b.mean(axis=0)) / np.sqrt(variance)
+
+    return t(one, other), t(one.sum(axis=-1), other.sum(axis=-1))
+
+
+def agree(one, other):
+    """Whether two sets of pictures (seeds, blocks) can have one mean.
+
+    Under that hypothesis t has about n degrees of freedom: mean square n / (n - 2), fourth moment
+    3 n^2 / ((n - 2) (n - 4)). Blocks hit by no light are left out.
+    """
+    lit = (one.mean(axis=0) > 0) & (other.mean(axis=0) > 0)
+    each, whole = scores(one[:, lit], other[:, lit])
+    n = len(one) + len(other) - 2
+    mean = n / (n - 2)
+    spread = np.sqrt((3 * n * n / ((n - 2) * (n - 4)) - mean**2) / lit.sum())
+    return bool(np.mean(each**2) < mean + 4 * spread and abs(whole) < 4)
+
+
+def patterns_of(rig, names):
+    code = GrayCode(width_px=rig.projector.width_px, height_px=rig.projector.height_px)
+    order = [frame.name for frame in code.frames]
+    return code.render()[[order.index(name) for name in names]]
+
+
+def one_pass_and_alone(renderer, names, *, seeds, samples):
+    """Blocks (seeds, patterns, blocks) of one pass, and of each pattern by Mitsuba's own means."""
+    scene, layout = corner_scene()
+    pattern = patterns_of(scene.rig, names)
+    quality = Quality(samples=samples, depth=DEPTH, footprint=False)
+    together = np.stack(
+        [
+            renderer.render(scene, layout, pattern, quality=quality, seed=seed).radiance.pattern
+            for seed in range(seeds)
+        ]
+    )
+    alone = np.stack(
+        [
+            mitsuba_alone.render(
+                scene, layout, image, samples=samples, depth=DEPTH, seeds=range(1000, 1000 + seeds)
+            )
+            for image in pattern
+        ],
+        axis=1,
+    )
+    return blocks(together.astype(float)), blocks(alone.astype(float))
+
+
+@pytest.fixture(scope="module")
+def quick_pair(mitsuba_renderer):
+    return one_pass_and_alone(mitsuba_renderer, ["white", "column_bit01"], seeds=8, samples=25)
+
+
+def test_one_pass_equals_each_pattern_alone_by_an_independent_integrator(quick_pair):
+    """Mitsuba's path tracer with its own camera, projector and random numbers knows nothing of
+    our loop. Each pattern by itself, since the patterns of one pass share their errors.
+    """
+    together, alone = quick_pair
+    for k in range(together.shape[1]):
+        assert agree(together[:, k], alone[:, k])
+
+
+def test_that_comparison_notices_two_percent_and_a_lost_bounce(quick_pair, mitsuba_renderer):
+    together, alone = quick_pair
+    for k in range(together.shape[1]):
+        assert not agree(1.02 * together[:, k], alone[:, k])
+        assert not agree(together[:, k], alone[:, (k + 1) % together.shape[1]])
+    scene, layout = corner_scene()
+    quality = Quality(samples=25, depth=DEPTH - 1, footprint=False)
+    pattern = plain_pattern(scene.rig, 255)
+    shallow = [
+        mitsuba_renderer.render(scene, layout, pattern, quality=quality, seed=s).radiance.pattern
+        for s in range(4)
+    ]
+    assert not agree(blocks(np.stack(shallow).astype(float))[:, 0], alone[:, 0])
+
+
+@pytest.mark.slow
+def test_one_pass_equals_each_pattern_alone_to_a_third_of_a_percent(mitsuba_renderer):
+    together, alone = one_pass_and_alone(
+        mitsuba_renderer,
+        ["white", "column_bit04", "column_bit01", "row_bit01"],
+        seeds=16,
+        samples=256,
+    )
+    for k in range(together.shape[1]):
+        assert agree(together[:, k], alone[:, k])
+        assert not agree(1.003 * together[:, k], alone[:, k])
+
+
+@pytest.mark.parametrize("levels", [2, 256])
+def test_a_pattern_in_the_stack_has_the_same_bits_as_alone_with_that_seed(mitsuba_renderer, levels):
+    """The stack's patterns see the same paths; 40 of them fill more than one word of bits."""
+    scene, layout = corner_scene()
+    size = (40, scene.rig.projector.height_px, scene.rig.projector.width_px)
+    pattern = np.random.default_rng(3).integers(0, levels, size) * (255 // (levels - 1))
+    pattern = pattern.astype(np.uint8)
+    quality = Quality(samples=2, depth=DEPTH, footprint=False)
+    stack = mitsuba_renderer.render(scene, layout, pattern, quality=quality, seed=7)
+    for k in (0, 31, 39):
+        alone = mitsuba_renderer.render(scene, layout, pattern[k : k + 1], quality=quality, seed=7)
+        assert alone.radiance.pattern[0].any()
+        assert np.array_equal(stack.radiance.pattern[k], alone.radiance.pattern[0])
+
+
+@pytest.mark.parametrize("footprint", [False, True])
+def test_a_pattern_and_its_inverse_make_white_and_black_is_nothing(mitsuba_renderer, footprint):
+    """Linearity, to the rounding of float32 sums; white is also the mean of its three bands."""
+    scene, layout = corner_scene()
+    code = GrayCode(width_px=48, height_px=36, inverses=True)
+    quality = Quality(samples=8, depth=DEPTH, footprint=footprint)
+    light = mitsuba_renderer.render(scene, layout, code.render(), quality=quality, seed=3).radiance
+    white = light.pattern[0]
+    assert white.max() > 0.5
+    assert not light.pattern[1].any()
+    for k in range(2, len(code.frames), 2):
+        assert np.abs(light.pattern[k] + light.pattern[k + 1] - white).max() < 1e-5 * white.max()
+    assert np.abs(light.white_rgb.mean(axis=-1) - white).max() < 1e-5 * white.max()
+
+
+def test_a_grey_level_is_that_share_of_white_also_after_reflections(mitsuba_renderer):
+    scene, layout = corner_scene()
+    pattern = plain_pattern(scene.rig, 255, 1, 77, 128, 254)
+    quality = Quality(samples=4, depth=DEPTH)
+    light = mitsuba_renderer.render(scene, layout, pattern, quality=quality, seed=0).radiance
+    white = light.pattern[0]
+    for image, level in zip(light.pattern, (255, 1, 77, 128, 254), strict=True):
+        assert np.abs(image - white * (level / 255)).max() < 1e-5 * white.max()
+
+
+def test_another_seed_gives_other_noise_and_zero_is_a_seed_like_any(mitsuba_renderer):
+    scene, layout = corner_scene()
+    pattern = plain_pattern(scene.rig, 255)
+    quality = Quality(samples=4, depth=DEPTH)
+    images = [
+        mitsuba_renderer.render(scene, layout, pattern, quality=quality, seed=s).radiance.pattern[0]
+        for s in (0, 0, 1, 2**40)
+    ]
+    assert np.array_equal(images[0], images[1])
+    for a, b in [(0, 2), (0, 3), (2, 3)]:
+        lit = (images[a] > 0) & (images[b] > 0)
+        assert (images[a] != images[b])[lit].mean() > 0.99
+        assert abs(images[a].mean() / images[b].mean() - 1) < 0.02
+
+
+def test_the_footprint_leaves_direct_light_alone_and_keeps_the_sum_of_a_reflection(
+    mitsuba_renderer,
+):
+    """One wall is lit by stripes, the other sees it alone: the stripes' reflection is blurred,
+    by which its mean brightness may not change.
+    """
+    rig = askew_rig()
+    flat = in_camera(rig, leaning_wall([0.2, 0.1, 1.0], 0.8, lambert(0.7)))
+    stripes = np.zeros((1, 48, 64), dtype=np.uint8)
+    stripes[:, :, ::2] = 255
+    direct = [
+        mitsuba_renderer.render(
+            flat,
+            EMPTY_LAYOUT,
+            stripes,
+            quality=Quality(samples=16, depth=1, footprint=footprint),
+            seed=4,
+        ).radiance.pattern
+        for footprint in (False, True)
+    ]
+    assert np.array_equal(*direct)
+
+    scene, layout = corner_scene()
+    stripes = np.zeros((1, 36, 48), dtype=np.uint8)
+    stripes[:, :, 1::2] = 255
+    bounced = np.empty((2, 6))
+    for seed in range(6):
+        for i, footprint in enumerate((False, True)):
+            deep, shallow = (
+                mitsuba_renderer.render(
+                    scene,
+                    layout,
+                    stripes,
+                    quality=Quality(samples=36, depth=depth, footprint=footprint),
+                    seed=seed,
+                ).radiance.pattern
+                for depth in (2, 1)
+            )
+            bounced[i, seed] = (deep - shallow).mean()
+    error = bounced.std(axis=1, ddof=1) / np.sqrt(6)
+    off, on = bounced.mean(axis=1)
+    assert np.hypot(*error) < 0.01 * off
+    assert abs(on - off) < 4 * np.hypot(*error)

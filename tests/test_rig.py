@@ -7,7 +7,7 @@ import pytest
 
 from graycast.frames import inverse, is_rigid, transform_points
 from graycast.optics import Optics
-from graycast.rig import PRESETS, Rig, best_distance_m, depth_per_column_m, place, preset
+from graycast.rig import PRESETS, Rig, best_depth_m, depth_per_column_m, place, preset, standoff_m
 
 # baseline [m], toe-in of either axis [deg], range [m], and the camera's focal length at 2064 px.
 PHOXI = {
@@ -39,7 +39,7 @@ def test_presets_have_the_figures_of_their_family(name):
     baseline_m, toe_in_deg, near_m, far_m, fx_px = PHOXI[name]
     low, full = preset(name), preset(name, "full")
     assert low.baseline_m == pytest.approx(baseline_m)
-    assert math.degrees(low.toe_in_rad) == pytest.approx(2 * toe_in_deg)
+    assert math.degrees(low.axes_angle_rad) == pytest.approx(2 * toe_in_deg)
     assert (low.near_m, low.far_m) == (near_m, far_m)
     assert (low.camera.width_px, low.camera.height_px) == (1032, 772)
     assert (full.camera.width_px, full.camera.height_px) == (2064, 1544)
@@ -55,7 +55,8 @@ def test_toed_in_axes_cross_inside_the_working_range(name):
     crossing_m = baseline_m / 2 / math.sin(math.radians(toe_in_deg))
     rig = preset(name)
     assert near_m < crossing_m < far_m
-    assert best_distance_m(rig) == pytest.approx(crossing_m, rel=1e-12)
+    assert standoff_m(rig) == pytest.approx(math.sqrt(crossing_m**2 - (baseline_m / 2) ** 2))
+    assert best_depth_m(rig) == pytest.approx(crossing_m, rel=1e-12)
     meeting = np.array([[0.0, 0.0, crossing_m]])
     assert np.allclose(
         transform_points(inverse(rig.T_cam_proj), meeting), meeting, rtol=0, atol=1e-12
@@ -63,7 +64,7 @@ def test_toed_in_axes_cross_inside_the_working_range(name):
 
 
 def test_axes_that_never_meet_are_best_in_the_middle_of_the_range():
-    assert best_distance_m(parallel_rig("x")) == pytest.approx(1.3)
+    assert best_depth_m(parallel_rig("x")) == pytest.approx(1.3)
 
 
 @pytest.mark.parametrize("z_m", [0.7, 1.0, 1.7])
@@ -80,8 +81,8 @@ def test_depth_per_column_of_a_toed_in_rig_is_that_of_a_ray_turning_by_one_colum
     Both devices are equally far from there, so the cut moves by distance / f / sin(angle).
     """
     rig = preset("phoxi-m")
-    z_m = best_distance_m(rig)
-    expected = z_m / rig.projector.fx_px / math.sin(rig.toe_in_rad)
+    z_m = best_depth_m(rig)
+    expected = z_m / rig.projector.fx_px / math.sin(rig.axes_angle_rad)
     assert depth_per_column_m(rig, z_m) == pytest.approx(expected, rel=1e-6)
 
 

@@ -5,6 +5,7 @@ Paths in a configuration are relative to its file.
 """
 
 import hashlib
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -29,6 +30,7 @@ from .settings import Settings, read_settings
 Vector = tuple[float, float, float]
 Share = Annotated[float, Field(ge=0, le=1)]
 Positive = Annotated[float, Field(gt=0)]
+Level = Annotated[float, Field(ge=0)]
 
 
 class MaterialSection(Settings):
@@ -92,16 +94,15 @@ class BinSection(Settings):
 
     inner_m: tuple[Positive, Positive, Positive] = (0.40, 0.30, 0.15)
     wall_m: Positive = 0.012
-    look: Literal["wood", "plain"] = Field("wood", description="wood has a texture of our own")
-    material: MaterialSection = MaterialSection(base_color=(0.45, 0.3, 0.17), roughness=0.6)
+    material: MaterialSection | None = Field(None, description="left out: a wood of our own")
     friction: float = Field(0.5, ge=0)
 
 
 class EnvironmentSection(Settings):
     """Light from all around."""
 
-    radiance: tuple[float, float, float] = Field(
-        (0.4, 0.4, 0.4), description="W/(sr m^2) per band; scales the map where there is one"
+    radiance: tuple[Level, Level, Level] = Field(
+        (0.2, 0.2, 0.2), description="W/(sr m^2) per band; scales the map where there is one"
     )
     map: Path | None = Field(None, description="latitude-longitude EXR or HDR picture")
 
@@ -112,7 +113,7 @@ class LampSection(Settings):
     center_m: Vector
     target_m: Vector = (0.0, 0.0, 0.0)
     size_m: Positive = 0.3
-    radiance: Vector = (6.0, 6.0, 6.0)
+    radiance: tuple[Level, Level, Level] = (15.0, 15.0, 15.0)
 
 
 class LightSection(Settings):
@@ -244,13 +245,11 @@ def _part(section: PartSection, folder: Path) -> tuple[Part, tuple[str, ...]]:
         if section.builtin not in BUILTIN:
             raise ConfigError(f"no built-in part {section.builtin!r}: choose {', '.join(BUILTIN)}")
         own = builtin_part(section.builtin)
-        return Part(
-            name=own.name,
-            mesh=own.mesh,
+        return replace(
+            own,
             material=material or own.material,
             density_kg_m3=section.density_kg_m3 or own.density_kg_m3,
             friction=own.friction if section.friction is None else section.friction,
-            symmetry=own.symmetry,
         ), ()
     symmetry = section.symmetry or SymmetrySection()
     return load_part(
@@ -292,14 +291,10 @@ def _read_texture(path: Path) -> UInt8[np.ndarray, "h w 3"]:
 
 
 def resolve_bin(section: BinSection, folder: Path) -> Bin:
-    material = resolve_material(section.material, folder)
-    if section.look == "wood" and material.texture is None:
-        material = Material(
-            texture=wood_texture(),
-            metallic=material.metallic,
-            roughness=material.roughness,
-            specular=material.specular,
-        )
+    if section.material is None:
+        material = Material(texture=wood_texture(), roughness=0.6)
+    else:
+        material = resolve_material(section.material, folder)
     return Bin(
         inner_m=section.inner_m, wall_m=section.wall_m, material=material, friction=section.friction
     )
@@ -361,7 +356,7 @@ def file_digests(config: Config, folder: Path) -> dict[str, str]:
     """SHA-256 of every file that a configuration names, so that a changed file is noticed."""
     named = [section.mesh for section in config.parts]
     named += [section.material and section.material.texture for section in config.parts]
-    named += [config.bin.material.texture, config.light.environment.map]
+    named += [config.bin.material and config.bin.material.texture, config.light.environment.map]
     digests = {}
     for path in named:
         if path is not None:

@@ -163,7 +163,7 @@ def _plan(capture: Capture, code: GrayCode, spec: DecodeSpec) -> tuple:
         np.array(counted),
         np.array(sizes),
         float(spec.min_contrast * range_dn),
-        int(np.ceil(capture.sensor.saturation_dn)),
+        int(np.floor(capture.sensor.saturation_dn + 0.5)),  # as the sensor rounds
         float(range_dn),
         spec.doubt,
     )
@@ -311,7 +311,10 @@ def _meet(ray, across, along, rig: Rig, axis: Axis) -> Float[np.ndarray, "h w"]:
     depth_m = _depth(ray, ideal, T_proj_cam, i)
     for _ in range(DISTORTION_ITERATIONS):
         point = transform_points(T_proj_cam, ray * depth_m[..., None])
-        guess = (project(projector, point)[..., 1 - i] - centre[1 - i]) / focal[1 - i]
+        guess = project(projector, point)[..., 1 - i]
+        # What is lit lies in the picture; beyond it, where wrong codes lead, a lens may fold over.
+        guess = np.clip(guess, -0.5, (projector.width_px, projector.height_px)[1 - i] - 0.5)
+        guess = (guess - centre[1 - i]) / focal[1 - i]
         along_now = np.where(decoded, other, guess)
         pair = (distorted, along_now) if i == 0 else (along_now, distorted)
         xy = np.stack(pair, axis=-1)

@@ -22,6 +22,7 @@ from jaxtyping import Float, UInt8
 
 from . import __version__
 from . import config as words
+from .color import srgb
 from .config import Config
 from .dataset import Sample, depth_scale_mm, open_store, write_scene
 from .decode import CodeMap, Reason, decode, triangulate
@@ -31,7 +32,7 @@ from .pattern import GrayCode
 from .render import Radiance, Rendering, open_renderer
 from .render.denoise import denoise
 from .render.device import choose_device, open_device
-from .rig import best_distance_m, place
+from .rig import place, standoff_m
 from .scene import Scene
 from .sensor import Capture, SensorSpec, auto_exposure_s, expose
 
@@ -96,7 +97,7 @@ def resolve_cell(config: Config, folder: Path) -> Cell:
     T_world_cam = place(
         rig,
         target_m=np.array(target),
-        distance_m=view.distance_m or best_distance_m(rig),
+        distance_m=view.distance_m or standoff_m(rig),
         tilt_rad=np.radians(view.tilt_deg),
         azimuth_rad=np.radians(view.azimuth_deg),
     )
@@ -195,8 +196,7 @@ def _counts(cell: Cell, scene_id: int, rng: np.random.Generator) -> tuple[int, .
 
 def _capture(cell: Cell, radiance: Radiance, *, seed: int) -> Capture:
     """The measuring camera's stack: each pattern with the light that is always there."""
-    weights = np.array(cell.scene.rig.band_weights, dtype=np.float32)
-    background = radiance.ambient_rgb @ weights
+    background = radiance.ambient_rgb @ np.array(cell.scene.rig.passed_bands, dtype=np.float32)
     exposure = cell.config.exposure
     exposure_s = exposure.exposure_s or auto_exposure_s(
         radiance.pattern[0] + background,
@@ -215,6 +215,11 @@ def _picture(
     linear = radiance.ambient_rgb + cell.scene.rig.picture_level * radiance.white_rgb
     if cell.config.render.denoise:
         linear = denoise(linear, radiance.albedo, rendering.truth.normal, device=device)
+    if not linear.max() > 0:
+        raise ValueError(
+            "the colour picture is black: give light.environment or light.lamps some radiance, "
+            "or the rig a picture_level"
+        )
     bands = np.ascontiguousarray(np.moveaxis(np.maximum(linear, 0), -1, 0), dtype=np.float32)
     exposure_s = auto_exposure_s(
         bands, cell.sensor, percentile=PICTURE_PERCENTILE, target=PICTURE_TARGET
@@ -237,13 +242,6 @@ def _share(capture: Capture) -> Float[np.ndarray, "n h w"]:
 
 def _range_dn(capture: Capture) -> np.float32:
     return np.float32(capture.sensor.saturation_dn - capture.sensor.offset_dn)
-
-
-def srgb(linear: Float[np.ndarray, "*n"]) -> UInt8[np.ndarray, "*n"]:
-    """8-bit sRGB of linear values; below 0 and above 1 is clipped. Source: IEC 61966-2-1."""
-    x = np.clip(linear, 0, 1)
-    encoded = np.where(x <= 0.0031308, 12.92 * x, 1.055 * x ** (1 / 2.4) - 0.055)
-    return np.round(encoded * 255).astype(np.uint8)
 
 
 @contextmanager

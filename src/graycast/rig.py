@@ -15,9 +15,9 @@ class Rig:
     """One camera and one projector.
 
     `T_cam_proj` maps projector coordinates to camera coordinates [m]. A white projector pixel
-    has the radiant intensity `intensity_w_sr` [W/sr] in every direction of its field;
-    `band_weights` is the share of the projector's power in the red, green and blue band, and
-    also the band-pass of the measuring camera, so a pattern picture is monochrome.
+    has the radiant intensity `intensity_w_sr` [W/sr] in every direction of its field, shared out
+    over the red, green and blue band by `band_weights`. The measuring camera is monochrome and has
+    a filter that passes the bands in which the projector shines, and no other.
     `picture_level` is what the projector shows, 0 to 1, while the colour picture is taken.
 
     Leaves out: defocus and vignetting of both; spectra finer than three bands.
@@ -27,7 +27,7 @@ class Rig:
     camera: Optics
     projector: Optics
     T_cam_proj: Float[np.ndarray, "4 4"]
-    near_m: float
+    near_m: float  # of the working range, as z of the camera
     far_m: float
     intensity_w_sr: float = 10.0
     band_weights: tuple[float, float, float] = (1 / 3, 1 / 3, 1 / 3)
@@ -60,8 +60,14 @@ class Rig:
         return float(np.linalg.norm(self.T_cam_proj[:3, 3]))
 
     @property
-    def toe_in_rad(self) -> float:
-        """Angle between the two optical axes."""
+    def passed_bands(self) -> tuple[float, float, float]:
+        """What the measuring camera's filter lets through per band, 0 or 1."""
+        red, green, blue = (float(weight > 0) for weight in self.band_weights)
+        return red, green, blue
+
+    @property
+    def axes_angle_rad(self) -> float:
+        """Angle between the two optical axes: the toe-in of both devices together."""
         return float(np.arccos(np.clip(self.T_cam_proj[2, 2], -1.0, 1.0)))
 
 
@@ -199,7 +205,7 @@ def place(
     return T_world_rig @ inverse(T_cam_rig)
 
 
-def best_distance_m(rig: Rig) -> float:
+def best_depth_m(rig: Rig) -> float:
     """Depth at which the two optical axes come closest, kept within the working range."""
     origin, axis = rig.T_cam_proj[:3, 3], rig.T_cam_proj[:3, 2]
     # Closest point of the lines s * e_z and origin + t * axis.
@@ -208,3 +214,12 @@ def best_distance_m(rig: Rig) -> float:
         return 0.5 * (rig.near_m + rig.far_m)
     s = (origin[2] - c * (origin @ axis)) / (1 - c * c)
     return float(np.clip(s, rig.near_m, rig.far_m))
+
+
+def standoff_m(rig: Rig) -> float:
+    """Distance from the middle of the baseline to the point at `best_depth_m` on the camera's axis.
+
+    For a rig whose axes cross in its range that is where they cross.
+    """
+    point = np.array([0.0, 0.0, best_depth_m(rig)])
+    return float(np.linalg.norm(point - rig.T_cam_proj[:3, 3] / 2))

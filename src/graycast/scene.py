@@ -20,7 +20,7 @@ class Bin:
     """An open box. Its walls carry the material's texture once per `texture_size_m`."""
 
     inner_m: tuple[float, float, float]
-    wall_m: float = 0.01
+    wall_m: float = 0.012
     material: Material = field(default_factory=Material)
     texture_size_m: float = 0.5
     friction: float = 0.5
@@ -44,6 +44,11 @@ class Quad:
     half_v_m: tuple[float, float, float]
     material: Material
 
+    def __post_init__(self) -> None:
+        u, v = np.array(self.half_u_m), np.array(self.half_v_m)
+        if not (u.any() and v.any()) or abs(u @ v) > 1e-6 * np.linalg.norm(u) * np.linalg.norm(v):
+            raise ValueError(f"a quad needs two half edges at right angles, not {u} and {v}")
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Sphere:
@@ -54,23 +59,32 @@ class Sphere:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Environment:
-    """Light from all around [W sr^-1 m^-2]: constant `radiance`, or an EXR map scaled by it.
+    """Light from all around: constant `radiance` [W sr^-1 m^-2 per band], or a map scaled by it.
 
-    A map is latitude-longitude with its top row at the world's zenith.
+    A map (EXR) is latitude-longitude with its top row at the world's zenith.
     """
 
-    radiance: tuple[float, float, float] = (0.3, 0.3, 0.3)
+    radiance: tuple[float, float, float] = (0.2, 0.2, 0.2)
     map_file: Path | None = None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Lamp:
-    """A square area lamp that looks at `target_m`; its front emits `radiance` [W sr^-1 m^-2]."""
+    """A square area lamp that looks at `target_m`.
+
+    Its front emits `radiance` [W sr^-1 m^-2 per band] in all directions; its back is black.
+    """
 
     center_m: tuple[float, float, float]
     target_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
     size_m: float = 0.3
-    radiance: tuple[float, float, float] = (5.0, 5.0, 5.0)
+    radiance: tuple[float, float, float] = (15.0, 15.0, 15.0)
+
+    def __post_init__(self) -> None:
+        if self.center_m == self.target_m:
+            raise ValueError(f"the lamp at {self.center_m} looks at itself: move its target_m")
+        if not self.size_m > 0:
+            raise ValueError(f"size_m of a lamp is {self.size_m}; it must be positive")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -105,12 +105,15 @@ def expose(
         seed: of the noise; frames and pixels are independent of one another.
 
     Raises:
-        ValueError: the exposure is not positive and finite.
+        ValueError: the exposure is not positive, or radiance is negative or not finite.
 
     Source: EMVA Standard 1288, release 4.0, linear camera model.
     """
     if not 0 < exposure_s < math.inf:
         raise ValueError(f"exposure_s is {exposure_s}; it must be positive")
+    if not 0 <= radiance.min() <= radiance.max() < math.inf:  # NaN must fail too
+        span = f"{radiance.min()} to {radiance.max()}"
+        raise ValueError(f"radiance spans {span} W/(sr m^2); it must be finite and not negative")
     n, h, w = radiance.shape
     frames = np.empty((n, h, w), dtype=np.uint8 if sensor.bit_depth <= 8 else np.uint16)
     # The seed is hashed by numpy, so that near seeds give unrelated streams.

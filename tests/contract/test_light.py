@@ -55,7 +55,7 @@ def test_a_lambertian_plane_has_radiance_albedo_over_pi_times_irradiance(rendere
     assert (np.abs(image.pattern[0] / mono - 1)[lit] < tolerance).all()
     assert (np.abs(image.pattern[1] / mono * 255 / 128 - 1)[lit] < tolerance).all()
     assert not image.pattern[2].any()
-    rgb = irradiance[..., None] / np.pi * albedo * 3 * weights
+    rgb = irradiance[..., None] / np.pi * albedo * weights
     assert (np.abs(image.white_rgb / rgb - 1)[lit] < tolerance[:, None]).all()
     assert np.abs(image.albedo - albedo).max() < 1e-5
     assert not image.ambient_rgb.any()
@@ -143,11 +143,12 @@ def test_the_shadow_of_a_sphere_lies_away_from_the_projector(renderer):
 
 
 def test_the_same_seed_gives_the_same_bits(renderer):
-    rig = askew_rig()
+    rig = askew_rig(camera=optics(40, 30, 50))
     scene = in_camera(rig, wall(0.9, lambert(0.5)))
     pattern = np.random.default_rng(1).integers(0, 2, (3, 48, 64)).astype(np.uint8) * 255
+    quality = Quality(samples=4, depth=1)
     one, again = (
-        renderer.render(scene, EMPTY_LAYOUT, pattern, quality=DIRECT, seed=0) for _ in range(2)
+        renderer.render(scene, EMPTY_LAYOUT, pattern, quality=quality, seed=0) for _ in range(2)
     )
     assert np.array_equal(one.radiance.pattern, again.radiance.pattern)
     assert np.array_equal(one.radiance.white_rgb, again.radiance.white_rgb)

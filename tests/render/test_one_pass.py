@@ -166,7 +166,7 @@ def test_a_pattern_in_the_stack_has_the_same_bits_as_alone_with_that_seed(mitsub
 
 @pytest.mark.parametrize("footprint", [False, True])
 def test_a_pattern_and_its_inverse_make_white_and_black_is_nothing(mitsuba_renderer, footprint):
-    """Linearity, to the rounding of float32 sums; white is also the mean of its three bands."""
+    """Linearity, to the rounding of float32 sums; white is also the sum of its three bands."""
     scene, layout = corner_scene()
     code = GrayCode(width_px=48, height_px=36, inverses=True)
     quality = Quality(samples=8, depth=DEPTH, footprint=footprint)
@@ -176,7 +176,7 @@ def test_a_pattern_and_its_inverse_make_white_and_black_is_nothing(mitsuba_rende
     assert not light.pattern[1].any()
     for k in range(2, len(code.frames), 2):
         assert np.abs(light.pattern[k] + light.pattern[k + 1] - white).max() < 1e-5 * white.max()
-    assert np.abs(light.white_rgb.mean(axis=-1) - white).max() < 1e-5 * white.max()
+    assert np.abs(light.white_rgb.sum(axis=-1) - white).max() < 1e-5 * white.max()
 
 
 def test_a_grey_level_is_that_share_of_white_also_after_reflections(mitsuba_renderer):
@@ -229,21 +229,21 @@ def test_the_footprint_leaves_direct_light_alone_and_keeps_the_sum_of_a_reflecti
     scene, layout = corner_scene()
     stripes = np.zeros((1, 36, 48), dtype=np.uint8)
     stripes[:, :, 1::2] = 255
-    bounced = np.empty((2, 6))
-    for seed in range(6):
+    bounced = np.empty((2, 5))
+    for seed in range(5):
         for i, footprint in enumerate((False, True)):
             deep, shallow = (
                 mitsuba_renderer.render(
                     scene,
                     layout,
                     stripes,
-                    quality=Quality(samples=36, depth=depth, footprint=footprint),
+                    quality=Quality(samples=25, depth=depth, footprint=footprint),
                     seed=seed,
                 ).radiance.pattern
                 for depth in (2, 1)
             )
             bounced[i, seed] = (deep - shallow).mean()
-    error = bounced.std(axis=1, ddof=1) / np.sqrt(6)
+    error = bounced.std(axis=1, ddof=1) / np.sqrt(5)
     off, on = bounced.mean(axis=1)
-    assert np.hypot(*error) < 0.01 * off
+    assert np.hypot(*error) < 0.015 * off
     assert abs(on - off) < 4 * np.hypot(*error)

@@ -168,20 +168,9 @@ def _instances(sample: Sample) -> list[_Seen]:
         )
         if visible.mask.sum() > whole.mask.sum():
             raise ValueError(f"instance {i} has more visible pixels than its silhouette has")
-        inside = _inside(whole, height_px, width_px)
+        inside = whole.clipped(height_px, width_px)
         seen.append(_Seen(whole=whole, inside=inside, visible=visible))
     return seen
-
-
-def _inside(whole: Silhouette, height_px: int, width_px: int) -> Silhouette:
-    h, w = whole.mask.shape
-    top, left = max(whole.top_px, 0), max(whole.left_px, 0)
-    bottom, right = min(whole.top_px + h, height_px), min(whole.left_px + w, width_px)
-    if bottom <= top or right <= left:
-        return Silhouette(left_px=0, top_px=0, mask=np.zeros((0, 0), dtype=bool))
-    rows = slice(top - whole.top_px, bottom - whole.top_px)
-    columns = slice(left - whole.left_px, right - whole.left_px)
-    return Silhouette(left_px=left, top_px=top, mask=whole.mask[rows, columns])
 
 
 def _check_shapes(sample: Sample, size: tuple[int, int]) -> None:

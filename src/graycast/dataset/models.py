@@ -9,10 +9,11 @@ from typing import Any
 
 import cv2
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Float
 from scipy.spatial import ConvexHull, QhullError
 from scipy.spatial.distance import cdist
 
+from ..color import srgb
 from ..parts import Mesh, Part
 
 MM_PER_M = 1000.0
@@ -89,7 +90,7 @@ def _ply(part: Part, texture_name: str | None) -> bytes:
     if texture_name is not None:
         names, types = [*names, "texture_u", "texture_v"], [*types, "float", "float"]
     else:
-        color = np.broadcast_to(_srgb(part.material.base_color), (len(table), 3))
+        color = np.broadcast_to(srgb(np.array(part.material.base_color)), (len(table), 3))
         names, types = [*names, "red", "green", "blue"], [*types, *["uchar"] * 3]
         table, formats = np.hstack([table, color]), [*formats, "%d", "%d", "%d"]
     header = [
@@ -130,10 +131,3 @@ def _unit(vector: Float[np.ndarray, "*n 3"]) -> Float[np.ndarray, "*n 3"]:
     """Vectors of length one; a vector without direction stays zero."""
     length = np.linalg.norm(vector, axis=-1, keepdims=True)
     return vector / np.where(length > 0, length, 1.0)
-
-
-def _srgb(linear: tuple[float, float, float]) -> Int[np.ndarray, "3"]:
-    """8-bit sRGB of a linear colour (IEC 61966-2-1)."""
-    value = np.asarray(linear, dtype=np.float64)
-    curve = np.where(value <= 0.0031308, 12.92 * value, 1.055 * value ** (1 / 2.4) - 0.055)
-    return np.rint(255 * curve).astype(np.int64)

@@ -135,7 +135,7 @@ def _check_volume(box: Bin, bodies: tuple[Body, ...], number: tuple[int, ...]) -
         most = int(sum(number) * HEAP_ABOVE_RIM * bin_m3 * PACKING / volume_m3)
         raise ValueError(
             f"{sum(number)} parts of {1e3 * volume_m3:.3g} litres in all, heaped loosely, do not "
-            f"fit into a bin of {1e3 * bin_m3:.3g} litres: drop {most} at most, or take a larger bin"
+            f"fit into a bin of {1e3 * bin_m3:.3g} litres: drop {most} at most, or enlarge the bin"
         )
 
 

@@ -80,7 +80,7 @@ def _ring() -> Part:
     return Part(
         name="metal_workpiece_2",
         mesh=_mesh(*revolve(np.array(RING_PROFILE_MM), RING_SEGMENTS)),
-        material=Material(base_color=(0.15, 0.15, 0.155), metallic=1.0, roughness=0.35),
+        material=Material(base_color=(0.21, 0.21, 0.215), metallic=1.0, roughness=0.5),
         density_kg_m3=_STEEL_KG_M3,
         friction=0.3,
         symmetry=Symmetry(continuous=(((0.0, 0.0, 1.0), (0.0, 0.0, 0.0)),)),
@@ -107,7 +107,7 @@ def _bracket() -> Part:
     return Part(
         name="metal_workpiece_1",
         mesh=_mesh(vertices, faces),
-        material=Material(base_color=(0.16, 0.16, 0.165), metallic=1.0, roughness=0.35),
+        material=Material(base_color=(0.22, 0.22, 0.225), metallic=1.0, roughness=0.5),
         density_kg_m3=_STEEL_KG_M3,
         friction=0.3,
         symmetry=Symmetry(discrete=(half_turn,)),

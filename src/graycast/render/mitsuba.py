@@ -146,7 +146,6 @@ class _Tracer:
         self.lens = mi.Point3f(T_world_proj[:3, 3])
         self.intensity_w_sr = rig.intensity_w_sr
         self.weights = mi.Color3f(rig.band_weights)
-        self.bands = self.weights * 3  # projector power per band; equal bands are white (1, 1, 1)
         self.context = mi.BSDFContext()
         self.ambient = len(world.emitters()) > 0
         self.pattern_count = len(pattern)
@@ -217,8 +216,9 @@ class _Tracer:
         lit &= ~self.world.ray_test(si.spawn_ray_to(self.lens), lit)
         value = dr.select(lit, bsdf.eval(self.context, si, wo, lit), 0)
         seen = p.throughput * value * (self.intensity_w_sr * inverse_square)
-        p.white += seen * self.bands
-        mono = dr.sum(seen * self.weights)
+        seen *= self.weights
+        p.white += seen
+        mono = dr.sum(seen)
         if self.footprint:
             pixels = self._footprint(p, si, place, focal_px)
         else:

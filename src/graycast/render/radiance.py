@@ -33,9 +33,9 @@ class Quality:
 class Radiance:
     """Linear images of one scene before any sensor [W sr^-1 m^-2].
 
-    `pattern[k]` is what projected pattern k alone adds, weighted over the bands; `white_rgb` is
-    what an all-white projector adds in each band; `ambient_rgb` is all other light. Light adds,
-    so any picture is a sum of these.
+    `pattern[k]` is what projected pattern k alone adds, summed over the bands; `white_rgb` is what
+    an all-white projector adds in each band; `ambient_rgb` is all other light, per band. Light
+    adds, so any picture is a sum of these.
     """
 
     pattern: Float[np.ndarray, "n h w"]
@@ -63,16 +63,23 @@ class Silhouette:
     def __post_init__(self) -> None:
         self.mask.flags.writeable = False
 
-    def in_image(self, height_px: int, width_px: int) -> Bool[np.ndarray, "h w"]:
+    def clipped(self, height_px: int, width_px: int) -> "Silhouette":
         """The part of the silhouette that lies in an image."""
-        image = np.zeros((height_px, width_px), dtype=bool)
         h, w = self.mask.shape
         top, left = max(self.top_px, 0), max(self.left_px, 0)
         bottom, right = min(self.top_px + h, height_px), min(self.left_px + w, width_px)
-        if top < bottom and left < right:
-            image[top:bottom, left:right] = self.mask[
-                top - self.top_px : bottom - self.top_px, left - self.left_px : right - self.left_px
-            ]
+        if bottom <= top or right <= left:
+            return Silhouette(left_px=0, top_px=0, mask=np.zeros((0, 0), dtype=bool))
+        rows = slice(top - self.top_px, bottom - self.top_px)
+        columns = slice(left - self.left_px, right - self.left_px)
+        return Silhouette(left_px=left, top_px=top, mask=self.mask[rows, columns])
+
+    def in_image(self, height_px: int, width_px: int) -> Bool[np.ndarray, "h w"]:
+        """The silhouette as a mask of a whole image."""
+        image = np.zeros((height_px, width_px), dtype=bool)
+        part = self.clipped(height_px, width_px)
+        h, w = part.mask.shape
+        image[part.top_px : part.top_px + h, part.left_px : part.left_px + w] = part.mask
         return image
 
 

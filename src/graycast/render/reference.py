@@ -48,10 +48,9 @@ class ReferenceRenderer:
                 albedo += base / side**2
                 level = pattern[:, pixel[..., 1], pixel[..., 0]] / 255.0
                 image += level * (radiance @ np.array(scene.rig.band_weights)) / side**2
-        bands = 3 * np.array(scene.rig.band_weights)
         radiance = Radiance(
             pattern=image.astype(np.float32),
-            white_rgb=(white * bands).astype(np.float32),
+            white_rgb=(white * np.array(scene.rig.band_weights)).astype(np.float32),
             ambient_rgb=np.zeros((h, w, 3), dtype=np.float32),
             albedo=albedo.astype(np.float32),
         )

@@ -7,8 +7,8 @@ from jaxtyping import Float, UInt8
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
+from ..color import srgb
 from ..frames import inverse, look_at, rigid, transform_points
-from ..generate import srgb
 from ..optics import Optics
 from ..parts import Material, Mesh, Part, Symmetry
 from ..render import Quality, open_renderer

@@ -21,10 +21,11 @@ from matplotlib.colors import Normalize, to_rgb
 from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 
+from ..color import srgb
 from ..decode import Reason, triangulation_axis
 from ..errors import GraycastError
 from ..frames import inverse, transform_points
-from ..generate import Shot, srgb
+from ..generate import Shot
 from ..optics import Optics, project
 from ..parts import Part
 from ..pattern import Axis, Frame, GrayCode

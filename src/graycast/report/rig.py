@@ -58,7 +58,7 @@ def describe_rig(rig: Rig) -> str:
     lines = [
         f"rig {rig.name}",
         f"  baseline          {1e3 * rig.baseline_m:.1f} mm",
-        f"  toe-in            {math.degrees(rig.toe_in_rad):.2f} deg between the axes",
+        f"  toe-in            {math.degrees(rig.axes_angle_rad):.2f} deg between the axes",
         f"  working range     {1e3 * rig.near_m:.0f} to {1e3 * rig.far_m:.0f} mm",
         f"  camera            {_optics_words(rig.camera)}",
         f"  projector         {_optics_words(rig.projector)}",
@@ -84,7 +84,7 @@ def draw_rig(rig: Rig, path: Path) -> None:
     _share_limits(axes[1])
     handles, labels = axes[0, 0].get_legend_handles_labels()
     figure.legend(handles, labels, loc="outside lower center", ncols=len(labels))
-    toe_in = f"toe-in {math.degrees(rig.toe_in_rad):.2f}° between the axes"
+    toe_in = f"toe-in {math.degrees(rig.axes_angle_rad):.2f}° between the axes"
     figure.suptitle(f"{rig.name}: baseline {1e3 * rig.baseline_m:.1f} mm, {toe_in}")
     figure.savefig(path, dpi=100, format="png", metadata={"Software": None})
 

@@ -1,0 +1,136 @@
+"""Which module may import which: the one table of the package's arrows (STYLE.md, section 2)."""
+
+import ast
+from pathlib import Path
+
+import pytest
+
+SOURCE = Path(__file__).resolve().parents[1] / "src" / "graycast"
+
+# Each line may import from the lines above it, but for what is named under `FORBIDDEN`.
+ORDER = (
+    "errors",
+    "settings",
+    "color",
+    "color",
+    "frames",
+    "optics",
+    "rig",
+    "rig_file",
+    "pattern",
+    "parts",
+    "scene",
+    "drop",
+    "render",
+    "sensor",
+    "decode",
+    "dataset",
+    "config",
+    "generate",
+    "metrology",
+    "report",
+    "doctor",
+    "bench",
+    "cli",
+)
+FORBIDDEN = {
+    "render": {"drop"},
+    "sensor": {"drop", "render"},
+    "decode": {"drop", "render"},
+    "dataset": {"drop"},
+    "metrology": {"drop", "dataset", "config", "generate"},
+    "doctor": {"drop", "dataset", "decode", "sensor", "generate", "report"},
+}
+WHOLE_LINE = {"generate", "report", "bench", "cli"}
+# The truth is the renderer's, so the dataset takes its values, but no back end.
+ONLY_VALUES = {"dataset": {"render": {"render", "render.radiance"}}}
+
+
+def modules():
+    """Dotted name below the package, file, and whether it is a folder's `__init__`."""
+    for file in sorted(SOURCE.rglob("*.py")):
+        parts = file.relative_to(SOURCE).with_suffix("").parts
+        yield parts[:-1] if parts[-1] == "__init__" else parts, file, parts[-1] == "__init__"
+
+
+def imports(name, file, is_folder):
+    """Dotted names below the package that a file imports, anywhere in it."""
+    package = name if is_folder else name[:-1]
+    for node in ast.walk(ast.parse(file.read_text(encoding="utf-8"))):
+        if isinstance(node, ast.Import):
+            dotted = [alias.name.split(".") for alias in node.names]
+            yield from (tuple(d[1:]) for d in dotted if d[0] == "graycast")
+        elif isinstance(node, ast.ImportFrom):
+            base = tuple(node.module.split(".")) if node.module else ()
+            if node.level:
+                base = package[: len(package) - node.level + 1] + base
+            elif base[:1] != ("graycast",):
+                continue
+            else:
+                base = base[1:]
+            for alias in node.names:
+                deeper = SOURCE.joinpath(*base, alias.name)
+                exists = deeper.is_dir() or deeper.with_suffix(".py").is_file()
+                yield (*base, alias.name) if exists else base
+
+
+def broken_arrows(name, targets):
+    """What a module of that name may not import."""
+    if not name:
+        return {".".join(t) for t in targets if t}
+    top = name[0]
+    above = set(ORDER[: ORDER.index(top)]) - FORBIDDEN.get(top, set())
+    wrong = set()
+    for target in targets:
+        if not target or target[0] == top:  # the package's version; a folder's own files
+            continue
+        allowed = ONLY_VALUES.get(top, {}).get(target[0], {".".join(target)})
+        if target[0] not in above or ".".join(target) not in allowed:
+            wrong.add(".".join(target))
+    return wrong
+
+
+def test_every_module_has_its_place_in_the_table():
+    tops = {name[0] for name, _, _ in modules() if name} - {"__main__"}
+    assert tops <= set(ORDER), f"give {sorted(tops - set(ORDER))} a line in ORDER"
+
+
+@pytest.mark.parametrize(
+    ("name", "file", "is_folder"),
+    [pytest.param(*m, id=".".join(m[0]) or "graycast") for m in modules()],
+)
+def test_a_module_imports_only_from_modules_above_it(name, file, is_folder):
+    if name == ("__main__",):
+        return
+    wrong = broken_arrows(name, set(imports(name, file, is_folder)))
+    assert not wrong, f"{'.'.join(name)} may not import {sorted(wrong)}"
+
+
+def test_only_the_modules_named_see_the_whole_line():
+    """The products of physics, light and files meet nowhere else."""
+    for name, file, is_folder in modules():
+        if name and name[0] not in WHOLE_LINE | {"__main__"}:
+            seen = {t[0] for t in imports(name, file, is_folder) if t}
+            assert not {"drop", "render", "dataset"} <= seen
+
+
+def test_the_table_notices_a_wrong_arrow(tmp_path):
+    """Relative, absolute and nested imports, of a later module and of a forbidden one."""
+    file = tmp_path / "wrong.py"
+    file.write_text(
+        "from ..drop import drop\nimport graycast.cli\nfrom .. import scene\n"
+        "def f():\n    from graycast.decode import decode\n"
+    )
+    found = set(imports(("render", "wrong"), file, False))
+    assert broken_arrows(("render", "wrong"), found) == {"drop", "cli", "decode"}
+
+
+def test_mitsuba_and_drjit_are_imported_inside_render_alone():
+    """Elsewhere they would be loaded before a device was chosen."""
+    for name, file, _ in modules():
+        if name and name[0] in ("render", "doctor", "bench"):
+            continue
+        for node in ast.walk(ast.parse(file.read_text(encoding="utf-8"))):
+            names = [a.name for a in node.names] if isinstance(node, ast.Import) else []
+            names += [node.module or ""] if isinstance(node, ast.ImportFrom) else []
+            assert not {n.split(".")[0] for n in names} & {"mitsuba", "drjit"}, ".".join(name)

@@ -1,7 +1,8 @@
 """One pattern at a time by Mitsuba's own camera, projector and path integrator.
 
 An independent program for the tests of the one-pass renderer: it takes over the scene's shapes, but
-nothing of the renderer's code, and tells their materials to Mitsuba in its own words.
+nothing of the renderer's code but its coated material (which has tests of its own), and tells the
+materials to Mitsuba in its own words.
 """
 
 import math
@@ -121,12 +122,10 @@ def _bsdf(material):
         }
     if material.specular == 0:
         return {"type": "diffuse", "reflectance": color}
-    assert material.specular == 0.5
+    assert material.specular == 0.5  # index 1.5; the renderer's own BSDF, but not its transport
     return {
-        "type": "roughplastic",
-        "distribution": "ggx",
+        "type": "coated_diffuse",
         "alpha": material.roughness**2,
-        "int_ior": 1.5,
-        "ext_ior": 1.0,
-        "diffuse_reflectance": color,
+        "eta": 1.5,
+        "reflectance": color,
     }

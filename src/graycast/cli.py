@@ -33,6 +33,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         if options.debug:
             raise
         text = " ".join(str(error).split()) or type(error).__name__
+        if isinstance(error, OSError):
+            text += ": check that path, that you may write there, and the free space"
         print(f"graycast: error: {text}", file=sys.stderr)
         return 1
 
@@ -66,7 +68,7 @@ def _parser() -> argparse.ArgumentParser:
     preview = command("preview", _preview, "Make one scene and draw it as a contact sheet.")
     _add_config(preview)
     preview.add_argument("--out", type=Path, required=True, help="the PNG to write")
-    preview.add_argument("--scene", type=int, default=0, help="which scene (default 0)")
+    preview.add_argument("--scene", type=_seed, default=0, help="which scene (default 0)")
     _add_seed(preview)
     _add_device(preview)
 
@@ -168,7 +170,7 @@ def _load_cell(options: argparse.Namespace):
     config = load_config(options.config)
     try:
         cell = resolve_cell(config, options.config.parent)
-    except (GraycastError, ValueError) as error:
+    except (GraycastError, ValueError, OSError) as error:
         raise GraycastError(f"{options.config}: {error}") from error
     for note in cell.notes:
         print(f"note: {note}")

@@ -12,11 +12,18 @@ from typing import Annotated, Any, Literal
 import numpy as np
 from jaxtyping import UInt8
 from PIL import Image, UnidentifiedImageError
-from pydantic import Field, model_validator
+from pydantic import (
+    Field,
+    ValidationError,
+    ValidatorFunctionWrapHandler,
+    field_validator,
+    model_validator,
+)
 
 from .decode import DecodeSpec, triangulation_axis
 from .drop import DropLimits
 from .errors import ConfigError
+from .frames import is_rigid
 from .parts import BUILTIN, Material, Part, Symmetry, builtin_part, load_part
 from .parts.wood import wood_texture
 from .pattern import GrayCode
@@ -49,6 +56,14 @@ class ContinuousSymmetry(Settings):
     axis: Vector
     point_m: Vector = (0.0, 0.0, 0.0)
 
+    @field_validator("axis")
+    @classmethod
+    def _direction(cls, axis: Vector) -> Vector:
+        if not any(axis):
+            raise ValueError("an axis has a direction, such as [0, 0, 1]")
+        x, y, z = np.array(axis) / np.linalg.norm(axis)  # datasets hold unit vectors
+        return float(x), float(y), float(z)
+
 
 class SymmetrySection(Settings):
     """Rigid motions that leave the part looking the same, in its own frame."""
@@ -63,6 +78,8 @@ class SymmetrySection(Settings):
         for matrix in self.discrete:
             if len(matrix) != 16:
                 raise ValueError(f"a discrete symmetry has {len(matrix)} numbers; give 16")
+            if not is_rigid(np.reshape(matrix, (4, 4))):
+                raise ValueError("a discrete symmetry is not a rotation and a translation")
         return self
 
 
@@ -167,7 +184,9 @@ class RenderSection(Settings):
 
 
 class DropSection(Settings):
-    penetration_m: Positive = Field(0.5e-3, description="deepest overlap that is accepted")
+    penetration_m: float = Field(
+        0.5e-3, gt=0, le=0.1, description="deepest overlap that is accepted"
+    )
     attempts: int = Field(5, ge=1)
 
 
@@ -193,12 +212,17 @@ class Config(Settings):
     render: RenderSection = RenderSection()
     drop: DropSection = DropSection()
 
-    @model_validator(mode="after")
-    def _countable(self) -> "Config":
-        low, high = self.count_range
+    @field_validator("count", mode="wrap")
+    @classmethod
+    def _countable(cls, value: Any, check: ValidatorFunctionWrapHandler) -> int | tuple[int, int]:
+        try:
+            count = check(value)
+        except ValidationError:
+            raise ValueError("give a number of parts, or [lowest, highest]") from None
+        low, high = (count, count) if isinstance(count, int) else count
         if not 1 <= low <= high <= 255:
-            raise ValueError(f"count is {self.count}; 1 to 255, lowest first")
-        return self
+            raise ValueError("give 1 to 255, or [lowest, highest] of these")
+        return count
 
     @property
     def count_range(self) -> tuple[int, int]:

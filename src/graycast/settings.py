@@ -57,6 +57,8 @@ def parse_yaml(text: str, path: Path) -> Mapping[str, Any]:
         line = f" in line {mark.line + 1}" if mark else ""
         why = getattr(error, "problem", None) or "bad characters"
         raise ConfigError(f"{path}: is not YAML{line} ({why}): mend or remove that line") from error
+    except (ValueError, RecursionError) as error:  # an impossible date, brackets without end
+        raise ConfigError(f"{path}: is not YAML ({error}): mend or remove that line") from error
     if not isinstance(content, Mapping):
         raise ConfigError(f"{path}: holds no keys: give a mapping such as 'name: value' lines")
     return content
@@ -77,9 +79,14 @@ class _OneOfEachKey(yaml.SafeLoader):
 
 def _first_problem(error: ValidationError, model: type[Settings]) -> str:
     """The first of pydantic's complaints in one line: key, value and what is allowed."""
-    first = error.errors(include_url=False)[0]
+    problems = error.errors(include_url=False)
+    # pydantic counts only the sound items of a list: what is wrong inside makes it too short, too.
+    inside = {problem["loc"][:-depth] for problem in problems for depth in range(1, 8)}
+    problems = [p for p in problems if p["type"] != "too_short" or p["loc"] not in inside]
+    # A misspelt key goes first, because it explains the one that is missing.
+    first = next((p for p in problems if p["type"] == "extra_forbidden"), problems[0])
     key = ".".join(str(part) for part in first["loc"]) or "the file"
-    more = f" (and {error.error_count() - 1} more)" if error.error_count() > 1 else ""
+    more = f" (and {len(problems) - 1} more)" if len(problems) > 1 else ""
     if first["type"] == "extra_forbidden":
         known = _known_keys(model, first["loc"][:-1])
         near = difflib.get_close_matches(str(first["loc"][-1]), known, n=1)

@@ -6,21 +6,23 @@ without creeping and press into each other by tenths of a millimetre; Rapier's d
 1 mm or never rest. One thread, so that one start gives one end, bit for bit, on one machine type.
 
 Leaves out: bouncing (restitution is 0), rolling friction, bending, air. A little damping
-(`LINEAR_DAMPING`, `ANGULAR_DAMPING`) stands in for them and cures trembling heaps; it slows a
-falling part by under 10 %. Friction of a pair is the mean of the two coefficients.
+(`LINEAR_DAMPING`, `ANGULAR_DAMPING`) stands in for them and cures trembling heaps. Friction of a pair is the mean of the two coefficients.
+Parts fall no faster than 1 m/s, as if let down by hand.
 """
 
 from dataclasses import dataclass
+from itertools import product
 
 import numpy as np
 import rapier3d
 from jaxtyping import Bool, Float, Int
 from scipy.spatial.transform import Rotation
 
-from ..frames import rotation_from_quaternion
+from ..frames import rotation_from_quaternion, transform_points
 from ..parts import Part
 from ..scene import Bin, Layout
 from .decomposition import Hull
+from .overlap import overlap_m
 
 SCALE = 20.0
 GRAVITY_M_S2 = 9.81
@@ -31,6 +33,14 @@ REST_SPIN_RAD_S = 0.1
 REST_LOOKS = 5  # with 20 steps of 2 ms each: 0.2 s
 LINEAR_DAMPING = 0.2
 ANGULAR_DAMPING = 1.0
+# What falls from the top of the grid would arrive at 5 m/s, pass through the thin wall of another
+# part and stay locked in it. Parts are rather let down, no faster than this.
+SPEED_LIMIT_M_S = 1.0
+# Parts keep this distance: contact is found more steadily between bodies a little apart, and
+# thinning their hulls has taken as much from them.
+SKIN_M = 0.2e-3
+TRUSTED_DEPTH_M = 0.05e-3  # deeper contacts than this are measured again, exactly
+TABLE_M = 3.0  # half its width
 WALL_M = 0.15  # thickness outwards of what parts collide with: nothing tunnels through
 
 
@@ -100,14 +110,14 @@ def simulate(
     and the parts have to rest once more, so what leans over the rim falls off it.
 
     Returns:
-        The end, judged by nobody: `flaws` does that. `deepest_penetration_m` is over all pairs
-        of hulls and of hull and bin, as the engine measures it at the final poses.
+        The end, judged by nobody: `flaws` does that. `deepest_penetration_m` is the
+        deepest overlap of any two hulls of different parts, or of a hull and the bin.
     """
     world = _world()
     ceiling_m = float(T_world_part[:, 2, 3].max(initial=0.0)) + 1.0
-    shafts = _add_bin(world, box, ceiling_m)
-    handles = _add_parts(world, bodies, T_world_part, part_index)
-    time_s, calm, at_rest, speed_m_s, spin_rad_s = 0.0, 0, False, 0.0, 0.0
+    blocks = _add_bin(world, box, ceiling_m)
+    handles = _add_parts(world, bodies, T_world_part, part_index, first_label=len(blocks))
+    time_s, calm, walled, at_rest, speed_m_s, spin_rad_s = 0.0, 0, True, False, 0.0, 0.0
     while not at_rest and time_s < simulated_s:
         for _ in range(STEPS_PER_LOOK):
             world.step()
@@ -115,19 +125,23 @@ def simulate(
         speed_m_s, spin_rad_s = _fastest(world, handles)
         still = speed_m_s < REST_SPEED_M_S and spin_rad_s < REST_SPIN_RAD_S
         calm = calm + 1 if still else 0
-        if calm >= REST_LOOKS and shafts:
-            for shaft in shafts:
-                world.remove_collider(shaft)
-            shafts, calm = [], 0
+        if calm >= REST_LOOKS and walled:
+            for block in blocks:
+                if block.above_rim:
+                    world.remove_collider(block.handle)
+            walled, calm = False, 0
         at_rest = calm >= REST_LOOKS
     end = _poses(world, handles)
+    solids = [[block.corners_m] for block in blocks]
+    for T, kind in zip(end, part_index, strict=True):
+        solids.append([transform_points(T, vertices) for vertices, _ in bodies[kind].hulls])
     return Layout(
         T_world_part=end,
         part_index=part_index,
         at_rest=at_rest,
         last_speed_m_s=speed_m_s,
         last_spin_rad_s=spin_rad_s,
-        deepest_penetration_m=_deepest_penetration_m(world),
+        deepest_penetration_m=_deepest_penetration_m(world, solids),
         outside=int(parts_outside(box, bodies, end, part_index).sum()),
         simulated_s=time_s,
         attempt=attempt,
@@ -165,32 +179,41 @@ def _world() -> rapier3d.PhysicsWorld:
     settings.static_contact_softness = rapier3d.SpringCoefficients(480.0, 10.0)
     settings.normalized_allowed_linear_error = 0.001
     settings.normalized_contact_recycle_distance = 0.005
+    settings.normalized_max_linear_velocity = SPEED_LIMIT_M_S * SCALE
     return world
 
 
-def _add_bin(world: rapier3d.PhysicsWorld, box: Bin, ceiling_m: float) -> list:
-    """Floor, walls, table; returns the handles of the invisible walls above the rim."""
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Block:
+    handle: rapier3d.ColliderHandle
+    corners_m: Float[np.ndarray, "8 3"]
+    above_rim: bool
+
+
+def _add_bin(world: rapier3d.PhysicsWorld, box: Bin, ceiling_m: float) -> list[_Block]:
+    """Floor, walls, table, and invisible walls from the rim to the ceiling."""
     half_x, half_y, rim_m = box.inner_m[0] / 2, box.inner_m[1] / 2, box.inner_m[2]
-
-    def block(low: list[float], high: list[float], friction: float):
-        lower, upper = np.array(low), np.array(high)
-        size, center = (upper - lower) / 2 * SCALE, (upper + lower) / 2 * SCALE
-        collider = rapier3d.Collider.cuboid(*map(float, size))
-        return world.add_collider(collider.translation(tuple(center)).friction(friction))
-
     out_x, out_y, below = half_x + WALL_M, half_y + WALL_M, -max(WALL_M, box.wall_m)
-    block([-out_x, -out_y, below], [out_x, out_y, 0.0], box.friction)
-    block([-10, -10, below - box.wall_m], [10, 10, -box.wall_m], box.friction)
-    shafts = []
-    for bottom, top, friction in ((0.0, rim_m, box.friction), (rim_m, ceiling_m, 0.0)):
-        walls = [
-            block([-out_x, -out_y, bottom], [-half_x, out_y, top], friction),
-            block([half_x, -out_y, bottom], [out_x, out_y, top], friction),
-            block([-half_x, -out_y, bottom], [half_x, -half_y, top], friction),
-            block([-half_x, half_y, bottom], [half_x, out_y, top], friction),
-        ]
-        shafts = walls
-    return shafts
+    sides = [((-out_x, -half_x), (-out_y, out_y)), ((half_x, out_x), (-out_y, out_y))]
+    sides += [((-half_x, half_x), (-out_y, -half_y)), ((-half_x, half_x), (half_y, out_y))]
+    spans = [((-out_x, out_x), (-out_y, out_y), (below, 0.0))]
+    spans += [((-TABLE_M, TABLE_M), (-TABLE_M, TABLE_M), (below - box.wall_m, -box.wall_m))]
+    spans += [(x, y, (0.0, rim_m)) for x, y in sides]
+    spans += [(x, y, (rim_m, ceiling_m)) for x, y in sides]
+    blocks = []
+    for span in spans:
+        low, high = np.array(span).T
+        above_rim = span[2][0] == rim_m
+        collider = (
+            rapier3d.Collider.cuboid(*map(float, (high - low) / 2 * SCALE))
+            .translation(tuple((high + low) / 2 * SCALE))
+            .friction(0.0 if above_rim else box.friction)
+            .user_data(len(blocks))
+        )
+        handle = world.add_collider(collider)
+        corners_m = np.array(list(product(*span)))
+        blocks.append(_Block(handle=handle, corners_m=corners_m, above_rim=above_rim))
+    return blocks
 
 
 def _add_parts(
@@ -198,11 +221,13 @@ def _add_parts(
     bodies: tuple[Body, ...],
     T_world_part: Float[np.ndarray, "n 4 4"],
     part_index: Int[np.ndarray, "n"],
-) -> list:
+    *,
+    first_label: int,
+) -> list[rapier3d.RigidBodyHandle]:
     shapes = [_shape(body) for body in bodies]
     masses = [_mass_properties(body) for body in bodies]
     handles = []
-    for T, kind in zip(T_world_part, part_index, strict=True):
+    for label, (T, kind) in enumerate(zip(T_world_part, part_index, strict=True), first_label):
         builder = (
             rapier3d.RigidBody.dynamic()
             .position((tuple(T[:3, 3] * SCALE), _rotation(T[:3, :3])))
@@ -215,6 +240,8 @@ def _add_parts(
             rapier3d.Collider.new(shapes[kind])
             .mass_properties(masses[kind])
             .friction(bodies[kind].friction)
+            .contact_skin(SKIN_M * SCALE)
+            .user_data(label)
         )
         handles.append(world.add_body(builder, [collider]))
     return handles
@@ -245,7 +272,9 @@ def _rotation(matrix: Float[np.ndarray, "3 3"]) -> tuple[float, ...]:
     return tuple(map(float, Rotation.from_matrix(matrix).as_quat()))  # (x, y, z, w)
 
 
-def _fastest(world: rapier3d.PhysicsWorld, handles: list) -> tuple[float, float]:
+def _fastest(
+    world: rapier3d.PhysicsWorld, handles: list[rapier3d.RigidBodyHandle]
+) -> tuple[float, float]:
     """Highest speed of a centre of mass [m/s] and highest spin [rad/s]."""
     moving = [world.rigid_bodies[handle] for handle in handles]
     speed = max((body.linvel.norm() for body in moving), default=0.0)
@@ -253,7 +282,9 @@ def _fastest(world: rapier3d.PhysicsWorld, handles: list) -> tuple[float, float]
     return float(speed / SCALE), float(spin)
 
 
-def _poses(world: rapier3d.PhysicsWorld, handles: list) -> Float[np.ndarray, "n 4 4"]:
+def _poses(
+    world: rapier3d.PhysicsWorld, handles: list[rapier3d.RigidBodyHandle]
+) -> Float[np.ndarray, "n 4 4"]:
     T = np.tile(np.eye(4), (len(handles), 1, 1))
     for i, handle in enumerate(handles):
         position = world.rigid_bodies[handle].position
@@ -263,13 +294,20 @@ def _poses(world: rapier3d.PhysicsWorld, handles: list) -> Float[np.ndarray, "n 
     return T
 
 
-def _deepest_penetration_m(world: rapier3d.PhysicsWorld) -> float:
+def _deepest_penetration_m(world: rapier3d.PhysicsWorld, solids: list[list[np.ndarray]]) -> float:
+    """`solids`: by collider label, its convex pieces as vertices [m] in the world."""
     # Contacts are fresh, not recycled from an earlier step, and belong to the poses read above.
     world.integration_parameters.contact_recycling = False
     world.detect_collisions()
-    deepest = 0.0
+    deepest_m = 0.0
     for pair in world.narrow_phase.contact_pairs():
         contact = pair.find_deepest_contact()
-        if contact is not None:
-            deepest = min(deepest, contact.dist)
-    return -deepest / SCALE
+        depth_m = 0.0 if contact is None else -contact.dist / SCALE
+        if not depth_m <= TRUSTED_DEPTH_M:  # NaN too
+            one, other = (
+                solids[world.colliders[handle].user_data]
+                for handle in (pair.collider1, pair.collider2)
+            )
+            depth_m = max(overlap_m(a, b) for a in one for b in other)
+        deepest_m = max(deepest_m, depth_m)
+    return deepest_m

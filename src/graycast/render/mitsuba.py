@@ -154,7 +154,8 @@ class _Tracer:
 
     def trace(self, seed: int) -> _Paths:
         pixels = self.camera.width_px * self.camera.height_px
-        rng = mi.PCG32(size=pixels, initstate=seed)
+        # A literal seed would be compiled into the kernel, anew for every scene.
+        rng = mi.PCG32(size=pixels, initstate=dr.opaque(mi.UInt64, seed))
         paths = _Paths(
             offset=mi.Point2f(rng.next_float32(), rng.next_float32()),
             rng=rng,
@@ -408,10 +409,18 @@ def truth(
 
 def _centre_rays(scene: Scene, *, left: int, top: int, width: int, height: int) -> mi.Ray3f:
     """Rays through the pixel centres of a canvas whose first pixel is (left, top)."""
-    lane = dr.arange(mi.UInt32, width * height)
-    x, y = mi.Float(mi.Int32(lane % width) + left), mi.Float(mi.Int32(lane // width) + top)
-    direction = mi.Matrix3f(scene.T_world_cam[:3, :3]) @ _camera_ray(scene.rig.camera, x, y)
+    camera = scene.rig.camera
+    x, y = _canvas(left=left, top=top, width=width, height=height)
+    direction = mi.Matrix3f(scene.T_world_cam[:3, :3]) @ _camera_ray(camera, x, y)
     return mi.Ray3f(mi.Point3f(scene.T_world_cam[:3, 3]), direction)
+
+
+def _canvas(*, left: int, top: int, width: int, height: int) -> tuple[mi.Float, mi.Float]:
+    """Pixel positions; the corner and width, other in each scene, stay out of the kernel's text."""
+    lane = dr.arange(mi.Int32, width * height)
+    columns = dr.opaque(mi.Int32, width)
+    x = lane % columns + dr.opaque(mi.Int32, left)
+    return mi.Float(x), mi.Float(lane // columns + dr.opaque(mi.Int32, top))
 
 
 def _instance(si: mi.SurfaceInteraction3f, part_shapes: tuple[PartShape, ...]) -> mi.Int32:
@@ -473,7 +482,7 @@ def _amodal_bits(
     left, top = (int(e) for e in box[:, :2].min(axis=0))
     width, height = (int(e) for e in box[:, 2:].max(axis=0) - [left, top])
     ray = _centre_rays(scene, left=left, top=top, width=width, height=height)
-    going = _exists(scene, ray, left=left, top=top, width=width)
+    going = _exists(scene, ray, *_canvas(left=left, top=top, width=width, height=height))
     parts_alone = {f"part{i}": part.shape for i, part in enumerate(part_shapes)}
     world = mi.load_dict({"type": "scene"} | parts_alone)
     words = _follow(world, part_shapes, ray, going, (len(boxes) + 31) // 32)
@@ -481,19 +490,17 @@ def _amodal_bits(
     return np.stack([np.array(word).reshape(height, width) for word in words]), left, top
 
 
-def _exists(scene: Scene, ray: mi.Ray3f, *, left: int, top: int, width: int) -> mi.Bool:
-    """Whether a canvas ray goes back to its pixel: beyond the fold of a lens there is none."""
+def _exists(scene: Scene, ray: mi.Ray3f, x: mi.Float, y: mi.Float) -> mi.Bool:
+    """Whether the ray of a pixel goes back to it: beyond the fold of a lens there is none."""
     camera = scene.rig.camera
     if not camera.has_distortion:
         return dr.full(mi.Bool, True, dr.width(ray.d))
     d = mi.Matrix3f(scene.T_world_cam[:3, :3].T) @ ray.d
-    x, y = d.x / d.z, d.y / d.z
-    u, v = _distorted(x, y, camera.distortion)
-    lane = dr.arange(mi.UInt32, dr.width(ray.d))
-    du = dr.fma(u, camera.fx_px, camera.cx_px) - mi.Float(mi.Int32(lane % width) + left)
-    dv = dr.fma(v, camera.fy_px, camera.cy_px) - mi.Float(mi.Int32(lane // width) + top)
-    returns = (dr.abs(du) < 0.05) & (dr.abs(dv) < 0.05)
-    return returns & (x * x + y * y < fold_radius2(camera.distortion))
+    xi, yi = d.x / d.z, d.y / d.z
+    u, v = _distorted(xi, yi, camera.distortion)
+    returns = dr.abs(dr.fma(u, camera.fx_px, camera.cx_px) - x) < 0.05
+    returns &= dr.abs(dr.fma(v, camera.fy_px, camera.cy_px) - y) < 0.05
+    return returns & (xi * xi + yi * yi < fold_radius2(camera.distortion))
 
 
 def _follow(

@@ -12,8 +12,11 @@ import numpy as np
 from ..errors import ConfigError
 from ..parts import Material, Mesh
 from ..scene import Lamp, Layout, Quad, Scene, Sphere, bin_mesh
+from .coated_diffuse import CoatedDiffuse
 
 TABLE_HALF_M = 4.0
+
+mi.register_bsdf("coated_diffuse", CoatedDiffuse)
 
 
 @dataclass(frozen=True, slots=True)
@@ -77,11 +80,10 @@ def _dielectric(material: Material) -> dict[str, object]:
         return {"type": "diffuse", "reflectance": _reflectance(material)}
     root = math.sqrt(0.08 * material.specular)  # of the reflectance at normal incidence
     return {
-        "type": "roughplastic",
-        "distribution": "ggx",
+        "type": "coated_diffuse",
         "alpha": material.roughness**2,
-        "int_ior": (1 + root) / (1 - root),
-        "diffuse_reflectance": _reflectance(material),
+        "eta": (1 + root) / (1 - root),
+        "reflectance": _reflectance(material),
     }
 
 

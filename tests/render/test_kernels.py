@@ -1,0 +1,53 @@
+"""What changes from scene to scene must not be compiled into the kernels: each costs a second."""
+
+import numpy as np
+from stage import (
+    SOMEWHERE,
+    box_part,
+    centred,
+    in_camera,
+    lambert,
+    layout_in_camera,
+    make_rig,
+    plain_pattern,
+    turned,
+    wall,
+)
+
+from graycast.frames import rigid
+from graycast.render import Quality
+from graycast.scene import Environment
+
+
+def test_another_seed_pose_colour_and_layout_compile_nothing(mitsuba_renderer):
+    import drjit as dr
+
+    rig = make_rig(centred(32, 24, 40), centred(16, 12, 20))
+    quality = Quality(samples=2, depth=2)
+
+    def compiled(seed):
+        rng = np.random.default_rng(seed)
+        T_world_cam = rigid(turned(*rng.uniform(-0.1, 0.1, 3)), rng.uniform(-0.1, 0.1, 3))
+        places = rng.uniform([-0.2, -0.2, 0.6], [0.2, 0.2, 1.0], (3, 3))
+        poses = [rigid(turned(*rng.uniform(-1, 1, 3)), place) for place in places]
+        part = box_part(rng.uniform(0.02, 0.06, 3), lambert(rng.uniform(0.2, 0.8)))
+        level = rng.uniform(0.1, 1.0)
+        scene = in_camera(
+            rig,
+            wall(1.2, lambert(rng.uniform(0.2, 0.8))),
+            T_world_cam=SOMEWHERE @ T_world_cam,
+            parts=(part,),
+            environment=Environment(radiance=(level, level, level)),
+        )
+        layout = layout_in_camera([0, 0, 0], poses, SOMEWHERE @ T_world_cam)
+        dr.kernel_history_clear()
+        with dr.scoped_set_flag(dr.JitFlag.KernelHistory, True):
+            mitsuba_renderer.render(
+                scene, layout, plain_pattern(rig, 255), quality=quality, seed=seed
+            )
+            history = dr.kernel_history([dr.KernelType.JIT])
+        assert len(history) > 0
+        return sum(not kernel["cache_hit"] for kernel in history)
+
+    compiled(0)
+    assert [compiled(seed) for seed in (1, 2, 3)] == [0, 0, 0]

@@ -162,6 +162,14 @@ def test_two_doubtful_coarse_bits_contradict_each_other_and_one_does_not(inverse
     assert one_pixel(code, change=doubt(7, 5)) is Reason.CONTRADICTORY
     assert one_pixel(code, change=doubt(3, 7)) is Reason.CONTRADICTORY
     assert one_pixel(code, change=doubt(7, 2, 1, 0)) is Reason.DECODED  # the fine bits do not count
+
+    def one_of_each(stack):
+        doubt(7)(stack)
+        stack[frame_index(code, "row", 3)] = 110
+        if inverses:
+            stack[frame_index(code, "row", 3, True)] = 110
+
+    assert one_pixel(code, change=one_of_each) is Reason.DECODED  # each axis may change once
     strict = DecodeSpec(fine_bits=0)
     assert one_pixel(code, change=doubt(1, 0), spec=strict) is Reason.CONTRADICTORY
 

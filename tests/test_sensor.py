@@ -91,6 +91,25 @@ def test_low_counts_are_exactly_poisson(mean_e):
     assert stats.chisquare(wrong, expected * counts.size).pvalue < 1e-6  # the test can fail
 
 
+def test_photons_and_read_noise_are_independent_of_each_other():
+    """Chi-square against the convolution of Poisson and normal, binned by the converter."""
+    mean_e, read_noise_e = 3.0, 1.5
+    spec = sensor(read_noise_e=read_noise_e, gain_dn_per_e=4.0)
+    dn = frames_of(mean_e, spec, frames=4).ravel().astype(int)
+    edges = np.arange(70, 161)
+    count = np.arange(40)
+    upper = ((edges[:, None] + 0.5 - 100) / 4 - count) / read_noise_e  # dn is rounded
+    below = (stats.norm.cdf(upper) * stats.poisson.pmf(count, mean_e)).sum(axis=1)
+    expected = np.diff(below, prepend=0.0)
+    expected[-1] += 1 - below[-1]
+    seen = np.bincount(np.clip(dn, 70, 160) - 70, minlength=len(edges))
+    enough = expected * dn.size > 20
+    rest = 1 - expected[enough].sum()
+    assert rest * dn.size > 5
+    seen = np.append(seen[enough], dn.size - seen[enough].sum())
+    assert stats.chisquare(seen, np.append(expected[enough], rest) * dn.size).pvalue > 1e-3
+
+
 def test_many_electrons_are_normal_and_their_tails_are_there():
     dn = frames_of(10_000.0, frames=4).astype(float).ravel()
     score = (dn - 20_100.0) / math.sqrt(4 * (10_000 + 16) + 1 / 12)

@@ -5,6 +5,7 @@ Paths in a configuration are relative to its file.
 """
 
 import hashlib
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -15,7 +16,6 @@ from PIL import Image, UnidentifiedImageError
 from pydantic import (
     Field,
     ValidationError,
-    ValidatorFunctionWrapHandler,
     field_validator,
     model_validator,
 )
@@ -214,7 +214,7 @@ class Config(Settings):
 
     @field_validator("count", mode="wrap")
     @classmethod
-    def _countable(cls, value: Any, check: ValidatorFunctionWrapHandler) -> int | tuple[int, int]:
+    def _countable(cls, value: Any, check: Callable[[Any], Any]) -> int | tuple[int, int]:
         try:
             count = check(value)
         except ValidationError:

@@ -7,11 +7,13 @@ order of scenes or a restart.
 import multiprocessing
 import os
 import platform
+import signal
+import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Generator, Iterator
 from concurrent.futures import FIRST_COMPLETED, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from dataclasses import asdict, dataclass
 from importlib.metadata import version
 from pathlib import Path
@@ -306,10 +308,15 @@ def generate(
         on_start(scenes - len(todo))
         run = _run_here if workers == 1 or len(todo) <= 1 else _run_on_processes
         done = []
-        for progress in run(task, todo, workers):
-            done.append(progress)
-            on_progress(progress)
-        store.finish(range(scenes))
+        try:
+            with closing(run(task, todo, workers)) as ended:
+                for progress in ended:
+                    done.append(progress)
+                    on_progress(progress)
+            store.finish(range(scenes))
+        except BaseException:
+            store.tidy()
+            raise
     reasons = {
         reason.name.lower(): float(np.mean([p.reasons[reason.name.lower()] for p in done]))
         for reason in Reason
@@ -334,15 +341,18 @@ class _Task:
     depth_scale_mm: float
 
 
-def _run_here(task: _Task, todo: list[int], workers: int) -> Iterator[Progress]:
+def _run_here(task: _Task, todo: list[int], workers: int) -> Generator[Progress, None, None]:
     if todo:
         open_device(task.device)
     for scene_id in todo:
         yield _finish_scene(task, scene_id)
 
 
-def _run_on_processes(task: _Task, todo: list[int], workers: int) -> Iterator[Progress]:
+def _run_on_processes(
+    task: _Task, todo: list[int], workers: int
+) -> Generator[Progress, None, None]:
     threads = max(1, (os.cpu_count() or 1) // workers)
+    others = multiprocessing.active_children()
     pool = ProcessPoolExecutor(
         min(workers, len(todo)),
         mp_context=multiprocessing.get_context("spawn"),  # forked threads of a JIT do not live on
@@ -350,11 +360,16 @@ def _run_on_processes(task: _Task, todo: list[int], workers: int) -> Iterator[Pr
         initargs=(task.device, threads),
     )
     try:
-        waiting = {pool.submit(_finish_scene, task, scene_id) for scene_id in todo}
+        with _deaf_to_interrupts():
+            waiting = {pool.submit(_finish_scene, task, scene_id) for scene_id in todo}
         while waiting:
             ended, waiting = wait(waiting, return_when=FIRST_COMPLETED)
             for future in ended:
                 yield future.result()
+    except (KeyboardInterrupt, GeneratorExit):
+        for worker in set(multiprocessing.active_children()) - set(others):
+            worker.terminate()  # rather than wait for minutes; the next run removes what it left
+        raise
     except BrokenProcessPool as error:
         raise GraycastError(
             "a worker process died (killed, or out of memory): use fewer --workers and run the "
@@ -362,6 +377,19 @@ def _run_on_processes(task: _Task, todo: list[int], workers: int) -> Iterator[Pr
         ) from error
     finally:
         pool.shutdown(wait=True, cancel_futures=True)
+
+
+@contextmanager
+def _deaf_to_interrupts() -> Iterator[None]:
+    """Processes started inside do not hear Ctrl-C: their parent does, and ends them quietly."""
+    if threading.current_thread() is not threading.main_thread():
+        yield  # only the main thread may set signals
+        return
+    heard = signal.signal(signal.SIGINT, signal.SIG_IGN)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, heard)
 
 
 def _start_worker(device: str, threads: int) -> None:

@@ -15,7 +15,7 @@ import os
 import secrets
 import shutil
 from collections.abc import Iterable, Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import IO, Any, final
@@ -78,6 +78,20 @@ class Store:
             width_px=width_px,
         )
         _replace(self.out / "train_coco.json", (piece.encode() for piece in text))
+
+    def tidy(self) -> None:
+        """After a run that failed: remove unfinished scenes and, if none was finished, the claim.
+
+        So that a configuration that turned out to be impossible does not keep the folder.
+        """
+        with suppress(OSError):
+            _sweep(self.out)
+            if self.finished():
+                return
+            shutil.rmtree(self.out / "models", ignore_errors=True)
+            (self.out / "train").rmdir()
+            (self.out / "camera.json").unlink(missing_ok=True)
+            (self.out / CLAIM).unlink(missing_ok=True)
 
     def close(self) -> None:
         """Let other runs have the folder."""

@@ -1,0 +1,42 @@
+"""One scene from Python, without files: drop, render, expose, decode, and compare with the truth.
+
+Run: .venv/bin/python examples/02_one_scene.py
+"""
+
+import sys
+from pathlib import Path
+
+import numpy as np
+
+from graycast.config import Config
+from graycast.decode import Reason
+from graycast.generate import make_scene, resolve_cell
+from graycast.render.device import choose_device, open_device
+
+
+def main(samples: int) -> None:
+    config = Config.model_validate(
+        {
+            "parts": [{"builtin": "toothpaste"}],
+            "count": 5,
+            "rig": "phoxi-m",
+            "render": {"samples": samples},
+        }
+    )
+    cell = resolve_cell(config, Path())
+    device = choose_device("auto")
+    open_device(device)
+    shot = make_scene(cell, 0, seed=1, device=device)
+
+    scanner, truth = shot.sample.scanner, shot.sample.truth
+    error_mm = 1000 * (scanner.depth_m - truth.depth_m)
+    print(
+        f"{shot.capture.frames.shape[0]} frames, exposure {1000 * shot.capture.exposure_s:.2f} ms"
+    )
+    print(f"median error {np.nanmedian(np.abs(error_mm)):.2f} mm")
+    for reason in Reason:
+        print(f"{reason.name.lower():18} {np.mean(scanner.reason == reason):6.1%}")
+
+
+if __name__ == "__main__":
+    main(samples=int(sys.argv[1]) if len(sys.argv) > 1 else 16)

@@ -1,0 +1,78 @@
+"""A cell that is made in a moment: three boxes in a plain bin before a camera of 160 x 120 pixels."""
+
+import json
+import os
+import subprocess
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import trimesh
+import yaml
+
+from graycast.optics import Optics
+from graycast.rig import preset
+from graycast.rig_file import save_rig
+
+GRAYCAST = [sys.executable, "-m", "graycast.cli"]
+
+
+def write_cell(folder: Path, *without: str, **changes) -> Path:
+    """A configuration with its mesh and rig; `changes` and `without` are keys at its top."""
+    trimesh.creation.box((60, 40, 30)).export(folder / "box.stl")
+    rig = preset("paper")
+    camera, projector = _shrunk(rig.camera, 160, 120), _shrunk(rig.projector, 128, 96)
+    save_rig(replace(rig, name="small", camera=camera, projector=projector), folder / "rig.yaml")
+    content = {
+        "parts": [{"mesh": "box.stl", "unit": "mm"}],
+        "count": 3,
+        "scenes": 2,
+        "rig": "rig.yaml",
+        "bin": {"inner_m": [0.25, 0.2, 0.1], "material": {"base_color": [0.4, 0.3, 0.2]}},
+        "render": {"samples": 4},
+    }
+    kept = {key: value for key, value in (content | changes).items() if key not in without}
+    path = folder / "cell.yaml"
+    path.write_text(yaml.safe_dump(kept), encoding="utf-8")
+    return path
+
+
+def _shrunk(optics: Optics, width_px: int, height_px: int) -> Optics:
+    return replace(
+        optics,
+        width_px=width_px,
+        height_px=height_px,
+        fx_px=optics.fx_px * width_px / optics.width_px,
+        fy_px=optics.fy_px * height_px / optics.height_px,
+        cx_px=(width_px - 1) / 2,
+        cy_px=(height_px - 1) / 2,
+    )
+
+
+def content(out: Path) -> dict:
+    """Every file of a dataset, hidden ones too; a manifest without its timings, parsed."""
+    files = {
+        str(path.relative_to(out)): path.read_bytes() for path in out.rglob("*") if path.is_file()
+    }
+    for name in [name for name in files if name.endswith("manifest.json")]:
+        manifest = json.loads(files[name])
+        assert set(manifest.pop("timings")) == {"drop", "render", "sensor", "picture", "decode"}
+        files[name] = manifest
+    return files
+
+
+def start(*arguments: object) -> subprocess.Popen:
+    """The command in a process group of its own, as a terminal starts it."""
+    return subprocess.Popen(
+        [*GRAYCAST, *map(str, arguments)],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        start_new_session=True,
+        env=os.environ | {"COLUMNS": "200"},
+    )
+
+
+def finished(out: Path) -> int:
+    """How many scenes a folder holds."""
+    return len(list(out.glob("train/[0-9]*")))

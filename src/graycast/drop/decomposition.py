@@ -204,11 +204,9 @@ def _thin(vertices: Float[np.ndarray, "v 3"], limit_m: float) -> Float[np.ndarra
 
 def _key(mesh: Mesh) -> str:
     """A name for the result: everything it depends on."""
-    settings = (
-        CACHE_VERSION, version("coacd"), TOLERANCE_M, TOLERANCE_OF_DIAGONAL,
-        VERTEX_TOLERANCE_OF_DIAGONAL,
-        COACD_THRESHOLD, MCTS_ITERATIONS, MCTS_NODES, SURFACE_SAMPLES,
-    )  # fmt: skip
+    settings = [CACHE_VERSION, version("coacd"), TOLERANCE_M, TOLERANCE_OF_DIAGONAL]
+    settings += [VERTEX_TOLERANCE_M, VERTEX_TOLERANCE_OF_DIAGONAL, SURFACE_SAMPLES]
+    settings += [COACD_THRESHOLD, MCTS_ITERATIONS, MCTS_NODES]
     digest = hashlib.sha256(repr(settings).encode())
     for array in (mesh.vertices_m.astype("<f8"), mesh.faces.astype("<i8")):
         digest.update(repr(array.shape).encode() + np.ascontiguousarray(array).tobytes())

@@ -1,0 +1,40 @@
+import numpy as np
+import pytest
+import trimesh
+
+from graycast.drop.grid import start_poses
+from graycast.scene import Bin
+
+BOX = np.array(trimesh.creation.box((0.06, 0.03, 0.02)).vertices) + [0.1, 0.0, -0.05]
+ROD = np.array(trimesh.creation.box((0.02, 0.02, 0.12)).vertices)
+BIN = Bin(inner_m=(0.4, 0.3, 0.2))
+
+
+def test_parts_start_in_cells_of_their_own_between_the_walls_and_above_the_rim():
+    T, kind = start_poses(BIN, (BOX, ROD), (150, 60), np.random.default_rng(1))
+    middle = np.array([BOX.mean(axis=0), ROD.mean(axis=0)])[kind]
+    center = np.einsum("nij,nj->ni", T[:, :3, :3], middle) + T[:, :3, 3]
+    gap = np.linalg.norm(center[:, None] - center[None], axis=-1) + np.eye(len(center))
+    assert gap.min() >= np.linalg.norm([0.02, 0.02, 0.12])  # bounding spheres of the larger part
+    for pose, k in zip(T, kind, strict=True):
+        corner = (BOX, ROD)[k] @ pose[:3, :3].T + pose[:3, 3]
+        assert (np.abs(corner[:, :2]) < [0.2, 0.15]).all() and corner[:, 2].min() > 0.2
+    assert np.bincount(kind).tolist() == [150, 60]
+    assert (np.diff(kind) != 0).sum() > 40  # mixed, not one kind on top of the other
+
+
+def test_orientations_are_uniform():
+    """Over uniform rotations each entry has mean 0 and mean square 1/3 (variance 4/45)."""
+    T, _ = start_poses(BIN, (BOX,), (4000,), np.random.default_rng(2))
+    entry = T[:, :3, :3].reshape(-1, 9)
+    assert np.abs(entry.mean(axis=0)).max() < 4 * np.sqrt(1 / 3 / 4000)
+    assert np.abs((entry**2).mean(axis=0) - 1 / 3).max() < 4 * np.sqrt(4 / 45 / 4000)
+
+
+def test_a_part_longer_than_the_bin_is_wide_starts_between_the_walls():
+    narrow = Bin(inner_m=(0.1, 0.1, 0.2))
+    T, _ = start_poses(narrow, (ROD,), (20,), np.random.default_rng(3))
+    corner = np.einsum("nij,kj->nki", T[:, :3, :3], ROD) + T[:, None, :3, 3]
+    assert np.abs(corner[..., :2]).max() <= 0.05
+    with pytest.raises(ValueError, match="larger bin"):
+        start_poses(Bin(inner_m=(0.02, 0.02, 0.2)), (ROD,), (1,), np.random.default_rng(3))

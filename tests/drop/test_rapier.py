@@ -1,0 +1,154 @@
+import numpy as np
+import pytest
+import trimesh
+
+from graycast.drop import convex_hulls, rapier
+from graycast.drop.decomposition import _hull
+from graycast.drop.rapier import body_of, parts_outside, simulate
+from graycast.frames import axis_rotation, rigid
+from graycast.scene import Bin
+
+from .conftest import RING_INNER_M, RING_OUTER_M, as_part, box_part
+
+BIN = Bin(inner_m=(0.4, 0.3, 0.1))
+
+
+def body_of_box(size_m, friction=0.4):
+    part = box_part(size_m, friction)
+    return body_of(part, (_hull(part.mesh.vertices_m),))
+
+
+def at(*xyz_m, turn=None):
+    return rigid(np.eye(3) if turn is None else turn, np.array(xyz_m, dtype=float))[None]
+
+
+def test_mass_and_inertia_of_a_displaced_box_and_of_a_ring_are_the_textbook_ones(ring_part):
+    shape = trimesh.creation.box((0.02, 0.04, 0.06))
+    shape.apply_translation((0.1, -0.2, 0.3))
+    body = body_of(as_part(shape, "box"), ())
+    mass = 2700 * 0.02 * 0.04 * 0.06
+    assert body.mass_kg == pytest.approx(mass)
+    assert body.center_m == pytest.approx([0.1, -0.2, 0.3])
+    squares = np.array([0.04**2 + 0.06**2, 0.02**2 + 0.06**2, 0.02**2 + 0.04**2])
+    assert body.inertia_kg_m2 == pytest.approx(np.diag(mass / 12 * squares), abs=1e-12)
+    ring = body_of(ring_part, ())
+    about_axis = ring.mass_kg / 2 * (RING_INNER_M**2 + RING_OUTER_M**2)
+    assert ring.inertia_kg_m2[2, 2] == pytest.approx(about_axis, rel=4e-3)  # 64 sides
+
+
+def test_the_engine_takes_over_mass_centre_and_principal_moments():
+    shape = trimesh.creation.box((0.02, 0.04, 0.06))
+    shape.apply_transform(rigid(axis_rotation("x", 0.5), np.array([0.01, 0.02, 0.03])))
+    part = as_part(shape, "box")
+    body = body_of(part, (_hull(part.mesh.vertices_m),))
+    world = rapier._world()
+    (handle,) = rapier._add_parts(world, (body,), at(0, 0, 1), np.zeros(1, int), first_label=0)
+    world.step()
+    inside = world.rigid_bodies[handle].mass_properties
+    assert inside.mass == pytest.approx(body.mass_kg, rel=1e-5)
+    assert inside.local_com.to_tuple() == pytest.approx([0.2, 0.4, 0.6], rel=1e-5)
+    axes = inside.principal_inertia_local_frame.to_matrix()
+    moments = axes @ np.diag(inside.principal_inertia.to_tuple()) @ axes.T
+    largest = np.abs(body.inertia_kg_m2).max() * 400
+    assert moments == pytest.approx(body.inertia_kg_m2 * 400, abs=1e-4 * largest)
+
+
+def test_a_dropped_box_rests_flat_at_half_its_side():
+    turn = axis_rotation("x", 0.1) @ axis_rotation("y", 0.2)
+    layout = simulate(
+        BIN, (body_of_box((0.04,) * 3),), at(0.02, 0.0, 0.15, turn=turn), np.zeros(1, int),
+        simulated_s=5.0,
+    )  # fmt: skip
+    (T,) = layout.T_world_part
+    assert layout.at_rest and layout.outside == 0
+    assert T[2, 3] == pytest.approx(0.02, abs=0.3e-3)
+    assert np.abs(T[2, :3]).max() == pytest.approx(1, abs=1e-5)  # one of its axes is upright
+    assert layout.deepest_penetration_m < 0.1e-3
+
+
+@pytest.mark.parametrize("angle_deg, holds", [(14.0, True), (19.5, False)])
+def test_a_slab_holds_below_the_friction_angle_and_slides_above(monkeypatch, angle_deg, holds):
+    """Oracle: Coulomb, atan 0.3 = 16.7 deg. The floor is tilted by tilting gravity."""
+    upright = rapier._world
+
+    def tilted():
+        world, angle = upright(), np.deg2rad(angle_deg)
+        world.gravity = tuple(196.2 * np.array([np.sin(angle), 0.0, -np.cos(angle)]))
+        return world
+
+    monkeypatch.setattr(rapier, "_world", tilted)
+    box = Bin(inner_m=(0.4, 0.3, 0.1), friction=0.2)
+    body = body_of_box((0.06, 0.06, 0.01), friction=0.4)
+    layout = simulate(box, (body,), at(-0.1, 0, 0.0053), np.zeros(1, int), simulated_s=3.0)
+    moved = layout.T_world_part[0, 0, 3] + 0.1
+    assert moved < 1e-3 if holds else moved == pytest.approx(0.27, abs=2e-3)  # at the far wall
+
+
+def test_a_ring_let_down_over_a_peg_ends_with_the_peg_through_its_hole(ring_part, ring_hulls):
+    base = trimesh.creation.box((0.06, 0.06, 0.006))
+    pin = trimesh.creation.cylinder(radius=0.010, height=0.05, sections=48)
+    pin.apply_translation((0, 0, 0.025))
+    peg = as_part(trimesh.boolean.union([base, pin], engine="manifold"), "peg")
+    pieces = tuple(_hull(np.array(piece.vertices)) for piece in (base, pin))
+    bodies = (body_of(peg, pieces), body_of(ring_part, ring_hulls))
+    tilt = axis_rotation("x", 0.15)
+    start = np.concatenate([at(0, 0, 0.0032), at(0.003, 0.002, 0.08, turn=tilt)])
+    layout = simulate(BIN, bodies, start, np.arange(2), simulated_s=6.0)
+    peg_end, ring_end = layout.T_world_part
+    assert layout.at_rest
+    assert ring_end[2, 3] == pytest.approx(0.006 + 0.005, abs=1e-3)  # flat on the base
+    assert np.linalg.norm((ring_end - peg_end)[:2, 3]) < RING_INNER_M - 0.010 + 0.5e-3
+
+
+def test_what_is_heaped_over_the_rim_falls_off_and_is_counted():
+    """Four cubes fit into the bin side by side; of twelve at least four end elsewhere."""
+    box = Bin(inner_m=(0.1, 0.1, 0.04))
+    start = np.concatenate(
+        [
+            at(x, y, 0.08 + 0.06 * k)
+            for k in range(3)
+            for x in (-0.024, 0.024)
+            for y in (-0.024, 0.024)
+        ]
+    )
+    kind = np.zeros(12, int)
+    body = body_of_box((0.042,) * 3)
+    layout = simulate(box, (body,), start, kind, simulated_s=8.0)
+    assert layout.at_rest
+    assert 4 <= layout.outside <= 8
+    assert parts_outside(box, (body,), layout.T_world_part, kind).sum() == layout.outside
+
+
+def test_inside_and_outside_are_told_by_weight_and_lowest_point():
+    body = body_of_box((0.1, 0.02, 0.02))
+    upright, diagonal = axis_rotation("y", np.pi / 2), axis_rotation("y", 0.6)
+    poses = {
+        "on the floor": (at(0, 0, 0.01), False),
+        "upright, sticks out over the rim": (at(0, 0, 0.06, turn=upright), False),
+        "leans out of the bin, weight inside": (at(0.17, 0, 0.11, turn=diagonal), False),
+        "hangs over the wall, weight beyond it": (at(0.21, 0, 0.11, turn=diagonal), True),
+        "lies on top of the heap, above the rim": (at(0, 0, 0.12), True),
+        "on the table": (at(0.3, 0, 0.01), True),
+        "fell through the floor": (at(0, 0, -0.05), True),
+    }
+    for name, (pose, expected) in poses.items():
+        assert parts_outside(BIN, (body,), pose, np.zeros(1, int))[0] == expected, name
+
+
+def test_a_pair_that_is_jammed_together_is_measured():
+    """Two cubes start 6 mm inside each other and the drop ends after one look."""
+    body = body_of_box((0.04,) * 3)
+    start = np.concatenate([at(-0.017, 0, 0.5), at(0.017, 0, 0.5)])
+    layout = simulate(BIN, (body,), start, np.zeros(2, int), simulated_s=0.03)
+    gap = np.diff(layout.T_world_part[:, 0, 3])[0]
+    assert gap < 0.0395  # still jammed
+    assert layout.deepest_penetration_m == pytest.approx(0.04 - gap, abs=1e-4)
+    assert not layout.at_rest
+
+
+def test_an_inside_out_mesh_has_no_mass(hull_folder):
+    shape = trimesh.creation.box((0.04, 0.04, 0.04))
+    shape.invert()
+    part = as_part(shape, "inverted")
+    with pytest.raises(ValueError, match="inverted encloses"):
+        body_of(part, convex_hulls(part.mesh, folder=hull_folder))

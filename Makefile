@@ -11,10 +11,10 @@ demo: setup
 test: setup
 	.venv/bin/ruff check src tests examples
 	.venv/bin/ruff format --check src tests examples
-	.venv/bin/pytest
+	.venv/bin/pytest -n 2 --dist loadfile
 
 test-slow: setup
-	.venv/bin/pytest -m 'slow and not gpu'
+	.venv/bin/pytest -n 2 --dist loadfile -m 'slow and not gpu'
 
 setup:
 	@scripts/setup

@@ -1,4 +1,4 @@
-"""A cell that is made in a moment: three boxes in a plain bin before a camera of 160 x 120 pixels."""
+"""A cell made in a moment: three boxes in a plain bin before a camera of 160 x 120 pixels."""
 
 import json
 import os

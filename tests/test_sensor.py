@@ -28,7 +28,7 @@ def sensor(**changes):
 
 
 def frames_of(mean_e, spec=PLAIN, *, frames=1, seed=11, background=None):
-    radiance = np.full((frames, SIDE, SIDE), mean_e)
+    radiance = np.full((frames, SIDE, SIDE), mean_e, dtype=np.float32)
     return expose(radiance, background, spec, exposure_s=1.0, seed=seed).frames
 
 
@@ -198,7 +198,8 @@ def test_auto_exposure_puts_the_percentile_on_its_target(percentile, target):
     brightest = np.random.default_rng(0).gamma(2.0, 3.0, (60, 80))
     exposure_s = auto_exposure_s(brightest, spec, percentile=percentile, target=target)
     level = np.sort(brightest.ravel())[round(percentile / 100 * (brightest.size - 1))]
-    dn = expose(np.full((1, 100, 100), level), None, spec, exposure_s=exposure_s, seed=0).frames
+    stack = np.full((1, 100, 100), level, dtype=np.float32)
+    dn = expose(stack, None, spec, exposure_s=exposure_s, seed=0).frames
     share = (dn.mean() - spec.offset_dn) / (spec.saturation_dn - spec.offset_dn)
     assert abs(share - target) < 0.01
 

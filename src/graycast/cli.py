@@ -106,10 +106,12 @@ def _parser() -> argparse.ArgumentParser:
 
     command("doctor", _doctor, "Print what this machine has, lacks, and what that would give.")
     schema = command("schema", _schema, "Print the JSON Schema of a file, for editors.")
-    schema.add_argument("kind", choices=("config", "rig"))
+    schema.add_argument("kind", choices=("config", "rig"), help="which file")
 
     bench = command("bench", _bench, "Measure speed and memory on this machine.")
-    bench.add_argument("what", choices=("render", "decode", "drop", "scene"))
+    bench.add_argument(
+        "what", choices=("render", "decode", "drop", "scene"), help="which stage, or all of a scene"
+    )
     bench.add_argument("--json", type=Path, metavar="FILE", help="also write the figures there")
     bench.add_argument("--count", type=_positive, default=30, help="parts per scene (default 30)")
     bench.add_argument("--scenes", type=_positive, default=3, help="for scene (default 3)")

@@ -82,7 +82,7 @@ def test_a_damaged_cache_file_is_made_anew(tmp_path, damage):
 def test_a_second_call_reads_the_file_and_another_mesh_has_its_own(tmp_path, monkeypatch):
     mesh = box_part((0.04, 0.05, 0.06)).mesh
     first = convex_hulls(mesh, folder=tmp_path)
-    convex_hulls(box_part((0.04, 0.05, 0.0600001)).mesh, folder=tmp_path)
+    convex_hulls(box_part((0.04, 0.05, 0.06 + 1e-10)).mesh, folder=tmp_path)
     assert len(list(tmp_path.iterdir())) == 2
     monkeypatch.setattr(decomposition, "decompose", lambda mesh: pytest.fail("not from the cache"))
     assert same(convex_hulls(mesh, folder=tmp_path), first)
@@ -100,7 +100,8 @@ def test_the_cache_lies_where_xdg_says(tmp_path, monkeypatch):
 def test_a_fresh_process_with_one_thread_makes_the_same_bits(ring_part, ring_hulls, tmp_path):
     np.savez(tmp_path / "ring.npz", v=ring_part.mesh.vertices_m, f=ring_part.mesh.faces)
     program = (
-        "import numpy as np; from graycast.drop import convex_hulls; from graycast.parts import Mesh;"
+        "import numpy as np; from graycast.drop import convex_hulls;"
+        "from graycast.parts import Mesh;"
         f"d = np.load({str(tmp_path / 'ring.npz')!r});"
         f"convex_hulls(Mesh(vertices_m=d['v'], faces=d['f']), folder=__import__('pathlib')"
         f".Path({str(tmp_path / 'cache')!r}))"

@@ -10,7 +10,9 @@ CUBE = np.array(trimesh.creation.box((0.02, 0.02, 0.02)).vertices)
 
 @pytest.mark.parametrize("depth_m", [1e-5, 5e-4, 4e-3])
 def test_two_cubes_face_to_face_overlap_by_what_they_were_pushed(depth_m):
-    assert overlap_m(CUBE, CUBE + [0.02 - depth_m, 0.001, 0.002]) == pytest.approx(depth_m)
+    assert overlap_m(CUBE, CUBE + np.array([0.02 - depth_m, 0.001, 0.002])) == pytest.approx(
+        depth_m
+    )
 
 
 def test_two_crossed_edges_overlap_by_the_distance_along_their_common_normal():
@@ -22,7 +24,8 @@ def test_two_crossed_edges_overlap_by_the_distance_along_their_common_normal():
 
 def test_cubes_apart_do_not_overlap_even_where_their_boxes_do():
     turned = CUBE @ axis_rotation("z", np.pi / 4).T
-    assert overlap_m(CUBE, CUBE + [0.021, 0, 0]) == 0
-    corner_gap = (0.01 + 0.01 / np.sqrt(2)) * 1.05  # along the diagonal; the boxes overlap
-    assert overlap_m(CUBE, turned + [corner_gap, corner_gap, 0]) == 0
-    assert overlap_m(CUBE, turned + [corner_gap / 1.2, corner_gap / 1.2, 0]) > 0
+    assert overlap_m(CUBE, CUBE + np.array([0.021, 0, 0])) == 0
+    # The flat of `turned` faces the corner of CUBE along the diagonal; their boxes overlap.
+    corner_gap = (0.01 + 0.01 / np.sqrt(2)) * 1.05 * np.array([1, 1, 0])
+    assert overlap_m(CUBE, turned + corner_gap) == 0
+    assert overlap_m(CUBE, turned + corner_gap / 1.2) > 0

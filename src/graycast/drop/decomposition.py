@@ -205,7 +205,7 @@ def _thin(vertices: Float[np.ndarray, "v 3"], limit_m: float) -> Float[np.ndarra
 def _key(mesh: Mesh) -> str:
     """A name for the result: everything it depends on."""
     settings = [CACHE_VERSION, version("coacd"), TOLERANCE_M, TOLERANCE_OF_DIAGONAL]
-    settings += [VERTEX_TOLERANCE_M, VERTEX_TOLERANCE_OF_DIAGONAL, SURFACE_SAMPLES]
+    settings += [VERTEX_TOLERANCE_OF_DIAGONAL, SURFACE_SAMPLES]
     settings += [COACD_THRESHOLD, MCTS_ITERATIONS, MCTS_NODES]
     digest = hashlib.sha256(repr(settings).encode())
     for array in (mesh.vertices_m.astype("<f8"), mesh.faces.astype("<i8")):
@@ -216,7 +216,8 @@ def _key(mesh: Mesh) -> str:
 def _read(file: Path) -> tuple[Hull, ...] | None:
     """The hulls of a cache file; None if there is none or it is damaged (a zip has checksums)."""
     try:
-        with np.load(file, allow_pickle=False) as data:
+        # NumPy leaves a file open that it opened itself and then could not read.
+        with file.open("rb") as stream, np.load(stream, allow_pickle=False) as data:
             vertices, faces = data["vertices_m"], data["faces"]
             splits = data["vertex_split"], data["face_split"]
     except (OSError, EOFError, KeyError, ValueError, zipfile.BadZipFile):

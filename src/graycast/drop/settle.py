@@ -27,7 +27,7 @@ class DropLimits:
 
     penetration_m: float = 0.5e-3
     attempts: int = 5
-    simulated_s: float = 10.0
+    simulated_s: float = 20.0
 
     def __post_init__(self) -> None:
         if not 0 < self.penetration_m <= 0.1:

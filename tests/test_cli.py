@@ -1,0 +1,285 @@
+"""The command: what it offers, prints and writes, and with which code it ends."""
+
+import argparse
+import json
+import subprocess
+import sys
+from importlib.metadata import entry_points
+
+import numpy as np
+import pytest
+from PIL import Image
+from small_cell import GRAYCAST, content, write_cell
+
+from graycast import __version__, bench, cli
+from graycast.cli import main
+from graycast.config import config_schema
+from graycast.rig import PRESETS, preset
+from graycast.rig_file import load_rig, rig_schema
+
+OPTIONS = {
+    "generate": "config --out --scenes --seed --device --workers",
+    "preview": "config --out --scene --seed --device",
+    "validate": "dataset",
+    "parts": "config --out --device",
+    "rig show": "rig --resolution --out",
+    "rig write": "rig --resolution --out",
+    "rig import": "calibration --out --unit --near --far --camera-size --projector-size",
+    "patterns": "rig --resolution --out --inverses",
+    "doctor": "",
+    "schema": "kind",
+    "bench": "what --json --count --scenes --device",
+}
+
+
+def run(capsys, *arguments):
+    """What a command that ends well prints."""
+    assert main([str(argument) for argument in arguments]) == 0
+    printed, complaint = capsys.readouterr()
+    assert complaint == ""
+    return printed
+
+
+def commands(parser, name=""):
+    """Every command with its parser, those of groups too."""
+    groups = [a for a in parser._actions if isinstance(a, argparse._SubParsersAction)]
+    if not groups:
+        return {name.strip(): parser}
+    return {
+        key: found
+        for word, inner in groups[0].choices.items()
+        for key, found in commands(inner, f"{name} {word}").items()
+    }
+
+
+def test_the_commands_are_these_with_these_options():
+    found = {
+        name: [
+            action.option_strings[-1] if action.option_strings else action.dest
+            for action in parser._actions
+            if action.dest not in ("help", "debug")
+        ]
+        for name, parser in commands(cli._parser()).items()
+    }
+    assert found == {name: options.split() for name, options in OPTIONS.items()}
+
+
+@pytest.mark.parametrize("name", OPTIONS)
+def test_help_explains_every_option(capsys, monkeypatch, name):
+    monkeypatch.setenv("COLUMNS", "100")
+    with pytest.raises(SystemExit) as caught:
+        main([*name.split(), "--help"])
+    assert caught.value.code == 0
+    _usage, *rest = capsys.readouterr().out.split("\n\n")
+    lines = "\n".join(rest).splitlines()
+    for option in OPTIONS[name].split():
+        starts = [i for i, line in enumerate(lines) if line.split()[:1] == [option]]
+        if not starts and not option.startswith("-"):  # shown by its choices
+            starts = [i for i, line in enumerate(lines) if line.startswith("  {")]
+        assert starts, f"{option} is not in the help"
+        # Words stand two blanks after the option, or on the next line, indented further.
+        line, below, *_ = [*lines[starts[0] :], ""]
+        words = line.strip().partition("  ")[2] or (below[:20].isspace() and below.strip())
+        assert words, f"{option} is not explained"
+
+
+def test_help_lists_every_command_and_examples(capsys):
+    with pytest.raises(SystemExit) as caught:
+        main(["--help"])
+    assert caught.value.code == 0
+    text = capsys.readouterr().out
+    for name in OPTIONS:
+        assert f"\n    {name.split()[0]} " in text
+    assert "graycast generate configs/demo.yaml --out out/demo" in text
+    run(capsys, "rig")  # a group alone prints its help, too
+
+
+def test_help_answers_without_loading_what_is_heavy():
+    program = """
+import sys
+from graycast.cli import main
+try:
+    main(["generate", "--help"])
+except SystemExit:
+    pass
+heavy = {"mitsuba", "drjit", "numba", "trimesh", "scipy", "pydantic", "cv2", "matplotlib"}
+sys.exit(f"loaded: {sorted(heavy & set(sys.modules))}" if heavy & set(sys.modules) else 0)
+"""
+    ran = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True)
+    assert (ran.returncode, ran.stderr) == (0, "")
+
+
+def test_the_installed_command_is_this_one_and_states_its_version():
+    (script,) = entry_points(group="console_scripts", name="graycast")
+    assert script.load() is main
+    said = subprocess.check_output([*GRAYCAST, "--version"], text=True)
+    assert said == f"graycast {__version__}\n"
+
+
+# --- what the commands do ----------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("made")
+    path = write_cell(folder)
+    assert main(["generate", str(path), "--out", str(folder / "out"), "--device", "cpu"]) == 0
+    return path, folder / "out"
+
+
+def test_generate_says_what_it_made_and_the_next_time_that_all_was_there(capsys, made, tmp_path):
+    path, out = made
+    again = run(capsys, "generate", path, "--out", out, "--device", "cpu")
+    assert "2 scenes of box on llvm, rig small, seed 0, 1 worker(s)" in again
+    assert f"{out}: 0 scenes made, 2 were there" in again
+    first = run(
+        capsys, "generate", path, "--out", tmp_path / "out", "--scenes", 1, "--device", "cpu"
+    )
+    assert f"{tmp_path / 'out'}: 1 scenes made, 0 were there" in first
+    manifest = json.loads((tmp_path / "out/train/000000/manifest.json").read_text())
+    shares = {
+        line.split()[0]: float(line.split()[1].rstrip("%"))
+        for line in first.splitlines()
+        if line.endswith("of the pixels")
+    }
+    assert shares == pytest.approx(
+        {name: 100 * share for name, share in manifest["reasons"].items()}, abs=0.006
+    )
+    assert sum(shares.values()) == pytest.approx(100, abs=0.04)
+
+
+def test_the_options_go_before_the_configuration(made, tmp_path, capsys):
+    same = write_cell(tmp_path, scenes=7, seed=5)
+    arguments = ("--out", tmp_path / "out", "--scenes", 2, "--seed", 0, "--device", "cpu")
+    run(capsys, "generate", same, *arguments)
+    assert content(tmp_path / "out") == content(made[1])
+
+
+def test_validate_ends_well_on_a_sound_dataset(capsys, made):
+    assert run(capsys, "validate", made[1]) == f"{made[1]}: valid\n"
+
+
+def test_preview_draws_the_scene_and_counts_its_pixels_as_the_dataset_does(capsys, made, tmp_path):
+    path, out = made
+    printed = run(
+        capsys, "preview", path, "--out", tmp_path / "p.png", "--scene", 1, "--device", "cpu"
+    )
+    manifest = json.loads((out / "train/000001/manifest.json").read_text())
+    assert f"{manifest['reasons']['decoded']:7.2%} of the pixels" in printed
+    with Image.open(tmp_path / "p.png") as picture:
+        assert min(picture.size) > 400
+        assert np.std(np.array(picture.convert("L"))) > 10
+
+
+def test_parts_lists_the_built_in_ones_or_those_of_a_configuration(capsys, made):
+    builtin = run(capsys, "parts")
+    for name in ("metal_workpiece_1", "toothpaste", "yellow_salt_cube"):
+        assert f"\n{name} " in builtin
+    own = run(capsys, "parts", made[0])
+    assert "\nbox " in own
+    assert "60.0 x 40.0 x 30.0" in own
+    assert "72 g" in own  # 72 cubic centimetres of the default density, 1000 kg/m3
+    assert "toothpaste" not in own
+
+
+@pytest.mark.parametrize("name", PRESETS)
+@pytest.mark.parametrize("resolution", ["low", "full"])
+def test_a_preset_can_be_written_and_read_again(capsys, tmp_path, name, resolution):
+    path = tmp_path / "rig.yaml"
+    run(capsys, "rig", "write", name, "--resolution", resolution, "--out", path)
+    rig, back = preset(name, resolution), load_rig(path)
+    assert (back.camera, back.projector, back.name) == (rig.camera, rig.projector, rig.name)
+    assert np.array_equal(back.T_cam_proj, rig.T_cam_proj)
+    if name == "paper":
+        shown = run(capsys, "rig", "show", path, "--out", tmp_path / "rig.png")
+        assert (
+            shown
+            == run(capsys, "rig", "show", name, "--resolution", resolution)
+            + f"{tmp_path / 'rig.png'}\n"
+        )
+        assert (tmp_path / "rig.png").stat().st_size > 5000
+
+
+def test_import_takes_unit_range_and_sizes_from_the_command_line(capsys, tmp_path):
+    calibration, path = tmp_path / "stereo.yaml", tmp_path / "rig.yaml"
+    calibration.write_text(
+        "K1: [[900, 0, 320], [0, 901, 240], [0, 0, 1]]\n"
+        "K2: [[800, 0, 400], [0, 801, 300], [0, 0, 1]]\n"
+        "R: [[1, 0, 0], [0, 1, 0], [0, 0, 1]]\nT: [-8, 0, 0]\n"
+    )
+    size = ("--camera-size", "640x480", "--projector-size", "800x600")
+    run(capsys, "rig", "import", calibration, "--out", path, "--unit", "mm", *size,
+        "--near", "0.3", "--far", "0.9")  # fmt: skip
+    rig = load_rig(path)
+    assert (rig.camera.width_px, rig.camera.height_px) == (640, 480)
+    assert (rig.projector.width_px, rig.projector.height_px) == (800, 600)
+    assert (rig.near_m, rig.far_m) == (0.3, 0.9)
+    assert rig.T_cam_proj[:3, 3] == pytest.approx([0.008, 0, 0], abs=1e-15)
+
+
+@pytest.mark.parametrize("inverses", [False, True])
+def test_patterns_count_columns_and_rows_in_gray_code(capsys, made, tmp_path, inverses):
+    """Oracle: bits of x ^ (x >> 1), most significant first, in the order of the file names."""
+    rig, out = made[0].parent / "rig.yaml", tmp_path / "patterns"
+    listed = run(capsys, "patterns", rig, "--out", out, *(["--inverses"] if inverses else []))
+    paths = sorted(out.iterdir())
+    assert listed.split() == [str(path) for path in paths]
+    images = [np.array(Image.open(path)) for path in paths]
+    assert all(image.shape == (96, 128) and image.dtype == np.uint8 for image in images)
+    white, black, *bits = images
+    assert white.min() == 255
+    assert black.max() == 0
+    if inverses:
+        assert all((bit == 255 - other).all() for bit, other in zip(*[iter(bits)] * 2, strict=True))
+        bits = bits[::2]
+    value = np.zeros((2, 96, 128), dtype=int)
+    for k, bit in enumerate(bits):  # seven bits for 128 columns, seven for 96 rows
+        value[k // 7] = 2 * value[k // 7] + (bit == 255)
+    row, column = np.mgrid[0:96, 0:128]
+    assert np.array_equal(value[0], column ^ (column >> 1))
+    assert np.array_equal(value[1], row ^ (row >> 1))
+
+
+@pytest.mark.parametrize(("kind", "schema"), [("config", config_schema), ("rig", rig_schema)])
+def test_schema_prints_json(capsys, kind, schema):
+    assert json.loads(run(capsys, "schema", kind)) == json.loads(json.dumps(schema()))
+
+
+def test_doctor_ends_with_its_verdict(capsys):
+    assert run(capsys, "doctor").splitlines()[-1].startswith(("ready", "not ready"))
+
+
+def test_bench_hands_its_options_on_and_writes_json(capsys, monkeypatch, tmp_path):
+    asked = {}
+
+    def measure(what, **options):
+        asked.update(options, what=what)
+        return {"benchmark": what, "drop_s": 1.25, "stages": {"drop": 0.5}}
+
+    monkeypatch.setattr(bench, "run", measure)
+    path = tmp_path / "bench.json"
+    printed = run(capsys, "bench", "drop", "--count", 7, "--scenes", 2, "--device", "cpu",
+                  "--json", path)  # fmt: skip
+    assert asked == {"what": "drop", "count": 7, "scenes": 2, "device": "cpu"}
+    assert json.loads(path.read_text())["drop_s"] == 1.25
+    assert "1.25" in printed
+
+
+@pytest.mark.slow
+def test_bench_of_a_scene_splits_its_time_and_memory(tmp_path):
+    command = [*GRAYCAST, "bench", "scene", "--count", "1", "--scenes", "1", "--json"]
+    subprocess.run([*command, str(tmp_path / "b.json")], check=True, capture_output=True)
+    figures = json.loads((tmp_path / "b.json").read_text())
+    assert set(figures["stages"]) == {"drop", "render", "sensor", "picture", "decode", "write"}
+    assert sum(figures["stages"].values()) == pytest.approx(figures["seconds_per_scene"], rel=0.1)
+    assert 0 < figures["render_share"] < 1
+    assert figures["peak_rss_bytes"] >= max(figures["rss_bytes_after_each_scene"])
+
+
+def test_ctrl_c_ends_with_code_130(capsys, monkeypatch, tmp_path):
+    def stop(options):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(cli, "_doctor", stop)
+    assert main(["doctor"]) == 130
+    assert capsys.readouterr().err == "graycast: stopped; finished scenes are kept\n"

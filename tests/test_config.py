@@ -1,0 +1,282 @@
+"""What a user may write, what it stands for, and what an editor is told about it."""
+
+import json
+import re
+from dataclasses import MISSING, fields
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+from small_cell import write_cell
+
+from graycast import config as words
+from graycast.config import Config, config_schema, load_config
+from graycast.decode import DecodeSpec
+from graycast.drop import DropLimits
+from graycast.errors import ConfigError
+from graycast.generate import resolve_cell
+from graycast.parts import Material
+from graycast.pattern import GrayCode
+from graycast.render import Quality
+from graycast.rig import PRESETS
+from graycast.rig_file import rig_schema
+from graycast.scene import Bin, Environment, Lamp
+from graycast.sensor import SensorSpec
+
+ROOT = Path(__file__).resolve().parents[1]
+CONFIGS = sorted((ROOT / "configs").rglob("*.yaml"))
+
+
+@pytest.fixture(autouse=True)
+def quick_wood(monkeypatch):
+    """The real one takes a second, and no test here looks at it."""
+    monkeypatch.setattr(words, "wood_texture", lambda: np.zeros((2, 2, 3), dtype=np.uint8))
+
+
+def test_there_are_configurations_to_look_at():
+    names = {str(path.relative_to(ROOT / "configs")) for path in CONFIGS}
+    assert {"demo.yaml", "own_part.yaml", "paper/metal_workpiece_1.yaml"} <= names
+
+
+@pytest.mark.parametrize("path", CONFIGS, ids=lambda path: path.stem)
+def test_every_configuration_in_the_repository_resolves(path):
+    config = load_config(path)
+    cell = resolve_cell(config, path.parent)
+    written = yaml.safe_load(path.read_text(encoding="utf-8"))
+    assert len(cell.scene.parts) == len(written["parts"])
+    assert config.scenes == written["scenes"]
+    low, high = config.count_range
+    count = written["count"]
+    assert [low, high] == (count if isinstance(count, list) else [count, count])
+    assert cell.scene.rig.name == written["rig"] in PRESETS
+    assert cell.notes == ()  # nothing about their meshes is to be wondered at
+
+
+@pytest.mark.parametrize("path", CONFIGS, ids=lambda path: path.stem)
+def test_no_key_is_written_in_vain(path):
+    """Each key in a file of ours is in the configuration with the value that the file gives."""
+    config = load_config(path).model_dump(mode="json", exclude_unset=True)
+    assert as_json(config) == as_json(yaml.safe_load(path.read_text(encoding="utf-8")))
+
+
+def as_json(value):
+    if isinstance(value, dict):
+        return {key: as_json(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [as_json(item) for item in value]
+    return float(value) if isinstance(value, int) and not isinstance(value, bool) else value
+
+
+# --- defaults ----------------------------------------------------------------------------------
+
+
+def least():
+    return Config.model_validate({"parts": [{"builtin": "toothpaste"}]})
+
+
+def test_sections_left_out_are_the_values_left_out():
+    """A default is stated twice, in words and in values; the two must not drift apart."""
+    config, here = least(), Path()
+    assert words.resolve_sensor(config) == SensorSpec()
+    assert words.resolve_decode(config) == DecodeSpec()
+    assert words.resolve_quality(config) == Quality()
+    assert words.resolve_limits(config) == DropLimits()
+    assert words.resolve_environment(config.light.environment, here) == Environment()
+    lamp = words.LightSection.model_validate({"lamps": [{"center_m": [0, 0, 1]}]})
+    assert words.resolve_lamps(lamp) == (Lamp(center_m=(0.0, 0.0, 1.0)),)
+    assert words.resolve_material(words.MaterialSection(), here) == Material()
+    code = words.resolve_code(config, words.resolve_config_rig(config, here))
+    assert code == GrayCode(width_px=1024, height_px=768)
+
+
+def test_the_bin_left_out_is_the_box_of_its_value_but_for_size_and_look():
+    box = words.resolve_bin(least().bin, Path())
+    for field in fields(Bin):
+        if field.default is not MISSING:
+            assert getattr(box, field.name) == field.default, field.name
+
+
+def test_what_a_part_leaves_out_is_its_own_and_what_it_gives_wins(tmp_path):
+    own = words.resolve_parts(least(), tmp_path)[0][0]
+    given = {"builtin": "toothpaste", "density_kg_m3": 1234.0, "friction": 0.0}
+    given["material"] = {"base_color": [0.1, 0.2, 0.3]}
+    changed = words.resolve_parts(Config.model_validate({"parts": [given]}), tmp_path)[0][0]
+    assert (changed.density_kg_m3, changed.friction) == (1234.0, 0.0)
+    assert changed.material == Material(base_color=(0.1, 0.2, 0.3))
+    assert changed.symmetry == own.symmetry
+    assert own.density_kg_m3 != 1234.0
+    assert own.friction > 0
+
+
+def test_a_symmetry_s_axis_may_have_any_length(tmp_path):
+    part = {"mesh": "box.stl", "unit": "mm", "symmetry": {"continuous": [{"axis": [3, 0, 4]}]}}
+    path = write_cell(tmp_path, parts=[part])
+    cell = resolve_cell(load_config(path), tmp_path)
+    axis, point_m = cell.scene.parts[0].symmetry.continuous[0]
+    assert axis == pytest.approx((0.6, 0.0, 0.8), abs=1e-15)
+    assert point_m == (0.0, 0.0, 0.0)
+
+
+def test_the_rig_hangs_where_the_view_says(tmp_path):
+    """The middle of the baseline: above the target by the distance, and aside by its tilt."""
+    for view, middle_m in (
+        ({"distance_m": 0.8, "target_m": [0.1, 0.2, 0.0]}, [0.1, 0.2, 0.8]),
+        ({"distance_m": 0.8, "target_m": [0, 0, 0], "tilt_deg": 30}, [0, -0.4, 0.8 * 0.75**0.5]),
+        (
+            {"distance_m": 0.8, "target_m": [0, 0, 0], "tilt_deg": 30, "azimuth_deg": 90},
+            [0.4, 0, 0.8 * 0.75**0.5],
+        ),
+        ({"distance_m": 0.8}, [0, 0, 0.8 + 0.1 / 3]),
+    ):
+        cell = resolve_cell(load_config(write_cell(tmp_path, view=view)), tmp_path)
+        T, half = cell.scene.T_world_cam, cell.scene.rig.T_cam_proj[:3, 3] / 2
+        assert T[:3, :3] @ half + T[:3, 3] == pytest.approx(np.array(middle_m), abs=1e-12)
+
+
+def test_a_file_that_changes_changes_its_digest(tmp_path):
+    path = write_cell(tmp_path)
+    before = resolve_cell(load_config(path), tmp_path).file_digests
+    mesh = tmp_path / "box.stl"
+    mesh.write_bytes(b"other header" + mesh.read_bytes()[12:])
+    after = resolve_cell(load_config(path), tmp_path).file_digests
+    assert before.keys() == after.keys() == {"box.stl"}
+    assert before != after
+
+
+# --- the schema --------------------------------------------------------------------------------
+
+
+def faults(value, schema, root, where="file"):
+    """What JSON Schema 2020-12 says against a value; knows the words that our schemas use."""
+    unknown = set(schema) - _WORDS
+    assert not unknown, f"{where}: teach this checker {unknown}"
+    if "$ref" in schema:
+        name = re.fullmatch(r"#/\$defs/(\w+)", schema["$ref"]).group(1)
+        return faults(value, root["$defs"][name], root, where)
+    if "anyOf" in schema:
+        found = [faults(value, option, root, where) for option in schema["anyOf"]]
+        return min(found, key=len)
+    found = []
+    if "type" in schema and not _is(value, schema["type"]):
+        return [f"{where} is no {schema['type']}"]
+    if "enum" in schema and value not in schema["enum"]:
+        found.append(f"{where} is none of {schema['enum']}")
+    if isinstance(value, int | float) and not isinstance(value, bool):
+        bounds = {
+            "minimum": lambda limit: value >= limit,
+            "maximum": lambda limit: value <= limit,
+            "exclusiveMinimum": lambda limit: value > limit,
+            "exclusiveMaximum": lambda limit: value < limit,
+        }
+        found += [f"{where}: {k}" for k, holds in bounds.items()
+                  if k in schema and not holds(schema[k])]  # fmt: skip
+    if isinstance(value, list):
+        if not schema.get("minItems", 0) <= len(value) <= schema.get("maxItems", len(value)):
+            found.append(f"{where} has {len(value)} items")
+        rest = [schema["items"]] * len(value) if "items" in schema else []
+        each = [*schema.get("prefixItems", ()), *rest]
+        for i, (item, of) in enumerate(zip(value, each, strict=False)):
+            found += faults(item, of, root, f"{where}.{i}")
+    if isinstance(value, dict):
+        known = schema.get("properties", {})
+        found += [f"{where}.{key} is missing" for key in schema.get("required", ())
+                  if key not in value]  # fmt: skip
+        for key, item in value.items():
+            if key in known:
+                found += faults(item, known[key], root, f"{where}.{key}")
+            elif schema.get("additionalProperties", True) is False:
+                found.append(f"{where}.{key} is unknown")
+    return found
+
+
+_WORDS = set(
+    "$ref $defs type anyOf enum const title description default properties required items "
+    "prefixItems additionalProperties minItems maxItems minLength minimum maximum "
+    "exclusiveMinimum exclusiveMaximum format".split()
+)
+
+
+def _is(value, kind):
+    kinds = {"object": dict, "array": list, "string": str, "boolean": bool, "null": type(None)}
+    if kind in ("integer", "number"):
+        return isinstance(value, int if kind == "integer" else int | float) and (
+            not isinstance(value, bool)
+        )
+    return isinstance(value, kinds[kind])
+
+
+@pytest.mark.parametrize("path", CONFIGS, ids=lambda path: path.stem)
+def test_the_schema_accepts_every_configuration(path):
+    schema = json.loads(json.dumps(config_schema()))
+    assert faults(yaml.safe_load(path.read_text(encoding="utf-8")), schema, schema) == []
+
+
+@pytest.mark.parametrize(
+    ("changes", "fault"),
+    [
+        ({"scnes": 3}, "file.scnes is unknown"),
+        ({"render": {"samples": 0}}, "file.render.samples: minimum"),
+        ({"light": {"lamps": [{"cener_m": [0, 0, 1]}]}}, "file.light.lamps.0.center_m is missing"),
+        ({"bin": {"inner_m": [0.3, 0.2]}}, "file.bin.inner_m has 2 items"),
+        ({"resolution": "high"}, "file.resolution is none of ['low', 'full']"),
+        ({"seed": "many"}, "file.seed is no integer"),
+        ({"parts": [{"builtin": "x", "unit": "yard"}]}, "file.parts.0.unit is none of"),
+        ({"parts": []}, "file.parts has 0 items"),
+    ],
+)
+def test_the_schema_refuses_what_the_program_refuses(changes, fault):
+    schema = config_schema()
+    content = {"parts": [{"builtin": "toothpaste"}]} | changes
+    found = faults(content, schema, schema)
+    assert any(fault in text for text in found), found
+    with pytest.raises(ValueError):
+        Config.model_validate(content)
+
+
+@pytest.mark.parametrize("schema", [config_schema(), rig_schema()], ids=["config", "rig"])
+def test_a_schema_is_closed_and_sound(schema):
+    """Every object refuses unknown keys, requires only keys that it has, and keeps its bounds."""
+    objects = [schema, *schema.get("$defs", {}).values()]
+    assert len(objects) > 1
+    for node in objects:
+        assert node["type"] == "object"
+        assert node["additionalProperties"] is False
+        assert set(node.get("required", ())) <= set(node["properties"])
+        for key, of in node["properties"].items():
+            if "default" in of:
+                assert faults(of["default"], of, schema, key) == []
+
+
+def test_every_setting_is_refused_when_it_is_misspelt(tmp_path):
+    """Letters of each key of each section are swapped; the right key is suggested."""
+    sections = config_schema()
+    for name, section in {"": sections, **sections["$defs"]}.items():
+        for key in section["properties"]:
+            wrong = key[:-2] + key[-1] + key[-2] if key[-1] != key[-2] else key + "x"
+            if wrong in section["properties"]:
+                continue
+            path = tmp_path / "bad.yaml"
+            path.write_text(yaml.safe_dump(_placed(name, {wrong: 1})))
+            with pytest.raises(ConfigError, match=rf"unknown key \S*{wrong}: did you mean {key}\?"):
+                load_config(path)
+
+
+_PLACES = {
+    "": (),
+    "PartSection": ("parts", 0),
+    "MaterialSection": ("parts", 0, "material"),
+    "SymmetrySection": ("parts", 0, "symmetry"),
+    "ContinuousSymmetry": ("parts", 0, "symmetry", "continuous", 0),
+    "LightSection": ("light",),
+    "EnvironmentSection": ("light", "environment"),
+    "LampSection": ("light", "lamps", 0),
+}
+
+
+def _placed(section, content):
+    """A configuration with `content` where a section stands."""
+    place = _PLACES.get(section, (section.removesuffix("Section").lower(),))
+    for step in reversed(place):
+        content = [content] if step == 0 else {step: content}
+    return content if "parts" in content else {"parts": [{"builtin": "toothpaste"}]} | content

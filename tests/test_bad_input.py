@@ -120,7 +120,7 @@ def test_a_wrong_setting_is_named_with_its_file_and_what_is_allowed(
         (b"parts: \xff\xfe\x00", ["not a text file", "give YAML"]),
         (b"parts: \x00", ["not YAML", "bad characters"]),
         (b"parts: 2024-13-45\n", ["not YAML", "month"]),
-        (b"parts: " + 3000 * b"[", ["not YAML", "recursion"]),
+        (b"parts: " + 1000 * b"[", ["not YAML", "recursion"]),
         (b"", ["holds no keys"]),
         (b"- builtin: toothpaste\n", ["holds no keys", "name: value"]),
         (b"count: 3\n", ["parts is missing: add it"]),

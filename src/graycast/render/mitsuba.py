@@ -481,6 +481,8 @@ def _amodal_bits(
     box = np.array(boxes)
     left, top = (int(e) for e in box[:, :2].min(axis=0))
     width, height = (int(e) for e in box[:, 2:].max(axis=0) - [left, top])
+    if width <= 0 or height <= 0:  # no part comes near the picture
+        return np.zeros(((len(boxes) + 31) // 32, 0, 0), dtype=np.uint32), left, top
     ray = _centre_rays(scene, left=left, top=top, width=width, height=height)
     going = _exists(scene, ray, *_canvas(left=left, top=top, width=width, height=height))
     parts_alone = {f"part{i}": part.shape for i, part in enumerate(part_shapes)}

@@ -23,9 +23,21 @@ import numpy as np
 from jaxtyping import Float, UInt8
 
 from . import __version__
-from . import config as words
 from .color import srgb
-from .config import Config
+from .config import (
+    Config,
+    file_digests,
+    resolve_bin,
+    resolve_code,
+    resolve_config_rig,
+    resolve_decode,
+    resolve_environment,
+    resolve_lamps,
+    resolve_limits,
+    resolve_parts,
+    resolve_quality,
+    resolve_sensor,
+)
 from .dataset import Sample, depth_scale_mm, open_store, write_scene
 from .decode import CodeMap, Reason, decode, triangulate
 from .drop import drop
@@ -91,9 +103,9 @@ def resolve_cell(config: Config, folder: Path) -> Cell:
     Raises:
         GraycastError, ValueError: a file or a value that cannot be used, named.
     """
-    parts, notes = words.resolve_parts(config, folder)
-    rig = words.resolve_config_rig(config, folder)
-    box = words.resolve_bin(config.bin, folder)
+    parts, notes = resolve_parts(config, folder)
+    rig = resolve_config_rig(config, folder)
+    box = resolve_bin(config.bin, folder)
     view = config.view
     target = view.target_m or (0.0, 0.0, box.inner_m[2] / 3)
     T_world_cam = place(
@@ -108,16 +120,16 @@ def resolve_cell(config: Config, folder: Path) -> Cell:
         T_world_cam=T_world_cam,
         parts=parts,
         bin=box,
-        environment=words.resolve_environment(config.light.environment, folder),
-        lamps=words.resolve_lamps(config.light),
+        environment=resolve_environment(config.light.environment, folder),
+        lamps=resolve_lamps(config.light),
     )
     return Cell(
         config=config,
         scene=scene,
-        code=words.resolve_code(config, rig),
-        sensor=words.resolve_sensor(config),
+        code=resolve_code(config, rig),
+        sensor=resolve_sensor(config),
         notes=notes,
-        file_digests=words.file_digests(config, folder),
+        file_digests=file_digests(config, folder),
     )
 
 
@@ -140,13 +152,13 @@ def make_scene(cell: Cell, scene_id: int, *, seed: int, device: str) -> Shot:
     timings: dict[str, float] = {}
     with _timed(timings, "drop"):
         counts = _counts(cell, scene_id, np.random.default_rng(seeds["counts"]))
-        layout = drop(cell.scene, counts, seed=seeds["drop"], limits=words.resolve_limits(config))
+        layout = drop(cell.scene, counts, seed=seeds["drop"], limits=resolve_limits(config))
     with _timed(timings, "render"):
         rendering = open_renderer("mitsuba").render(
             cell.scene,
             layout,
             cell.code.render(),
-            quality=words.resolve_quality(config),
+            quality=resolve_quality(config),
             seed=seeds["render"],
         )
     with _timed(timings, "sensor"):
@@ -154,7 +166,7 @@ def make_scene(cell: Cell, scene_id: int, *, seed: int, device: str) -> Shot:
     with _timed(timings, "picture"):
         rgb = _picture(cell, rendering, seed=seeds["picture"], device=device)
     with _timed(timings, "decode"):
-        codes = decode(capture, cell.code, words.resolve_decode(config))
+        codes = decode(capture, cell.code, resolve_decode(config))
         scanner = triangulate(codes, cell.scene.rig)
     manifest = {
         "scene_id": scene_id,

@@ -115,7 +115,8 @@ class Layout:
     """Where the parts came to lie, and how well: the outcome of a drop.
 
     `part_index[i]` indexes `Scene.parts`; instance i has the pose `T_world_part[i]`. The numbers
-    are what an acceptance test needs: nobody has judged them yet.
+    are what an acceptance test needs: nobody has judged them yet. Penetration is that of the
+    collision hulls, which may lie inside a curved surface by half a millimetre.
     """
 
     T_world_part: Float[np.ndarray, "n 4 4"]

@@ -53,7 +53,7 @@ def make_claim(
 
 
 def _digest(part: Part) -> str:
-    """SHA-256 over a part's shape, material and symmetries."""
+    """SHA-256 over a part's shape, material, density, friction and symmetries."""
     digest = hashlib.sha256()
     mesh, material = part.mesh, part.material
     for array in (mesh.vertices_m, mesh.faces, mesh.corner_uv, mesh.corner_normals):

@@ -239,23 +239,18 @@ def _picture(
         bands, cell.sensor, percentile=PICTURE_PERCENTILE, target=PICTURE_TARGET
     )
     capture = expose(bands, None, cell.sensor, exposure_s=exposure_s, seed=seed)
-    return srgb(np.moveaxis(_share(capture), 0, -1))
+    return srgb(np.moveaxis(_share(capture.frames, capture.sensor), 0, -1))
 
 
 def _gray(capture: Capture) -> UInt8[np.ndarray, "h w"]:
     """The white frame as the measuring camera saw it, linear, 8 bit."""
-    share = (capture.frames[0] - np.float32(capture.sensor.offset_dn)) / _range_dn(capture)
-    return np.round(np.clip(share, 0, 1) * 255).astype(np.uint8)
+    return np.round(_share(capture.frames[0], capture.sensor) * 255).astype(np.uint8)
 
 
-def _share(capture: Capture) -> Float[np.ndarray, "n h w"]:
-    """Signal as a share of the sensor's range, 0 to 1."""
-    share = (capture.frames - np.float32(capture.sensor.offset_dn)) / _range_dn(capture)
-    return np.clip(share, 0, 1)
-
-
-def _range_dn(capture: Capture) -> np.float32:
-    return np.float32(capture.sensor.saturation_dn - capture.sensor.offset_dn)
+def _share(dn: np.ndarray, sensor: SensorSpec) -> Float[np.ndarray, "*n"]:
+    """Digital numbers as a share of the sensor's range, 0 to 1."""
+    offset_dn = np.float32(sensor.offset_dn)
+    return np.clip((dn - offset_dn) / np.float32(sensor.saturation_dn - sensor.offset_dn), 0, 1)
 
 
 @contextmanager

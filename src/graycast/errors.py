@@ -23,3 +23,7 @@ class DropError(GraycastError):
 
 class DatasetError(GraycastError):
     """A dataset folder is not what it should be, or belongs to another run."""
+
+
+class DecodeError(GraycastError):
+    """A stack's frames are missing, do not fit together, or do not fit the code."""

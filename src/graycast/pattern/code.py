@@ -1,0 +1,278 @@
+"""Codes: which frames tell the pixels of a projector apart, and how they are made.
+
+A pattern is what a projector is given: 8-bit grey levels, 255 is white. The list of frames is all
+that a decoder needs, so a code of one's own is a list of one's own.
+"""
+
+import math
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float, UInt8
+from PIL import Image
+
+from .frame import AXES, Axis, Frame, level_share
+
+GreyLevels = Callable[[Float[np.ndarray, "*n"]], UInt8[np.ndarray, "*n"]]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Code:
+    """The frames of a stack in the order in which they are shown.
+
+    Code value 0 of a Gray code lies at projector pixel `offset_px` (column, row), and one value
+    is `stride_px` pixels wide.
+    """
+
+    width_px: int
+    height_px: int
+    frames: tuple[Frame, ...]
+    offset_px: tuple[float, float] = (0.0, 0.0)
+    stride_px: tuple[float, float] = (1.0, 1.0)
+
+    def __post_init__(self) -> None:
+        if self.width_px < 2 or self.height_px < 2:
+            size = f"{self.width_px} x {self.height_px}"
+            raise ValueError(f"projector is {size} px; a code needs 2 or more on each side")
+        if not self.axes:
+            raise ValueError("no frame carries a code: give gray or phase frames")
+        twice = [f.name for f in self.frames if self.frames.count(f) > 1]
+        if twice:
+            raise ValueError(f"frame {twice[0]} is there twice")
+        if min(self.stride_px) <= 0:
+            raise ValueError(f"stride_px is {self.stride_px}; projector pixels per code, above 0")
+
+    @property
+    def axes(self) -> tuple[Axis, ...]:
+        """The axes that are coded."""
+        return tuple(axis for axis in AXES if any(f.axis == axis for f in self.frames))
+
+    @property
+    def subpixel(self) -> bool:
+        """Whether positions come finer than whole projector pixels."""
+        return any(f.kind in ("phase", "line") for f in self.frames)
+
+    def size_px(self, axis: Axis) -> int:
+        """How many pixels the projector has along an axis."""
+        return {"column": self.width_px, "row": self.height_px}[axis]
+
+    def render(self, grey_levels: GreyLevels | None = None) -> UInt8[np.ndarray, "n ph pw"]:
+        """The pictures to project, in the order of `frames`.
+
+        Args:
+            grey_levels: grey level for a wanted share of white light, the inverse of the
+                projector's response; left out: proportional.
+        """
+        to_levels = _proportional if grey_levels is None else grey_levels
+        image = np.empty((len(self.frames), self.height_px, self.width_px), dtype=np.uint8)
+        for k, frame in enumerate(self.frames):
+            image[k] = self._line(frame, to_levels)
+        return image
+
+    def _line(self, frame: Frame, to_levels: GreyLevels) -> UInt8[np.ndarray, "h w"]:
+        """What a frame repeats: one row for columns, one column for rows, one pixel for neither."""
+        if frame.axis is None:
+            return to_levels(level_share(frame, 1))[None]
+        i = AXES.index(frame.axis)
+        share = level_share(
+            frame,
+            self.size_px(frame.axis),
+            offset_px=self.offset_px[i],
+            stride_px=self.stride_px[i],
+        )
+        level = to_levels(share)
+        return level[None, :] if frame.axis == "column" else level[:, None]
+
+
+def _proportional(share: Float[np.ndarray, "*n"]) -> UInt8[np.ndarray, "*n"]:
+    return np.round(255 * share).astype(np.uint8)
+
+
+def write_pngs(
+    code: Code, folder: Path, *, grey_levels: GreyLevels | None = None
+) -> Iterator[Path]:
+    """Write every pattern as an 8-bit PNG, numbered in the order in which they are to be shown."""
+    folder.mkdir(parents=True, exist_ok=True)
+    for k, (frame, image) in enumerate(zip(code.frames, code.render(grey_levels), strict=True)):
+        path = folder / f"{k:02d}_{frame.name}.png"
+        Image.fromarray(image).save(path)
+        yield path
+
+
+# --- the codes of real scanners ----------------------------------------------------------------
+
+
+def gray(
+    width_px: int,
+    height_px: int,
+    *,
+    axes: tuple[Axis, ...] = AXES,
+    inverses: bool = False,
+) -> Code:
+    """Binary-reflected Gray code over single projector pixels, coarsest bit first."""
+    sizes = _sizes(axes, width_px, height_px)
+    frames = [frame for axis in axes for frame in _gray_bits(axis, sizes[axis], inverses)]
+    return Code(width_px=width_px, height_px=height_px, frames=(*_ENDS, *frames))
+
+
+def gray_phase(
+    width_px: int,
+    height_px: int,
+    *,
+    axes: tuple[Axis, ...] = ("column",),
+    inverses: bool = False,
+    period_px: float = 16.0,
+    steps: int = 8,
+) -> Code:
+    """Gray code that counts periods, a complementary bit, and a cosine in `steps` steps.
+
+    The complementary bit tells the halves of a period apart, so that a Gray edge misread by a
+    quarter of a period does no harm: no jumps by 2 pi.
+    """
+    sizes = _sizes(axes, width_px, height_px)
+    frames: list[Frame] = []
+    for axis in axes:
+        frames += _gray_bits(axis, math.ceil(sizes[axis] / period_px), inverses)
+        for inverse in (False, True) if inverses else (False,):
+            frames.append(
+                Frame(kind="complementary", axis=axis, period_px=period_px, inverse=inverse)
+            )
+        frames += _steps("phase", axis, period_px, steps)
+    return Code(
+        width_px=width_px,
+        height_px=height_px,
+        frames=(*_ENDS, *frames),
+        stride_px=(period_px, period_px),
+    )
+
+
+def gray_line_shift(
+    width_px: int,
+    height_px: int,
+    *,
+    axes: tuple[Axis, ...] = ("column",),
+    inverses: bool = False,
+    period_px: float = 8.0,
+) -> Code:
+    """Gray code that counts periods, and a comb of lines shifted pixel by pixel (Guehring, 2001).
+
+    Guehring finds each line's peak in the camera picture; here the first harmonic of the shifts
+    gives the position at every camera pixel. Lines of one pixel in eight have half the amplitude of
+    a cosine at a quarter of its light: less photon noise, more read noise.
+    """
+    if period_px != int(period_px):
+        raise ValueError(f"period_px is {period_px}; lines move by whole pixels")
+    shifted = gray_phase(
+        width_px, height_px, axes=axes, inverses=inverses, period_px=period_px, steps=int(period_px)
+    )
+    frames = tuple(replace(f, kind="line") if f.kind == "phase" else f for f in shifted.frames)
+    return replace(shifted, frames=frames)
+
+
+def multi_frequency(
+    width_px: int,
+    height_px: int,
+    *,
+    axes: tuple[Axis, ...] = ("column",),
+    period_px: float = 16.0,
+    steps: int = 4,
+) -> Code:
+    """Three cosines whose beats count the periods: heterodyne unwrapping.
+
+    With N periods over the axis and one period beside it, so that its ends do not look alike, the
+    others have N - sqrt(N) and N - 1, which shares the noise best between the two beats (C. Towers,
+    D. Towers, J. Jones, Optics Letters 28, 2003).
+    """
+    sizes = _sizes(axes, width_px, height_px)
+    frames: list[Frame] = []
+    for axis in axes:
+        length_px = sizes[axis] + period_px
+        count = length_px / period_px
+        if count < 4:
+            raise ValueError(f"{axis}: {count:.1f} periods of {period_px} px; it takes 4 or more")
+        for number in (count, count - math.sqrt(count), count - 1):
+            frames += _steps("phase", axis, length_px / number, steps)
+    return Code(width_px=width_px, height_px=height_px, frames=(*_ENDS, *frames))
+
+
+def micro_phase(
+    width_px: int,
+    height_px: int,
+    *,
+    axes: tuple[Axis, ...] = ("column",),
+    period_px: float = 16.0,
+) -> Code:
+    """Micro phase shifting: six nearly equal, short periods; three steps of one, one of each other.
+
+    All periods blur and interreflect alike, so they share mean and amplitude, and
+    interreflections, which no short period survives, do no harm.
+
+    Source: M. Gupta, S. Nayar, "Micro Phase Shifting", CVPR 2012; the periods are our own.
+    """
+    frames: list[Frame] = []
+    for axis in _sizes(axes, width_px, height_px):
+        frames += _steps("phase", axis, period_px, 3)
+        for ratio in _MICRO_RATIOS:
+            frames += _steps("phase", axis, period_px / ratio, 3)[:1]
+    return Code(width_px=width_px, height_px=height_px, frames=(*_ENDS, *frames))
+
+
+# Found by random search: of 80 periods no two have cosines within 0.25 of each other, of 120 0.17.
+_MICRO_RATIOS = (0.9432, 0.9077, 1.0869, 1.1273, 1.1023)
+
+
+def xor_gray(
+    width_px: int,
+    height_px: int,
+    *,
+    axes: tuple[Axis, ...] = ("column",),
+    inverses: bool = True,
+    base_bit: int = 1,
+) -> Code:
+    """Gray code whose coarse bits are combined by exclusive-or with a fine one: all stripes narrow.
+
+    Light from elsewhere then reaches a point from as many lit as unlit stripes, in a pattern as in
+    its inverse. `base_bit` 0 gives the stripes of XOR-02, 1 of XOR-04.
+
+    Source: M. Gupta, A. Agrawal, A. Veeraraghavan, S. Narasimhan, "Structured Light 3D Scanning
+    in the Presence of Global Illumination", CVPR 2011.
+    """
+    plain = gray(width_px, height_px, axes=axes, inverses=inverses)
+    frames = tuple(
+        replace(f, xor_bit=base_bit) if f.kind == "gray" and f.bit > base_bit else f
+        for f in plain.frames
+    )
+    return replace(plain, frames=frames)
+
+
+_ENDS = (Frame(kind="white"), Frame(kind="black"))
+
+
+def _sizes(axes: tuple[Axis, ...], width_px: int, height_px: int) -> dict[Axis, int]:
+    """Pixels along each axis that is to be coded."""
+    if not axes or len(set(axes)) != len(axes):
+        raise ValueError(f"axes are {axes}; give column, row or both, each once")
+    if width_px < 2 or height_px < 2:
+        size = f"{width_px} x {height_px}"
+        raise ValueError(f"projector is {size} px; a code needs 2 or more on each side")
+    sizes: dict[Axis, int] = {"column": width_px, "row": height_px}
+    return {axis: sizes[axis] for axis in axes}
+
+
+def _gray_bits(axis: Axis, values: int, inverses: bool) -> list[Frame]:
+    if values < 2:
+        raise ValueError(f"{axis}: one period spans all pixels; a Gray code counts shorter ones")
+    return [
+        Frame(kind="gray", axis=axis, bit=bit, inverse=inverse)
+        for bit in reversed(range((values - 1).bit_length()))
+        for inverse in ((False, True) if inverses else (False,))
+    ]
+
+
+def _steps(kind: str, axis: Axis, period_px: float, steps: int) -> list[Frame]:
+    return [
+        Frame(kind=kind, axis=axis, period_px=period_px, step=step, steps=steps)
+        for step in range(steps)
+    ]

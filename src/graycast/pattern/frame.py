@@ -1,0 +1,124 @@
+"""One picture of a coded stack, in the words that real stacks are described with.
+
+A frame says all that is needed to make it and to read it; a code is a list of frames.
+"""
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from jaxtyping import Float, Int
+
+Axis = Literal["column", "row"]
+AXES: tuple[Axis, Axis] = ("column", "row")
+Kind = Literal["white", "black", "gray", "complementary", "phase", "line"]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Frame:
+    """One picture. Along its axis, at projector pixel `u`, it is
+
+    - `gray`: bit `bit` (0 is the finest) of the Gray code of the code value at u; with
+      `xor_bit >= 0` that bit, exclusive-or bit `xor_bit` (M. Gupta et al., CVPR 2011);
+    - `complementary`: the bit after the finest of a Gray code that counts periods: it tells the
+      halves of a period apart;
+    - `phase`: `(1 + cos 2 pi (u / period_px - step / steps)) / 2`;
+    - `line`: one lit pixel in every `period_px` pixels, moved on by one pixel per step;
+    - `white`, `black`: all or nothing.
+
+    `inverse` swaps dark and bright of a binary frame.
+    """
+
+    kind: Kind
+    axis: Axis | None = None
+    bit: int = -1
+    inverse: bool = False
+    xor_bit: int = -1
+    period_px: float = 0.0
+    step: int = 0
+    steps: int = 0
+
+    def __post_init__(self) -> None:
+        if self.kind in ("white", "black"):
+            return
+        if self.axis not in AXES:
+            raise ValueError(f"a {self.kind} frame has axis {self.axis!r}; it is column or row")
+        if self.kind == "gray" and not 0 <= self.bit < 24:
+            raise ValueError(f"a gray frame has bit {self.bit}; 0 (finest) to 23")
+        if self.kind == "gray" and not -1 <= self.xor_bit < 24:
+            raise ValueError(f"a gray frame has xor_bit {self.xor_bit}; 0 to 23, -1 for none")
+        if self.kind in ("phase", "line", "complementary") and not self.period_px >= 2:
+            raise ValueError(f"a {self.kind} frame has period_px {self.period_px}; 2 or more")
+        if self.kind in ("phase", "line"):
+            if self.steps < 3:
+                raise ValueError(f"a {self.kind} frame has steps {self.steps}; 3 or more")
+            if not 0 <= self.step < self.steps:
+                raise ValueError(
+                    f"a {self.kind} frame has step {self.step}; 0 to {self.steps - 1} as steps "
+                    f"is {self.steps}"
+                )
+            if self.inverse:
+                raise ValueError(f"a {self.kind} frame has no inverse: leave it out")
+        if self.kind == "line" and self.steps != self.period_px:
+            raise ValueError(
+                f"lines move by a pixel a step: steps is {self.steps}, period_px {self.period_px}"
+            )
+
+    @property
+    def name(self) -> str:
+        """A name for files, unique within a code."""
+        if self.kind in ("white", "black"):
+            return self.kind
+        if self.kind == "gray":
+            text = f"{self.axis}_bit{self.bit:02d}"
+            text += f"_xor{self.xor_bit:02d}" if self.xor_bit >= 0 else ""
+        elif self.kind == "complementary":
+            text = f"{self.axis}_complementary_{self.period_px:g}px"
+        else:
+            text = f"{self.axis}_{self.kind}_{self.period_px:g}px_step{self.step:02d}"
+        return text + ("_inverse" if self.inverse else "")
+
+
+def level_share(
+    frame: Frame, size_px: int, *, offset_px: float = 0.0, stride_px: float = 1.0
+) -> Float[np.ndarray, "size"]:
+    """What a frame shows along its axis, 0 dark to 1 bright, one number per projector pixel.
+
+    Args:
+        size_px: projector pixels along the frame's axis; 1 for white and black.
+        offset_px: first projector pixel of code value 0.
+        stride_px: projector pixels per code value.
+    """
+    u = np.arange(size_px, dtype=np.float64)
+    match frame.kind:
+        case "white" | "black":
+            share = np.full(size_px, float(frame.kind == "white"))
+        case "phase":
+            share = 0.5 + 0.5 * np.cos(2 * np.pi * (u / frame.period_px - frame.step / frame.steps))
+        case "line":
+            share = (np.arange(size_px) % frame.steps == frame.step).astype(np.float64)
+        case "complementary":
+            half = code_value(u, offset_px=offset_px, stride_px=frame.period_px / 2)
+            share = (gray_from_binary(half) & 1).astype(np.float64)
+        case "gray":
+            gray = gray_from_binary(code_value(u, offset_px=offset_px, stride_px=stride_px))
+            bit = gray >> frame.bit
+            if frame.xor_bit >= 0:
+                bit = bit ^ (gray >> frame.xor_bit)
+            share = (bit & 1).astype(np.float64)
+    return 1 - share if frame.inverse else share
+
+
+def code_value(
+    u: Float[np.ndarray, "*n"], *, offset_px: float, stride_px: float
+) -> Int[np.ndarray, "*n"]:
+    """Code value of projector positions: `stride_px` pixels share one, the first from `offset_px`.
+
+    A pixel is a square about its centre, so value 0 begins at `offset_px - 1/2`.
+    """
+    return np.floor((u + 0.5 - offset_px) / stride_px + 1e-9).astype(np.int64)
+
+
+def gray_from_binary(value: Int[np.ndarray, "*n"]) -> Int[np.ndarray, "*n"]:
+    """Gray code of integers: neighbours differ in one bit (F. Gray, US patent 2632058, 1953)."""
+    return value ^ (value >> 1)

@@ -1,0 +1,65 @@
+"""A code by its name and few numbers, before it is known for which projector."""
+
+import inspect
+from dataclasses import dataclass
+from typing import Literal, get_args
+
+from .code import (
+    Code,
+    gray,
+    gray_line_shift,
+    gray_phase,
+    micro_phase,
+    multi_frequency,
+    xor_gray,
+)
+from .frame import Axis
+
+Codec = Literal[
+    "gray", "gray_phase", "gray_line_shift", "multi_frequency", "micro_phase", "xor_gray"
+]
+CODECS: tuple[Codec, ...] = get_args(Codec)
+_MAKERS = {
+    "gray": gray,
+    "gray_phase": gray_phase,
+    "gray_line_shift": gray_line_shift,
+    "multi_frequency": multi_frequency,
+    "micro_phase": micro_phase,
+    "xor_gray": xor_gray,
+}
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class CodeSpec:
+    """Which code a scanner shows. What is None is the codec's own default.
+
+    `base_bit` is the bit that `xor_gray` combines the coarser ones with.
+    """
+
+    codec: Codec = "gray"
+    axes: tuple[Axis, ...] = ("column", "row")
+    inverses: bool | None = None
+    period_px: float | None = None
+    steps: int | None = None
+    base_bit: int | None = None
+
+    def __post_init__(self) -> None:
+        if self.codec not in _MAKERS:
+            raise ValueError(f"no codec {self.codec!r}: choose one of {', '.join(CODECS)}")
+        taken = inspect.signature(_MAKERS[self.codec]).parameters
+        foreign = [name for name in self._given() if name not in taken]
+        if foreign:
+            theirs = ", ".join(name for name in taken if name not in ("width_px", "height_px"))
+            raise ValueError(f"{self.codec} has no {foreign[0]}; it takes {theirs}")
+
+    def code(self, width_px: int, height_px: int) -> Code:
+        """The code for a projector's size.
+
+        Raises:
+            ValueError: the numbers make no code on a projector of that size.
+        """
+        return _MAKERS[self.codec](width_px, height_px, axes=self.axes, **self._given())
+
+    def _given(self) -> dict[str, float | int | bool]:
+        names = ("inverses", "period_px", "steps", "base_bit")
+        return {name: getattr(self, name) for name in names if getattr(self, name) is not None}

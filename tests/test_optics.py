@@ -1,12 +1,22 @@
 """Camera rays and pixels, with OpenCV as the independent program."""
 
 import math
+from dataclasses import replace
 
 import cv2
 import numpy as np
 import pytest
 
-from graycast.optics import Optics, distort, fold_radius2, project, rays, undistort
+from graycast.optics import (
+    Optics,
+    blur_radius_px,
+    distort,
+    fold_radius2,
+    project,
+    rays,
+    relative_illumination,
+    undistort,
+)
 
 # Coefficients of a real camera (wide angle, barrel) and of a real projector with a strong k3.
 CAMERA = Optics(
@@ -125,6 +135,34 @@ def test_the_field_of_view_counts_from_border_to_border():
     assert np.degrees(optics.field_of_view_rad) == pytest.approx([90, 90])
 
 
+@pytest.mark.parametrize("z_m", [0.3, 0.8, 5.0])
+def test_the_blur_of_a_point_is_where_the_rays_from_the_pupils_rim_cross_the_plane_in_focus(z_m):
+    """Traced as lines through (+-A / 2, 0) and the point; a pixel is focus / fx wide there."""
+    aperture_m, focus_m = 0.02, 0.5
+    lens = replace(PLAIN, aperture_m=aperture_m, focus_m=focus_m)
+    rim = np.array([-aperture_m / 2, aperture_m / 2])
+    x = rim + (0.03 - rim) * focus_m / z_m
+    expected = abs(np.diff(x)[0]) / 2 * PLAIN.fx_px / focus_m
+    assert blur_radius_px(lens, np.array([z_m]))[0] == pytest.approx(expected, rel=1e-12)
+
+
+def test_only_the_constant_blur_is_left_in_focus_and_in_a_pinhole():
+    lens = replace(PLAIN, aperture_m=0.02, focus_m=0.5, psf_px=1.2)
+    assert blur_radius_px(lens, np.array([0.5]))[0] == pytest.approx(1.2)
+    assert blur_radius_px(replace(lens, aperture_m=0.0), np.array([0.1, 9.0])) == pytest.approx(1.2)
+    assert PLAIN.is_pinhole and not lens.is_pinhole
+    far = replace(PLAIN, aperture_m=0.02)  # focused at infinity: the pupil's own image
+    assert blur_radius_px(far, np.array([2.0]))[0] == pytest.approx(0.01 / 2 * 800)
+
+
+def test_a_camera_dims_by_the_fourth_power_of_the_cosine_to_its_axis():
+    """45 degrees off the axis a quarter is left, on it all."""
+    lens = Optics(width_px=101, height_px=1, fx_px=100.0, fy_px=100.0, cx_px=0.0, cy_px=0.0)
+    assert (relative_illumination(lens) == 1).all()
+    light = relative_illumination(replace(lens, natural_vignetting=True))
+    assert light[0, [0, 100]] == pytest.approx([1.0, 0.25])
+
+
 @pytest.mark.parametrize(
     ("change", "message"),
     [
@@ -132,6 +170,13 @@ def test_the_field_of_view_counts_from_border_to_border():
         ({"fy_px": -600.0}, "both must be positive"),
         ({"fx_px": math.nan}, "both must be positive"),
         ({"cx_px": math.inf}, "not finite"),
+        ({"aperture_m": -0.001}, "aperture_m is -0.001"),
+        ({"aperture_m": 7.2}, "is it in millimetres"),
+        ({"focus_m": 0.0}, "focus_m is 0.0"),
+        ({"focus_m": math.nan}, "focus_m is nan"),
+        ({"psf_px": math.inf}, "psf_px is inf"),
+        ({"fill_factor": 0.0}, "fill_factor is 0.0"),
+        ({"fill_factor": 1.1}, "fill_factor is 1.1"),
     ],
 )
 def test_impossible_intrinsics_are_refused(change, message):

@@ -1,13 +1,24 @@
 """Rig presets, depth per column, and how a rig hangs over its target."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from graycast.frames import inverse, is_rigid, transform_points
 from graycast.optics import Optics
-from graycast.rig import PRESETS, Rig, best_depth_m, depth_per_column_m, place, preset, standoff_m
+from graycast.rig import (
+    PRESETS,
+    Rig,
+    best_depth_m,
+    depth_per_column_m,
+    emission,
+    grey_levels,
+    place,
+    preset,
+    standoff_m,
+)
 
 # baseline [m], toe-in of either axis [deg], range [m], and the camera's focal length at 2064 px.
 PHOXI = {
@@ -159,3 +170,47 @@ def test_an_unknown_preset_lists_those_there_are():
         preset("phoxi-z")
     with pytest.raises(ValueError, match="low or full"):
         preset("paper", "medium")
+
+
+LEVELS = np.arange(256, dtype=np.uint8)
+
+
+def test_a_linear_projector_emits_in_proportion_to_the_grey_level():
+    assert emission(parallel_rig("x"), LEVELS) == pytest.approx(LEVELS / 255, abs=1e-15)
+
+
+def test_the_response_is_linear_between_its_equally_spaced_values():
+    """By hand: knots at 0, 85, 170 and 255."""
+    rig = replace(parallel_rig("x"), response=(0.0, 0.1, 0.4, 1.0))
+    level = np.array([0, 17, 85, 170, 187, 255], dtype=np.uint8)
+    assert emission(rig, level) == pytest.approx([0, 0.02, 0.1, 0.4, 0.52, 1.0])
+
+
+@pytest.mark.parametrize("response", [(0.0, 1.0), (0.0, 0.1, 0.4, 1.0), (0.0, 0.9, 1.0)])
+def test_the_grey_level_for_a_share_is_the_nearest_there_is(response):
+    """Oracle: all levels tried."""
+    rig = replace(parallel_rig("x"), response=response)
+    assert (grey_levels(rig, emission(rig, LEVELS)) == LEVELS).all()
+    share = np.random.default_rng(0).uniform(0, 1, (40, 50))
+    miss = np.abs(emission(rig, LEVELS) - share[..., None])
+    chosen = np.take_along_axis(miss, grey_levels(rig, share)[..., None].astype(int), axis=-1)
+    assert np.array_equal(chosen[..., 0], miss.min(axis=-1))
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"response": (0.0,)}, "2 to 256 values"),
+        ({"response": (0.0, 0.5, 0.5, 1.0)}, "each above the last"),
+        ({"response": (0.0, math.nan, 1.0)}, "each above the last"),
+        ({"response": (0.1, 1.0)}, "black's own light is contrast_ratio"),
+        ({"response": (0.0, 255.0)}, "shares of white's radiance"),
+        ({"contrast_ratio": 1.0}, "white over black"),
+        ({"contrast_ratio": math.nan}, "white over black"),
+        ({"veil": 1.0}, "veil is 1.0"),
+        ({"speckle_contrast": -0.1}, "speckle_contrast is -0.1"),
+    ],
+)
+def test_impossible_light_is_refused(change, message):
+    with pytest.raises(ValueError, match=message):
+        replace(parallel_rig("x"), **change)

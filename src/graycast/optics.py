@@ -1,14 +1,15 @@
-"""Camera and projector optics: pinhole with Brown-Conrady distortion, both ways.
+"""Camera and projector optics: Brown-Conrady distortion both ways, thin lens, vignetting, pixels.
 
 A projector is a camera run backwards, so one description serves both.
 """
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float
 
-UNDISTORT_ITERATIONS = 20
+from .frames import pixel_grid
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -19,7 +20,14 @@ class Optics:
     with `r2 = x^2 + y^2` and `radial = 1 + k1 r2 + k2 r2^2 + k3 r2^3`,
     `x' = x radial + 2 p1 x y + p2 (r2 + 2 x^2)`, `y' = y radial + p1 (r2 + 2 y^2) + 2 p2 x y`.
 
-    Leaves out: defocus, vignetting, skew. Distortion beyond the monotonic range is refused.
+    `aperture_m` is the diameter of the entrance pupil (0: a pinhole), `focus_m` the z of the plane
+    in focus; the pupil lies at z = 0. `psf_px` is the radius of a disc of blur that is there at
+    every depth: aberrations and diffraction. `natural_vignetting` dims a camera by the fourth power
+    of the cosine to its axis, a projector's intensity by the first (see `relative_illumination`).
+    `fill_factor` is the share of a pixel's area, a centred square, that senses or shines.
+
+    Leaves out: skew; vignetting by the lens's own rims; what `blur_radius_px` says. Distortion
+    beyond the monotonic range is refused.
     """
 
     width_px: int
@@ -29,6 +37,11 @@ class Optics:
     cx_px: float
     cy_px: float
     distortion: tuple[float, float, float, float, float] = (0.0, 0.0, 0.0, 0.0, 0.0)
+    aperture_m: float = 0.0
+    focus_m: float = math.inf
+    psf_px: float = 0.0
+    natural_vignetting: bool = False
+    fill_factor: float = 1.0
 
     def __post_init__(self) -> None:
         if self.width_px < 1 or self.height_px < 1:
@@ -44,6 +57,17 @@ class Optics:
             raise ValueError(
                 f"distortion has {len(self.distortion)} terms; give (k1, k2, p1, p2, k3)"
             )
+        if not 0 <= self.aperture_m < 1:
+            raise ValueError(
+                f"aperture_m is {self.aperture_m}; the pupil's diameter in metres, 0 (a pinhole) "
+                "to 1: is it in millimetres?"
+            )
+        if not self.focus_m > 0:
+            raise ValueError(f"focus_m is {self.focus_m}; metres before the lens, inf for far away")
+        if not 0 <= self.psf_px < math.inf:
+            raise ValueError(f"psf_px is {self.psf_px}; a radius in pixels, 0 for none")
+        if not 0 < self.fill_factor <= 1:
+            raise ValueError(f"fill_factor is {self.fill_factor}; a share of 1, above 0")
 
     @property
     def K(self) -> Float[np.ndarray, "3 3"]:
@@ -55,6 +79,11 @@ class Optics:
     @property
     def has_distortion(self) -> bool:
         return any(self.distortion)
+
+    @property
+    def is_pinhole(self) -> bool:
+        """Whether every point is sharp."""
+        return self.aperture_m == 0 and self.psf_px == 0
 
     @property
     def field_of_view_rad(self) -> tuple[float, float]:
@@ -86,7 +115,6 @@ def distort(
     )
 
 
-@np.errstate(all="ignore")  # what diverges is refused at the end, by its residual
 def undistort(
     xy: Float[np.ndarray, "*n 2"], distortion: tuple[float, float, float, float, float]
 ) -> Float[np.ndarray, "*n 2"]:
@@ -95,33 +123,12 @@ def undistort(
     Raises:
         ValueError: the distortion folds over within the given points, so it has no inverse.
     """
-    k1, k2, p1, p2, k3 = distortion
     ideal = np.array(xy, dtype=np.float64)
     if not any(distortion):
         return ideal
-    for _ in range(UNDISTORT_ITERATIONS):
-        x, y = ideal[..., 0], ideal[..., 1]
-        r2 = x * x + y * y
-        radial = 1 + r2 * (k1 + r2 * (k2 + r2 * k3))
-        slope = 2 * (k1 + r2 * (2 * k2 + 3 * r2 * k3))  # d radial / d r2, times 2
-        a = radial + slope * x * x + 2 * p1 * y + 6 * p2 * x
-        b = slope * x * y + 2 * p1 * x + 2 * p2 * y
-        d = radial + slope * y * y + 6 * p1 * y + 2 * p2 * x
-        error = distort(ideal, distortion) - xy
-        determinant = a * d - b * b
-        step = np.stack(
-            [
-                d * error[..., 0] - b * error[..., 1],
-                a * error[..., 1] - b * error[..., 0],
-            ],
-            axis=-1,
-        )
-        ideal = ideal - step / determinant[..., None]
-        if np.abs(step / determinant[..., None]).max(initial=0.0) < 1e-12:
-            break
-    residual = np.abs(distort(ideal, distortion) - xy)
-    # NaN must fail too; a fold-over shows as a non-positive Jacobian at the solution.
-    if not (residual.max(initial=0.0) < 1e-9 and (determinant > 0).all()):
+    from .lens_inverse import undistort_in_place  # numba takes a while to import, --help should not
+
+    if not undistort_in_place(ideal.reshape(-1, 2), *map(float, distortion)):
         raise ValueError(
             f"distortion {distortion} has no inverse over this image: are the coefficients "
             "in the order (k1, k2, p1, p2, k3) and fitted to it?"
@@ -161,3 +168,33 @@ def fold_radius2(distortion: tuple[float, float, float, float, float]) -> float:
     root = np.roots([7 * k3, 5 * k2, 3 * k1, 1.0])
     real = root.real[(np.abs(root.imag) < 1e-9 * np.abs(root)) & (root.real > 0)]
     return float(real.min(initial=np.inf))
+
+
+def blur_radius_px(optics: Optics, z_m: Float[np.ndarray, "*n"]) -> Float[np.ndarray, "*n"]:
+    """Radius of the disc over which a thin lens spreads a point at depth `z_m` [pixels along x].
+
+    Rays from all over the pupil, of diameter A, to a point at z cross the plane in focus, at f, in
+    a disc; seen from the lens its radius is `A / 2 |1 / f - 1 / z|` in normalised coordinates. The
+    constant disc `psf_px` is added in quadrature, as the second moments of blurs add.
+
+    Leaves out: the shape of diffraction and of aberrations, and that they grow over the field; the
+    pupil's foreshortening at the border of the field; focus breathing.
+
+    Source: geometrical optics; e.g. Potmesil & Chakravarty, "A Lens and Aperture Camera Model for
+    Synthetic Image Generation", SIGGRAPH 1981.
+    """
+    defocus = 0.5 * optics.aperture_m * np.abs(1 / optics.focus_m - 1 / z_m)
+    return np.hypot(defocus * optics.fx_px, optics.psf_px)
+
+
+def relative_illumination(optics: Optics) -> Float[np.ndarray, "h w"]:
+    """What natural vignetting leaves of a camera's light at each pixel's centre: cos^4 to the axis.
+
+    1 everywhere where `natural_vignetting` is off. The image's irradiance is `L cos^4`: two factors
+    by the longer way to the sensor, one by the pupil's and one by the sensor's slant.
+    Source: e.g. R. Kingslake, "Optics in Photography", 1992.
+    """
+    if not optics.natural_vignetting:
+        return np.ones((optics.height_px, optics.width_px))
+    ray = rays(optics, pixel_grid(optics.height_px, optics.width_px))
+    return 1 / np.square(np.square(ray).sum(axis=-1))

@@ -4,7 +4,7 @@ import math
 from dataclasses import dataclass, replace
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, UInt8
 
 from .frames import axis_rotation, inverse, is_rigid, look_at, rigid, transform_points
 from .optics import Optics, project, rays
@@ -20,7 +20,14 @@ class Rig:
     a filter that passes the bands in which the projector shines, and no other.
     `picture_level` is what the projector shows, 0 to 1, while the colour picture is taken.
 
-    Leaves out: defocus and vignetting of both; spectra finer than three bands.
+    `response` is the projector's radiance, as a share of white's, at equally spaced grey levels
+    from 0 to 255, linear between them. What leaks through a black picture is white's light over
+    `contrast_ratio`; it is in every picture. `veil` is the share of its light that the camera's
+    lens spreads far over the image. `speckle_contrast` is standard deviation over mean of a pixel's
+    light on a rough surface lit by a coherent projector.
+
+    Leaves out: spectra finer than three bands and the projector's line; a response that depends on
+    place, time or the picture; speckle that changes with wavelength, focus or motion.
     """
 
     name: str
@@ -32,6 +39,10 @@ class Rig:
     intensity_w_sr: float = 10.0
     band_weights: tuple[float, float, float] = (1 / 3, 1 / 3, 1 / 3)
     picture_level: float = 0.0
+    response: tuple[float, ...] = (0.0, 1.0)
+    contrast_ratio: float = math.inf
+    veil: float = 0.0
+    speckle_contrast: float = 0.0
 
     def __post_init__(self) -> None:
         self.T_cam_proj.flags.writeable = False
@@ -54,6 +65,21 @@ class Rig:
             raise ValueError(f"band_weights are {self.band_weights}; shares of 1 in R, G, B")
         if not 0 <= self.picture_level <= 1:
             raise ValueError(f"picture_level is {self.picture_level}; it is between 0 and 1")
+        if not 2 <= len(self.response) <= 256 or not (np.diff(self.response) > 0).all():
+            raise ValueError(f"response is {self.response}; 2 to 256 values, each above the last")
+        if (self.response[0], self.response[-1]) != (0.0, 1.0):
+            raise ValueError(
+                f"response goes from {self.response[0]} to {self.response[-1]}; it starts at 0 and "
+                "ends at 1, shares of white's radiance: black's own light is contrast_ratio"
+            )
+        if not self.contrast_ratio > 1:
+            raise ValueError(f"contrast_ratio is {self.contrast_ratio}; white over black, above 1")
+        if not 0 <= self.veil < 1:
+            raise ValueError(f"veil is {self.veil}; a share of the camera's light, below 1")
+        if not 0 <= self.speckle_contrast <= 1:
+            raise ValueError(
+                f"speckle_contrast is {self.speckle_contrast}; 0 to 1 (fully developed speckle)"
+            )
 
     @property
     def baseline_m(self) -> float:
@@ -69,6 +95,21 @@ class Rig:
     def axes_angle_rad(self) -> float:
         """Angle between the two optical axes: the toe-in of both devices together."""
         return float(np.arccos(np.clip(self.T_cam_proj[2, 2], -1.0, 1.0)))
+
+
+def emission(rig: Rig, level: UInt8[np.ndarray, "*n"]) -> Float[np.ndarray, "*n"]:
+    """What the projector emits at a grey level, as a share of white's, above its black level."""
+    return _emission_table(rig)[level]
+
+
+def grey_levels(rig: Rig, share: Float[np.ndarray, "*n"]) -> UInt8[np.ndarray, "*n"]:
+    """The grey level whose emission comes nearest to each share of white's: undoes `emission`."""
+    table = _emission_table(rig)
+    return np.searchsorted((table[1:] + table[:-1]) / 2, share).astype(np.uint8)
+
+
+def _emission_table(rig: Rig) -> Float[np.ndarray, "256"]:
+    return np.interp(np.arange(256), np.linspace(0, 255, len(rig.response)), rig.response)
 
 
 # fx at full resolution [px], baseline [m], toe-in of either device [deg], range [m]: figures of the

@@ -1,6 +1,7 @@
 """Each back end against the exact reference, on one picture that has everything."""
 
 import numpy as np
+from scipy.ndimage import maximum_filter, minimum_filter
 from stage import askew_rig, in_camera, lambert, leaning_wall, optics, wall
 
 from graycast.render import Quality, open_renderer
@@ -11,8 +12,9 @@ DIRECT = Quality(samples=64, depth=1)
 
 def test_mitsuba_agrees_with_the_exact_renderer(mitsuba_renderer):
     """Two programs without common code, on a scene with distortion in both lenses, shadows and
-    borders. Inside surfaces each finds the pixel's centre to a twentieth; at borders each may miss
-    an eighth of a pixel's range (8 x 8 positions), and both together a quarter.
+    borders. Inside surfaces both find the pixel's centre, one by a regular grid and one by mirrored
+    pairs: a hundredth of what neighbours differ by is plenty. At borders each may miss an eighth
+    of a pixel's range (8 x 8 positions), and both together a quarter.
     """
     lens, beam = (-0.2, 0.08, 0.003, -0.002, 0.0), (0.1, -0.03, -0.003, 0.004, 0.0)
     camera, projector = optics(96, 72, 90, distortion=lens), optics(33, 21, 24, distortion=beam)
@@ -35,10 +37,10 @@ def test_mitsuba_agrees_with_the_exact_renderer(mitsuba_renderer):
     depth = exact.truth.depth_m
     jump = np.abs(np.gradient(depth)).sum(axis=0) > 0.02
     with np.errstate(divide="ignore", invalid="ignore"):
-        slope = np.abs(np.gradient(a[0])).sum(axis=0) / a[0]  # share per pixel
+        slope = (maximum_filter(a[0], 3) - minimum_filter(a[0], 3)) / a[0]  # share of it
         error = np.abs(a[0] / b[0] - 1)
-    inside = ~jump & (slope < 0.15)
+    inside = ~jump & (slope < 0.3)
     assert inside.mean() > 0.7
-    assert (error < 1e-4 + 0.1 * slope)[inside].all()
+    assert (error < 1e-4 + 0.01 * slope)[inside].all()
     assert np.abs(a.sum(axis=(1, 2)) / b.sum(axis=(1, 2)) - 1).max() < 2e-3
     assert np.abs(exact.radiance.albedo - other.radiance.albedo).mean() < 2e-3

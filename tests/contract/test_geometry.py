@@ -15,7 +15,7 @@ from stage import (
     wall,
 )
 
-from graycast.pattern import GrayCode
+from graycast.pattern import gray
 from graycast.render import Quality
 from graycast.scene import EMPTY_LAYOUT, Quad, Sphere
 
@@ -165,7 +165,7 @@ def test_every_pattern_lights_the_projector_pixel_that_sees_the_point(renderer, 
     """
     projector = optics(31, 26, 44, distortion=distortion)
     rig = askew_rig(camera=optics(150, 110, 110), projector=projector)
-    code = GrayCode(width_px=31, height_px=26)
+    code = gray(31, 26)
     scene = in_camera(rig, wall(0.8, GRAY))
     light = render(renderer, scene, code.render(), samples=25).radiance.pattern
     T_proj_cam = np.linalg.inv(rig.T_cam_proj)

@@ -18,7 +18,7 @@ from stage import (
 
 from graycast.frames import rigid
 from graycast.parts import Material
-from graycast.pattern import GrayCode
+from graycast.pattern import gray
 from graycast.render import Quality
 from graycast.scene import EMPTY_LAYOUT, Sphere
 
@@ -79,7 +79,7 @@ def agree(one, other):
 
 
 def patterns_of(rig, names):
-    code = GrayCode(width_px=rig.projector.width_px, height_px=rig.projector.height_px)
+    code = gray(rig.projector.width_px, rig.projector.height_px)
     order = [frame.name for frame in code.frames]
     return code.render()[[order.index(name) for name in names]]
 
@@ -168,7 +168,7 @@ def test_a_pattern_in_the_stack_has_the_same_bits_as_alone_with_that_seed(mitsub
 def test_a_pattern_and_its_inverse_make_white_and_black_is_nothing(mitsuba_renderer, footprint):
     """Linearity, to the rounding of float32 sums; white is also the sum of its three bands."""
     scene, layout = corner_scene()
-    code = GrayCode(width_px=48, height_px=36, inverses=True)
+    code = gray(48, 36, inverses=True)
     quality = Quality(samples=8, depth=DEPTH, footprint=footprint)
     light = mitsuba_renderer.render(scene, layout, code.render(), quality=quality, seed=3).radiance
     white = light.pattern[0]

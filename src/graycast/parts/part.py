@@ -18,7 +18,10 @@ class Material:
     `roughness` is perceptual: the GGX alpha is its square; mirrors (below 0.05) are refused, since
     no path finds a pinhole projector's mirror image.
 
-    Leaves out: translucency, anisotropy, spectra finer than three bands.
+    `projector_reflectance` takes the place of colour and texture in the light of the measuring
+    camera, whose filter passes the projector's wavelength alone; None leaves it to the bands.
+
+    Leaves out: translucency, anisotropy, spectra finer than three bands and that one line.
     """
 
     base_color: tuple[float, float, float] = (0.5, 0.5, 0.5)
@@ -26,6 +29,7 @@ class Material:
     metallic: float = 0.0
     roughness: float = 0.5
     specular: float = 0.5
+    projector_reflectance: float | None = None
 
     def __post_init__(self) -> None:
         if len(self.base_color) != 3 or not all(0 <= c <= 1 for c in self.base_color):
@@ -35,6 +39,11 @@ class Material:
         for name in ("metallic", "specular"):
             if not 0 <= getattr(self, name) <= 1:
                 raise ValueError(f"{name} is {getattr(self, name)}; it is between 0 and 1")
+        if self.projector_reflectance is not None and not 0 <= self.projector_reflectance <= 1:
+            raise ValueError(
+                f"projector_reflectance is {self.projector_reflectance}; it is between 0 and 1, or "
+                "None for what the colour says"
+            )
         if self.texture is not None:
             self.texture.flags.writeable = False
 

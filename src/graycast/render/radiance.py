@@ -33,12 +33,18 @@ class Quality:
 class Radiance:
     """Linear images of one scene before any sensor [W sr^-1 m^-2].
 
-    `pattern[k]` is what projected pattern k alone adds, summed over the bands; `white_rgb` is what
-    an all-white projector adds in each band; `ambient_rgb` is all other light, per band. Light
-    adds, so any picture is a sum of these.
+    The measuring camera, behind its filter: `pattern[k]` is what projected pattern k alone adds,
+    `white` what an all-white projector adds, `ambient` all other light. The colour picture:
+    `white_rgb` is what an all-white projector adds in each band; `ambient_rgb` is all other light,
+    per band. Light adds, so any picture is a sum of these.
+
+    `white` is `white_rgb` summed over the bands, and `ambient` is `ambient_rgb` over those that the
+    filter passes, unless a material has a `projector_reflectance`.
     """
 
     pattern: Float[np.ndarray, "n h w"]
+    white: Float[np.ndarray, "h w"]
+    ambient: Float[np.ndarray, "h w"]
     white_rgb: Float[np.ndarray, "h w 3"]
     ambient_rgb: Float[np.ndarray, "h w 3"]
     albedo: Float[np.ndarray, "h w 3"]  # first surface's base reflectance, for denoisers
@@ -126,6 +132,7 @@ class Renderer(Protocol):
         """Render every pattern (grey levels, 255 is white) and the ground truth.
 
         Raises:
-            ValueError: the patterns have another size than the scene's projector.
+            ValueError: the patterns have another size than the scene's projector, or the rig has
+                optics or speckle that this renderer or this quality cannot give.
         """
         ...

@@ -3,7 +3,8 @@
 It settles half pixels, signs and radiometry for the others; it is not meant to be fast. Rays go
 through a regular grid of positions in each pixel, so there is no noise, and the seed is not used.
 
-Limits: Lambertian `surfaces` only, without parts, bin, lamps or environment; path depth 1.
+Limits: Lambertian `surfaces` only, without parts, bin, lamps or environment; path depth 1; sharp
+lenses and no speckle. Closed forms judge the blur of the others.
 """
 
 import math
@@ -13,9 +14,11 @@ import numpy as np
 from jaxtyping import Bool, Float, UInt8
 
 from ..frames import inverse, pixel_grid, transform_points
-from ..optics import project, rays
+from ..optics import project, rays, relative_illumination
+from ..rig import Rig, emission
 from ..scene import Layout, Quad, Scene, Sphere
 from .radiance import GroundTruth, Quality, Radiance, Rendering
+from .wavelength import at_projector_wavelength
 
 CLEARANCE_M = 1e-9  # a shadow ray starts this far from its surface; float64 needs no more
 
@@ -36,21 +39,30 @@ class ReferenceRenderer:
         _refuse_beyond_limits(scene, layout, pattern, quality)
         camera = scene.rig.camera
         side = math.isqrt(quality.samples)
-        offsets = (np.arange(side) + 0.5) / side - 0.5
+        offsets = ((np.arange(side) + 0.5) / side - 0.5) * math.sqrt(camera.fill_factor)
         grid = pixel_grid(camera.height_px, camera.width_px)
         h, w = grid.shape[:2]
-        image = np.zeros((len(pattern), h, w))
-        white, albedo = np.zeros((h, w, 3)), np.zeros((h, w, 3))
+        measured = at_projector_wavelength(scene)
+        weights, level = np.array(scene.rig.band_weights), emission(scene.rig, pattern)
+        image, white = np.zeros((len(pattern), h, w)), np.zeros((h, w))
+        white_rgb, albedo = np.zeros((h, w, 3)), np.zeros((h, w, 3))
+        share = relative_illumination(camera) / side**2
         for dy in offsets:
             for dx in offsets:
-                radiance, base, pixel = _direct(scene, grid + np.array([dx, dy]))
-                white += radiance / side**2
+                place = grid + np.array([dx, dy])
+                irradiance, base, pixel = _direct(scene, place)
+                seen = base if measured is scene else _direct(measured, place)[1]
+                arriving = share * irradiance / math.pi
+                white_rgb += arriving[..., None] * base * weights
                 albedo += base / side**2
-                level = pattern[:, pixel[..., 1], pixel[..., 0]] / 255.0
-                image += level * (radiance @ np.array(scene.rig.band_weights)) / side**2
+                mono = arriving * (seen @ weights)
+                white += mono
+                image += level[:, pixel[..., 1], pixel[..., 0]] * mono
         radiance = Radiance(
             pattern=image.astype(np.float32),
-            white_rgb=(white * np.array(scene.rig.band_weights)).astype(np.float32),
+            white=white.astype(np.float32),
+            ambient=np.zeros((h, w), dtype=np.float32),
+            white_rgb=white_rgb.astype(np.float32),
             ambient_rgb=np.zeros((h, w, 3), dtype=np.float32),
             albedo=albedo.astype(np.float32),
         )
@@ -71,6 +83,10 @@ def _refuse_beyond_limits(
         raise ValueError("the reference renderer has no environment light: set it to 0, 0, 0")
     if quality.depth != 1 or math.isqrt(quality.samples) ** 2 != quality.samples:
         raise ValueError("the reference renderer needs depth 1 and a square number of samples")
+    if not (scene.rig.camera.is_pinhole and projector.is_pinhole):
+        raise ValueError("the reference renderer has sharp lenses: set aperture_m and psf_px to 0")
+    if scene.rig.speckle_contrast:
+        raise ValueError("the reference renderer has no speckle: set speckle_contrast to 0")
     for surface in scene.surfaces:
         material = surface.material
         if material.metallic or material.specular or material.texture is not None:
@@ -78,7 +94,7 @@ def _refuse_beyond_limits(
 
 
 def _direct(scene: Scene, pixel: Float[np.ndarray, "h w 2"]) -> tuple:
-    """Radiance of an all-white projector, base colour, and the projector pixel of each ray."""
+    """Irradiance by an all-white projector, base colour, and the projector pixel of each ray."""
     rig = scene.rig
     direction = rays(rig.camera, pixel) @ scene.T_world_cam[:3, :3].T
     eye = scene.T_world_cam[:3, 3]
@@ -87,10 +103,12 @@ def _direct(scene: Scene, pixel: Float[np.ndarray, "h w 2"]) -> tuple:
     point = eye + np.where(hit, t, 1.0)[..., None] * direction
     normal, base = _normals(scene, point, index), _base_colors(scene, index)
     T_world_proj = scene.T_world_cam @ rig.T_cam_proj
-    seen_by = project(rig.projector, transform_points(inverse(T_world_proj), point))
+    in_projector = transform_points(inverse(T_world_proj), point)
+    seen_by = project(rig.projector, in_projector)
     size = np.array([rig.projector.width_px, rig.projector.height_px])
     with np.errstate(invalid="ignore"):
         inside = ((seen_by >= -0.5) & (seen_by < size - 0.5)).all(axis=-1)
+        inside &= _on_a_pixel(rig, seen_by)
     column_row = np.where(inside[..., None], np.floor(seen_by + 0.5), 0).astype(int)
     to_lens = T_world_proj[:3, 3] - point
     distance = np.linalg.norm(to_lens, axis=-1)
@@ -99,7 +117,15 @@ def _direct(scene: Scene, pixel: Float[np.ndarray, "h w 2"]) -> tuple:
     start = point + CLEARANCE_M * normal
     lit = hit & inside & (cosine > 0) & faces_camera & ~_blocked(scene, start, T_world_proj[:3, 3])
     irradiance = np.where(lit, rig.intensity_w_sr * cosine / distance**2, 0.0)
-    return base / math.pi * irradiance[..., None], base, column_row
+    if rig.projector.natural_vignetting:
+        irradiance *= in_projector[..., 2] / distance
+    return irradiance, base, column_row
+
+
+def _on_a_pixel(rig: Rig, seen_by: Float[np.ndarray, "h w 2"]) -> Bool[np.ndarray, "h w"]:
+    """Whether the light comes from a pixel's shining square rather than from between them."""
+    aside = np.abs(seen_by - np.floor(seen_by + 0.5))
+    return (aside <= 0.5 * math.sqrt(rig.projector.fill_factor)).all(axis=-1)
 
 
 def _nearest(scene: Scene, origin: np.ndarray, direction: np.ndarray) -> tuple:

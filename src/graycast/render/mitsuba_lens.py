@@ -1,0 +1,95 @@
+"""Lenses in Dr.Jit: where camera rays start and go, and what the projector sees of a point.
+
+Imported only by the other Mitsuba files, after a variant was set.
+"""
+
+import math
+
+import drjit as dr
+import mitsuba as mi
+
+from ..optics import Optics, fold_radius2
+
+NEWTON_STEPS = 6  # double the digits each; lenses need four for float32
+
+
+def camera_ray(camera: Optics, x: mi.Float, y: mi.Float) -> mi.Vector3f:
+    """Unit direction of a pixel position, camera frame, distortion taken off by Newton steps."""
+    xd, yd = (x - camera.cx_px) / camera.fx_px, (y - camera.cy_px) / camera.fy_px
+    xi, yi = mi.Float(xd), mi.Float(yd)
+    if camera.has_distortion:
+        k1, k2, p1, p2, k3 = camera.distortion
+        for _ in range(NEWTON_STEPS):
+            r2 = xi * xi + yi * yi
+            radial = 1 + r2 * (k1 + r2 * (k2 + r2 * k3))
+            slope = 2 * (k1 + r2 * (2 * k2 + 3 * r2 * k3))
+            a = radial + slope * xi * xi + 2 * p1 * yi + 6 * p2 * xi
+            b = slope * xi * yi + 2 * p1 * xi + 2 * p2 * yi
+            d = radial + slope * yi * yi + 6 * p1 * yi + 2 * p2 * xi
+            fx, fy = distorted(xi, yi, camera.distortion)
+            ex, ey = fx - xd, fy - yd
+            scale = dr.rcp(a * d - b * b)
+            xi, yi = xi - (d * ex - b * ey) * scale, yi - (a * ey - b * ex) * scale
+    return dr.normalize(mi.Vector3f(xi, yi, 1))
+
+
+def distorted(x, y, distortion):
+    k1, k2, p1, p2, k3 = distortion
+    r2 = x * x + y * y
+    radial = 1 + r2 * (k1 + r2 * (k2 + r2 * k3))
+    return (
+        x * radial + 2 * p1 * x * y + p2 * (r2 + 2 * x * x),
+        y * radial + p1 * (r2 + 2 * y * y) + 2 * p2 * x * y,
+    )
+
+
+def through_focus(
+    camera: Optics, direction: mi.Vector3f, place: mi.Point2f
+) -> tuple[mi.Vector3f, mi.Vector3f]:
+    """Start and unit direction, camera frame, of a ray through a place of the pupil (unit disc).
+
+    All rays of one pixel position meet where its central ray crosses the plane in focus.
+    """
+    start = mi.Vector3f(0.5 * camera.aperture_m * place.x, 0.5 * camera.aperture_m * place.y, 0)
+    return start, dr.normalize(direction / direction.z - start / camera.focus_m)
+
+
+def seen_by_projector(projector: Optics, q: mi.Point3f) -> tuple[mi.Point2f, mi.Float, mi.Bool]:
+    """Where the projector sees a point of its own frame [px], 1 / z there, and if at all."""
+    ahead = q.z > 0
+    scale = dr.select(ahead, dr.rcp(q.z), 0)
+    x, y = q.x * scale, q.y * scale
+    if projector.has_distortion:
+        ahead &= x * x + y * y < fold_radius2(projector.distortion)
+        x, y = distorted(x, y, projector.distortion)
+    u = dr.fma(x, projector.fx_px, projector.cx_px)
+    v = dr.fma(y, projector.fy_px, projector.cy_px)
+    return mi.Point2f(u, v), scale, ahead
+
+
+def blur_radius2(projector: Optics, inverse_z: mi.Float) -> mi.Float:
+    """Square of `optics.blur_radius_px` in normalised coordinates."""
+    defocus = 0.5 * projector.aperture_m * (1 / projector.focus_m - inverse_z)
+    return dr.square(defocus) + (projector.psf_px / projector.fx_px) ** 2
+
+
+def in_field(projector: Optics, place: mi.Point2f) -> mi.Bool:
+    inside = (place.x >= -0.5) & (place.x < projector.width_px - 0.5)
+    return inside & (place.y >= -0.5) & (place.y < projector.height_px - 0.5)
+
+
+def shines(projector: Optics, place: mi.Point2f) -> mi.Bool:
+    """Whether a place of the projector's picture is on a pixel, rather than in a gap or outside."""
+    inside = in_field(projector, place)
+    if projector.fill_factor < 1:
+        half = 0.5 * math.sqrt(projector.fill_factor)
+        inside &= dr.abs(place.x - dr.floor(place.x + 0.5)) < half
+        inside &= dr.abs(place.y - dr.floor(place.y + 0.5)) < half
+    return inside
+
+
+def pixel_index(projector: Optics, place: mi.Point2f) -> mi.UInt32:
+    """The pixel at a place; a pixel is a square around its centre, so the nearest centre is it."""
+    u = dr.clip(dr.floor(place.x + 0.5), 0, projector.width_px - 1)
+    v = dr.clip(dr.floor(place.y + 0.5), 0, projector.height_px - 1)
+    return mi.UInt32(v * projector.width_px + u)  # exact below 2^24 pixels

@@ -1,0 +1,49 @@
+"""Patterns in as few bits as they need, and sums over them in as few steps.
+
+Imported only by `mitsuba.py`, after a variant was set.
+"""
+
+import mitsuba as mi
+import numpy as np
+
+from ..rig import Rig, emission
+
+
+def packed(pattern: np.ndarray, rig: Rig) -> tuple[list[mi.UInt32], int]:
+    """What the patterns emit, as 32-bit words per projector pixel, and the bits that each takes.
+
+    One bit if all are binary, eight under a linear response, else sixteen: a rounding of 1e-5.
+    """
+    share = emission(rig, np.arange(256, dtype=np.uint8))
+    if np.isin(pattern, (0, 255)).all():
+        bits_each = 1
+    else:
+        bits_each = 8 if np.allclose(share * 255, np.arange(256), rtol=0, atol=1e-9) else 16
+    level = np.rint(share * (2**bits_each - 1)).astype(np.uint32)[pattern]
+    per_word = 32 // bits_each
+    words = []
+    for first in range(0, len(level), per_word):
+        word = np.zeros(level.shape[1:], dtype=np.uint32)
+        for k, image in enumerate(level[first : first + per_word]):
+            word |= image << np.uint32(k * bits_each)
+        words.append(mi.UInt32(word.ravel()))
+    return words, bits_each
+
+
+def bit_counts(words: list[mi.UInt32]) -> list[mi.UInt32]:
+    """How many of one, three or six words have each bit set, as the bits of that count.
+
+    Full adders count all 32 bits at once, so that a pattern costs as many additions as the count
+    has bits.
+    """
+
+    def add(a: mi.UInt32, b: mi.UInt32, c: mi.UInt32) -> tuple[mi.UInt32, mi.UInt32]:
+        return a ^ b ^ c, (a & b) | (c & (a ^ b))
+
+    if len(words) == 1:
+        return words
+    ones, twos = add(*words[:3])
+    if len(words) == 3:
+        return [ones, twos]
+    others, carry = add(*words[3:])
+    return [ones ^ others, *add(twos, carry, ones & others)]

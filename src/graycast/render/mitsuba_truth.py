@@ -1,0 +1,183 @@
+"""Geometry at pixel centres and whole silhouettes, from the scene that Mitsuba holds.
+
+Imported only by `mitsuba.py`, after a variant was set.
+"""
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+
+from ..frames import inverse, transform_points
+from ..optics import fold_radius2, project
+from ..scene import Layout, Scene
+from .mitsuba_lens import camera_ray, distorted
+from .mitsuba_scene import PartShape
+from .radiance import GroundTruth, Silhouette
+
+STEP_THROUGH_M = 2e-5  # past a surface: float32 errs by less, parts that touch overlap by less
+OUTLINE_POINTS = 33  # on each side of a part's box, which distortion bends
+
+
+def truth(
+    world: mi.Scene, part_shapes: tuple[PartShape, ...], scene: Scene, layout: Layout
+) -> GroundTruth:
+    camera = scene.rig.camera
+    h, w = camera.height_px, camera.width_px
+    boxes = [_silhouette_box(scene, layout, i) for i in range(len(layout.part_index))]
+    ray = _centre_rays(scene, left=0, top=0, width=w, height=h)
+    si = world.ray_intersect(ray)
+    hit = si.is_valid()
+    R_cam_world = mi.Matrix3f(scene.T_world_cam[:3, :3].T)
+    axis = mi.Vector3f(scene.T_world_cam[:3, 2])
+    depth = dr.select(hit, si.t * dr.dot(ray.d, axis), dr.nan)
+    n = dr.select(hit, R_cam_world @ si.n, dr.nan)
+    n = dr.mulsign(n, -dr.dot(si.n, ray.d))
+    instance = _instance(si, part_shapes)
+    dr.eval(depth, n, instance)
+    bits, left, top = _amodal_bits(part_shapes, scene, boxes)
+    return GroundTruth(
+        depth_m=np.array(depth).reshape(h, w),
+        normal=np.array(n).T.reshape(h, w, 3),
+        instance=np.array(instance).reshape(h, w),
+        amodal=tuple(_silhouette(bits, left, top, i, box) for i, box in enumerate(boxes)),
+    )
+
+
+def _centre_rays(scene: Scene, *, left: int, top: int, width: int, height: int) -> mi.Ray3f:
+    """Rays through the pixel centres of a canvas whose first pixel is (left, top)."""
+    camera = scene.rig.camera
+    x, y = _canvas(left=left, top=top, width=width, height=height)
+    direction = mi.Matrix3f(scene.T_world_cam[:3, :3]) @ camera_ray(camera, x, y)
+    return mi.Ray3f(mi.Point3f(scene.T_world_cam[:3, 3]), direction)
+
+
+def _canvas(*, left: int, top: int, width: int, height: int) -> tuple[mi.Float, mi.Float]:
+    """Pixel positions; the corner and width, other in each scene, stay out of the kernel's text."""
+    lane = dr.arange(mi.Int32, width * height)
+    columns = dr.opaque(mi.Int32, width)
+    x = lane % columns + dr.opaque(mi.Int32, left)
+    return mi.Float(x), mi.Float(lane // columns + dr.opaque(mi.Int32, top))
+
+
+def _instance(si: mi.SurfaceInteraction3f, part_shapes: tuple[PartShape, ...]) -> mi.Int32:
+    """Layout index of what was hit; -1 for anything but a part."""
+    instance = dr.full(mi.Int32, -1, dr.width(si))
+    for part in part_shapes:
+        table = mi.Int32(part.instances.astype(np.int32))
+        mine = si.is_valid() & (si.shape == mi.ShapePtr(part.shape))
+        index = dr.gather(mi.Int32, table, si.prim_index // part.faces_each, mine)
+        instance = dr.select(mine, index, instance)
+    return instance
+
+
+def _silhouette_box(scene: Scene, layout: Layout, index: int) -> tuple[int, int, int, int]:
+    """Pixels (left, top, right, bottom; ends excluded) that can meet an instance.
+
+    Reaches at most one image size beyond each border.
+    """
+    camera = scene.rig.camera
+    part = scene.parts[layout.part_index[index]]
+    T_cam_part = inverse(scene.T_world_cam) @ layout.T_world_part[index]
+    pixel = project(camera, _outline(transform_points(T_cam_part, part.mesh.vertices_m)))
+    size = np.array([camera.width_px, camera.height_px])
+    if np.isnan(pixel).any():  # reaches behind the lens: it may be anywhere
+        low, high = -size, 2 * size
+    else:
+        # A pixel of slack: distortion bends the outline between its points.
+        low = np.clip(np.floor(pixel.min(axis=0)).astype(int) - 1, -size, 2 * size)
+        high = np.clip(np.ceil(pixel.max(axis=0)).astype(int) + 2, -size, 2 * size)
+    return int(low[0]), int(low[1]), int(high[0]), int(high[1])
+
+
+def _outline(point: np.ndarray) -> np.ndarray:
+    """Points around the image of others in an ideal lens; a real one maps their curve around it."""
+    if (point[:, 2] <= 0).any():
+        return point
+    ideal = point[:, :2] / point[:, 2:]
+    low, high = ideal.min(axis=0), ideal.max(axis=0)
+    step = np.linspace(0.0, 1.0, OUTLINE_POINTS)
+    along = np.concatenate([step, step, 0 * step, 0 * step + 1])
+    across = np.concatenate([0 * step, 0 * step + 1, step, step])
+    border = low + (high - low) * np.stack([along, across], axis=-1)
+    return np.concatenate([border, np.ones_like(border[:, :1])], axis=-1)
+
+
+def _amodal_bits(
+    part_shapes: tuple[PartShape, ...],
+    scene: Scene,
+    boxes: list[tuple[int, int, int, int]],
+) -> tuple[np.ndarray, int, int]:
+    """One bit per instance and pixel, uint32 (words, rows, columns), and the canvas's first pixel.
+
+    Follows each centre ray through all parts it meets, so hidden surfaces count as well. The bin
+    is left out: a part that lies flat on it would share its depth.
+    """
+    if not boxes:
+        return np.zeros((0, 0, 0), dtype=np.uint32), 0, 0
+    box = np.array(boxes)
+    left, top = (int(e) for e in box[:, :2].min(axis=0))
+    width, height = (int(e) for e in box[:, 2:].max(axis=0) - [left, top])
+    if width <= 0 or height <= 0:  # no part comes near the picture
+        return np.zeros(((len(boxes) + 31) // 32, 0, 0), dtype=np.uint32), left, top
+    ray = _centre_rays(scene, left=left, top=top, width=width, height=height)
+    going = _exists(scene, ray, *_canvas(left=left, top=top, width=width, height=height))
+    parts_alone = {f"part{i}": part.shape for i, part in enumerate(part_shapes)}
+    world = mi.load_dict({"type": "scene"} | parts_alone)
+    words = _follow(world, part_shapes, ray, going, (len(boxes) + 31) // 32)
+    dr.eval(words)
+    return np.stack([np.array(word).reshape(height, width) for word in words]), left, top
+
+
+def _exists(scene: Scene, ray: mi.Ray3f, x: mi.Float, y: mi.Float) -> mi.Bool:
+    """Whether the ray of a pixel goes back to it: beyond the fold of a lens there is none."""
+    camera = scene.rig.camera
+    if not camera.has_distortion:
+        return dr.full(mi.Bool, True, dr.width(ray.d))
+    d = mi.Matrix3f(scene.T_world_cam[:3, :3].T) @ ray.d
+    xi, yi = d.x / d.z, d.y / d.z
+    u, v = distorted(xi, yi, camera.distortion)
+    returns = dr.abs(dr.fma(u, camera.fx_px, camera.cx_px) - x) < 0.05
+    returns &= dr.abs(dr.fma(v, camera.fy_px, camera.cy_px) - y) < 0.05
+    return returns & (xi * xi + yi * yi < fold_radius2(camera.distortion))
+
+
+def _follow(
+    world: mi.Scene,
+    part_shapes: tuple[PartShape, ...],
+    ray: mi.Ray3f,
+    going: mi.Bool,
+    word_count: int,
+) -> list[mi.UInt32]:
+    """The instances that each ray meets on its whole way, as a set of bits."""
+
+    def body(origin, going, words):
+        si = world.ray_intersect(
+            mi.Ray3f(origin, ray.d), mi.RayFlags.Minimal, coherent=True, active=going
+        )
+        instance = _instance(si, part_shapes)
+        bit = mi.UInt32(1) << mi.UInt32(instance & 31)
+        words = [
+            word | dr.select((instance >= 0) & (instance >> 5 == k), bit, 0)
+            for k, word in enumerate(words)
+        ]
+        # Not `spawn_ray`: it steps along the normal and would leave the pixel's ray.
+        return mi.Point3f(origin + (si.t + STEP_THROUGH_M) * ray.d), si.is_valid(), words
+
+    none = [dr.zeros(mi.UInt32, dr.width(ray.d)) for _ in range(word_count)]
+    _, _, words = dr.while_loop(
+        state=(mi.Point3f(ray.o), going, none), cond=lambda o, going, w: going, body=body
+    )
+    return words
+
+
+def _silhouette(
+    bits: np.ndarray, left: int, top: int, index: int, box: tuple[int, int, int, int]
+) -> Silhouette:
+    x0, y0, x1, y1 = box
+    word = bits[index // 32, y0 - top : y1 - top, x0 - left : x1 - left]
+    mask = (word >> np.uint32(index % 32)) & np.uint32(1) == 1
+    rows, columns = np.flatnonzero(mask.any(axis=1)), np.flatnonzero(mask.any(axis=0))
+    if len(rows) == 0:
+        return Silhouette(left_px=x0, top_px=y0, mask=np.zeros((0, 0), dtype=bool))
+    mask = mask[rows[0] : rows[-1] + 1, columns[0] : columns[-1] + 1]
+    return Silhouette(left_px=x0 + int(columns[0]), top_px=y0 + int(rows[0]), mask=mask.copy())

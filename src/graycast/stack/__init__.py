@@ -1,0 +1,24 @@
+"""Stacks of pictures from real scanners: what a YAML file says of them, decoded and written."""
+
+from .averaging import Cells, join_pixels, meet_rays
+from .decoding import Cloud, StackResult, decode_stack
+from .description import StackDescription, read_description, stack_schema
+from .levels import MeasuredLevels, measure_levels
+from .products import describe_result, write_ply, write_result
+
+__all__ = [
+    "Cells",
+    "Cloud",
+    "MeasuredLevels",
+    "StackDescription",
+    "StackResult",
+    "decode_stack",
+    "describe_result",
+    "join_pixels",
+    "measure_levels",
+    "meet_rays",
+    "read_description",
+    "stack_schema",
+    "write_ply",
+    "write_result",
+]

@@ -1,0 +1,312 @@
+"""A stack of pictures all the way: read, measured, decoded, triangulated, joined."""
+
+import time
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float, Int, Num, UInt8
+
+from ..decode import (
+    CodeMap,
+    DecodeSpec,
+    DepthMap,
+    Reason,
+    decode,
+    epipolar_residual_px,
+    triangulate,
+    triangulation_axis,
+)
+from ..decode.plan import plan_axes
+from ..errors import DecodeError
+from ..frames import pixel_grid
+from ..optics import rays
+from ..pattern import Code
+from ..rig import Rig
+from .averaging import join_pixels, meet_rays
+from .description import StackDescription, code_of, read_description
+from .diagnosis import symptoms
+from .figures import Figures, figures_of
+from .levels import MeasuredLevels, measure_levels
+from .pictures import Pictures, read_color, read_pictures
+
+# Left to itself, the epipolar test takes what lies this many times the median off, at least 2 px:
+# a calibration is off by more than its residual here and there.
+EPIPOLAR_MEDIANS, EPIPOLAR_PX = 5.0, 2.0
+MISPLACED_PX = 3.0  # median epipolar residual of a rig that is not the stack's
+OUT_OF_RANGE = 0.3  # of what decodes
+DECODED_AT_LEAST = 0.01  # of the lit pixels, or the stack is refused
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Cloud:
+    """Points in the camera frame [m], with the colours that the camera stored, 8 bits each.
+
+    `sure_pixels`, of an averaged cloud: how many camera pixels a point is the mean of; 0 where all
+    were in doubt about the finest bit. `sigma_m`, of any other: standard deviation of z [m].
+    """
+
+    point_m: Float[np.ndarray, "n 3"]
+    color: UInt8[np.ndarray, "n 3"]
+    sure_pixels: Int[np.ndarray, "n"] | None = None
+    sigma_m: Float[np.ndarray, "n"] | None = None
+
+    def __post_init__(self) -> None:
+        for name in self.__dataclass_fields__:
+            if getattr(self, name) is not None:
+                getattr(self, name).flags.writeable = False
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class StackResult:
+    """All that a stack gave. Without a rig there is no depth and no cloud."""
+
+    code: Code
+    codes: CodeMap
+    picture: UInt8[np.ndarray, "h w 3"]
+    levels: MeasuredLevels
+    figures: Figures
+    warnings: tuple[str, ...]
+    seconds: dict[str, float]
+    depth: DepthMap | None = None
+    cloud: Cloud | None = None
+
+
+def decode_stack(path: Path, rig: Rig | None = None, *, average: bool = False) -> StackResult:
+    """Decode the stack that a YAML file describes.
+
+    With a rig, depth per camera pixel: where its ray meets the plane of its column (or row, by the
+    baseline), the other axis checking it. `average` joins the camera pixels of each projector pixel
+    into one point of the cloud, by both coordinates; the depth map is the same with and without.
+
+    Raises:
+        ConfigError: the file says something that cannot be used.
+        DecodeError: pictures are missing, damaged or unlike; frames do not make a code; nothing is
+            lit; the rig is another camera's; averaging, or depth, lacks an axis.
+    """
+    clock = _Clock()
+    description = read_description(path)
+    code = code_of(description, path)
+    spec = _spec(description)
+    try:
+        plan_axes(code, spec.fine_bits)
+    except DecodeError as error:
+        raise DecodeError(f"{path}: {error}") from error
+    _check_axes(code, rig, average, path)
+    pictures = read_pictures([path.parent / section.file for section in description.frames])
+    _check_camera(pictures, rig, path)
+    clock.lap("read")
+    levels = measure_levels(pictures.frames, code, description.levels)
+    clock.lap("levels")
+    codes = decode(pictures.frames, code, spec, levels.levels)
+    clock.lap("decode")
+    warnings = [*symptoms(pictures, code, codes)]
+    _check_light(pictures, codes, warnings, path)
+    picture = _picture(pictures, code)
+    clock.lap("diagnosis")
+    depth = cloud = residual_px = None
+    if rig is not None:
+        warnings += _rig_size(code, rig)
+        first = triangulate(codes, rig)
+        residual_px = epipolar_residual_px(codes, first, rig) if len(code.axes) == 2 else None
+        limit_px = _epipolar_limit_px(description, residual_px)
+        depth = _less_outliers(codes, first, residual_px, limit_px)
+        warnings += _rig_symptoms(first, residual_px)
+        clock.lap("triangulate")
+        if average:
+            cloud = _joined_cloud(codes, code, rig, picture, spec.fine_bits, limit_px)
+        else:
+            cloud = _pixel_cloud(depth, rig, picture)
+        clock.lap("cloud")
+    figures = figures_of(pictures.frames, code, codes, residual_px)
+    clock.lap("figures")
+    return StackResult(
+        code=code,
+        codes=codes,
+        picture=picture,
+        levels=levels,
+        figures=figures,
+        warnings=tuple(warnings),
+        seconds=clock.seconds,
+        depth=depth,
+        cloud=cloud,
+    )
+
+
+class _Clock:
+    def __init__(self) -> None:
+        self.seconds: dict[str, float] = {}
+        self._last = time.perf_counter()
+
+    def lap(self, name: str) -> None:
+        now = time.perf_counter()
+        self.seconds[name] = now - self._last
+        self._last = now
+
+
+def _spec(description: StackDescription) -> DecodeSpec:
+    section = description.decode
+    return DecodeSpec(
+        min_contrast=section.min_contrast, doubt=section.doubt, fine_bits=section.fine_bits
+    )
+
+
+def _check_axes(code: Code, rig: Rig | None, average: bool, path: Path) -> None:
+    """What the frames alone tell, before pictures are read."""
+    if average and rig is None:
+        raise DecodeError(f"{path}: averaging makes points, which takes a rig: give --rig")
+    if average and len(code.axes) < 2:
+        raise DecodeError(
+            f"{path}: averaging joins pixels of one column and row; the stack codes "
+            f"{code.axes[0]}s only: leave --average out"
+        )
+    if rig is not None and triangulation_axis(rig) not in code.axes:
+        raise DecodeError(
+            f"{path}: the rig's baseline runs along its {triangulation_axis(rig)}s, and the stack "
+            f"codes {code.axes[0]}s only: add those frames, or decode without a rig"
+        )
+
+
+def _check_camera(pictures: Pictures, rig: Rig | None, path: Path) -> None:
+    if rig is None:
+        return
+    h, w = pictures.frames.shape[1:]
+    if (w, h) != (rig.camera.width_px, rig.camera.height_px):
+        size = f"{rig.camera.width_px} x {rig.camera.height_px} px"
+        raise DecodeError(
+            f"{path}: pictures are {w} x {h} px, the camera of rig {rig.name} {size}: "
+            "another rig, or pictures that were turned or scaled?"
+        )
+
+
+def _check_light(pictures: Pictures, codes: CodeMap, found: list[str], path: Path) -> None:
+    highest, lowest = int(pictures.frames.max()), int(pictures.frames.min())
+    values = f"values are {lowest} to {highest} DN"
+    if (codes.reason == Reason.SHADOW).all():
+        raise DecodeError(
+            f"{path}: nothing is lit: no pixel changes by more than its noise from frame to frame "
+            f"({values}): was the projector on, the lens cap off?"
+        )
+    reason = codes.reason[codes.reason != Reason.SHADOW]
+    if (reason == Reason.DECODED).mean() > DECODED_AT_LEAST:
+        return
+    main = Reason(np.bincount(reason).argmax())
+    share = f"{100 * (reason == main).mean():.0f} %"
+    words = f"of the lit pixels are {main.name.lower().replace('_', ' ')}"
+    raise DecodeError(
+        f"{path}: hardly a pixel decodes: {share} {words} ({values}): {_REMEDY[main]}"
+        + (f" ({found[0]})" if found else "")
+    )
+
+
+_REMEDY = {
+    Reason.LOW_MODULATION: "lengthen the exposure, or lower decode.min_contrast",
+    Reason.SATURATED: "shorten the exposure, or state levels.saturation_dn",
+    Reason.CONTRADICTORY: "are the frames what the file says they are?",
+    Reason.INTERREFLECTION: "are the frames, periods and steps what the file says they are?",
+    Reason.OUTSIDE_PROJECTOR: "is the projector's size right, or a coarse bit's inverse swapped?",
+}
+
+
+def _picture(pictures: Pictures, code: Code) -> UInt8[np.ndarray, "h w 3"]:
+    """The scene by the projector's light: white, or else the brighter of each pixel's frames."""
+    white = [k for k, frame in enumerate(code.frames) if frame.kind == "white"]
+    if not pictures.converted:
+        grey = pictures.frames[white[0]] if white else pictures.frames.max(axis=0)
+        return np.repeat(_eight_bits(grey, pictures.frames)[..., None], 3, axis=-1)
+    # A coarse bit and its inverse, or both ends of a phase, light all that is lit.
+    chosen = white[:1] or list(range(len(code.frames)))[:2]
+    color = np.maximum.reduce([read_color(pictures.files[k]) for k in chosen])
+    return _eight_bits(color, pictures.frames)
+
+
+def _eight_bits(
+    values: Num[np.ndarray, "*n"], frames: Num[np.ndarray, "k h w"]
+) -> UInt8[np.ndarray, "*n"]:
+    if values.dtype == np.uint8:
+        return values
+    scale = 255 / max(int(frames.max()), 1)
+    return np.clip(values * scale, 0, 255).astype(np.uint8)
+
+
+# --- depth -------------------------------------------------------------------------------------
+
+
+def _rig_size(code: Code, rig: Rig) -> list[str]:
+    size = (rig.projector.width_px, rig.projector.height_px)
+    if size == (code.width_px, code.height_px):
+        return []
+    return [
+        f"the stack's projector is {code.width_px} x {code.height_px} px, that of rig {rig.name} "
+        f"{size[0]} x {size[1]}: taken pixel for pixel from the top left; is it the same mode?"
+    ]
+
+
+def _epipolar_limit_px(
+    description: StackDescription, residual_px: Float[np.ndarray, "h w"] | None
+) -> float:
+    stated = description.decode.max_epipolar_px
+    if stated is not None or residual_px is None:
+        return np.inf if stated is None else stated
+    known = np.abs(residual_px[np.isfinite(residual_px)])
+    median_px = float(np.median(known)) if known.size else 0.0
+    return max(EPIPOLAR_MEDIANS * median_px, EPIPOLAR_PX)
+
+
+def _less_outliers(
+    codes: CodeMap, depth: DepthMap, residual_px: Float[np.ndarray, "h w"] | None, limit_px: float
+) -> DepthMap:
+    """The depth map without what lies off the epipolar line by more than limit and noise."""
+    if residual_px is None or not np.isfinite(limit_px):
+        return depth
+    with np.errstate(invalid="ignore"):
+        noise_px = 3 * np.maximum(codes.sigma_column, codes.sigma_row)
+        far = np.abs(residual_px) > limit_px + noise_px
+    depth_m, sigma_m, reason = (
+        getattr(depth, name).copy() for name in ("depth_m", "sigma_m", "reason")
+    )
+    reason[far] = Reason.OUTLIER
+    depth_m[far] = sigma_m[far] = np.nan
+    return replace(depth, depth_m=depth_m, sigma_m=sigma_m, reason=reason)
+
+
+def _rig_symptoms(depth: DepthMap, residual_px: Float[np.ndarray, "h w"] | None) -> list[str]:
+    found = []
+    away = int((depth.reason == Reason.OUT_OF_RANGE).sum())
+    placed = away + int((depth.reason == Reason.DECODED).sum())
+    if away > OUT_OF_RANGE * max(placed, 1):
+        found.append(
+            f"{100 * away / placed:.0f} % of the decoded pixels lie outside the rig's working "
+            "range: is it this stack's rig, with near_m and far_m as they should be?"
+        )
+    if residual_px is None or not np.isfinite(residual_px).any():
+        return found
+    median_px = float(np.nanmedian(np.abs(residual_px)))
+    if median_px > MISPLACED_PX:
+        found.append(
+            f"the epipolar residual's median is {median_px:.3g} px, under 1 is usual: another "
+            "rig's calibration, a moved camera, offset_px, or exchanged frames?"
+        )
+    return found
+
+
+def _pixel_cloud(depth: DepthMap, rig: Rig, picture: UInt8[np.ndarray, "h w 3"]) -> Cloud:
+    known = np.isfinite(depth.depth_m)
+    pixel = pixel_grid(*known.shape)[known]
+    point_m = rays(rig.camera, pixel) * depth.depth_m[known][:, None].astype(np.float64)
+    return Cloud(point_m=point_m, color=picture[known], sigma_m=depth.sigma_m[known])
+
+
+def _joined_cloud(
+    codes: CodeMap,
+    code: Code,
+    rig: Rig,
+    picture: UInt8[np.ndarray, "h w 3"],
+    fine_bits: int,
+    limit_px: float,
+) -> Cloud:
+    cells = join_pixels(codes, code, fine_bits=fine_bits)
+    point_m, miss_px = meet_rays(cells.camera_px, cells.projector_px, rig)
+    good = (point_m[:, 2] >= rig.near_m) & (point_m[:, 2] <= rig.far_m) & (miss_px <= limit_px)
+    x, y = np.rint(cells.camera_px[good]).astype(np.int64).T
+    return Cloud(point_m=point_m[good], color=picture[y, x], sure_pixels=cells.sure_pixels[good])

@@ -1,0 +1,181 @@
+"""What a user says of a stack in YAML: the projector, and what each picture shows."""
+
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+from pydantic import Field, model_validator
+
+from ..decode import DecodeSpec
+from ..errors import ConfigError
+from ..pattern import AXES, Axis, Code, Frame
+from ..settings import Settings, read_settings
+
+Positive = Annotated[float, Field(gt=0)]
+
+# What a frame of each kind must say, and what it may say.
+_MUST: dict[str, tuple[str, ...]] = {
+    "white": (),
+    "black": (),
+    "gray": ("axis", "bit"),
+    "complementary": ("axis", "period_px"),
+    "phase": ("axis", "period_px", "step", "steps"),
+    "line": ("axis", "period_px", "step", "steps"),
+}
+_MAY = {"gray": ("inverse", "xor_bit"), "complementary": ("inverse",)}
+
+
+class FrameSection(Settings):
+    """One picture of the stack."""
+
+    file: Path = Field(description="The picture, relative to this file.")
+    kind: Literal["white", "black", "gray", "complementary", "phase", "line"]
+    axis: Axis | None = Field(None, description="What the frame codes: column or row.")
+    bit: int | None = Field(None, ge=0, le=23, description="Of a Gray code; 0 is the finest.")
+    inverse: bool = Field(False, description="Dark and bright swapped.")
+    xor_bit: int | None = Field(
+        None, ge=0, le=23, description="The Gray bit that this one is combined with."
+    )
+    period_px: float | None = Field(None, ge=2, description="Projector pixels per period.")
+    step: int | None = Field(None, ge=0, description="Phase step, from 0.")
+    steps: int | None = Field(None, ge=3, description="Phase steps in all.")
+
+    @model_validator(mode="after")
+    def _says_what_its_kind_needs(self) -> "FrameSection":
+        must = _MUST[self.kind]
+        for key in must:
+            if getattr(self, key) is None:
+                raise ValueError(f"a {self.kind} frame needs {key}; it has none")
+        allowed = ("file", "kind", *must, *_MAY.get(self.kind, ()))
+        for key in self.model_fields_set.difference(allowed):
+            if getattr(self, key) not in (None, False):
+                raise ValueError(f"a {self.kind} frame has no {key}: leave it out")
+        self.frame()
+        return self
+
+    def frame(self) -> Frame:
+        """The frame, without its file."""
+        return Frame(
+            kind=self.kind,
+            axis=self.axis,
+            bit=-1 if self.bit is None else self.bit,
+            inverse=self.inverse,
+            xor_bit=-1 if self.xor_bit is None else self.xor_bit,
+            period_px=0.0 if self.period_px is None else self.period_px,
+            step=0 if self.step is None else self.step,
+            steps=0 if self.steps is None else self.steps,
+        )
+
+
+class ProjectorSection(Settings):
+    """The projector's picture."""
+
+    width_px: int = Field(ge=2, le=65535)
+    height_px: int = Field(ge=2, le=65535)
+
+
+class OffsetSection(Settings):
+    """Where code 0 lies on the projector."""
+
+    column: float = 0.0
+    row: float = 0.0
+
+
+class StrideSection(Settings):
+    """Projector pixels per code."""
+
+    column: Positive | None = Field(None, description="Left out: 1, or a phase code's period.")
+    row: Positive | None = Field(None, description="Left out: 1, or a phase code's period.")
+
+
+class LevelsSection(Settings):
+    """What is known of the camera (EMVA 1288); what is left out is measured in the stack."""
+
+    offset_dn: float | None = Field(None, ge=0, description="Stored value of no light.")
+    saturation_dn: Positive | None = Field(None, description="From here a value is saturated.")
+    read_noise_dn: float | None = Field(None, ge=0, description="Noise in the dark, 1 sigma.")
+    gain_dn_per_e: float | None = Field(None, ge=0, description="Digital numbers per electron.")
+
+
+class DecodeSection(Settings):
+    """What a pixel must show to be believed; see DecodeSpec."""
+
+    min_contrast: float = Field(DecodeSpec().min_contrast, gt=0, lt=1)
+    doubt: float = Field(DecodeSpec().doubt, ge=0, lt=1)
+    fine_bits: int = Field(DecodeSpec().fine_bits, ge=0)
+    max_epipolar_px: Positive | None = Field(
+        None,
+        description="Farthest from the epipolar line; left out: 5 times the median, at least 2.",
+    )
+
+
+class StackDescription(Settings):
+    """A stack: what the projector showed in which picture."""
+
+    projector: ProjectorSection
+    frames: tuple[FrameSection, ...] = Field(min_length=1)
+    offset_px: OffsetSection = OffsetSection()
+    stride_px: StrideSection = StrideSection()
+    levels: LevelsSection = LevelsSection()
+    decode: DecodeSection = DecodeSection()
+
+    @model_validator(mode="after")
+    def _shows_each_frame_once(self) -> "StackDescription":
+        seen: dict[Frame, Path] = {}
+        for section in self.frames:
+            frame = section.frame()
+            if frame in seen:
+                files = f"{seen[frame]} and {section.file}"
+                raise ValueError(f"{files} are both {frame.name}: each frame once")
+            seen[frame] = section.file
+        files = [section.file for section in self.frames]
+        twice = [file for file in files if files.count(file) > 1]
+        if twice:
+            names = " and ".join(s.frame().name for s in self.frames if s.file == twice[0])
+            raise ValueError(f"{twice[0]} is given as {names}: each file once")
+        return self
+
+
+def stack_schema() -> dict[str, Any]:
+    """JSON Schema of a stack file, from which editors complete."""
+    return StackDescription.model_json_schema()
+
+
+def read_description(path: Path) -> StackDescription:
+    """Read and check a stack file; the pictures are not looked at.
+
+    Raises:
+        ConfigError: the text names the file, the key and the remedy.
+    """
+    return read_settings(path, StackDescription)
+
+
+def code_of(description: StackDescription, path: Path) -> Code:
+    """The code that the frames make.
+
+    Raises:
+        ConfigError: they make none.
+    """
+    try:
+        return Code(
+            width_px=description.projector.width_px,
+            height_px=description.projector.height_px,
+            frames=tuple(section.frame() for section in description.frames),
+            offset_px=(description.offset_px.column, description.offset_px.row),
+            stride_px=(_stride_px(description, "column"), _stride_px(description, "row")),
+        )
+    except ValueError as error:
+        raise ConfigError(f"{path}: {error}") from error
+
+
+def _stride_px(description: StackDescription, axis: Axis) -> float:
+    """As stated; else the period, where a complementary bit says that Gray bits count periods."""
+    stated = (description.stride_px.column, description.stride_px.row)[AXES.index(axis)]
+    if stated is not None:
+        return stated
+    frames = [section.frame() for section in description.frames if section.axis == axis]
+    bits = [frame.bit for frame in frames if frame.kind == "gray"]
+    period_px = next((f.period_px for f in frames if f.kind == "complementary"), None)
+    size_px = {"column": description.projector.width_px, "row": description.projector.height_px}
+    if period_px is None or not bits or 2 ** (max(bits) + 1) >= size_px[axis]:
+        return 1.0
+    return period_px

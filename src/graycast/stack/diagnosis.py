@@ -1,0 +1,233 @@
+"""What is wrong with a stack that can be read all the same: each symptom with its measure."""
+
+from collections.abc import Iterator
+from itertools import combinations
+
+import numpy as np
+from jaxtyping import Float
+
+from ..decode import CodeMap, Reason
+from ..decode.plan import plan_axes
+from ..pattern import Code
+from .figures import MAX_SAMPLES, samples
+from .levels import Stack, inverse_pairs
+from .pictures import Pictures
+
+CLEAR = 0.75  # from the middle, as a share of half the contrast: not blurred to grey
+ALIKE = 0.25  # of the well lit pixels clearly bright, or clearly dark, in pattern and inverse
+DRIFT = 0.15  # of brightness between frames
+OUTSIDE = 0.05  # of what decodes
+CONFLICT = 0.2  # of what is lit
+SATURATED = 0.2
+UNLIT = 0.01
+ROUGH = 0.15  # of neighbours more than FAR_PX apart
+FAR_PX = 8.0
+TORN, FEWER = 2e-3, 0.5  # of neighbours far apart; of these when a bit is turned over
+
+
+def symptoms(
+    pictures: Pictures,
+    code: Code,
+    codes: CodeMap,
+) -> Iterator[str]:
+    """Warnings, the cause before the effect."""
+    yield from _twins(pictures)
+    yield from _ends(pictures.frames, code, codes)
+    yield from _pairs(pictures, code, codes)
+    yield from _shares(code, codes)
+    yield from _course(code, codes)
+    if pictures.lossy and any(f.kind in ("phase", "line") for f in code.frames):
+        yield "JPEG pictures of a phase code: compression and gamma bend phases; use PNG or TIFF"
+
+
+def _twins(pictures: Pictures) -> Iterator[str]:
+    first: dict[str, str] = {}
+    for file, digest in zip(pictures.files, pictures.digests, strict=True):
+        if digest in first:
+            yield f"{first[digest]} and {file.name} are the same picture: was one copied twice?"
+        first.setdefault(digest, file.name)
+
+
+def _ends(frames: Stack, code: Code, codes: CodeMap) -> Iterator[str]:
+    """White must be brightest and black darkest."""
+    kinds = [frame.kind for frame in code.frames]
+    lit = codes.reason != Reason.SHADOW
+    taken = samples(lit)
+    if not len(taken):
+        return
+    flat = frames.reshape(len(frames), -1)[:, taken].astype(np.float32)
+    contrast = flat.max(axis=0) - flat.min(axis=0)
+    if "white" in kinds and "black" in kinds:
+        step_dn = float(np.median(flat[kinds.index("white")] - flat[kinds.index("black")]))
+        if step_dn < 0:
+            yield f"white is darker than black by {-step_dn:.0f} DN (median): are they swapped?"
+            return
+    for kind, sign in (("white", 1), ("black", -1)):
+        if kind not in kinds:
+            continue
+        extreme = (sign * flat).max(axis=0)
+        beyond = (extreme - sign * flat[kinds.index(kind)]) > 0.5 * contrast
+        if beyond.mean() > OUTSIDE:
+            other = "brighter" if sign > 0 else "darker"
+            yield (
+                f"{100 * beyond.mean():.0f} % of the lit pixels have a frame much {other} than "
+                f"{kind}: is {kind} another frame, or taken with another exposure?"
+            )
+
+
+def _pairs(pictures: Pictures, code: Code, codes: CodeMap) -> Iterator[str]:
+    """A pattern and its inverse are opposite, and together equally bright for every bit."""
+    pairs = inverse_pairs(code)
+    lit = codes.reason != Reason.SHADOW
+    if not pairs or not lit.any():
+        return
+    taken = samples(lit & (codes.modulation >= np.median(codes.modulation[lit])))
+    flat = pictures.frames.reshape(len(pictures.frames), -1)[:, taken]
+    high, low = flat.max(axis=0).astype(np.float32), flat.min(axis=0).astype(np.float32)
+    middle, half = (high + low) / 2, np.maximum((high - low) / 2, 1)
+    sums = {}
+    for k, other in pairs:
+        first, second = ((flat[i].astype(np.float32) - middle) / half for i in (k, other))
+        clear = (np.abs(first) > CLEAR) & (np.abs(second) > CLEAR)  # well inside a stripe
+        alike = clear & (first * second > 0)
+        if alike.mean() > ALIKE:
+            both = np.corrcoef(first[clear], second[clear])[0, 1] if first[clear].std() else 0.0
+            yield (
+                f"{code.frames[k].name} and its inverse are alike in {100 * alike.mean():.0f} % of "
+                f"the well lit pixels (correlation {both:+.2f}, it should be near -1): are "
+                f"{pictures.files[k].name} and {pictures.files[other].name} the right files?"
+            )
+        striped = np.abs(first - second) > 1.0  # half of the contrast: not blurred to grey
+        if striped.mean() > 0.3:
+            whole = flat[k].astype(np.float32) + flat[other]
+            sums[k] = float(np.median(whole[striped] / (high + low)[striped]))
+    usual = float(np.median([*sums.values()])) if sums else 1.0
+    for k, total in sums.items():
+        if abs(total / usual - 1) > DRIFT:
+            yield (
+                f"{code.frames[k].name} and its inverse together are {total / usual:.2f} times as "
+                "bright as the others: did exposure or light change?"
+            )
+
+
+def _shares(code: Code, codes: CodeMap) -> Iterator[str]:
+    lit = codes.reason != Reason.SHADOW
+    count = {reason: int((codes.reason == reason).sum()) for reason in Reason}
+    if lit.mean() < UNLIT:
+        yield (
+            f"{100 * lit.mean():.2f} % of the pixels are lit: is the projector in view and the "
+            "exposure long enough?"
+        )
+    total = max(int(lit.sum()), 1)
+    if count[Reason.SATURATED] > SATURATED * total:
+        yield (
+            f"{100 * count[Reason.SATURATED] / total:.0f} % of the lit pixels are saturated: "
+            "shorten the exposure"
+        )
+    placed = count[Reason.DECODED] + count[Reason.OUTSIDE_PROJECTOR]
+    outside = count[Reason.OUTSIDE_PROJECTOR] / max(placed, 1)
+    if outside > OUTSIDE:
+        size = f"{code.width_px} x {code.height_px} px"
+        yield (
+            f"{100 * outside:.0f} % of the codes lie outside the projector of {size}: is its size "
+            "right, are axes or bits exchanged, or is the coarsest bit's inverse its pattern?"
+        )
+    conflict = (count[Reason.CONTRADICTORY] + count[Reason.INTERREFLECTION]) / total
+    if conflict > CONFLICT:
+        phases = any(frame.kind in ("phase", "line") for frame in code.frames)
+        ask = "are period_px, steps and their order right?" if phases else "is a frame misnamed?"
+        yield f"{100 * conflict:.0f} % of the lit pixels have frames that contradict: {ask}"
+
+
+def _course(code: Code, codes: CodeMap) -> Iterator[str]:
+    """Neighbours see neighbours; a bit turned over or misplaced tears the map."""
+    maps = {"column": codes.column, "row": codes.row}
+    for axis, plan in plan_axes(code, 0).items():
+        pairs_px = _neighbours(maps[axis])
+        if len(pairs_px) < 50:
+            continue
+        far = _far_share(pairs_px)
+        remedy = None if plan.periods else _mended(pairs_px, plan, far)
+        if remedy is not None:
+            bits, left = remedy
+            names = " and ".join(code.frames[plan.bits[bit].frame].name for bit in bits)
+            change = (
+                f"{names} were its inverse: are the two swapped?"
+                if len(bits) == 1
+                else f"{names} were exchanged: are they in another order?"
+            )
+            yield (
+                f"{100 * far:.1f} % of neighbouring pixels are over {FAR_PX:g} {axis}s apart, "
+                f"{100 * left:.1f} % if {change}"
+            )
+        elif far > ROUGH:
+            jump_px = np.median(np.abs(pairs_px[:, 1] - pairs_px[:, 0]))
+            yield (
+                f"{axis}s do not run smoothly: {100 * far:.0f} % of neighbouring pixels are over "
+                f"{FAR_PX:g} apart, median jump {jump_px:.3g} px: are frames in another order, "
+                "axes exchanged, or the period wrong?"
+            )
+    if len(code.axes) == 2:
+        mirrored = _mirrored_share(codes, step=2 if code.subpixel else 8)
+        if mirrored > 0.7:
+            yield (
+                f"the code is a mirror image in {100 * mirrored:.0f} % of the picture: are column "
+                "and row exchanged, is a coarse bit swapped with its inverse, or the projector "
+                "set to rear projection?"
+            )
+
+
+def _neighbours(position: Float[np.ndarray, "h w"]) -> Float[np.ndarray, "n 2"]:
+    """Positions of neighbouring decoded pixels, an even choice along x and along y."""
+    step = max(1, round(np.sqrt(position.size / MAX_SAMPLES)))
+    rows, columns = position[::step], position[:, ::step]
+    first = np.concatenate([rows[:, :-1].ravel(), columns[:-1].ravel()])
+    second = np.concatenate([rows[:, 1:].ravel(), columns[1:].ravel()])
+    pairs = np.stack([first, second], axis=-1)[:: max(1, step)].astype(np.float64)
+    return pairs[np.isfinite(pairs).all(axis=-1)]
+
+
+def _far_share(pairs_px: Float[np.ndarray, "n 2"]) -> float:
+    return float((np.abs(pairs_px[:, 1] - pairs_px[:, 0]) > FAR_PX).mean())
+
+
+def _mended(pairs_px, plan, far: float) -> tuple[tuple[int, ...], float] | None:
+    """The one bit turned over, or two exchanged, that make most jumps go; and the jumps left."""
+    if far < TORN:
+        return None
+    count = len(plan.bits)
+    value = np.floor((pairs_px - plan.first_px) / plan.cell_px).astype(np.int64)
+    gray = value ^ (value >> 1)
+    best = None
+    changes = [(bit,) for bit in range(count)] + [*combinations(range(count), 2)]
+    for bits in changes:
+        masks = [1 << (count - 1 - bit) for bit in bits]
+        if len(bits) == 1:
+            changed = gray ^ masks[0]
+        else:
+            differ = ((gray & masks[0]) > 0) != ((gray & masks[1]) > 0)
+            changed = gray ^ np.where(differ, masks[0] | masks[1], 0)
+        left = _far_share(_binary(changed) * plan.cell_px)
+        if left < FEWER * far and (best is None or left < best[1]):
+            best = bits, left
+    return best
+
+
+def _binary(gray):
+    """Values of a Gray code of up to 32 bits."""
+    for shift in (16, 8, 4, 2, 1):
+        gray = gray ^ (gray >> shift)
+    return gray
+
+
+def _mirrored_share(codes: CodeMap, *, step: int) -> float:
+    """Share of the picture in which columns and rows turn the other way round than x and y.
+
+    `step` is in camera pixels: over single ones whole columns and rows seldom change.
+    """
+    column, row = codes.column[::step, ::step], codes.row[::step, ::step]
+    cx, cy = np.diff(column, axis=1)[:-1], np.diff(column, axis=0)[:, :-1]
+    rx, ry = np.diff(row, axis=1)[:-1], np.diff(row, axis=0)[:, :-1]
+    turn = cx * ry - cy * rx
+    turn = turn[np.isfinite(turn) & (turn != 0)]
+    return float((turn < 0).mean()) if len(turn) >= 20 else 0.0

@@ -1,0 +1,7 @@
+"""What a virtual camera is worth: flatness, spheres, noise, focus, as a metrology lab measures."""
+
+from .certificate import Certificate, Scope
+from .certify import certify
+from .sheet import describe, write_certificate
+
+__all__ = ["Certificate", "Scope", "certify", "describe", "write_certificate"]

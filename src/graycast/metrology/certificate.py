@@ -1,0 +1,193 @@
+"""What was found: plain numbers with their units, ready for JSON."""
+
+import math
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Scope:
+    """How much is measured, and under what light.
+
+    `distances` facing planes from near to far, planes tilted by `tilts_deg` about the baseline,
+    `spheres` for probing, the ball bar in its first `bars` positions. Light is traced with
+    `samples` paths a pixel and `depth` vertices: 1 is direct light alone. Artefacts are perfect
+    diffusers of `albedo`; `ambient_w_sr_m2` shines evenly from all around in each band.
+    """
+
+    distances: int = 5
+    tilts_deg: tuple[float, ...] = (15.0, 30.0, 45.0, 60.0)
+    spheres: int = 10
+    bars: int = 7
+    captures: int = 8
+    samples: int = 16
+    depth: int = 1
+    albedo: float = 0.8
+    ambient_w_sr_m2: float = 0.0
+
+    def __post_init__(self) -> None:
+        if self.distances < 3 or self.distances % 2 == 0:
+            raise ValueError(
+                f"distances is {self.distances}; an odd number, 3 or more: near, middle and far"
+            )
+        if not all(0 < tilt < 80 for tilt in self.tilts_deg):
+            raise ValueError(f"tilts_deg are {self.tilts_deg}; each above 0 and under 80")
+        if not 1 <= self.spheres <= 10:
+            raise ValueError(f"spheres is {self.spheres}; 1 to 10")
+        if not 1 <= self.bars <= 7:
+            raise ValueError(f"bars is {self.bars}; 1 to 7")
+        if self.captures < 2:
+            raise ValueError(f"captures is {self.captures}; noise takes 2 or more")
+        if not 0 < self.albedo <= 1:
+            raise ValueError(f"albedo is {self.albedo}; above 0, up to 1")
+        if not 0 <= self.ambient_w_sr_m2 < math.inf:
+            raise ValueError(f"ambient_w_sr_m2 is {self.ambient_w_sr_m2}; it must be 0 or more")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PlaneResult:
+    """One plane in one pose.
+
+    `flatness_m` is the range of signed distances from the best-fit plane, `std_m` their standard
+    deviation, `offset_m` the median of measured less true depth. Distances are over the whole
+    common field, noise and spacing over its middle. `noise_m` is the temporal standard deviation of
+    depth (NaN where one capture was taken), `sigma_m` what the scanner itself states.
+    """
+
+    name: str
+    z_m: float
+    tilt_deg: float
+    azimuth_deg: float
+    flatness_m: float
+    std_m: float
+    offset_m: float
+    points: int
+    dropped: int
+    decoded_share: float
+    noise_m: float
+    sigma_m: float
+    spacing_m: float
+    exposure_s: float
+    modulation: dict[str, float]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ProbingResult:
+    """One sphere: PF is `form_m`, PS is `size_m` (fitted less nominal diameter)."""
+
+    centre_m: tuple[float, float, float]
+    form_m: float
+    size_m: float
+    std_m: float
+    centre_error_m: float
+    points: int
+    dropped: int
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SpacingResult:
+    """One position of the ball bar: SD is `error_m`, measured less nominal distance."""
+
+    name: str
+    ends_m: tuple[tuple[float, float, float], tuple[float, float, float]]
+    error_m: float
+    points: tuple[int, int]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class BlurResult:
+    """Radius of the disc that a point at depth z becomes, on the camera's axis, in either device.
+
+    The optics' closed form (`optics.blur_radius_px`), in each device's own pixels.
+    """
+
+    z_m: float
+    camera_px: float
+    projector_px: float
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Certificate:
+    """What a virtual camera is worth; see docs and `sheet` for how each number was measured.
+
+    `deviation_m` is the middle plane's signed distance from its best fit, block means over the
+    picture; it goes into a plot, not into the JSON.
+    """
+
+    rig: dict[str, Any]
+    conditions: dict[str, Any]
+    near_m: float
+    far_m: float
+    diagonal_m: float
+    field_m: dict[str, tuple[float, float]]
+    probing_diameter_m: float
+    bar_length_m: float
+    bar_diameter_m: float
+    planes: tuple[PlaneResult, ...]
+    probing: tuple[ProbingResult, ...]
+    spacing: tuple[SpacingResult, ...]
+    blur: tuple[BlurResult, ...]
+    deviation_m: Float[np.ndarray, "h w"]
+    seconds: float
+    scenes: int
+
+    def __post_init__(self) -> None:
+        self.deviation_m.flags.writeable = False
+
+    @property
+    def facing(self) -> tuple[PlaneResult, ...]:
+        """The facing planes, near to far."""
+        return tuple(plane for plane in self.planes if plane.tilt_deg == 0)
+
+    @property
+    def middle(self) -> PlaneResult:
+        """The facing plane at the middle distance."""
+        return self.facing[len(self.facing) // 2]
+
+    @property
+    def tilted(self) -> tuple[PlaneResult, ...]:
+        """The planes at the middle distance by their tilt about the baseline, facing first."""
+        return self.middle, *(p for p in self.planes if p.name.startswith("tilted about baseline"))
+
+    @property
+    def summary(self) -> dict[str, float]:
+        """The figures of a datasheet; errors are the worst over all positions, with their sign."""
+
+        def worst(values: list[float]) -> float:
+            return max(values, key=abs)
+
+        return {
+            "temporal_noise_m": self.middle.noise_m,
+            "temporal_noise_near_m": self.facing[0].noise_m,
+            "temporal_noise_far_m": self.facing[-1].noise_m,
+            "flatness_error_m": worst([plane.flatness_m for plane in self.planes]),
+            "plane_std_m": worst([plane.std_m for plane in self.planes]),
+            "probing_form_m": worst([one.form_m for one in self.probing]),
+            "probing_size_m": worst([one.size_m for one in self.probing]),
+            "sphere_spacing_m": worst([one.error_m for one in self.spacing]),
+            "point_spacing_near_m": self.facing[0].spacing_m,
+            "point_spacing_m": self.middle.spacing_m,
+            "point_spacing_far_m": self.facing[-1].spacing_m,
+        }
+
+    def record(self) -> dict[str, Any]:
+        """All numbers as JSON takes them: None where there is none."""
+        known = asdict(self)
+        known.pop("deviation_m")
+        return _without_nan({"summary": self.summary, **known})
+
+
+def _without_nan(value: Any) -> Any:
+    match value:
+        case dict():
+            return {key: _without_nan(item) for key, item in value.items()}
+        case list() | tuple():
+            return [_without_nan(item) for item in value]
+        case float() if not math.isfinite(value):
+            return None
+        case np.generic():
+            return _without_nan(value.item())
+    return value

@@ -1,0 +1,176 @@
+"""Pixels without depth: how many, how dark, why, and the small groups among them."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+from scipy import ndimage
+from scipy.optimize import isotonic_regression
+
+from .record import Bin, DropOut, Islands, Missing
+from .scan import Scan
+
+LEVELS = 4095  # of the brightness histogram: 8, 10 and 12 bits keep their own levels apart
+ISLAND_PX = 10
+# Octaves, because a sensor's response is judged by ratios; and what is at its end.
+BRIGHTNESS_EDGES = np.array([0, *(2.0**-k for k in range(8, 0, -1)), 0.99, np.nextafter(1.0, 2.0)])
+_LEAST_DROP = 0.2  # of the missing share, to be called a step
+_NEIGHBOURS = np.ones((3, 3), dtype=int)  # corners connect
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class MissingCounts:
+    """Counts of one map, which add up over maps."""
+
+    pixels: int
+    missing: int
+    reasons: dict[str, int]
+    total_at: Int[np.ndarray, "levels"] | None  # pixels per level of brightness
+    missing_at: Int[np.ndarray, "levels"] | None
+    hole_sizes_px: Int[np.ndarray, "holes"]
+    speck_sizes_px: Int[np.ndarray, "specks"]
+
+
+def count_missing(scan: Scan) -> MissingCounts:
+    """Count the pixels of a map that have no depth."""
+    valid = scan.valid
+    total_at = missing_at = None
+    if scan.gray is not None:
+        level = np.rint(scan.gray * LEVELS).astype(int)
+        total_at = np.bincount(level.ravel(), minlength=LEVELS + 1)
+        missing_at = np.bincount(level[~valid], minlength=LEVELS + 1)
+    return MissingCounts(
+        pixels=valid.size,
+        missing=int((~valid).sum()),
+        reasons=_reasons(scan),
+        total_at=total_at,
+        missing_at=missing_at,
+        hole_sizes_px=_sizes(small_islands(~valid)),
+        speck_sizes_px=_sizes(small_islands(valid)),
+    )
+
+
+def small_islands(mask: Bool[np.ndarray, "h w"]) -> Int[np.ndarray, "h w"]:
+    """Labels 1, 2, ... of the groups of at most `ISLAND_PX` pixels of a mask; 0 elsewhere.
+
+    Pixels that touch at a side or corner belong together; a group at the image's border goes on
+    beyond it and is none.
+    """
+    label, count = ndimage.label(mask, structure=_NEIGHBOURS)
+    size = np.bincount(label.ravel(), minlength=count + 1)
+    kept = size <= ISLAND_PX
+    kept[0] = False
+    for border in (label[0], label[-1], label[:, 0], label[:, -1]):
+        kept[border] = False
+    number = np.cumsum(kept) * kept
+    return number[label]
+
+
+def summarise_missing(counts: Sequence[MissingCounts]) -> Missing:
+    """Shares over all maps together; brightness from those that have a picture."""
+    pixels = sum(c.pixels for c in counts)
+    lit = [c for c in counts if c.total_at is not None]
+    by_brightness, drop_out = [], None
+    if lit:
+        total_at = np.sum([c.total_at for c in lit], axis=0)
+        missing_at = np.sum([c.missing_at for c in lit], axis=0)
+        by_brightness = _by_brightness(total_at, missing_at)
+        drop_out = drop_out_step(total_at, missing_at)
+    names = {name for c in counts for name in c.reasons}
+    reasons = {name: sum(c.reasons.get(name, 0) for c in counts) / pixels for name in names}
+    return Missing(
+        share=sum(c.missing for c in counts) / pixels,
+        by_brightness=by_brightness,
+        by_reason=dict(sorted(reasons.items(), key=lambda item: -item[1])),
+        drop_out=drop_out,
+    )
+
+
+def summarise_islands(counts: Sequence[MissingCounts]) -> Islands:
+    pixels = sum(c.pixels for c in counts)
+    holes = np.concatenate([c.hole_sizes_px for c in counts])
+    specks = np.concatenate([c.speck_sizes_px for c in counts])
+    return Islands(
+        largest_px=ISLAND_PX,
+        holes=len(holes) / len(counts),
+        specks=len(specks) / len(counts),
+        hole_share=float(holes.sum() / pixels),
+        speck_share=float(specks.sum() / pixels),
+    )
+
+
+def drop_out_step(
+    total_at: Int[np.ndarray, "levels"], missing_at: Int[np.ndarray, "levels"]
+) -> DropOut | None:
+    """Where the missing share falls in a step from dark to bright, if it does.
+
+    The step is the most likely place of a change between two constant shares (maximum likelihood
+    of two binomials); how wide it is, is read from the share made falling by isotonic regression.
+    Saturated pixels are left out. Shadows are dark, too: where a scene has many of them, the share
+    below the step is theirs as much as the drop-out's.
+    """
+    end = int(BRIGHTNESS_EDGES[-2] * LEVELS)
+    level = np.flatnonzero(total_at[:end])
+    if len(level) < 2:
+        return None
+    total, missing = total_at[level].astype(float), missing_at[level].astype(float)
+    below, missing_below = np.cumsum(total)[:-1], np.cumsum(missing)[:-1]
+    above, missing_above = total.sum() - below, missing.sum() - missing_below
+    likelihood = _binomial(below, missing_below) + _binomial(above, missing_above)
+    at = int(np.argmax(likelihood))
+    dark, bright = missing_below[at] / below[at], missing_above[at] / above[at]
+    if dark - bright < _LEAST_DROP:
+        return None
+    falling = isotonic_regression(missing / total, weights=total, increasing=False).x
+    quarter, half, three = (
+        _crossing(level / LEVELS, falling, dark + part * (bright - dark))
+        for part in (0.25, 0.5, 0.75)
+    )
+    return DropOut(
+        brightness=half, first=quarter, last=three, missing_below=dark, missing_above=bright
+    )
+
+
+def _binomial(
+    total: Float[np.ndarray, "n"], missing: Float[np.ndarray, "n"]
+) -> Float[np.ndarray, "n"]:
+    """The greatest log likelihood of a constant share."""
+    share = np.clip(missing / total, 1e-12, 1 - 1e-12)
+    return missing * np.log(share) + (total - missing) * np.log1p(-share)
+
+
+def _crossing(
+    level: Float[np.ndarray, "n"], falling: Float[np.ndarray, "n"], value: float
+) -> float:
+    """Half way between the last level above the value and the first below."""
+    after = int(np.argmax(falling <= value))
+    return float((level[max(after - 1, 0)] + level[after]) / 2)
+
+
+def _by_brightness(
+    total_at: Int[np.ndarray, "levels"], missing_at: Int[np.ndarray, "levels"]
+) -> list[Bin]:
+    place = np.digitize(np.arange(LEVELS + 1) / LEVELS, BRIGHTNESS_EDGES) - 1
+    count = len(BRIGHTNESS_EDGES) - 1
+    total = np.bincount(place, total_at, minlength=count)
+    missing = np.bincount(place, missing_at, minlength=count)
+    return [
+        Bin(low=low, high=high, count=int(n), value=m / n if n else None)
+        for low, high, n, m in zip(
+            BRIGHTNESS_EDGES[:-1], BRIGHTNESS_EDGES[1:], total, missing, strict=True
+        )
+    ]
+
+
+def _reasons(scan: Scan) -> dict[str, int]:
+    """Missing pixels per reason; a number without a name keeps its number."""
+    if scan.reason is None:
+        return {}
+    number, count = np.unique(scan.reason[~scan.valid], return_counts=True)
+    names = [scan.reason_names.get(int(n), f"reason {n}").lower() for n in number]
+    return {name: int(n) for name, n in zip(names, count, strict=True)}
+
+
+def _sizes(label: Int[np.ndarray, "h w"]) -> Int[np.ndarray, "groups"]:
+    return np.bincount(label.ravel())[1:]

@@ -1,0 +1,281 @@
+"""Noise of depth about planes in small patches: how much, on what, and how correlated.
+
+The inverse depth of a plane is affine in the pixel, exactly, and the triangulation's noise is
+nearly even in it; so planes are fitted to 1/z by least squares, and a residual is carried to z by
+dz = z^2 d(1/z). A fit takes part of the noise with it. Both the variance and the autocorrelation
+are corrected for that under one assumption: noise is not correlated over more than `REACH_PX`
+pixels along rows or columns.
+"""
+
+from dataclasses import dataclass
+from functools import cache
+
+import numpy as np
+from jaxtyping import Bool, Float
+from scipy.stats import chi2
+
+from .scan import Scan
+
+PATCH_PX = 15
+REACH_PX = 4
+_LEAST_VALID = 0.9  # of a patch's pixels
+_MOST_OUTLIERS = 0.05  # of a patch's pixels, beyond that it is an edge
+_OUTLIER_SIGMAS = 5.0
+_DEGREE = 5  # of the full fit
+_TERMS = (_DEGREE + 1) * (_DEGREE + 2) // 2
+_PLANE = 3  # terms of the basis that make a plane; the rest of it bends
+_CERTAINTY = 0.999  # with which a patch is bent before it is called so
+_ROUNDS = 4
+_LEAST_PATCHES = 5  # for an autocorrelation
+
+# Lags (dx, dy) of which each pair of pixels has one: half of the plane, and zero first.
+LAGS = [(dx, dy) for dy in range(REACH_PX + 1) for dx in range(-REACH_PX, REACH_PX + 1)
+        if dy > 0 or dx >= 0]  # fmt: skip
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PatchNoise:
+    """The flat patches of one map, and what was counted on the way to them."""
+
+    candidates: int
+    outliers: int
+    pixels: int  # of the flat patches
+    sigma_m: Float[np.ndarray, "n"]
+    depth_m: Float[np.ndarray, "n"]
+    incidence_rad: Float[np.ndarray, "n"]
+    brightness: Float[np.ndarray, "n"]  # NaN without a picture
+    whole: int  # flat patches without a hole
+    products: Float[np.ndarray, "lags"]  # sums over them of the products of residuals
+
+
+def measure_noise(scan: Scan) -> PatchNoise:
+    """Fit planes to all patches of a map that have hardly a hole, and keep those that are flat.
+
+    A patch is bent, and left out, where the terms of second to fifth degree of a fit take more of
+    the residuals than noise of the map's own autocorrelation gives them in one patch of a thousand.
+    That autocorrelation is of what the full fit leaves, first in the half of the patches that bends
+    least, then in the flat ones. So no patch is judged by how much noise it has.
+    """
+    inverse = _tiles(1.0 / scan.depth_m)
+    candidate = (~np.isnan(inverse)).mean(axis=1) >= _LEAST_VALID
+    inverse, centre_px = inverse[candidate], _centres(scan.depth_m.shape)[candidate]
+    fit = _fit(inverse)
+    flat, correlation = _flat(fit)
+    clean = fit.used.all(axis=1) & flat
+    kept, loss = fit.used.sum(axis=1)[flat], _fit_loss(correlation, _PLANE)
+    # Holes take from the noise as much as from the pixels; what the fit takes stays the same.
+    variance = fit.plane_power[flat] / (kept - loss)
+    incidence_rad, depth_m = _incidence(scan.K, fit.plane[flat], centre_px[flat])
+    gray = np.full(scan.depth_m.shape, np.nan) if scan.gray is None else scan.gray
+    return PatchNoise(
+        candidates=len(inverse),
+        outliers=int(fit.outliers[flat].sum()),
+        pixels=int(kept.sum() + fit.outliers[flat].sum()),
+        sigma_m=np.sqrt(variance) * depth_m**2,
+        depth_m=depth_m,
+        incidence_rad=incidence_rad,
+        brightness=_tiles(gray)[candidate][flat].mean(axis=1),
+        whole=int(clean.sum()),
+        products=_lag_products(fit.plane_rest[clean]),
+    )
+
+
+def autocorrelation(
+    products: Float[np.ndarray, "lags"], terms: int = _PLANE
+) -> Float[np.ndarray, "lags"]:
+    """The noise's autocorrelation at `LAGS` from the mean products of a fit's residuals.
+
+    The residuals of noise n are r = M n with M = 1 - H, so their covariance is M C M: the mean
+    products are linear in the lags of C, and as many as these.
+    """
+    covariance = np.linalg.solve(_lag_matrix(terms), products)
+    return covariance / covariance[0]
+
+
+# --- fits ----------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Fit:
+    """Least-squares fits to n patches of inverse depth [1/m]."""
+
+    used: Bool[np.ndarray, "n pixels"]  # valid and no outlier
+    outliers: Float[np.ndarray, "n"]
+    plane: Float[np.ndarray, "n 3"]  # in terms of the basis
+    plane_power: Float[np.ndarray, "n"]  # sum of squares that the plane leaves
+    rest_power: Float[np.ndarray, "n"]  # and that the full fit leaves
+    plane_rest: Float[np.ndarray, "n pixels"]
+    rest: Float[np.ndarray, "n pixels"]  # what the full fit leaves
+
+
+def _fit(inverse: Float[np.ndarray, "n pixels"]) -> _Fit:
+    """Planes and full fits, twice more without the pixels that the full fit leaves far out."""
+    valid = ~np.isnan(inverse)
+    value = np.where(valid, inverse, 0.0)
+    used = valid
+    for _ in range(3):
+        plane, _ = _least_squares(value, used, _basis()[:, :_PLANE])
+        _, rest = _least_squares(value, used, _basis())
+        spread = 1.4826 * np.nanmedian(np.abs(np.where(valid, rest, np.nan)), axis=1, keepdims=True)
+        previous, used = used, valid & (np.abs(rest) <= _OUTLIER_SIGMAS * spread)
+    used = previous
+    plane_rest = np.where(used, value - plane @ _basis()[:, :_PLANE].T, 0.0)
+    rest = np.where(used, rest, 0.0)
+    return _Fit(
+        used=used,
+        outliers=(valid & ~used).sum(axis=1).astype(float),
+        plane=plane,
+        plane_power=(plane_rest**2).sum(axis=1),
+        rest_power=(rest**2).sum(axis=1),
+        plane_rest=plane_rest,
+        rest=rest,
+    )
+
+
+def _least_squares(
+    value: Float[np.ndarray, "n pixels"],
+    used: Bool[np.ndarray, "n pixels"],
+    basis: Float[np.ndarray, "pixels terms"],
+) -> tuple[Float[np.ndarray, "n terms"], Float[np.ndarray, "n pixels"]]:
+    """Coefficients over the used pixels of each patch, and the residuals of all its pixels."""
+    terms = basis.shape[1]
+    squares = (basis[:, :, None] * basis[:, None, :]).reshape(len(basis), -1)
+    normal = (used.astype(float) @ squares).reshape(-1, terms, terms)
+    # An outlier search may leave too few pixels; the patch is refused for its outliers later.
+    normal = normal + 1e-9 * np.eye(terms)
+    coefficient = np.linalg.solve(normal, ((value * used) @ basis)[..., None])[..., 0]
+    return coefficient, value - coefficient @ basis.T
+
+
+@cache
+def _basis() -> Float[np.ndarray, "pixels terms"]:
+    """Orthonormal polynomials of a patch: a constant, x, y, then up to `_DEGREE`."""
+    t = np.arange(PATCH_PX) - (PATCH_PX - 1) / 2
+    x, y = (c.ravel() for c in np.meshgrid(t, t))
+    powers = [(d - j, j) for d in range(_DEGREE + 1) for j in range(d + 1)]
+    q, r = np.linalg.qr(np.stack([x**i * y**j for i, j in powers], axis=1))
+    return q * np.sign(np.diag(r))
+
+
+def _flat(fit: _Fit) -> tuple[Bool[np.ndarray, "n"], Float[np.ndarray, "lags"]]:
+    """Which patches are planes, and the noise's autocorrelation."""
+    smooth = (fit.outliers <= _MOST_OUTLIERS * PATCH_PX**2) & (fit.rest_power > 0)
+    bend = (fit.plane_power - fit.rest_power) / np.where(smooth, fit.rest_power, np.nan)
+    flat = smooth & (bend <= (np.median(bend[smooth]) if smooth.any() else 0.0))
+    for _ in range(_ROUNDS):
+        whole = fit.used.all(axis=1) & flat
+        correlation = np.eye(len(LAGS))[0]
+        if whole.sum() >= _LEAST_PATCHES:
+            correlation = autocorrelation(_lag_products(fit.rest[whole]) / whole.sum(), _TERMS)
+        with np.errstate(invalid="ignore"):
+            flat = smooth & (bend <= _most_bend(correlation))
+    return flat, correlation
+
+
+def _most_bend(correlation: Float[np.ndarray, "lags"]) -> float:
+    """The bend, as a share of the full fit's residual power, that noise alone hardly exceeds.
+
+    The bending terms' power is a sum of chi-squares with the eigenvalues of their covariance as
+    weights, taken as one chi-square of equal mean and variance (Satterthwaite).
+    """
+    bending = _coefficient_covariance(correlation)[_PLANE:, _PLANE:]
+    weight = np.linalg.eigvalsh(bending).clip(min=0)
+    freedom = weight.sum() ** 2 / (weight**2).sum()
+    most = weight.sum() * chi2.ppf(_CERTAINTY, freedom) / freedom
+    return float(most / (PATCH_PX**2 - _fit_loss(correlation, _TERMS)))
+
+
+def _fit_loss(correlation: Float[np.ndarray, "lags"], terms: int) -> float:
+    """How many pixels' worth of the noise's variance a fit takes: 3 for a plane in white noise."""
+    return float(np.trace(_coefficient_covariance(correlation)[:terms, :terms]))
+
+
+def _coefficient_covariance(
+    correlation: Float[np.ndarray, "lags"],
+) -> Float[np.ndarray, "terms terms"]:
+    """Of a fit's coefficients in noise of unit variance."""
+    return np.tensordot(correlation, _lags_in_basis(), axes=1)
+
+
+@cache
+def _lags_in_basis() -> Float[np.ndarray, "lags terms terms"]:
+    return _basis().T @ _lag_indicators() @ _basis()
+
+
+# --- autocorrelation -----------------------------------------------------------------------------
+
+
+@cache
+def _lag_indicators() -> Float[np.ndarray, "lags pixels pixels"]:
+    """Per lag, 1 for the pairs of pixels of a patch that lie so to each other, both ways round."""
+    y, x = np.divmod(np.arange(PATCH_PX**2), PATCH_PX)
+    dx, dy = x[None, :] - x[:, None], y[None, :] - y[:, None]
+    return np.stack([((dx == a) & (dy == b)) | ((dx == -a) & (dy == -b)) for a, b in LAGS]).astype(
+        float
+    )
+
+
+@cache
+def _lag_matrix(terms: int) -> Float[np.ndarray, "lags lags"]:
+    """Expected mean products at each lag (rows) for unit covariance at each lag (columns).
+
+    With H = B B^T the sum of E_k (1 - H) E_l (1 - H) over all pixels is taken apart into products
+    of E B and B^T E B, which are small.
+    """
+    indicator, basis = _lag_indicators(), _basis()[:, :terms]
+    through = (indicator @ basis).reshape(len(LAGS), -1)
+    within = _lags_in_basis()[:, :terms, :terms].reshape(len(LAGS), -1)
+    pairs = indicator.sum(axis=(1, 2))
+    sums = np.diag(pairs) - 2 * through @ through.T + within @ within.T
+    return sums / pairs[:, None]
+
+
+def _lag_products(rest: Float[np.ndarray, "n pixels"]) -> Float[np.ndarray, "lags"]:
+    """Sums over patches of the mean product of residuals at `LAGS`, each patch brought to unit
+    power: a noisy patch counts no more than a quiet one."""
+    power = (rest**2).mean(axis=1, keepdims=True)
+    r = (rest / np.sqrt(power)).reshape(-1, PATCH_PX, PATCH_PX)
+    sums = []
+    for dx, dy in LAGS:
+        a = r[:, : PATCH_PX - dy, max(0, -dx) : PATCH_PX - max(0, dx)]
+        b = r[:, dy:, max(0, dx) : PATCH_PX - max(0, -dx)]
+        sums.append((a * b).sum() / (a.shape[1] * a.shape[2]))
+    return np.array(sums)
+
+
+# --- patches -------------------------------------------------------------------------------------
+
+
+def _tiles(image: Float[np.ndarray, "h w"]) -> Float[np.ndarray, "n pixels"]:
+    """The image cut into patches, without what is left over at the right and below."""
+    rows, columns = image.shape[0] // PATCH_PX, image.shape[1] // PATCH_PX
+    cut = image[: rows * PATCH_PX, : columns * PATCH_PX].astype(np.float64)
+    tiles = cut.reshape(rows, PATCH_PX, columns, PATCH_PX).swapaxes(1, 2)
+    return tiles.reshape(rows * columns, PATCH_PX**2)
+
+
+def _centres(shape: tuple[int, ...]) -> Float[np.ndarray, "n 2"]:
+    """(x, y) of the patches' centres."""
+    rows, columns = shape[0] // PATCH_PX, shape[1] // PATCH_PX
+    y, x = np.divmod(np.arange(rows * columns), max(columns, 1))
+    return np.stack([x, y], axis=1) * PATCH_PX + (PATCH_PX - 1) / 2
+
+
+def _incidence(
+    K: Float[np.ndarray, "3 3"],
+    plane: Float[np.ndarray, "n 3"],
+    centre_px: Float[np.ndarray, "n 2"],
+) -> tuple[Float[np.ndarray, "n"], Float[np.ndarray, "n"]]:
+    """Angle between the planes' normals and the camera's rays, and depth, at the patches' centres.
+
+    With 1/z = g . (x, y, 1) and the ray r = K^-1 (x, y, 1) the plane's normal is along K^T g.
+    """
+    t = np.arange(PATCH_PX) - (PATCH_PX - 1) / 2
+    slope = plane[:, 1:] / np.sqrt(PATCH_PX * (t @ t))
+    middle = plane[:, 0] / PATCH_PX
+    g = np.column_stack([slope, middle - (slope * centre_px).sum(axis=1)])
+    normal = g @ K
+    ray = np.column_stack([centre_px, np.ones(len(centre_px))]) @ np.linalg.inv(K).T
+    length = np.linalg.norm(normal, axis=1) * np.linalg.norm(ray, axis=1)
+    cosine = np.abs((normal * ray).sum(axis=1)) / length
+    return np.arccos(cosine.clip(max=1.0)), 1.0 / middle

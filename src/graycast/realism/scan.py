@@ -1,0 +1,65 @@
+"""One depth map from anywhere, with what is known about it."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+from jaxtyping import Bool, Float, UInt8
+
+JUMP_FOOTPRINTS = 10.0  # a surface seen at arctan(10), 84 degrees, still counts as one surface
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Scan:
+    """A depth map in the frame of its camera.
+
+    Attributes:
+        depth_m: z of the camera frame [m], NaN where there is none.
+        K: pinhole intrinsics [px]; the centre of the top-left pixel is (0, 0). Distortion is
+            left out: give undistorted maps, or accept what the lens bends.
+        gray: the brightness that the scanner saw, as a share of its range, 0 to 1.
+        reason: a number per pixel that says why there is no depth, and
+        reason_names: what the numbers mean; 0, or a name 'DECODED', is a pixel that has depth.
+        baseline_m: of the rig, if known; only shown beside the estimate.
+    """
+
+    name: str
+    depth_m: Float[np.ndarray, "h w"]
+    K: Float[np.ndarray, "3 3"]
+    gray: Float[np.ndarray, "h w"] | None = None
+    reason: UInt8[np.ndarray, "h w"] | None = None
+    reason_names: Mapping[int, str] = field(default_factory=dict)
+    baseline_m: float | None = None
+
+    def __post_init__(self) -> None:
+        for name, image in (("gray", self.gray), ("reason", self.reason)):
+            if image is not None and image.shape != self.depth_m.shape:
+                sizes = f"{image.shape}, depth is {self.depth_m.shape} (rows, columns)"
+                raise ValueError(f"{self.name}: {name} is {sizes}: pictures of another scan?")
+        if not (self.K[0, 0] > 0 and self.K[1, 1] > 0 and np.isfinite(self.K).all()):
+            raise ValueError(f"{self.name}: K has focal lengths {self.K[0, 0]}, {self.K[1, 1]} px")
+        with np.errstate(invalid="ignore"):
+            wrong = np.isinf(self.depth_m) | (self.depth_m <= 0)
+        if wrong.any():
+            raise ValueError(
+                f"{self.name}: depth has a value of {self.depth_m[wrong][0]}: "
+                "write NaN where there is none"
+            )
+        if self.gray is not None and not (self.gray.min() >= 0 and self.gray.max() <= 1):
+            span = f"[{self.gray.min():.4g}, {self.gray.max():.4g}]"
+            raise ValueError(f"{self.name}: gray spans {span}; a share of the range, 0 to 1")
+        for array in (self.depth_m, self.K, self.gray, self.reason):
+            if array is not None:
+                array.flags.writeable = False
+
+    @property
+    def valid(self) -> Bool[np.ndarray, "h w"]:
+        return ~np.isnan(self.depth_m)
+
+    @property
+    def jump_share(self) -> float:
+        """The share of its depth by which a neighbour must differ to lie on another surface.
+
+        It is `JUMP_FOOTPRINTS` times the width of a pixel on a facing surface, z / f.
+        """
+        return float(JUMP_FOOTPRINTS / np.sqrt(self.K[0, 0] * self.K[1, 1]))

@@ -1,0 +1,124 @@
+"""Depth steps: neighbours on two surfaces, and pixels that hang in the air between them."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from .scan import Scan
+
+_Values = Float[np.ndarray, "..."]
+_Mask = Bool[np.ndarray, "..."]
+
+_REACH_PX = 8
+_MARGIN = 0.25  # of the least step: how far off both surfaces, and off its neighbours, a flyer is
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class StepCounts:
+    """Counts of one map, which add up over maps."""
+
+    right_farther: int
+    left_farther: int
+    below_farther: int
+    above_farther: int
+    step_pixels: int
+    flying: int
+
+
+def count_steps(scan: Scan) -> StepCounts:
+    """Count jumps between valid pixels by direction, and flying pixels.
+
+    Two pixels on either side of a step, along a row or a column, make a surface each; they are
+    continued to the step along straight lines in 1/z, which is exact for planes however steep, and
+    a jump is where they miss each other there. A jump has no missing pixel in it, but may have one
+    flyer. A pixel is at a step where the surfaces next but one to it on either side miss each other
+    at it; one gap among these seven is skipped, so the rims of a shadow are a step. It flies
+    where it lies between the two, off each of them and off both of its neighbours by a quarter of a
+    jump. A surface one pixel wide looks the same; of flyers several pixels deep some are missed.
+    """
+    inverse = 1.0 / scan.depth_m.astype(np.float64)
+    right, left = _jumps(inverse, scan.jump_share)
+    below, above = _jumps(inverse.T, scan.jump_share)
+    at_row, flying_row = flying_pixels(inverse, scan.jump_share)
+    at_column, flying_column = flying_pixels(inverse.T, scan.jump_share)
+    return StepCounts(
+        right_farther=right,
+        left_farther=left,
+        below_farther=below,
+        above_farther=above,
+        step_pixels=int((at_row | at_column.T).sum()),
+        flying=int((flying_row | flying_column.T).sum()),
+    )
+
+
+def _jumps(inverse: Float[np.ndarray, "h w"], share: float) -> tuple[int, int]:
+    """Jumps along the rows of 1/z whose right side is farther, and whose left side is."""
+    right = left = 0
+    for between in (0, 1):  # flyers
+        length = 4 + between
+        if inverse.shape[1] < length:
+            continue
+        window = np.lib.stride_tricks.sliding_window_view(inverse, length, axis=1)
+        a, b, c, d = (window[..., i] for i in (0, 1, -2, -1))
+        reach = (1 + between) / 2
+        ends = b + reach * (b - a), c - reach * (d - c)
+        with np.errstate(invalid="ignore"):  # a missing pixel compares false
+            jump = _smooth(a, b, share) & _smooth(c, d, share) & _apart(*ends, share)
+            jump &= _apart(b, c, share)
+            if between:
+                jump &= _between(window[..., 2], *ends, share)
+        right += int((jump & (c < b)).sum())
+        left += int((jump & (c > b)).sum())
+    return right, left
+
+
+def flying_pixels(
+    inverse: Float[np.ndarray, "h w"], share: float
+) -> tuple[Bool[np.ndarray, "h w"], Bool[np.ndarray, "h w"]]:
+    """Pixels at a step along the rows of 1/z, and those of them that fly."""
+    row, column = np.nonzero(~np.isnan(inverse))
+    at_image = np.zeros(inverse.shape, dtype=bool)
+    flying_image = np.zeros(inverse.shape, dtype=bool)
+    if len(row) < 7:
+        return at_image, flying_image
+    # Of every run of seven valid pixels the middle one, if all are in one row.
+    windows = np.lib.stride_tricks.sliding_window_view
+    a, b, before, middle, after, c, d = windows(inverse[row, column], 7).T
+    place, y = windows(column, 7), windows(row, 7)
+    # Slopes are noisy: over wide gaps they are not believed.
+    reach_left = np.minimum(place[:, 3] - place[:, 1], _REACH_PX)
+    reach_right = np.minimum(place[:, 5] - place[:, 3], _REACH_PX)
+    ends = (
+        b + reach_left * (b - a) / (place[:, 1] - place[:, 0]),
+        c - reach_right * (d - c) / (place[:, 6] - place[:, 5]),
+    )
+    # One gap is the rim of a shadow; more of them are a surface full of holes.
+    at = (y[:, 0] == y[:, -1]) & ((np.diff(place, axis=1) > 1).sum(axis=1) <= 1)
+    at &= _smooth(a, b, share) & _smooth(c, d, share)
+    at &= _apart(*ends, share) & _apart(b, c, share)
+    alone = _off(middle, before, share) & _off(middle, after, share)
+    flying = at & alone & _between(middle, *ends, share)
+    here = row[3:-3], column[3:-3]
+    at_image[here], flying_image[here] = at, flying
+    return at_image, flying_image
+
+
+# Differences of 1/z are compared as shares of it, which are those of z.
+
+
+def _smooth(a: _Values, b: _Values, share: float) -> _Mask:
+    return np.abs(a - b) < share * np.maximum(a, b)
+
+
+def _apart(a: _Values, b: _Values, share: float) -> _Mask:
+    return np.abs(a - b) > share * np.maximum(a, b)
+
+
+def _off(a: _Values, b: _Values, share: float) -> _Mask:
+    return np.abs(a - b) > _MARGIN * share * np.maximum(a, b)
+
+
+def _between(middle: _Values, a: _Values, b: _Values, share: float) -> _Mask:
+    inside = (middle > np.minimum(a, b)) & (middle < np.maximum(a, b))
+    return inside & _off(middle, a, share) & _off(middle, b, share)

@@ -1,0 +1,23 @@
+"""From a stack of pictures to projector positions to depth, with a reason where there is none."""
+
+from .filters import FilterSpec, filter_depth
+from .maps import CodeMap, DecodeSpec, DepthMap, Levels, Reason, levels_of
+from .plain import decode_plain
+from .reading import decode
+from .triangulation import epipolar_residual_px, triangulate, triangulation_axis
+
+__all__ = [
+    "CodeMap",
+    "DecodeSpec",
+    "DepthMap",
+    "FilterSpec",
+    "Levels",
+    "Reason",
+    "decode",
+    "decode_plain",
+    "epipolar_residual_px",
+    "filter_depth",
+    "levels_of",
+    "triangulate",
+    "triangulation_axis",
+]

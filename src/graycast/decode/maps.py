@@ -1,0 +1,125 @@
+"""What decoding takes and gives: what digital numbers mean, what is believed, maps and reasons."""
+
+from dataclasses import dataclass
+from enum import IntEnum
+
+import numpy as np
+from jaxtyping import Float, UInt8
+
+from ..sensor import SensorSpec
+
+
+class Reason(IntEnum):
+    """Why a pixel has no depth; 0 is a pixel that has one."""
+
+    DECODED = 0
+    SHADOW = 1  # the frames differ by no more than their noise: the projector does not reach it
+    LOW_MODULATION = 2  # it does, but too weakly to be believed
+    SATURATED = 3
+    CONTRADICTORY = 4  # bits or phases that no single place of the projector shows
+    INTERREFLECTION = 5  # the coarse code contradicts the fine one, as light from elsewhere does
+    OUTSIDE_PROJECTOR = 6
+    OUT_OF_RANGE = 7  # no depth within the rig's working range
+    OUTLIER = 8  # taken out by a filter, or off the epipolar line
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Levels:
+    """What a sensor's digital numbers mean, and how they scatter.
+
+    The variance of a stored value y is `floor_dn2 + slope_dn (y - offset_dn)` [DN^2]: read noise
+    and quantisation, and photons (EMVA 1288).
+    """
+
+    offset_dn: float
+    saturation_dn: float
+    floor_dn2: float
+    slope_dn: float
+
+    def __post_init__(self) -> None:
+        if not self.saturation_dn > self.offset_dn:
+            span = f"offset_dn {self.offset_dn}, saturation_dn {self.saturation_dn}"
+            raise ValueError(f"{span}: saturation lies above the offset")
+        if not (self.floor_dn2 > 0 and self.slope_dn >= 0):
+            law = f"floor_dn2 {self.floor_dn2}, slope_dn {self.slope_dn}"
+            raise ValueError(f"noise is {law}; the floor is positive, the slope not negative")
+
+    @property
+    def range_dn(self) -> float:
+        return self.saturation_dn - self.offset_dn
+
+
+def levels_of(sensor: SensorSpec) -> Levels:
+    """The levels of a sensor that is known."""
+    return Levels(
+        offset_dn=sensor.offset_dn,
+        saturation_dn=float(np.floor(sensor.saturation_dn + 0.5)),  # as the sensor rounds
+        floor_dn2=(sensor.gain_dn_per_e * sensor.read_noise_e) ** 2 + 1 / 12,
+        slope_dn=sensor.gain_dn_per_e,
+    )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class DecodeSpec:
+    """What a pixel must show to be believed.
+
+    `min_contrast`: brightest minus darkest frame (of a phase code: twice its amplitude), as a share
+    of the sensor's range. A bit is doubtful where its signal is under `doubt` times that contrast.
+    At any place of a Gray code at most one bit is changing, so two doubtful bits of an axis
+    contradict each other; its `fine_bits` finest bits do not count: there a pixel may see several
+    stripes and still be right, and doubt only widens `sigma`. Where both axes are coded, a point
+    farther from its epipolar line than `max_epipolar_px` and three standard deviations is an
+    outlier; 0 lets all pass.
+    """
+
+    min_contrast: float = 0.02
+    doubt: float = 0.15
+    fine_bits: int = 3
+    max_epipolar_px: float = 2.0
+
+    def __post_init__(self) -> None:
+        if not 0 < self.min_contrast < 1:
+            raise ValueError(f"min_contrast is {self.min_contrast}; a share between 0 and 1")
+        if not 0 <= self.doubt < 1:
+            raise ValueError(f"doubt is {self.doubt}; a share from 0 to 1")
+        if self.fine_bits < 0:
+            raise ValueError(f"fine_bits is {self.fine_bits}; 0 or more")
+        if not self.max_epipolar_px >= 0:
+            raise ValueError(f"max_epipolar_px is {self.max_epipolar_px}; 0 (off) or more")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class CodeMap:
+    """Which projector pixel each camera pixel sees.
+
+    `column`, `row` and their standard deviations [projector px] are NaN where `reason` is not
+    DECODED and where the code has no such axis. `modulation` is brightest minus darkest frame, of
+    a phase code twice its amplitude, as a share of the sensor's range.
+    """
+
+    column: Float[np.ndarray, "h w"]
+    row: Float[np.ndarray, "h w"]
+    sigma_column: Float[np.ndarray, "h w"]
+    sigma_row: Float[np.ndarray, "h w"]
+    modulation: Float[np.ndarray, "h w"]
+    reason: UInt8[np.ndarray, "h w"]
+
+    def __post_init__(self) -> None:
+        for name in self.__dataclass_fields__:
+            getattr(self, name).flags.writeable = False
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class DepthMap:
+    """What the scanner measured: z of the camera frame and its standard deviation [m].
+
+    Both are NaN where `reason` is not DECODED.
+    """
+
+    depth_m: Float[np.ndarray, "h w"]
+    sigma_m: Float[np.ndarray, "h w"]
+    reason: UInt8[np.ndarray, "h w"]
+
+    def __post_init__(self) -> None:
+        for name in self.__dataclass_fields__:
+            getattr(self, name).flags.writeable = False

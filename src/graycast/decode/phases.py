@@ -1,0 +1,256 @@
+"""Phases, row by row: from levels to phases, and which period each one lies in."""
+
+import math
+from typing import no_type_check
+
+import numba
+import numpy as np
+
+MODEL_RAD = 0.05  # by which phases of one place may differ beyond their noise
+MAX_MISFIT = 9.0  # mean square of residuals in their own standard deviations
+MIN_LEAD = 16.0  # sum of squares by which the best place must lead the next: 4 sigma of noise
+OFF_CELL_PERIODS = 0.125  # by which a phase may lie outside of the Gray code's cell, in periods
+SLACK_PERIODS = 0.25  # by which a place may lie outside of the picture while periods are counted
+NOWHERE = 1e30  # the cost of a place outside of the picture
+
+
+@numba.njit(parallel=True, cache=True, error_model="numpy")
+@no_type_check  # the tests' type checker wraps functions, which numba cannot compile
+def read_phases(stack, periods, index, waves, law, strength, turn, noise2):
+    """Phase of each full period [periods], cosine of each lone frame, and their variances."""
+    w = strength.shape[1]
+    for y in numba.prange(len(strength)):
+        first = np.empty((3, w), dtype=np.float32)  # mean, amplitude, variance of the first period
+        for g in range(len(periods)):
+            start, count = int(periods[g, 1]), int(periods[g, 2])
+            if count < 3:
+                frame = stack[index[start], y]
+                _lone_frame(frame, first, turn[y, g], noise2[y, g])
+                continue
+            sums = np.zeros((5, w), dtype=np.float32)
+            for j in range(start, start + count):
+                _add_frame(stack[index[j], y], waves[j], sums)
+            _phase(sums, np.float32(count), law, turn[y, g], noise2[y, g])
+            if g == 0:
+                _amplitude(sums, np.float32(count), law, first, strength[y])
+
+
+@numba.njit(cache=True)
+@no_type_check  # the tests' type checker wraps functions, which numba cannot compile
+def _add_frame(frame, wave, sums):
+    total, c, s, c2, s2 = sums[0], sums[1], sums[2], sums[3], sums[4]
+    for x in range(len(frame)):
+        level = np.float32(frame[x])
+        total[x] += level
+        c[x] += level * wave[0]
+        s[x] += level * wave[1]
+    for x in range(len(frame)):
+        level = np.float32(frame[x])
+        c2[x] += level * wave[2]
+        s2[x] += level * wave[3]
+
+
+@numba.njit(cache=True, error_model="numpy")
+@no_type_check  # the tests' type checker wraps functions, which numba cannot compile
+def _phase(sums, count, law, turn, noise2):
+    """Phase [periods] and variance [rad^2] from sums of level times 1, cos, sin, cos 2, sin 2.
+
+    The least-squares phase of N even steps has the variance 4 / (N A)^2 times the sum of
+    var_j sin^2(phase - delta_j), and var_j is linear in the level j.
+    """
+    offset_dn, floor_dn2, slope_dn, _ = law
+    total, c, s, c2, s2 = sums[0], sums[1], sums[2], sums[3], sums[4]
+    two = np.float32(2)
+    for x in range(len(turn)):
+        square = c[x] * c[x] + s[x] * s[x]
+        light = max(total[x] - count * offset_dn, np.float32(0))
+        twice = (c[x] * c[x] - s[x] * s[x]) * c2[x] + two * c[x] * s[x] * s2[x]
+        spread = slope_dn * (light - twice / square)
+        noise2[x] = (count * floor_dn2 + max(spread, np.float32(0))) / (two * square)
+    for x in range(len(turn)):
+        turn[x] = _turn(s[x], c[x])
+
+
+@numba.njit(cache=True, error_model="numpy")
+@no_type_check  # the tests' type checker wraps functions, which numba cannot compile
+def _amplitude(sums, count, law, first, strength):
+    """Mean, amplitude [DN], a frame's variance [DN^2]; strength is twice the amplitude at most."""
+    offset_dn, floor_dn2, slope_dn, _ = law
+    total, c, s = sums[0], sums[1], sums[2]
+    mean, amplitude, variance = first[0], first[1], first[2]
+    two = np.float32(2)
+    for x in range(len(strength)):
+        mean[x] = total[x] / count
+        amplitude[x] = two / count * math.sqrt(c[x] * c[x] + s[x] * s[x])
+        variance[x] = floor_dn2 + slope_dn * max(mean[x] - offset_dn, np.float32(0))
+        strength[x] = min(strength[x], two * amplitude[x])
+
+
+@numba.njit(cache=True, error_model="numpy")
+@no_type_check  # the tests' type checker wraps functions, which numba cannot compile
+def _lone_frame(frame, first, cosine, noise2):
+    mean, amplitude, variance = first[0], first[1], first[2]
+    model2, two = np.float32(MODEL_RAD**2), np.float32(2)
+    for x in range(len(frame)):
+        cosine[x] = (np.float32(frame[x]) - mean[x]) / amplitude[x]
+        # Twice a frame's variance: mean, amplitude and phase of the three steps have as much.
+        noise2[x] = two * variance[x] / (amplitude[x] * amplitude[x]) + model2
+
+
+@numba.njit(parallel=True, cache=True, error_model="numpy")
+@no_type_check  # the tests' type checker wraps functions, which numba cannot compile
+def count_by_gray(periods, cell_px, turn, place, variance, rival, why):
+    """The period that brings the first phase next to the Gray code's cell; `place` is both.
+
+    A doubtful bit does no harm where the period is the same with it and without.
+    """
+    period, half, two = np.float32(periods[0, 0]), np.float32(0.5), np.float32(2)
+    slack = half * cell_px + np.float32(OFF_CELL_PERIODS) * period
+    for y in numba.prange(len(place)):
+        for x in range(place.shape[1]):
+            k = np.floor(place[y, x] / period - turn[y, 0, x] + half)
+            u = (k + turn[y, 0, x]) * period
+            other = np.floor((place[y, x] + rival[y, x]) / period - turn[y, 0, x] + half)
+            far = abs(u - place[y, x]) > slack + two * math.sqrt(variance[y, x])
+            wrong = (far | (other != k)) & (why[y, x] == 0)
+            why[y, x] = np.uint8(5) if wrong else why[y, x]
+            place[y, x] = u
+
+
+@numba.njit(parallel=True, cache=True, error_model="numpy")
+@no_type_check  # the tests' type checker wraps functions, which numba cannot compile
+def count_by_phases(periods, delta, size_px, turn, noise2, place, why):
+    """The period of the first group that all others agree with: a search over all of them.
+
+    Contradictory where none agrees, or two do.
+    """
+    for y in numba.prange(len(place)):
+        _search_row(periods, delta, size_px, turn[y], noise2[y], place[y], why[y])
+
+
+@numba.njit(cache=True, error_model="numpy")
+@no_type_check  # the tests' type checker wraps functions, which numba cannot compile
+def _search_row(periods, delta, size_px, turn, noise2, place, why):
+    groups, w = turn.shape
+    period, first = np.float32(periods[0, 0]), turn[0]
+    slack = np.float32(0.5) + np.float32(SLACK_PERIODS) * period
+    end = np.float32(size_px - 1) + slack
+    costs = np.empty(w, dtype=np.float32)
+    best = np.full(w, np.float32(NOWHERE))
+    second = np.full(w, np.float32(NOWHERE))
+    seen = np.empty((groups, 3, w), dtype=np.float32)
+    for g in range(1, groups):
+        _expect(periods, delta, g, turn, noise2, seen[g])
+    for k in range(math.ceil(size_px / periods[0, 0]) + 1):
+        at = np.float32(k)
+        for x in range(w):
+            u = (at + first[x]) * period
+            costs[x] = np.float32(NOWHERE) if (u < -slack) | (u > end) else np.float32(0)
+        for g in range(1, groups):
+            turns = k * periods[0, 0] / periods[g, 0]
+            if periods[g, 2] < 3:
+                c, s = math.cos(2 * math.pi * turns), math.sin(2 * math.pi * turns)
+                _add_cosine_cost(turn[g], np.float32(c), np.float32(s), seen[g], costs)
+            else:
+                _add_phase_cost(np.float32(turns - math.floor(turns)), seen[g], costs)
+        for x in range(w):
+            better = costs[x] < best[x]
+            second[x] = best[x] if better else min(second[x], costs[x])
+            place[x] = (at + first[x]) * period if better else place[x]
+            best[x] = min(best[x], costs[x])
+    limit = np.float32(MAX_MISFIT * (groups - 1))
+    for x in range(w):
+        sure = (best[x] <= limit) & (second[x] - best[x] >= np.float32(MIN_LEAD))
+        why[x] = why[x] if sure | (why[x] != 0) else np.uint8(4)
+
+
+@numba.njit(cache=True, error_model="numpy")
+@no_type_check  # the tests' type checker wraps functions, which numba cannot compile
+def _expect(periods, delta, g, turn, noise2, seen):
+    """What a group shows in period 0 (phase difference; of a lone frame cos, sin), and a weight."""
+    ratio = periods[0, 0] / periods[g, 0]
+    first, its_turn = turn[0], turn[g]
+    here, aside, weight = seen[0], seen[1], seen[2]
+    if periods[g, 2] < 3:
+        lag = delta[int(periods[g, 1])]
+        for x in range(len(first)):
+            angle = np.float32(2 * math.pi * ratio * first[x] - lag)
+            here[x] = math.cos(angle)
+            aside[x] = math.sin(angle)
+            weight[x] = np.float32(1) / noise2[g, x]
+    else:
+        tau2, model2 = np.float32(4 * math.pi**2), np.float32(MODEL_RAD**2)
+        for x in range(len(first)):
+            here[x] = np.float32(ratio) * first[x] - its_turn[x]
+            weight[x] = tau2 / (noise2[g, x] + noise2[0, x] + model2)
+
+
+@numba.njit(cache=True)
+@no_type_check  # the tests' type checker wraps functions, which numba cannot compile
+def _add_phase_cost(turns, seen, costs):
+    here, weight = seen[0], seen[2]
+    for x in range(len(costs)):
+        apart = turns + here[x]
+        apart -= np.floor(apart + np.float32(0.5))
+        costs[x] += weight[x] * (apart * apart)
+
+
+@numba.njit(cache=True)
+@no_type_check  # the tests' type checker wraps functions, which numba cannot compile
+def _add_cosine_cost(cosine, c, s, seen, costs):
+    here, aside, weight = seen[0], seen[1], seen[2]
+    for x in range(len(costs)):
+        apart = cosine[x] - (c * here[x] - s * aside[x])
+        costs[x] += weight[x] * (apart * apart)
+
+
+@numba.njit(parallel=True, cache=True, error_model="numpy")
+@no_type_check  # the tests' type checker wraps functions, which numba cannot compile
+def fuse(periods, turn, noise2, place, sigma):
+    """The mean of all full periods' places, each next to that of the first, by their variance."""
+    w = place.shape[1]
+    half, one = np.float32(0.5), np.float32(1)
+    for y in numba.prange(len(place)):
+        u, error = place[y], sigma[y]
+        weight = np.zeros(w, dtype=np.float32)
+        summed = np.zeros(w, dtype=np.float32)
+        for g in range(len(periods)):
+            if periods[g, 2] < 3:
+                continue
+            length = np.float32(periods[g, 0])
+            per_px2 = np.float32((2 * math.pi / periods[g, 0]) ** 2)
+            its_turn, its_noise2 = turn[y, g], noise2[y, g]
+            for x in range(w):
+                apart = u[x] / length - its_turn[x]
+                apart = (np.floor(apart + half) - apart) * length
+                share = per_px2 / its_noise2[x]
+                weight[x] += share
+                summed[x] += share * apart
+        for x in range(w):
+            u[x] += summed[x] / weight[x]
+            error[x] = math.sqrt(one / weight[x])
+
+
+@numba.njit(cache=True, error_model="numpy")
+@no_type_check  # the tests' type checker wraps functions, which numba cannot compile
+def _turn(s, c):
+    """atan2 in turns, -1/2 to 1/2; the library's own is not SIMD.
+
+    Source: Abramowitz and Stegun, Handbook of Mathematical Functions, 4.4.49 (within 2e-8 rad).
+    """
+    across, along = abs(s), abs(c)
+    longer = max(across, along)
+    r = min(across, along) / max(longer, np.float32(1e-30))
+    z = r * r
+    p = np.float32(0.0028662257)
+    p = p * z + np.float32(-0.0161657367)
+    p = p * z + np.float32(0.0429096138)
+    p = p * z + np.float32(-0.0752896400)
+    p = p * z + np.float32(0.1065626393)
+    p = p * z + np.float32(-0.1420889944)
+    p = p * z + np.float32(0.1999355085)
+    p = p * z + np.float32(-0.3333314528)
+    angle = (p * z + np.float32(1)) * r * np.float32(0.5 / math.pi)
+    angle = np.float32(0.25) - angle if across > along else angle
+    angle = np.float32(0.5) - angle if c < 0 else angle
+    return -angle if s < 0 else angle

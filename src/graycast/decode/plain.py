@@ -1,0 +1,171 @@
+"""`decode` said in NumPy, frame by frame and slowly: what tests hold the fast one against."""
+
+import numpy as np
+from jaxtyping import UInt8, UInt16
+
+from ..pattern import AXES, Code
+from .bits import XOR_SIGMAS
+from .maps import CodeMap, DecodeSpec, Levels, Reason
+from .phases import MAX_MISFIT, MIN_LEAD, MODEL_RAD, OFF_CELL_PERIODS, SLACK_PERIODS
+from .plan import AxisPlan, Period, plan_axes
+from .reading import SHADOW_SIGMAS
+
+
+def decode_plain(
+    frames: UInt8[np.ndarray, "n h w"] | UInt16[np.ndarray, "n h w"],
+    code: Code,
+    spec: DecodeSpec,
+    levels: Levels,
+) -> CodeMap:
+    """See `decode`."""
+    stack = frames.astype(np.float64)
+    high, low = stack.max(axis=0), stack.min(axis=0)
+    strength = high - low
+    why = np.zeros(high.shape, dtype=np.uint8)
+    found = {}
+    for axis, plan in plan_axes(code, spec.fine_bits).items():
+        place, sigma = np.full(high.shape, np.nan), np.full(high.shape, np.nan)
+        coarse = variance = rival = None
+        if plan.bits:
+            coarse, variance, rival, doubts = _gray(stack, plan, spec, levels, high, low)
+            contradiction = np.where(doubts[1] == 0, Reason.INTERREFLECTION, Reason.CONTRADICTORY)
+            _say(why, doubts.sum(axis=0) >= 2, contradiction)
+            place, sigma = coarse, np.sqrt(variance + plan.cell_px**2 / 12)
+        if plan.periods:
+            place, sigma, amplitude, wrong = _phase(stack, plan, levels, coarse, variance, rival)
+            strength = np.minimum(strength, 2 * amplitude)
+            _say(why, wrong, Reason.CONTRADICTORY if coarse is None else Reason.INTERREFLECTION)
+        _say(why, (place < -0.5) | (place > plan.size_px - 0.5), Reason.OUTSIDE_PROJECTOR)
+        found[axis] = place, sigma
+    noise_dn2 = levels.floor_dn2 + levels.slope_dn * np.maximum(low - levels.offset_dn, 0)
+    reason = np.select(
+        [
+            high - low < SHADOW_SIGMAS * np.sqrt(noise_dn2),
+            strength < spec.min_contrast * levels.range_dn,
+            high >= levels.saturation_dn,
+        ],
+        [Reason.SHADOW, Reason.LOW_MODULATION, Reason.SATURATED],
+        why,
+    ).astype(np.uint8)
+    maps = []
+    for axis in AXES:
+        for values in found.get(axis, (np.full(high.shape, np.nan),) * 2):
+            maps.append(np.where(reason == Reason.DECODED, values, np.nan).astype(np.float32))
+    return CodeMap(
+        column=maps[0],
+        row=maps[2],
+        sigma_column=maps[1],
+        sigma_row=maps[3],
+        modulation=(strength / levels.range_dn).astype(np.float32),
+        reason=reason,
+    )
+
+
+def _say(why, where, reason) -> None:
+    """The first thing that is wrong with a pixel is what is said of it."""
+    first = where & (why == 0)
+    why[first] = np.broadcast_to(reason, why.shape)[first]
+
+
+def _gray(stack, plan: AxisPlan, spec: DecodeSpec, levels: Levels, high, low):
+    middle = high + low
+    noise_dn2 = 2 * levels.floor_dn2 + levels.slope_dn * np.maximum(
+        middle - 2 * levels.offset_dn, 0
+    )
+    margins, noises, bits = [], [], []
+    for bit in plan.bits:
+        if bit.inverse >= 0:
+            margin, noise = stack[bit.frame] - stack[bit.inverse], np.sqrt(noise_dn2)
+        else:
+            margin, noise = 2 * stack[bit.frame] - middle, np.sqrt(3 * noise_dn2)
+        margins.append(margin)
+        noises.append(noise)
+        bits.append(margin > 0)
+    bits = [
+        b ^ bits[bit.xor] if bit.xor >= 0 else b for b, bit in zip(bits, plan.bits, strict=True)
+    ]
+    value, last = np.zeros(high.shape, dtype=int), np.zeros(high.shape, dtype=bool)
+    for b in bits:
+        last = last ^ b
+        value = 2 * value + last
+
+    variance, rival = np.zeros(high.shape), np.zeros(high.shape)
+    doubts = np.zeros((2, *high.shape), dtype=int)
+    counted = [b for b, bit in enumerate(plan.bits) if bit.counts]
+    for b, bit in enumerate(plan.bits):
+        flipped = value ^ (2 ** (len(bits) - b) - 1)
+        probability = 0.5 * np.maximum(1 - np.abs(margins[b]) / noises[b] / 3, 0) ** 3
+        variance += probability * (flipped - value) ** 2
+        if bit.counts:
+            # In float32, as the fast decoder says it: a signal may lie on the limit itself.
+            share, of = (XOR_SIGMAS, noises[b]) if bit.xor >= 0 else (spec.doubt, high - low)
+            doubtful = np.abs(margins[b]) < np.float32(share) * of.astype(np.float32)
+            half = 0 if 2 * counted.index(b) < len(counted) else 1
+            doubts[half] += doubtful * (1 + (np.abs(flipped - value) > plan.reach))
+            rival = np.where(doubtful, plan.cell_px * (flipped - value), rival)
+    coarse = plan.first_px + plan.cell_px * (value + 0.5)
+    return coarse, plan.cell_px**2 * variance, rival, doubts
+
+
+@np.errstate(divide="ignore", invalid="ignore")
+def _phase(stack, plan: AxisPlan, levels: Levels, coarse, variance, rival):
+    mean, amplitude, turn, noise2, light = _first_phase(stack, plan.periods[0], levels)
+    first = plan.periods[0].period_px
+    others = [_first_phase(stack, p, levels) if p.full else None for p in plan.periods[1:]]
+    if coarse is None:
+        k, wrong = _count(stack, plan, turn, noise2, others, mean, amplitude, light)
+    else:
+        k = np.floor(coarse / first - turn + 0.5)
+        far = 0.5 * plan.cell_px + OFF_CELL_PERIODS * first + 2 * np.sqrt(variance)
+        wrong = np.abs((k + turn) * first - coarse) > far
+        wrong |= np.floor((coarse + rival) / first - turn + 0.5) != k
+    u = (k + turn) * first
+    weight = (2 * np.pi / first) ** 2 / noise2
+    summed = weight * u
+    for period, other in zip(plan.periods[1:], others, strict=True):
+        if other is None:
+            continue
+        apart = u / period.period_px - other[2]
+        w = (2 * np.pi / period.period_px) ** 2 / other[3]
+        weight = weight + w
+        summed = summed + w * (u - (apart - np.floor(apart + 0.5)) * period.period_px)
+    return summed / weight, np.sqrt(1 / weight), amplitude, wrong
+
+
+@np.errstate(divide="ignore", invalid="ignore")
+def _first_phase(stack, period: Period, levels: Levels):
+    """Mean, amplitude, phase in periods, its variance [rad^2], variance of one frame [DN^2]."""
+    frames, delta = stack[list(period.frames)], np.array(period.delta_rad)
+    z = np.tensordot(np.exp(1j * delta), frames, axes=1)
+    mean, amplitude = frames.mean(axis=0), 2 / len(frames) * np.abs(z)
+    light = np.maximum(mean - levels.offset_dn, 0)
+    steep = np.sin(np.angle(z) - delta[:, None, None]) ** 2
+    shot = ((light + frames - mean) * steep).sum(axis=0)
+    spread = 0.5 * len(frames) * levels.floor_dn2 + levels.slope_dn * np.maximum(shot, 0)
+    dn2 = levels.floor_dn2 + levels.slope_dn * light
+    return mean, amplitude, np.angle(z) / (2 * np.pi), spread / np.abs(z) ** 2, dn2
+
+
+@np.errstate(divide="ignore", invalid="ignore")
+def _count(stack, plan: AxisPlan, turn, noise2, others, mean, amplitude, light):
+    first = plan.periods[0].period_px
+    costs = []
+    for k in range(int(np.ceil(plan.size_px / first)) + 1):
+        u = (k + turn) * first
+        cost = np.zeros(u.shape)
+        for period, other in zip(plan.periods[1:], others, strict=True):
+            if other is None:
+                level = (stack[period.frames[0]] - mean) / amplitude
+                wave = np.cos(2 * np.pi * u / period.period_px - period.delta_rad[0])
+                cost += (level - wave) ** 2 / (2 * light / amplitude**2 + MODEL_RAD**2)
+            else:
+                apart = u / period.period_px - other[2]
+                apart = 2 * np.pi * (apart - np.floor(apart + 0.5))
+                cost += apart**2 / (other[3] + noise2 + MODEL_RAD**2)
+        slack = SLACK_PERIODS * first
+        cost[(u < -0.5 - slack) | (u > plan.size_px - 0.5 + slack)] = np.inf
+        costs.append(cost)
+    costs = np.array(costs)
+    ordered = np.sort(costs, axis=0)
+    wrong = (ordered[0] > MAX_MISFIT * len(others)) | (ordered[1] - ordered[0] < MIN_LEAD)
+    return costs.argmin(axis=0), wrong

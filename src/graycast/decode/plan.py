@@ -1,0 +1,189 @@
+"""How a list of frames is to be read: per axis its bits, and its phases.
+
+All that can be wrong with a list of frames is found here, before any pixel is looked at.
+"""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..errors import DecodeError
+from ..pattern import AXES, Axis, Code, Frame
+
+NO_FRAME = -1
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Bit:
+    """One bit: its frame, that of its inverse, and which bit of the list it is XORed with."""
+
+    frame: int
+    inverse: int = NO_FRAME
+    xor: int = NO_FRAME
+    counts: bool = True  # whether doubt in it is a contradiction
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Period:
+    """Frames of one period: indices, and the phase at which each is brightest [rad].
+
+    Three or more, evenly spread, give a phase of their own; fewer lean on the axis's first period
+    for mean and amplitude.
+    """
+
+    period_px: float
+    frames: tuple[int, ...]
+    delta_rad: tuple[float, ...]
+
+    @property
+    def full(self) -> bool:
+        return len(self.frames) >= 3
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class AxisPlan:
+    """One axis. Bits from coarse to fine; a value of the Gray code is `cell_px` pixels wide.
+
+    Next to an edge of its stripes a bit may be misread, which costs few code values. A doubtful bit
+    that would cost more than `reach` values lies far from its edges: that is a contradiction.
+    """
+
+    size_px: int
+    bits: tuple[Bit, ...]
+    first_px: float  # where value 0 begins, a pixel's border
+    cell_px: float
+    reach: int
+    periods: tuple[Period, ...]  # the shortest full one first
+
+
+def plan_axes(code: Code, fine_bits: int) -> dict[Axis, AxisPlan]:
+    """How each coded axis is to be read.
+
+    Raises:
+        DecodeError: frames are missing or do not fit together; the text names them.
+    """
+    return {axis: _plan_axis(code, axis, fine_bits) for axis in code.axes}
+
+
+def _plan_axis(code: Code, axis: Axis, fine_bits: int) -> AxisPlan:
+    i = AXES.index(axis)
+    indexed = [(k, f) for k, f in enumerate(code.frames) if f.axis == axis]
+    periods = _periods(axis, indexed)
+    lowest = min((f.bit for _, f in indexed if f.kind == "gray"), default=0)
+    cell_px = code.stride_px[i] * 2.0**lowest
+    if periods:  # of the bits only those narrower than half a period do not count periods
+        fine_bits = max(0, math.floor(math.log2(0.5 * periods[0].period_px / cell_px) + 1e-9))
+    bits = _gray_bits(axis, indexed, fine_bits)
+    bits, cell_px = _with_complementary(axis, indexed, bits, cell_px, periods)
+    reach_px = cell_px * 2 ** len(bits) + code.offset_px[i]
+    # A code that begins inside the picture was meant for a part of it.
+    if bits and code.offset_px[i] <= 0 and reach_px < code.size_px(axis) - 0.5:
+        raise DecodeError(
+            f"{axis}: {len(bits)} Gray bits of {cell_px:g} px reach {reach_px:g} px, the projector "
+            f"has {code.size_px(axis)}: is the coarsest bit missing, or stride_px?"
+        )
+    if not bits and len(periods) < 2 and periods[0].period_px < code.size_px(axis):
+        raise DecodeError(
+            f"{axis}: one period of {periods[0].period_px:g} px repeats over the projector's "
+            f"{code.size_px(axis)} px; add Gray bits or other periods to count it"
+        )
+    return AxisPlan(
+        size_px=code.size_px(axis),
+        bits=bits,
+        first_px=code.offset_px[i] - 0.5,
+        cell_px=cell_px,
+        reach=2**fine_bits,
+        periods=periods,
+    )
+
+
+def _gray_bits(axis: Axis, indexed: list[tuple[int, Frame]], fine_bits: int) -> tuple[Bit, ...]:
+    """Bits coarse to fine; the finest that is there may not be bit 0."""
+    shown = {f.bit: (k, f) for k, f in indexed if f.kind == "gray" and not f.inverse}
+    inverse = {f.bit: k for k, f in indexed if f.kind == "gray" and f.inverse}
+    lone = sorted(set(inverse) - set(shown))
+    if lone:
+        raise DecodeError(f"{axis}: bit {lone[0]} has an inverse but no frame of its own")
+    if not shown:
+        return ()
+    numbers = sorted(shown, reverse=True)
+    gaps = sorted(set(range(numbers[-1], numbers[0])) - set(numbers))
+    if gaps:
+        raise DecodeError(f"{axis}: Gray bit {gaps[0]} is missing between others")
+    bits = []
+    for number in numbers:
+        k, frame = shown[number]
+        base = NO_FRAME
+        if frame.xor_bit >= 0:
+            if frame.xor_bit not in shown or shown[frame.xor_bit][1].xor_bit >= 0:
+                raise DecodeError(
+                    f"{axis}: bit {number} is combined with bit {frame.xor_bit}, "
+                    "which must be there on its own"
+                )
+            base = numbers.index(frame.xor_bit)
+        counts = number - numbers[-1] >= fine_bits or frame.xor_bit >= 0
+        bits.append(Bit(frame=k, inverse=inverse.get(number, NO_FRAME), xor=base, counts=counts))
+    return tuple(bits)
+
+
+def _with_complementary(
+    axis: Axis,
+    indexed: list[tuple[int, Frame]],
+    bits: tuple[Bit, ...],
+    cell_px: float,
+    periods: tuple[Period, ...],
+) -> tuple[tuple[Bit, ...], float]:
+    """The bits with the complementary one behind them, where the Gray code counts periods.
+
+    A Gray code finer than that does not need it.
+    """
+    found = {f.inverse: (k, f) for k, f in indexed if f.kind == "complementary"}
+    if len([1 for _, f in indexed if f.kind == "complementary"]) > len(found):
+        raise DecodeError(f"{axis}: more than one complementary bit")
+    if not found:
+        if bits and periods and cell_px > 0.75 * periods[0].period_px:
+            raise DecodeError(
+                f"{axis}: Gray values {cell_px:g} px wide cannot count periods of "
+                f"{periods[0].period_px:g} px without a complementary bit"
+            )
+        return bits, cell_px
+    if False not in found:
+        raise DecodeError(f"{axis}: the complementary bit is there as an inverse only")
+    k, frame = found[False]
+    if not bits:
+        raise DecodeError(f"{axis}: a complementary bit, but no Gray bits before it")
+    if cell_px <= 0.5 * frame.period_px:
+        return bits, cell_px
+    if abs(cell_px - frame.period_px) > 1e-6 * cell_px:
+        raise DecodeError(
+            f"{axis}: the complementary bit halves {frame.period_px:g} px, the Gray values are "
+            f"{cell_px:g} px wide: is stride_px the period?"
+        )
+    inverse = found[True][0] if True in found else NO_FRAME
+    return (*bits, Bit(frame=k, inverse=inverse)), cell_px / 2
+
+
+def _periods(axis: Axis, indexed: list[tuple[int, Frame]]) -> tuple[Period, ...]:
+    groups: dict[tuple[float, int], list[tuple[int, Frame]]] = {}
+    for k, frame in indexed:
+        if frame.kind in ("phase", "line"):
+            groups.setdefault((frame.period_px, frame.steps), []).append((k, frame))
+    periods = []
+    for (period_px, steps), members in groups.items():
+        if 3 <= len(members) < steps or (len(members) == 2):
+            there = {f.step for _, f in members}
+            missing = ", ".join(str(s) for s in range(steps) if s not in there)
+            raise DecodeError(f"{axis}: period {period_px:g} px lacks step {missing} of {steps}")
+        members.sort(key=lambda member: member[1].step)
+        periods.append(
+            Period(
+                period_px=period_px,
+                frames=tuple(k for k, _ in members),
+                delta_rad=tuple(2 * np.pi * f.step / steps for _, f in members),
+            )
+        )
+    periods.sort(key=lambda p: (not p.full, p.period_px))
+    if periods and not periods[0].full:
+        raise DecodeError(f"{axis}: no period has all its steps; one must")
+    return tuple(periods)

@@ -1,0 +1,190 @@
+"""From a stack of pictures to projector positions: all frames in one pass over the pixels.
+
+`plain.py` says the same in NumPy, frame by frame; tests compare the two. Here every loop runs along
+a row of pixels over few arrays, without branches, so that the compiler makes SIMD code of it. Each
+step is a kernel of its own, compiled when a code first needs it.
+"""
+
+import math
+from typing import no_type_check
+
+import numba
+import numpy as np
+from jaxtyping import UInt8, UInt16
+
+from ..errors import DecodeError
+from ..pattern import AXES, Code
+from .bits import read_gray
+from .maps import CodeMap, DecodeSpec, Levels
+from .phases import count_by_gray, count_by_phases, fuse, read_phases
+from .plan import AxisPlan, plan_axes
+
+SHADOW_SIGMAS = 6.0  # the range of some twenty noisy frames of equal light seldom exceeds it
+
+
+def decode(
+    frames: UInt8[np.ndarray, "n h w"] | UInt16[np.ndarray, "n h w"],
+    code: Code,
+    spec: DecodeSpec,
+    levels: Levels,
+) -> CodeMap:
+    """Read a stack.
+
+    A Gray bit is the sign of pattern minus inverse; without inverse it tells whether the pixel is
+    above the middle of its own darkest and brightest frame, as in K. Bai et al. 2024. Phases are
+    counted by the Gray code or by one another; the place is their mean, weighted by their noise.
+    docs/derivations.md, "Decoding".
+
+    Leaves out: what the projector's square pixels do to a camera that resolves them. A cosine or a
+    comb on a grid of pixels is a staircase, of however many pixels a line is made. Its error (peak,
+    projector px) for a camera pixel that covers 1 or 1.5 of them, and a projector blurred to a disc
+    of some radius, is far under `sigma` once stripes are blurred by a pixel:
+
+        period 8 px   sharp 0.010, 0.075   0.5 px  0.007, 0.014   1 px  0.004, 0.005
+        period 16 px  sharp 0.003, 0.081   0.5 px  0.002, 0.013   1 px  0.001, 0.005
+
+    Raises:
+        DecodeError: the stack has another number of frames than the code, or frames are missing.
+    """
+    if len(frames) != len(code.frames):
+        raise DecodeError(
+            f"the stack has {len(frames)} frames, the code has {len(code.frames)}: "
+            "another projector size, or inverses missing?"
+        )
+    plans = plan_axes(code, spec.fine_bits)
+    frames = np.ascontiguousarray(frames)  # the kernels are compiled for no other order
+    shape = frames.shape[1:]
+    law = tuple(
+        np.float32(number)
+        for number in (levels.offset_dn, levels.floor_dn2, levels.slope_dn, spec.doubt)
+    )
+    high, low, strength = (np.empty(shape, dtype=np.float32) for _ in range(3))
+    why = np.zeros(shape, dtype=np.uint8)
+    _range(frames, high, low, strength)
+    found = {
+        axis: _read(frames, plan, law, high, low, strength, why) for axis, plan in plans.items()
+    }
+    dark_dn = np.float32(spec.min_contrast * levels.range_dn)
+    _judge(high, low, strength, why, law, dark_dn, np.float32(levels.saturation_dn))
+    for place, sigma in found.values():
+        _forget(why, place, sigma)
+    strength /= np.float32(levels.range_dn)
+    unknown = np.full((2, *shape), np.nan, dtype=np.float32) if len(found) < 2 else None
+    column, row = (found.get(axis, unknown) for axis in AXES)
+    return CodeMap(
+        column=column[0],
+        row=row[0],
+        sigma_column=column[1],
+        sigma_row=row[1],
+        modulation=strength,
+        reason=why,
+    )
+
+
+def _read(frames, plan: AxisPlan, law, high, low, strength, why) -> tuple:
+    """Places and their standard deviations along one axis; what is wrong is said in `why`."""
+    place = np.empty(high.shape, dtype=np.float32)
+    sigma = np.zeros(high.shape, dtype=np.float32)
+    # Only a phase asks for rivals; without one they may go where the place will be written.
+    rival = np.zeros(high.shape, dtype=np.float32) if plan.periods else place
+    if plan.bits:
+        bits = np.array([(b.frame, b.inverse, b.xor, b.counts) for b in plan.bits])
+        grid = np.array([plan.first_px, plan.cell_px, plan.reach], dtype=np.float32)
+        read_gray(frames, bits, grid, law, high, low, place, sigma, rival, why)
+    if plan.periods:
+        counts = [len(p.frames) for p in plan.periods]
+        starts = np.cumsum([0, *counts[:-1]])
+        periods = np.float64([[p.period_px for p in plan.periods], starts, counts]).T
+        index = np.array([k for p in plan.periods for k in p.frames])
+        delta = np.array([d for p in plan.periods for d in p.delta_rad])
+        waves = [f(m * delta) for m in (1, 2) for f in (np.cos, np.sin)]
+        h, w = high.shape
+        turn, noise2 = np.empty((2, h, len(counts), w), dtype=np.float32)
+        read_phases(frames, periods, index, np.float32(waves).T, law, strength, turn, noise2)
+        if plan.bits:
+            count_by_gray(periods, np.float32(plan.cell_px), turn, place, sigma, rival, why)
+        else:
+            count_by_phases(periods, delta, plan.size_px, turn, noise2, place, why)
+        fuse(periods, turn, noise2, place, sigma)
+    else:
+        _within_cell(np.float32(plan.cell_px**2 / 12), sigma)
+    _outside(np.float32(plan.size_px), place, why)
+    return place, sigma
+
+
+@numba.njit(parallel=True, cache=True, error_model="numpy")
+@no_type_check  # the tests' type checker wraps functions, which numba cannot compile
+def _range(stack, high, low, strength):
+    """Brightest and darkest value of each pixel [DN], and their difference."""
+    for y in numba.prange(stack.shape[1]):
+        _range_row(stack, y, high[y], low[y], strength[y])
+
+
+@numba.njit(cache=True)
+@no_type_check  # the tests' type checker wraps functions, which numba cannot compile
+def _range_row(stack, y, high, low, strength):
+    most = stack[0, y].copy()
+    least = stack[0, y].copy()
+    for k in range(1, len(stack)):
+        frame = stack[k, y]
+        for x in range(len(most)):
+            most[x] = max(most[x], frame[x])
+            least[x] = min(least[x], frame[x])
+    for x in range(len(most)):
+        high[x] = most[x]
+        low[x] = least[x]
+        strength[x] = np.float32(most[x]) - np.float32(least[x])
+
+
+@numba.njit(parallel=True, cache=True, error_model="numpy")
+@no_type_check  # the tests' type checker wraps functions, which numba cannot compile
+def _judge(high, low, strength, why, law, dark_dn, saturation_dn):
+    """What is wrong with a pixel's light goes before what is wrong with its code."""
+    for y in numba.prange(len(high)):
+        _judge_row(high[y], low[y], strength[y], why[y], law, dark_dn, saturation_dn)
+
+
+@numba.njit(cache=True, error_model="numpy")
+@no_type_check  # the tests' type checker wraps functions, which numba cannot compile
+def _judge_row(high, low, strength, why, law, dark_dn, saturation_dn):
+    offset_dn, floor_dn2, slope_dn, _ = law
+    shadow2, zero = np.float32(SHADOW_SIGMAS**2), np.float32(0)
+    said = why.astype(np.int32)
+    for x in range(len(why)):
+        said[x] = 3 if high[x] >= saturation_dn else said[x]
+    for x in range(len(why)):
+        said[x] = said[x] if strength[x] >= dark_dn else 2
+    for x in range(len(why)):
+        noise2 = floor_dn2 + slope_dn * max(low[x] - offset_dn, zero)
+        contrast = high[x] - low[x]
+        said[x] = 1 if contrast * contrast < shadow2 * noise2 else said[x]
+    for x in range(len(why)):
+        why[x] = said[x]
+
+
+@numba.njit(parallel=True, cache=True)
+@no_type_check  # the tests' type checker wraps functions, which numba cannot compile
+def _forget(why, place, sigma):
+    nan = np.float32(np.nan)
+    for y in numba.prange(len(why)):
+        for x in range(why.shape[1]):
+            place[y, x] = nan if why[y, x] != 0 else place[y, x]
+            sigma[y, x] = nan if why[y, x] != 0 else sigma[y, x]
+
+
+@numba.njit(parallel=True, cache=True)
+@no_type_check  # the tests' type checker wraps functions, which numba cannot compile
+def _outside(size_px, place, why):
+    border, end = np.float32(-0.5), size_px - np.float32(0.5)
+    for y in numba.prange(len(why)):
+        for x in range(why.shape[1]):
+            outside = (place[y, x] < border) | (place[y, x] > end)
+            why[y, x] = np.uint8(6) if outside & (why[y, x] == 0) else why[y, x]
+
+
+@numba.njit(parallel=True, cache=True)
+@no_type_check  # the tests' type checker wraps functions, which numba cannot compile
+def _within_cell(cell_variance_px2, sigma):
+    for y in numba.prange(len(sigma)):
+        for x in range(sigma.shape[1]):
+            sigma[y, x] = math.sqrt(sigma[y, x] + cell_variance_px2)

@@ -1,0 +1,285 @@
+"""Why a pixel has no place: each reason by a pixel made for it, and which reason comes first."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from projected import LEVELS, crisp, frames_of, share_of_white
+
+from graycast.decode import DecodeSpec, Reason, decode, decode_plain, levels_of
+from graycast.pattern import gray, gray_line_shift, gray_phase, multi_frequency, xor_gray
+from graycast.sensor import SensorSpec
+
+SENSOR = SensorSpec(offset_dn=0.0, gain_dn_per_e=0.1, full_well_e=1e6, bit_depth=8)
+USUAL = DecodeSpec()
+
+
+def one_pixel(code, *, at=5, change=None, sensor=SENSOR, spec=USUAL, **levels):
+    """Reason of a pixel that sees projector pixel (at, 3), its stack changed by a function."""
+    stack = crisp(code, np.array([[at]]), np.array([[3]]), **levels)
+    if change is not None:
+        change(stack[:, 0, 0])
+    codes = decode(stack, code, spec, levels_of(sensor))
+    plain = decode_plain(stack.copy(), code, spec, levels_of(sensor))
+    assert codes.reason[0, 0] == plain.reason[0, 0]
+    reason = Reason(codes.reason[0, 0])
+    assert np.isfinite(codes.column[0, 0]) == (reason == Reason.DECODED)
+    return reason
+
+
+def frame_index(code, axis, bit, inverse=False):
+    wanted = (axis, bit, inverse)
+    return [(f.axis, f.bit, f.inverse) for f in code.frames].index(wanted)
+
+
+def test_a_pixel_has_low_modulation_when_its_contrast_is_under_the_share_of_the_range():
+    code = gray(32, 16)
+    spec = DecodeSpec(min_contrast=0.1)  # of 255 DN: 25.5
+    assert one_pixel(code, dark=50, bright=75, spec=spec) is Reason.LOW_MODULATION
+    assert one_pixel(code, dark=50, bright=76, spec=spec) is Reason.DECODED
+
+
+def test_a_pixel_is_in_shadow_when_its_frames_differ_by_noise_only():
+    """At 50 DN the noise is sqrt(0.1 * 50 + 0.17) = 2.27 DN; six of it are 13.6 DN."""
+    code = gray(32, 16)
+    assert one_pixel(code, dark=0, bright=0) is Reason.SHADOW
+    assert one_pixel(code, dark=50, bright=63) is Reason.SHADOW
+    assert one_pixel(code, dark=50, bright=64) is Reason.DECODED
+
+
+def test_noise_alone_is_called_shadow_and_hardly_ever_a_code():
+    code = gray_phase(256, 192, inverses=True)
+    rng = np.random.default_rng(3)
+    stack = frames_of(np.full((len(code.frames), 100, 200), 400.0), rng)
+    reason = decode(stack, code, DecodeSpec(min_contrast=0.001), LEVELS).reason
+    assert (reason == Reason.SHADOW).mean() > 0.99
+    assert (reason == Reason.DECODED).mean() < 0.002
+
+
+def test_a_phase_without_amplitude_has_low_modulation_though_its_gray_bits_are_bright():
+    code = gray_phase(256, 192)
+
+    def flatten(stack):
+        for k, frame in enumerate(code.frames):
+            if frame.kind == "phase":
+                stack[k] = 110
+
+    assert one_pixel(code) is Reason.DECODED
+    assert one_pixel(code, change=flatten) is Reason.LOW_MODULATION
+
+
+def test_a_pixel_is_saturated_when_one_frame_reaches_the_top():
+    code = gray(32, 16)
+    assert one_pixel(code, bright=255) is Reason.SATURATED
+    assert one_pixel(code, bright=254) is Reason.DECODED
+    well = SensorSpec(
+        offset_dn=10.0,
+        gain_dn_per_e=0.1003,
+        full_well_e=1000.0,
+        read_noise_e=0.1,
+        bit_depth=8,
+    )  # full at 110.26 DN, which the sensor stores as 110
+    assert one_pixel(code, bright=110, sensor=well) is Reason.SATURATED
+    assert one_pixel(code, bright=109, sensor=well) is Reason.DECODED
+
+
+@pytest.mark.parametrize("inverses", [False, True])
+def test_two_doubtful_coarse_bits_contradict_each_other_and_one_at_its_edge_does_not(inverses):
+    """Pixel 127 lies at the edge of bit 7 of 256 columns, where no other bit turns over."""
+    code = gray(256, 16, inverses=inverses)
+
+    def doubt(*bits, axis="column"):
+        def change(stack):
+            for bit in bits:
+                stack[frame_index(code, axis, bit)] = 110
+                if inverses:
+                    stack[frame_index(code, axis, bit, True)] = 110
+
+        return change
+
+    def one_of_each(stack):
+        doubt(7)(stack)
+        doubt(2, axis="row")(stack)
+
+    assert one_pixel(code) is Reason.DECODED
+    assert one_pixel(code, at=127, change=doubt(7)) is Reason.DECODED
+    assert one_pixel(code, at=127, change=doubt(7, 3)) is Reason.CONTRADICTORY
+    assert one_pixel(code, at=127, change=doubt(4, 7)) is Reason.CONTRADICTORY
+    assert one_pixel(code, at=127, change=doubt(7, 2, 1, 0)) is Reason.DECODED  # fine ones pass
+    assert one_pixel(code, at=127, change=one_of_each) is Reason.DECODED  # one edge per axis
+    strict = DecodeSpec(fine_bits=0)
+    assert one_pixel(code, at=127, change=doubt(1, 0), spec=strict) is Reason.CONTRADICTORY
+
+
+def test_a_coarse_bit_in_doubt_far_from_its_edges_is_light_from_elsewhere():
+    """Misread, it would cost 2 |u - edge| columns. On the sea shell four of five such pixels were
+    wrong by columns, of all pixels one in six.
+    """
+    code = gray(256, 16)
+
+    def doubt(stack):
+        stack[frame_index(code, "column", 7)] = 110
+
+    assert one_pixel(code, at=131, change=doubt) is Reason.DECODED
+    assert one_pixel(code, at=132, change=doubt) is Reason.INTERREFLECTION
+    assert one_pixel(code, at=5, change=doubt) is Reason.INTERREFLECTION
+
+
+def test_a_bit_that_counts_periods_must_not_be_in_doubt_inside_a_period():
+    """At the border of a period it may: the phase says which side it is."""
+    code = gray_phase(256, 64, period_px=16.0)
+
+    def doubt(stack):
+        stack[frame_index(code, "column", 0)] = 110
+
+    assert one_pixel(code, at=40, change=doubt) is not Reason.DECODED
+    assert one_pixel(code, at=16, change=doubt) is Reason.DECODED  # bit 0 turns over there
+
+
+def test_a_code_that_the_projector_does_not_have_is_outside_of_it():
+    """20 columns need 5 bits, so 12 words belong to no column; 27 in Gray code is 10110."""
+    code = gray(20, 16)
+
+    def change(stack):
+        for bit, value in zip((4, 3, 2, 1, 0), (1, 0, 1, 1, 0), strict=True):
+            stack[frame_index(code, "column", bit)] = 200 if value else 20
+
+    assert one_pixel(code, change=change) is Reason.OUTSIDE_PROJECTOR
+
+
+def test_shadow_comes_before_all_and_saturated_before_contradictory():
+    code = gray(256, 16)
+
+    def change(stack):
+        stack[:] = 255
+
+    assert one_pixel(code, change=change) is Reason.SHADOW
+
+    def glare(stack):
+        stack[0] = 255
+        stack[2:6] = 137
+
+    assert one_pixel(code, change=glare) is Reason.SATURATED
+
+
+# --- light from elsewhere --------------------------------------------------------------------
+
+
+def mirrored(code, u, *, ratio):
+    """Two facing stripes: each point also gets, over a window 40 px wide, light meant for the
+    place mirrored in the picture's middle, `ratio` times its own.
+    """
+    mirror = code.width_px - 1 - u
+    own = share_of_white(code, u, camera_px=0, disc_px=0)
+    other = share_of_white(code, mirror, camera_px=40.0, disc_px=0)
+    return 1000 * (own + ratio * other)
+
+
+def coarse_bits_differ(u, width):
+    """Whether a bit of stripes wider than the window is another at the mirrored place."""
+    a, b = (np.rint(x).astype(int) for x in (u, width - 1 - u))
+    return ((a ^ (a >> 1)) ^ (b ^ (b >> 1))) >> 6 > 0
+
+
+def test_interreflection_as_strong_as_the_direct_light_is_suspected_where_coarse_bits_clash():
+    """Equal light of both kinds cancels in a bit that the two places read differently."""
+    code = gray(512, 8, axes=("column",), inverses=True)
+    u = np.arange(512.0)[None]
+    inner = (u > 24) & (u < 488)  # nearer to the border part of the window is dark
+    own = np.abs(u - 255.5) < 20  # here it reaches over the place itself
+    clash = coarse_bits_differ(u, 512) & inner & ~own
+    codes = decode(frames_of(mirrored(code, u, ratio=1.0)), code, USUAL, LEVELS)
+    assert clash.sum() > 400
+    assert (codes.reason[clash] == Reason.INTERREFLECTION).all()
+    # Where something is decoded nevertheless, it is right.
+    known = (codes.reason == Reason.DECODED) & inner
+    assert known.sum() > 20
+    assert np.array_equal(codes.column[known], u[known])
+
+
+def test_light_from_elsewhere_stronger_than_the_direct_one_turns_gray_bits_over_but_not_xor():
+    """Theory (Gupta et al. 2011): a point whose global light exceeds its direct light reads every
+    wide stripe as the other point does; narrow stripes reach it half lit, in all patterns alike.
+    """
+    u = np.arange(512.0)[None]
+    code = gray(512, 8, axes=("column",), inverses=True)
+    plain = decode(frames_of(mirrored(code, u, ratio=2.0)), code, USUAL, LEVELS)
+    code = xor_gray(512, 8)
+    combined = decode(frames_of(mirrored(code, u, ratio=2.0)), code, USUAL, LEVELS)
+    inner = slice(24, 488)  # nearer to the border part of the window is dark
+    wrong = ~(np.abs(plain.column - u) < 0.5)
+    assert wrong[0, inner].mean() > 0.9
+    assert np.array_equal(combined.column[0, inner], u[0, inner])
+
+
+@pytest.mark.parametrize(("bits_shift_px", "harm"), [(1.9, False), (-1.9, False), (9.0, True)])
+def test_gray_edges_misread_by_an_eighth_of_a_period_make_no_jump(bits_shift_px, harm):
+    """The complementary bit stands where it should; the Gray bits are read beside their place, as
+    blur, interreflection or a tilted surface do. The last case shows that the test can fail.
+    """
+    code = gray_phase(640, 48, period_px=16.0)
+    u = np.linspace(20, 600, 3000)[None]
+    light = 1500 * share_of_white(code, u)
+    moved = 1500 * share_of_white(code, u + bits_shift_px)
+    for k, frame in enumerate(code.frames):
+        if frame.kind == "gray":
+            light[k] = moved[k]
+    codes = decode(frames_of(light), code, USUAL, LEVELS)
+    off_px = np.abs(codes.column - u)
+    known = codes.reason == Reason.DECODED
+    if harm:
+        assert (off_px[known] > 8).any() or known.mean() < 0.9
+    else:
+        assert known.mean() > 0.99
+        assert off_px[known].max() < 0.1
+
+
+# --- what a code cannot tell -------------------------------------------------------------------
+
+
+def test_periods_whose_beat_repeats_within_the_picture_are_contradictory_not_guessed():
+    """Of 16 and 17 px the beat is 272 px long; in 640 px each place comes two or three times."""
+    base = gray_phase(640, 48, period_px=16.0, steps=4).frames
+    frames = [f for f in base if f.kind == "phase"]
+    frames += [replace(f, period_px=17.0) for f in frames]
+    code = replace(gray_phase(640, 48), frames=tuple(frames))
+    u = np.linspace(5, 634, 500)[None]
+    codes = decode(frames_of(100 + 1500 * share_of_white(code, u)), code, USUAL, LEVELS)
+    assert (codes.reason == Reason.CONTRADICTORY).all()
+    narrow = replace(code, width_px=256)
+    u = np.linspace(5, 250, 500)[None]
+    codes = decode(frames_of(100 + 1500 * share_of_white(narrow, u)), narrow, USUAL, LEVELS)
+    assert (codes.reason == Reason.DECODED).all()
+    assert np.abs(codes.column - u).max() < 0.1
+
+
+EDGE_CODES = {
+    "gray": gray(512, 384),
+    "gray with inverses": gray(512, 384, inverses=True),
+    "gray, not a power of two": gray(500, 384),
+    "phase": gray_phase(512, 384),
+    "phase, period of 12": gray_phase(512, 384, period_px=12.0, inverses=True),
+    "lines": gray_line_shift(512, 384),
+    "three frequencies": multi_frequency(512, 384),
+    "combined": xor_gray(512, 384),
+}
+
+
+@pytest.mark.parametrize("name", EDGE_CODES)
+def test_a_pixel_at_the_picture_s_border_is_never_taken_for_one_at_the_other_end(name):
+    """In Gray code of 2^n columns the first and the last are neighbours. Half of such a pixel sees
+    the projector, so all its frames are darker alike.
+    """
+    code = EDGE_CODES[name]
+    rng = np.random.default_rng(4)
+    last = code.width_px - 1
+    u = np.concatenate([np.linspace(-2.5, 3, 56), np.linspace(last - 3, last + 2.5, 56)])
+    u = np.repeat(u[None], 40, axis=0)
+    light = 100 + 1500 * share_of_white(code, u, np.full(u.shape, 100.0))
+    codes = decode(frames_of(light, rng), code, USUAL, LEVELS)
+    off_px = np.abs(codes.column - u)
+    assert np.nanmax(off_px) < 3
+    inside = (u > 0.75) & (u < last - 0.75)
+    assert (codes.reason[inside] == Reason.DECODED).mean() > 0.9
+    beyond = (u < -1.8) | (u > last + 1.8)
+    assert not (codes.reason[beyond] == Reason.DECODED).any()

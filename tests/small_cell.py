@@ -12,7 +12,8 @@ import yaml
 
 from graycast.optics import Optics
 from graycast.rig import preset
-from graycast.rig_file import save_rig
+from graycast.rig_file import save_scanner
+from graycast.scanner import Scanner
 
 GRAYCAST = [sys.executable, "-m", "graycast.cli"]
 
@@ -22,7 +23,8 @@ def write_cell(folder: Path, *without: str, **changes) -> Path:
     trimesh.creation.box((60, 40, 30)).export(folder / "box.stl")
     rig = preset("paper")
     camera, projector = _shrunk(rig.camera, 160, 120), _shrunk(rig.projector, 128, 96)
-    save_rig(replace(rig, name="small", camera=camera, projector=projector), folder / "rig.yaml")
+    rig = replace(rig, name="small", camera=camera, projector=projector)
+    save_scanner(Scanner(rig=rig), folder / "rig.yaml")
     content = {
         "parts": [{"mesh": "box.stl", "unit": "mm"}],
         "count": 3,

@@ -44,7 +44,7 @@ def assert_untouched(out: Path):
     ("changes", "words"),
     [
         ({"scnes": 3}, ["unknown key scnes", "did you mean scenes?"]),
-        ({"zebra": 3}, ["unknown key zebra", "the keys are parts, mix, count"]),
+        ({"zebra": 3}, ["unknown key zebra", "the keys are code, exposure"]),
         ({"render": {"sample": 4}}, ["unknown key render.sample", "did you mean samples?"]),
         (
             {"light": {"lamps": [{"cener_m": [0, 0, 1]}]}},

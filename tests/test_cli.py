@@ -11,11 +11,13 @@ import pytest
 from PIL import Image
 from small_cell import GRAYCAST, content, write_cell
 
-from graycast import __version__, bench, cli
-from graycast.cli import main
+from graycast import __version__, bench
+from graycast.cli import command, machine, main
 from graycast.config import config_schema
-from graycast.rig import PRESETS, preset
-from graycast.rig_file import load_rig, rig_schema
+from graycast.rig import PRESETS
+from graycast.rig_file import load_scanner, rig_schema
+from graycast.scanner import preset
+from graycast.stack import stack_schema
 
 OPTIONS = {
     "generate": "config --out --scenes --seed --device --workers",
@@ -25,7 +27,11 @@ OPTIONS = {
     "rig show": "rig --resolution --out",
     "rig write": "rig --resolution --out",
     "rig import": "calibration --out --unit --near --far --camera-size --projector-size",
-    "patterns": "rig --resolution --out --inverses",
+    "rig calibrate": "stacks --board --out --near --far --radial-terms",
+    "patterns": "rig --resolution --out --codec --inverses",
+    "decode": "stack --rig --resolution --average --out",
+    "certify": "rig --resolution --out --seed --device",
+    "realism": "depth --intrinsics --scale --size --gray --reason --out --compare",
     "doctor": "",
     "schema": "kind",
     "bench": "what --json --count --scenes --device",
@@ -59,7 +65,7 @@ def test_the_commands_are_these_with_these_options():
             for action in parser._actions
             if action.dest not in ("help", "debug")
         ]
-        for name, parser in commands(cli._parser()).items()
+        for name, parser in commands(command._parser()).items()
     }
     assert found == {name: options.split() for name, options in OPTIONS.items()}
 
@@ -188,7 +194,7 @@ def test_parts_lists_the_built_in_ones_or_those_of_a_configuration(capsys, made)
 def test_a_preset_can_be_written_and_read_again(capsys, tmp_path, name, resolution):
     path = tmp_path / "rig.yaml"
     run(capsys, "rig", "write", name, "--resolution", resolution, "--out", path)
-    rig, back = preset(name, resolution), load_rig(path)
+    rig, back = preset(name, resolution).rig, load_scanner(path).rig
     assert (back.camera, back.projector, back.name) == (rig.camera, rig.projector, rig.name)
     assert np.array_equal(back.T_cam_proj, rig.T_cam_proj)
     if (name, resolution) == ("paper", "low"):
@@ -211,7 +217,7 @@ def test_import_takes_unit_range_and_sizes_from_the_command_line(capsys, tmp_pat
     size = ("--camera-size", "640x480", "--projector-size", "800x600")
     run(capsys, "rig", "import", calibration, "--out", path, "--unit", "mm", *size,
         "--near", "0.3", "--far", "0.9")  # fmt: skip
-    rig = load_rig(path)
+    rig = load_scanner(path).rig
     assert (rig.camera.width_px, rig.camera.height_px) == (640, 480)
     assert (rig.projector.width_px, rig.projector.height_px) == (800, 600)
     assert (rig.near_m, rig.far_m) == (0.3, 0.9)
@@ -241,7 +247,9 @@ def test_patterns_count_columns_and_rows_in_gray_code(capsys, made, tmp_path, in
     assert np.array_equal(value[1], row ^ (row >> 1))
 
 
-@pytest.mark.parametrize(("kind", "schema"), [("config", config_schema), ("rig", rig_schema)])
+@pytest.mark.parametrize(
+    ("kind", "schema"), [("config", config_schema), ("rig", rig_schema), ("stack", stack_schema)]
+)
 def test_schema_prints_json(capsys, kind, schema):
     assert json.loads(run(capsys, "schema", kind)) == json.loads(json.dumps(schema()))
 
@@ -281,7 +289,7 @@ def test_ctrl_c_ends_with_code_130(capsys, monkeypatch):
     def stop(options):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(cli, "_doctor", stop)
+    monkeypatch.setattr(machine, "_doctor", stop)
     assert main(["doctor"]) == 130
     assert capsys.readouterr().err == "graycast: stopped; finished scenes are kept\n"
 
@@ -290,6 +298,6 @@ def test_an_error_of_several_lines_is_shown_as_one(capsys, monkeypatch):
     def fail(options):
         raise ValueError("what is wrong:\n  this\n\nand that")
 
-    monkeypatch.setattr(cli, "_doctor", fail)
+    monkeypatch.setattr(machine, "_doctor", fail)
     assert main(["doctor"]) == 1
     assert capsys.readouterr().err == "graycast: error: what is wrong: this and that\n"

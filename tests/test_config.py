@@ -12,17 +12,15 @@ from small_cell import write_cell
 
 from graycast import config as words
 from graycast.config import Config, config_schema, load_config
-from graycast.decode import DecodeSpec
 from graycast.drop import DropLimits
 from graycast.errors import ConfigError
 from graycast.generate import resolve_cell
 from graycast.parts import Material
-from graycast.pattern import GrayCode
 from graycast.render import Quality
 from graycast.rig import PRESETS
 from graycast.rig_file import rig_schema
+from graycast.scanner import preset
 from graycast.scene import Bin, Environment, Lamp
-from graycast.sensor import SensorSpec
 
 ROOT = Path(__file__).resolve().parents[1]
 CONFIGS = sorted((ROOT / "configs").rglob("*.yaml"))
@@ -78,16 +76,15 @@ def least():
 def test_sections_left_out_are_the_values_left_out():
     """A default is stated twice, in words and in values; the two must not drift apart."""
     config, here = least(), Path()
-    assert words.resolve_sensor(config) == SensorSpec()
-    assert words.resolve_decode(config) == DecodeSpec()
+    scanner, own = words.resolve_scanner(config, here), preset("paper")
+    for name in ("code", "sensor", "exposure", "decode", "filters"):
+        assert getattr(scanner, name) == getattr(own, name)
     assert words.resolve_quality(config) == Quality()
     assert words.resolve_limits(config) == DropLimits()
     assert words.resolve_environment(config.light.environment, here) == Environment()
     lamp = words.LightSection.model_validate({"lamps": [{"center_m": [0, 0, 1]}]})
     assert words.resolve_lamps(lamp) == (Lamp(center_m=(0.0, 0.0, 1.0)),)
     assert words.resolve_material(words.MaterialSection(), here) == Material()
-    code = words.resolve_code(config, words.resolve_config_rig(config, here))
-    assert code == GrayCode(width_px=1024, height_px=768)
 
 
 def test_the_bin_left_out_is_the_box_of_its_value_but_for_size_and_look():
@@ -264,6 +261,7 @@ def test_every_setting_is_refused_when_it_is_misspelt(tmp_path):
 
 _PLACES = {
     "": (),
+    "FilterSection": ("filters",),
     "PartSection": ("parts", 0),
     "MaterialSection": ("parts", 0, "material"),
     "SymmetrySection": ("parts", 0, "symmetry"),

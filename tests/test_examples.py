@@ -8,6 +8,7 @@ import pytest
 
 EXAMPLES = Path(__file__).resolve().parents[1] / "examples"
 ARGUMENTS = {"01_make_a_mesh.py": ["plate.stl"], "02_one_scene.py": ["1"]}
+ARGUMENTS["03_codes_in_a_bowl.py"] = ["codes.png", "2"]
 
 
 def test_every_example_is_tested_and_under_80_lines():
@@ -24,5 +25,8 @@ def test_an_example_runs(name, tmp_path):
     assert done.returncode == 0, done.stderr
     if name == "01_make_a_mesh.py":
         assert (tmp_path / "plate.stl").read_bytes() == (EXAMPLES / "data/plate.stl").read_bytes()
-    else:
+    elif name == "02_one_scene.py":
         assert "decoded" in done.stdout
+    else:
+        assert "xor_gray" in done.stdout
+        assert (tmp_path / "codes.png").stat().st_size > 10_000

@@ -9,20 +9,21 @@ import tempfile
 import time
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from statistics import median
 from typing import Any
 
 import numpy as np
+from jaxtyping import UInt8
 
 from .config import Config, resolve_quality
 from .dataset import depth_scale_mm, open_store
-from .decode import DecodeSpec, decode, decode_plain
+from .decode import DecodeSpec, Levels, decode, decode_plain
 from .drop import DropLimits, drop
 from .generate import Cell, make_scene, resolve_cell
-from .pattern import GrayCode
+from .pattern import Code, gray, gray_phase, multi_frequency
 from .render.device import choose_device, open_device
-from .sensor import Capture, SensorSpec
 
 PAIRS = 5  # timed in turn, A B A B ...
 
@@ -96,7 +97,7 @@ def _render(device: str, count: int) -> dict[str, Any]:
     start = time.perf_counter()
     world, part_shapes = build(cell.scene, layout)
     build_s = time.perf_counter() - start
-    patterns, quality = cell.code.render(), resolve_quality(cell.config)
+    patterns, quality = cell.patterns(), resolve_quality(cell.config)
 
     def stack() -> object:
         return light(world, cell.scene, patterns, quality=quality, seed=1)
@@ -127,16 +128,19 @@ def _render(device: str, count: int) -> dict[str, Any]:
 
 
 def _decode() -> dict[str, Any]:
-    """44 frames of 1920 x 1080, 8 bit: 11 + 10 bits with inverses, white and black."""
-    code = GrayCode(width_px=1280, height_px=720, inverses=True)
+    """44 frames of 1920 x 1080, 8 bit: 11 + 10 bits with inverses, white and black; then phases.
+
+    OpenCV's decoder, where it is installed, matches two cameras and takes 42 frames of each.
+    """
+    code = gray(1280, 720, inverses=True)
     rng = np.random.default_rng(0)
-    frames = rng.integers(0, 256, (len(code.frames), 1080, 1920), dtype=np.uint8)
-    sensor = SensorSpec(bit_depth=8, offset_dn=4.0, gain_dn_per_e=0.025)
-    capture, spec = Capture(frames=frames, sensor=sensor, exposure_s=1.0), DecodeSpec()
-    decode_s, copy_s = _in_turn(lambda: decode(capture, code, spec), frames.copy)
+    frames = _seen_by_camera(code, rng, 1920, 1080)
+    levels = Levels(offset_dn=4.0, saturation_dn=255.0, floor_dn2=0.1, slope_dn=0.025)
+    spec = DecodeSpec()
+    decode_s, copy_s = _in_turn(lambda: decode(frames, code, spec, levels), frames.copy)
     start = time.perf_counter()
-    decode_plain(capture, code, spec)
-    return {
+    decode_plain(frames, code, spec, levels)
+    figures = {
         "frames": len(frames),
         "width_px": 1920,
         "height_px": 1080,
@@ -145,6 +149,46 @@ def _decode() -> dict[str, Any]:
         "decode_over_copy": decode_s / copy_s,
         "plain_numpy_s": time.perf_counter() - start,
     }
+    figures |= _decode_by_opencv(frames, code, decode_s)
+    for name, make in (("gray_phase_s", gray_phase), ("multi_frequency_s", multi_frequency)):
+        figures[name] = {}
+        for width_px, height_px in ((1032, 772), (1920, 1080)):
+            code = make(1280, 720)
+            frames = _seen_by_camera(code, rng, width_px, height_px)
+            seconds, _ = _in_turn(partial(decode, frames, code, spec, levels), frames.copy)
+            figures[name][f"{len(frames)} frames {width_px} x {height_px}"] = seconds
+    return figures
+
+
+def _seen_by_camera(
+    code: Code, rng: np.random.Generator, width_px: int, height_px: int
+) -> UInt8[np.ndarray, "n h w"]:
+    """Frames of a camera that sees the whole projector, with noise."""
+    row = np.linspace(0, code.height_px - 1, height_px).astype(int)[:, None]
+    column = np.linspace(0, code.width_px - 1, width_px).astype(int)
+    frames = np.empty((len(code.frames), height_px, width_px), dtype=np.uint8)
+    for frame, pattern in zip(frames, code.render(), strict=True):
+        frame[:] = 20 + 0.7 * pattern[row, column] + rng.normal(0, 1.5, frame.shape)
+    return frames
+
+
+def _decode_by_opencv(
+    frames: UInt8[np.ndarray, "n h w"], code: Code, decode_s: float
+) -> dict[str, Any]:
+    """`cv2.structured_light`, which only the contrib packages of OpenCV have."""
+    import cv2
+
+    if not hasattr(cv2, "structured_light"):
+        missing = "not measured: it is in opencv-contrib-python-headless, not in what is installed"
+        return {"opencv_over_decode": missing}
+    pattern = cv2.structured_light.GrayCodePattern.create(code.width_px, code.height_px)
+    pattern.setWhiteThreshold(5)
+    pattern.setBlackThreshold(40)
+    white, black, bits = frames[:1], frames[1:2], frames[2:]
+    start = time.perf_counter()
+    pattern.decode([list(bits)] * 2, None, list(black) * 2, list(white) * 2)
+    opencv_s = time.perf_counter() - start
+    return {"opencv_s": opencv_s, "opencv_over_decode": opencv_s / decode_s}
 
 
 def _drop(count: int) -> dict[str, Any]:

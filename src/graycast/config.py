@@ -20,18 +20,17 @@ from pydantic import (
     model_validator,
 )
 
-from .decode import DecodeSpec, triangulation_axis
+from .decode import triangulation_axis
 from .drop import DropLimits
 from .errors import ConfigError
 from .frames import is_rigid
 from .parts import BUILTIN, Material, Part, Symmetry, builtin_part, load_part
 from .parts.wood import wood_texture
-from .pattern import GrayCode
 from .render import Quality
-from .rig import Rig
-from .rig_file import resolve_rig
+from .rig_file import ScannerSections, with_sections
+from .rig_file import resolve_scanner as resolve_rig_file
+from .scanner import Scanner
 from .scene import Bin, Environment, Lamp
-from .sensor import SensorSpec
 from .settings import Settings, read_settings
 
 Vector = tuple[float, float, float]
@@ -50,6 +49,9 @@ class MaterialSection(Settings):
     metallic: Share = Field(0.0, description="0 plastic, paint, wood, card; 1 bare metal")
     roughness: float = Field(0.5, ge=0.05, le=1, description="0.05 polished to 1 matt")
     specular: Share = Field(0.5, description="0 Lambertian, 0.5 clear coat of index 1.5")
+    projector_reflectance: Share | None = Field(
+        None, description="at the projector's wavelength; left out: base_color in its bands"
+    )
 
 
 class ContinuousSymmetry(Settings):
@@ -149,34 +151,6 @@ class ViewSection(Settings):
     target_m: Vector | None = Field(None, description="else a third of the bin's height up")
 
 
-class CodeSection(Settings):
-    axes: tuple[Literal["column", "row"], ...] = ("column", "row")
-    inverses: bool = False
-
-
-class ExposureSection(Settings):
-    """A fixed time, or the one that brings a percentile of the white frame to a target."""
-
-    exposure_s: Positive | None = None
-    percentile: float = Field(99.0, gt=0, le=100)
-    target: float = Field(0.8, gt=0, le=1)
-
-
-class SensorSection(Settings):
-    full_well_e: Positive = 10_000.0
-    read_noise_e: float = Field(3.0, ge=0)
-    gain_dn_per_e: Positive = 0.39
-    offset_dn: float = Field(64.0, ge=0)
-    bit_depth: int = Field(12, ge=1, le=16)
-    responsivity: Positive = 2.4e5
-
-
-class DecodeSection(Settings):
-    min_contrast: float = Field(0.02, gt=0, lt=1)
-    doubt: float = Field(0.15, ge=0, lt=1)
-    fine_bits: int = Field(3, ge=0)
-
-
 class RenderSection(Settings):
     samples: int = Field(16, ge=1, le=65536, description="paths per pixel")
     depth: int = Field(4, ge=1, le=64, description="vertices per path; 1 is direct light alone")
@@ -190,8 +164,11 @@ class DropSection(Settings):
     attempts: int = Field(5, ge=1)
 
 
-class Config(Settings):
-    """One dataset: its parts, bin, rig, light and how much of it."""
+class Config(ScannerSections):
+    """One dataset: its parts, bin, rig, light and how much of it.
+
+    The sections code, exposure, sensor, decode and filters say what differs from the rig's own.
+    """
 
     parts: tuple[PartSection, ...] = Field(min_length=1)
     mix: bool = Field(False, description="all classes in each scene, not one class per scene")
@@ -205,10 +182,6 @@ class Config(Settings):
     resolution: Literal["low", "full"] = Field("low", description="of a preset's camera")
     view: ViewSection = ViewSection()
     light: LightSection = LightSection()
-    code: CodeSection = CodeSection()
-    exposure: ExposureSection = ExposureSection()
-    sensor: SensorSection = SensorSection()
-    decode: DecodeSection = DecodeSection()
     render: RenderSection = RenderSection()
     drop: DropSection = DropSection()
 
@@ -303,6 +276,7 @@ def resolve_material(section: MaterialSection, folder: Path) -> Material:
         metallic=section.metallic,
         roughness=section.roughness,
         specular=section.specular,
+        projector_reflectance=section.projector_reflectance,
     )
 
 
@@ -337,31 +311,19 @@ def resolve_lamps(section: LightSection) -> tuple[Lamp, ...]:
     return tuple(Lamp(**lamp.model_dump()) for lamp in section.lamps)
 
 
-def resolve_code(config: Config, rig: Rig) -> GrayCode:
-    """The code for a rig's projector.
+def resolve_scanner(config: Config, folder: Path) -> Scanner:
+    """The rig that a configuration names, with what its sections change.
 
     Raises:
-        ConfigError: the code lacks the axis that the rig's baseline runs along.
+        ConfigError: no such rig, or a code without the axis that its baseline runs along.
     """
-    axis = triangulation_axis(rig)
-    if axis not in config.code.axes:
-        raise ConfigError(
-            f"code.axes is {', '.join(config.code.axes)}: rig {rig.name} needs {axis} for depth"
-        )
-    return GrayCode(
-        width_px=rig.projector.width_px,
-        height_px=rig.projector.height_px,
-        axes=config.code.axes,
-        inverses=config.code.inverses,
-    )
-
-
-def resolve_sensor(config: Config) -> SensorSpec:
-    return SensorSpec(**config.sensor.model_dump())
-
-
-def resolve_decode(config: Config) -> DecodeSpec:
-    return DecodeSpec(**config.decode.model_dump())
+    named = resolve_rig_file(config.rig, folder=folder, resolution=config.resolution)
+    scanner = with_sections(named, config)
+    axis = triangulation_axis(scanner.rig)
+    if axis not in scanner.code.axes:
+        axes = ", ".join(scanner.code.axes)
+        raise ConfigError(f"code.axes is {axes}: rig {scanner.rig.name} needs {axis} for depth")
+    return scanner
 
 
 def resolve_quality(config: Config) -> Quality:
@@ -370,10 +332,6 @@ def resolve_quality(config: Config) -> Quality:
 
 def resolve_limits(config: Config) -> DropLimits:
     return DropLimits(**config.drop.model_dump())
-
-
-def resolve_config_rig(config: Config, folder: Path) -> Rig:
-    return resolve_rig(config.rig, folder=folder, resolution=config.resolution)
 
 
 def file_digests(config: Config, folder: Path) -> dict[str, str]:

@@ -17,6 +17,7 @@ from contextlib import closing, contextmanager
 from dataclasses import asdict, dataclass
 from importlib.metadata import version
 from pathlib import Path
+from typing import Any
 
 import numba
 import numpy as np
@@ -28,25 +29,23 @@ from .config import (
     Config,
     file_digests,
     resolve_bin,
-    resolve_code,
-    resolve_config_rig,
-    resolve_decode,
     resolve_environment,
     resolve_lamps,
     resolve_limits,
     resolve_parts,
     resolve_quality,
-    resolve_sensor,
+    resolve_scanner,
 )
-from .dataset import Sample, depth_scale_mm, open_store, write_scene
-from .decode import CodeMap, Reason, decode, triangulate
+from .dataset import Sample, depth_scale_mm, described_values, open_store, write_scene
+from .decode import CodeMap, Reason
 from .drop import drop
 from .errors import GraycastError
-from .pattern import GrayCode
-from .render import Radiance, Rendering, open_renderer
+from .pattern import Code
+from .render import Rendering, open_renderer
 from .render.denoise import denoise
 from .render.device import choose_device, open_device
-from .rig import place, standoff_m
+from .rig import grey_levels, place, standoff_m
+from .scanner import Scanner, measure, take
 from .scene import Scene
 from .sensor import Capture, SensorSpec, auto_exposure_s, expose
 
@@ -62,10 +61,18 @@ class Cell:
 
     config: Config
     scene: Scene
-    code: GrayCode
-    sensor: SensorSpec
+    scanner: Scanner
     notes: tuple[str, ...]
     file_digests: dict[str, str]
+
+    @property
+    def code(self) -> Code:
+        """The code that the scanner shows."""
+        return self.scanner.patterns()
+
+    def patterns(self) -> UInt8[np.ndarray, "n ph pw"]:
+        """What the projector is given: grey levels that undo its response."""
+        return self.code.render(lambda share: grey_levels(self.scanner.rig, share))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -104,7 +111,8 @@ def resolve_cell(config: Config, folder: Path) -> Cell:
         GraycastError, ValueError: a file or a value that cannot be used, named.
     """
     parts, notes = resolve_parts(config, folder)
-    rig = resolve_config_rig(config, folder)
+    scanner = resolve_scanner(config, folder)
+    rig = scanner.rig
     box = resolve_bin(config.bin, folder)
     view = config.view
     target = view.target_m or (0.0, 0.0, box.inner_m[2] / 3)
@@ -126,8 +134,7 @@ def resolve_cell(config: Config, folder: Path) -> Cell:
     return Cell(
         config=config,
         scene=scene,
-        code=resolve_code(config, rig),
-        sensor=resolve_sensor(config),
+        scanner=scanner,
         notes=notes,
         file_digests=file_digests(config, folder),
     )
@@ -157,17 +164,16 @@ def make_scene(cell: Cell, scene_id: int, *, seed: int, device: str) -> Shot:
         rendering = open_renderer("mitsuba").render(
             cell.scene,
             layout,
-            cell.code.render(),
+            cell.patterns(),
             quality=resolve_quality(config),
             seed=seeds["render"],
         )
     with _timed(timings, "sensor"):
-        capture = _capture(cell, rendering.radiance, seed=seeds["noise"])
+        capture = take(cell.scanner, rendering.radiance, seed=seeds["noise"])
     with _timed(timings, "picture"):
         rgb = _picture(cell, rendering, seed=seeds["picture"], device=device)
     with _timed(timings, "decode"):
-        codes = decode(capture, cell.code, resolve_decode(config))
-        scanner = triangulate(codes, cell.scene.rig)
+        codes, depth = measure(cell.scanner, capture)
     manifest = {
         "scene_id": scene_id,
         "dataset_seed": seed,
@@ -180,8 +186,8 @@ def make_scene(cell: Cell, scene_id: int, *, seed: int, device: str) -> Shot:
             for key, value in asdict(layout).items()
             if key not in ("T_world_part", "part_index")
         },
-        "exposure_s": capture.exposure_s,
-        "reasons": {r.name.lower(): float((scanner.reason == r).mean()) for r in Reason},
+        "exposure_s": float(np.max(capture.exposure_s)),
+        "reasons": {r.name.lower(): float((depth.reason == r).mean()) for r in Reason},
         "config": config.model_dump(mode="json", exclude={"scenes", "seed"}),
         "timings": timings,
     }
@@ -191,7 +197,7 @@ def make_scene(cell: Cell, scene_id: int, *, seed: int, device: str) -> Shot:
         truth=rendering.truth,
         rgb=rgb,
         gray=_gray(capture),
-        scanner=scanner,
+        scanner=depth,
         modulation=codes.modulation,
         manifest=manifest,
     )
@@ -208,25 +214,15 @@ def _counts(cell: Cell, scene_id: int, rng: np.random.Generator) -> tuple[int, .
     return tuple(total if kind == scene_id % kinds else 0 for kind in range(kinds))
 
 
-def _capture(cell: Cell, radiance: Radiance, *, seed: int) -> Capture:
-    """The measuring camera's stack: each pattern with the light that is always there."""
-    background = radiance.ambient_rgb @ np.array(cell.scene.rig.passed_bands, dtype=np.float32)
-    exposure = cell.config.exposure
-    exposure_s = exposure.exposure_s or auto_exposure_s(
-        radiance.pattern[0] + background,
-        cell.sensor,
-        percentile=exposure.percentile,
-        target=exposure.target,
-    )
-    return expose(radiance.pattern, background, cell.sensor, exposure_s=exposure_s, seed=seed)
-
-
 def _picture(
     cell: Cell, rendering: Rendering, *, seed: int, device: str
 ) -> UInt8[np.ndarray, "h w 3"]:
     """The colour picture: lamps, environment and the projector's idle level, 8-bit sRGB."""
     radiance = rendering.radiance
-    linear = radiance.ambient_rgb + cell.scene.rig.picture_level * radiance.white_rgb
+    rig = cell.scene.rig
+    black = 1 / rig.contrast_ratio
+    idle = (1 - black) * rig.picture_level + black
+    linear = radiance.ambient_rgb + np.float32(idle) * radiance.white_rgb
     if cell.config.render.denoise:
         linear = denoise(linear, radiance.albedo, rendering.truth.normal, device=device)
     if not linear.max() > 0:
@@ -236,15 +232,17 @@ def _picture(
         )
     bands = np.ascontiguousarray(np.moveaxis(np.maximum(linear, 0), -1, 0), dtype=np.float32)
     exposure_s = auto_exposure_s(
-        bands, cell.sensor, percentile=PICTURE_PERCENTILE, target=PICTURE_TARGET
+        bands, cell.scanner.sensor, percentile=PICTURE_PERCENTILE, target=PICTURE_TARGET
     )
-    capture = expose(bands, None, cell.sensor, exposure_s=exposure_s, seed=seed)
+    capture = expose(bands, None, cell.scanner.sensor, exposure_s=exposure_s, seed=seed)
     return srgb(np.moveaxis(_share(capture.frames, capture.sensor), 0, -1))
 
 
 def _gray(capture: Capture) -> UInt8[np.ndarray, "h w"]:
-    """The white frame as the measuring camera saw it, linear, 8 bit."""
-    return np.round(_share(capture.frames[0], capture.sensor) * 255).astype(np.uint8)
+    """The white frame as the measuring camera saw it, at its longest exposure, linear, 8 bit."""
+    share = _share(capture.frames[0], capture.sensor)
+    share = np.minimum(share * (np.max(capture.exposure_s) / capture.exposure_s), 1)
+    return np.round(share * 255).astype(np.uint8)
 
 
 def _share(dn: np.ndarray, sensor: SensorSpec) -> Float[np.ndarray, "*n"]:
@@ -303,7 +301,7 @@ def generate(
     identity = cell.config.model_dump(mode="json", exclude={"scenes", "seed"})
     with open_store(
         out,
-        config=identity | {"files": cell.file_digests},
+        config=identity | {"files": cell.file_digests, "scanner": _identity(cell.scanner)},
         seed=seed,
         parts=cell.scene.parts,
         rig=cell.scene.rig,
@@ -335,6 +333,12 @@ def generate(
         seconds=time.perf_counter() - start,
         reasons=reasons,
     )
+
+
+def _identity(scanner: Scanner) -> dict[str, Any]:
+    """What a preset or a rig file says beside its rig, which the store keeps itself."""
+    names = ("code", "sensor", "exposure", "decode", "filters")
+    return {name: described_values(getattr(scanner, name)) for name in names}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

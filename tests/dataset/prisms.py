@@ -119,7 +119,7 @@ def build_sample(seed, *, parts, rig):
     nearest = np.nanargmin(layers, axis=0)
     depth_m = np.take_along_axis(layers, nearest[None], axis=0)[0]
     reason = np.zeros((HEIGHT, WIDTH), dtype=np.uint8)
-    reason[40:55, 60:90] = Reason.TOO_DARK
+    reason[40:55, 60:90] = Reason.SHADOW
     reason[rng.random((HEIGHT, WIDTH)) < 0.02] = Reason.CONTRADICTORY
     measured = depth_m + rng.normal(0, 2e-4, depth_m.shape)
     pose = T_world_cam @ T_cam_part
@@ -134,7 +134,11 @@ def build_sample(seed, *, parts, rig):
         ),
         rgb=rng.integers(0, 256, (HEIGHT, WIDTH, 3), dtype=np.uint8),
         gray=rng.integers(0, 256, (HEIGHT, WIDTH), dtype=np.uint8),
-        scanner=DepthMap(depth_m=np.where(reason == 0, measured, np.nan), reason=reason),
+        scanner=DepthMap(
+            depth_m=np.where(reason == 0, measured, np.nan),
+            sigma_m=np.where(reason == 0, 2e-4, np.nan),
+            reason=reason,
+        ),
         modulation=rng.uniform(0, 0.9, (HEIGHT, WIDTH)),
         manifest={"seed": seed, "config": "abc", "timings": {"render_s": 1.5}},
     )

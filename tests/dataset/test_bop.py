@@ -12,7 +12,7 @@ from PIL import Image
 
 from graycast.dataset.bop import depth_scale_mm, scene_files
 from graycast.dataset.models import diameter
-from graycast.decode import DepthMap, Reason
+from graycast.decode import Reason
 from graycast.errors import DatasetError
 from graycast.frames import inverse, pixel_grid, transform_points
 from graycast.optics import project, rays
@@ -272,7 +272,7 @@ def test_a_part_too_deep_for_the_scale_is_refused_and_a_far_wall_is_unknown(samp
 def test_a_measured_depth_too_deep_for_the_scale_is_refused(samples):
     depth_m = samples[0].scanner.depth_m.copy()
     depth_m[samples[0].scanner.reason == Reason.DECODED] = 6.6
-    scanner = DepthMap(depth_m=depth_m, reason=samples[0].scanner.reason)
+    scanner = replace(samples[0].scanner, depth_m=depth_m)
     with pytest.raises(DatasetError, match=r"6\.6 m does not fit"):
         dict(scene_files(replace(samples[0], scanner=scanner), 0.1))
 

@@ -216,7 +216,7 @@ SCENE_DAMAGE = {
         "though nothing is visible",
     ),
     "an unknown reason": (
-        lambda s: repaint(s / "reason_sl" / "000000.png", lambda r: np.where(r == 3, 77, r)),
+        lambda s: repaint(s / "reason_sl" / "000000.png", lambda r: np.where(r == 4, 77, r)),
         "unknown value 77",
     ),
     "a depth without a reason": (

@@ -16,7 +16,7 @@ from graycast.frames import axis_rotation, random_quaternions, rigid, rotation_f
 from graycast.generate import Shot
 from graycast.optics import Optics
 from graycast.parts import Material, Mesh, Part
-from graycast.pattern import GrayCode
+from graycast.pattern import gray
 from graycast.render import GroundTruth, Radiance, Rendering, Silhouette
 from graycast.report import preview
 from graycast.rig import Rig
@@ -25,7 +25,7 @@ from graycast.sensor import Capture, SensorSpec
 
 WIDTH, HEIGHT = 80, 60
 F_PX, BASELINE_M, WALL_M = 100.0, 0.1, 0.5
-CODE = GrayCode(width_px=64, height_px=48)
+CODE = gray(64, 48)
 SENSOR = SensorSpec()
 SIDE = slice(20, 40), slice(30, 50)  # rows and columns of the one instance
 # A camera somewhere askew, so that no test passes because two frames happen to coincide.
@@ -89,7 +89,9 @@ def make_shot(*, error_m=None, reason=None, layout=None, frames=None, scanned=No
         truth=truth,
         rgb=quarters(),
         gray=np.zeros((HEIGHT, WIDTH), dtype=np.uint8),
-        scanner=DepthMap(depth_m=scanned, reason=reason),
+        scanner=DepthMap(
+            depth_m=scanned, sigma_m=np.where(reason == 0, 1e-4, np.nan), reason=reason
+        ),
         modulation=np.ones((HEIGHT, WIDTH), dtype=np.float32),
         manifest={
             "scene_id": 7,
@@ -100,6 +102,7 @@ def make_shot(*, error_m=None, reason=None, layout=None, frames=None, scanned=No
     )
     radiance = Radiance(
         pattern=np.zeros((len(CODE.frames), HEIGHT, WIDTH), dtype=np.float32),
+        white=colour[..., 0].copy(), ambient=colour[..., 0].copy(),
         white_rgb=colour, ambient_rgb=colour.copy(), albedo=colour.copy(),
     )  # fmt: skip
     return Shot(
@@ -107,7 +110,12 @@ def make_shot(*, error_m=None, reason=None, layout=None, frames=None, scanned=No
         rendering=Rendering(radiance=radiance, truth=truth),
         capture=Capture(frames=frames, sensor=SENSOR, exposure_s=0.02),
         codes=CodeMap(
-            column=column, row=column.copy(), modulation=sample.modulation, reason=reason
+            column=column,
+            row=column.copy(),
+            sigma_column=column * 0,
+            sigma_row=column * 0,
+            modulation=sample.modulation,
+            reason=reason,
         ),
     )
 
@@ -168,12 +176,12 @@ def test_a_sheet_that_cannot_be_written_is_named_and_leaves_nothing(tmp_path):
 
 def test_another_code_than_the_captures_is_refused(tmp_path):
     with pytest.raises(ValueError, match="14 frames, the code has 26"):
-        preview.draw_preview(make_shot(), replace(CODE, inverses=True), tmp_path / "sheet.png")
+        preview.draw_preview(make_shot(), gray(64, 48, inverses=True), tmp_path / "sheet.png")
     assert not list(tmp_path.iterdir())
 
 
 def test_a_scene_without_parts_and_without_any_depth_still_gives_a_sheet(tiles):
-    nowhere = np.full((HEIGHT, WIDTH), Reason.TOO_DARK, dtype=np.uint8)
+    nowhere = np.full((HEIGHT, WIDTH), Reason.SHADOW, dtype=np.uint8)
     figure, found = tiles(make_shot(reason=nowhere, layout=EMPTY_LAYOUT))
     assert len(found) == 12
     assert "no parts" in figure.texts[0].get_text()
@@ -217,7 +225,7 @@ def test_bits_on_the_sheet_are_the_third_coarsest_and_the_finest(tiles):
     frames = np.broadcast_to(level, (len(CODE.frames), HEIGHT, WIDTH)).copy()
     _, found = tiles(make_shot(frames=frames))
     shown = {title: int(image(ax)[0, 0, 0]) for title, ax in found.items() if " bit " in title}
-    assert list(shown) == ["column bit 3", "column bit 0, the finest"]
+    assert list(shown) == ["column bit 3, stripes of 16 codes", "column bit 0, stripes of 2 codes"]
     linear = {t: (((v / 255) + 0.055) / 1.055) ** 2.4 for t, v in shown.items()}
     got_dn = [64 + share * (SENSOR.saturation_dn - 64) for share in linear.values()]
     assert got_dn == pytest.approx([4 * 200 + 100, 7 * 200 + 100], abs=12)  # 8-bit steps
@@ -241,13 +249,14 @@ def test_both_depths_share_their_colours(tiles):
 
 def test_reasons_are_listed_with_their_shares(tiles):
     reason = np.zeros((HEIGHT, WIDTH), dtype=np.uint8)
-    reason[:, :20], reason[:6, 20:] = Reason.TOO_DARK, Reason.CONTRADICTORY
+    reason[:, :20], reason[:6, 20:] = Reason.SHADOW, Reason.CONTRADICTORY
     ax = tiles(make_shot(reason=reason))[1]["reasons"]
     words = [text.get_text() for text in ax.get_legend().get_texts()]
-    assert words == ["decoded 67.5 %", "too dark 25.0 %", "saturated 0.0 %", "contradictory 7.5 %",
-                     "outside projector 0.0 %", "out of range 0.0 %"]  # fmt: skip
+    assert words[:5] == ["decoded 67.5 %", "shadow 25.0 %", "low modulation 0.0 %",
+                         "saturated 0.0 %", "contradictory 7.5 %"]  # fmt: skip
+    assert len(words) == len(Reason)
     handles = ax.get_legend().legend_handles
-    for at, index in (((30, 30), 0), ((30, 5), 1), ((2, 30), 3)):
+    for at, index in (((30, 30), 0), ((30, 5), 1), ((2, 30), 4)):
         color = np.round(255 * np.array(to_rgb(handles[index].get_markerfacecolor())))
         np.testing.assert_array_equal(image(ax)[at], color)
 

@@ -1,6 +1,7 @@
 """Ground truth on disk: BOP and COCO, written scene by scene, and read back to be checked."""
 
 from .bop import depth_scale_mm
+from .claim import described_values
 from .sample import Sample
 from .store import Store, open_store, write_scene
 from .validate import Problem, validate
@@ -10,6 +11,7 @@ __all__ = [
     "Sample",
     "Store",
     "depth_scale_mm",
+    "described_values",
     "open_store",
     "validate",
     "write_scene",

@@ -2,6 +2,7 @@
 
 import hashlib
 import json
+import math
 import platform
 from collections.abc import Mapping
 from dataclasses import asdict
@@ -35,7 +36,7 @@ def make_claim(
             "config": config,
             "seed": seed,
             "depth_scale_mm": depth_scale_mm,
-            "rig": asdict(rig),
+            "rig": described_values(rig),
             "parts": described,
         }
     )
@@ -52,6 +53,17 @@ def make_claim(
     }
 
 
+def described_values(value: Any) -> dict[str, Any]:
+    """The fields of a frozen value, fit for JSON: an infinite number is the word 'inf'."""
+
+    def worded(item: Any) -> Any:
+        if isinstance(item, dict):
+            return {key: worded(inner) for key, inner in item.items()}
+        return "inf" if isinstance(item, float) and math.isinf(item) else item
+
+    return worded(asdict(value))
+
+
 def _digest(part: Part) -> str:
     """SHA-256 over a part's shape, material, density, friction and symmetries."""
     digest = hashlib.sha256()
@@ -60,7 +72,13 @@ def _digest(part: Part) -> str:
         digest.update(b"none" if array is None else np.ascontiguousarray(array).tobytes())
     if material.texture is not None:
         digest.update(np.ascontiguousarray(material.texture).tobytes())
-    look = (material.base_color, material.metallic, material.roughness, material.specular)
+    look = (
+        material.base_color,
+        material.metallic,
+        material.roughness,
+        material.specular,
+        material.projector_reflectance,
+    )
     discrete = [T.tolist() for T in part.symmetry.discrete]
     body = (part.density_kg_m3, part.friction, discrete, part.symmetry.continuous)
     digest.update(json.dumps(plain([look, body])).encode())

@@ -28,7 +28,7 @@ from ..frames import inverse, transform_points
 from ..generate import Shot
 from ..optics import Optics, project
 from ..parts import Part
-from ..pattern import Axis, Frame, GrayCode
+from ..pattern import Axis, Code, Frame
 from ..render import GroundTruth
 from ..rig import depth_per_column_m
 from ..scene import Scene
@@ -38,8 +38,8 @@ SHEET_WIDTH_PX = 2400
 COLUMNS = 4
 _MARGIN_PX, _GAP_PX, _HEAD_PX = 30, 18, 96
 _ABOVE_PX = 36  # a tile's title
-_BELOW_PX = (14, 52, 58)  # per row: nothing, colour bars, a legend
-_COARSE_RANK = 2  # of the bits from the coarsest: the third has a few wide stripes
+_BELOW_PX = (14, 52, 84)  # per row: nothing, colour bars, a legend
+_COARSE_RANK = 2  # of an axis's frames: the third Gray bit has a few wide stripes
 _CLOSE_UP = 4  # camera pixels of the finest bit on the sheet: fewer would beat with its stripes
 
 # Unknown is a neutral grey that its map does not hold: dark, but light where the map ends dark.
@@ -48,18 +48,21 @@ _CODE_MAP, _DEPTH_MAP, _ERROR_MAP = "viridis", "viridis_r", "RdBu_r"
 _ERROR_COLUMNS, _ERROR_FALLBACK_M = 3.0, 5e-3
 REASON_COLOR = {
     Reason.DECODED: "#dcdad2",
-    Reason.TOO_DARK: "#25283d",
+    Reason.SHADOW: "#25283d",
+    Reason.LOW_MODULATION: "#6b6e87",
     Reason.SATURATED: "#f2b134",
     Reason.CONTRADICTORY: "#c8385a",
+    Reason.INTERREFLECTION: "#e07b39",
     Reason.OUTSIDE_PROJECTOR: "#3b8ea5",
     Reason.OUT_OF_RANGE: "#7d5ba6",
+    Reason.OUTLIER: "#4f9d69",
 }
 _EDGE_POINTS = 17  # per edge of a box; a lens with distortion bends them
 # Corner k of a unit box is (k & 1, k >> 1 & 1, k >> 2): neighbours differ in one bit.
 _BOX_EDGES = np.array([(k, k | bit) for bit in (1, 2, 4) for k in range(8) if not k & bit])
 
 
-def draw_preview(shot: Shot, code: GrayCode, path: Path) -> None:
+def draw_preview(shot: Shot, code: Code, path: Path) -> None:
     """Write the contact sheet of one scene as a PNG.
 
     Args:
@@ -168,7 +171,7 @@ def _note(ax: Axes, text: str) -> None:
     ax.set_title(text, loc="right", fontsize=9, pad=6, color="0.3")
 
 
-def _write_head(figure: Figure, shot: Shot, code: GrayCode) -> None:
+def _write_head(figure: Figure, shot: Shot, code: Code) -> None:
     sample = shot.sample
     scene, layout, manifest = sample.scene, sample.layout, sample.manifest
     rig = scene.rig
@@ -199,28 +202,38 @@ def _write_head(figure: Figure, shot: Shot, code: GrayCode) -> None:
 # --- pictures and codes ------------------------------------------------------------------------
 
 
-def _draw_frames(sheet: _Sheet, shot: Shot, code: GrayCode) -> None:
-    """The white frame, a coarse bit, and the finest in a close-up from the frame's middle."""
+def _draw_frames(sheet: _Sheet, shot: Shot, code: Code) -> None:
+    """The white frame, a coarse one, and the finest in a close-up from the frame's middle."""
     axis = triangulation_axis(shot.sample.scene.rig)
-    coarse_bit = max(code.bits(axis) - 1 - _COARSE_RANK, 0)
+    shown = [k for k, f in enumerate(code.frames) if f.axis == axis and not f.inverse]
+    coarse, finest = shown[min(_COARSE_RANK, len(shown) - 1)], shown[-1]
     camera = shot.sample.scene.rig.camera
     width, height = (-(-side // _CLOSE_UP) for side in sheet.tile_px)
     left, top = (camera.width_px - width) // 2, (camera.height_px - height) // 2
-    white = sheet.picture("white frame", _shown(shot, 0))
+    white = sheet.picture("white frame", _shown(shot, _white(code)))
     if left > 0 and top > 0:
         white.add_patch(_rectangle(left, top, width, height, color="#ffcc33"))
-    coarse = Frame(kind="gray", axis=axis, bit=coarse_bit)
-    ax = sheet.picture(f"{axis} bit {coarse_bit}", _shown(shot, code.frames.index(coarse)))
-    _note(ax, f"stripes of {2 ** (coarse_bit + 1)} projector pixels")
-    finest = _shown(shot, code.frames.index(Frame(kind="gray", axis=axis, bit=0)))
-    ax = sheet.picture(f"{axis} bit 0, the finest", finest)
+    sheet.picture(_title(code.frames[coarse]), _shown(shot, coarse))
+    ax = sheet.picture(_title(code.frames[finest]), _shown(shot, finest))
     if left > 0 and top > 0:
         ax.images[0].set_interpolation("nearest")
         ax.set(xlim=(left - 0.5, left + width - 0.5), ylim=(top + height - 0.5, top - 0.5))
         _note(ax, f"middle, magnified to {_CLOSE_UP} x {_CLOSE_UP} per pixel")
 
 
-def _draw_codes(sheet: _Sheet, shot: Shot, code: GrayCode) -> None:
+def _white(code: Code) -> int:
+    """The white frame, or whatever is first."""
+    return next((k for k, frame in enumerate(code.frames) if frame.kind == "white"), 0)
+
+
+def _title(frame: Frame) -> str:
+    if frame.kind == "gray":
+        stripes = f"stripes of {2 ** (frame.bit + 1)} codes"
+        return f"{frame.axis} bit {frame.bit}, " + (stripes if frame.xor_bit < 0 else "XOR")
+    return f"{frame.axis}, {frame.kind}, period {frame.period_px:g} px"
+
+
+def _draw_codes(sheet: _Sheet, shot: Shot, code: Code) -> None:
     axis: Axis = triangulation_axis(shot.sample.scene.rig)
     position = shot.codes.column if axis == "column" else shot.codes.row
     limits = (0.0, float(code.size_px(axis) - 1))

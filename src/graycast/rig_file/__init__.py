@@ -1,6 +1,15 @@
-"""Rigs in files: Graycast's own YAML both ways, and OpenCV stereo calibrations in."""
+"""Scanners in files: Graycast's own YAML both ways, and OpenCV stereo calibrations in."""
 
 from .opencv import import_opencv
-from .own import load_rig, resolve_rig, rig_schema, save_rig
+from .own import load_scanner, resolve_scanner, rig_schema, save_scanner
+from .sections import ScannerSections, with_sections
 
-__all__ = ["import_opencv", "load_rig", "resolve_rig", "rig_schema", "save_rig"]
+__all__ = [
+    "ScannerSections",
+    "import_opencv",
+    "load_scanner",
+    "resolve_scanner",
+    "rig_schema",
+    "save_scanner",
+    "with_sections",
+]

@@ -15,8 +15,8 @@ import numpy as np
 from jaxtyping import Float
 
 from ..errors import ConfigError
-from ..frames import inverse, rigid
-from ..optics import Optics
+from ..frames import inverse, pixel_grid, rigid, transform_points
+from ..optics import Optics, project, rays
 from ..rig import Rig
 from ..settings import parse_yaml, read_text
 from .reading import build_optics, build_rig, check_rotation, is_file_storage
@@ -57,8 +57,8 @@ def import_opencv(
     path: Path,
     *,
     unit: str | None,
-    near_m: float,
-    far_m: float,
+    near_m: float | None = None,
+    far_m: float | None = None,
     camera_size_px: tuple[int, int] | None,
     projector_size_px: tuple[int, int] | None,
 ) -> Rig:
@@ -69,8 +69,10 @@ def import_opencv(
 
     Args:
         unit: of T, 'm' or 'mm'; None takes millimetres where `|T| > 10`, metres where `|T| < 2`.
-        near_m: nearest depth of the working range; OpenCV states none.
-        far_m: farthest depth of the working range.
+        near_m: nearest depth of the working range; OpenCV states none. Left out: where camera and
+            projector begin to see a place in common, at least half a baseline away.
+        far_m: farthest depth of the working range; left out: where they cease to, at most twenty
+            baselines away.
         camera_size_px: (width, height) in place of what the file says, if it says it.
         projector_size_px: likewise for the projector.
 
@@ -82,15 +84,42 @@ def import_opencv(
     T = _array(content, "T", path, shapes=((3,), (3, 1), (1, 3))).ravel()
     check_rotation(R, f"{path}: {_find(content, 'R', path)}")
     T_m = T * _metres_per_unit(T, unit, f"{path}: {_find(content, 'T', path)}")
+    camera = _device(content, "camera", path, camera_size_px)
+    projector = _device(content, "projector", path, projector_size_px)
+    T_cam_proj = inverse(rigid(R, T_m))
+    if near_m is None or far_m is None:
+        first_m, last_m = _common_range_m(camera, projector, T_cam_proj, path)
+        near_m, far_m = near_m or first_m, far_m or last_m
     return build_rig(
         path,
         name=path.stem,
-        camera=_device(content, "camera", path, camera_size_px),
-        projector=_device(content, "projector", path, projector_size_px),
-        T_cam_proj=inverse(rigid(R, T_m)),
+        camera=camera,
+        projector=projector,
+        T_cam_proj=T_cam_proj,
         near_m=near_m,
         far_m=far_m,
     )
+
+
+def _common_range_m(
+    camera: Optics, projector: Optics, T_cam_proj: Float[np.ndarray, "4 4"], path: Path
+) -> tuple[float, float]:
+    """Nearest and farthest depth at which the camera sees a place that the projector lights."""
+    grid = pixel_grid(17, 17) / 16 * [camera.width_px - 1, camera.height_px - 1]
+    ray = rays(camera, grid)
+    baseline_m = float(np.linalg.norm(T_cam_proj[:3, 3]))
+    lit_m = []
+    for depth_m in baseline_m * np.geomspace(0.5, 20, 200):
+        place = project(projector, transform_points(inverse(T_cam_proj), depth_m * ray))
+        inside = (place > -0.5) & (place < [projector.width_px - 0.5, projector.height_px - 0.5])
+        if inside.all(axis=-1).any():
+            lit_m.append(float(depth_m))
+    if len(lit_m) < 2:
+        raise ConfigError(
+            f"{path}: camera and projector see nothing in common between 0.5 and 20 baselines: "
+            "are R and T those of X_projector = R X_camera + T? else give near and far"
+        )
+    return lit_m[0], lit_m[-1]
 
 
 def _device(

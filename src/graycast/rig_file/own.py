@@ -1,7 +1,9 @@
-"""Graycast's own rig file: YAML that holds exactly what a `Rig` holds."""
+"""Graycast's own rig file: YAML that holds exactly what a `Scanner` holds."""
 
+import math
 import os
 from contextlib import suppress
+from dataclasses import asdict, fields
 from pathlib import Path
 from typing import Any
 
@@ -11,10 +13,11 @@ from pydantic import Field
 
 from ..errors import ConfigError
 from ..frames import rigid
-from ..optics import Optics
-from ..rig import PRESETS, RESOLUTIONS, Rig, preset
+from ..rig import PRESETS, RESOLUTIONS
+from ..scanner import Scanner, preset
 from ..settings import Settings, check_settings, parse_yaml, read_text
 from .reading import build_optics, build_rig, check_rotation, is_file_storage
+from .sections import ScannerSections, scanner_of
 
 Row = tuple[float, float, float]
 
@@ -32,10 +35,17 @@ class OpticsModel(Settings):
         default=(0.0, 0.0, 0.0, 0.0, 0.0),
         description="Brown-Conrady (k1, k2, p1, p2, k3), OpenCV's order.",
     )
+    aperture_m: float = Field(0.0, ge=0, description="Diameter of the pupil; 0 is a pinhole.")
+    focus_m: float | None = Field(
+        None, gt=0, description="Distance in focus, along the axis; left out: far away."
+    )
+    psf_px: float = Field(0.0, ge=0, description="Radius of the blur at every distance.")
+    natural_vignetting: bool = Field(False, description="Darker towards the corners by cosines.")
+    fill_factor: float = Field(1.0, gt=0, le=1, description="Share of a pixel's area that works.")
 
 
-class RigModel(Settings):
-    """A camera and a projector that hold still to each other."""
+class RigModel(ScannerSections):
+    """A camera and a projector that hold still to each other, and how they measure."""
 
     name: str = Field(min_length=1, description="Name in reports and datasets.")
     camera: OpticsModel
@@ -55,6 +65,14 @@ class RigModel(Settings):
     picture_level: float = Field(
         default=0.0, ge=0, le=1, description="Projector's level while the colour picture is taken."
     )
+    response: tuple[float, ...] = Field(
+        (0.0, 1.0), description="Radiance at equally spaced grey levels, shares of white's."
+    )
+    contrast_ratio: float | None = Field(
+        None, gt=1, description="The projector's white over black; left out: black is black."
+    )
+    veil: float = Field(0.0, ge=0, lt=1, description="Share of stray light in the camera.")
+    speckle_contrast: float = Field(0.0, ge=0, le=1, description="Of a laser on a rough surface.")
 
 
 def rig_schema() -> dict[str, Any]:
@@ -62,24 +80,24 @@ def rig_schema() -> dict[str, Any]:
     return RigModel.model_json_schema()
 
 
-def save_rig(rig: Rig, path: Path) -> None:
-    """Write a rig file; `load_rig` gives the same numbers back to the last bit.
+def save_scanner(scanner: Scanner, path: Path) -> None:
+    """Write a rig file; `load_scanner` gives the same numbers back to the last bit.
 
     Raises:
         ConfigError: the file cannot be written; a file that was there is left as it was.
     """
+    rig = scanner.rig
     content = {
         "name": rig.name,
-        "camera": _optics_content(rig.camera),
-        "projector": _optics_content(rig.projector),
+        "camera": _plain(asdict(rig.camera)),
+        "projector": _plain(asdict(rig.projector)),
         "R_cam_proj": rig.T_cam_proj[:3, :3].tolist(),
         "t_cam_proj_m": rig.T_cam_proj[:3, 3].tolist(),
-        "near_m": float(rig.near_m),
-        "far_m": float(rig.far_m),
-        "intensity_w_sr": float(rig.intensity_w_sr),
-        "band_weights": [float(weight) for weight in rig.band_weights],
-        "picture_level": float(rig.picture_level),
     }
+    of_light = {f.name for f in fields(rig)} - {"name", "camera", "projector", "T_cam_proj"}
+    content |= _plain({f.name: getattr(rig, f.name) for f in fields(rig) if f.name in of_light})
+    for section in ScannerSections.model_fields:
+        content[section] = _plain(asdict(getattr(scanner, section)))
     text = yaml.safe_dump(content, sort_keys=False, default_flow_style=None, width=100)
     aside = path.with_name(path.name + ".part")
     try:
@@ -94,7 +112,7 @@ def save_rig(rig: Rig, path: Path) -> None:
         ) from error
 
 
-def load_rig(path: Path) -> Rig:
+def load_scanner(path: Path) -> Scanner:
     """Read a rig file.
 
     Raises:
@@ -109,22 +127,20 @@ def load_rig(path: Path) -> Rig:
     model = check_settings(content, RigModel, path)
     R_cam_proj = np.array(model.R_cam_proj)
     check_rotation(R_cam_proj, f"{path}: R_cam_proj")
-    return build_rig(
-        path,
-        name=model.name,
-        camera=build_optics(path, "camera", **model.camera.model_dump()),
-        projector=build_optics(path, "projector", **model.projector.model_dump()),
-        T_cam_proj=rigid(R_cam_proj, np.array(model.t_cam_proj_m)),
-        near_m=model.near_m,
-        far_m=model.far_m,
-        intensity_w_sr=model.intensity_w_sr,
-        band_weights=model.band_weights,
-        picture_level=model.picture_level,
-    )
+    elsewhere = {"R_cam_proj", "t_cam_proj_m", *ScannerSections.model_fields}
+    words = model.model_dump(exclude=elsewhere, exclude_none=True)
+    for device in ("camera", "projector"):
+        words[device] = build_optics(path, device, **words[device])
+    T_cam_proj = rigid(R_cam_proj, np.array(model.t_cam_proj_m))
+    rig = build_rig(path, T_cam_proj=T_cam_proj, **words)
+    try:
+        return scanner_of(rig, model)
+    except (ConfigError, ValueError) as error:
+        raise ConfigError(f"{path}: {error}") from error
 
 
-def resolve_rig(text: str, *, folder: Path, resolution: str = "low") -> Rig:
-    """The rig that a configuration means by `rig: text`.
+def resolve_scanner(text: str, *, folder: Path, resolution: str = "low") -> Scanner:
+    """The scanner that a configuration means by `rig: text`.
 
     Args:
         text: a name in `PRESETS`, or a rig file, relative to `folder`.
@@ -141,18 +157,19 @@ def resolve_rig(text: str, *, folder: Path, resolution: str = "low") -> Rig:
         return preset(text, resolution)
     path = folder / text
     if path.is_file() or "/" in text or Path(text).suffix in (".yaml", ".yml", ".json"):
-        return load_rig(path)
+        return load_scanner(path)
     choices = ", ".join(PRESETS)
     raise ConfigError(f"rig: no rig {text!r}: choose one of {choices}, or name a file in {folder}")
 
 
-def _optics_content(optics: Optics) -> dict[str, Any]:
-    return {
-        "width_px": int(optics.width_px),
-        "height_px": int(optics.height_px),
-        "fx_px": float(optics.fx_px),
-        "fy_px": float(optics.fy_px),
-        "cx_px": float(optics.cx_px),
-        "cy_px": float(optics.cy_px),
-        "distortion": [float(term) for term in optics.distortion],
-    }
+def _plain(values: dict[str, Any]) -> dict[str, Any]:
+    """What a rig file holds: Python's own numbers, lists; nothing for None and for infinity."""
+    plain = {}
+    for key, value in values.items():
+        if isinstance(value, tuple):
+            plain[key] = [v if isinstance(v, str) else float(v) for v in value]
+        elif isinstance(value, np.generic):
+            plain[key] = value.item()
+        elif value is not None and value != math.inf:
+            plain[key] = value
+    return plain

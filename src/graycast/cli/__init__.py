@@ -1,0 +1,5 @@
+"""The command `graycast`: files in, files out."""
+
+from .command import main
+
+__all__ = ["main"]

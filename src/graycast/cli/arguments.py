@@ -1,0 +1,94 @@
+"""What the commands' arguments have in common."""
+
+import argparse
+from collections.abc import Callable
+from pathlib import Path
+
+from ..rig import PRESETS
+
+Run = Callable[[argparse.Namespace], int | None]
+
+
+def add_command(into, name: str, run: Run, help: str) -> argparse.ArgumentParser:
+    """A parser for one command among others."""
+    made = into.add_parser(name, help=help, description=help)
+    made.add_argument("--debug", action="store_true", help="show the traceback of an error")
+    made.set_defaults(run=run)
+    return made
+
+
+def add_config(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("config", type=Path, help="a YAML configuration; see configs/")
+
+
+def add_seed(parser: argparse.ArgumentParser, default: int | None = None) -> None:
+    told = "as configured" if default is None else default
+    parser.add_argument(
+        "--seed", type=seed, default=default, help=f"of everything random (default: {told})"
+    )
+
+
+def add_device(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument(
+        "--device",
+        choices=("auto", "cpu", "cuda"),
+        default="auto",
+        help="auto takes CUDA where it works, else the CPU",
+    )
+
+
+def add_rig(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("rig", help=f"a rig file, or one of {', '.join(PRESETS)}")
+    add_resolution(parser)
+
+
+def add_resolution(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument(
+        "--resolution", choices=("low", "full"), default="low", help="of a preset (default low)"
+    )
+
+
+def resolve_rig_option(options: argparse.Namespace):
+    """The scanner that `rig` and `--resolution` mean."""
+    from ..rig_file import resolve_scanner
+
+    return resolve_scanner(options.rig, folder=Path(), resolution=options.resolution)
+
+
+def positive(text: str) -> int:
+    if not text.isdecimal() or int(text) < 1:
+        raise argparse.ArgumentTypeError(f"{text!r} is not a whole number from 1 up")
+    return int(text)
+
+
+def seed(text: str) -> int:
+    if not text.isdecimal():
+        raise argparse.ArgumentTypeError(f"{text!r} is not a whole number from 0 up")
+    return int(text)
+
+
+def size(text: str) -> tuple[int, int]:
+    width, _, height = text.lower().partition("x")
+    if not (width.isdecimal() and height.isdecimal()):
+        raise argparse.ArgumentTypeError(f"{text!r} is not a size such as 1280x720")
+    return int(width), int(height)
+
+
+def progress_bar():
+    from rich.progress import (
+        BarColumn,
+        MofNCompleteColumn,
+        Progress,
+        TextColumn,
+        TimeElapsedColumn,
+        TimeRemainingColumn,
+    )
+
+    return Progress(
+        TextColumn("{task.description}"),
+        BarColumn(),
+        MofNCompleteColumn(),
+        TimeElapsedColumn(),
+        TextColumn("left"),
+        TimeRemainingColumn(),
+    )

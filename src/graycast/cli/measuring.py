@@ -1,0 +1,144 @@
+"""Commands that measure: decode real stacks, certify scanners, tell how real depth is."""
+
+import argparse
+from collections.abc import Sequence
+from pathlib import Path
+
+from ..errors import GraycastError
+from .arguments import (
+    add_command,
+    add_device,
+    add_resolution,
+    add_rig,
+    add_seed,
+    progress_bar,
+    resolve_rig_option,
+    size,
+)
+
+
+def add_commands(commands) -> None:
+    decode = add_command(
+        commands, "decode", _decode, "Decode a scanner's pictures; with its rig, to depth."
+    )
+    decode.add_argument("stack", type=Path, help="YAML that says what each picture is")
+    decode.add_argument("--rig", help="a rig file (or a preset): depth and a cloud as well")
+    add_resolution(decode)
+    decode.add_argument(
+        "--average", action="store_true", help="one point per projector pixel, not per camera pixel"
+    )
+    decode.add_argument("--out", type=Path, required=True, help="the folder to write")
+
+    certify = add_command(
+        commands, "certify", _certify, "Measure a virtual scanner as a metrology lab would."
+    )
+    add_rig(certify)
+    certify.add_argument("--out", type=Path, required=True, help="the folder to write")
+    add_seed(certify, default=0)
+    add_device(certify)
+
+    realism = add_command(
+        commands, "realism", _realism, "Measure depth maps, real or simulated; compare two sets."
+    )
+    realism.add_argument(
+        "depth", type=Path, nargs="*", help="NPY, PNG, PLY, folders of them, or our datasets"
+    )
+    realism.add_argument("--intrinsics", metavar="K", help="fx,fy,cx,cy or a file with K")
+    realism.add_argument("--scale", type=float, metavar="METRES", help="of one unit of depth")
+    realism.add_argument("--size", type=size, metavar="WxH", help="of PLYs that do not say it")
+    realism.add_argument("--gray", type=Path, nargs="+", default=(), help="a picture per map")
+    realism.add_argument("--reason", type=Path, nargs="+", default=(), help="reasons per map")
+    realism.add_argument("--out", type=Path, help="the folder to write: table, JSON, plots")
+    realism.add_argument(
+        "--compare", type=Path, nargs=2, metavar=("A", "B"), help="two folders made before"
+    )
+
+
+def _decode(options: argparse.Namespace) -> int:
+    from ..stack import decode_stack, describe_result, write_result
+
+    rig = None if options.rig is None else resolve_rig_option(options).rig
+    result = decode_stack(options.stack, rig, average=options.average)
+    written = write_result(result, options.out)
+    print(describe_result(result))
+    for path in written:
+        print(path)
+    return 0
+
+
+def _certify(options: argparse.Namespace) -> int:
+    from ..metrology import certify, describe, write_certificate
+
+    scanner = resolve_rig_option(options)
+    with progress_bar() as bar:
+        task = bar.add_task("scenes", total=None)
+
+        def on_progress(done: int, total: int, what: str) -> None:
+            bar.update(task, completed=done, total=total, description=what)
+
+        certificate = certify(
+            scanner, device=options.device, seed=options.seed, on_progress=on_progress
+        )
+    print(describe(certificate))
+    print(write_certificate(certificate, options.out))
+    return 0
+
+
+def _realism(options: argparse.Namespace) -> int:
+    from ..decode import Reason
+    from ..realism import (
+        RECORD_FILE,
+        draw_realism,
+        measure,
+        pool,
+        read_intrinsics,
+        read_scans,
+        table,
+        write_record,
+    )
+
+    if (options.compare is None) == (not options.depth):
+        raise GraycastError("give depth maps to measure, or --compare and two measured sets")
+    if options.compare is not None:
+        records = [_record(path) for path in options.compare]
+    else:
+        if options.out is None:
+            raise GraycastError("say with --out where the measurement goes")
+        K = None if options.intrinsics is None else read_intrinsics(options.intrinsics)
+        scans = read_scans(
+            options.depth,
+            K=K,
+            gray=_files(options.gray),
+            reason=_files(options.reason),
+            reason_names={reason.value: reason.name for reason in Reason},
+            scale_m=options.scale,
+            size_px=options.size,
+        )
+        name = options.out.name or str(options.out)
+        records = [pool((measure(scan) for scan in scans), name=name)]
+    text = table(*records)
+    print(text)
+    if options.out is not None:
+        options.out.mkdir(parents=True, exist_ok=True)
+        (options.out / "table.txt").write_text(text + "\n", encoding="utf-8")
+        draw_realism(records, options.out / "plots.png")
+        if len(records) == 1:
+            write_record(records[0], options.out / RECORD_FILE)
+        print(options.out)
+    return 0
+
+
+def _record(path: Path):
+    """A measured set, or one to measure: a dataset or a folder that states its own intrinsics."""
+    from ..realism import RECORD_FILE, measure, pool, read_record, read_scans
+
+    if path.is_file() or (path / RECORD_FILE).is_file():
+        return read_record(path)
+    return pool((measure(scan) for scan in read_scans([path])), name=str(path))
+
+
+def _files(paths: Sequence[Path]) -> list[Path]:
+    """Files as they are, and what lies in folders, by name."""
+    return [
+        file for path in paths for file in (sorted(path.iterdir()) if path.is_dir() else [path])
+    ]

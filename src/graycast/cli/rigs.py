@@ -1,0 +1,159 @@
+"""Commands about rigs: show, write, import, calibrate; and their patterns."""
+
+import argparse
+import sys
+from pathlib import Path
+
+from ..errors import GraycastError
+from ..pattern import CODECS
+from .arguments import add_command, add_rig, resolve_rig_option, size
+
+
+def add_commands(commands) -> None:
+    rig = add_command(
+        commands, "rig", lambda _: rig.print_help(), "Show, write, import and calibrate rigs."
+    )
+    rigs = rig.add_subparsers(metavar="COMMAND")
+    show = add_command(rigs, "show", _rig_show, "Print a rig's figures and draw it.")
+    add_rig(show)
+    show.add_argument("--out", type=Path, help="also draw it into this PNG")
+    write = add_command(rigs, "write", _rig_write, "Write a preset as a rig file to start from.")
+    add_rig(write)
+    write.add_argument("--out", type=Path, required=True, help="the YAML to write")
+    _add_import(rigs)
+    _add_calibrate(rigs)
+
+    patterns = add_command(
+        commands, "patterns", _patterns, "Write a rig's patterns as PNGs for a projector."
+    )
+    add_rig(patterns)
+    patterns.add_argument("--out", type=Path, required=True, help="the folder to write")
+    patterns.add_argument("--codec", choices=CODECS, help="default: the rig's own")
+    patterns.add_argument("--inverses", action="store_true", help="each bit and its inverse")
+
+
+def _add_import(rigs) -> None:
+    load = add_command(rigs, "import", _rig_import, "Make a rig file from an OpenCV calibration.")
+    load.add_argument("calibration", type=Path, help="YAML, XML, JSON or NPZ with K, D, R, T")
+    load.add_argument("--out", type=Path, required=True, help="the YAML to write")
+    load.add_argument("--unit", choices=("m", "mm"), help="of T; asked for where it is unclear")
+    load.add_argument("--near", type=float, help="nearest working distance [m]")
+    load.add_argument("--far", type=float, help="farthest (default: where both fields overlap)")
+    for device in ("camera", "projector"):
+        load.add_argument(
+            f"--{device}-size", type=size, metavar="WxH", help="where the file states none"
+        )
+
+
+def _add_calibrate(rigs) -> None:
+    calibrate = add_command(
+        rigs,
+        "calibrate",
+        _rig_calibrate,
+        "Make a rig file from stacks of one flat board in three or more poses.",
+    )
+    calibrate.add_argument(
+        "stacks", type=Path, nargs="+", help="a stack file per pose; both axes coded"
+    )
+    calibrate.add_argument(
+        "--board",
+        required=True,
+        help="chessboard:9x6:0.025 (squares, side [m]) or charuco:8x5:0.03:0.022:DICT_5X5_100",
+    )
+    calibrate.add_argument("--out", type=Path, required=True, help="the YAML to write")
+    calibrate.add_argument("--near", type=float, help="nearest working distance [m]")
+    calibrate.add_argument("--far", type=float, help="farthest (default: as the boards lay)")
+    calibrate.add_argument(
+        "--radial-terms", type=int, choices=range(4), default=3, help="of distortion (default 3)"
+    )
+
+
+def _rig_show(options: argparse.Namespace) -> int:
+    from ..report import describe_rig, draw_rig
+
+    rig = resolve_rig_option(options).rig
+    print(describe_rig(rig))
+    if options.out is not None:
+        draw_rig(rig, options.out)
+        print(options.out)
+    return 0
+
+
+def _rig_write(options: argparse.Namespace) -> int:
+    from ..rig_file import save_scanner
+
+    save_scanner(resolve_rig_option(options), options.out)
+    print(options.out)
+    return 0
+
+
+def _rig_import(options: argparse.Namespace) -> int:
+    from ..report import describe_rig
+    from ..rig_file import import_opencv, save_scanner
+    from ..scanner import Scanner
+
+    rig = import_opencv(
+        options.calibration,
+        unit=options.unit,
+        near_m=options.near,
+        far_m=options.far,
+        camera_size_px=options.camera_size,
+        projector_size_px=options.projector_size,
+    )
+    save_scanner(Scanner(rig=rig), options.out)
+    print(describe_rig(rig))
+    print(options.out)
+    return 0
+
+
+def _patterns(options: argparse.Namespace) -> int:
+    from dataclasses import replace
+
+    from ..pattern import CodeSpec, write_pngs
+    from ..rig import grey_levels
+
+    scanner = resolve_rig_option(options)
+    spec = scanner.code
+    if options.codec is not None:
+        spec = CodeSpec(codec=options.codec, axes=spec.axes)
+    if options.inverses:
+        spec = replace(spec, inverses=True)
+    projector = scanner.rig.projector
+    code = spec.code(projector.width_px, projector.height_px)
+    for path in write_pngs(
+        code, options.out, grey_levels=lambda share: grey_levels(scanner.rig, share)
+    ):
+        print(path)
+    return 0
+
+
+def _rig_calibrate(options: argparse.Namespace) -> int:
+    from ..calibrate import calibrate_rig, describe_calibration, parse_board, read_view
+    from ..rig_file import save_scanner
+    from ..scanner import Scanner
+
+    board = parse_board(options.board)
+    views, sizes_px = [], set()
+    for path in options.stacks:
+        print(path)
+        view, size_px = read_view(path)
+        views.append(view)
+        sizes_px.add(size_px)
+    if len(sizes_px) > 1:
+        told = ", ".join(f"{w} x {h}" for w, h in sorted(sizes_px))
+        raise GraycastError(f"the stacks are of projectors of {told} px: give one projector's")
+    calibration = calibrate_rig(
+        views,
+        board,
+        projector_size_px=sizes_px.pop(),
+        name=options.out.stem,
+        near_m=options.near,
+        far_m=options.far,
+        radial_terms=options.radial_terms,
+    )
+    save_scanner(Scanner(rig=calibration.rig), options.out)
+    print(describe_calibration(calibration))
+    for warning in calibration.warnings:
+        print(f"graycast: warning: {warning}", file=sys.stderr)
+    print(options.out)
+    return 0

@@ -1,0 +1,183 @@
+"""A scanner: a rig with its code, sensor, exposure and what it does to its depth; presets of them.
+
+The whole way from light to depth is two functions: `take` and `measure`.
+"""
+
+import math
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from .camera_light import camera_light
+from .decode import (
+    CodeMap,
+    DecodeSpec,
+    DepthMap,
+    FilterSpec,
+    decode,
+    filter_depth,
+    levels_of,
+    triangulate,
+)
+from .pattern import Code, CodeSpec
+from .render import Radiance
+from .rig import PRESETS, Rig
+from .rig import preset as rig_preset
+from .sensor import Capture, SensorSpec, auto_exposure_s, expose, merge_exposures
+
+APERTURE_SLACK = 0.05  # by which sensor.f_number may differ from the camera's own aperture
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ExposureSpec:
+    """How long the sensor looks.
+
+    A fixed time, or the one that brings a percentile of the white frame to a share `target` of the
+    sensor's range. `factors` are the times taken, in shares of that one: more than one is HDR.
+    """
+
+    exposure_s: float | None = None
+    percentile: float = 99.0
+    target: float = 0.8
+    factors: tuple[float, ...] = (1.0,)
+
+    def __post_init__(self) -> None:
+        if self.exposure_s is not None and not 0 < self.exposure_s < math.inf:
+            raise ValueError(f"exposure_s is {self.exposure_s}; it must be positive")
+        if not 0 < self.percentile <= 100:
+            raise ValueError(f"percentile is {self.percentile}; above 0, up to 100")
+        if not 0 < self.target <= 1:
+            raise ValueError(f"target is {self.target}; a share above 0, up to 1")
+        if not self.factors or not all(0 < factor < math.inf for factor in self.factors):
+            raise ValueError(f"factors are {self.factors}; give one or more positive numbers")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Scanner:
+    """Everything about a virtual camera: what `certify` measures and `generate` uses."""
+
+    rig: Rig
+    code: CodeSpec = field(default_factory=CodeSpec)
+    sensor: SensorSpec = field(default_factory=SensorSpec)
+    exposure: ExposureSpec = field(default_factory=ExposureSpec)
+    decode: DecodeSpec = field(default_factory=DecodeSpec)
+    filters: FilterSpec = field(default_factory=FilterSpec)
+
+    def __post_init__(self) -> None:
+        camera = self.rig.camera
+        if camera.aperture_m > 0:
+            f_number = camera.fx_px * self.sensor.pixel_pitch_m / camera.aperture_m
+            if abs(self.sensor.f_number / f_number - 1) > APERTURE_SLACK:
+                raise ValueError(
+                    f"sensor.f_number is {self.sensor.f_number:g}, but camera.aperture_m "
+                    f"{camera.aperture_m:g} with pixels of {self.sensor.pixel_pitch_m:g} m makes "
+                    f"f/{f_number:.3g}: give both alike"
+                )
+
+    def patterns(self) -> Code:
+        """The code for this rig's projector."""
+        return self.code.code(self.rig.projector.width_px, self.rig.projector.height_px)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Scan:
+    """One shot of a scanner: pictures, projector positions, depth."""
+
+    capture: Capture
+    codes: CodeMap
+    depth: DepthMap
+
+
+def scan(scanner: Scanner, radiance: Radiance, *, seed: int) -> Scan:
+    """All the way from light to depth."""
+    capture = take(scanner, radiance, seed=seed)
+    codes, depth = measure(scanner, capture)
+    return Scan(capture=capture, codes=codes, depth=depth)
+
+
+def take(scanner: Scanner, radiance: Radiance, *, seed: int) -> Capture:
+    """The measuring camera's stack, one picture per pattern, several exposures merged.
+
+    Raises:
+        ValueError: the scene is dark, or lit beyond all numbers.
+    """
+    stack, background = camera_light(radiance, scanner.rig)
+    exposure = scanner.exposure
+    longest_s = exposure.exposure_s or auto_exposure_s(
+        stack[_white(scanner.patterns())] + background,
+        scanner.sensor,
+        percentile=exposure.percentile,
+        target=exposure.target,
+    )
+    seeds = np.random.SeedSequence(seed).generate_state(len(exposure.factors), np.uint64)
+    return merge_exposures(
+        [
+            expose(stack, background, scanner.sensor, exposure_s=factor * longest_s, seed=int(own))
+            for factor, own in zip(exposure.factors, seeds, strict=True)
+        ]
+    )
+
+
+def _white(code: Code) -> int:
+    return next((k for k, frame in enumerate(code.frames) if frame.kind == "white"), 0)
+
+
+def measure(scanner: Scanner, capture: Capture) -> tuple[CodeMap, DepthMap]:
+    """Pictures to projector positions to depth, filtered as the scanner does."""
+    codes = decode(capture.frames, scanner.patterns(), scanner.decode, levels_of(scanner.sensor))
+    depth = triangulate(codes, scanner.rig, max_epipolar_px=scanner.decode.max_epipolar_px)
+    return codes, filter_depth(depth, scanner.filters, camera=scanner.rig.camera)
+
+
+# --- presets -----------------------------------------------------------------------------------
+
+
+def preset(name: str, resolution: str = "low") -> Scanner:
+    """A scanner known by name.
+
+    `paper` is the paper's: plain Gray code, no filter. The PhoXi family shows a phase code, whose
+    laser's line is blurred a little, filters its depth and smooths it.
+
+    Args:
+        name: one of `rig.PRESETS`.
+        resolution: 'low' is 1032 x 772, 'full' is 2064 x 1544 camera pixels.
+
+    Raises:
+        ValueError: no such preset or resolution.
+    """
+    rig = rig_preset(name, resolution)
+    if name == "paper":
+        return Scanner(rig=rig, decode=DecodeSpec(max_epipolar_px=0.0))
+    pitch_m = _PHOXI_PITCH_M * {"low": 2, "full": 1}[resolution]  # 2 x 2 pixels are binned
+    focus_m = 2 / (1 / rig.near_m + 1 / rig.far_m)  # equal blur at both ends of the range
+    camera = replace(
+        rig.camera,
+        aperture_m=rig.camera.fx_px * pitch_m / _PHOXI_F_NUMBER,
+        focus_m=focus_m,
+        natural_vignetting=True,
+    )
+    projector = replace(rig.projector, psf_px=1.0, natural_vignetting=True)
+    return Scanner(
+        rig=replace(rig, camera=camera, projector=projector),
+        code=CodeSpec(codec="gray_phase", axes=("column",), period_px=48.0, steps=4),
+        sensor=SensorSpec(pixel_pitch_m=pitch_m, f_number=_PHOXI_F_NUMBER, wavelength_m=637e-9),
+        decode=DecodeSpec(min_contrast=0.04),
+        filters=FilterSpec(
+            flying_angle_deg=75.0, outlier_sigmas=4.0, island_px=30, smoothing_px=0.55
+        ),
+    )
+
+
+_PHOXI_PITCH_M = 3.45e-6  # 2064 x 1544 pixels of this pitch: Sony's IMX252 and its kin
+_PHOXI_F_NUMBER = 4.0
+
+__all__ = [
+    "PRESETS",
+    "ExposureSpec",
+    "Scan",
+    "Scanner",
+    "measure",
+    "preset",
+    "scan",
+    "take",
+]

@@ -281,22 +281,24 @@ def test_a_measured_cameras_blur_follows_its_curve_over_all_distances(mitsuba_re
     assert np.abs(factor * ratio - 1).max() < 0.05
 
 
-def test_a_measured_projectors_blur_follows_its_curve_far_from_focus(mitsuba_renderer, shared):
-    """scanner_sim's projector where its spot is large: nearer than 0.35 m and farther than 0.595 m.
+def test_a_measured_projectors_blur_has_its_shape_over_all_distances(mitsuba_renderer, shared):
+    """scanner_sim's projector: the curve, scaled to a largest value of 1, is met within 0.1.
 
-    Between, the published figures are up to 1.8 times below any evenly lit disc of the published
-    aperture and focus. They are twice the R of a fit of `scale / (1 + exp(r - R) / sigma)` to a
-    spot, and that function determines only `R + ln(sigma)`; sigma was not published.
+    It is not met within 10 % point by point: between 0.35 and 0.595 m the published figures are up
+    to 1.8 times below any evenly lit disc of the published aperture and focus. They are twice the R
+    of a fit of `scale / (1 + exp(r - R) / sigma)` to a spot, and that function determines only
+    `R + ln(sigma)`; sigma was not published.
     """
     z, blur, *lens = measured_curve(shared, "projector")
-    outer = np.flatnonzero((z < 0.35) | (z > 0.595))
-    pick = outer[np.linspace(0, len(outer) - 1, 9).astype(int)]
+    pick = np.linspace(0, len(z) - 1, 13).astype(int)
     ratio = simulated_over_measured(
         mitsuba_renderer, shared, "projector", z[pick], blur[pick], lens
     )
-    factor = 1 / np.exp(np.log(ratio).mean())
-    assert factor == pytest.approx(PER_DEVIATION["projector"], rel=0.05)
-    assert np.abs(factor * ratio - 1).max() < 0.10
+    factors = np.linspace(0.8, 1.2, 81)[:, None] * PER_DEVIATION["projector"]
+    off = np.abs(factors * ratio - 1) * blur[pick] / blur.max()
+    best = off.max(axis=1).argmin()
+    assert factors[best, 0] == pytest.approx(PER_DEVIATION["projector"], rel=0.1)
+    assert off[best].max() < 0.10
 
 
 def test_the_radius_in_the_renderer_is_the_one_that_optics_states(mitsuba_renderer):

@@ -1,10 +1,12 @@
 """What the commands' arguments have in common."""
 
 import argparse
+import math
 from collections.abc import Callable
 from pathlib import Path
 
-from ..rig import PRESETS
+from ..errors import GraycastError
+from ..rig import PRESETS, RESOLUTIONS
 
 Run = Callable[[argparse.Namespace], int | None]
 
@@ -13,7 +15,7 @@ def add_command(into, name: str, run: Run, help: str) -> argparse.ArgumentParser
     """A parser for one command among others."""
     made = into.add_parser(name, help=help, description=help)
     made.add_argument("--debug", action="store_true", help="show the traceback of an error")
-    made.set_defaults(run=run)
+    made.set_defaults(run=run, when_stopped="nothing was written")
     return made
 
 
@@ -44,7 +46,7 @@ def add_rig(parser: argparse.ArgumentParser) -> None:
 
 def add_resolution(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
-        "--resolution", choices=("low", "full"), default="low", help="of a preset (default low)"
+        "--resolution", choices=RESOLUTIONS, help="of a preset (default low); a file has its own"
     )
 
 
@@ -52,13 +54,27 @@ def resolve_rig_option(options: argparse.Namespace):
     """The scanner that `rig` and `--resolution` mean."""
     from ..rig_file import resolve_scanner
 
-    return resolve_scanner(options.rig, folder=Path(), resolution=options.resolution)
+    if options.resolution is not None and options.rig not in PRESETS:
+        raise GraycastError(
+            f"--resolution is of a preset; {options.rig} has its own sizes: leave it out"
+        )
+    return resolve_scanner(options.rig, folder=Path(), resolution=options.resolution or "low")
 
 
 def positive(text: str) -> int:
     if not text.isdecimal() or int(text) < 1:
         raise argparse.ArgumentTypeError(f"{text!r} is not a whole number from 1 up")
     return int(text)
+
+
+def above_zero(text: str) -> float:
+    try:
+        value = float(text)
+    except ValueError:
+        value = math.nan
+    if not 0 < value < math.inf:
+        raise argparse.ArgumentTypeError(f"{text!r} is not a number above 0")
+    return value
 
 
 def seed(text: str) -> int:

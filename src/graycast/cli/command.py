@@ -27,16 +27,24 @@ def main(arguments: Sequence[str] | None = None) -> int:
     try:
         return options.run(options) or 0
     except KeyboardInterrupt:
-        print("graycast: stopped; finished scenes are kept", file=sys.stderr)
+        print(f"graycast: stopped; {options.when_stopped}", file=sys.stderr)
         return 130
     except (GraycastError, ValueError, OSError, MemoryError) as error:
         if options.debug:
             raise
-        text = " ".join(str(error).split()) or type(error).__name__
-        if isinstance(error, OSError):
-            text += ": check that path, that you may write there, and the free space"
+        text = _told(error)
         print(f"graycast: error: {text}", file=sys.stderr)
         return 1
+
+
+def _told(error: Exception) -> str:
+    """An error in one line; the system's own are told by path first."""
+    text = " ".join(str(error).split()) or type(error).__name__
+    if not isinstance(error, OSError):
+        return text
+    if error.filename is not None and error.strerror:
+        text = f"{error.filename}: {error.strerror.lower()}"
+    return f"{text}: check that path, that you may write there, and the free space"
 
 
 def _parser() -> argparse.ArgumentParser:

@@ -19,6 +19,7 @@ from .arguments import (
 
 def add_commands(commands) -> None:
     generate = add_command(commands, "generate", _generate, "Make a dataset, or go on with one.")
+    generate.set_defaults(when_stopped="finished scenes are kept")
     add_config(generate)
     generate.add_argument("--out", type=Path, required=True, help="the dataset's folder")
     generate.add_argument("--scenes", type=positive, help="how many (default: as configured)")

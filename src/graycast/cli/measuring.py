@@ -6,6 +6,7 @@ from pathlib import Path
 
 from ..errors import GraycastError
 from .arguments import (
+    above_zero,
     add_command,
     add_device,
     add_resolution,
@@ -15,6 +16,7 @@ from .arguments import (
     resolve_rig_option,
     size,
 )
+from .folder import whole_folder
 
 
 def add_commands(commands) -> None:
@@ -44,7 +46,12 @@ def add_commands(commands) -> None:
         "depth", type=Path, nargs="*", help="NPY, PNG, PLY, folders of them, or our datasets"
     )
     realism.add_argument("--intrinsics", metavar="K", help="fx,fy,cx,cy or a file with K")
-    realism.add_argument("--scale", type=float, metavar="METRES", help="of one unit of depth")
+    realism.add_argument(
+        "--scale",
+        type=above_zero,
+        metavar="METRES",
+        help="of one unit of depth: 0.001 for millimetres; integers need it, floats are metres",
+    )
     realism.add_argument("--size", type=size, metavar="WxH", help="of PLYs that do not say it")
     realism.add_argument("--gray", type=Path, nargs="+", default=(), help="a picture per map")
     realism.add_argument("--reason", type=Path, nargs="+", default=(), help="reasons per map")
@@ -70,7 +77,7 @@ def _certify(options: argparse.Namespace) -> int:
     from ..metrology import certify, describe, write_certificate
 
     scanner = resolve_rig_option(options)
-    with progress_bar() as bar:
+    with whole_folder(options.out) as folder, progress_bar() as bar:
         task = bar.add_task("scenes", total=None)
 
         def on_progress(done: int, total: int, what: str) -> None:
@@ -79,8 +86,9 @@ def _certify(options: argparse.Namespace) -> int:
         certificate = certify(
             scanner, device=options.device, seed=options.seed, on_progress=on_progress
         )
+        page = write_certificate(certificate, folder)
     print(describe(certificate))
-    print(write_certificate(certificate, options.out))
+    print(options.out / page.name)
     return 0
 
 
@@ -88,7 +96,6 @@ def _realism(options: argparse.Namespace) -> int:
     from ..decode import Reason
     from ..realism import (
         RECORD_FILE,
-        draw_realism,
         measure,
         pool,
         read_intrinsics,
@@ -100,11 +107,21 @@ def _realism(options: argparse.Namespace) -> int:
     if (options.compare is None) == (not options.depth):
         raise GraycastError("give depth maps to measure, or --compare and two measured sets")
     if options.compare is not None:
+        if options.out is not None and (options.out / RECORD_FILE).exists():
+            raise GraycastError(
+                f"{options.out}: is itself a measured set: give --out another folder"
+            )
         records = [_record(path) for path in options.compare]
-    else:
-        if options.out is None:
-            raise GraycastError("say with --out where the measurement goes")
-        K = None if options.intrinsics is None else read_intrinsics(options.intrinsics)
+        print(table(*records))
+        if options.out is not None:
+            with whole_folder(options.out) as folder:
+                _write_table(records, folder)
+            print(options.out)
+        return 0
+    if options.out is None:
+        raise GraycastError("say with --out where the measurement goes")
+    K = None if options.intrinsics is None else read_intrinsics(options.intrinsics)
+    with whole_folder(options.out) as folder:
         scans = read_scans(
             options.depth,
             K=K,
@@ -115,17 +132,19 @@ def _realism(options: argparse.Namespace) -> int:
             size_px=options.size,
         )
         name = options.out.name or str(options.out)
-        records = [pool((measure(scan) for scan in scans), name=name)]
-    text = table(*records)
-    print(text)
-    if options.out is not None:
-        options.out.mkdir(parents=True, exist_ok=True)
-        (options.out / "table.txt").write_text(text + "\n", encoding="utf-8")
-        draw_realism(records, options.out / "plots.png")
-        if len(records) == 1:
-            write_record(records[0], options.out / RECORD_FILE)
-        print(options.out)
+        record = pool((measure(scan) for scan in scans), name=name)
+        _write_table([record], folder)
+        write_record(record, folder / RECORD_FILE)
+    print(table(record))
+    print(options.out)
     return 0
+
+
+def _write_table(records: list, folder: Path) -> None:
+    from ..realism import draw_realism, table
+
+    (folder / "table.txt").write_text(table(*records) + "\n", encoding="utf-8")
+    draw_realism(records, folder / "plots.png")
 
 
 def _record(path: Path):
@@ -139,6 +158,10 @@ def _record(path: Path):
 
 def _files(paths: Sequence[Path]) -> list[Path]:
     """Files as they are, and what lies in folders, by name."""
-    return [
-        file for path in paths for file in (sorted(path.iterdir()) if path.is_dir() else [path])
-    ]
+    files = []
+    for path in paths:
+        inside = sorted(path.iterdir()) if path.is_dir() else [path]
+        if not inside:
+            raise GraycastError(f"{path}: is an empty folder: give pictures")
+        files += inside
+    return files

@@ -6,7 +6,8 @@ from pathlib import Path
 
 from ..errors import GraycastError
 from ..pattern import CODECS
-from .arguments import add_command, add_rig, resolve_rig_option, size
+from .arguments import above_zero, add_command, add_rig, resolve_rig_option, size
+from .folder import whole_folder
 
 
 def add_commands(commands) -> None:
@@ -37,8 +38,10 @@ def _add_import(rigs) -> None:
     load.add_argument("calibration", type=Path, help="YAML, XML, JSON or NPZ with K, D, R, T")
     load.add_argument("--out", type=Path, required=True, help="the YAML to write")
     load.add_argument("--unit", choices=("m", "mm"), help="of T; asked for where it is unclear")
-    load.add_argument("--near", type=float, help="nearest working distance [m]")
-    load.add_argument("--far", type=float, help="farthest (default: where both fields overlap)")
+    load.add_argument("--near", type=above_zero, help="nearest working distance [m]")
+    load.add_argument(
+        "--far", type=above_zero, help="farthest (default: where both fields overlap)"
+    )
     for device in ("camera", "projector"):
         load.add_argument(
             f"--{device}-size", type=size, metavar="WxH", help="where the file states none"
@@ -61,8 +64,8 @@ def _add_calibrate(rigs) -> None:
         help="chessboard:9x6:0.025 (squares, side [m]) or charuco:8x5:0.03:0.022:DICT_5X5_100",
     )
     calibrate.add_argument("--out", type=Path, required=True, help="the YAML to write")
-    calibrate.add_argument("--near", type=float, help="nearest working distance [m]")
-    calibrate.add_argument("--far", type=float, help="farthest (default: as the boards lay)")
+    calibrate.add_argument("--near", type=above_zero, help="nearest working distance [m]")
+    calibrate.add_argument("--far", type=above_zero, help="farthest (default: as the boards lay)")
     calibrate.add_argument(
         "--radial-terms", type=int, choices=range(4), default=3, help="of distortion (default 3)"
     )
@@ -114,16 +117,27 @@ def _patterns(options: argparse.Namespace) -> int:
 
     scanner = resolve_rig_option(options)
     spec = scanner.code
-    if options.codec is not None:
+    if options.codec not in (None, spec.codec):  # the numbers of the rig's own code stay its own
         spec = CodeSpec(codec=options.codec, axes=spec.axes)
     if options.inverses:
         spec = replace(spec, inverses=True)
     projector = scanner.rig.projector
     code = spec.code(projector.width_px, projector.height_px)
-    for path in write_pngs(
-        code, options.out, grey_levels=lambda share: grey_levels(scanner.rig, share)
-    ):
-        print(path)
+    with whole_folder(options.out) as folder:
+        written = [
+            path.name
+            for path in write_pngs(
+                code, folder, grey_levels=lambda share: grey_levels(scanner.rig, share)
+            )
+        ]
+        others = {path.name for path in options.out.glob("*.png")}.difference(written)
+        if others:
+            raise GraycastError(
+                f"{options.out}: holds pictures of another code, such as {min(others)}: "
+                "a projector would show both; choose an empty folder"
+            )
+    for name in written:
+        print(options.out / name)
     return 0
 
 

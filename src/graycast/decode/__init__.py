@@ -4,6 +4,7 @@ from .filters import FilterSpec, filter_depth
 from .maps import CodeMap, DecodeSpec, DepthMap, Levels, Reason, levels_of
 from .plain import decode_plain
 from .reading import decode
+from .separation import separate
 from .triangulation import epipolar_residual_px, triangulate, triangulation_axis
 
 __all__ = [
@@ -18,6 +19,7 @@ __all__ = [
     "epipolar_residual_px",
     "filter_depth",
     "levels_of",
+    "separate",
     "triangulate",
     "triangulation_axis",
 ]

@@ -17,7 +17,7 @@ class Reason(IntEnum):
     LOW_MODULATION = 2  # it does, but too weakly to be believed
     SATURATED = 3
     CONTRADICTORY = 4  # bits or phases that no single place of the projector shows
-    INTERREFLECTION = 5  # the coarse code contradicts the fine one, as light from elsewhere does
+    INTERREFLECTION = 5  # a coarse bit in doubt far from its edges, or against the fine code
     OUTSIDE_PROJECTOR = 6
     OUT_OF_RANGE = 7  # no depth within the rig's working range
     OUTLIER = 8  # taken out by a filter, or off the epipolar line
@@ -67,7 +67,9 @@ class DecodeSpec:
     of the sensor's range. A bit is doubtful where its signal is under `doubt` times that contrast.
     At any place of a Gray code at most one bit is changing, so two doubtful bits of an axis
     contradict each other; its `fine_bits` finest bits do not count: there a pixel may see several
-    stripes and still be right, and doubt only widens `sigma`. Where both axes are coded, a point
+    stripes and still be right, and doubt only widens `sigma`. A single doubtful bit contradicts where
+    misreading it would cost more than 2^fine_bits values; under a phase code, half a period, and
+    `fine_bits` is not used. Where both axes are coded, a point
     farther from its epipolar line than `max_epipolar_px` and three standard deviations is an
     outlier; 0 lets all pass.
     """

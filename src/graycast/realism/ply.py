@@ -41,8 +41,11 @@ def read_ply(path: Path, size_px: tuple[int, int] | None = None) -> OrganisedClo
         DatasetError: it is no PLY, is cut off, or its size is unknown or another.
     """
     header, body = _split(path)
-    count, names = _vertices(path, header)
-    order = _order(path, header)
+    try:
+        count, names = _vertices(path, header)
+        order = _order(path, header)
+    except (ValueError, IndexError) as error:
+        raise DatasetError(f"{path}: its header is damaged: export it again") from error
     if order == "=":
         table = _ascii(path, body, count, names)
     else:

@@ -91,9 +91,12 @@ def read_intrinsics(text: str) -> Float[np.ndarray, "3 3"]:
         else:
             fx, fy, cx, cy = (float(word) for word in text.split(","))
             K = np.array([[fx, 0.0, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]])
-    except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
+    except (OSError, ValueError, KeyError, TypeError, AttributeError, StopIteration) as error:
         raise DatasetError(f"intrinsics {text}: cannot be read: {wanted}") from error
-    if K.shape != (3, 3) or not np.allclose(K[2], [0, 0, 1]) or min(K[0, 0], K[1, 1]) <= 0:
+    if K.shape != (3, 3):
+        shape = " x ".join(str(length) for length in K.shape)
+        raise DatasetError(f"intrinsics {text}: holds {shape} numbers: {wanted}")
+    if not (np.isfinite(K).all() and np.allclose(K[2], [0, 0, 1]) and min(K[0, 0], K[1, 1]) > 0):
         raise DatasetError(f"intrinsics {text}: {K.tolist()} is no camera matrix: {wanted}")
     return K
 
@@ -128,16 +131,24 @@ def _read_depth(
     else:
         value = _load_npy(path) if path.suffix.lower() == ".npy" else _read_image(path)
     if K is None:
-        raise DatasetError(f"{path}: its camera is not known: give the intrinsics")
+        raise DatasetError(
+            f"{path}: its camera is not known: give the intrinsics (--intrinsics fx,fy,cx,cy)"
+        )
     if value.ndim != 2:
         raise DatasetError(f"{path}: has the shape {value.shape}: a depth map has rows and columns")
-    if np.issubdtype(value.dtype, np.integer) and scale_m is None:
-        raise DatasetError(f"{path}: has {value.dtype} numbers: give the scale, metres per unit")
+    if value.dtype.kind not in "uif":
+        raise DatasetError(f"{path}: has {value.dtype} numbers: depth is integers or floats")
+    if value.dtype.kind in "ui" and scale_m is None:
+        raise DatasetError(
+            f"{path}: has {value.dtype} numbers: give the scale, metres per unit (--scale 0.001)"
+        )
     return metres(value, 1.0 if scale_m is None else scale_m, str(path)), gray, K
 
 
 def metres(value: np.ndarray, scale_m: float, name: str) -> Float[np.ndarray, "h w"]:
     """Depth [m] in which 0 and what is not finite is NaN."""
+    if not 0 < scale_m < np.inf:
+        raise DatasetError(f"{name}: scale is {scale_m}; metres per unit, above 0")
     known = np.isfinite(value) & (value != 0)
     depth_m = np.where(known, value.astype(np.float64) * scale_m, np.nan)
     if known.any() and np.nanmedian(depth_m) > _FARTHEST_M:
@@ -245,6 +256,8 @@ def _read_reason(path: Path) -> UInt8[np.ndarray, "h w"]:
 
 
 def _load_npy(path: Path) -> np.ndarray:
+    if not path.is_file():
+        raise DatasetError(f"{path}: no such file: check the path")
     try:
         return np.load(path)
     except (OSError, ValueError, EOFError) as error:

@@ -48,9 +48,11 @@ class ExposureSection(Settings):
 class SensorSection(Settings):
     """The sensor in EMVA 1288 terms, and the stop of the lens before it."""
 
-    pixel_pitch_m: Positive | None = None
+    pixel_pitch_m: Annotated[float, Field(gt=0, le=1e-3)] | None = None
     quantum_efficiency: Annotated[float, Field(gt=0, le=1)] | None = None
-    wavelength_m: Positive | None = Field(None, description="of the light that is measured")
+    wavelength_m: Annotated[float, Field(gt=0, le=1e-4)] | None = Field(
+        None, description="of the light that is measured"
+    )
     f_number: Positive | None = None
     lens_transmission: Annotated[float, Field(gt=0, le=1)] | None = None
     full_well_e: Positive | None = None
@@ -118,9 +120,10 @@ def with_sections(scanner: Scanner, sections: ScannerSections) -> Scanner:
     """
     held = {name: getattr(scanner, name) for name in ScannerSections.model_fields}
     try:
-        return replace(scanner, **_values(held, sections))
+        changed = replace(scanner, **_values(held, sections))
     except ValueError as error:
         raise ConfigError(str(error)) from error
+    return _with_a_code(changed)
 
 
 def scanner_of(rig: Rig, sections: ScannerSections) -> Scanner:
@@ -131,9 +134,19 @@ def scanner_of(rig: Rig, sections: ScannerSections) -> Scanner:
     """
     defaults = {f.name: f.default_factory() for f in fields(Scanner) if f.name != "rig"}
     try:
-        return Scanner(rig=rig, **_values(defaults, sections))
+        made = Scanner(rig=rig, **_values(defaults, sections))
     except ValueError as error:
         raise ConfigError(str(error)) from error
+    return _with_a_code(made)
+
+
+def _with_a_code(scanner: Scanner) -> Scanner:
+    """Refuse numbers that make no code on this projector when they are read, not when it scans."""
+    try:
+        scanner.patterns()
+    except ValueError as error:
+        raise ConfigError(f"code: {error}") from error
+    return scanner
 
 
 def _values(held: dict[str, Any], sections: ScannerSections) -> dict[str, Any]:

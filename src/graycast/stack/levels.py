@@ -7,6 +7,7 @@ from jaxtyping import Float, Num, UInt8, UInt16
 from scipy.ndimage import convolve, uniform_filter
 
 from ..decode import Levels
+from ..errors import DecodeError
 from ..pattern import Code
 from .description import LevelsSection
 
@@ -52,6 +53,9 @@ def measure_levels(frames: Stack, code: Code, known: LevelsSection) -> MeasuredL
 
     What is stated in the stack file is taken instead.
 
+    Raises:
+        DecodeError: the offset that is stated lies above saturation.
+
     Leaves out: a gamma, which makes noise fall with brightness where photons make it rise.
 
     Source: J. Immerkaer, "Fast Noise Variance Estimation", CVIU 64, 1996.
@@ -64,6 +68,11 @@ def measure_levels(frames: Stack, code: Code, known: LevelsSection) -> MeasuredL
     words.append(f"saturation {saturation_dn:g} DN ({why})")
     offset_dn, why = float(np.percentile(low, 1)), "darkest frame, first percentile"
     if known.offset_dn is not None:
+        if known.offset_dn >= saturation_dn:
+            raise DecodeError(
+                f"levels.offset_dn is {known.offset_dn:g}, but pixels saturate at "
+                f"{saturation_dn:g} DN: are they exchanged?"
+            )
         offset_dn, why = known.offset_dn, "as stated"
     offset_dn = min(offset_dn, saturation_dn - 1)
     words.append(f"offset {offset_dn:g} DN ({why})")

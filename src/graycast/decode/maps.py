@@ -67,11 +67,10 @@ class DecodeSpec:
     of the sensor's range. A bit is doubtful where its signal is under `doubt` times that contrast.
     At any place of a Gray code at most one bit is changing, so two doubtful bits of an axis
     contradict each other; its `fine_bits` finest bits do not count: there a pixel may see several
-    stripes and still be right, and doubt only widens `sigma`. A single doubtful bit contradicts where
-    misreading it would cost more than 2^fine_bits values; under a phase code, half a period, and
-    `fine_bits` is not used. Where both axes are coded, a point
-    farther from its epipolar line than `max_epipolar_px` and three standard deviations is an
-    outlier; 0 lets all pass.
+    stripes and still be right, and doubt only widens `sigma`. A single doubtful bit contradicts
+    where misreading it would cost more than 2^fine_bits values; under a phase code, half a period,
+    and `fine_bits` is not used. Where both axes are coded, a point farther from its epipolar line
+    than `max_epipolar_px` and three standard deviations is an outlier; 0 lets all pass.
     """
 
     min_contrast: float = 0.02

@@ -26,6 +26,7 @@ ORDER = (
     "photon_transfer",
     "decode",
     "scanner",
+    "picture",
     "rig_file",
     "stack",
     "dataset",

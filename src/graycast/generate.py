@@ -21,10 +21,9 @@ from typing import Any
 
 import numba
 import numpy as np
-from jaxtyping import Float, UInt8
+from jaxtyping import UInt8
 
 from . import __version__
-from .color import srgb
 from .config import (
     Config,
     file_digests,
@@ -41,15 +40,13 @@ from .decode import CodeMap, Reason
 from .drop import drop
 from .errors import GraycastError
 from .pattern import Code
+from .picture import color_picture, gray_picture
 from .render import Rendering, open_renderer
-from .render.denoise import denoise
 from .render.device import choose_device, open_device
 from .rig import grey_levels, place, standoff_m
 from .scanner import Scanner, measure, take
 from .scene import Scene
-from .sensor import Capture, SensorSpec, auto_exposure_s, expose
-
-PICTURE_PERCENTILE, PICTURE_TARGET = 98.0, 0.85
+from .sensor import Capture
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -171,7 +168,12 @@ def make_scene(cell: Cell, scene_id: int, *, seed: int, device: str) -> Shot:
     with _timed(timings, "sensor"):
         capture = take(cell.scanner, rendering.radiance, seed=seeds["noise"])
     with _timed(timings, "picture"):
-        rgb = _picture(cell, rendering, seed=seeds["picture"], device=device)
+        rgb = color_picture(
+            cell.scanner,
+            rendering,
+            denoise_on=device if config.render.denoise else None,
+            seed=seeds["picture"],
+        )
     with _timed(timings, "decode"):
         codes, depth = measure(cell.scanner, capture)
     manifest = {
@@ -196,7 +198,7 @@ def make_scene(cell: Cell, scene_id: int, *, seed: int, device: str) -> Shot:
         layout=layout,
         truth=rendering.truth,
         rgb=rgb,
-        gray=_gray(capture),
+        gray=gray_picture(capture),
         scanner=depth,
         modulation=codes.modulation,
         manifest=manifest,
@@ -212,43 +214,6 @@ def _counts(cell: Cell, scene_id: int, rng: np.random.Generator) -> tuple[int, .
     if cell.config.mix:
         return tuple(int(n) for n in rng.multinomial(total, np.full(kinds, 1 / kinds)))
     return tuple(total if kind == scene_id % kinds else 0 for kind in range(kinds))
-
-
-def _picture(
-    cell: Cell, rendering: Rendering, *, seed: int, device: str
-) -> UInt8[np.ndarray, "h w 3"]:
-    """The colour picture: lamps, environment and the projector's idle level, 8-bit sRGB."""
-    radiance = rendering.radiance
-    rig = cell.scene.rig
-    black = 1 / rig.contrast_ratio
-    idle = (1 - black) * rig.picture_level + black
-    linear = radiance.ambient_rgb + np.float32(idle) * radiance.white_rgb
-    if cell.config.render.denoise:
-        linear = denoise(linear, radiance.albedo, rendering.truth.normal, device=device)
-    if not linear.max() > 0:
-        raise ValueError(
-            "the colour picture is black: give light.environment or light.lamps some radiance, "
-            "or the rig a picture_level"
-        )
-    bands = np.ascontiguousarray(np.moveaxis(np.maximum(linear, 0), -1, 0), dtype=np.float32)
-    exposure_s = auto_exposure_s(
-        bands, cell.scanner.sensor, percentile=PICTURE_PERCENTILE, target=PICTURE_TARGET
-    )
-    capture = expose(bands, None, cell.scanner.sensor, exposure_s=exposure_s, seed=seed)
-    return srgb(np.moveaxis(_share(capture.frames, capture.sensor), 0, -1))
-
-
-def _gray(capture: Capture) -> UInt8[np.ndarray, "h w"]:
-    """The white frame as the measuring camera saw it, at its longest exposure, linear, 8 bit."""
-    share = _share(capture.frames[0], capture.sensor)
-    share = np.minimum(share * (np.max(capture.exposure_s) / capture.exposure_s), 1)
-    return np.round(share * 255).astype(np.uint8)
-
-
-def _share(dn: np.ndarray, sensor: SensorSpec) -> Float[np.ndarray, "*n"]:
-    """Digital numbers as a share of the sensor's range, 0 to 1."""
-    offset_dn = np.float32(sensor.offset_dn)
-    return np.clip((dn - offset_dn) / np.float32(sensor.saturation_dn - sensor.offset_dn), 0, 1)
 
 
 @contextmanager

@@ -103,8 +103,8 @@ def take(scanner: Scanner, radiance: Radiance, *, seed: int) -> Capture:
     """
     stack, background = camera_light(radiance, scanner.rig)
     exposure = scanner.exposure
-    longest_s = exposure.exposure_s or auto_exposure_s(
-        stack[_white(scanner.patterns())] + background,
+    time_s = exposure.exposure_s or auto_exposure_s(
+        stack[scanner.patterns().brightest] + background,
         scanner.sensor,
         percentile=exposure.percentile,
         target=exposure.target,
@@ -112,14 +112,10 @@ def take(scanner: Scanner, radiance: Radiance, *, seed: int) -> Capture:
     seeds = np.random.SeedSequence(seed).generate_state(len(exposure.factors), np.uint64)
     return merge_exposures(
         [
-            expose(stack, background, scanner.sensor, exposure_s=factor * longest_s, seed=int(own))
+            expose(stack, background, scanner.sensor, exposure_s=factor * time_s, seed=int(own))
             for factor, own in zip(exposure.factors, seeds, strict=True)
         ]
     )
-
-
-def _white(code: Code) -> int:
-    return next((k for k, frame in enumerate(code.frames) if frame.kind == "white"), 0)
 
 
 def measure(scanner: Scanner, capture: Capture) -> tuple[CodeMap, DepthMap]:

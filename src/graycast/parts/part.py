@@ -16,7 +16,7 @@ class Material:
     an index of 1.5; 0 has no coat: a perfect Lambertian). `metallic` 1 is a conductor whose normal
     reflectance is the base colour.
     `roughness` is perceptual: the GGX alpha is its square; mirrors (below 0.05) are refused, since
-    no path finds a pinhole projector's mirror image.
+    no path finds the mirror image of a projector's lens.
 
     `projector_reflectance` takes the place of colour and texture in the light of the measuring
     camera, whose filter passes the projector's wavelength alone; None leaves it to the bands.

@@ -210,7 +210,7 @@ def _draw_frames(sheet: _Sheet, shot: Shot, code: Code) -> None:
     camera = shot.sample.scene.rig.camera
     width, height = (-(-side // _CLOSE_UP) for side in sheet.tile_px)
     left, top = (camera.width_px - width) // 2, (camera.height_px - height) // 2
-    white = sheet.picture("white frame", _shown(shot, _white(code)))
+    white = sheet.picture("white frame", _shown(shot, code.brightest))
     if left > 0 and top > 0:
         white.add_patch(_rectangle(left, top, width, height, color="#ffcc33"))
     sheet.picture(_title(code.frames[coarse]), _shown(shot, coarse))
@@ -219,11 +219,6 @@ def _draw_frames(sheet: _Sheet, shot: Shot, code: Code) -> None:
         ax.images[0].set_interpolation("nearest")
         ax.set(xlim=(left - 0.5, left + width - 0.5), ylim=(top + height - 0.5, top - 0.5))
         _note(ax, f"middle, magnified to {_CLOSE_UP} x {_CLOSE_UP} per pixel")
-
-
-def _white(code: Code) -> int:
-    """The white frame, or whatever is first."""
-    return next((k for k, frame in enumerate(code.frames) if frame.kind == "white"), 0)
 
 
 def _title(frame: Frame) -> str:

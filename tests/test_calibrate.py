@@ -416,6 +416,7 @@ def test_a_view_whose_board_moved_is_named(camera_rays, truth_poses, gray_views)
     assert named and all("pose4" in warning for warning in named)
 
 
+@pytest.mark.slow
 def test_few_parallel_boards_are_warned_of(camera_rays):
     views = []
     for i, z_m in enumerate((0.5, 0.55, 0.6)):

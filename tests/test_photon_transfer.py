@@ -24,8 +24,14 @@ def returns(measured, spec):
     "spec",
     [
         SPEC,
-        SensorSpec(bit_depth=16, gain_dn_per_e=3.0, full_well_e=18_000.0, read_noise_e=7.0),
-        SensorSpec(f_number=2.8, gain_dn_per_e=1.5, full_well_e=2500.0, read_noise_e=2.0),
+        pytest.param(
+            SensorSpec(bit_depth=16, gain_dn_per_e=3.0, full_well_e=18_000.0, read_noise_e=7.0),
+            marks=pytest.mark.slow,
+        ),
+        pytest.param(
+            SensorSpec(f_number=2.8, gain_dn_per_e=1.5, full_well_e=2500.0, read_noise_e=2.0),
+            marks=pytest.mark.slow,
+        ),
     ],
 )
 def test_photon_transfer_returns_the_parameters_that_went_in(spec):
@@ -37,7 +43,7 @@ def test_photon_transfer_returns_the_parameters_that_went_in(spec):
     assert abs(measured.prnu - spec.prnu) < 0.03 * spec.prnu + 5e-4 * (spec.prnu == 0)
 
 
-@pytest.mark.parametrize("factor", [0.97, 1.03])
+@pytest.mark.parametrize("factor", [pytest.param(0.97, marks=pytest.mark.slow), 1.03])
 def test_noise_that_is_3_percent_wrong_is_noticed(monkeypatch, factor):
     """The temporal noise of every picture stretched about its level, which stays."""
 
@@ -56,12 +62,14 @@ def test_noise_that_is_3_percent_wrong_is_noticed(monkeypatch, factor):
     assert not returns(photon_transfer(fine, seed=3, stack=8), fine)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["gain_dn_per_e", "read_noise_e", "full_well_e"])
 def test_a_parameter_3_percent_off_is_noticed(name):
     wrong = replace(SPEC, **{name: 1.03 * getattr(SPEC, name)})
     assert not returns(photon_transfer(wrong, seed=2, stack=8), SPEC)
 
 
+@pytest.mark.slow
 def test_the_greatest_variance_lies_where_a_cut_normal_law_has_it():
     """Oracle: variance of min(normal(mu, mu), well), scanned; the levels are 2 % apart."""
     quantile = stats.norm.ppf((np.arange(20_000) + 0.5) / 20_000)
@@ -73,6 +81,7 @@ def test_the_greatest_variance_lies_where_a_cut_normal_law_has_it():
     assert measured.saturation_capacity_e < 0.99 * measured.full_well_e
 
 
+@pytest.mark.slow
 def test_what_the_converter_hides_is_nan():
     """A well beyond the converter; dark noise of less than half a digital number."""
     deep = SensorSpec(full_well_e=20_000.0)
@@ -83,6 +92,7 @@ def test_what_the_converter_hides_is_nan():
     assert abs(measured.gain_dn_per_e / 0.025 - 1) < 0.02
 
 
+@pytest.mark.slow
 def test_what_cannot_be_measured_is_refused_with_a_remedy():
     with pytest.raises(ValueError, match="raise offset_dn"):
         photon_transfer(SensorSpec(offset_dn=1.0), seed=0)

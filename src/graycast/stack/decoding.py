@@ -96,7 +96,10 @@ def decode_stack(path: Path, rig: Rig | None = None, *, average: bool = False) -
     pictures = read_pictures([path.parent / section.file for section in description.frames])
     _check_camera(pictures, rig, path)
     clock.lap("read")
-    levels = measure_levels(pictures.frames, code, description.levels)
+    try:
+        levels = measure_levels(pictures.frames, code, description.levels)
+    except DecodeError as error:
+        raise DecodeError(f"{path}: {error}") from error
     clock.lap("levels")
     codes = decode(pictures.frames, code, spec, levels.levels)
     clock.lap("decode")

@@ -291,7 +291,7 @@ def test_ctrl_c_ends_with_code_130(capsys, monkeypatch):
 
     monkeypatch.setattr(machine, "_doctor", stop)
     assert main(["doctor"]) == 130
-    assert capsys.readouterr().err == "graycast: stopped; finished scenes are kept\n"
+    assert capsys.readouterr().err == "graycast: stopped; nothing was written\n"
 
 
 def test_an_error_of_several_lines_is_shown_as_one(capsys, monkeypatch):

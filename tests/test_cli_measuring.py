@@ -5,6 +5,7 @@ import json
 import numpy as np
 import pytest
 import trimesh
+import yaml
 from metrology.test_certify import small_scanner
 from stack import simulated
 from test_calibrate import (  # noqa: F401 (fixtures)
@@ -18,8 +19,10 @@ from test_calibrate import (  # noqa: F401 (fixtures)
     truth_poses,
 )
 
-from graycast.cli import main
+from graycast.cli import main, measuring
 from graycast.decode import Reason
+from graycast.errors import GraycastError
+from graycast.folder import whole_folder
 from graycast.pattern import AXES, gray, gray_phase, level_share
 from graycast.rig_file import load_scanner, save_scanner
 from graycast.scanner import Scanner
@@ -57,6 +60,9 @@ def test_decode_writes_what_the_documentation_lists(decoded):
     assert [name.lower() for name in codes["reasons"]] == [reason.name.lower() for reason in Reason]
     known = codes["reason"] == Reason.DECODED
     assert known.mean() > 0.4
+    light = np.load(out / "light.npz")
+    lit = light["direct"][known]
+    assert np.median(np.abs(light["global"][known]) / lit) < 0.1  # a wall and a ball, alone
     # Pixels of the simulated projector are sharp: half a pixel, and noise.
     for name in AXES:
         assert np.abs(codes[name] - getattr(truth, name))[known].max() < 0.7
@@ -111,6 +117,165 @@ def test_what_is_missing_is_named(capsys, tmp_path, monkeypatch, arguments, said
     assert main(arguments) == 1
     assert said in capsys.readouterr().err
     assert not list(tmp_path.iterdir())
+
+
+def refused(capsys, *arguments):
+    """The one line of a command that fails."""
+    assert main([str(argument) for argument in arguments]) == 1
+    complaint = capsys.readouterr().err
+    assert complaint.count("\n") == 1
+    return complaint
+
+
+K_TEXT = "190,190,79.5,59.5"
+
+
+@pytest.mark.parametrize(
+    ("array", "said"),
+    [
+        (np.full((40, 50), 0.8 + 1j), "complex128 numbers"),
+        (np.ones((40, 50), bool), "bool numbers"),
+        (np.full((40, 50), 800, np.uint16), "--scale 0.001"),
+        (np.full((2, 40, 50), 0.8), "a depth map has rows and columns"),
+    ],
+)
+def test_what_is_no_depth_map_is_refused_and_leaves_no_folder(capsys, tmp_path, array, said):
+    np.save(tmp_path / "z.npy", array)
+    out = tmp_path / "deep" / "out"
+    text = refused(capsys, "realism", tmp_path / "z.npy", "--intrinsics", K_TEXT, "--out", out)
+    assert said in text
+    assert [path.name for path in tmp_path.iterdir()] == ["z.npy"]
+
+
+@pytest.mark.parametrize("scale", ["0", "-0.001", "nan", "inf", "mm"])
+def test_a_scale_that_is_no_length_is_refused(capsys, scale):
+    with pytest.raises(SystemExit):
+        main(["realism", "z.png", "--scale", scale, "--intrinsics", K_TEXT, "--out", "o"])
+    assert "is not a number above 0" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("content", ["{}", "[1]", '{"fx": NaN, "fy": 1, "cx": 0, "cy": 0}'])
+def test_intrinsics_that_are_none_are_named(capsys, tmp_path, content):
+    np.save(tmp_path / "z.npy", np.full((40, 50), 0.8))
+    (tmp_path / "K.json").write_text(content)
+    text = refused(capsys, "realism", tmp_path / "z.npy", "--intrinsics", tmp_path / "K.json",
+                   "--out", tmp_path / "o")  # fmt: skip
+    assert "K.json" in text
+    assert "give fx,fy,cx,cy" in text
+
+
+@pytest.mark.parametrize(
+    "lines",
+    [
+        "element vertex many\nproperty float x\nproperty float y\nproperty float z",
+        "element vertex 2\nproperty",
+    ],
+)
+def test_a_damaged_ply_header_is_told_in_one_line(capsys, tmp_path, lines):
+    (tmp_path / "p.ply").write_text(f"ply\nformat ascii 1.0\n{lines}\nend_header\n")
+    text = refused(capsys, "realism", tmp_path / "p.ply", "--out", tmp_path / "o")
+    assert "p.ply: its header is damaged" in text
+
+
+def test_comparing_does_not_write_over_a_measured_set(capsys, tmp_path):
+    (tmp_path / "realism.json").write_text("{}")
+    text = refused(capsys, "realism", "--compare", "a", "b", "--out", tmp_path)
+    assert "is itself a measured set" in text
+
+
+def test_an_empty_folder_of_pictures_is_not_taken_for_none(capsys, tmp_path):
+    np.save(tmp_path / "z.npy", np.full((40, 50), 0.8))
+    (tmp_path / "gray").mkdir()
+    text = refused(capsys, "realism", tmp_path / "z.npy", "--intrinsics", K_TEXT,
+                   "--gray", tmp_path / "gray", "--out", tmp_path / "o")  # fmt: skip
+    assert "is an empty folder" in text
+
+
+@pytest.mark.parametrize("fault", [OSError(28, "No space left on device"), KeyboardInterrupt()])
+def test_a_folder_is_filled_wholly_or_not_at_all(tmp_path, fault):
+    kept = tmp_path / "there"
+    kept.mkdir()
+    (kept / "old").write_text("old")
+    for out in (kept, tmp_path / "new" / "deeper"):
+        with pytest.raises((GraycastError, KeyboardInterrupt)), whole_folder(out) as folder:
+            (folder / "old").write_text("half")
+            raise fault
+    assert [path.relative_to(tmp_path).as_posix() for path in sorted(tmp_path.rglob("*"))] == [
+        "there",
+        "there/old",
+    ]
+    assert (kept / "old").read_text() == "old"
+    with whole_folder(kept) as folder:
+        (folder / "old").write_text("new")
+    assert [(path.name, path.read_text()) for path in kept.iterdir()] == [("old", "new")]
+
+
+def test_certify_refuses_its_folder_before_it_works(capsys, tmp_path, monkeypatch):
+    (tmp_path / "file").write_text("x")
+    monkeypatch.setattr("graycast.metrology.certify", lambda *_, **__: pytest.fail("it worked"))
+    assert "file: cannot be written" in refused(
+        capsys, "certify", "paper", "--out", tmp_path / "file"
+    )
+
+
+def test_a_stopped_command_does_not_speak_of_scenes(capsys, monkeypatch):
+    def stop(*_):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("graycast.stack.decode_stack", stop)
+    monkeypatch.setattr(measuring, "resolve_rig_option", stop)
+    assert main(["decode", "s.yaml", "--rig", "paper", "--out", "o"]) == 130
+    assert capsys.readouterr().err == "graycast: stopped; nothing was written\n"
+
+
+def test_patterns_of_the_rigs_own_codec_keep_its_period(capsys, tmp_path):
+    """phoxi-s shows periods of 48 px; naming its codec once gave the codec's default of 16."""
+    run(capsys, "patterns", "phoxi-s", "--codec", "gray_phase", "--out", tmp_path)
+    assert list(tmp_path.glob("*_phase_48px_step00.png"))
+
+
+def test_patterns_of_two_codes_are_not_mixed_in_one_folder(capsys, tmp_path):
+    run(capsys, "patterns", "phoxi-s", "--out", tmp_path)
+    before = sorted(tmp_path.iterdir())
+    text = refused(capsys, "patterns", "phoxi-s", "--codec", "xor_gray", "--out", tmp_path)
+    assert "holds pictures of another code" in text
+    assert sorted(tmp_path.iterdir()) == before
+
+
+def test_a_resolution_is_not_ignored_beside_a_rig_file(capsys, tmp_path):
+    save_scanner(Scanner(rig=simulated.small_rig()), tmp_path / "rig.yaml")
+    text = refused(capsys, "rig", "show", tmp_path / "rig.yaml", "--resolution", "full")
+    assert "--resolution is of a preset" in text
+
+
+@pytest.mark.parametrize(
+    ("changes", "said"),
+    [
+        ({"code": {"codec": "gray_phase", "period_px": 5000}}, "code: column: one period spans"),
+        ({"code": {"codec": "gray_phase", "period_px": 1}}, "code: "),
+        ({"code": {"axes": []}}, "code: axes are ()"),
+        ({"sensor": {"wavelength_m": 525}}, "sensor.wavelength_m is 525"),
+        ({"sensor": {"pixel_pitch_m": 3.45}}, "sensor.pixel_pitch_m is 3.45"),
+    ],
+)
+def test_a_rig_file_whose_numbers_make_no_scanner_is_refused_on_reading(
+    capsys, tmp_path, changes, said
+):
+    path = tmp_path / "rig.yaml"
+    save_scanner(Scanner(rig=simulated.small_rig()), path)
+    path.write_text(yaml.safe_dump(yaml.safe_load(path.read_text()) | changes))
+    assert f"{path}: {said}" in refused(capsys, "rig", "show", path)
+
+
+def test_an_offset_above_saturation_is_refused_not_clamped(capsys, decoded, tmp_path):
+    _, folder, _ = decoded
+    content = yaml.safe_load((folder / "STACK.yaml").read_text())
+    content["levels"] = {"offset_dn": 300, "saturation_dn": 255}
+    path = folder / "exchanged.yaml"
+    path.write_text(yaml.safe_dump(content))
+    text = refused(capsys, "decode", path, "--out", tmp_path / "o")
+    assert f"{path}: levels.offset_dn is 300" in text
+    assert not (tmp_path / "o").exists()
 
 
 @pytest.mark.slow

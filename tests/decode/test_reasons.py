@@ -147,13 +147,14 @@ def test_a_code_that_the_projector_does_not_have_is_outside_of_it():
     assert one_pixel(code, change=change) is Reason.OUTSIDE_PROJECTOR
 
 
-def test_shadow_comes_before_all_and_saturated_before_contradictory():
+def test_saturated_comes_before_all():
+    """A pixel that is full in all frames shows no contrast, and is no shadow for it."""
     code = gray(256, 16)
 
     def change(stack):
         stack[:] = 255
 
-    assert one_pixel(code, change=change) is Reason.SHADOW
+    assert one_pixel(code, change=change) is Reason.SATURATED
 
     def glare(stack):
         stack[0] = 255

@@ -197,7 +197,10 @@ def test_a_stack_file_that_is_not_there_or_no_yaml_is_named(tmp_path):
 
 @pytest.mark.parametrize(
     ("level", "says"),
-    [(4, "nothing is lit: .*values are 4 to 4 DN"), (255, "nothing is lit: .*255 to 255 DN")],
+    [
+        (4, "nothing is lit: .*values are 4 to 4 DN"),
+        (255, "are saturated .*255 to 255 DN"),
+    ],
 )
 def test_pictures_that_are_all_dark_or_all_white_are_refused(level, says, make, shots):
     flat = np.full_like(shots[id(GRAY)], level)

@@ -5,6 +5,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from ..errors import GraycastError
+from ..folder import whole_folder
 from .arguments import (
     above_zero,
     add_command,
@@ -16,7 +17,6 @@ from .arguments import (
     resolve_rig_option,
     size,
 )
-from .folder import whole_folder
 
 
 def add_commands(commands) -> None:

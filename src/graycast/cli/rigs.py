@@ -5,9 +5,9 @@ import sys
 from pathlib import Path
 
 from ..errors import GraycastError
+from ..folder import whole_folder
 from ..pattern import CODECS
 from .arguments import above_zero, add_command, add_rig, resolve_rig_option, size
-from .folder import whole_folder
 
 
 def add_commands(commands) -> None:

@@ -40,11 +40,11 @@ def decode_plain(
     noise_dn2 = levels.floor_dn2 + levels.slope_dn * np.maximum(low - levels.offset_dn, 0)
     reason = np.select(
         [
+            high >= levels.saturation_dn,
             high - low < SHADOW_SIGMAS * np.sqrt(noise_dn2),
             strength < spec.min_contrast * levels.range_dn,
-            high >= levels.saturation_dn,
         ],
-        [Reason.SHADOW, Reason.LOW_MODULATION, Reason.SATURATED],
+        [Reason.SATURATED, Reason.SHADOW, Reason.LOW_MODULATION],
         why,
     ).astype(np.uint8)
     maps = []

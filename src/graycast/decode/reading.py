@@ -151,13 +151,13 @@ def _judge_row(high, low, strength, why, law, dark_dn, saturation_dn):
     shadow2, zero = np.float32(SHADOW_SIGMAS**2), np.float32(0)
     said = why.astype(np.int32)
     for x in range(len(why)):
-        said[x] = 3 if high[x] >= saturation_dn else said[x]
-    for x in range(len(why)):
         said[x] = said[x] if strength[x] >= dark_dn else 2
     for x in range(len(why)):
         noise2 = floor_dn2 + slope_dn * max(low[x] - offset_dn, zero)
         contrast = high[x] - low[x]
         said[x] = 1 if contrast * contrast < shadow2 * noise2 else said[x]
+    for x in range(len(why)):
+        said[x] = 3 if high[x] >= saturation_dn else said[x]
     for x in range(len(why)):
         why[x] = said[x]
 

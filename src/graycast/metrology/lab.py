@@ -7,6 +7,7 @@ from jaxtyping import Bool, Float, UInt8
 from scipy.ndimage import binary_erosion
 
 from ..camera_light import camera_light
+from ..decode import DepthMap, Reason
 from ..frames import inverse, pixel_grid, transform_points
 from ..optics import rays
 from ..parts import Material
@@ -20,6 +21,7 @@ from .artefacts import Volume, in_view, working_volume
 from .certificate import Scope
 
 ERODED_PX = 3  # off the outline of every artefact
+MIN_DECODED = 0.05  # of an artefact's pixels: fewer say more of the settings than of its shape
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -85,6 +87,7 @@ def shoot(lab: Lab, surfaces: tuple[Quad | Sphere, ...], *, captures: int, seed:
     where = _in_volume(lab, rendering)
     metered, exposure_s = _metered(lab, rendering, where)
     scans = [measure(metered, take(metered, rendering.radiance, seed=own))[1] for own in seeds[1:]]
+    _check_decoded(scans[0], where, exposure_s)
     return Shots(
         truth_m=rendering.truth.depth_m,
         normal=rendering.truth.normal,
@@ -94,6 +97,17 @@ def shoot(lab: Lab, surfaces: tuple[Quad | Sphere, ...], *, captures: int, seed:
         depth_m=np.stack([scan.depth_m for scan in scans]),
         sigma_m=scans[0].sigma_m,
     )
+
+
+def _check_decoded(scan: DepthMap, where: Bool[np.ndarray, "h w"], exposure_s: float) -> None:
+    share = float(np.isfinite(scan.depth_m[where]).mean())
+    if share < MIN_DECODED:
+        counts = np.bincount(scan.reason[where], minlength=len(Reason))
+        why = Reason(int(counts[1:].argmax()) + 1).name.lower()
+        raise ValueError(
+            f"{share:.1%} of an artefact has depth, most of the rest is {why} at an exposure of "
+            f"{1e3 * exposure_s:.3g} ms: change the exposure, the code or the filters"
+        )
 
 
 def _render(lab: Lab, surfaces: tuple[Quad | Sphere, ...], seed: int) -> Rendering:
@@ -133,7 +147,8 @@ def _metered(
     exposure = lab.scanner.exposure
     if exposure.exposure_s is not None:
         return lab.scanner, exposure.exposure_s
-    light = rendering.radiance.white + rendering.radiance.ambient
+    stack, background = camera_light(rendering.radiance, lab.scanner.rig)
+    light = stack[lab.scanner.patterns().brightest] + background
     exposure_s = auto_exposure_s(
         light[where],
         lab.scanner.sensor,

@@ -245,6 +245,9 @@ def xor_gray(
     in the Presence of Global Illumination", CVPR 2011.
     """
     plain = gray(width_px, height_px, axes=axes, inverses=inverses)
+    finest_top = min(max(f.bit for f in plain.frames if f.axis == axis) for axis in plain.axes)
+    if not 0 <= base_bit <= max(finest_top, 1):
+        raise ValueError(f"base_bit is {base_bit}; the code has bits 0 to {finest_top}")
     frames = tuple(
         replace(f, xor_bit=base_bit) if f.kind == "gray" and f.bit > base_bit else f
         for f in plain.frames

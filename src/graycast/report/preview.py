@@ -184,7 +184,7 @@ def _write_head(figure: Figure, shot: Shot, code: Code) -> None:
         f"camera {rig.camera.width_px} x {rig.camera.height_px}, "
         f"projector {code.width_px} x {code.height_px}, {len(code.frames)} frames",
         f"{render['samples']} samples, depth {render['depth']}",
-        f"exposure {1e3 * shot.capture.exposure_s:.3g} ms",
+        f"exposure {1e3 * float(np.max(shot.capture.exposure_s)):.3g} ms",
         f"{rest} after {layout.simulated_s:.2f} s (try {layout.attempt + 1}): "
         f"{1e3 * layout.last_speed_m_s:.2g} mm/s, {layout.last_spin_rad_s:.2g} rad/s, "
         f"overlap {1e3 * layout.deepest_penetration_m:.2g} mm, {layout.outside} outside",

@@ -11,9 +11,11 @@ from ..decode import (
     CodeMap,
     DecodeSpec,
     DepthMap,
+    Levels,
     Reason,
     decode,
     epipolar_residual_px,
+    separate,
     triangulate,
     triangulation_axis,
 )
@@ -59,7 +61,10 @@ class Cloud:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class StackResult:
-    """All that a stack gave. Without a rig there is no depth and no cloud."""
+    """All that a stack gave. Without a rig there is no depth and no cloud.
+
+    `light` is direct and global light [DN above offset], where the code tells them apart.
+    """
 
     code: Code
     codes: CodeMap
@@ -70,6 +75,7 @@ class StackResult:
     seconds: dict[str, float]
     depth: DepthMap | None = None
     cloud: Cloud | None = None
+    light: tuple[Float[np.ndarray, "h w"], Float[np.ndarray, "h w"]] | None = None
 
 
 def decode_stack(path: Path, rig: Rig | None = None, *, average: bool = False) -> StackResult:
@@ -122,6 +128,10 @@ def decode_stack(path: Path, rig: Rig | None = None, *, average: bool = False) -
             cloud = _pixel_cloud(depth, rig, picture)
         clock.lap("cloud")
     figures = figures_of(pictures.frames, code, codes, residual_px)
+    if depth is not None:  # out of range and outliers are known only now
+        shares = {r.name.lower(): float((depth.reason == r).mean()) for r in Reason}
+        figures = replace(figures, reasons=shares)
+    light = _separated(pictures, code, levels.levels)
     clock.lap("figures")
     return StackResult(
         code=code,
@@ -133,7 +143,18 @@ def decode_stack(path: Path, rig: Rig | None = None, *, average: bool = False) -
         seconds=clock.seconds,
         depth=depth,
         cloud=cloud,
+        light=light,
     )
+
+
+def _separated(
+    pictures: Pictures, code: Code, levels: Levels
+) -> tuple[Float[np.ndarray, "h w"], Float[np.ndarray, "h w"]] | None:
+    """Direct and global light, where the code tells them apart."""
+    try:
+        return separate(pictures.frames, code, levels)
+    except DecodeError:
+        return None
 
 
 class _Clock:

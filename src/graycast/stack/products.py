@@ -1,8 +1,5 @@
 """What a decoded stack leaves on disk, and the words that are printed about it."""
 
-import os
-import shutil
-import tempfile
 import zipfile
 from collections.abc import Iterator
 from pathlib import Path
@@ -15,11 +12,11 @@ from matplotlib.colors import Normalize, to_rgb
 from matplotlib.figure import Figure
 
 from ..decode import Reason
-from ..errors import GraycastError
+from ..folder import whole_folder
 from .decoding import Cloud, StackResult
 
 PREVIEW = "preview.png"
-FILES = ("code.npz", "depth.npy", "sigma_depth.npy", "cloud.ply", PREVIEW)
+FILES = ("code.npz", "light.npz", "depth.npy", "sigma_depth.npy", "cloud.ply", PREVIEW)
 DPI, TILE_IN = 100, 7.0
 _UNKNOWN = (0.20, 0.20, 0.22)
 _COLORS = (
@@ -39,23 +36,10 @@ def write_result(result: StackResult, out: Path) -> tuple[Path, ...]:
     Raises:
         GraycastError: the folder cannot be written.
     """
-    aside = None
-    try:
-        out.mkdir(parents=True, exist_ok=True)
-        aside = Path(tempfile.mkdtemp(dir=out, prefix=".part-"))
-        made = [name for name in _write_all(result, aside)]
-        for name in made:
-            os.replace(aside / name, out / name)
-        for name in set(FILES).difference(made):
-            (out / name).unlink(missing_ok=True)
-    except OSError as error:
-        why = error.strerror or str(error)
-        raise GraycastError(
-            f"{out}: the result cannot be written ({why}): choose a writable folder with space"
-        ) from error
-    finally:
-        if aside is not None:
-            shutil.rmtree(aside, ignore_errors=True)
+    with whole_folder(out) as aside:
+        made = tuple(_write_all(result, aside))
+    for name in set(FILES).difference(made):
+        (out / name).unlink(missing_ok=True)
     return tuple(out / name for name in made)
 
 
@@ -72,6 +56,10 @@ def _write_all(result: StackResult, folder: Path) -> Iterator[str]:
         reasons=np.array([reason.name.lower() for reason in Reason]),
     )
     yield "code.npz"
+    if result.light is not None:
+        direct, indirect = result.light
+        _save_npz(folder / "light.npz", **{"direct": direct, "global": indirect})
+        yield "light.npz"
     if result.depth is not None:
         np.save(folder / "depth.npy", result.depth.depth_m)
         np.save(folder / "sigma_depth.npy", result.depth.sigma_m)

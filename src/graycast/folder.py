@@ -1,4 +1,4 @@
-"""A command's folder of files: all of them appear, or none."""
+"""A folder of results: all of its files appear, or none."""
 
 import os
 import shutil
@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
-from ..errors import GraycastError
+from .errors import GraycastError
 
 
 @contextmanager

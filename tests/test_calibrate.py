@@ -51,6 +51,7 @@ RIG = Rig(
     far_m=1.0,
 )
 SIZE = (PROJECTOR.width_px, PROJECTOR.height_px)
+pytestmark = pytest.mark.slow  # half a minute of boards
 CHESSBOARD = parse_board("chessboard:9x7:0.025")
 CHARUCO = parse_board("charuco:6x5:0.04:0.03:DICT_4X4_50")
 DARK, PAPER, WALL = 0.05, 0.8, 0.3
@@ -416,7 +417,6 @@ def test_a_view_whose_board_moved_is_named(camera_rays, truth_poses, gray_views)
     assert named and all("pose4" in warning for warning in named)
 
 
-@pytest.mark.slow
 def test_few_parallel_boards_are_warned_of(camera_rays):
     views = []
     for i, z_m in enumerate((0.5, 0.55, 0.6)):

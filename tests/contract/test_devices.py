@@ -80,6 +80,7 @@ def test_white_is_the_picture_of_a_white_pattern_and_the_sum_of_its_bands(render
     assert np.abs(light.white - light.white_rgb.sum(axis=-1)).max() < 1e-5 * light.white.max()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("fill_factor", [0.25, 0.7])
 def test_gaps_between_projector_pixels_are_dark_and_take_their_share_of_the_light(
     renderer, fill_factor
@@ -137,6 +138,7 @@ def test_the_measuring_camera_sees_the_reflectance_at_the_projectors_wavelength(
     assert np.abs(light.albedo - [0.9, 0.1, 0.1]).max() < 1e-5
 
 
+@pytest.mark.slow
 def test_a_surface_without_that_reflectance_keeps_its_colour_beside_one_that_has_it(renderer):
     rig = askew_rig(band_weights=(1.0, 0.0, 0.0))
     pattern = plain_pattern(rig, 255)

@@ -61,6 +61,7 @@ def test_point_spacing_is_depth_over_focal_length(certificate):
         assert abs(plane.spacing_m / (plane.z_m / 190.0) - 1) < 2e-3
 
 
+@pytest.mark.slow
 def test_the_written_certificate_is_json_and_a_page_that_needs_nothing_else(certificate, tmp_path):
     page = write_certificate(certificate, tmp_path / "new")
     record = json.loads((tmp_path / "new" / "certificate.json").read_text())

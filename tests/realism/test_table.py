@@ -74,6 +74,7 @@ def test_two_sets_stand_side_by_side_with_a_dash_for_what_one_lacks(record):
     assert sum("sigma of z, median" in name for name in names) == 1
 
 
+@pytest.mark.slow
 def test_the_plots_show_each_record_in_its_colour(tmp_path, record):
     draw_realism([record], tmp_path / "one.png")
     draw_realism([record, record.model_copy(update={"name": "other"})], tmp_path / "two.png")

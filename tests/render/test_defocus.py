@@ -142,6 +142,7 @@ def test_stripes_lose_contrast_with_distance_as_the_disc_has_it(mitsuba_renderer
     assert abs(seen.mean().imag) < 0.005  # stripes do not move
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("picture", ["spot", "white"])
 def test_defocus_loses_no_light(mitsuba_renderer, picture):
     """A bright square, and the whole field with its borders: their sums on a wall stay."""
@@ -166,6 +167,7 @@ def test_defocus_loses_no_light(mitsuba_renderer, picture):
     assert total[1] / total[0] == pytest.approx(1, abs=2e-3)
 
 
+@pytest.mark.slow
 def test_the_shadow_of_an_edge_is_as_soft_as_the_pupil_is_wide(mitsuba_renderer):
     """Similar triangles: the pupil's disc, seen through the edge, is (z2 - z1) / z1 as large."""
     z1, z2, f_px, aperture_m = 0.5, 0.8, 200.0, 30e-3
@@ -269,6 +271,7 @@ def simulated_over_measured(renderer, shared, device, z, blur, lens_of):
     return simulated * (1 if device == "camera" else z / f_px) / blur
 
 
+@pytest.mark.slow
 def test_a_measured_cameras_blur_follows_its_curve_over_all_distances(mitsuba_renderer, shared):
     """scanner_sim's camera (CC BY 4.0), aperture and focus as its file has them. The measure is the
     edge's line spread's standard deviation. One factor is fitted, and lies near the one expected.
@@ -281,6 +284,7 @@ def test_a_measured_cameras_blur_follows_its_curve_over_all_distances(mitsuba_re
     assert np.abs(factor * ratio - 1).max() < 0.05
 
 
+@pytest.mark.slow
 def test_a_measured_projectors_blur_has_its_shape_over_all_distances(mitsuba_renderer, shared):
     """scanner_sim's projector: the curve, scaled to a largest value of 1, is met within 0.1.
 

@@ -158,6 +158,7 @@ def test_pictures_stand_upright_and_unmirrored_on_the_sheet(tmp_path):
     assert middle["blue"][0] > middle["red"][0] + 150
 
 
+@pytest.mark.slow
 def test_the_same_scene_gives_the_same_bytes_and_leaves_nothing_else(tmp_path):
     (tmp_path / "b.png").write_text("an older sheet")
     for name in ("a.png", "b.png"):

@@ -162,6 +162,7 @@ def test_depth_is_the_wall_and_the_ball_to_half_a_projector_pixel(vertical, tmp_
     assert result.figures.epipolar_median_px < 0.5
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("distortion", [(0.0,) * 5, (-0.2, 0.1, 1e-3, -1e-3, 0.0)])
 def test_averaging_gives_one_point_per_projector_pixel_nearer_to_the_surface(distortion, tmp_path):
     rig, code = small_rig(projector=(64, 48), distortion=distortion), gray(64, 48, inverses=True)
@@ -228,6 +229,7 @@ def test_the_files_hold_what_was_decoded(tmp_path):
     assert "epipolar residual: median 0." in words and "column_bit06" in words
 
 
+@pytest.mark.slow
 def test_what_an_earlier_run_left_does_not_stay_beside_a_new_result(tmp_path):
     rig, code = small_rig(), CODES["gray"]
     path = save(tmp_path, describe(code), shoot(rig, code))

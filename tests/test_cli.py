@@ -229,8 +229,9 @@ def test_patterns_count_columns_and_rows_in_gray_code(capsys, made, tmp_path, in
     """Oracle: bits of x ^ (x >> 1), most significant first, in the order of the file names."""
     rig, out = made[0].parent / "rig.yaml", tmp_path / "patterns"
     listed = run(capsys, "patterns", rig, "--out", out, *(["--inverses"] if inverses else []))
-    paths = sorted(out.iterdir())
-    assert listed.split() == [str(path) for path in paths]
+    *paths, stack = sorted(out.iterdir())
+    assert listed.split() == [str(path) for path in (*paths, stack)]
+    assert stack.name == "stack.yaml"
     images = [np.array(Image.open(path)) for path in paths]
     assert all(image.shape == (96, 128) and image.dtype == np.uint8 for image in images)
     white, black, *bits = images

@@ -1,12 +1,14 @@
 """`graycast decode`, `realism`, `certify` and `rig calibrate` as a user runs them."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
 import trimesh
 import yaml
 from metrology.test_certify import small_scanner
+from PIL import Image
 from stack import simulated
 from test_calibrate import (  # noqa: F401 (fixtures)
     CHESSBOARD,
@@ -20,10 +22,10 @@ from test_calibrate import (  # noqa: F401 (fixtures)
 )
 
 from graycast.cli import main, measuring
-from graycast.decode import Reason
+from graycast.decode import FilterSpec, Reason
 from graycast.errors import GraycastError
 from graycast.folder import whole_folder
-from graycast.pattern import AXES, gray, gray_phase, level_share
+from graycast.pattern import AXES, CODECS, CodeSpec, gray, gray_phase, level_share
 from graycast.rig_file import load_scanner, save_scanner
 from graycast.scanner import Scanner
 
@@ -85,6 +87,16 @@ def test_decode_averages_to_one_point_per_projector_pixel(decoded, capsys, tmp_p
     known = codes["reason"] == Reason.DECODED
     pixels = np.stack([np.rint(codes[axis][known]) for axis in AXES], axis=1)
     assert 0.8 * len(np.unique(pixels, axis=0)) < averaged <= len(np.unique(pixels, axis=0))
+
+
+def test_decode_applies_the_rig_s_filters(decoded, capsys, tmp_path):
+    rig, folder, out = decoded
+    filtered = Scanner(rig=rig, filters=FilterSpec(smoothing_px=0.8))
+    save_scanner(filtered, tmp_path / "rig.yaml")
+    run(capsys, "decode", folder / "STACK.yaml", "--rig", tmp_path / "rig.yaml",
+        "--out", tmp_path / "out")  # fmt: skip
+    rough, smooth = (np.load(f / "sigma_depth.npy") for f in (out, tmp_path / "out"))
+    assert np.nanmedian(smooth / rough) < 0.6
 
 
 def test_realism_measures_what_decode_made_and_compares(decoded, capsys, tmp_path):
@@ -276,6 +288,26 @@ def test_an_offset_above_saturation_is_refused_not_clamped(capsys, decoded, tmp_
     text = refused(capsys, "decode", path, "--out", tmp_path / "o")
     assert f"{path}: levels.offset_dn is 300" in text
     assert not (tmp_path / "o").exists()
+
+
+@pytest.mark.parametrize("codec", CODECS)
+def test_patterns_decode_to_themselves(capsys, tmp_path, codec):
+    """A camera that is the projector sees the patterns: every pixel is its own column and row."""
+    rig = replace(simulated.small_rig(), name="small")
+    scanner = Scanner(rig=rig, code=CodeSpec(codec=codec, axes=AXES))
+    save_scanner(scanner, tmp_path / "rig.yaml")
+    run(capsys, "patterns", tmp_path / "rig.yaml", "--out", tmp_path / "shown")
+    for path in (tmp_path / "shown").glob("*.png"):
+        with Image.open(path) as image:
+            level = np.array(image)
+        Image.fromarray(np.rint(0.8 * level + 10).astype(np.uint8)).save(path)
+    run(capsys, "decode", tmp_path / "shown" / "stack.yaml", "--out", tmp_path / "read")
+    codes = np.load(tmp_path / "read" / "code.npz")
+    row, column = np.mgrid[0:96, 0:128]
+    known = codes["reason"] == Reason.DECODED
+    assert known.mean() > 0.95
+    assert np.abs(codes["column"] - column)[known].max() < 0.1
+    assert np.abs(codes["row"] - row)[known].max() < 0.1
 
 
 @pytest.mark.slow

@@ -64,8 +64,13 @@ def add_commands(commands) -> None:
 def _decode(options: argparse.Namespace) -> int:
     from ..stack import decode_stack, describe_result, write_result
 
-    rig = None if options.rig is None else resolve_rig_option(options).rig
-    result = decode_stack(options.stack, rig, average=options.average)
+    if options.rig is None:
+        result = decode_stack(options.stack, average=options.average)
+    else:
+        scanner = resolve_rig_option(options)
+        result = decode_stack(
+            options.stack, scanner.rig, average=options.average, filters=scanner.filters
+        )
     written = write_result(result, options.out)
     print(describe_result(result))
     for path in written:

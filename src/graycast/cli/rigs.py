@@ -25,7 +25,10 @@ def add_commands(commands) -> None:
     _add_calibrate(rigs)
 
     patterns = add_command(
-        commands, "patterns", _patterns, "Write a rig's patterns as PNGs for a projector."
+        commands,
+        "patterns",
+        _patterns,
+        "Write a rig's patterns as PNGs for a projector, with a stack file.",
     )
     add_rig(patterns)
     patterns.add_argument("--out", type=Path, required=True, help="the folder to write")
@@ -114,6 +117,7 @@ def _patterns(options: argparse.Namespace) -> int:
 
     from ..pattern import CodeSpec, write_pngs
     from ..rig import grey_levels
+    from ..stack import describe_code
 
     scanner = resolve_rig_option(options)
     spec = scanner.code
@@ -136,6 +140,8 @@ def _patterns(options: argparse.Namespace) -> int:
                 f"{options.out}: holds pictures of another code, such as {min(others)}: "
                 "a projector would show both; choose an empty folder"
             )
+        (folder / "stack.yaml").write_text(describe_code(code, written), encoding="utf-8")
+        written.append("stack.yaml")
     for name in written:
         print(options.out / name)
     return 0

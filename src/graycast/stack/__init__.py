@@ -2,7 +2,7 @@
 
 from .averaging import Cells, join_pixels, meet_rays
 from .decoding import Cloud, StackResult, decode_stack
-from .description import StackDescription, read_description, stack_schema
+from .description import StackDescription, describe_code, read_description, stack_schema
 from .levels import MeasuredLevels, measure_levels
 from .products import describe_result, write_ply, write_result
 
@@ -13,6 +13,7 @@ __all__ = [
     "StackDescription",
     "StackResult",
     "decode_stack",
+    "describe_code",
     "describe_result",
     "join_pixels",
     "measure_levels",

@@ -11,10 +11,12 @@ from ..decode import (
     CodeMap,
     DecodeSpec,
     DepthMap,
+    FilterSpec,
     Levels,
     Reason,
     decode,
     epipolar_residual_px,
+    filter_depth,
     separate,
     triangulate,
     triangulation_axis,
@@ -78,12 +80,15 @@ class StackResult:
     light: tuple[Float[np.ndarray, "h w"], Float[np.ndarray, "h w"]] | None = None
 
 
-def decode_stack(path: Path, rig: Rig | None = None, *, average: bool = False) -> StackResult:
+def decode_stack(
+    path: Path, rig: Rig | None = None, *, average: bool = False, filters: FilterSpec | None = None
+) -> StackResult:
     """Decode the stack that a YAML file describes.
 
     With a rig, depth per camera pixel: where its ray meets the plane of its column (or row, by the
     baseline), the other axis checking it. `average` joins the camera pixels of each projector pixel
     into one point of the cloud, by both coordinates; the depth map is the same with and without.
+    `filters` are what the scanner does to its depth afterwards; an averaged cloud has none of it.
 
     Raises:
         ConfigError: the file says something that cannot be used.
@@ -120,6 +125,8 @@ def decode_stack(path: Path, rig: Rig | None = None, *, average: bool = False) -
         residual_px = epipolar_residual_px(codes, first, rig) if len(code.axes) == 2 else None
         limit_px = _epipolar_limit_px(description, residual_px)
         depth = _less_outliers(codes, first, residual_px, limit_px)
+        if filters is not None:
+            depth = filter_depth(depth, filters, rig.camera)
         warnings += _rig_symptoms(first, residual_px)
         clock.lap("triangulate")
         if average:

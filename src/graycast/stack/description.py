@@ -1,8 +1,10 @@
 """What a user says of a stack in YAML: the projector, and what each picture shows."""
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
+import yaml
 from pydantic import Field, model_validator
 
 from ..decode import DecodeSpec
@@ -147,6 +149,30 @@ def read_description(path: Path) -> StackDescription:
         ConfigError: the text names the file, the key and the remedy.
     """
     return read_settings(path, StackDescription)
+
+
+def describe_code(code: Code, files: Sequence[str]) -> str:
+    """The stack file of a code whose pictures have these names, one per frame in order."""
+    frames = []
+    for frame, file in zip(code.frames, files, strict=True):
+        entry: dict[str, Any] = {"file": file, "kind": frame.kind}
+        said = {
+            "axis": frame.axis,
+            "bit": frame.bit if frame.kind == "gray" else None,
+            "inverse": frame.inverse or None,
+            "xor_bit": frame.xor_bit if frame.xor_bit >= 0 else None,
+            "period_px": frame.period_px or None,
+            "step": frame.step if frame.steps else None,
+            "steps": frame.steps or None,
+        }
+        frames.append(entry | {key: value for key, value in said.items() if value is not None})
+    content = {
+        "projector": {"width_px": code.width_px, "height_px": code.height_px},
+        "frames": frames,
+        "offset_px": dict(zip(AXES, map(float, code.offset_px), strict=True)),
+        "stride_px": dict(zip(AXES, map(float, code.stride_px), strict=True)),
+    }
+    return yaml.safe_dump(content, sort_keys=False, default_flow_style=None, width=100)
 
 
 def code_of(description: StackDescription, path: Path) -> Code:

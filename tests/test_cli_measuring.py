@@ -290,6 +290,7 @@ def test_an_offset_above_saturation_is_refused_not_clamped(capsys, decoded, tmp_
     assert not (tmp_path / "o").exists()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("codec", CODECS)
 def test_patterns_decode_to_themselves(capsys, tmp_path, codec):
     """A camera that is the projector sees the patterns: every pixel is its own column and row."""

@@ -224,6 +224,7 @@ def ramp_error_px(renderer, rig, *, samples, seeds):
     return np.stack(errors)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("soft", [False, True])
 def test_a_ramp_on_a_tilted_plane_comes_back_in_its_place_and_without_noise(mitsuba_renderer, soft):
     """Mirrored samples cancel in any linear picture. What is left is rounding to the projector's

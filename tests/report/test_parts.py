@@ -108,6 +108,7 @@ def test_no_parts_are_refused(tmp_path):
         draw_parts((), tmp_path / "parts.png", device="llvm")
 
 
+@pytest.mark.slow
 def test_the_picture_shows_each_part_in_its_own_colour_on_a_grey_floor(cpu_device, tmp_path):
     red, blue = Material(base_color=(0.6, 0.05, 0.05)), Material(base_color=(0.05, 0.05, 0.6))
     size_m = (0.03, 0.03, 0.02)

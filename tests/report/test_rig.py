@@ -91,6 +91,7 @@ def purple_share(rig, path):
     return ((green < blue - 20) & (green < red - 10) & (blue > red)).mean()
 
 
+@pytest.mark.slow
 def test_the_picture_shows_a_common_volume_only_where_there_is_one(tmp_path):
     assert purple_share(preset("phoxi-s"), tmp_path / "s.png") > 0.05
     aside = parallel_rig(axis_rotation("y", np.pi / 2))

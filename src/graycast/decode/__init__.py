@@ -1,13 +1,14 @@
 """From a stack of pictures to projector positions to depth, with a reason where there is none."""
 
 from .filters import FilterSpec, filter_depth
-from .maps import CodeMap, DecodeSpec, DepthMap, Levels, Reason, levels_of
+from .maps import REASON_COLOR, CodeMap, DecodeSpec, DepthMap, Levels, Reason, levels_of
 from .plain import decode_plain
 from .reading import decode
 from .separation import separate
 from .triangulation import epipolar_residual_px, triangulate, triangulation_axis
 
 __all__ = [
+    "REASON_COLOR",
     "CodeMap",
     "DecodeSpec",
     "DepthMap",

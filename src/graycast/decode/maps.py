@@ -6,7 +6,7 @@ from enum import IntEnum
 import numpy as np
 from jaxtyping import Float, UInt8
 
-from ..sensor import SensorSpec
+from ..sensor import SensorSpec, stored_saturation_dn
 
 
 class Reason(IntEnum):
@@ -21,6 +21,20 @@ class Reason(IntEnum):
     OUTSIDE_PROJECTOR = 6
     OUT_OF_RANGE = 7  # no depth within the rig's working range
     OUTLIER = 8  # taken out by a filter, or off the epipolar line
+
+
+# Of maps of reasons in pictures, so that a reason looks alike in all of them.
+REASON_COLOR = {
+    Reason.DECODED: "#dcdad2",
+    Reason.SHADOW: "#25283d",
+    Reason.LOW_MODULATION: "#6b6e87",
+    Reason.SATURATED: "#f2b134",
+    Reason.CONTRADICTORY: "#c8385a",
+    Reason.INTERREFLECTION: "#e07b39",
+    Reason.OUTSIDE_PROJECTOR: "#3b8ea5",
+    Reason.OUT_OF_RANGE: "#7d5ba6",
+    Reason.OUTLIER: "#4f9d69",
+}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -53,8 +67,8 @@ def levels_of(sensor: SensorSpec) -> Levels:
     """The levels of a sensor that is known."""
     return Levels(
         offset_dn=sensor.offset_dn,
-        saturation_dn=float(np.floor(sensor.saturation_dn + 0.5)),  # as the sensor rounds
-        floor_dn2=(sensor.gain_dn_per_e * sensor.read_noise_e) ** 2 + 1 / 12,
+        saturation_dn=float(stored_saturation_dn(sensor)),
+        floor_dn2=float(sensor.variance_dn2(sensor.offset_dn)),
         slope_dn=sensor.gain_dn_per_e,
     )
 

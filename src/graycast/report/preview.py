@@ -22,7 +22,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 
 from ..color import srgb
-from ..decode import Reason, triangulation_axis
+from ..decode import REASON_COLOR, Reason, triangulation_axis
 from ..errors import GraycastError
 from ..frames import inverse, transform_points
 from ..generate import Shot
@@ -46,17 +46,6 @@ _CLOSE_UP = 4  # camera pixels of the finest bit on the sheet: fewer would beat 
 _DARK, _LIGHT = (0.20, 0.20, 0.22), (0.66, 0.66, 0.66)
 _CODE_MAP, _DEPTH_MAP, _ERROR_MAP = "viridis", "viridis_r", "RdBu_r"
 _ERROR_COLUMNS, _ERROR_FALLBACK_M = 3.0, 5e-3
-REASON_COLOR = {
-    Reason.DECODED: "#dcdad2",
-    Reason.SHADOW: "#25283d",
-    Reason.LOW_MODULATION: "#6b6e87",
-    Reason.SATURATED: "#f2b134",
-    Reason.CONTRADICTORY: "#c8385a",
-    Reason.INTERREFLECTION: "#e07b39",
-    Reason.OUTSIDE_PROJECTOR: "#3b8ea5",
-    Reason.OUT_OF_RANGE: "#7d5ba6",
-    Reason.OUTLIER: "#4f9d69",
-}
 _EDGE_POINTS = 17  # per edge of a box; a lens with distortion bends them
 # Corner k of a unit box is (k & 1, k >> 1 & 1, k >> 2): neighbours differ in one bit.
 _BOX_EDGES = np.array([(k, k | bit) for bit in (1, 2, 4) for k in range(8) if not k & bit])

@@ -11,7 +11,7 @@ from matplotlib.cm import ScalarMappable
 from matplotlib.colors import Normalize, to_rgb
 from matplotlib.figure import Figure
 
-from ..decode import Reason
+from ..decode import REASON_COLOR, Reason
 from ..folder import whole_folder
 from .decoding import Cloud, StackResult
 
@@ -19,9 +19,6 @@ PREVIEW = "preview.png"
 FILES = ("code.npz", "light.npz", "depth.npy", "sigma_depth.npy", "cloud.ply", PREVIEW)
 DPI, TILE_IN = 100, 7.0
 _UNKNOWN = (0.20, 0.20, 0.22)
-_COLORS = (
-    "#dcdad2 #25283d #6b6f8a #f2b134 #c8385a #e58f65 #3b8ea5 #7d5ba6 #6a994e".split()
-)  # one per reason, in order
 
 
 def write_result(result: StackResult, out: Path) -> tuple[Path, ...]:
@@ -197,9 +194,9 @@ def _draw_map(figure: Figure, ax, values, limits) -> None:
 
 def _draw_reasons(ax, result: StackResult, step: int) -> None:
     reason = (result.codes if result.depth is None else result.depth).reason
-    palette = np.array([to_rgb(color) for color in _COLORS])
+    palette = np.array([to_rgb(color) for color in REASON_COLOR.values()])
     ax.imshow(palette[reason[::step, ::step]])
-    for kind, color in zip(Reason, _COLORS, strict=True):
+    for kind, color in REASON_COLOR.items():
         share = 100 * (reason == kind).mean()
         if share:
             words = f"{kind.name.lower().replace('_', ' ')} {share:.1f} %"

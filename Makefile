@@ -1,5 +1,5 @@
 # The two commands of the README: `make demo` and `make test`. Set-up goes into .venv.
-.PHONY: demo test test-slow setup clean
+.PHONY: demo test test-slow setup cycles clean
 
 GRAYCAST = .venv/bin/graycast
 
@@ -19,5 +19,9 @@ test-slow: setup
 setup:
 	@scripts/setup
 
+# Optional: the second back end, Blender Cycles, in an environment of its own.
+cycles:
+	@scripts/setup-cycles
+
 clean:
-	rm -rf .venv out build
+	rm -rf .venv .venv-cycles out build

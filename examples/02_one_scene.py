@@ -10,8 +10,7 @@ import numpy as np
 
 from graycast.config import Config
 from graycast.decode import Reason
-from graycast.generate import make_scene, resolve_cell
-from graycast.render.device import choose_device, open_device
+from graycast.generate import make_scene, open_cell_renderer, resolve_cell
 
 
 def main(samples: int) -> None:
@@ -24,9 +23,8 @@ def main(samples: int) -> None:
         }
     )
     cell = resolve_cell(config, Path())
-    device = choose_device("auto")
-    open_device(device)
-    shot = make_scene(cell, 0, seed=1, device=device)
+    with open_cell_renderer(cell) as renderer:
+        shot = make_scene(cell, 0, seed=1, renderer=renderer)
 
     scanner, truth = shot.sample.scanner, shot.sample.truth
     error_mm = 1000 * (scanner.depth_m - truth.depth_m)

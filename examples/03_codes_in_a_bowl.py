@@ -20,7 +20,6 @@ from graycast.parts import Material, Mesh, Part
 from graycast.parts.shapes import revolve
 from graycast.pattern import CODECS, CodeSpec
 from graycast.render import Quality, open_renderer
-from graycast.render.device import choose_device, open_device
 from graycast.rig import place, preset
 from graycast.scanner import Scanner, scan
 from graycast.scene import Environment, Layout, Scene
@@ -40,7 +39,7 @@ def bowl() -> Part:
 
 
 def main(path: Path, samples: int) -> None:
-    open_device(choose_device("auto"))
+    renderer = open_renderer()
     rig = preset("phoxi-m")
     camera = replace(rig.camera, width_px=320, height_px=260, cx_px=159.5, cy_px=129.5)
     camera = replace(camera, fx_px=0.55 * camera.fx_px, fy_px=0.55 * camera.fy_px)
@@ -56,9 +55,7 @@ def main(path: Path, samples: int) -> None:
         code = CodeSpec(codec=codec, axes=("column",))
         scanner = Scanner(rig=rig, code=code, decode=DecodeSpec(doubt=0.0, min_contrast=0.005))
         code = scanner.patterns()
-        rendering = open_renderer("mitsuba").render(
-            scene, layout, code.render(), quality=quality, seed=1
-        )
+        rendering = renderer.render(scene, layout, code.render(), quality=quality, seed=1)
         depth = scan(scanner, rendering.radiance, seed=1).depth.depth_m
         inside = rendering.truth.instance == 0
         error_mm = np.where(inside, 1e3 * (depth - rendering.truth.depth_m), np.nan)

@@ -6,18 +6,29 @@ import pytest
 
 
 @pytest.fixture(scope="session")
-def cpu_device():
-    """Mitsuba on the processor, opened once: a process cannot change its device."""
-    from graycast.render.device import open_device
+def mitsuba_renderer():
+    """On the processor: a process cannot change Mitsuba's device."""
+    from graycast.render import open_renderer
 
-    open_device("llvm")
+    return open_renderer("mitsuba", device="cpu")
 
 
 @pytest.fixture(scope="session")
-def mitsuba_renderer(cpu_device):
-    from graycast.render import open_renderer
+def cpu_device(mitsuba_renderer):
+    """For what calls Mitsuba by itself."""
 
-    return open_renderer("mitsuba")
+
+@pytest.fixture(scope="session")
+def cycles_renderer():
+    """Blender's, in a child process that ends with the tests."""
+    from graycast.render import open_renderer
+    from graycast.render.cycles import examine_cycles
+
+    state = examine_cycles()
+    if not state.usable:
+        pytest.skip(state.problem)
+    with open_renderer("cycles", device="cpu") as renderer:
+        yield renderer
 
 
 @pytest.fixture(scope="session")

@@ -20,8 +20,8 @@ from graycast.scanner import preset
 from graycast.stack import stack_schema
 
 OPTIONS = {
-    "generate": "config --out --scenes --seed --device --workers",
-    "preview": "config --out --scene --seed --device",
+    "generate": "config --out --scenes --seed --backend --device --workers",
+    "preview": "config --out --scene --seed --backend --device",
     "validate": "dataset",
     "parts": "config --out --device",
     "rig show": "rig --resolution --out",
@@ -30,7 +30,7 @@ OPTIONS = {
     "rig calibrate": "stacks --board --out --near --far --radial-terms",
     "patterns": "rig --resolution --out --codec --inverses",
     "decode": "stack --rig --resolution --average --out",
-    "certify": "rig --resolution --out --seed --device",
+    "certify": "rig --resolution --out --seed --backend --device",
     "realism": "depth --intrinsics --scale --size --gray --reason --out --compare",
     "doctor": "",
     "schema": "kind",
@@ -136,7 +136,7 @@ def made(tmp_path_factory):
 def test_generate_says_what_it_made_and_the_next_time_that_all_was_there(capsys, made, tmp_path):
     path, out = made
     again = run(capsys, "generate", path, "--out", out, "--device", "cpu")
-    assert "2 scenes of box on llvm, rig small, seed 0, 1 worker(s)" in again
+    assert "2 scenes of box by mitsuba on llvm, rig small, seed 0, 1 worker(s)" in again
     assert f"{out}: 0 scenes made, 2 were there" in again
     first = run(
         capsys, "generate", path, "--out", tmp_path / "out", "--scenes", 1, "--device", "cpu"

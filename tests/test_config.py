@@ -266,6 +266,7 @@ _PLACES = {
     "MaterialSection": ("parts", 0, "material"),
     "SymmetrySection": ("parts", 0, "symmetry"),
     "ContinuousSymmetry": ("parts", 0, "symmetry", "continuous", 0),
+    "CyclesSection": ("render", "cycles"),
     "LightSection": ("light",),
     "EnvironmentSection": ("light", "environment"),
     "LampSection": ("light", "lamps", 0),

@@ -16,6 +16,7 @@ ORDER = (
     "frames",
     "lens_inverse",
     "optics",
+    "raster",
     "pattern",
     "rig",
     "parts",

@@ -23,7 +23,7 @@ from .decode import DecodeSpec, Levels, decode, decode_plain
 from .drop import DropLimits, drop
 from .generate import Cell, make_scene, resolve_cell
 from .pattern import Code, gray, gray_phase, multi_frequency
-from .render.device import choose_device, open_device
+from .render import open_renderer
 
 PAIRS = 5  # timed in turn, A B A B ...
 
@@ -38,13 +38,13 @@ def run(what: str, *, device: str, count: int, scenes: int) -> dict[str, Any]:
     """
     match what:
         case "render":
-            figures = _render(choose_device(device), count)
+            figures = _render(device, count)
         case "decode":
             figures = _decode()
         case "drop":
             figures = _drop(count)
         case "scene":
-            figures = _scene(choose_device(device), count, scenes)
+            figures = _scene(device, count, scenes)
         case _:
             raise ValueError(f"no benchmark {what!r}: choose render, decode, drop or scene")
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024
@@ -88,7 +88,7 @@ def _in_turn(first: Callable[[], object], second: Callable[[], object]) -> tuple
 
 
 def _render(device: str, count: int) -> dict[str, Any]:
-    open_device(device)
+    renderer = open_renderer("mitsuba", device=device)
     from .render.mitsuba import light, truth
     from .render.mitsuba_scene import build
 
@@ -112,7 +112,7 @@ def _render(device: str, count: int) -> dict[str, Any]:
     truth(world, part_shapes, cell.scene, layout)
     camera = cell.scene.rig.camera
     return {
-        "device": device,
+        "device": renderer.device,
         "parts": count,
         "patterns": len(patterns),
         "width_px": camera.width_px,
@@ -212,7 +212,7 @@ def _drop(count: int) -> dict[str, Any]:
 
 def _scene(device: str, count: int, scenes: int) -> dict[str, Any]:
     cell = _cell(count)
-    open_device(device)
+    renderer = open_renderer("mitsuba", device=device)
     scale_mm = depth_scale_mm(cell.scene.rig.far_m)
     stages: dict[str, list[float]] = {}
     seconds, rss = [], []
@@ -228,7 +228,7 @@ def _scene(device: str, count: int, scenes: int) -> dict[str, Any]:
         with store:
             for scene_id in range(1 + scenes):
                 start = time.perf_counter()
-                shot = make_scene(cell, scene_id, seed=0, device=device)
+                shot = make_scene(cell, scene_id, seed=0, renderer=renderer)
                 made = time.perf_counter()
                 store.write(scene_id, shot.sample)
                 ended = time.perf_counter()
@@ -242,7 +242,7 @@ def _scene(device: str, count: int, scenes: int) -> dict[str, Any]:
     split = {stage: median(values) for stage, values in stages.items()}
     total = sum(split.values())
     return {
-        "device": device,
+        "device": renderer.device,
         "parts": count,
         "patterns": len(cell.code.frames),
         "scenes": scenes,

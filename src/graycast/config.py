@@ -151,10 +151,25 @@ class ViewSection(Settings):
     target_m: Vector | None = Field(None, description="else a third of the bin's height up")
 
 
+class CyclesSection(Settings):
+    """What only Blender Cycles has."""
+
+    denoise: Literal["none", "oidn", "optix"] = Field(
+        "none", description="of every picture, patterns too, as the paper does; optix needs a GPU"
+    )
+    patterns_per_render: Literal[1, 3] = Field(
+        1, description="3: a pattern each in R, G and B, where light is of one wavelength"
+    )
+
+
 class RenderSection(Settings):
+    backend: Literal["mitsuba", "cycles"] = Field(
+        "mitsuba", description="all patterns in one pass, or each by itself in Blender"
+    )
     samples: int = Field(16, ge=1, le=65536, description="paths per pixel")
     depth: int = Field(4, ge=1, le=64, description="vertices per path; 1 is direct light alone")
-    denoise: bool = Field(True, description="of the colour picture; patterns are never denoised")
+    denoise: bool = Field(True, description="of the colour picture alone")
+    cycles: CyclesSection = CyclesSection()
 
 
 class DropSection(Settings):
@@ -327,7 +342,12 @@ def resolve_scanner(config: Config, folder: Path) -> Scanner:
 
 
 def resolve_quality(config: Config) -> Quality:
-    return Quality(samples=config.render.samples, depth=config.render.depth)
+    render = config.render
+    return Quality(
+        samples=render.samples,
+        depth=render.depth,
+        denoise=render.cycles.denoise if render.backend == "cycles" else "none",
+    )
 
 
 def resolve_limits(config: Config) -> DropLimits:

@@ -9,6 +9,7 @@ from pathlib import Path
 
 from . import __version__
 from .errors import DeviceError
+from .render.cycles import examine_cycles
 from .render.device import OLDEST_LLVM, choose_device, examine_cuda, find_llvm, list_llvm
 
 _OLDEST_PYTHON = (3, 11)
@@ -108,6 +109,14 @@ def _devices() -> Iterator[Finding]:
     gives = "rendering on the processor; a GPU does without it"
     yield Finding(name="LLVM used", found=words, ok=bool(chosen), gives=gives, needed=False)
 
+    cycles = examine_cycles()
+    yield Finding(
+        name="Blender Cycles",
+        found=cycles.problem or f"bpy {cycles.version} ({cycles.python})",
+        ok=cycles.usable,
+        gives="a second renderer: --backend cycles, bench agree, denoise and renderers",
+        needed=False,
+    )
     cuda = examine_cuda()
     gpus = f"{', '.join(cuda.devices)}; driver for CUDA {cuda.driver_cuda}"
     yield Finding(

@@ -4,6 +4,7 @@ A scene depends on (configuration, dataset seed, scene id) alone, not on the num
 order of scenes or a restart.
 """
 
+import atexit
 import multiprocessing
 import os
 import platform
@@ -41,8 +42,7 @@ from .drop import drop
 from .errors import GraycastError
 from .pattern import Code
 from .picture import color_picture, gray_picture
-from .render import Rendering, open_renderer
-from .render.device import choose_device, open_device
+from .render import Renderer, Rendering, choose_device, open_renderer
 from .rig import grey_levels, place, standoff_m
 from .scanner import Scanner, measure, take
 from .scene import Scene
@@ -140,8 +140,19 @@ def resolve_cell(config: Config, folder: Path) -> Cell:
 # --- one scene ---------------------------------------------------------------------------------
 
 
-def make_scene(cell: Cell, scene_id: int, *, seed: int, device: str) -> Shot:
-    """One scene from its seeds to its sample; `device` is already open.
+def open_cell_renderer(cell: Cell, *, device: str = "auto", threads: int | None = None) -> Renderer:
+    """The renderer that a cell's configuration asks for; arguments as of `open_renderer`."""
+    render = cell.config.render
+    return open_renderer(
+        render.backend,
+        device=device,
+        threads=threads,
+        patterns_per_render=render.cycles.patterns_per_render,
+    )
+
+
+def make_scene(cell: Cell, scene_id: int, *, seed: int, renderer: Renderer) -> Shot:
+    """One scene from its seeds to its sample.
 
     Raises:
         DropError: the parts did not come to an acceptable rest.
@@ -158,20 +169,18 @@ def make_scene(cell: Cell, scene_id: int, *, seed: int, device: str) -> Shot:
         counts = _counts(cell, scene_id, np.random.default_rng(seeds["counts"]))
         layout = drop(cell.scene, counts, seed=seeds["drop"], limits=resolve_limits(config))
     with _timed(timings, "render"):
-        rendering = open_renderer("mitsuba").render(
-            cell.scene,
-            layout,
-            cell.patterns(),
-            quality=resolve_quality(config),
-            seed=seeds["render"],
+        quality = resolve_quality(config)
+        rendering = renderer.render(
+            cell.scene, layout, cell.patterns(), quality=quality, seed=seeds["render"]
         )
     with _timed(timings, "sensor"):
         capture = take(cell.scanner, rendering.radiance, seed=seeds["noise"])
     with _timed(timings, "picture"):
+        noisy = config.render.denoise and quality.denoise == "none"
         rgb = color_picture(
             cell.scanner,
             rendering,
-            denoise_on=device if config.render.denoise else None,
+            denoiser=renderer.denoiser if noisy else None,
             seed=seeds["picture"],
         )
     with _timed(timings, "decode"):
@@ -180,8 +189,9 @@ def make_scene(cell: Cell, scene_id: int, *, seed: int, device: str) -> Shot:
         "scene_id": scene_id,
         "dataset_seed": seed,
         "seeds": seeds,
-        "device": device,
-        "versions": _versions(),
+        "backend": renderer.name,
+        "device": renderer.device,
+        "versions": _versions(renderer),
         "counts": {p.name: n for p, n in zip(cell.scene.parts, counts, strict=True) if n},
         "physics": {
             key: value
@@ -223,12 +233,13 @@ def _timed(timings: dict[str, float], stage: str) -> Iterator[None]:
     timings[stage] = time.perf_counter() - start
 
 
-def _versions() -> dict[str, str]:
-    packages = ("numpy", "mitsuba", "drjit", "rapier3d", "coacd", "numba", "pyoidn")
+def _versions(renderer: Renderer) -> dict[str, str]:
+    packages = ("numpy", "rapier3d", "coacd", "numba", "pyoidn")
     return {
         "graycast": __version__,
         "python": platform.python_version(),
         **{name: version(name) for name in packages},
+        **renderer.versions,
     }
 
 
@@ -250,7 +261,7 @@ def generate(
 
     Args:
         out: the dataset's folder; made, or continued where the same configuration began it.
-        device: 'auto', 'cpu' or 'cuda'.
+        device: 'auto', 'cpu', 'cuda' or, of Cycles, 'optix'.
         workers: processes; with more than one the cores are shared out among them.
         on_start: called with the number of scenes that are there already.
         on_progress: called in this process after each scene.
@@ -261,7 +272,7 @@ def generate(
         DropError: parts that do not come to rest; scenes made so far are kept.
     """
     start = time.perf_counter()
-    device = choose_device(device)
+    device = choose_device(cell.config.render.backend, device)
     scale_mm = depth_scale_mm(cell.scene.rig.far_m)
     identity = cell.config.model_dump(mode="json", exclude={"scenes", "seed"})
     with open_store(
@@ -318,10 +329,11 @@ class _Task:
 
 
 def _run_here(task: _Task, todo: list[int], workers: int) -> Generator[Progress, None, None]:
-    if todo:
-        open_device(task.device)
-    for scene_id in todo:
-        yield _finish_scene(task, scene_id)
+    if not todo:
+        return
+    with open_cell_renderer(task.cell, device=task.device) as renderer:
+        for scene_id in todo:
+            yield _finish_scene(task, scene_id, renderer)
 
 
 def _run_on_processes(
@@ -333,11 +345,11 @@ def _run_on_processes(
         min(workers, len(todo)),
         mp_context=multiprocessing.get_context("spawn"),  # forked threads of a JIT do not live on
         initializer=_start_worker,
-        initargs=(task.device, threads),
+        initargs=(task, threads),
     )
     try:
         with _deaf_to_interrupts():
-            waiting = {pool.submit(_finish_scene, task, scene_id) for scene_id in todo}
+            waiting = {pool.submit(_finish_in_worker, task, scene_id) for scene_id in todo}
         while waiting:
             ended, waiting = wait(waiting, return_when=FIRST_COMPLETED)
             for future in ended:
@@ -368,14 +380,23 @@ def _deaf_to_interrupts() -> Iterator[None]:
         signal.signal(signal.SIGINT, heard)
 
 
-def _start_worker(device: str, threads: int) -> None:
+_worker_renderer: Renderer | None = None  # of a worker process; a pool has no other place for it
+
+
+def _start_worker(task: _Task, threads: int) -> None:
+    global _worker_renderer
     numba.set_num_threads(min(threads, numba.config.NUMBA_NUM_THREADS))
-    open_device(device, threads=threads)
+    _worker_renderer = open_cell_renderer(task.cell, device=task.device, threads=threads)
+    atexit.register(_worker_renderer.close)
 
 
-def _finish_scene(task: _Task, scene_id: int) -> Progress:
+def _finish_in_worker(task: _Task, scene_id: int) -> Progress:
+    return _finish_scene(task, scene_id, _worker_renderer)
+
+
+def _finish_scene(task: _Task, scene_id: int, renderer: Renderer) -> Progress:
     start = time.perf_counter()
-    shot = make_scene(task.cell, scene_id, seed=task.seed, device=task.device)
+    shot = make_scene(task.cell, scene_id, seed=task.seed, renderer=renderer)
     write_scene(task.out, scene_id, shot.sample, task.depth_scale_mm)
     return Progress(
         scene_id=scene_id,

@@ -4,7 +4,7 @@ import numpy as np
 from jaxtyping import Float, UInt8
 
 from .color import srgb
-from .render import Rendering
+from .render import Denoiser, Rendering
 from .render.denoise import denoise
 from .scanner import Scanner
 from .sensor import Capture, SensorSpec, auto_exposure_s, expose
@@ -13,12 +13,12 @@ PERCENTILE, TARGET = 98.0, 0.85  # of the colour picture's exposure
 
 
 def color_picture(
-    scanner: Scanner, rendering: Rendering, *, denoise_on: str | None, seed: int
+    scanner: Scanner, rendering: Rendering, *, denoiser: Denoiser | None, seed: int
 ) -> UInt8[np.ndarray, "h w 3"]:
     """Lamps, environment and the projector's idle level, 8-bit sRGB, by a sensor per band.
 
     Args:
-        denoise_on: the device that takes the light's sampling noise off; None leaves it.
+        denoiser: what takes the light's sampling noise off; None leaves it.
         seed: of the sensors' noise.
 
     Raises:
@@ -28,8 +28,8 @@ def color_picture(
     black = 1 / rig.contrast_ratio
     idle = (1 - black) * rig.picture_level + black
     linear = radiance.ambient_rgb + np.float32(idle) * radiance.white_rgb
-    if denoise_on is not None:
-        linear = denoise(linear, radiance.albedo, rendering.truth.normal, device=denoise_on)
+    if denoiser is not None:
+        linear = denoise(linear, radiance.albedo, rendering.truth.normal, denoiser)
     if not linear.max() > 0:
         raise ValueError(
             "the colour picture is black: give light.environment or light.lamps some radiance, "

@@ -134,7 +134,35 @@ class Layout:
         self.part_index.flags.writeable = False
 
 
+TABLE_HALF_M = 4.0  # of the table's edge: it looks endless
+
 EMPTY_LAYOUT = Layout(T_world_part=np.zeros((0, 4, 4)), part_index=np.zeros(0, dtype=np.int64))
+
+
+def table_quad(scene: Scene) -> Quad | None:
+    """The table that the bin stands on; None without a bin."""
+    if scene.bin is None:
+        return None
+    return Quad(
+        center_m=(0.0, 0.0, -scene.bin.wall_m),
+        half_u_m=(TABLE_HALF_M, 0.0, 0.0),
+        half_v_m=(0.0, TABLE_HALF_M, 0.0),
+        material=scene.table,
+    )
+
+
+def lamp_quad(lamp: Lamp) -> Quad:
+    """A lamp's square, its front towards the target; black but for what it emits."""
+    center, target = np.array(lamp.center_m), np.array(lamp.target_m)
+    direction = (target - center) / np.linalg.norm(target - center)
+    aside = np.cross(direction, np.eye(3)[np.abs(direction).argmin()])
+    aside *= 0.5 * lamp.size_m / np.linalg.norm(aside)
+    return Quad(
+        center_m=lamp.center_m,
+        half_u_m=tuple(aside.tolist()),
+        half_v_m=tuple(np.cross(direction, aside).tolist()),
+        material=Material(base_color=(0.0, 0.0, 0.0), specular=0.0),
+    )
 
 
 def bin_mesh(box: Bin) -> Mesh:

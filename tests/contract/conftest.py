@@ -1,12 +1,22 @@
-"""Every test in this folder runs on every back end."""
+"""Every test in this folder runs on every back end that knows what it is about."""
 
 import pytest
+from backends import CYCLES, MITSUBA, REFERENCE
 
 from graycast.render import open_renderer
 
+SLOW_ON_CYCLES = pytest.param(CYCLES, marks=pytest.mark.slow)
 
-@pytest.fixture(params=["reference", "mitsuba"], scope="session")
+
+@pytest.fixture(params=[REFERENCE, MITSUBA, SLOW_ON_CYCLES], scope="session")
 def renderer(request):
-    if request.param == "mitsuba":
-        request.getfixturevalue("cpu_device")
-    return open_renderer(request.param)
+    """All: surfaces, sharp lenses and direct light of the projector."""
+    if request.param == REFERENCE:
+        return open_renderer(REFERENCE)
+    return request.getfixturevalue(f"{request.param}_renderer")
+
+
+@pytest.fixture(params=[MITSUBA, SLOW_ON_CYCLES], scope="session")
+def path_tracer(request):
+    """Those that know parts, lamps, interreflection and blur, too."""
+    return request.getfixturevalue(f"{request.param}_renderer")

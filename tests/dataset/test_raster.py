@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from prisms import HEIGHT, WIDTH, build_sample, hit_depth
 
-from graycast.dataset.raster import rasterize
 from graycast.frames import inverse, pixel_grid, rigid, transform_points
 from graycast.optics import rays
+from graycast.raster import rasterize
 
 
 def on_image(raster, shape):

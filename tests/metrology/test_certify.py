@@ -41,8 +41,8 @@ def small_scanner(sensor=None, **words):
 
 
 @pytest.fixture(scope="module")
-def certificate(cpu_device):
-    return certify(small_scanner(), device="llvm", seed=3, scope=LITTLE)
+def certificate(mitsuba_renderer):
+    return certify(small_scanner(), renderer=mitsuba_renderer, seed=3, scope=LITTLE)
 
 
 def test_temporal_noise_is_the_standard_deviation_that_the_decoder_propagates(certificate):
@@ -104,12 +104,12 @@ def test_an_impossible_scope_is_refused():
 
 
 @pytest.mark.slow
-def test_progress_counts_every_scene(cpu_device):
+def test_progress_counts_every_scene(mitsuba_renderer):
     heard = []
     scope = replace(LITTLE, captures=2)
     made = certify(
         small_scanner(),
-        device="llvm",
+        renderer=mitsuba_renderer,
         seed=0,
         scope=scope,
         on_progress=lambda done, total, what: heard.append((done, total)),
@@ -118,14 +118,14 @@ def test_progress_counts_every_scene(cpu_device):
 
 
 @pytest.mark.slow
-def test_a_scanner_without_noise_certifies_nearly_nothing(cpu_device):
+def test_a_scanner_without_noise_certifies_nearly_nothing(mitsuba_renderer):
     """What is left are the projector's pixels: each of n paths of a camera pixel sees one column,
     evenly up to half a column off, so their mean is off by 1 / sqrt(12 n) columns. Without filters
     that is the deviation of every point; a sphere's slope adds to it.
     """
     scanner = replace(small_scanner(NOISELESS), rig=small_rig(finer=2))
     scope = Scope(distances=3, tilts_deg=(30.0, 60.0), spheres=4, bars=7, captures=2)
-    made = certify(scanner, device="llvm", seed=1, scope=scope)
+    made = certify(scanner, renderer=mitsuba_renderer, seed=1, scope=scope)
 
     def step_m(z_m):
         return depth_per_column_m(scanner.rig, z_m) / math.sqrt(12 * scope.samples)
@@ -144,7 +144,7 @@ def test_a_scanner_without_noise_certifies_nearly_nothing(cpu_device):
 
 
 @pytest.mark.slow
-def test_a_baseline_wrong_by_a_thousandth_makes_all_lengths_wrong_by_it(cpu_device):
+def test_a_baseline_wrong_by_a_thousandth_makes_all_lengths_wrong_by_it(mitsuba_renderer):
     """A point is where a camera ray meets a light plane, so it moves with the baseline along its
     ray: the measured world is a scaled copy about the camera. Same seeds, same pictures.
     """
@@ -152,7 +152,7 @@ def test_a_baseline_wrong_by_a_thousandth_makes_all_lengths_wrong_by_it(cpu_devi
     wrong = replace(truth, rig=small_rig(baseline_m=0.2 * 1.001))
     scope = replace(LITTLE, bars=7, spheres=3)
     right, scaled = (
-        certify(one, device="llvm", seed=5, scope=scope, rendered_with=truth.rig)
+        certify(one, renderer=mitsuba_renderer, seed=5, scope=scope, rendered_with=truth.rig)
         for one in (truth, wrong)
     )
     length_m = right.bar_length_m

@@ -10,6 +10,7 @@ from PIL import Image
 from graycast.frames import inverse, transform_points
 from graycast.optics import project
 from graycast.parts import Material, Mesh, Part, Symmetry, builtin_part
+from graycast.render import open_renderer
 from graycast.report.parts import describe_parts, draw_parts, mass_kg, portrait_scene
 
 
@@ -105,15 +106,15 @@ def test_a_part_stands_on_the_floor_and_the_eye_is_before_it_and_above():
 
 def test_no_parts_are_refused(tmp_path):
     with pytest.raises(ValueError, match="no parts"):
-        draw_parts((), tmp_path / "parts.png", device="llvm")
+        draw_parts((), tmp_path / "parts.png", renderer=open_renderer("reference"))
 
 
 @pytest.mark.slow
-def test_the_picture_shows_each_part_in_its_own_colour_on_a_grey_floor(cpu_device, tmp_path):
+def test_the_picture_shows_each_part_in_its_own_colour_on_a_grey_floor(mitsuba_renderer, tmp_path):
     red, blue = Material(base_color=(0.6, 0.05, 0.05)), Material(base_color=(0.05, 0.05, 0.6))
     size_m = (0.03, 0.03, 0.02)
     parts = (block(size_m, name="red", material=red), block(size_m, name="blue", material=blue))
-    draw_parts(parts, tmp_path / "parts.png", device="llvm", samples=2)
+    draw_parts(parts, tmp_path / "parts.png", renderer=mitsuba_renderer, samples=2)
     sheet = np.array(Image.open(tmp_path / "parts.png").convert("RGB")).astype(int)
     assert [path.name for path in tmp_path.iterdir()] == ["parts.png"]
     areas, middles = [], []

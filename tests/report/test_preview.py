@@ -96,6 +96,7 @@ def make_shot(*, error_m=None, reason=None, layout=None, frames=None, scanned=No
         manifest={
             "scene_id": 7,
             "dataset_seed": 11,
+            "backend": "mitsuba",
             "device": "llvm",
             "config": {"render": {"samples": 16, "depth": 4}},
         },

@@ -33,9 +33,19 @@ def add_seed(parser: argparse.ArgumentParser, default: int | None = None) -> Non
 def add_device(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--device",
-        choices=("auto", "cpu", "cuda"),
+        choices=("auto", "cpu", "cuda", "optix"),
         default="auto",
-        help="auto takes CUDA where it works, else the CPU",
+        help="auto takes the GPU where it works, else the CPU; optix is of Cycles alone",
+    )
+
+
+def add_backend(parser: argparse.ArgumentParser, default: str | None = None) -> None:
+    told = "as configured" if default is None else default
+    parser.add_argument(
+        "--backend",
+        choices=("mitsuba", "cycles"),
+        default=default,
+        help=f"mitsuba renders all patterns in one pass, cycles each by itself (default: {told})",
     )
 
 

@@ -5,6 +5,7 @@ from pathlib import Path
 
 from ..errors import GraycastError
 from .arguments import (
+    add_backend,
     add_command,
     add_config,
     add_device,
@@ -24,6 +25,7 @@ def add_commands(commands) -> None:
     generate.add_argument("--out", type=Path, required=True, help="the dataset's folder")
     generate.add_argument("--scenes", type=positive, help="how many (default: as configured)")
     add_seed(generate)
+    add_backend(generate)
     add_device(generate)
     generate.add_argument(
         "--workers", type=positive, default=1, help="processes that share the cores (default 1)"
@@ -36,6 +38,7 @@ def add_commands(commands) -> None:
     preview.add_argument("--out", type=Path, required=True, help="the PNG to write")
     preview.add_argument("--scene", type=seed, default=0, help="which scene (default 0)")
     add_seed(preview)
+    add_backend(preview)
     add_device(preview)
 
     validate = add_command(commands, "validate", _validate, "Check a dataset from its files alone.")
@@ -54,6 +57,9 @@ def _load_cell(options: argparse.Namespace):
     from ..generate import resolve_cell
 
     config = load_config(options.config)
+    if getattr(options, "backend", None) is not None:
+        render = config.render.model_copy(update={"backend": options.backend})
+        config = config.model_copy(update={"render": render})
     try:
         cell = resolve_cell(config, options.config.parent)
     except (GraycastError, ValueError, OSError) as error:
@@ -65,17 +71,18 @@ def _load_cell(options: argparse.Namespace):
 
 def _generate(options: argparse.Namespace) -> int:
     from ..generate import Progress, generate
-    from ..render.device import choose_device
+    from ..render import choose_device
 
     cell = _load_cell(options)
     config = cell.config
     scenes = options.scenes or config.scenes
     seed = config.seed if options.seed is None else options.seed
-    device = choose_device(options.device)
+    backend = config.render.backend
+    device = choose_device(backend, options.device)
     rig = cell.scene.rig
     print(
-        f"{scenes} scenes of {', '.join(part.name for part in cell.scene.parts)} on {device}, "
-        f"rig {rig.name}, seed {seed}, {options.workers} worker(s)"
+        f"{scenes} scenes of {', '.join(part.name for part in cell.scene.parts)} by {backend} on "
+        f"{device}, rig {rig.name}, seed {seed}, {options.workers} worker(s)"
     )
     with progress_bar() as bar:
         task = bar.add_task("scenes", total=scenes)
@@ -105,16 +112,14 @@ def _generate(options: argparse.Namespace) -> int:
 
 
 def _preview(options: argparse.Namespace) -> int:
-    from ..generate import make_scene
-    from ..render.device import choose_device, open_device
+    from ..generate import make_scene, open_cell_renderer
     from ..report import draw_preview
 
     cell = _load_cell(options)
-    device = choose_device(options.device)
-    print(f"scene {options.scene} on {device}")
-    open_device(device)
     seed = cell.config.seed if options.seed is None else options.seed
-    shot = make_scene(cell, options.scene, seed=seed, device=device)
+    with open_cell_renderer(cell, device=options.device) as renderer:
+        print(f"scene {options.scene} by {renderer.name} on {renderer.device}")
+        shot = make_scene(cell, options.scene, seed=seed, renderer=renderer)
     draw_preview(shot, cell.code, options.out)
     for name, share in shot.sample.manifest["reasons"].items():
         print(f"  {name:18} {share:7.2%} of the pixels")
@@ -146,10 +151,9 @@ def _parts(options: argparse.Namespace) -> int:
         shown = _load_cell(options).scene.parts
     print(describe_parts(shown))
     if options.out is not None:
-        from ..render.device import choose_device, open_device
+        from ..render import open_renderer
 
-        device = choose_device(options.device)
-        open_device(device)
-        draw_parts(shown, options.out, device=device)
+        with open_renderer(device=options.device) as renderer:
+            draw_parts(shown, options.out, renderer=renderer)
         print(options.out)
     return 0

@@ -8,6 +8,7 @@ from ..errors import GraycastError
 from ..folder import whole_folder
 from .arguments import (
     above_zero,
+    add_backend,
     add_command,
     add_device,
     add_resolution,
@@ -37,6 +38,7 @@ def add_commands(commands) -> None:
     add_rig(certify)
     certify.add_argument("--out", type=Path, required=True, help="the folder to write")
     add_seed(certify, default=0)
+    add_backend(certify, default="mitsuba")
     add_device(certify)
 
     realism = add_command(
@@ -80,16 +82,21 @@ def _decode(options: argparse.Namespace) -> int:
 
 def _certify(options: argparse.Namespace) -> int:
     from ..metrology import certify, describe, write_certificate
+    from ..render import open_renderer
 
     scanner = resolve_rig_option(options)
-    with whole_folder(options.out) as folder, progress_bar() as bar:
+    with (
+        whole_folder(options.out) as folder,
+        open_renderer(options.backend, device=options.device) as renderer,
+        progress_bar() as bar,
+    ):
         task = bar.add_task("scenes", total=None)
 
         def on_progress(done: int, total: int, what: str) -> None:
             bar.update(task, completed=done, total=total, description=what)
 
         certificate = certify(
-            scanner, device=options.device, seed=options.seed, on_progress=on_progress
+            scanner, renderer=renderer, seed=options.seed, on_progress=on_progress
         )
         page = write_certificate(certificate, folder)
     print(describe(certificate))

@@ -11,8 +11,8 @@ from pycocotools import mask as coco_mask
 from ..decode import Reason
 from ..frames import is_rigid, rigid
 from ..optics import Optics
+from ..raster import Raster, rasterize
 from . import records
-from .raster import Raster, rasterize
 from .reading import Unreadable, read_json, read_png
 
 # A pixel whose centre lies very near an edge may fall to either side in a renderer of single

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Float
 
-from ..render.device import choose_device, open_device
+from ..render import Renderer
 from ..rig import Rig
 from ..scanner import Scanner
 from .artefacts import (
@@ -83,7 +83,7 @@ class _Plan:
 def certify(
     scanner: Scanner,
     *,
-    device: str,
+    renderer: Renderer,
     seed: int,
     scope: Scope | None = None,
     rendered_with: Rig | None = None,
@@ -95,7 +95,7 @@ def certify(
     on the artefact in it, unless the scanner's is fixed. Truth comes from the scene.
 
     Args:
-        device: 'auto', 'cpu', 'llvm' or 'cuda'.
+        renderer: an open one.
         seed: of the light's sampling and of the sensor's noise.
         rendered_with: the rig as it is built, where the scanner's own is a calibration that is not
             right. The working volume is that of the rig as built.
@@ -104,15 +104,12 @@ def certify(
 
     Raises:
         ValueError: camera and projector share too small a field, or an artefact is not decoded.
-        DeviceError: no such device here.
 
     Leaves out: what else than sensor noise changes from shot to shot (vibration, drift, warm-up, a
     projector that flickers); artefacts' own errors; interreflections, where `scope.depth` is 1.
     """
     start_s = time.perf_counter()
-    device = choose_device(device)
-    open_device(device)
-    lab = open_lab(scanner, rendered_with or scanner.rig, scope or Scope())
+    lab = open_lab(scanner, rendered_with or scanner.rig, scope or Scope(), renderer)
     plan = _plan(lab)
     tell = on_progress or (lambda done, total, what: None)
     own_seed = np.random.SeedSequence(seed).generate_state(plan.scenes).tolist()
@@ -139,7 +136,7 @@ def certify(
     tell(done, plan.scenes, "done")
     return Certificate(
         rig=rig_figures(scanner.rig),
-        conditions=conditions(lab, device, seed),
+        conditions=conditions(lab, seed),
         near_m=lab.volume.near_m,
         far_m=lab.volume.far_m,
         diagonal_m=lab.volume.diagonal_m,

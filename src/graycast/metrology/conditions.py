@@ -62,7 +62,7 @@ def rig_figures(rig: Rig) -> dict[str, Any]:
     }
 
 
-def conditions(lab: Lab, device: str, seed: int) -> dict[str, Any]:
+def conditions(lab: Lab, seed: int) -> dict[str, Any]:
     scanner, scope = lab.scanner, lab.scope
     kinds = {
         "codec": scanner.code.codec,
@@ -80,6 +80,6 @@ def conditions(lab: Lab, device: str, seed: int) -> dict[str, Any]:
         "code": kinds,
         "filters": filters,
         "calibration_differs": lab.rig is not scanner.rig,
-        "renderer": f"mitsuba on {device}, {platform.machine()}",
+        "renderer": f"{lab.renderer.name} on {lab.renderer.device}, {platform.machine()}",
         "seed": seed,
     }

@@ -12,7 +12,7 @@ from ..frames import inverse, pixel_grid, transform_points
 from ..optics import rays
 from ..parts import Material
 from ..pattern import Code
-from ..render import Quality, Rendering, open_renderer
+from ..render import Quality, Renderer, Rendering
 from ..rig import Rig, grey_levels
 from ..scanner import Scanner, measure, take
 from ..scene import EMPTY_LAYOUT, Environment, Quad, Scene, Sphere
@@ -34,6 +34,7 @@ class Lab:
 
     scanner: Scanner
     rig: Rig
+    renderer: Renderer
     scope: Scope
     volume: Volume
     code: Code
@@ -59,13 +60,14 @@ class Shots:
     sigma_m: Float[np.ndarray, "h w"]
 
 
-def open_lab(scanner: Scanner, rig: Rig, scope: Scope) -> Lab:
+def open_lab(scanner: Scanner, rig: Rig, scope: Scope, renderer: Renderer) -> Lab:
     """Raises ValueError where camera and projector share no field."""
     code = scanner.patterns()
     grid = pixel_grid(rig.camera.height_px, rig.camera.width_px)
     return Lab(
         scanner=scanner,
         rig=rig,
+        renderer=renderer,
         scope=scope,
         volume=working_volume(rig),
         code=code,
@@ -119,9 +121,7 @@ def _render(lab: Lab, surfaces: tuple[Quad | Sphere, ...], seed: int) -> Renderi
         environment=Environment(radiance=(scope.ambient_w_sr_m2,) * 3),
     )
     quality = Quality(samples=scope.samples, depth=scope.depth)
-    return open_renderer("mitsuba").render(
-        scene, EMPTY_LAYOUT, lab.pattern, quality=quality, seed=seed
-    )
+    return lab.renderer.render(scene, EMPTY_LAYOUT, lab.pattern, quality=quality, seed=seed)
 
 
 def _in_volume(lab: Lab, rendering: Rendering) -> Bool[np.ndarray, "h w"]:

@@ -1,5 +1,6 @@
 """What a part is: a mesh, a material, and the few facts that physics and datasets need."""
 
+import math
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -46,6 +47,12 @@ class Material:
             )
         if self.texture is not None:
             self.texture.flags.writeable = False
+
+    @property
+    def ior(self) -> float:
+        """Index of refraction of the coat, by Fresnel's reflectance at normal incidence."""
+        root = math.sqrt(0.08 * self.specular)
+        return (1 + root) / (1 - root)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -1,28 +1,72 @@
-"""Light transport: one file per back end, and a small exact reference."""
+"""Light transport: one file or folder per back end, and a small exact reference."""
 
-from .radiance import GroundTruth, Quality, Radiance, Renderer, Rendering, Silhouette
+from .radiance import Denoiser, GroundTruth, Quality, Radiance, Renderer, Rendering, Silhouette
 
 __all__ = [
+    "Denoiser",
     "GroundTruth",
     "Quality",
     "Radiance",
     "Renderer",
     "Rendering",
     "Silhouette",
+    "choose_device",
     "open_renderer",
 ]
 
 
-def open_renderer(name: str) -> Renderer:
+def open_renderer(
+    name: str = "mitsuba",
+    *,
+    device: str = "auto",
+    threads: int | None = None,
+    patterns_per_render: int = 1,
+) -> Renderer:
     """The one place that knows which back ends exist; each is imported when asked for.
 
-    'mitsuba' needs `render.device.open_device` first, which chooses CPU or GPU.
+    Args:
+        name: 'mitsuba' renders all patterns in one pass, 'cycles' each by itself in Blender,
+            'reference' direct light on simple surfaces, exactly.
+        device: 'auto', 'cpu', 'cuda' or, of Cycles, 'optix'. A process has one device of Mitsuba.
+        threads: processor threads; None leaves the choice to the back end.
+        patterns_per_render: of Cycles: 3 puts patterns into R, G and B, where light is of one
+            wavelength or all materials are grey.
+
+    Raises:
+        DeviceError: the back end or the device is not there; the text ends with the remedy.
+        ValueError: no such back end or device.
     """
     match name:
         case "reference":
-            from .reference import ReferenceRenderer as Chosen
+            from .reference import ReferenceRenderer
+
+            return ReferenceRenderer()
         case "mitsuba":
-            from .mitsuba import MitsubaRenderer as Chosen
-        case _:
-            raise ValueError(f"no renderer {name!r}: choose 'reference' or 'mitsuba'")
-    return Chosen()
+            from .device import choose_device, open_device
+
+            device = choose_device(device)
+            open_device(device, threads=threads)
+            from .mitsuba import MitsubaRenderer
+
+            return MitsubaRenderer(device)
+        case "cycles":
+            from .cycles.renderer import CyclesRenderer
+
+            return CyclesRenderer(
+                device=device, threads=threads, patterns_per_render=patterns_per_render
+            )
+    raise ValueError(f"no renderer {name!r}: choose 'mitsuba', 'cycles' or 'reference'")
+
+
+def choose_device(backend: str, name: str) -> str:
+    """The device on which a back end would render; takes 'auto', returns what is there.
+
+    Raises:
+        DeviceError: the back end or the device is not there; the text ends with the remedy.
+        ValueError: no such device of this back end.
+    """
+    if backend == "cycles":
+        from .cycles.renderer import choose_cycles_device as choose
+    else:
+        from .device import choose_device as choose
+    return choose(name)

@@ -7,13 +7,14 @@ and with them the decoded depth.
 import numpy as np
 from jaxtyping import Float
 
+from .radiance import Denoiser, Radiance
+
 
 def denoise(
     rgb: Float[np.ndarray, "h w 3"],
     albedo: Float[np.ndarray, "h w 3"],
     normal: Float[np.ndarray, "h w 3"],
-    *,
-    device: str,
+    by: Denoiser,
 ) -> Float[np.ndarray, "h w 3"]:
     """A clean copy of a linear colour picture.
 
@@ -21,11 +22,32 @@ def denoise(
         rgb: radiance [W sr^-1 m^-2], any scale.
         albedo: base reflectance of what each pixel sees.
         normal: unit normals, NaN where there is nothing.
-        device: 'cuda' uses OptiX, anything else Open Image Denoise.
+        by: 'oidn' on the processor, 'optix' on an NVIDIA GPU that Mitsuba has opened.
     """
     guides = np.clip(albedo, 0, 1), np.nan_to_num(normal, nan=0.0)
     images = [np.ascontiguousarray(image, dtype=np.float32) for image in (rgb, *guides)]
-    return _optix(*images) if device == "cuda" else _oidn(*images)
+    return _optix(*images) if by == "optix" else _oidn(*images)
+
+
+def denoised(radiance: Radiance, normal: Float[np.ndarray, "h w 3"], by: Denoiser) -> Radiance:
+    """Every picture of a stack cleaned by itself, as a program that renders them singly would."""
+
+    def clean(picture: Float[np.ndarray, "*n"]) -> Float[np.ndarray, "*n"]:
+        grey = picture.ndim == 2
+        rgb = np.repeat(picture[..., None], 3, axis=-1) if grey else picture
+        result = denoise(rgb, radiance.albedo, normal, by)
+        return result.mean(axis=-1) if grey else result
+
+    return Radiance(
+        pattern=np.array([clean(one) for one in radiance.pattern], dtype=np.float32).reshape(
+            radiance.pattern.shape
+        ),
+        white=clean(radiance.white),
+        ambient=clean(radiance.ambient),
+        white_rgb=clean(radiance.white_rgb),
+        ambient_rgb=clean(radiance.ambient_rgb),
+        albedo=radiance.albedo,
+    )
 
 
 def _oidn(rgb: np.ndarray, albedo: np.ndarray, normal: np.ndarray) -> np.ndarray:

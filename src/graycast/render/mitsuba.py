@@ -25,6 +25,7 @@ as they should be, and their stripes are not shifted by the half of the lens tha
 
 import math
 from dataclasses import dataclass, replace
+from importlib.metadata import version
 from typing import final
 
 import drjit as dr
@@ -35,6 +36,7 @@ from ..frames import inverse
 from ..optics import relative_illumination
 from ..rig import Rig
 from ..scene import Layout, Scene
+from .denoise import denoised
 from .mitsuba_lens import (
     blur_radius2,
     camera_ray,
@@ -47,7 +49,7 @@ from .mitsuba_lens import (
 from .mitsuba_patterns import bit_counts, packed
 from .mitsuba_scene import build
 from .mitsuba_truth import truth
-from .radiance import Quality, Radiance, Rendering
+from .radiance import Denoiser, Quality, Radiance, Rendering
 from .wavelength import at_projector_wavelength
 
 ROULETTE_FROM = 2  # vertices that every path gets before Russian roulette
@@ -66,7 +68,14 @@ PIXEL, CAMERA_PUPIL, CAMERA_BLUR, PROJECTOR_PUPIL, PROJECTOR_DISC = range(len(ST
 
 @final
 class MitsubaRenderer:
-    """See the module. Holds nothing: each call builds its scene and lets it go."""
+    """See the module. Each call builds its scene and lets it go; the device stays open."""
+
+    name = "mitsuba"
+
+    def __init__(self, device: str):
+        self.device = device
+        self.denoiser: Denoiser = "optix" if device == "cuda" else "oidn"
+        self.versions = {name: version(name) for name in ("mitsuba", "drjit")}
 
     def render(
         self,
@@ -89,7 +98,19 @@ class MitsubaRenderer:
                 ambient_rgb=look.ambient_rgb,
                 albedo=look.albedo,
             )
-        return Rendering(radiance=radiance, truth=truth(world, part_shapes, scene, layout))
+        seen = truth(world, part_shapes, scene, layout)
+        if quality.denoise != "none":
+            radiance = denoised(radiance, seen.normal, quality.denoise)
+        return Rendering(radiance=radiance, truth=seen)
+
+    def close(self) -> None:
+        """A process keeps its Mitsuba device to its end."""
+
+    def __enter__(self) -> "MitsubaRenderer":
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        self.close()
 
 
 def _refuse(rig: Rig, pattern: np.ndarray, quality: Quality) -> None:

@@ -17,7 +17,7 @@ from ..frames import inverse, pixel_grid, transform_points
 from ..optics import project, rays, relative_illumination
 from ..rig import Rig, emission
 from ..scene import Layout, Quad, Scene, Sphere
-from .radiance import GroundTruth, Quality, Radiance, Rendering
+from .radiance import Denoiser, GroundTruth, Quality, Radiance, Rendering
 from .wavelength import at_projector_wavelength
 
 CLEARANCE_M = 1e-9  # a shadow ray starts this far from its surface; float64 needs no more
@@ -26,6 +26,12 @@ CLEARANCE_M = 1e-9  # a shadow ray starts this far from its surface; float64 nee
 @final
 class ReferenceRenderer:
     """See the module. Raises ValueError for whatever is beyond its limits."""
+
+    name, device = "reference", "cpu"
+    denoiser: Denoiser = "oidn"
+
+    def __init__(self) -> None:
+        self.versions: dict[str, str] = {}
 
     def render(
         self,
@@ -68,6 +74,15 @@ class ReferenceRenderer:
         )
         return Rendering(radiance=radiance, truth=_truth(scene, grid))
 
+    def close(self) -> None:
+        pass
+
+    def __enter__(self) -> "ReferenceRenderer":
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        self.close()
+
 
 def _refuse_beyond_limits(
     scene: Scene, layout: Layout, pattern: np.ndarray, quality: Quality
@@ -87,6 +102,8 @@ def _refuse_beyond_limits(
         raise ValueError("the reference renderer has sharp lenses: set aperture_m and psf_px to 0")
     if scene.rig.speckle_contrast:
         raise ValueError("the reference renderer has no speckle: set speckle_contrast to 0")
+    if quality.denoise != "none":
+        raise ValueError("the reference renderer has no noise to take off: denoise 'none'")
     for surface in scene.surfaces:
         material = surface.material
         if material.metallic or material.specular or material.texture is not None:

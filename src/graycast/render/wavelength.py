@@ -1,6 +1,9 @@
 """The scene in the light of the projector's wavelength, as the measuring camera sees it."""
 
+from collections.abc import Callable
 from dataclasses import replace
+
+import numpy as np
 
 from ..parts import Material
 from ..scene import Scene
@@ -11,19 +14,62 @@ def at_projector_wavelength(scene: Scene) -> Scene:
 
     The very same scene where none has one, so that a renderer need not do the work twice.
     """
-    materials = [scene.table, *(part.material for part in scene.parts)]
-    materials += [surface.material for surface in scene.surfaces]
-    if scene.bin is not None:
-        materials.append(scene.bin.material)
-    if all(material.projector_reflectance is None for material in materials):
+    if all(material.projector_reflectance is None for material in _materials(scene)):
         return scene
+    return _with_materials(scene, _grey)
+
+
+def at_one_wavelength(scene: Scene) -> Scene:
+    """The scene in greys: what it is in the one band in which the projector shines.
+
+    A projector of several bands does as well where every material is grey: all bands are alike.
+
+    Raises:
+        ValueError: the projector has several bands and a material has a colour.
+    """
+    shining = np.flatnonzero(np.array(scene.rig.band_weights) > 0)
+    if len(shining) > 1:
+        for material in _materials(scene):
+            if not _is_grey(material):
+                look = "a texture" if material.texture is not None else str(material.base_color)
+                raise ValueError(
+                    f"patterns_per_render 3 needs light of one wavelength, but rig "
+                    f"{scene.rig.name} shines in {len(shining)} bands and a material has the "
+                    f"colour {look}: set patterns_per_render to 1, or give the materials a "
+                    "projector_reflectance"
+                )
+        return scene
+    band = int(shining[0])
+    return _with_materials(scene, lambda material: _in_band(material, band))
+
+
+def _materials(scene: Scene) -> list[Material]:
+    materials = [part.material for part in scene.parts]
+    materials += [surface.material for surface in scene.surfaces]
+    return materials if scene.bin is None else [*materials, scene.table, scene.bin.material]
+
+
+def _with_materials(scene: Scene, change: Callable[[Material], Material]) -> Scene:
     return replace(
         scene,
-        table=_grey(scene.table),
-        parts=tuple(replace(part, material=_grey(part.material)) for part in scene.parts),
-        surfaces=tuple(replace(one, material=_grey(one.material)) for one in scene.surfaces),
-        bin=scene.bin and replace(scene.bin, material=_grey(scene.bin.material)),
+        table=change(scene.table),
+        parts=tuple(replace(part, material=change(part.material)) for part in scene.parts),
+        surfaces=tuple(replace(one, material=change(one.material)) for one in scene.surfaces),
+        bin=scene.bin and replace(scene.bin, material=change(scene.bin.material)),
     )
+
+
+def _is_grey(material: Material) -> bool:
+    if material.texture is None:
+        return len(set(material.base_color)) == 1
+    return bool((material.texture == material.texture[..., :1]).all())
+
+
+def _in_band(material: Material, band: int) -> Material:
+    texture = material.texture
+    if texture is not None:
+        texture = np.repeat(texture[..., band : band + 1], 3, axis=-1)
+    return replace(material, base_color=(material.base_color[band],) * 3, texture=texture)
 
 
 def _grey(material: Material) -> Material:

@@ -11,7 +11,7 @@ from ..color import srgb
 from ..frames import inverse, look_at, rigid, transform_points
 from ..optics import Optics
 from ..parts import Material, Mesh, Part, Symmetry
-from ..render import Quality, open_renderer
+from ..render import Quality, Renderer
 from ..render.denoise import denoise
 from ..rig import Rig
 from ..scene import Environment, Lamp, Layout, Quad, Scene
@@ -50,7 +50,9 @@ def describe_parts(parts: tuple[Part, ...]) -> str:
     return "\n".join(line.rstrip() for line in lines)
 
 
-def draw_parts(parts: tuple[Part, ...], path: Path, *, device: str, samples: int = 32) -> None:
+def draw_parts(
+    parts: tuple[Part, ...], path: Path, *, renderer: Renderer, samples: int = 32
+) -> None:
     """Write a PNG: each part on a grey floor, filling its tile, with its figures below.
 
     Light and exposure are the same for all parts, so that their darkness can be compared; each
@@ -58,7 +60,7 @@ def draw_parts(parts: tuple[Part, ...], path: Path, *, device: str, samples: int
 
     Args:
         path: of the PNG file; it appears complete or not at all.
-        device: 'llvm' or 'cuda', already open (`render.device.open_device`).
+        renderer: an open one.
         samples: light paths per pixel.
 
     Raises:
@@ -81,7 +83,7 @@ def draw_parts(parts: tuple[Part, ...], path: Path, *, device: str, samples: int
         row, column = divmod(index, columns)
         left, top = _GAP_PX + column * step_x, _HEAD_PX + row * step_y
         ax = pixel_axes(figure, left, top, width, height)
-        ax.imshow(_portrait(part, device=device, samples=samples), interpolation="nearest")
+        ax.imshow(_portrait(part, renderer=renderer, samples=samples), interpolation="nearest")
         ax.set_axis_off()
         text = "\n".join(
             [
@@ -102,9 +104,9 @@ def draw_parts(parts: tuple[Part, ...], path: Path, *, device: str, samples: int
 # --- picture -----------------------------------------------------------------------------------
 
 
-def _portrait(part: Part, *, device: str, samples: int) -> UInt8[np.ndarray, "h w 3"]:
+def _portrait(part: Part, *, renderer: Renderer, samples: int) -> UInt8[np.ndarray, "h w 3"]:
     scene, layout = portrait_scene(part)
-    rendering = open_renderer("mitsuba").render(
+    rendering = renderer.render(
         scene,
         layout,
         np.zeros((1, 2, 2), dtype=np.uint8),  # the projector has nothing to show
@@ -112,7 +114,9 @@ def _portrait(part: Part, *, device: str, samples: int) -> UInt8[np.ndarray, "h 
         seed=0,
     )
     radiance = rendering.radiance
-    clean = denoise(radiance.ambient_rgb, radiance.albedo, rendering.truth.normal, device=device)
+    clean = denoise(
+        radiance.ambient_rgb, radiance.albedo, rendering.truth.normal, renderer.denoiser
+    )
     return srgb(clean / _WHITE_LEVEL)
 
 

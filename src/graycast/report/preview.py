@@ -178,7 +178,7 @@ def _write_head(figure: Figure, shot: Shot, code: Code) -> None:
         f"{1e3 * layout.last_speed_m_s:.2g} mm/s, {layout.last_spin_rad_s:.2g} rad/s, "
         f"overlap {1e3 * layout.deepest_penetration_m:.2g} mm, {layout.outside} outside",
         f"seed {manifest['dataset_seed']}",
-        f"device {manifest['device']}",
+        f"{manifest['backend']} on {manifest['device']}",
     ]
     height_px = figure.get_size_inches()[1] * DPI
     left = _MARGIN_PX / SHEET_WIDTH_PX

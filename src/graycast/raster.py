@@ -7,7 +7,7 @@ import numba
 import numpy as np
 from jaxtyping import Float, Int
 
-from ..optics import Optics, project, rays
+from .optics import Optics, project, rays
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

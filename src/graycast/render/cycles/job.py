@@ -1,0 +1,244 @@
+"""A scene as files for Cycles, and Cycles' pictures as radiance and ground truth."""
+
+import json
+import math
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float, Int, UInt8
+from PIL import Image
+
+from ...optics import Optics, fold_radius2, rays
+from ...parts import Material, Mesh
+from ...rig import Rig, emission
+from ...scene import Environment, Layout, Quad, Scene, Sphere, bin_mesh, lamp_quad, table_quad
+from ..radiance import Quality
+
+WHITE = -1  # in a frame's list of patterns
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Frame:
+    """One render. `levels` are pattern numbers: one for all bands, or three, one for each."""
+
+    name: str
+    kind: str
+    levels: tuple[int, ...] = ()
+
+
+def pattern_frames(count: int, per_render: int) -> tuple[Frame, ...]:
+    """The renders of so many patterns, one or three in each; a last one is filled up with white."""
+    frames = []
+    for first in range(0, count, per_render):
+        numbers = [
+            number if number < count else WHITE for number in range(first, first + per_render)
+        ]
+        name = f"pattern_{first:03d}"
+        frames.append(Frame(name=name, kind="projected", levels=tuple(numbers)))
+    return tuple(frames)
+
+
+LOOK = (
+    Frame(name="white", kind="projected", levels=(WHITE,)),
+    Frame(name="ambient", kind="ambient"),
+)
+ALBEDO = (Frame(name="albedo", kind="albedo"),)
+TRUTH = tuple(Frame(name=name, kind=name) for name in ("position", "normal", "instance"))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Placed:
+    """A mesh and where its copies stand; `instances` are layout indices + 1, 0 for all else."""
+
+    name: str
+    mesh: Mesh
+    material: Material
+    T_world: Float[np.ndarray, "n 4 4"]
+    instances: Int[np.ndarray, "n"]
+    radiance: tuple[float, float, float] | None = None
+
+
+def write_job(
+    folder: Path,
+    scene: Scene,
+    layout: Layout,
+    pattern: UInt8[np.ndarray, "n ph pw"],
+    frames: tuple[Frame, ...],
+    *,
+    quality: Quality,
+    seed: int,
+    device: str,
+    threads: int | None,
+) -> None:
+    """All that `worker/` needs, as `job.json`, arrays and pictures in a folder."""
+    rig = scene.rig
+    placed = _placed(scene, layout)
+    seeds = np.random.SeedSequence(seed).generate_state(len(frames)) >> 1  # Cycles' are signed
+    np.save(folder / "pattern.npy", pattern)
+    materials = [_material(folder, i, one.material, one.radiance) for i, one in enumerate(placed)]
+    spheres = [surface for surface in scene.surfaces if isinstance(surface, Sphere)]
+    job = {
+        "camera": _optics(rig.camera) | {"is_simple": is_simple(rig.camera)},
+        "projector": _optics(rig.projector),
+        "T_world_cam": scene.T_world_cam.tolist(),
+        "T_world_proj": (scene.T_world_cam @ rig.T_cam_proj).tolist(),
+        "intensity_w_sr": rig.intensity_w_sr,
+        "field_tangent": _field_tangent(rig),
+        "emission": emission(rig, np.arange(256, dtype=np.uint8)).tolist(),
+        "materials": materials
+        + [
+            _material(folder, len(placed) + i, sphere.material, None)
+            for i, sphere in enumerate(spheres)
+        ],
+        "meshes": [_mesh(folder, i, one) for i, one in enumerate(placed)],
+        "spheres": [
+            {"center_m": s.center_m, "radius_m": s.radius_m, "material": len(placed) + i}
+            for i, s in enumerate(spheres)
+        ],
+        "environment": _environment(scene.environment),
+        "samples": quality.samples,
+        "depth": quality.depth,
+        "denoise": quality.denoise,
+        "device": device,
+        "threads": threads,
+        "frames": [
+            {
+                "name": frame.name,
+                "kind": frame.kind,
+                "levels": list(frame.levels),
+                # Three patterns in one render take a band each, of one wavelength: no shares.
+                "bands": [1.0] * 3 if len(frame.levels) == 3 else list(rig.band_weights),
+                "seed": int(own),
+            }
+            for frame, own in zip(frames, seeds, strict=True)
+        ],
+    }
+    (folder / "job.json").write_text(json.dumps(job), encoding="utf-8")
+
+
+def is_simple(camera: Optics) -> bool:
+    """Whether Blender's own camera can stand for it; others need Open Shading Language."""
+    square = camera.fx_px == camera.fy_px and camera.fill_factor == 1
+    return square and camera.is_pinhole and not camera.has_distortion
+
+
+def _optics(optics: Optics) -> dict[str, Any]:
+    """JSON has no infinity: None is a focus, or a fold of the lens, at infinity."""
+    words = {name: getattr(optics, name) for name in Optics.__slots__}
+    fold = fold_radius2(optics.distortion)
+    return words | {
+        "focus_m": None if math.isinf(optics.focus_m) else optics.focus_m,
+        "fold_radius2": None if math.isinf(fold) else fold,
+    }
+
+
+def _field_tangent(rig: Rig) -> float:
+    """Tangent of the widest angle to the axis at which any light leaves the projector."""
+    projector = rig.projector
+    x = np.array([-0.5, projector.width_px - 0.5])
+    y = np.array([-0.5, projector.height_px - 0.5])
+    border = np.concatenate(
+        [
+            np.stack(np.meshgrid(x, np.linspace(*y, 65)), axis=-1).reshape(-1, 2),
+            np.stack(np.meshgrid(np.linspace(*x, 65), y), axis=-1).reshape(-1, 2),
+        ]
+    )
+    tangent = np.linalg.norm(rays(projector, border)[:, :2], axis=-1).max()
+    # From the border of the lens light leaves at a wider angle than from its middle.
+    near_m = min(projector.focus_m, rig.near_m)
+    return float(tangent + projector.aperture_m / near_m)
+
+
+def _placed(scene: Scene, layout: Layout) -> list[_Placed]:
+    placed = []
+    for index, part in enumerate(scene.parts):
+        instances = np.flatnonzero(layout.part_index == index)
+        if len(instances):
+            T_world = layout.T_world_part[instances]
+            placed.append(
+                _Placed(
+                    name=part.name,
+                    mesh=part.mesh,
+                    material=part.material,
+                    T_world=T_world,
+                    instances=instances + 1,
+                )
+            )
+    if scene.bin is not None:
+        placed.append(_alone("bin", bin_mesh(scene.bin), scene.bin.material))
+    quads = [
+        surface for surface in (table_quad(scene), *scene.surfaces) if isinstance(surface, Quad)
+    ]
+    placed += [_alone("quad", _quad_mesh(quad), quad.material) for quad in quads]
+    for lamp in scene.lamps:
+        quad = lamp_quad(lamp)
+        placed.append(_alone("lamp", _quad_mesh(quad), quad.material, lamp.radiance))
+    return placed
+
+
+def _alone(
+    name: str, mesh: Mesh, material: Material, radiance: tuple[float, float, float] | None = None
+) -> _Placed:
+    return _Placed(
+        name=name,
+        mesh=mesh,
+        material=material,
+        T_world=np.eye(4)[None],
+        instances=np.zeros(1, dtype=np.int64),
+        radiance=radiance,
+    )
+
+
+def _quad_mesh(quad: Quad) -> Mesh:
+    center, u, v = (np.array(value) for value in (quad.center_m, quad.half_u_m, quad.half_v_m))
+    corners = np.array([center - u - v, center + u - v, center + u + v, center - u + v])
+    uv = np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]])
+    faces = np.array([[0, 1, 2], [0, 2, 3]])
+    return Mesh(vertices_m=corners, faces=faces, corner_uv=uv[faces])
+
+
+def _mesh(folder: Path, index: int, placed: _Placed) -> dict[str, Any]:
+    arrays = {
+        "vertices_m": placed.mesh.vertices_m.astype(np.float32),
+        "faces": placed.mesh.faces.astype(np.int32),
+        "T_world": placed.T_world,
+    }
+    if placed.mesh.corner_uv is not None:
+        arrays["corner_uv"] = placed.mesh.corner_uv.astype(np.float32)
+    if placed.mesh.corner_normals is not None:
+        arrays["corner_normals"] = placed.mesh.corner_normals.astype(np.float32)
+    file = f"mesh_{index:03d}.npz"
+    np.savez(folder / file, **arrays)
+    return {
+        "name": placed.name,
+        "file": file,
+        "material": index,
+        "instances": placed.instances.tolist(),
+    }
+
+
+def _material(
+    folder: Path, index: int, material: Material, radiance: tuple[float, float, float] | None
+) -> dict[str, Any]:
+    texture = None
+    if material.texture is not None:
+        texture = f"texture_{index:03d}.png"
+        Image.fromarray(np.asarray(material.texture)).save(folder / texture, compress_level=1)
+    return {
+        "base_color": material.base_color,
+        "texture": texture,
+        "metallic": material.metallic,
+        "roughness": material.roughness,
+        "specular": material.specular,
+        "ior": material.ior,
+        "radiance": radiance,
+    }
+
+
+def _environment(environment: Environment) -> dict[str, Any] | None:
+    if environment.map_file is None and not any(environment.radiance):
+        return None
+    file = None if environment.map_file is None else str(environment.map_file.resolve())
+    return {"radiance": environment.radiance, "map_file": file}

@@ -1,0 +1,135 @@
+"""The child process in which Cycles runs.
+
+The protocol: a line on the child's stdin is the path of a job's folder. Each answer is one line of
+JSON: `{"ready": version}` at the start, `{"frame": name}` when a frame's file is written, and
+`{"done": true}` or `{"error": text}` at the end of a job. Pictures pass by files.
+"""
+
+import json
+import os
+import subprocess
+import sys
+import tempfile
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, final
+
+from ...errors import GraycastError
+
+WORKER = Path(__file__).with_name("worker")
+PYTHON_VARIABLE = "GRAYCAST_CYCLES_PYTHON"
+_OWN_PLACE = Path(".venv-cycles") / "bin" / "python"
+_ASK_LIMIT_S = 60.0
+_LOG_LINES = 5
+
+
+class CyclesDied(Exception):
+    """The child ended in the middle of a job; the text says how."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class CyclesState:
+    """What was found of Cycles; `problem` says why it cannot be used."""
+
+    python: Path | None = None
+    version: str | None = None
+    problem: str | None = None
+
+    @property
+    def usable(self) -> bool:
+        return self.problem is None
+
+
+def find_cycles() -> Path | None:
+    """The Python that has Blender: of GRAYCAST_CYCLES_PYTHON, else where `make cycles` puts it."""
+    named = os.environ.get(PYTHON_VARIABLE)
+    if named:
+        return Path(named)
+    # Beside Graycast's own environment, or where the user stands.
+    for folder in (Path(sys.prefix).parent, Path.cwd()):
+        if (folder / _OWN_PLACE).exists():
+            return folder / _OWN_PLACE
+    return None
+
+
+def examine_cycles() -> CyclesState:
+    """Ask the Python that has Blender for its release, without loading Blender."""
+    python = find_cycles()
+    if python is None:
+        return CyclesState(problem="Blender Cycles is not installed; run: make cycles")
+    ask = "from importlib.metadata import version; print(version('bpy'))"
+    try:
+        answer = subprocess.run(
+            [python, "-I", "-c", ask], capture_output=True, text=True, timeout=_ASK_LIMIT_S
+        )
+    except (OSError, subprocess.SubprocessError) as error:
+        return CyclesState(python=python, problem=f"{python} does not run: {error}")
+    if answer.returncode != 0:
+        why = f"{python} has no Blender (package bpy); run: make cycles"
+        return CyclesState(python=python, problem=why)
+    return CyclesState(python=python, version=answer.stdout.strip())
+
+
+@final
+class CyclesProcess:
+    """One running child. Not for use by several threads."""
+
+    def __init__(self, python: Path):
+        self._log = tempfile.TemporaryFile("w+", prefix="graycast-cycles-")
+        self._child = subprocess.Popen(
+            [python, "-I", "-W", "ignore", WORKER],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            stderr=self._log,
+            text=True,
+        )
+        try:
+            self.version = self._answer()["ready"]
+        except CyclesDied as error:
+            self.close()
+            raise GraycastError(f"Blender Cycles does not start: {error}") from error
+
+    @property
+    def pid(self) -> int:
+        return self._child.pid
+
+    def run(self, folder: Path, on_frame: Callable[[str], None]) -> None:
+        """Render a job; `on_frame` hears of each frame that is written.
+
+        Raises:
+            CyclesDied: the process ended; frames that were written are there.
+            GraycastError: Cycles refused the job.
+        """
+        try:
+            self._child.stdin.write(f"{folder}\n")
+            self._child.stdin.flush()
+        except OSError:
+            pass  # it has ended: the answer says how
+        while "done" not in (answer := self._answer()):
+            if "error" in answer:
+                raise GraycastError(f"Blender Cycles: {answer['error']}")
+            on_frame(answer["frame"])
+
+    def close(self) -> None:
+        """End the child at once: between jobs it holds nothing, a job's files are its folder's."""
+        self._child.kill()
+        self._child.wait()
+        for stream in (self._child.stdin, self._child.stdout, self._log):
+            try:
+                stream.close()
+            except OSError:
+                pass  # what was not sent is not wanted any more
+
+    def _answer(self) -> dict[str, Any]:
+        line = self._child.stdout.readline()
+        if line.endswith("\n"):
+            return json.loads(line)
+        code = self._child.wait()
+        how = f"signal {-code}" if code < 0 else f"exit code {code}"
+        raise CyclesDied(f"its process ended ({how}){self._last_words()}")
+
+    def _last_words(self) -> str:
+        self._log.seek(0)
+        lines = [line.strip() for line in self._log.read().splitlines() if line.strip()]
+        return "".join(f"\n  {line}" for line in lines[-_LOG_LINES:])

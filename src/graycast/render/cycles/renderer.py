@@ -1,0 +1,247 @@
+"""Same scene in, same radiance out: `Renderer` by Blender Cycles.
+
+Each pattern, the white and the ambient picture is a render of its own with random numbers of its
+own, so noise differs from frame to frame as it does in the paper, and cancels nowhere.
+
+Limits: no speckle; no constant blur (`psf_px`) of the projector; silhouettes are those of the
+meshes' outlines, by `raster`, and with a distorted lens end at the image.
+"""
+
+import tempfile
+from collections.abc import Callable
+from pathlib import Path
+from typing import Literal, final
+
+import numpy as np
+from jaxtyping import Float, UInt8
+
+from ...errors import DeviceError, GraycastError
+from ...frames import inverse, pixel_grid, transform_points
+from ...optics import project, rays, relative_illumination
+from ...raster import rasterize
+from ...rig import Rig
+from ...scene import Layout, Scene
+from ..device import examine_cuda
+from ..radiance import GroundTruth, Quality, Radiance, Rendering, Silhouette
+from ..wavelength import at_one_wavelength, at_projector_wavelength
+from .job import ALBEDO, LOOK, TRUTH, Frame, is_simple, pattern_frames, write_job
+from .process import CyclesDied, CyclesProcess, examine_cycles
+
+DEVICES = ("auto", "cpu", "cuda", "optix")
+MAX_DEATHS = 3  # of the child, for one scene
+NORMAL_OFFSET = 2.0  # as in worker/materials.py
+
+Pictures = dict[str, Float[np.ndarray, "h w 4"]]
+
+
+def choose_cycles_device(name: str) -> str:
+    """The device that Cycles renders on: 'cpu', 'cuda' or 'optix'.
+
+    Raises:
+        DeviceError: the device, or Cycles itself, is not there.
+        ValueError: no such name.
+    """
+    if name not in DEVICES:
+        raise ValueError(f"no device {name!r} for Cycles: choose one of {', '.join(DEVICES)}")
+    cycles = examine_cycles()
+    if not cycles.usable:
+        raise DeviceError(cycles.problem)
+    if name == "cpu":
+        return name
+    cuda = examine_cuda()
+    usable = cuda.devices if name == "cuda" else cuda.usable
+    if name == "auto":
+        return "optix" if usable else "cpu"
+    if not usable:
+        why = cuda.problem or "libnvoptix.so.1 does not load"
+        raise DeviceError(f"device {name} cannot be used: {why}; use --device cpu")
+    return name
+
+
+@final
+class CyclesRenderer:
+    """Owns one child process for all its scenes; starts another where that one dies."""
+
+    name = "cycles"
+    denoiser: Literal["oidn", "optix"] = "oidn"
+
+    def __init__(
+        self, *, device: str = "auto", threads: int | None = None, patterns_per_render: int = 1
+    ):
+        if patterns_per_render not in (1, 3):
+            raise ValueError(f"patterns_per_render is {patterns_per_render}; 1 or 3 (R, G and B)")
+        self.device = choose_cycles_device(device)
+        self.versions = {"bpy": str(examine_cycles().version)}
+        self.threads, self.patterns_per_render = threads, patterns_per_render
+        self.on_frame: Callable[[str], None] = lambda name: None
+        self._process: CyclesProcess | None = None
+
+    def render(
+        self,
+        scene: Scene,
+        layout: Layout,
+        pattern: UInt8[np.ndarray, "n ph pw"],
+        *,
+        quality: Quality,
+        seed: int,
+    ) -> Rendering:
+        _refuse(scene.rig, pattern, self.device, quality)
+        look, measured = scene, at_projector_wavelength(scene)
+        if self.patterns_per_render == 3:
+            measured = at_one_wavelength(measured)
+        frames = pattern_frames(len(pattern), self.patterns_per_render)
+        seeds = np.random.SeedSequence(seed).generate_state(2).tolist()
+
+        def shoot(scene: Scene, frames: tuple[Frame, ...], seed: int) -> Pictures:
+            return self._render(scene, layout, pattern, frames, quality=quality, seed=seed)
+
+        pictures = shoot(measured, (*frames, *LOOK, *ALBEDO, *TRUTH), seeds[0])
+        colour = pictures if measured is look else shoot(look, (*LOOK, *ALBEDO), seeds[1])
+        return Rendering(
+            radiance=_radiance(scene.rig, pictures, colour, len(pattern), frames),
+            truth=_truth(scene, layout, pictures),
+        )
+
+    def close(self) -> None:
+        if self._process is not None:
+            self._process.close()
+            self._process = None
+
+    def __enter__(self) -> "CyclesRenderer":
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        self.close()
+
+    def _render(
+        self,
+        scene: Scene,
+        layout: Layout,
+        pattern: UInt8[np.ndarray, "n ph pw"],
+        frames: tuple[Frame, ...],
+        *,
+        quality: Quality,
+        seed: int,
+    ) -> Pictures:
+        with tempfile.TemporaryDirectory(prefix="graycast-cycles-") as name:
+            folder = Path(name)
+            write_job(
+                folder,
+                scene,
+                layout,
+                pattern,
+                frames,
+                quality=quality,
+                seed=seed,
+                device=self.device,
+                threads=self.threads,
+            )
+            self._run(folder)
+            return {frame.name: np.load(folder / f"{frame.name}.npy") for frame in frames}
+
+    def _run(self, folder: Path) -> None:
+        """A job to its end, by as many processes as it takes: frames that are there are kept."""
+        for _ in range(MAX_DEATHS):
+            if self._process is None:
+                self._process = CyclesProcess(examine_cycles().python)
+            try:
+                return self._process.run(folder, self.on_frame)
+            except CyclesDied as error:
+                why = error
+                self.close()
+            except BaseException:
+                self.close()  # it may be in the middle of a job
+                raise
+        raise GraycastError(
+            f"Blender Cycles died {MAX_DEATHS} times on one scene; the last time {why}"
+        )
+
+
+def _refuse(rig: Rig, pattern: UInt8[np.ndarray, "n ph pw"], device: str, quality: Quality) -> None:
+    projector = rig.projector
+    if pattern.shape[1:] != (projector.height_px, projector.width_px):
+        size = f"{pattern.shape[2]} x {pattern.shape[1]}"
+        wanted = f"{projector.width_px} x {projector.height_px}"
+        raise ValueError(f"patterns are {size} px, the projector is {wanted} px")
+    if rig.speckle_contrast:
+        raise ValueError("Cycles has no speckle: set speckle_contrast to 0, or use mitsuba")
+    if projector.psf_px:
+        raise ValueError(
+            "Cycles has no constant blur of the projector: set its psf_px to 0, or use mitsuba"
+        )
+    if quality.denoise == "optix" and device == "cpu":
+        raise ValueError("denoise optix needs an NVIDIA GPU: use oidn, or --device optix")
+    if device == "cuda" and not is_simple(rig.camera):
+        raise ValueError(
+            "Cycles on CUDA has pinhole cameras with square pixels and without distortion alone: "
+            "use --device optix or cpu"
+        )
+
+
+def _radiance(
+    rig: Rig, pictures: Pictures, colour: Pictures, count: int, frames: tuple[Frame, ...]
+) -> Radiance:
+    camera = rig.camera
+    share = relative_illumination(camera).astype(np.float32)[..., None]
+    stack = np.empty((count, camera.height_px, camera.width_px), dtype=np.float32)
+    for frame in frames:
+        bands = pictures[frame.name][..., :3] * share
+        if len(frame.levels) == 1:
+            np.sum(bands, axis=-1, out=stack[frame.levels[0]])
+            continue
+        for band, number in enumerate(frame.levels):
+            if number >= 0:
+                stack[number] = bands[..., band]
+    ambient = pictures["ambient"][..., :3] * share
+    return Radiance(
+        pattern=stack,
+        white=(pictures["white"][..., :3] * share).sum(axis=-1),
+        ambient=ambient @ np.array(rig.passed_bands, dtype=np.float32),
+        white_rgb=colour["white"][..., :3] * share,
+        ambient_rgb=colour["ambient"][..., :3] * share,
+        albedo=np.ascontiguousarray(colour["albedo"][..., :3]),
+    )
+
+
+def _truth(scene: Scene, layout: Layout, pictures: Pictures) -> GroundTruth:
+    camera = scene.rig.camera
+    hit = pictures["position"][..., 3] > 0.5
+    T_cam_world = inverse(scene.T_world_cam)
+    point = transform_points(T_cam_world, pictures["position"][..., :3].astype(np.float64))
+    normal = (pictures["normal"][..., :3].astype(np.float64) - NORMAL_OFFSET) @ T_cam_world[
+        :3, :3
+    ].T
+    normal /= np.linalg.norm(normal, axis=-1, keepdims=True)
+    ray = rays(camera, pixel_grid(camera.height_px, camera.width_px))
+    normal *= -np.sign((normal * ray).sum(axis=-1, keepdims=True))
+    instance = np.where(hit, np.rint(pictures["instance"][..., 0]).astype(np.int32) - 1, -1)
+    return GroundTruth(
+        depth_m=np.where(hit, point[..., 2], np.nan),
+        normal=np.where(hit[..., None], normal, np.nan),
+        instance=instance,
+        amodal=tuple(
+            _silhouette(scene, layout, index, instance == index)
+            for index in range(len(layout.part_index))
+        ),
+    )
+
+
+def _silhouette(scene: Scene, layout: Layout, index: int, visible: np.ndarray) -> Silhouette:
+    """The outline of the mesh, and what is seen of it: at its border the two may round apart."""
+    part = scene.parts[layout.part_index[index]]
+    T_cam_part = inverse(scene.T_world_cam) @ layout.T_world_part[index]
+    vertices_cam = transform_points(T_cam_part, part.mesh.vertices_m)
+    # Beyond the fold of a distorted lens nothing has an image.
+    imaged = np.isfinite(project(scene.rig.camera, vertices_cam)).all(axis=-1)
+    faces = part.mesh.faces[imaged[part.mesh.faces].all(axis=-1)]
+    raster = rasterize(vertices_cam, faces, scene.rig.camera)
+    rows, columns = np.nonzero(np.isfinite(raster.z))
+    seen_rows, seen_columns = np.nonzero(visible)
+    rows = np.concatenate([rows + raster.top_px, seen_rows])
+    columns = np.concatenate([columns + raster.left_px, seen_columns])
+    if len(rows) == 0:
+        return Silhouette(left_px=0, top_px=0, mask=np.zeros((0, 0), dtype=bool))
+    top, left = int(rows.min()), int(columns.min())
+    mask = np.zeros((int(rows.max()) - top + 1, int(columns.max()) - left + 1), dtype=bool)
+    mask[rows - top, columns - left] = True
+    return Silhouette(left_px=left, top_px=top, mask=mask)

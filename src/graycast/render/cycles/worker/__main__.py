@@ -1,0 +1,51 @@
+"""Blender Cycles as a servant: jobs come as lines on stdin, pictures go into the job's folder.
+
+Runs in an environment of its own (bpy needs an older NumPy, and is GPL), so nothing of Graycast is
+imported here: files are all that passes between the two. The protocol is in `../process.py`.
+"""
+
+import ctypes
+import json
+import os
+import signal
+import sys
+import traceback
+from pathlib import Path
+
+PR_SET_PDEATHSIG = 1
+
+
+def main() -> None:
+    answers = _keep_stdout_clean()
+    _die_with_parent()
+    import frames  # bpy writes to stdout, so only now
+
+    print(json.dumps({"ready": frames.version()}), file=answers, flush=True)
+    for line in sys.stdin:
+        try:
+            for done in frames.render_job(Path(line.strip())):
+                print(json.dumps({"frame": done}), file=answers, flush=True)
+            answer = {"done": True}
+        except Exception as error:
+            traceback.print_exc()
+            answer = {"error": f"{type(error).__name__}: {error}"}
+        print(json.dumps(answer), file=answers, flush=True)
+
+
+def _keep_stdout_clean():
+    """The real stdout for answers; whatever libraries print goes to stderr."""
+    answers = os.fdopen(os.dup(1), "w")
+    os.dup2(2, 1)
+    return answers
+
+
+def _die_with_parent() -> None:
+    """A killed parent cannot end its child, and a frame may take minutes: the kernel does it."""
+    parent = os.getppid()
+    if sys.platform == "linux":
+        ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, signal.SIGKILL)
+    if os.getppid() != parent:
+        sys.exit("the parent ended before Cycles began")
+
+
+main()

@@ -1,0 +1,125 @@
+"""One job: build its world once, render its frames, write each as soon as it is there.
+
+A frame's file appears whole or not at all, and a frame whose file is there is not rendered again:
+so a job that was cut off is simply given to the next process.
+"""
+
+import json
+import os
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import bpy
+import numpy as np
+from camera import Camera
+from projector import Projector
+from world import World
+
+LIGHT = ("projected", "ambient")  # kinds of frame that gather light; the others show a quantity
+TRUTH = ("position", "normal", "instance")  # at pixel centres
+
+
+def version() -> str:
+    return bpy.app.version_string
+
+
+def render_job(folder: Path) -> Iterator[str]:
+    """Yields the name of each frame when its file is written."""
+    job = json.loads((folder / "job.json").read_text())
+    todo = [frame for frame in job["frames"] if not _file(folder, frame).exists()]
+    if not todo:
+        return
+    bpy.ops.wm.read_factory_settings(use_empty=True)  # frees all of the job before
+    scene = bpy.context.scene
+    _settings(scene, job)
+    camera = Camera(scene, job, folder)
+    projector = Projector(scene, job, folder)
+    world = World(scene, job, folder)
+    for frame in todo:
+        kind = frame["kind"]
+        lit = kind in LIGHT
+        world.show("light" if lit else kind, ambient=kind == "ambient")
+        projector.show(frame["levels"], frame["bands"])
+        camera.look(centre=kind in TRUTH)
+        _for_kind(scene, job, frame, lit)
+        _write(_file(folder, frame), _render(scene, folder))
+        yield frame["name"]
+
+
+def _file(folder: Path, frame: dict[str, Any]) -> Path:
+    return folder / f"{frame['name']}.npy"
+
+
+def _settings(scene: bpy.types.Scene, job: dict[str, Any]) -> None:
+    """Plain path tracing: no clamps, cut-offs, filters or light lost for the sake of quiet."""
+    render, cycles = scene.render, scene.cycles
+    render.engine = "CYCLES"
+    render.resolution_x, render.resolution_y = job["camera"]["width_px"], job["camera"]["height_px"]
+    render.resolution_percentage = 100
+    render.use_persistent_data = True  # scene and BVH stay from frame to frame
+    render.use_compositing = render.use_sequencer = False
+    render.image_settings.file_format = "OPEN_EXR"
+    render.image_settings.color_mode = "RGBA"
+    render.image_settings.color_depth = "32"
+    render.image_settings.exr_codec = "NONE"
+    if job["threads"]:
+        render.threads_mode, render.threads = "FIXED", job["threads"]
+    if job["device"] != "cpu":
+        _find_gpu(job["device"])
+    cycles.use_adaptive_sampling = False
+    cycles.pixel_filter_type = "BOX"
+    cycles.sample_clamp_direct = cycles.sample_clamp_indirect = 0
+    cycles.light_sampling_threshold = 0
+    cycles.blur_glossy = 0
+    cycles.caustics_reflective = cycles.caustics_refractive = True
+    cycles.transmission_bounces = cycles.volume_bounces = 0
+    cycles.film_exposure = 1
+
+
+def _find_gpu(device: str) -> None:
+    preferences = bpy.context.preferences.addons["cycles"].preferences
+    preferences.compute_device_type = device.upper()
+    preferences.refresh_devices()
+    found = [one for one in preferences.devices if one.type == device.upper()]
+    if not found:
+        raise RuntimeError(f"Cycles finds no {device} device")
+    for one in preferences.devices:
+        one.use = one.type == device.upper()
+
+
+def _for_kind(
+    scene: bpy.types.Scene, job: dict[str, Any], frame: dict[str, Any], lit: bool
+) -> None:
+    cycles = scene.cycles
+    bounces = job["depth"] - 1 if lit else 0
+    cycles.max_bounces = cycles.diffuse_bounces = cycles.glossy_bounces = bounces
+    cycles.samples = 1 if frame["kind"] in TRUTH else job["samples"]
+    cycles.seed = frame["seed"]
+    # Truth goes by the rays of an OSL camera, which CUDA does not have, and is one sample.
+    cycles.device = "GPU" if job["device"] != "cpu" and frame["kind"] not in TRUTH else "CPU"
+    scene.render.film_transparent = not lit  # alpha tells where there is nothing
+    cycles.use_denoising = lit and job["denoise"] != "none"
+    if cycles.use_denoising:
+        cycles.denoiser = {"oidn": "OPENIMAGEDENOISE", "optix": "OPTIX"}[job["denoise"]]
+        cycles.denoising_input_passes = "RGB_ALBEDO_NORMAL"
+
+
+def _render(scene: bpy.types.Scene, folder: Path) -> np.ndarray:
+    """The picture, rows from the top, (h, w, 4) float32, linear."""
+    file = folder / "frame.exr"  # Blender gives the pixels of a render to files alone
+    scene.render.filepath = str(file)
+    bpy.ops.render.render(write_still=True)
+    image = bpy.data.images.load(str(file))
+    width, height = image.size
+    pixels = np.empty(width * height * 4, dtype=np.float32)
+    image.pixels.foreach_get(pixels)
+    bpy.data.images.remove(image)
+    return pixels.reshape(height, width, 4)[::-1]
+
+
+def _write(file: Path, picture: np.ndarray) -> None:
+    part = file.with_suffix(".part")
+    with part.open("wb") as stream:
+        np.save(stream, np.ascontiguousarray(picture))
+    os.replace(part, file)

@@ -1,0 +1,87 @@
+"""A surface's few physical words as Cycles' nodes; docs/derivations.md, "Materials"."""
+
+from pathlib import Path
+from typing import Any
+
+import bpy
+from blender import Nodes, texture_image
+
+NORMAL_OFFSET = 2.0  # keeps what is shown above 0
+
+
+class Surface:
+    """One material in all its ways to be shown.
+
+    'light' is the material itself; 'albedo', 'position', 'normal' (true normal + NORMAL_OFFSET) and
+    'instance' are emitted, as they are, by both sides.
+    """
+
+    def __init__(self, words: dict[str, Any], folder: Path):
+        self.material = bpy.data.materials.new("surface")
+        self.material.use_nodes = True
+        self.nodes = Nodes(self.material.node_tree)
+        self.out = self.nodes.new("ShaderNodeOutputMaterial")
+        self.geometry = self.nodes.new("ShaderNodeNewGeometry")
+        base = self._base(words, folder)
+        self.glow = self._glow(words["radiance"])
+        self.ways = {"light": self._light(words, base)} | self._quantities(base)
+        # Once and for all: Cycles does not hear of a change between the frames of a job.
+        self.material.cycles.emission_sampling = "NONE" if self.glow is None else "FRONT"
+        self.shown: tuple[str, bool] | None = None
+
+    def show(self, what: str, *, glowing: bool) -> None:
+        if (what, glowing) == self.shown:
+            return
+        self.shown = (what, glowing)
+        self.nodes.put(self.out.inputs["Surface"], self.ways[what])
+        if self.glow is not None:
+            self.glow.inputs["Strength"].default_value = float(glowing)
+
+    def _base(self, words: dict[str, Any], folder: Path) -> object:
+        if words["texture"] is None:
+            return (*words["base_color"], 1.0)
+        texture = self.nodes.new(
+            "ShaderNodeTexImage", image=texture_image(folder / words["texture"])
+        )
+        return texture.outputs["Color"]
+
+    def _glow(self, radiance: list[float] | None) -> bpy.types.Node | None:
+        if radiance is None:
+            return None
+        node = self.nodes.new("ShaderNodeEmission")
+        self.nodes.put(node.inputs["Color"], (*radiance, 1.0))
+        return node
+
+    def _light(self, words: dict[str, Any], base: object) -> bpy.types.NodeSocket:
+        """Front: emission of a lamp, or the material. Back: nothing."""
+        node = self.nodes.new("ShaderNodeMixShader")  # its second shader stays open: black
+        self.nodes.put(node.inputs[0], self.geometry.outputs["Backfacing"])
+        front = self.glow.outputs[0] if self.glow else self._reflection(words, base)
+        self.nodes.put(node.inputs[1], front)
+        return node.outputs[0]
+
+    def _reflection(self, words: dict[str, Any], base: object) -> bpy.types.NodeSocket:
+        """Principled alone: an index of 1 leaves no coat, and is exactly Lambertian."""
+        node = self.nodes.new("ShaderNodeBsdfPrincipled", distribution="MULTI_GGX")
+        for name, word in (("Metallic", "metallic"), ("Roughness", "roughness"), ("IOR", "ior")):
+            node.inputs[name].default_value = words[word]
+        self.nodes.put(node.inputs["Base Color"], base)
+        return node.outputs[0]
+
+    def _quantities(self, base: object) -> dict[str, bpy.types.NodeSocket]:
+        lifted = self.nodes.vector(
+            "ADD", self.geometry.outputs["True Normal"], (NORMAL_OFFSET,) * 3
+        )
+        info = self.nodes.new("ShaderNodeObjectInfo")
+        shown = {
+            "albedo": base,
+            "position": self.geometry.outputs["Position"],
+            "normal": lifted.outputs[0],
+            "instance": info.outputs["Object Index"],
+        }
+        return {name: self._emitted(value) for name, value in shown.items()}
+
+    def _emitted(self, value: object) -> bpy.types.NodeSocket:
+        node = self.nodes.new("ShaderNodeEmission")
+        self.nodes.put(node.inputs["Color"], value)
+        return node.outputs[0]

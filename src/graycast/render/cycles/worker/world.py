@@ -1,0 +1,103 @@
+"""Everything that light meets, and all light but the projector's."""
+
+import math
+from pathlib import Path
+from typing import Any
+
+import bpy
+import numpy as np
+from blender import Nodes, place
+from materials import Surface
+
+
+class World:
+    def __init__(self, scene: bpy.types.Scene, job: dict[str, Any], folder: Path):
+        self.scene, self.folder = scene, folder
+        self.surfaces = [Surface(words, folder) for words in job["materials"]]
+        for words in job["meshes"]:
+            self._meshes(words)
+        for index, words in enumerate(job["spheres"]):
+            self._sphere(index, words)
+        self.sky = self._sky(job["environment"])
+
+    def show(self, what: str, *, ambient: bool) -> None:
+        """'light', or a quantity in place of all materials: see `Surface.show`."""
+        for surface in self.surfaces:
+            surface.show(what, glowing=ambient)
+        self.scene.world = self.sky if ambient else None
+
+    def _meshes(self, words: dict[str, Any]) -> None:
+        """A mesh and all its copies, which share its data."""
+        arrays = np.load(self.folder / words["file"])
+        mesh = bpy.data.meshes.new(words["name"])
+        corner, faces = arrays["vertices_m"], arrays["faces"]
+        mesh.from_pydata(corner, [], faces.tolist())
+        if "corner_uv" in arrays:
+            layer = mesh.uv_layers.new(name="uv")
+            layer.uv.foreach_set("vector", arrays["corner_uv"].astype(np.float32).ravel())
+        smooth = "corner_normals" in arrays
+        mesh.polygons.foreach_set("use_smooth", np.full(len(faces), smooth))
+        if smooth:
+            mesh.normals_split_custom_set(arrays["corner_normals"].reshape(-1, 3).tolist())
+        mesh.materials.append(self.surfaces[words["material"]].material)
+        mesh.update()
+        for number, T in zip(words["instances"], arrays["T_world"], strict=True):
+            body = bpy.data.objects.new(words["name"], mesh)
+            body.pass_index = number
+            place(body, T)
+            self.scene.collection.objects.link(body)
+
+    def _sphere(self, index: int, words: dict[str, Any]) -> None:
+        """A point of a cloud, which Cycles traces as a true sphere."""
+        dot = bpy.data.meshes.new(f"sphere{index}")
+        dot.from_pydata([(0.0, 0.0, 0.0)], [], [])
+        body = bpy.data.objects.new(dot.name, dot)
+        self.scene.collection.objects.link(body)
+        bpy.context.view_layer.objects.active = body
+        body.select_set(True)
+        bpy.ops.object.convert(target="POINTCLOUD")  # an empty cloud cannot be given points
+        body.select_set(False)
+        body.data.points[0].radius = words["radius_m"]
+        body.data.materials.append(self.surfaces[words["material"]].material)
+        body.location = words["center_m"]
+
+    def _sky(self, words: dict[str, Any] | None) -> bpy.types.World | None:
+        if words is None:
+            return None
+        sky = bpy.data.worlds.new("sky")
+        sky.use_nodes = True
+        nodes = Nodes(sky.node_tree)
+        background = nodes.new("ShaderNodeBackground")
+        color: object = (*words["radiance"], 1.0)
+        if words["map_file"] is not None:
+            scaled = nodes.vector("MULTIPLY", _mapped(nodes, words), tuple(words["radiance"]))
+            color = scaled.outputs[0]
+        nodes.put(background.inputs["Color"], color)
+        out = nodes.new("ShaderNodeOutputWorld")
+        nodes.put(out.inputs["Surface"], background.outputs[0])
+        return sky
+
+
+def _mapped(nodes: Nodes, words: dict[str, Any]) -> bpy.types.NodeSocket:
+    """The map's colour in a direction; its left border lies towards the world's +y."""
+    image = bpy.data.images.load(words["map_file"])
+    if image.size[1] == 0:
+        raise ValueError(
+            f"environment map {words['map_file']} cannot be read; "
+            "give a latitude-longitude EXR or HDR picture"
+        )
+    way = nodes.new("ShaderNodeTexCoord").outputs["Generated"]
+    # Beyond the middles of the first and last row Cycles would mix them with each other.
+    slope = math.tan(math.pi / 2 / image.size[1])
+    aside = nodes.vector("LENGTH", nodes.vector("MULTIPLY", way, (1.0, 1.0, 0.0)).outputs[0])
+    widened = nodes.math("DIVIDE", slope, aside.outputs["Value"])
+    split = nodes.new("ShaderNodeSeparateXYZ")
+    nodes.put(split.inputs[0], way)
+    widened = nodes.math("MAXIMUM", widened, 1.0)
+    turned = nodes.new("ShaderNodeCombineXYZ")  # Cycles' left border lies towards -x
+    nodes.put(turned.inputs["X"], nodes.mul(nodes.mul(split.outputs["Y"], -1.0), widened))
+    nodes.put(turned.inputs["Y"], nodes.mul(split.outputs["X"], widened))
+    nodes.put(turned.inputs["Z"], split.outputs["Z"])
+    texture = nodes.new("ShaderNodeTexEnvironment", image=image, interpolation="Linear")
+    nodes.put(texture.inputs["Vector"], turned.outputs[0])
+    return texture.outputs["Color"]

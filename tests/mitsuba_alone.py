@@ -113,16 +113,11 @@ def _shapes(scene, layout):
 
 def _bsdf(material):
     color = {"type": "rgb", "value": list(material.base_color)}
-    if material.metallic:
-        return {
-            "type": "principled",
-            "base_color": color,
-            "metallic": 1.0,
-            "roughness": material.roughness,
-        }
+    if material.metallic:  # the renderer's own BSDF, but not its transport; coated_diffuse as well
+        return {"type": "rough_conductor", "alpha": material.roughness**2, "reflectance": color}
     if material.specular == 0:
         return {"type": "diffuse", "reflectance": color}
-    assert material.specular == 0.5  # index 1.5; the renderer's own BSDF, but not its transport
+    assert material.specular == 0.5  # index 1.5
     return {
         "type": "coated_diffuse",
         "alpha": material.roughness**2,

@@ -56,6 +56,29 @@ def test_light_may_run_backwards(cpu_device, alpha):
     assert np.abs(values[0] / values[1] - 1)[sure].max() < 1e-3
 
 
+@pytest.mark.parametrize("alpha", [0.09, 0.49, 1.0])
+def test_a_coat_over_black_has_the_published_shape(cpu_device, alpha):
+    """F D G2 / (4 cos cos): D by the tangent (Walter), G2 by Lambda (Heitz), F by Snell's law."""
+    import mitsuba as mi
+
+    n = 2000
+    wi, wo = hemisphere(n, 5), hemisphere(n, 6)
+    sure = (wi[2] > 0.05) & (wo[2] > 0.05)
+    si = incidence(1.0, n)
+    si.wi = mi.Vector3f(wi.astype(np.float32))
+    towards = mi.Vector3f(wo.astype(np.float32))
+    value = np.array(coated(alpha, 0.0).eval(mi.BSDFContext(), si, towards, True))[0] / wo[2]
+    half = (wi + wo) / np.linalg.norm(wi + wo, axis=0)
+    d = alpha**2 / np.pi / half[2] ** 4 / (alpha**2 + 1 / half[2] ** 2 - 1) ** 2
+    hidden = [0.5 * (np.sqrt(1 + alpha**2 * (1 / w[2] ** 2 - 1)) - 1) for w in (wi, wo)]
+    outer = np.arccos((wi * half).sum(axis=0))
+    inner = np.arcsin(np.sin(outer) / 1.5)
+    across = np.sin(outer - inner) / np.sin(outer + inner)
+    along = np.tan(outer - inner) / np.tan(outer + inner)
+    expected = 0.5 * (across**2 + along**2) * d / (1 + sum(hidden)) / (4 * wi[2] * wo[2])
+    assert np.abs(value / expected - 1)[sure].max() < 2e-3
+
+
 @pytest.mark.parametrize("alpha", ALPHAS)
 @pytest.mark.parametrize("cosine", [0.98, 0.6, 0.2])
 def test_samples_follow_the_density_and_the_value(cpu_device, alpha, cosine):

@@ -3,7 +3,6 @@
 Imported only by `mitsuba.py`, after a variant was set.
 """
 
-import math
 from dataclasses import dataclass
 
 import mitsuba as mi
@@ -13,10 +12,12 @@ from ..errors import ConfigError
 from ..parts import Material, Mesh
 from ..scene import Lamp, Layout, Quad, Scene, Sphere, bin_mesh
 from .coated_diffuse import CoatedDiffuse
+from .rough_conductor import RoughConductor
 
 TABLE_HALF_M = 4.0
 
 mi.register_bsdf("coated_diffuse", CoatedDiffuse)
+mi.register_bsdf("rough_conductor", RoughConductor)
 
 
 @dataclass(frozen=True, slots=True)
@@ -78,21 +79,19 @@ def _bsdf(material: Material) -> dict[str, object]:
 def _dielectric(material: Material) -> dict[str, object]:
     if material.specular == 0:
         return {"type": "diffuse", "reflectance": _reflectance(material)}
-    root = math.sqrt(0.08 * material.specular)  # of the reflectance at normal incidence
     return {
         "type": "coated_diffuse",
         "alpha": material.roughness**2,
-        "eta": (1 + root) / (1 - root),
+        "eta": material.ior,
         "reflectance": _reflectance(material),
     }
 
 
 def _conductor(material: Material) -> dict[str, object]:
     return {
-        "type": "principled",
-        "base_color": _reflectance(material),
-        "metallic": 1.0,
-        "roughness": material.roughness,
+        "type": "rough_conductor",
+        "alpha": material.roughness**2,
+        "reflectance": _reflectance(material),
     }
 
 

@@ -1,0 +1,251 @@
+"""The metal: all light kept, the value by another formula, a density that is the samples' own."""
+
+import numpy as np
+import pytest
+
+from graycast.parts import Material
+
+ROUGHNESS = [0.05, 0.1, 0.3, 0.5, 0.8, 1.0]
+GOLD = (1.0, 0.7, 0.3)
+
+
+def metal(roughness, reflectance=GOLD):
+    import mitsuba as mi
+
+    import graycast.render.mitsuba_scene  # noqa: F401  (registers the material)
+
+    color = {"type": "rgb", "value": list(reflectance)}
+    return mi.load_dict({"type": "rough_conductor", "alpha": roughness**2, "reflectance": color})
+
+
+def arriving(wi, n=1):
+    """`n` hits seen from one direction, or one hit for each column of `wi`."""
+    import drjit as dr
+    import mitsuba as mi
+
+    si = dr.zeros(mi.SurfaceInteraction3f, n)
+    si.t, si.wi = 1.0, mi.Vector3f(np.asarray(wi, dtype=np.float32))
+    return si
+
+
+def leaning(angle_deg):
+    angle = np.radians(angle_deg)
+    return np.array([np.sin(angle), 0.0, np.cos(angle)])
+
+
+def upper(n, seed):
+    """Uniform directions of the hemisphere, density 1 / (2 pi); columns."""
+    rng = np.random.default_rng(seed)
+    z, turn = rng.random(n), 2 * np.pi * rng.random(n)
+    return np.stack(direction(z, turn))
+
+
+def drawn(bsdf, wi, n, seed=0):
+    """Directions (3, n), densities and weights (3, n) of samples."""
+    import mitsuba as mi
+
+    rng = np.random.default_rng(seed)
+    si = arriving(wi, n)
+    sample, weight = bsdf.sample(
+        mi.BSDFContext(), si, mi.Float(0.5), mi.Point2f(rng.random((2, n)).astype("f4")), True
+    )
+    return np.array(sample.wo, dtype=float), np.array(sample.pdf), np.array(weight, dtype=float)
+
+
+def evaluated(bsdf, wi, wo):
+    """Values (3, n) without the cosine, and densities."""
+    import mitsuba as mi
+
+    towards = mi.Vector3f(wo.astype(np.float32))
+    value, density = bsdf.eval_pdf(mi.BSDFContext(), arriving(wi, wo.shape[1]), towards, True)
+    return np.array(value, dtype=float) / np.maximum(wo[2], 1e-9), np.array(density)
+
+
+def first_reflection(wi, wo, alpha):
+    """D G2 / (4 cos cos) by Walter's D over the tangent and Heitz' Lambda (columns)."""
+    half = (wi + wo) / np.linalg.norm(wi + wo, axis=0)
+    tangent2 = 1 / half[2] ** 2 - 1
+    d = alpha**2 / (np.pi * half[2] ** 4 * (alpha**2 + tangent2) ** 2)
+    hidden = [0.5 * (np.sqrt(1 + alpha**2 * (1 / w[2] ** 2 - 1)) - 1) for w in (wi, wo)]
+    return d / (1 + hidden[0] + hidden[1]) / (4 * wi[2] * wo[2]), (wi * half).sum(axis=0)
+
+
+def kept_once(cosine, alpha):
+    """E by brute force: the first reflection summed over a fine grid of where it goes."""
+    z, turn = (np.arange(400) + 0.5) / 400, np.pi * (np.arange(400) + 0.5) / 400
+    wo = np.stack(np.broadcast_arrays(*direction(z[:, None], turn[None]))).reshape(3, -1)
+    wi = np.array([np.sqrt(1 - cosine**2), 0.0, cosine])[:, None]
+    return 2 * np.pi * (first_reflection(wi, wo, alpha)[0] * wo[2]).mean()
+
+
+def given_back(cosine, alpha, normal, mean):
+    """1 + F_ms (1 - E) / E, with F_avg as an integral."""
+    c = (np.arange(10_000) + 0.5) / 10_000
+    average = (2 * c * (normal + (1 - normal) * (1 - c) ** 5)).mean()
+    bounces = average * mean / (1 - average * (1 - mean))
+    kept = kept_once(cosine, alpha)
+    return 1 + bounces * (1 - kept) / kept
+
+
+def direction(z, turn):
+    across = np.sqrt(1 - z * z)
+    return across * np.cos(turn), across * np.sin(turn), z
+
+
+@pytest.mark.parametrize("roughness", ROUGHNESS)
+@pytest.mark.parametrize("angle_deg", [0, 45, 70, 85, 89])
+def test_white_metal_returns_all_light(cpu_device, roughness, angle_deg):
+    """A limit of 0.2 %: 128 nodes of a table that is itself a mean of 4096 facets."""
+    weight = drawn(metal(roughness, (1.0, 1.0, 1.0)), leaning(angle_deg), 400_000)[2][0]
+    error = weight.std() / np.sqrt(weight.size)
+    assert error < 0.002
+    assert abs(weight.mean() - 1) < 0.002 + 4 * error
+
+
+@pytest.mark.parametrize("roughness", [0.3, 0.5, 1.0])
+def test_the_value_is_that_of_the_published_formulas(cpu_device, roughness):
+    """Oracle: other forms of D and G2, E summed over directions instead of facets, F_avg as an
+    integral; the code under test shares none of them.
+    """
+    wo = upper(500, 3)
+    wo = wo[:, wo[2] > 0.05]
+    bsdf, alpha = metal(roughness), roughness**2
+    node, share = np.polynomial.legendre.leggauss(16)
+    cosine = 0.5 * (node + 1)
+    mean = float(share @ (cosine * [kept_once(c, alpha) for c in cosine]))
+    for angle_deg in (10, 60, 80):
+        wi = leaning(angle_deg)
+        shape, cos_half = first_reflection(wi[:, None], wo, alpha)
+        value = evaluated(bsdf, wi, wo)[0]
+        for channel, normal in enumerate(GOLD):
+            fresnel = normal + (1 - normal) * (1 - cos_half) ** 5
+            expected = fresnel * shape * given_back(wi[2], alpha, normal, mean)
+            assert np.abs(value[channel] / expected - 1).max() < 0.002
+
+
+@pytest.mark.parametrize("roughness", ROUGHNESS)
+def test_what_one_reflection_shows_is_the_published_shape(cpu_device, roughness):
+    """What gives later light back is one factor for all directions in which light leaves: the
+    shape stays that of one reflection, by other forms of D and G2.
+    """
+    alpha, wi = roughness**2, leaning(40)
+    mirror = wi * [-1, -1, 1]
+    wo = mirror[:, None] + 2 * alpha * np.random.default_rng(1).normal(size=(3, 400))
+    wo /= np.linalg.norm(wo, axis=0)
+    wo = wo[:, wo[2] > 0.05]
+    value = evaluated(metal(roughness, (1.0, 1.0, 1.0)), wi, wo)[0][0]
+    expected = first_reflection(wi[:, None], wo, alpha)[0]
+    ratio = value / expected
+    assert wo.shape[1] > 150
+    assert np.abs(ratio / np.median(ratio) - 1).max() < 0.002
+    assert ratio.min() > 0.998  # E is below 1, so the lobe only grows
+
+
+@pytest.mark.parametrize("roughness", ROUGHNESS)
+def test_facets_seen_straight_on_lean_as_ggx_says(cpu_device, roughness):
+    """Along the normal no facet hides another: tan^2 / (alpha^2 + tan^2) is the share of samples
+    whose facet leans less (the integral of D cos). Kolmogorov's bound at one in a million.
+    """
+    n = 100_000
+    wo = drawn(metal(roughness), np.array([0.0, 0.0, 1.0]), n)[0]
+    tangent2 = (wo[0] ** 2 + wo[1] ** 2) / (1 + wo[2]) ** 2
+    share = np.sort(tangent2 / (roughness**4 + tangent2))
+    assert np.abs(share - (np.arange(n) + 0.5) / n).max() < 2.7 / np.sqrt(n)
+
+
+@pytest.mark.parametrize("roughness", ROUGHNESS)
+@pytest.mark.parametrize("angle_deg", [0, 50, 80])
+def test_samples_bring_value_over_density(cpu_device, roughness, angle_deg):
+    bsdf, wi = metal(roughness), leaning(angle_deg)
+    wo, density, weight = drawn(bsdf, wi, 5000)
+    above = weight[0] > 0
+    assert (density[~above] == 0).all() and (wo[2, above] > 0).all()
+    value, again = evaluated(bsdf, wi, wo)
+    value, again, weight = (value * wo[2])[:, above], again[above], weight[:, above]
+    assert np.abs(again / density[above] - 1).max() < 5e-3  # the half vector again, in float32
+    assert np.abs(value / again / weight - 1).max() < 1e-3
+
+
+@pytest.mark.parametrize("roughness", [0.3, 0.5, 1.0])
+@pytest.mark.parametrize("angle_deg", [0, 50, 80])
+def test_densities_sum_to_one_and_samples_fall_where_they_say(cpu_device, roughness, angle_deg):
+    """Over a grid of directions: the density with the share that dips below the surface is 1, and
+    the samples in each of 8 x 8 cells are as many as it says (chi-square, one in a million).
+    """
+    bsdf, wi, n, fine = metal(roughness), leaning(angle_deg), 200_000, 512
+    z, turn = (np.arange(fine) + 0.5) / fine, 2 * np.pi * (np.arange(fine) + 0.5) / fine
+    grid = np.stack(np.broadcast_arrays(*direction(z[:, None], turn[None]))).reshape(3, -1)
+    density = evaluated(bsdf, wi, grid)[1].reshape(8, fine // 8, 8, fine // 8)
+    cells = density.sum(axis=(1, 3)) * 2 * np.pi / fine**2
+    wo, _, weight = drawn(bsdf, wi, n)
+    above = weight[0] > 0
+    assert abs(cells.sum() + (~above).mean() - 1) < 0.004
+    place = np.arctan2(wo[1], wo[0])[above] % (2 * np.pi)
+    counts = np.histogram2d(wo[2, above], place, bins=8, range=[[0, 1], [0, 2 * np.pi]])[0]
+    enough = cells * n > 50
+    expected = cells[enough] * n
+    chi2 = ((counts[enough] - expected) ** 2 / (expected + (0.004 * expected) ** 2)).sum()
+    assert chi2 < enough.sum() + 7 * np.sqrt(2 * enough.sum())
+
+
+@pytest.mark.parametrize("angle_deg", [0, 60])
+def test_samples_and_values_have_the_same_moments(cpu_device, angle_deg):
+    """The light that leaves, and where it goes on the whole, by samples and by a sum of values."""
+    bsdf, wi, n = metal(0.7), leaning(angle_deg), 400_000
+    wo, _, weight = drawn(bsdf, wi, n)
+    other = upper(n, 5)
+    value = evaluated(bsdf, wi, other)[0] * other[2] * 2 * np.pi
+    for moment, same in ((weight[1], value[1]), (weight[1] * wo, value[1] * other)):
+        error = np.hypot(moment.std(axis=-1), same.std(axis=-1)) / np.sqrt(n)
+        assert (np.abs(moment.mean(axis=-1) - same.mean(axis=-1)) < 5 * error).all()
+
+
+def test_colours_deepen_as_metal_gets_rough(cpu_device):
+    """Reflected twice, a colour is squared: half of the light that strikes again is lost."""
+    shares = [
+        drawn(metal(roughness, (0.5, 0.5, 0.5)), leaning(0), 100_000)[2][0].mean()
+        for roughness in (0.1, 0.5, 1.0)
+    ]
+    assert abs(shares[0] - 0.5) < 0.002
+    assert shares[0] > shares[1] + 0.01 > shares[2] + 0.1
+
+
+def test_a_texture_takes_the_colours_place(cpu_device):
+    """Two texels; smooth metal shows them at normal incidence (sRGB curve of IEC 61966-2-1)."""
+    import drjit as dr
+    import mitsuba as mi
+
+    from graycast.render.mitsuba_scene import _bsdf
+
+    texture = np.array([[[255, 188, 0]], [[100, 30, 255]]], dtype=np.uint8).repeat(8, axis=0)
+    material = Material(texture=texture, metallic=1.0, roughness=0.1)
+    bsdf, si = mi.load_dict(_bsdf(material)), arriving(np.array([0.0, 0.0, 1.0]), 2)
+    si.uv = mi.Point2f([0.5, 0.5], [0.25, 0.75])
+    wo = dr.zeros(mi.Vector3f, 2)
+    wo.z = 1.0
+    seen = np.array(bsdf.eval(mi.BSDFContext(), si, wo, True)).T * 4 * np.pi * 0.1**4
+    level = texture[[0, -1], 0] / 255
+    linear = np.where(level > 0.04045, ((level + 0.055) / 1.055) ** 2.4, level / 12.92)
+    assert np.abs(seen - linear).max() < 0.002
+    assert np.abs(np.array(bsdf.eval_diffuse_reflectance(si, True)).T - linear).max() < 1e-3
+
+
+def test_the_back_reflects_nothing(cpu_device):
+    below = leaning(30) * [1, 1, -1]
+    bsdf = metal(0.5)
+    assert (drawn(bsdf, below, 100)[2] == 0).all()
+    for wi, wo in ((below, leaning(10)), (leaning(10), below), (below, below)):
+        assert (evaluated(bsdf, wi, wo[:, None])[0] == 0).all()
+
+
+def test_another_roughness_needs_no_new_kernel(cpu_device):
+    """What differs from metal to metal is data: many materials, or another run, compile once."""
+    import drjit as dr
+
+    drawn(metal(0.31), leaning(20), 64)
+    with dr.scoped_set_flag(dr.JitFlag.KernelHistory, True):
+        dr.kernel_history_clear()
+        drawn(metal(0.77, (0.2, 0.3, 0.4)), leaning(20), 64)
+        history = dr.kernel_history()
+    launched = [kernel for kernel in history if "cache_hit" in kernel]
+    assert launched and all(kernel["cache_hit"] for kernel in launched)

@@ -42,7 +42,7 @@ from .drop import drop
 from .errors import GraycastError
 from .pattern import Code
 from .picture import color_picture, gray_picture
-from .render import Renderer, Rendering, choose_device, open_renderer
+from .render import OnFrame, Renderer, Rendering, choose_device, open_renderer
 from .rig import grey_levels, place, standoff_m
 from .scanner import Scanner, measure, take
 from .scene import Scene
@@ -140,7 +140,13 @@ def resolve_cell(config: Config, folder: Path) -> Cell:
 # --- one scene ---------------------------------------------------------------------------------
 
 
-def open_cell_renderer(cell: Cell, *, device: str = "auto", threads: int | None = None) -> Renderer:
+def open_cell_renderer(
+    cell: Cell,
+    *,
+    device: str = "auto",
+    threads: int | None = None,
+    on_frame: OnFrame | None = None,
+) -> Renderer:
     """The renderer that a cell's configuration asks for; arguments as of `open_renderer`."""
     render = cell.config.render
     return open_renderer(
@@ -148,6 +154,7 @@ def open_cell_renderer(cell: Cell, *, device: str = "auto", threads: int | None 
         device=device,
         threads=threads,
         patterns_per_render=render.cycles.patterns_per_render,
+        on_frame=on_frame,
     )
 
 
@@ -256,6 +263,7 @@ def generate(
     workers: int,
     on_start: Callable[[int], None],
     on_progress: Callable[[Progress], None],
+    on_frame: OnFrame | None = None,
 ) -> Summary:
     """Make the scenes 0 .. scenes-1 that are not in `out` yet, and the split's COCO file.
 
@@ -265,6 +273,7 @@ def generate(
         workers: processes; with more than one the cores are shared out among them.
         on_start: called with the number of scenes that are there already.
         on_progress: called in this process after each scene.
+        on_frame: as of `open_renderer`, where one worker makes all.
 
     Raises:
         DatasetError: the folder is another dataset's, is in use, or the disk refuses.
@@ -287,10 +296,11 @@ def generate(
         todo = [scene_id for scene_id in range(scenes) if scene_id not in found]
         task = _Task(cell=cell, out=out, seed=seed, device=device, depth_scale_mm=scale_mm)
         on_start(scenes - len(todo))
-        run = _run_here if workers == 1 or len(todo) <= 1 else _run_on_processes
+        alone = workers == 1 or len(todo) <= 1
+        run = _run_here(task, todo, on_frame) if alone else _run_on_processes(task, todo, workers)
         done = []
         try:
-            with closing(run(task, todo, workers)) as ended:
+            with closing(run) as ended:
                 for progress in ended:
                     done.append(progress)
                     on_progress(progress)
@@ -328,10 +338,12 @@ class _Task:
     depth_scale_mm: float
 
 
-def _run_here(task: _Task, todo: list[int], workers: int) -> Generator[Progress, None, None]:
+def _run_here(
+    task: _Task, todo: list[int], on_frame: OnFrame | None
+) -> Generator[Progress, None, None]:
     if not todo:
         return
-    with open_cell_renderer(task.cell, device=task.device) as renderer:
+    with open_cell_renderer(task.cell, device=task.device, on_frame=on_frame) as renderer:
         for scene_id in todo:
             yield _finish_scene(task, scene_id, renderer)
 

@@ -86,10 +86,12 @@ def _generate(options: argparse.Namespace) -> int:
     )
     with progress_bar() as bar:
         task = bar.add_task("scenes", total=scenes)
+        frames = bar.add_task("renders of a scene", total=None, visible=False)
 
         def on_progress(progress: Progress) -> None:
             decoded = progress.reasons["decoded"]
             bar.update(task, advance=1)
+            bar.reset(frames, total=None, visible=False)
             bar.console.print(
                 f"scene {progress.scene_id:06d}  {progress.seconds:6.1f} s  {decoded:.1%} decoded"
             )
@@ -103,6 +105,9 @@ def _generate(options: argparse.Namespace) -> int:
             workers=options.workers,
             on_start=lambda found: bar.update(task, completed=found),
             on_progress=on_progress,
+            on_frame=lambda done, total: bar.update(
+                frames, completed=done, total=total, visible=True
+            ),
         )
     print(f"{options.out}: {summary.written} scenes made, {summary.found} were there", end="")
     print(f", {summary.seconds:.1f} s")
@@ -117,9 +122,15 @@ def _preview(options: argparse.Namespace) -> int:
 
     cell = _load_cell(options)
     seed = cell.config.seed if options.seed is None else options.seed
-    with open_cell_renderer(cell, device=options.device) as renderer:
-        print(f"scene {options.scene} by {renderer.name} on {renderer.device}")
-        shot = make_scene(cell, options.scene, seed=seed, renderer=renderer)
+    with progress_bar() as bar:
+        frames = bar.add_task("renders", total=None, visible=False)
+
+        def on_frame(done: int, total: int) -> None:
+            bar.update(frames, completed=done, total=total, visible=True)
+
+        with open_cell_renderer(cell, device=options.device, on_frame=on_frame) as renderer:
+            bar.console.print(f"scene {options.scene} by {renderer.name} on {renderer.device}")
+            shot = make_scene(cell, options.scene, seed=seed, renderer=renderer)
     draw_preview(shot, cell.code, options.out)
     for name, share in shot.sample.manifest["reasons"].items():
         print(f"  {name:18} {share:7.2%} of the pixels")

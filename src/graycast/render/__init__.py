@@ -1,10 +1,20 @@
 """Light transport: one file or folder per back end, and a small exact reference."""
 
-from .radiance import Denoiser, GroundTruth, Quality, Radiance, Renderer, Rendering, Silhouette
+from .radiance import (
+    Denoiser,
+    GroundTruth,
+    OnFrame,
+    Quality,
+    Radiance,
+    Renderer,
+    Rendering,
+    Silhouette,
+)
 
 __all__ = [
     "Denoiser",
     "GroundTruth",
+    "OnFrame",
     "Quality",
     "Radiance",
     "Renderer",
@@ -21,6 +31,7 @@ def open_renderer(
     device: str = "auto",
     threads: int | None = None,
     patterns_per_render: int = 1,
+    on_frame: OnFrame | None = None,
 ) -> Renderer:
     """The one place that knows which back ends exist; each is imported when asked for.
 
@@ -31,6 +42,7 @@ def open_renderer(
         threads: processor threads; None leaves the choice to the back end.
         patterns_per_render: of Cycles: 3 puts patterns into R, G and B, where light is of one
             wavelength or all materials are grey.
+        on_frame: of Cycles, which may take minutes for a scene: called after each render.
 
     Raises:
         DeviceError: the back end or the device is not there; the text ends with the remedy.
@@ -53,7 +65,10 @@ def open_renderer(
             from .cycles.renderer import CyclesRenderer
 
             return CyclesRenderer(
-                device=device, threads=threads, patterns_per_render=patterns_per_render
+                device=device,
+                threads=threads,
+                patterns_per_render=patterns_per_render,
+                on_frame=on_frame,
             )
     raise ValueError(f"no renderer {name!r}: choose 'mitsuba', 'cycles' or 'reference'")
 

@@ -1,5 +1,6 @@
 """What a renderer returns, and the protocol that every renderer keeps."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Literal, Protocol, runtime_checkable
 
@@ -9,6 +10,7 @@ from jaxtyping import Bool, Float, Int, UInt8
 from ..scene import Layout, Scene
 
 Denoiser = Literal["oidn", "optix"]
+OnFrame = Callable[[int, int], None]  # hears how many renders of a scene are done, and of how many
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -10,7 +10,7 @@ import os
 import subprocess
 import sys
 import tempfile
-from collections.abc import Callable
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, final
@@ -83,6 +83,7 @@ class CyclesProcess:
             stdout=subprocess.PIPE,
             stderr=self._log,
             text=True,
+            start_new_session=True,  # Ctrl-C is for the parent, which then ends it
         )
         try:
             self.version = self._answer()["ready"]
@@ -94,8 +95,8 @@ class CyclesProcess:
     def pid(self) -> int:
         return self._child.pid
 
-    def run(self, folder: Path, on_frame: Callable[[str], None]) -> None:
-        """Render a job; `on_frame` hears of each frame that is written.
+    def run(self, folder: Path) -> Iterator[str]:
+        """Render a job; yields the name of each frame when its file is written.
 
         Raises:
             CyclesDied: the process ended; frames that were written are there.
@@ -109,7 +110,7 @@ class CyclesProcess:
         while "done" not in (answer := self._answer()):
             if "error" in answer:
                 raise GraycastError(f"Blender Cycles: {answer['error']}")
-            on_frame(answer["frame"])
+            yield answer["frame"]
 
     def close(self) -> None:
         """End the child at once: between jobs it holds nothing, a job's files are its folder's."""

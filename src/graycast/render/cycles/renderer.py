@@ -8,7 +8,6 @@ meshes' outlines, by `raster`, and with a distorted lens end at the image.
 """
 
 import tempfile
-from collections.abc import Callable
 from pathlib import Path
 from typing import Literal, final
 
@@ -22,7 +21,7 @@ from ...raster import rasterize
 from ...rig import Rig
 from ...scene import Layout, Scene
 from ..device import examine_cuda
-from ..radiance import GroundTruth, Quality, Radiance, Rendering, Silhouette
+from ..radiance import GroundTruth, OnFrame, Quality, Radiance, Rendering, Silhouette
 from ..wavelength import at_one_wavelength, at_projector_wavelength
 from .job import ALBEDO, LOOK, TRUTH, Frame, is_simple, pattern_frames, write_job
 from .process import CyclesDied, CyclesProcess, examine_cycles
@@ -66,14 +65,19 @@ class CyclesRenderer:
     denoiser: Literal["oidn", "optix"] = "oidn"
 
     def __init__(
-        self, *, device: str = "auto", threads: int | None = None, patterns_per_render: int = 1
+        self,
+        *,
+        device: str = "auto",
+        threads: int | None = None,
+        patterns_per_render: int = 1,
+        on_frame: OnFrame | None = None,
     ):
         if patterns_per_render not in (1, 3):
             raise ValueError(f"patterns_per_render is {patterns_per_render}; 1 or 3 (R, G and B)")
         self.device = choose_cycles_device(device)
         self.versions = {"bpy": str(examine_cycles().version)}
         self.threads, self.patterns_per_render = threads, patterns_per_render
-        self.on_frame: Callable[[str], None] = lambda name: None
+        self.on_frame = on_frame or (lambda done, total: None)
         self._process: CyclesProcess | None = None
 
     def render(
@@ -136,16 +140,19 @@ class CyclesRenderer:
                 device=self.device,
                 threads=self.threads,
             )
-            self._run(folder)
+            self._run(folder, frames)
             return {frame.name: np.load(folder / f"{frame.name}.npy") for frame in frames}
 
-    def _run(self, folder: Path) -> None:
+    def _run(self, folder: Path, frames: tuple[Frame, ...]) -> None:
         """A job to its end, by as many processes as it takes: frames that are there are kept."""
         for _ in range(MAX_DEATHS):
             if self._process is None:
                 self._process = CyclesProcess(examine_cycles().python)
             try:
-                return self._process.run(folder, self.on_frame)
+                for _ in self._process.run(folder):
+                    written = sum((folder / f"{frame.name}.npy").exists() for frame in frames)
+                    self.on_frame(written, len(frames))
+                return
             except CyclesDied as error:
                 why = error
                 self.close()

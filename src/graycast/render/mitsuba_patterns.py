@@ -15,17 +15,17 @@ def packed(pattern: np.ndarray, rig: Rig) -> tuple[list[mi.UInt32], int]:
     One bit if all are binary, eight under a linear response, else sixteen: a rounding of 1e-5.
     """
     share = emission(rig, np.arange(256, dtype=np.uint8))
-    if np.isin(pattern, (0, 255)).all():
+    if (pattern + np.uint8(1) <= 1).all():  # 255 wraps around to 0
         bits_each = 1
     else:
         bits_each = 8 if np.allclose(share * 255, np.arange(256), rtol=0, atol=1e-9) else 16
-    level = np.rint(share * (2**bits_each - 1)).astype(np.uint32)[pattern]
+    level = np.rint(share * (2**bits_each - 1)).astype(np.uint32)
     per_word = 32 // bits_each
     words = []
-    for first in range(0, len(level), per_word):
-        word = np.zeros(level.shape[1:], dtype=np.uint32)
-        for k, image in enumerate(level[first : first + per_word]):
-            word |= image << np.uint32(k * bits_each)
+    for first in range(0, len(pattern), per_word):
+        word = np.zeros(pattern.shape[1:], dtype=np.uint32)
+        for k, image in enumerate(pattern[first : first + per_word]):
+            word |= (level << np.uint32(k * bits_each))[image]
         words.append(mi.UInt32(word.ravel()))
     return words, bits_each
 

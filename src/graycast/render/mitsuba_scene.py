@@ -10,11 +10,9 @@ import numpy as np
 
 from ..errors import ConfigError
 from ..parts import Material, Mesh
-from ..scene import Lamp, Layout, Quad, Scene, Sphere, bin_mesh
+from ..scene import Lamp, Layout, Quad, Scene, Sphere, bin_mesh, lamp_quad, table_quad
 from .coated_diffuse import CoatedDiffuse
 from .rough_conductor import RoughConductor
-
-TABLE_HALF_M = 4.0
 
 mi.register_bsdf("coated_diffuse", CoatedDiffuse)
 mi.register_bsdf("rough_conductor", RoughConductor)
@@ -42,14 +40,7 @@ def build(scene: Scene, layout: Layout) -> tuple[mi.Scene, tuple[PartShape, ...]
         world[f"part{index}"] = shape
     if scene.bin is not None:
         world["bin"] = _mesh("bin", bin_mesh(scene.bin), scene.bin.material, np.eye(4)[None])
-        world["table"] = _quad(
-            Quad(
-                center_m=(0.0, 0.0, -scene.bin.wall_m),
-                half_u_m=(TABLE_HALF_M, 0.0, 0.0),
-                half_v_m=(0.0, TABLE_HALF_M, 0.0),
-                material=scene.table,
-            )
-        )
+        world["table"] = _quad(table_quad(scene))
     for index, surface in enumerate(scene.surfaces):
         world[f"surface{index}"] = _quad(surface) if isinstance(surface, Quad) else _ball(surface)
     environment = _environment(scene)
@@ -135,18 +126,15 @@ def _flat(array: np.ndarray) -> mi.Float:
 
 
 def _quad(quad: Quad) -> dict[str, object]:
+    u, v = np.array(quad.half_u_m), np.array(quad.half_v_m)
+    matrix = np.eye(4)
+    matrix[:3, 0], matrix[:3, 1], matrix[:3, 3] = u, v, quad.center_m
+    matrix[:3, 2] = np.cross(u, v) / np.linalg.norm(np.cross(u, v))
     return {
         "type": "rectangle",
-        "to_world": _rectangle(quad.center_m, quad.half_u_m, quad.half_v_m),
+        "to_world": mi.ScalarTransform4f(matrix),
         "bsdf": _bsdf(quad.material),
     }
-
-
-def _rectangle(center: object, half_u: object, half_v: object) -> mi.ScalarTransform4f:
-    matrix = np.eye(4)
-    matrix[:3, 0], matrix[:3, 1], matrix[:3, 3] = half_u, half_v, center
-    matrix[:3, 2] = np.cross(half_u, half_v) / np.linalg.norm(np.cross(half_u, half_v))
-    return mi.ScalarTransform4f(matrix)
 
 
 def _ball(sphere: Sphere) -> dict[str, object]:
@@ -159,16 +147,8 @@ def _ball(sphere: Sphere) -> dict[str, object]:
 
 
 def _lamp(lamp: Lamp) -> dict[str, object]:
-    center, target = np.array(lamp.center_m), np.array(lamp.target_m)
-    direction = (target - center) / np.linalg.norm(target - center)
-    aside = np.cross(direction, np.eye(3)[np.abs(direction).argmin()])
-    aside *= 0.5 * lamp.size_m / np.linalg.norm(aside)
-    return {
-        "type": "rectangle",
-        "to_world": _rectangle(center, aside, np.cross(direction, aside)),
-        "emitter": {"type": "area", "radiance": {"type": "rgb", "value": list(lamp.radiance)}},
-        "bsdf": {"type": "diffuse", "reflectance": {"type": "rgb", "value": 0.0}},
-    }
+    radiance = {"type": "rgb", "value": list(lamp.radiance)}
+    return _quad(lamp_quad(lamp)) | {"emitter": {"type": "area", "radiance": radiance}}
 
 
 def _environment(scene: Scene) -> dict[str, object] | None:

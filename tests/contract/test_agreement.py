@@ -10,11 +10,13 @@ from graycast.scene import EMPTY_LAYOUT, Sphere
 DIRECT = Quality(samples=64, depth=1)
 
 
-def test_mitsuba_agrees_with_the_exact_renderer(mitsuba_renderer):
+def test_each_agrees_with_the_exact_renderer(path_tracer):
     """Two programs without common code, on a scene with distortion in both lenses, shadows and
-    borders. Inside surfaces both find the pixel's centre, one by a regular grid and one by mirrored
-    pairs: a hundredth of what neighbours differ by is plenty. At borders each may miss an eighth
-    of a pixel's range (8 x 8 positions), and both together a quarter.
+    borders. Inside surfaces both find the pixel's centre, one by a regular grid and Mitsuba by
+    mirrored pairs: a hundredth of what neighbours differ by is plenty. At borders each may miss an
+    eighth of a pixel's range (8 x 8 positions), and both together a quarter. Cycles' places are
+    random, well spread: their middle lies within a twentieth of a pixel, and at a border their
+    mean has a standard deviation of a sixteenth of the range.
     """
     lens, beam = (-0.2, 0.08, 0.003, -0.002, 0.0), (0.1, -0.03, -0.003, 0.004, 0.0)
     camera, projector = optics(96, 72, 90, distortion=lens), optics(33, 21, 24, distortion=beam)
@@ -28,7 +30,7 @@ def test_mitsuba_agrees_with_the_exact_renderer(mitsuba_renderer):
     pattern[0] = 255
     exact, other = (
         one.render(scene, EMPTY_LAYOUT, pattern, quality=DIRECT, seed=2)
-        for one in (open_renderer("reference"), mitsuba_renderer)
+        for one in (open_renderer("reference"), path_tracer)
     )
     same = np.abs(exact.truth.depth_m - other.truth.depth_m) < 1e-5
     assert (~same).sum() <= 5  # pixels whose centre is on a border to within float32
@@ -41,6 +43,7 @@ def test_mitsuba_agrees_with_the_exact_renderer(mitsuba_renderer):
         error = np.abs(a[0] / b[0] - 1)
     inside = ~jump & (slope < 0.3)
     assert inside.mean() > 0.7
-    assert (error < 1e-4 + 0.01 * slope)[inside].all()
+    off_px = 0.01 if path_tracer.name == "mitsuba" else 0.05
+    assert (error < 1e-4 + off_px * slope)[inside].all()
     assert np.abs(a.sum(axis=(1, 2)) / b.sum(axis=(1, 2)) - 1).max() < 2e-3
     assert np.abs(exact.radiance.albedo - other.radiance.albedo).mean() < 2e-3

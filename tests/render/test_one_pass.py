@@ -3,79 +3,15 @@
 import mitsuba_alone
 import numpy as np
 import pytest
-from stage import (
-    askew_rig,
-    box_part,
-    centred,
-    in_camera,
-    lambert,
-    layout_in_camera,
-    leaning_wall,
-    make_rig,
-    plain_pattern,
-    turned,
-)
+from corner import corner_scene
+from noisy_pictures import agree, blocks
+from stage import askew_rig, in_camera, lambert, leaning_wall, plain_pattern
 
-from graycast.frames import rigid
-from graycast.parts import Material
 from graycast.pattern import gray
 from graycast.render import Quality
-from graycast.scene import EMPTY_LAYOUT, Sphere
+from graycast.scene import EMPTY_LAYOUT
 
 DEPTH = 3
-BLOCK_PX = 6
-METAL = Material(base_color=(0.9, 0.8, 0.7), metallic=1.0, roughness=0.5)
-COAT = Material(base_color=(0.6, 0.3, 0.2), roughness=0.4)
-
-
-def corner_scene():
-    """Two walls that light each other, a metal box, a coated ball: every kind of material."""
-    rig = make_rig(
-        centred(48, 36, 52),
-        centred(48, 36, 62),
-        baseline_m=(0.15, 0.02, 0.01),
-        rotation=turned(0.0, -0.15, 0.0),
-        band_weights=(0.5, 0.3, 0.2),
-    )
-    pose = rigid(turned(0.4, 0.5, 0.1), np.array([-0.12, 0.02, 0.8]))
-    return in_camera(
-        rig,
-        leaning_wall([0.8, 0.0, 1.0], 0.85, lambert(0.9, 0.8, 0.7)),
-        leaning_wall([-0.8, 0.0, 1.0], 0.85, lambert(0.7, 0.8, 0.9)),
-        Sphere(center_m=(0.1, 0.0, 0.85), radius_m=0.08, material=COAT),
-        parts=(box_part(0.06, METAL),),
-    ), layout_in_camera([0], [pose])
-
-
-def blocks(image):
-    """Sums over squares of pixels: nearly normal, nearly independent."""
-    h, w = image.shape[-2:]
-    split = image.reshape(*image.shape[:-2], h // BLOCK_PX, BLOCK_PX, w // BLOCK_PX, BLOCK_PX)
-    return split.sum(axis=(-3, -1)).reshape(*image.shape[:-2], -1)
-
-
-def scores(one, other):
-    """Welch's t of every block, and of the whole picture; the first axis is the seed."""
-
-    def t(a, b):
-        variance = a.var(axis=0, ddof=1) / len(a) + b.var(axis=0, ddof=1) / len(b)
-        return (a.mean(axis=0) - b.mean(axis=0)) / np.sqrt(variance)
-
-    return t(one, other), t(one.sum(axis=-1), other.sum(axis=-1))
-
-
-def agree(one, other):
-    """Whether two sets of pictures (seeds, blocks) can have one mean.
-
-    Under that hypothesis t has about n degrees of freedom: mean square n / (n - 2), fourth moment
-    3 n^2 / ((n - 2) (n - 4)). Blocks hit by no light are left out.
-    """
-    lit = (one.mean(axis=0) > 0) & (other.mean(axis=0) > 0)
-    each, whole = scores(one[:, lit], other[:, lit])
-    n = len(one) + len(other) - 2
-    mean = n / (n - 2)
-    spread = np.sqrt((3 * n * n / ((n - 2) * (n - 4)) - mean**2) / lit.sum())
-    return bool(np.mean(each**2) < mean + 4 * spread and abs(whole) < 4)
 
 
 def patterns_of(rig, names):

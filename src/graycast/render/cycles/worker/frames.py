@@ -94,7 +94,7 @@ def _for_kind(
     cycles = scene.cycles
     bounces = job["depth"] - 1 if lit else 0
     cycles.max_bounces = cycles.diffuse_bounces = cycles.glossy_bounces = bounces
-    cycles.samples = 1 if frame["kind"] in TRUTH else job["samples"]
+    _set_samples(cycles, None if frame["kind"] in TRUTH else job["samples"])
     cycles.seed = frame["seed"]
     # Truth goes by the rays of an OSL camera, which CUDA does not have, and is one sample.
     cycles.device = "GPU" if job["device"] != "cpu" and frame["kind"] not in TRUTH else "CPU"
@@ -103,6 +103,19 @@ def _for_kind(
     if cycles.use_denoising:
         cycles.denoiser = {"oidn": "OPENIMAGEDENOISE", "optix": "OPTIX"}[job["denoise"]]
         cycles.denoising_input_passes = "RGB_ALBEDO_NORMAL"
+
+
+def _set_samples(cycles: Any, count: int | None) -> None:
+    """So many of Cycles' sequence, but not its first; None is that one alone.
+
+    The first is always the pixel's very middle: one of n, it would bias a pixel that a border cuts
+    by 1 / n. The sequence is well spread over a run of samples that starts at a power of two.
+    """
+    cycles.use_sample_subset = count is not None
+    cycles.samples = 1
+    if count is not None:
+        cycles.sample_offset, cycles.sample_subset_length = 1 << (count - 1).bit_length(), count
+        cycles.samples = cycles.sample_offset + count
 
 
 def _render(scene: bpy.types.Scene, folder: Path) -> np.ndarray:

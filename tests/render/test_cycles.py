@@ -1,0 +1,365 @@
+"""Cycles' child process: it may die and nothing is lost; and what Cycles alone has."""
+
+import os
+import re
+import signal
+import subprocess
+import sys
+import time
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from corner import corner_scene
+from noisy_pictures import agree, blocks
+from stage import (
+    askew_rig,
+    box_part,
+    centred,
+    in_camera,
+    lambert,
+    layout_in_camera,
+    leaning_wall,
+    make_rig,
+    optics,
+    plain_pattern,
+    turned,
+    wall,
+)
+
+from graycast.errors import DeviceError, GraycastError
+from graycast.frames import rigid
+from graycast.parts import Material
+from graycast.render import Quality, open_renderer
+from graycast.render.cycles.job import is_simple
+from graycast.render.cycles.process import PYTHON_VARIABLE, WORKER, examine_cycles
+from graycast.scene import EMPTY_LAYOUT, Environment, Lamp, Sphere
+
+ON_LINUX = pytest.mark.skipif(not Path("/proc/self/stat").exists(), reason="needs Linux's /proc")
+SOURCE = WORKER.parents[2]
+
+
+@pytest.fixture
+def open_cycles():
+    """Renderers of their own, which a test may hurt."""
+    state = examine_cycles()
+    if not state.usable:
+        pytest.skip(state.problem)
+    opened = []
+
+    def open_one(**words):
+        opened.append(open_renderer("cycles", device="cpu", **words))
+        return opened[-1]
+
+    yield open_one
+    for renderer in opened:
+        renderer.close()
+
+
+def children(parent):
+    """Process ids of a process's living children, of whom zombies are none."""
+    found = []
+    for stat in Path("/proc").glob("[0-9]*/stat"):
+        try:
+            state, ppid = stat.read_text().rpartition(")")[2].split()[:2]
+        except (OSError, ValueError):  # it ended meanwhile
+            continue
+        if int(ppid) == parent and state != "Z":
+            found.append(int(stat.parent.name))
+    return found
+
+
+def small_scene():
+    """A wall and a ball in the light of a projector and a lamp."""
+    rig = make_rig(centred(40, 30, 50), centred(32, 24, 40), baseline_m=(0.1, 0.0, 0.0))
+    ball = Sphere(center_m=(0.0, 0.02, 0.7), radius_m=0.1, material=lambert(0.6))
+    lamp = Lamp(center_m=(0.2, -0.3, 0.2), target_m=(0.0, 0.0, 0.9))
+    scene = in_camera(rig, wall(0.9, lambert(0.5)), ball, T_world_cam=np.eye(4), lamps=(lamp,))
+    pattern = np.random.default_rng(2).integers(0, 256, (4, 24, 32)).astype(np.uint8)
+    return scene, pattern
+
+
+def render_small(renderer, *, samples=4, seed=3):
+    scene, pattern = small_scene()
+    quality = Quality(samples=samples, depth=2)
+    return renderer.render(scene, EMPTY_LAYOUT, pattern, quality=quality, seed=seed)
+
+
+def assert_same_bits(one, other):
+    for name in one.radiance.__dataclass_fields__:
+        assert np.array_equal(getattr(one.radiance, name), getattr(other.radiance, name))
+    for name in ("depth_m", "normal", "instance"):
+        a, b = getattr(one.truth, name), getattr(other.truth, name)
+        assert np.array_equal(a, b, equal_nan=name != "instance")
+
+
+@ON_LINUX
+def test_a_child_that_is_killed_in_a_scene_is_replaced_and_no_frame_is_lost_or_made_twice(
+    open_cycles, cycles_renderer
+):
+    """Killed after its second frame, so in its third. Same bits as without."""
+    before = set(children(os.getpid()))
+    done, killed = [], []
+
+    def on_frame(count, total):
+        done.append((count, total))
+        if count == 2 and not killed:
+            (child,) = set(children(os.getpid())) - before
+            os.kill(child, signal.SIGKILL)
+            killed.append(child)
+
+    rendering = render_small(open_cycles(on_frame=on_frame))
+    (child,) = set(children(os.getpid())) - before
+    assert killed and child != killed[0]
+    total = done[0][1]
+    assert [count for count, _ in done] == sorted({count for count, _ in done})  # none again
+    assert done[-1] == (total, total)
+    assert_same_bits(rendering, render_small(cycles_renderer))
+
+
+@ON_LINUX
+@pytest.mark.slow
+def test_a_scene_that_kills_every_child_ends_with_one_error_and_the_next_scene_goes_on(open_cycles):
+    before, deaths = set(children(os.getpid())), []
+
+    def on_frame(count, total):
+        for child in set(children(os.getpid())) - before:
+            os.kill(child, signal.SIGKILL)
+            deaths.append(child)
+
+    renderer = open_cycles(on_frame=on_frame)
+    with pytest.raises(GraycastError, match=r"died 3 times on one scene; .* \(signal 9\)"):
+        render_small(renderer, samples=400)
+    assert len(set(deaths)) == 3
+    renderer.on_frame = lambda count, total: None
+    assert np.isfinite(render_small(renderer).truth.depth_m).all()
+
+
+PARENT = """
+import sys
+sys.path.insert(0, {tests!r})
+from stage import *
+from graycast.render import Quality, open_renderer
+from graycast.scene import EMPTY_LAYOUT
+rig = askew_rig()
+def tell(done, total):
+    print(done, flush=True)
+renderer = open_renderer("cycles", device="cpu", on_frame=tell)
+scene = in_camera(rig, wall(0.9, lambert(0.5)))
+for seed in range(10**6):
+    quality = Quality(samples=16384, depth=1) if seed else Quality(samples=1, depth=1)
+    renderer.render(scene, EMPTY_LAYOUT, plain_pattern(rig, 255), quality=quality, seed=seed)
+"""
+
+
+@ON_LINUX
+@pytest.mark.slow
+def test_the_child_ends_with_a_parent_that_is_killed(open_cycles):
+    """In the middle of a frame that takes a minute."""
+    open_cycles()  # or skip
+    program = PARENT.format(tests=str(Path(__file__).parents[1]))
+    parent = subprocess.Popen([sys.executable, "-c", program], stdout=subprocess.PIPE, text=True)
+    try:
+        for _ in range(7):  # the frames of a first, small render
+            assert parent.stdout.readline()
+        time.sleep(1.0)
+        (child,) = children(parent.pid)
+    finally:
+        parent.kill()
+        parent.wait()
+        parent.stdout.close()
+    end = time.monotonic() + 10
+    while Path(f"/proc/{child}").exists() and time.monotonic() < end:
+        time.sleep(0.05)
+    assert not Path(f"/proc/{child}").exists()
+
+
+def rss_mib(pid):
+    words = Path(f"/proc/{pid}/status").read_text()
+    return int(re.search(r"VmRSS:\s+(\d+) kB", words)[1]) / 1024
+
+
+@ON_LINUX
+@pytest.mark.slow
+def test_one_child_renders_scene_after_scene_in_the_same_memory(open_cycles):
+    """Meshes and textures of 5 MiB a scene, new ones each time: leaks of any would show."""
+    before = set(children(os.getpid()))
+    renderer, rng = open_cycles(), np.random.default_rng(0)
+    rig = make_rig(centred(40, 30, 50), centred(256, 192, 300), baseline_m=(0.1, 0.0, 0.0))
+    memory = []
+    for seed in range(16):
+        texture = rng.integers(0, 256, (512, 512, 3)).astype(np.uint8)
+        box = box_part(rng.uniform(0.03, 0.06, 3), Material(texture=texture))
+        places = np.array([0.0, 0.0, 0.6]) + rng.uniform(-0.2, 0.2, (20, 3))
+        poses = [rigid(turned(*rng.uniform(0, 3, 3)), place) for place in places]
+        scene = in_camera(rig, wall(0.9, lambert(0.5)), parts=(box,))
+        pattern = rng.integers(0, 256, (6, 192, 256)).astype(np.uint8)
+        layout = layout_in_camera(
+            [0] * 20, [rigid(p[:3, :3], p[:3, 3] + [0, 0, 0.6]) for p in poses]
+        )
+        quality = Quality(samples=1, depth=2)
+        renderer.render(scene, layout, pattern, quality=quality, seed=seed)
+        (child,) = set(children(os.getpid())) - before
+        memory.append(rss_mib(child))
+    assert len(set(children(os.getpid())) - before) == 1
+    growth = np.polyfit(np.arange(12), memory[4:], 1)[0]  # MiB a scene, after warming up
+    assert abs(growth) < 0.5, memory
+    assert max(memory[4:]) < memory[4] + 10, memory
+
+
+@pytest.mark.parametrize("kind", ["missing", "no program", "without Blender"])
+def test_a_python_that_cannot_run_cycles_is_named(monkeypatch, tmp_path, kind):
+    """Found before anything is rendered."""
+    place = {"missing": tmp_path / "gone", "no program": tmp_path / "text"}
+    (tmp_path / "text").write_text("not a program")
+    (tmp_path / "text").chmod(0o755)
+    python = place.get(kind, Path(sys.executable))
+    monkeypatch.setenv(PYTHON_VARIABLE, str(python))
+    with pytest.raises(DeviceError, match=re.escape(str(python))):
+        open_renderer("cycles", device="cpu")
+
+
+def test_what_cycles_refuses_surfaces_with_its_reason_and_the_next_scene_renders(
+    cycles_renderer, tmp_path
+):
+    scene, pattern = small_scene()
+    file = tmp_path / "no_such_map.exr"
+    dark = in_camera(scene.rig, wall(0.9, lambert(0.5)), environment=Environment(map_file=file))
+    with pytest.raises(GraycastError, match=r"Blender Cycles: .*no_such_map\.exr"):
+        cycles_renderer.render(
+            dark, EMPTY_LAYOUT, pattern, quality=Quality(samples=1, depth=1), seed=0
+        )
+    assert np.isfinite(render_small(cycles_renderer).truth.depth_m).all()
+
+
+def test_blender_is_imported_by_the_child_alone(cycles_renderer):
+    render_small(cycles_renderer)
+    assert "bpy" not in sys.modules and "_cycles" not in sys.modules
+    imports = re.compile(r"^\s*(import|from) (bpy|_cycles|mathutils)\b", re.MULTILINE)
+    places = [file for file in SOURCE.rglob("*.py") if imports.search(file.read_text())]
+    assert places and all(WORKER in file.parents for file in places)
+
+
+def test_frames_of_one_scene_have_noise_of_their_own(cycles_renderer):
+    """Two equal patterns of one render differ by as much as those of two renders."""
+    scene, layout = corner_scene()
+    pattern = plain_pattern(scene.rig, 255, 255)
+    quality = Quality(samples=4, depth=3)
+    one, other = (
+        cycles_renderer.render(scene, layout, pattern, quality=quality, seed=seed).radiance
+        for seed in (0, 1)
+    )
+    within = np.mean((one.pattern[0] - one.pattern[1]) ** 2)
+    also = np.mean((one.pattern[0] - one.white) ** 2)
+    between = np.mean((one.pattern[0] - other.pattern[0]) ** 2)
+    assert 0.7 < within / between < 1.4 and 0.7 < also / between < 1.4
+
+
+@pytest.mark.parametrize("size", [(48, 36), pytest.param((36, 48), marks=pytest.mark.slow)])
+def test_blenders_own_camera_sees_what_the_exact_renderer_sees(cycles_renderer, size):
+    """Square pixels and an axis off the middle, in a broad and in a tall picture. The middle of 64
+    well spread places lies within a twentieth of a pixel of the pixel's own.
+    """
+    width, height = size
+    camera = replace(centred(width, height, 60), cx_px=0.5 * width - 5.3, cy_px=0.5 * height + 3.2)
+    assert is_simple(camera)
+    scene = in_camera(askew_rig(camera=camera), leaning_wall([0.4, -0.3, 1.0], 0.7, lambert(0.6)))
+    pattern = plain_pattern(scene.rig, 255)
+    quality = Quality(samples=64, depth=1)
+    exact, seen = (
+        one.render(scene, EMPTY_LAYOUT, pattern, quality=quality, seed=1)
+        for one in (open_renderer("reference"), cycles_renderer)
+    )
+    assert np.abs(seen.truth.depth_m / exact.truth.depth_m - 1).max() < 2e-6
+    a, b = exact.radiance.pattern[0], seen.radiance.pattern[0]
+    slope = np.abs(np.gradient(a)).sum(axis=0)
+    inside = (a > 0) & (slope < 0.1 * a)
+    assert inside.mean() > 0.5
+    assert (np.abs(a - b) < 1e-4 * a + 0.05 * slope)[inside].all()
+    # Half a pixel aside would be seen: neighbours differ by far more than that.
+    assert np.median(slope[inside] / a[inside]) > 0.005
+
+
+@pytest.mark.slow
+def test_the_denoiser_makes_a_lit_wall_quieter_and_keeps_its_brightness(cycles_renderer):
+    """A lamp's noise at 4 samples, against 256. The lamp itself is out of sight.
+
+    The picture's border is left out: Open Image Denoise brightens its first pixel by a fifth.
+    """
+    rig = make_rig(centred(48, 36, 50), centred(8, 8, 8))
+    lamp = Lamp(center_m=(0.2, -0.6, 0.4), target_m=(0.0, 0.0, 0.9))
+    scene = in_camera(
+        rig, leaning_wall([0.3, 0.0, 1.0], 0.9, lambert(0.6)), T_world_cam=np.eye(4), lamps=(lamp,)
+    )
+
+    def ambient(samples, denoise, seed):
+        quality = Quality(samples=samples, depth=1, denoise=denoise)
+        pattern = plain_pattern(rig, 0)
+        rendering = cycles_renderer.render(scene, EMPTY_LAYOUT, pattern, quality=quality, seed=seed)
+        return rendering.radiance.ambient_rgb[..., 1].astype(float)
+
+    truth = ambient(256, "none", 9)
+    noisy, clean = (
+        (ambient(4, denoise, 2) / truth - 1)[3:-3, 3:-3] for denoise in ("none", "oidn")
+    )
+    assert noisy.std() > 0.03
+    assert clean.std() < 0.4 * noisy.std()
+    assert abs(clean.mean()) < 0.01
+
+
+@pytest.mark.slow
+def test_three_patterns_in_one_render_are_what_each_is_in_its_own(open_cycles, cycles_renderer):
+    """Of a laser on coloured things; four patterns leave two bands of the second render over."""
+    scene, layout = corner_scene()
+    rig = replace(scene.rig, band_weights=(0.0, 1.0, 0.0))
+    scene = replace(scene, rig=rig)
+    pattern = plain_pattern(rig, 255, 255, 255, 128)
+    pattern[1, :, ::2], pattern[2, :12] = 0, 0
+    three = open_cycles(patterns_per_render=3)
+    quality = Quality(samples=16, depth=3)
+    stacks = [
+        np.stack(
+            [
+                renderer.render(scene, layout, pattern, quality=quality, seed=s).radiance.pattern
+                for s in seeds
+            ]
+        ).astype(float)
+        for renderer, seeds in ((cycles_renderer, range(8)), (three, range(20, 28)))
+    ]
+    one, other = (blocks(stack) for stack in stacks)
+    for k in range(len(pattern)):
+        assert agree(one[:, k], other[:, k])
+        assert not agree(1.03 * one[:, k], other[:, k])
+
+
+def test_three_patterns_in_one_render_need_one_wavelength_or_grey_things(open_cycles):
+    """Else each pattern would be of another colour."""
+    three = open_cycles(patterns_per_render=3)
+    rig = askew_rig(camera=optics(24, 18, 30))
+    pattern = plain_pattern(rig, 255, 128)
+    quality = Quality(samples=4, depth=1)
+    coloured = in_camera(rig, wall(0.8, lambert(0.9, 0.5, 0.1)))
+    with pytest.raises(ValueError, match="one wavelength"):
+        three.render(coloured, EMPTY_LAYOUT, pattern, quality=quality, seed=0)
+    grey = in_camera(rig, wall(0.8, lambert(0.5)))
+    light = three.render(grey, EMPTY_LAYOUT, pattern, quality=quality, seed=0).radiance
+    lit = light.pattern[0] > 0
+    assert lit.mean() > 0.5
+    # Two bands of one render share its paths, and so its noise.
+    assert np.abs(light.pattern[1][lit] / light.pattern[0][lit] - 128 / 255).max() < 1e-5
+
+
+@pytest.mark.parametrize(
+    ("rig", "says"),
+    [
+        (askew_rig(speckle_contrast=0.1), "speckle"),
+        (askew_rig(projector=replace(optics(64, 48, 52), psf_px=1.0)), "constant blur"),
+    ],
+)
+def test_light_that_cycles_cannot_give_is_refused(cycles_renderer, rig, says):
+    scene, quality = in_camera(rig, wall(0.8, lambert(0.5))), Quality(samples=1, depth=1)
+    with pytest.raises(ValueError, match=says):
+        cycles_renderer.render(
+            scene, EMPTY_LAYOUT, plain_pattern(rig, 255), quality=quality, seed=0
+        )

@@ -4,6 +4,7 @@ import argparse
 import json
 import subprocess
 import sys
+from contextlib import contextmanager
 from importlib.metadata import entry_points
 
 import numpy as np
@@ -34,7 +35,13 @@ OPTIONS = {
     "realism": "depth --intrinsics --scale --size --gray --reason --out --compare",
     "doctor": "",
     "schema": "kind",
-    "bench": "what --json --count --scenes --device",
+    "bench render": "--json --count --device",
+    "bench decode": "--json",
+    "bench drop": "--json --count",
+    "bench scene": "--json --scenes --count --device",
+    "bench agree": "--json --plot --device --scenes --samples --size",
+    "bench denoise": "--json --plot --device --samples --size --count",
+    "bench renderers": "--json --plot --device --samples --size --count --whole",
 }
 
 
@@ -260,19 +267,63 @@ def test_doctor_ends_with_its_verdict(capsys):
 
 
 def test_bench_hands_its_options_on_and_writes_json(capsys, monkeypatch, tmp_path):
-    asked = {}
+    asked = []
 
-    def measure(what, **options):
-        asked.update(options, what=what)
-        return {"benchmark": what, "drop_s": 1.25, "stages": {"drop": 0.5}}
+    def measure(*given):
+        asked.append(given)
+        return {"drop_s": 1.25, "stages": {"drop": 0.5}}
 
-    monkeypatch.setattr(bench, "run", measure)
+    monkeypatch.setattr(bench, "measure_drop", measure)
+    monkeypatch.setattr(bench, "measure_scene", measure)
     path = tmp_path / "bench.json"
-    printed = run(capsys, "bench", "drop", "--count", 7, "--scenes", 2, "--device", "cpu",
-                  "--json", path)  # fmt: skip
-    assert asked == {"what": "drop", "count": 7, "scenes": 2, "device": "cpu"}
+    printed = run(capsys, "bench", "drop", "--count", 7, "--json", path)
+    run(capsys, "bench", "scene", "--count", 7, "--scenes", 2, "--device", "cpu")
+    assert asked == [(7,), ("cpu", 7, 2)]
     assert json.loads(path.read_text())["drop_s"] == 1.25
-    assert "1.25" in printed
+    assert json.loads(path.read_text())["benchmark"] == "drop"
+    assert "1.25" in printed and str(path) in printed
+
+
+@pytest.mark.parametrize(
+    ("words", "opens", "asks"),
+    [
+        ("agree --scenes 2 --samples 8", (1,), {"scenes": 2, "samples": 8, "size_px": (258, 194)}),
+        ("denoise --count 4", (1, 3), {"count": 4, "most": 256, "size_px": (206, 154)}),
+        (
+            "renderers --size 99x88 --whole",
+            (1, 3),
+            {"count": 30, "samples": 16, "size_px": (99, 88), "whole": True},
+        ),
+    ],
+)
+def test_a_study_gets_open_renderers_and_draws_what_it_found(
+    capsys, monkeypatch, tmp_path, words, opens, asks
+):
+    asked, drawn = {}, []
+
+    @contextmanager
+    def opened(device, *patterns_per_render):
+        yield (device, *patterns_per_render)
+
+    def study(*renderers, on_work, **options):
+        on_work(0.5, "half")
+        asked.update(options, renderers=renderers)
+        return {"rows": [{"samples": 4, "share": 0.125}, {"samples": 8, "share": 0.0625}]}
+
+    monkeypatch.setattr(bench, "opened", opened)
+    for name in ("study_agreement", "study_denoisers", "study_renderers"):
+        monkeypatch.setattr(bench, name, study)
+    monkeypatch.setattr(bench, "draw", lambda figures, path: drawn.append((figures, path)))
+    path = tmp_path / "study.png"
+    printed = run(capsys, "bench", *words.split(), "--device", "cpu", "--plot", path)
+    assert asked == asks | {"renderers": ("cpu", *opens)}
+    assert drawn[0][1] == path and drawn[0][0]["benchmark"] == words.split()[0]
+    table = printed[printed.index("rows:") :].splitlines()
+    assert [line.split() for line in table[1:4]] == [
+        ["samples", "share"],
+        ["4", "0.125"],
+        ["8", "0.0625"],
+    ]
 
 
 @pytest.mark.slow

@@ -61,7 +61,8 @@ class Sphere:
 class Environment:
     """Light from all around: constant `radiance` [W sr^-1 m^-2 per band], or a map scaled by it.
 
-    A map (EXR) is latitude-longitude with its top row at the world's zenith.
+    A map (EXR) is latitude-longitude with its top row at the world's zenith and its left border
+    towards the world's +y.
     """
 
     radiance: tuple[float, float, float] = (0.2, 0.2, 0.2)

@@ -244,14 +244,14 @@ def test_blender_is_imported_by_the_child_alone(cycles_renderer):
 def test_frames_of_one_scene_have_noise_of_their_own(cycles_renderer):
     """Two equal patterns of one render differ by as much as those of two renders."""
     scene, layout = corner_scene()
-    pattern = plain_pattern(scene.rig, 255, 255)
+    pattern = plain_pattern(scene.rig, 254, 254)
     quality = Quality(samples=4, depth=3)
     one, other = (
         cycles_renderer.render(scene, layout, pattern, quality=quality, seed=seed).radiance
         for seed in (0, 1)
     )
     within = np.mean((one.pattern[0] - one.pattern[1]) ** 2)
-    also = np.mean((one.pattern[0] - one.white) ** 2)
+    also = np.mean((one.pattern[0] - 254 / 255 * one.white) ** 2)
     between = np.mean((one.pattern[0] - other.pattern[0]) ** 2)
     assert 0.7 < within / between < 1.4 and 0.7 < also / between < 1.4
 
@@ -337,7 +337,7 @@ def test_three_patterns_in_one_render_need_one_wavelength_or_grey_things(open_cy
     """Else each pattern would be of another colour."""
     three = open_cycles(patterns_per_render=3)
     rig = askew_rig(camera=optics(24, 18, 30))
-    pattern = plain_pattern(rig, 255, 128)
+    pattern = plain_pattern(rig, 254, 128)
     quality = Quality(samples=4, depth=1)
     coloured = in_camera(rig, wall(0.8, lambert(0.9, 0.5, 0.1)))
     with pytest.raises(ValueError, match="one wavelength"):
@@ -347,7 +347,23 @@ def test_three_patterns_in_one_render_need_one_wavelength_or_grey_things(open_cy
     lit = light.pattern[0] > 0
     assert lit.mean() > 0.5
     # Two bands of one render share its paths, and so its noise.
-    assert np.abs(light.pattern[1][lit] / light.pattern[0][lit] - 128 / 255).max() < 1e-5
+    assert np.abs(light.pattern[1][lit] / light.pattern[0][lit] - 128 / 254).max() < 1e-5
+
+
+@pytest.mark.parametrize("per_render", [1, 3])
+def test_white_is_rendered_once_and_black_not_at_all(open_cycles, per_render):
+    rig = askew_rig(camera=optics(24, 18, 30))
+    shown = []
+    renderer = open_cycles(patterns_per_render=per_render, on_frame=lambda *end: shown.append(end))
+    scene, quality = in_camera(rig, wall(0.8, lambert(0.5))), Quality(samples=4, depth=1)
+    pattern = plain_pattern(rig, 255, 0, 128, 255)
+    light = renderer.render(scene, EMPTY_LAYOUT, pattern, quality=quality, seed=0).radiance
+    assert len(shown) == 7  # pattern 2, white, ambient, albedo, three of the truth
+    for number in (0, 3):
+        assert np.array_equal(light.pattern[number], light.white)
+    assert light.white.max() > 0 and not light.pattern[1].any()
+    lit = light.white > light.white.max() / 2
+    assert np.abs(light.pattern[2][lit] / light.white[lit] * 255 / 128 - 1).max() < 0.2
 
 
 @pytest.mark.parametrize(

@@ -2,10 +2,29 @@
 
 import argparse
 import json
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from .arguments import add_command, add_device, positive
+from .arguments import add_command, add_device, positive, progress_bar, size
+
+AGREE = """\
+Render the same scenes with Mitsuba and Cycles and compare: brackets of a Lambertian, a metal and a
+coated plastic in a small wooden box before a PhoXi M. Per class of surface: the ratio of their
+light pixel by pixel (Cycles over Mitsuba); of the decoded depth: differences in projector columns
+and which pixels have it; and the ground truth. About 5 minutes a scene on 2 cores; fewer samples
+are quick and noisy."""
+DENOISE = """\
+What denoising every picture of a stack does to the depth decoded from it: 4, 8, 16 .. samples with
+each denoiser of this machine, by Cycles and by Mitsuba, against their own converged pictures (four
+times the most samples). Metal brackets in a wooden box, Gray code, white light and no sensor noise
+but in the tables that say so. About 40 minutes on 2 cores, a quarter of that up to 64 samples."""
+RENDERERS = """\
+Time of a stack of 24 patterns by Mitsuba in one pass, by Cycles one and three patterns per render,
+in turn; then how many samples each needs for the same error of decoded depth (13 patterns on a
+crop of 172 x 130). Cycles renders a few patterns and the rest is counted, but with --whole. About
+40 minutes on 2 cores."""
 
 
 def add_commands(commands) -> None:
@@ -19,15 +38,74 @@ def add_commands(commands) -> None:
         commands, "schema", _schema, "Print the JSON Schema of a file, for editors."
     )
     schema.add_argument("kind", choices=("config", "rig", "stack"), help="which file")
+    _add_bench(commands)
 
-    bench = add_command(commands, "bench", _bench, "Measure speed and memory on this machine.")
-    bench.add_argument(
-        "what", choices=("render", "decode", "drop", "scene"), help="which stage, or all of a scene"
+
+def _add_bench(commands) -> None:
+    told = "Measure speed and memory on this machine, and hold the renderers against each other."
+    group = commands.add_parser("bench", help=told, description=told)
+    kinds = group.add_subparsers(required=True, metavar="WHAT")
+    render = _add_kind(kinds, "render", _render, "Time a stack against one white frame.")
+    _add_count(render)
+    add_device(render)
+    _add_kind(kinds, "decode", _decode, "Time decoding, OpenCV's too where it is installed.")
+    _add_count(_add_kind(kinds, "drop", _drop, "Time the parts' fall into the bin."))
+    scene = _add_kind(kinds, "scene", _scene, "Time and memory of whole scenes, stage by stage.")
+    scene.add_argument("--scenes", type=positive, default=3, help="how many (default 3)")
+    _add_count(scene)
+    add_device(scene)
+    _add_studies(kinds)
+
+
+def _add_studies(kinds) -> None:
+    agree = _add_study(kinds, "agree", _agree, "Whether Cycles and Mitsuba agree.", AGREE)
+    agree.add_argument("--scenes", type=positive, default=5, help="how many (default 5)")
+    _add_samples(agree, 128, "of Cycles; Mitsuba takes eight times as many")
+    _add_size(agree, (258, 194))
+
+    denoise = _add_study(kinds, "denoise", _denoise, "What denoisers do to depth.", DENOISE)
+    _add_samples(denoise, 256, "the most of the series")
+    _add_size(denoise, (206, 154))
+    _add_count(denoise)
+
+    told = "How much faster one pass is than Cycles."
+    renderers = _add_study(kinds, "renderers", _renderers, told, RENDERERS)
+    _add_samples(renderers, 16, "while time is taken")
+    _add_size(renderers, (1032, 772))
+    _add_count(renderers)
+    renderers.add_argument(
+        "--whole", action="store_true", help="let Cycles render all patterns, once"
     )
-    bench.add_argument("--json", type=Path, metavar="FILE", help="also write the figures there")
-    bench.add_argument("--count", type=positive, default=30, help="parts per scene (default 30)")
-    bench.add_argument("--scenes", type=positive, default=3, help="for scene (default 3)")
-    add_device(bench)
+
+
+def _add_kind(kinds, name: str, run, told: str) -> argparse.ArgumentParser:
+    made = add_command(kinds, name, run, told)
+    made.add_argument("--json", type=Path, metavar="FILE", help="also write the figures there")
+    return made
+
+
+def _add_study(kinds, name: str, run, told: str, description: str) -> argparse.ArgumentParser:
+    made = _add_kind(kinds, name, run, told)
+    made.description = description
+    made.add_argument("--plot", type=Path, metavar="FILE", help="also draw them into this PNG")
+    add_device(made)
+    return made
+
+
+def _add_count(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("--count", type=positive, default=30, help="parts per scene (default 30)")
+
+
+def _add_samples(parser: argparse.ArgumentParser, default: int, told: str) -> None:
+    parser.add_argument(
+        "--samples", type=positive, default=default, help=f"{told} (default {default})"
+    )
+
+
+def _add_size(parser: argparse.ArgumentParser, default: tuple[int, int]) -> None:
+    words = f"{default[0]}x{default[1]}"
+    told = f"crop of the camera's 1032x772 pixels, its middle (default {words})"
+    parser.add_argument("--size", type=size, default=default, metavar="WxH", help=told)
 
 
 def _doctor(options: argparse.Namespace) -> int:
@@ -47,14 +125,95 @@ def _schema(options: argparse.Namespace) -> int:
     return 0
 
 
-def _bench(options: argparse.Namespace) -> int:
+# --- bench ---------------------------------------------------------------------------------------
+
+
+def _render(options: argparse.Namespace) -> int:
     from .. import bench
 
-    figures: dict[str, Any] = bench.run(
-        options.what, device=options.device, count=options.count, scenes=options.scenes
-    )
+    return _report(options, "render", bench.measure_render(options.device, options.count))
+
+
+def _decode(options: argparse.Namespace) -> int:
+    from .. import bench
+
+    return _report(options, "decode", bench.measure_decode())
+
+
+def _drop(options: argparse.Namespace) -> int:
+    from .. import bench
+
+    return _report(options, "drop", bench.measure_drop(options.count))
+
+
+def _scene(options: argparse.Namespace) -> int:
+    from .. import bench
+
+    figures = bench.measure_scene(options.device, options.count, options.scenes)
+    return _report(options, "scene", figures)
+
+
+def _agree(options: argparse.Namespace) -> int:
+    from .. import bench
+
+    with bench.opened(options.device, 1) as renderers, _following() as on_work:
+        figures = bench.study_agreement(
+            *renderers,
+            scenes=options.scenes,
+            samples=options.samples,
+            size_px=options.size,
+            on_work=on_work,
+        )
+    return _report(options, "agree", figures)
+
+
+def _denoise(options: argparse.Namespace) -> int:
+    from .. import bench
+
+    with bench.opened(options.device, 1, 3) as renderers, _following() as on_work:
+        figures = bench.study_denoisers(
+            *renderers,
+            count=options.count,
+            most=options.samples,
+            size_px=options.size,
+            on_work=on_work,
+        )
+    return _report(options, "denoise", figures)
+
+
+def _renderers(options: argparse.Namespace) -> int:
+    from .. import bench
+
+    with bench.opened(options.device, 1, 3) as renderers, _following() as on_work:
+        figures = bench.study_renderers(
+            *renderers,
+            count=options.count,
+            samples=options.samples,
+            size_px=options.size,
+            whole=options.whole,
+            on_work=on_work,
+        )
+    return _report(options, "renderers", figures)
+
+
+@contextmanager
+def _following() -> Iterator[Callable[[float, str], None]]:
+    """A bar from 0 to 100 for a study's work."""
+    with progress_bar() as bar:
+        task = bar.add_task("", total=100)
+        yield lambda share, what: bar.update(task, completed=round(100 * share), description=what)
+
+
+def _report(options: argparse.Namespace, what: str, figures: dict[str, Any]) -> int:
+    """Print the figures, and write what was asked for."""
+    from .. import bench
+
+    figures = bench.stamped(what, figures)
     print(bench.describe(figures))
     if options.json is not None:
         options.json.write_text(json.dumps(figures, indent=2) + "\n", encoding="utf-8")
         print(options.json)
+    if getattr(options, "plot", None) is not None:
+        bench.draw(figures, options.plot)
+        print(options.plot)
     return 0

@@ -2,6 +2,7 @@
 
 import json
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -28,15 +29,21 @@ class Frame:
     levels: tuple[int, ...] = ()
 
 
-def pattern_frames(count: int, per_render: int) -> tuple[Frame, ...]:
-    """The renders of so many patterns, one or three in each; a last one is filled up with white."""
+def need_renders(pattern: UInt8[np.ndarray, "n ph pw"]) -> list[int]:
+    """Numbers of the patterns that have to be rendered: black has no light, white is `LOOK`'s."""
+    low, high = pattern.min(axis=(1, 2)), pattern.max(axis=(1, 2))
+    plain = (low == high) & ((low == 0) | (low == 255))
+    return np.flatnonzero(~plain).tolist()
+
+
+def pattern_frames(numbers: Sequence[int], per_render: int) -> tuple[Frame, ...]:
+    """The renders of these patterns, one or three in each; a last one is filled up with white."""
     frames = []
-    for first in range(0, count, per_render):
-        numbers = [
-            number if number < count else WHITE for number in range(first, first + per_render)
-        ]
-        name = f"pattern_{first:03d}"
-        frames.append(Frame(name=name, kind="projected", levels=tuple(numbers)))
+    for first in range(0, len(numbers), per_render):
+        levels = tuple(numbers[first : first + per_render])
+        filled = levels + (WHITE,) * (per_render - len(levels))
+        name = f"pattern_{levels[0]:03d}"
+        frames.append(Frame(name=name, kind="projected", levels=filled))
     return tuple(frames)
 
 

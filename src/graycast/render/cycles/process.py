@@ -22,6 +22,7 @@ PYTHON_VARIABLE = "GRAYCAST_CYCLES_PYTHON"
 _OWN_PLACE = Path(".venv-cycles") / "bin" / "python"
 _ASK_LIMIT_S = 60.0
 _LOG_LINES = 5
+_REMEDY = f"run make cycles, or let {PYTHON_VARIABLE} name a Python that has it"
 
 
 class CyclesDied(Exception):
@@ -64,9 +65,9 @@ def examine_cycles() -> CyclesState:
             [python, "-I", "-c", ask], capture_output=True, text=True, timeout=_ASK_LIMIT_S
         )
     except (OSError, subprocess.SubprocessError) as error:
-        return CyclesState(python=python, problem=f"{python} does not run: {error}")
+        return CyclesState(python=python, problem=f"{python} does not run ({error}): {_REMEDY}")
     if answer.returncode != 0:
-        why = f"{python} has no Blender (package bpy); run: make cycles"
+        why = f"{python} has no Blender (package bpy): {_REMEDY}"
         return CyclesState(python=python, problem=why)
     return CyclesState(python=python, version=answer.stdout.strip())
 

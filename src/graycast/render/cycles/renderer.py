@@ -1,7 +1,8 @@
 """Same scene in, same radiance out: `Renderer` by Blender Cycles.
 
 Each pattern, the white and the ambient picture is a render of its own with random numbers of its
-own, so noise differs from frame to frame as it does in the paper, and cancels nowhere.
+own, so noise differs from pattern to pattern as it does in the paper. A white pattern is the white
+picture, a black one is black; the ambient picture is rendered once and is in every frame.
 
 Limits: no speckle; no constant blur (`psf_px`) of the projector; silhouettes are those of the
 meshes' outlines, by `raster`, and with a distorted lens end at the image.
@@ -23,7 +24,7 @@ from ...scene import Layout, Scene
 from ..device import examine_cuda
 from ..radiance import GroundTruth, OnFrame, Quality, Radiance, Rendering, Silhouette
 from ..wavelength import at_one_wavelength, at_projector_wavelength
-from .job import ALBEDO, LOOK, TRUTH, Frame, is_simple, pattern_frames, write_job
+from .job import ALBEDO, LOOK, TRUTH, Frame, is_simple, need_renders, pattern_frames, write_job
 from .process import CyclesDied, CyclesProcess, examine_cycles
 
 DEVICES = ("auto", "cpu", "cuda", "optix")
@@ -93,7 +94,7 @@ class CyclesRenderer:
         look, measured = scene, at_projector_wavelength(scene)
         if self.patterns_per_render == 3:
             measured = at_one_wavelength(measured)
-        frames = pattern_frames(len(pattern), self.patterns_per_render)
+        frames = pattern_frames(need_renders(pattern), self.patterns_per_render)
         seeds = np.random.SeedSequence(seed).generate_state(2).tolist()
 
         def shoot(scene: Scene, frames: tuple[Frame, ...], seed: int) -> Pictures:
@@ -102,7 +103,7 @@ class CyclesRenderer:
         pictures = shoot(measured, (*frames, *LOOK, *ALBEDO, *TRUTH), seeds[0])
         colour = pictures if measured is look else shoot(look, (*LOOK, *ALBEDO), seeds[1])
         return Rendering(
-            radiance=_radiance(scene.rig, pictures, colour, len(pattern), frames),
+            radiance=_radiance(scene.rig, pictures, colour, pattern, frames),
             truth=_truth(scene, layout, pictures),
         )
 
@@ -186,11 +187,17 @@ def _refuse(rig: Rig, pattern: UInt8[np.ndarray, "n ph pw"], device: str, qualit
 
 
 def _radiance(
-    rig: Rig, pictures: Pictures, colour: Pictures, count: int, frames: tuple[Frame, ...]
+    rig: Rig,
+    pictures: Pictures,
+    colour: Pictures,
+    pattern: UInt8[np.ndarray, "n ph pw"],
+    frames: tuple[Frame, ...],
 ) -> Radiance:
     camera = rig.camera
     share = relative_illumination(camera).astype(np.float32)[..., None]
-    stack = np.empty((count, camera.height_px, camera.width_px), dtype=np.float32)
+    white = (pictures["white"][..., :3] * share).sum(axis=-1)
+    # What has no render of its own is white or black.
+    stack = np.where((pattern.max(axis=(1, 2)) == 255)[:, None, None], white, np.float32(0))
     for frame in frames:
         bands = pictures[frame.name][..., :3] * share
         if len(frame.levels) == 1:
@@ -202,7 +209,7 @@ def _radiance(
     ambient = pictures["ambient"][..., :3] * share
     return Radiance(
         pattern=stack,
-        white=(pictures["white"][..., :3] * share).sum(axis=-1),
+        white=white,
         ambient=ambient @ np.array(rig.passed_bands, dtype=np.float32),
         white_rgb=colour["white"][..., :3] * share,
         ambient_rgb=colour["ambient"][..., :3] * share,

@@ -1,10 +1,5 @@
-"""Speed and memory on this machine: figures, no judgement. Ratios are measured in one run, in turn.
+"""The stages of a scene: rendering, decoding, dropping, and all of them. Ratios are of one run."""
 
-`run` returns plain numbers, ready for JSON.
-"""
-
-import platform
-import resource
 import tempfile
 import time
 from collections.abc import Callable
@@ -12,67 +7,22 @@ from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from statistics import median
-from typing import Any
 
 import numpy as np
 from jaxtyping import UInt8
 
-from .config import Config, resolve_quality
-from .dataset import depth_scale_mm, open_store
-from .decode import DecodeSpec, Levels, decode, decode_plain
-from .drop import DropLimits, drop
-from .generate import Cell, make_scene, resolve_cell
-from .pattern import Code, gray, gray_phase, multi_frequency
-from .render import open_renderer
+from ..config import resolve_quality
+from ..dataset import depth_scale_mm, open_store
+from ..decode import DecodeSpec, Levels, decode, decode_plain
+from ..drop import DropLimits, drop
+from ..generate import make_scene
+from ..pattern import Code, gray, gray_phase, multi_frequency
+from ..render import open_renderer
+from .cells import paper_cell
+from .figures import Figures
+from .usage import rss_bytes
 
 PAIRS = 5  # timed in turn, A B A B ...
-
-
-def run(what: str, *, device: str, count: int, scenes: int) -> dict[str, Any]:
-    """Measure 'render', 'decode', 'drop' or 'scene'.
-
-    Args:
-        device: 'auto', 'cpu' or 'cuda'; 'decode' and 'drop' do not use it.
-        count: parts per scene.
-        scenes: how many scenes 'scene' makes after one that warms up.
-    """
-    match what:
-        case "render":
-            figures = _render(device, count)
-        case "decode":
-            figures = _decode()
-        case "drop":
-            figures = _drop(count)
-        case "scene":
-            figures = _scene(device, count, scenes)
-        case _:
-            raise ValueError(f"no benchmark {what!r}: choose render, decode, drop or scene")
-    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024
-    return {"benchmark": what, "machine": platform.machine()} | figures | {"peak_rss_bytes": peak}
-
-
-def describe(figures: dict[str, Any]) -> str:
-    """The figures for a terminal, one a line."""
-    lines = []
-    for name, value in figures.items():
-        if isinstance(value, dict):
-            lines.append(f"{name}:")
-            lines += [f"  {key:26} {_short(number)}" for key, number in value.items()]
-        else:
-            lines.append(f"{name:28} {_short(value)}")
-    return "\n".join(lines)
-
-
-def _short(value: Any) -> str:
-    if isinstance(value, list):
-        return " ".join(_short(item) for item in value)
-    return f"{value:.4g}" if isinstance(value, float) else str(value)
-
-
-def _cell(count: int) -> Cell:
-    """The paper-like scene: metal brackets in a wooden box, 22 patterns, 16 samples, depth 4."""
-    config = Config.model_validate({"parts": [{"builtin": "metal_workpiece_1"}], "count": count})
-    return resolve_cell(config, Path())
 
 
 def _in_turn(first: Callable[[], object], second: Callable[[], object]) -> tuple[float, float]:
@@ -87,12 +37,12 @@ def _in_turn(first: Callable[[], object], second: Callable[[], object]) -> tuple
     return median(seconds[0]), median(seconds[1])
 
 
-def _render(device: str, count: int) -> dict[str, Any]:
+def measure_render(device: str, count: int) -> Figures:
     renderer = open_renderer("mitsuba", device=device)
-    from .render.mitsuba import light, truth
-    from .render.mitsuba_scene import build
+    from ..render.mitsuba import light, truth
+    from ..render.mitsuba_scene import build
 
-    cell = _cell(count)
+    cell = paper_cell(count)
     layout = drop(cell.scene, (count,), seed=0, limits=DropLimits())
     start = time.perf_counter()
     world, part_shapes = build(cell.scene, layout)
@@ -127,7 +77,7 @@ def _render(device: str, count: int) -> dict[str, Any]:
     }
 
 
-def _decode() -> dict[str, Any]:
+def measure_decode() -> Figures:
     """44 frames of 1920 x 1080, 8 bit: 11 + 10 bits with inverses, white and black; then phases.
 
     OpenCV's decoder, where it is installed, matches two cameras and takes 42 frames of each.
@@ -172,9 +122,7 @@ def _seen_by_camera(
     return frames
 
 
-def _decode_by_opencv(
-    frames: UInt8[np.ndarray, "n h w"], code: Code, decode_s: float
-) -> dict[str, Any]:
+def _decode_by_opencv(frames: UInt8[np.ndarray, "n h w"], code: Code, decode_s: float) -> Figures:
     """`cv2.structured_light`, which only the contrib packages of OpenCV have."""
     import cv2
 
@@ -191,8 +139,8 @@ def _decode_by_opencv(
     return {"opencv_s": opencv_s, "opencv_over_decode": opencv_s / decode_s}
 
 
-def _drop(count: int) -> dict[str, Any]:
-    cell = _cell(count)
+def measure_drop(count: int) -> Figures:
+    cell = paper_cell(count)
     drop(cell.scene, (count,), seed=0, limits=DropLimits())  # decomposes the part once
     seconds, depths, attempts = [], [], []
     for seed in range(1, 1 + PAIRS):
@@ -210,8 +158,8 @@ def _drop(count: int) -> dict[str, Any]:
     }
 
 
-def _scene(device: str, count: int, scenes: int) -> dict[str, Any]:
-    cell = _cell(count)
+def measure_scene(device: str, count: int, scenes: int) -> Figures:
+    cell = paper_cell(count)
     renderer = open_renderer("mitsuba", device=device)
     scale_mm = depth_scale_mm(cell.scene.rig.far_m)
     stages: dict[str, list[float]] = {}
@@ -232,7 +180,7 @@ def _scene(device: str, count: int, scenes: int) -> dict[str, Any]:
                 made = time.perf_counter()
                 store.write(scene_id, shot.sample)
                 ended = time.perf_counter()
-                rss.append(_rss_bytes())
+                rss.append(rss_bytes())
                 if scene_id == 0:
                     continue  # compiles the kernels
                 seconds.append(ended - start)
@@ -251,8 +199,3 @@ def _scene(device: str, count: int, scenes: int) -> dict[str, Any]:
         "render_share": split["render"] / total,
         "rss_bytes_after_each_scene": rss,
     }
-
-
-def _rss_bytes() -> int:
-    pages = int(Path("/proc/self/statm").read_text().split()[1])
-    return pages * resource.getpagesize()

@@ -1,0 +1,24 @@
+"""Speed and memory of the stages, and three studies that hold the renderers against each other."""
+
+from .agree import study_agreement
+from .denoise import study_denoisers
+from .figures import Figures, describe, stamped
+from .opening import opened
+from .plots import draw
+from .renderers import study_renderers
+from .stages import measure_decode, measure_drop, measure_render, measure_scene
+
+__all__ = [
+    "Figures",
+    "describe",
+    "draw",
+    "measure_decode",
+    "measure_drop",
+    "measure_render",
+    "measure_scene",
+    "opened",
+    "stamped",
+    "study_agreement",
+    "study_denoisers",
+    "study_renderers",
+]

@@ -1,0 +1,131 @@
+"""How decoded depth nears a converged reference as a renderer takes more samples."""
+
+import math
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+from jaxtyping import Bool
+
+from ..generate import Cell
+from ..render import Denoiser, Quality, Radiance, Renderer
+from ..scanner import Scanner
+from ..scene import Layout
+from ..sensor import SensorSpec
+from .cells import exposed_alike
+from .decoded import (
+    Decoded,
+    decoded,
+    decoding_error,
+    edge_shifts,
+    fine_contrast,
+    one_surface,
+)
+from .figures import Figures
+from .work import Work, stack_work
+
+REFERENCE_SEED = 10_000
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Reference:
+    """A scene, a renderer's converged pictures of it, and what the scanner makes of them."""
+
+    cell: Cell
+    layout: Layout
+    radiance: Radiance
+    scanner: Scanner
+    result: Decoded
+    on_surface: Bool[np.ndarray, "h w"]
+
+
+def converge(cell: Cell, layout: Layout, renderer: Renderer, samples: int, work: Work) -> Reference:
+    """The reference of a renderer: its own pictures at many samples, without denoising."""
+    work.begin(f"{renderer.name}: reference of {samples} samples")
+    radiance, _ = _render(cell, layout, renderer, samples, "none", REFERENCE_SEED, work)
+    scanner = exposed_alike(cell.scanner, radiance)
+    result = decoded(scanner, radiance, seed=0)
+    return Reference(
+        cell=cell,
+        layout=layout,
+        radiance=radiance,
+        scanner=scanner,
+        result=result,
+        on_surface=one_surface(result),
+    )
+
+
+def error_row(
+    reference: Reference,
+    renderer: Renderer,
+    samples: int,
+    denoise: Denoiser | str,
+    work: Work,
+    *,
+    sensors: Sequence[SensorSpec] = (),
+) -> tuple[Figures, list[Figures]]:
+    """Render once; the error without sensor noise, and with the noise of each sensor given."""
+    work.begin(f"{renderer.name}: {samples} samples, denoise {denoise}")
+    radiance, seconds = _render(
+        reference.cell, reference.layout, renderer, samples, denoise, samples, work
+    )
+    words = {"renderer": renderer.name, "denoise": denoise, "samples": samples}
+    result = decoded(reference.scanner, radiance, seed=0)
+    code = reference.cell.code
+    row = words | {"seconds": seconds} | decoding_error(result, reference.result)
+    row |= edge_shifts(radiance, reference.radiance, code, reference.on_surface)
+    fine = (
+        fine_contrast(light, code, reference.result.valid)
+        for light in (radiance, reference.radiance)
+    )
+    row["fine_contrast"] = next(fine) / next(fine)
+    noisy = []
+    for sensor in sensors:
+        scanner = exposed_alike(
+            Scanner(rig=reference.scanner.rig, code=reference.scanner.code, sensor=sensor),
+            reference.radiance,
+        )
+        taken = decoded(scanner, radiance, seed=1)
+        noisy.append(words | decoding_error(taken, reference.result))
+    return row, noisy
+
+
+def samples_for(rows: Sequence[Figures], measure: str, target: float) -> tuple[float, str]:
+    """At how many samples rows of one kind have an error of `target`, between two by powers.
+
+    Returns:
+        The samples, and '' or the side on which the truth lies of what was tried: '<' or '>'.
+    """
+    rows = sorted(rows, key=lambda row: row["samples"])
+    if rows[0][measure] <= target:
+        return float(rows[0]["samples"]), "<" if rows[0][measure] < target else ""
+    for one, other in pairwise(rows):
+        if other[measure] <= target:
+            if other[measure] <= 0 or target <= 0:
+                return float(other["samples"]), ""
+            share = math.log(one[measure] / target) / math.log(one[measure] / other[measure])
+            return one["samples"] * (other["samples"] / one["samples"]) ** share, ""
+    return float(rows[-1]["samples"]), ">"
+
+
+def _render(
+    cell: Cell,
+    layout: Layout,
+    renderer: Renderer,
+    samples: int,
+    denoise: str,
+    seed: int,
+    work: Work,
+) -> tuple[Radiance, float]:
+    patterns = cell.patterns()
+    amount = stack_work(renderer, cell, samples, denoise)
+    work.follow(renderer, amount)
+    quality = Quality(samples=samples, denoise=denoise)
+    start = time.perf_counter()
+    rendering = renderer.render(cell.scene, layout, patterns, quality=quality, seed=seed)
+    seconds = time.perf_counter() - start
+    if renderer.name != "cycles":
+        work.did(amount)
+    return rendering.radiance, seconds

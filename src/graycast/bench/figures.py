@@ -1,0 +1,51 @@
+"""What a benchmark or a study gives: plain numbers, ready for JSON, and how they are told."""
+
+import os
+import platform
+import resource
+from typing import Any
+
+Figures = dict[str, Any]
+
+LONGEST_LIST = 20  # of numbers in a line; the rest are for --json
+
+
+def stamped(what: str, figures: Figures) -> Figures:
+    """Figures with their name before them, the machine, and this process's peak of memory."""
+    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024
+    machine = {"benchmark": what, "machine": platform.machine(), "cores": os.cpu_count()}
+    return machine | figures | {"peak_rss_bytes": peak}
+
+
+def describe(figures: Figures) -> str:
+    """The figures for a terminal: one a line, and a list of alike ones as a table."""
+    lines = []
+    for name, value in figures.items():
+        if isinstance(value, dict) and all(isinstance(one, list) for one in value.values()):
+            lines.append(f"{name:28} in --json")
+        elif isinstance(value, dict):
+            lines.append(f"{name}:")
+            lines += [f"  {key:26} {_short(number)}" for key, number in value.items()]
+        elif isinstance(value, list) and value and isinstance(value[0], dict):
+            lines += [f"{name}:", *_table(value)]
+        else:
+            lines.append(f"{name:28} {_short(value)}")
+    return "\n".join(lines)
+
+
+def _table(rows: list[Figures]) -> list[str]:
+    names = list(dict.fromkeys(name for row in rows for name in row))
+    cells = [names, *([_short(row.get(name, "")) for name in names] for row in rows)]
+    widths = [max(len(row[i]) for row in cells) for i in range(len(names))]
+    return [
+        "  " + "  ".join(cell.rjust(width) for cell, width in zip(row, widths, strict=True))
+        for row in cells
+    ]
+
+
+def _short(value: Any) -> str:
+    if isinstance(value, list):
+        if len(value) > LONGEST_LIST:
+            return f"{len(value)} numbers, in --json"
+        return " ".join(_short(item) for item in value)
+    return f"{value:.4g}" if isinstance(value, float) else str(value)

@@ -31,6 +31,7 @@ from stage import (
 from graycast.errors import DeviceError, GraycastError
 from graycast.frames import rigid
 from graycast.parts import Material
+from graycast.pattern import gray
 from graycast.render import Quality, open_renderer
 from graycast.render.cycles.job import is_simple
 from graycast.render.cycles.process import PYTHON_VARIABLE, WORKER, examine_cycles
@@ -140,6 +141,7 @@ PARENT = """
 import sys
 sys.path.insert(0, {tests!r})
 from stage import *
+from graycast.pattern import gray
 from graycast.render import Quality, open_renderer
 from graycast.scene import EMPTY_LAYOUT
 rig = askew_rig()
@@ -378,4 +380,40 @@ def test_light_that_cycles_cannot_give_is_refused(cycles_renderer, rig, says):
     with pytest.raises(ValueError, match=says):
         cycles_renderer.render(
             scene, EMPTY_LAYOUT, plain_pattern(rig, 255), quality=quality, seed=0
+        )
+
+
+@pytest.mark.parametrize("weights", [(1.0, 0.0, 0.0), (0.0, 0.0, 1.0)])
+def test_light_of_one_line_is_denoised_in_grey(cycles_renderer, weights):
+    """A denoiser blurs the stripes of a picture in one pure colour; in grey it is what it is for
+    white light, and the colour picture keeps its colour.
+    """
+    rig = askew_rig(camera=optics(48, 36, 60), band_weights=weights)
+    white = replace(rig, band_weights=(1 / 3, 1 / 3, 1 / 3))
+    pattern = gray(rig.projector.width_px, rig.projector.height_px).render()[4:5]
+    quality = Quality(samples=4, depth=1, denoise="oidn")
+    one, other = (
+        cycles_renderer.render(
+            in_camera(own, wall(0.8, lambert(0.6))), EMPTY_LAYOUT, pattern, quality=quality, seed=1
+        ).radiance
+        for own in (rig, white)
+    )
+    assert np.abs(one.pattern - other.pattern).max() < 1e-5 * other.pattern.max()
+    lit = one.white > 0.5 * one.white.max()
+    band = int(np.argmax(weights))
+    others = np.delete(one.white_rgb, band, axis=-1)
+    assert others.mean() < 0.01 * one.white_rgb[..., band].mean()  # the denoiser leaks a little
+    assert one.white_rgb[lit][:, band].mean() == pytest.approx(one.white[lit].mean(), rel=0.05)
+
+
+def test_three_patterns_are_not_denoised_together(open_cycles):
+    rig = askew_rig(band_weights=(1.0, 0.0, 0.0))
+    quality = Quality(samples=1, depth=1, denoise="oidn")
+    with pytest.raises(ValueError, match="patterns_per_render"):
+        open_cycles(patterns_per_render=3).render(
+            in_camera(rig, wall(0.8, lambert(0.5))),
+            EMPTY_LAYOUT,
+            plain_pattern(rig, 255),
+            quality=quality,
+            seed=0,
         )

@@ -29,7 +29,7 @@ TIMED = {1: 3, 3: 2}  # renders that are timed, of one and of three patterns eac
 ROUNDS = 2
 FEW_SAMPLES = 4  # a second point in time: a frame of any number of samples lies on their line
 ERROR_SIZE_PX = (172, 130)
-ERROR_MOST = 256
+ERROR_MOST = 128
 MEASURES = ("bad_share", "depth_rms_right_mm")
 
 

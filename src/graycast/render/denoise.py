@@ -1,7 +1,6 @@
-"""Denoising of the colour picture: Open Image Denoise on the CPU, NVIDIA OptiX on the GPU.
+"""Denoising of pictures: Open Image Denoise on the CPU, NVIDIA OptiX on the GPU.
 
-Pattern pictures are not denoised: a network trained on photographs moves the borders of stripes,
-and with them the decoded depth.
+It is for the colour picture. Patterns are denoised only where a study asks for it (`denoised`).
 """
 
 import numpy as np

@@ -73,13 +73,17 @@ def write_job(
     layout: Layout,
     pattern: UInt8[np.ndarray, "n ph pw"],
     frames: tuple[Frame, ...],
+    bands: tuple[float, float, float],
     *,
     quality: Quality,
     seed: int,
     device: str,
     threads: int | None,
 ) -> None:
-    """All that `worker/` needs, as `job.json`, arrays and pictures in a folder."""
+    """All that `worker/` needs, as `job.json`, arrays and pictures in a folder.
+
+    `bands` are the bands' shares of the projector's light, where a render has one pattern.
+    """
     rig = scene.rig
     placed = _placed(scene, layout)
     seeds = np.random.SeedSequence(seed).generate_state(len(frames)) >> 1  # Cycles' are signed
@@ -116,7 +120,7 @@ def write_job(
                 "kind": frame.kind,
                 "levels": list(frame.levels),
                 # Three patterns in one render take a band each, of one wavelength: no shares.
-                "bands": [1.0] * 3 if len(frame.levels) == 3 else list(rig.band_weights),
+                "bands": [1.0] * 3 if len(frame.levels) == 3 else list(bands),
                 "seed": int(own),
             }
             for frame, own in zip(frames, seeds, strict=True)

@@ -31,6 +31,9 @@ DEVICES = ("auto", "cpu", "cuda", "optix")
 MAX_DEATHS = 3  # of the child, for one scene
 NORMAL_OFFSET = 2.0  # as in worker/materials.py
 
+GREY = (1 / 3, 1 / 3, 1 / 3)
+
+Bands = tuple[float, float, float]
 Pictures = dict[str, Float[np.ndarray, "h w 4"]]
 
 
@@ -90,22 +93,60 @@ class CyclesRenderer:
         quality: Quality,
         seed: int,
     ) -> Rendering:
-        _refuse(scene.rig, pattern, self.device, quality)
-        look, measured = scene, at_projector_wavelength(scene)
-        if self.patterns_per_render == 3:
+        self._refuse(scene.rig, pattern, quality)
+        look, measured, bands = scene, at_projector_wavelength(scene), scene.rig.band_weights
+        if self._in_grey(scene.rig, quality):
             measured = at_one_wavelength(measured)
+            bands = bands if measured is look else GREY
         frames = pattern_frames(need_renders(pattern), self.patterns_per_render)
         seeds = np.random.SeedSequence(seed).generate_state(2).tolist()
 
-        def shoot(scene: Scene, frames: tuple[Frame, ...], seed: int) -> Pictures:
-            return self._render(scene, layout, pattern, frames, quality=quality, seed=seed)
+        def shoot(scene: Scene, frames: tuple[Frame, ...], bands: Bands, seed: int) -> Pictures:
+            return self._render(scene, layout, pattern, frames, bands, quality=quality, seed=seed)
 
-        pictures = shoot(measured, (*frames, *LOOK, *ALBEDO, *TRUTH), seeds[0])
-        colour = pictures if measured is look else shoot(look, (*LOOK, *ALBEDO), seeds[1])
+        both = measured is look
+        own = (*frames, *LOOK, *TRUTH, *(ALBEDO if both else ()))
+        pictures = colour = shoot(measured, own, bands, seeds[0])
+        if not both:
+            colour = shoot(look, (*LOOK, *ALBEDO), scene.rig.band_weights, seeds[1])
         return Rendering(
             radiance=_radiance(scene.rig, pictures, colour, pattern, frames),
             truth=_truth(scene, layout, pictures),
         )
+
+    def _refuse(self, rig: Rig, pattern: UInt8[np.ndarray, "n ph pw"], quality: Quality) -> None:
+        projector = rig.projector
+        if pattern.shape[1:] != (projector.height_px, projector.width_px):
+            size = f"{pattern.shape[2]} x {pattern.shape[1]}"
+            wanted = f"{projector.width_px} x {projector.height_px}"
+            raise ValueError(f"patterns are {size} px, the projector is {wanted} px")
+        if rig.speckle_contrast:
+            raise ValueError("Cycles has no speckle: set speckle_contrast to 0, or use mitsuba")
+        if projector.psf_px:
+            raise ValueError(
+                "Cycles has no constant blur of the projector: set its psf_px to 0, or use mitsuba"
+            )
+        if quality.denoise == "optix" and self.device == "cpu":
+            raise ValueError("denoise optix needs an NVIDIA GPU: use oidn, or --device optix")
+        if self.device == "cuda" and not is_simple(rig.camera):
+            raise ValueError(
+                "Cycles on CUDA has no cameras but pinholes with square pixels and without "
+                "distortion: use --device optix or cpu"
+            )
+        if self.patterns_per_render == 3 and quality.denoise != "none":
+            raise ValueError(
+                "a denoiser would mix the three patterns of a render: set patterns_per_render to "
+                "1, or denoise to none"
+            )
+
+    def _in_grey(self, rig: Rig, quality: Quality) -> bool:
+        """Whether light of one wavelength is rendered in all bands alike.
+
+        Patterns share a render by it; and a denoiser that is given a red picture, say, blurs its
+        stripes: it was trained on photographs.
+        """
+        one_line = sum(weight > 0 for weight in rig.band_weights) == 1
+        return self.patterns_per_render == 3 or (one_line and quality.denoise != "none")
 
     def close(self) -> None:
         if self._process is not None:
@@ -124,6 +165,7 @@ class CyclesRenderer:
         layout: Layout,
         pattern: UInt8[np.ndarray, "n ph pw"],
         frames: tuple[Frame, ...],
+        bands: Bands,
         *,
         quality: Quality,
         seed: int,
@@ -136,6 +178,7 @@ class CyclesRenderer:
                 layout,
                 pattern,
                 frames,
+                bands,
                 quality=quality,
                 seed=seed,
                 device=self.device,
@@ -162,27 +205,6 @@ class CyclesRenderer:
                 raise
         raise GraycastError(
             f"Blender Cycles died {MAX_DEATHS} times on one scene; the last time {why}"
-        )
-
-
-def _refuse(rig: Rig, pattern: UInt8[np.ndarray, "n ph pw"], device: str, quality: Quality) -> None:
-    projector = rig.projector
-    if pattern.shape[1:] != (projector.height_px, projector.width_px):
-        size = f"{pattern.shape[2]} x {pattern.shape[1]}"
-        wanted = f"{projector.width_px} x {projector.height_px}"
-        raise ValueError(f"patterns are {size} px, the projector is {wanted} px")
-    if rig.speckle_contrast:
-        raise ValueError("Cycles has no speckle: set speckle_contrast to 0, or use mitsuba")
-    if projector.psf_px:
-        raise ValueError(
-            "Cycles has no constant blur of the projector: set its psf_px to 0, or use mitsuba"
-        )
-    if quality.denoise == "optix" and device == "cpu":
-        raise ValueError("denoise optix needs an NVIDIA GPU: use oidn, or --device optix")
-    if device == "cuda" and not is_simple(rig.camera):
-        raise ValueError(
-            "Cycles on CUDA has pinhole cameras with square pixels and without distortion alone: "
-            "use --device optix or cpu"
         )
 
 

@@ -2,6 +2,7 @@
 
 import argparse
 import json
+import re
 import subprocess
 import sys
 from contextlib import contextmanager
@@ -25,6 +26,12 @@ OPTIONS = {
     "preview": "config --out --scene --seed --backend --device",
     "validate": "dataset",
     "parts": "config --out --device",
+    "stats": "dataset --workers --out --card --licence",
+    "report": "dataset --workers --out --width",
+    "export": "dataset --format --out --split --split-seed --image --depth --polygons --labels "
+    "--cloud --organised --shard-scenes --link --min-visibility",
+    "import-real": "folder --out --intrinsics --distortion --scale --size --annotations "
+    "--unlabelled --like",
     "rig show": "rig --resolution --out",
     "rig write": "rig --resolution --out",
     "rig import": "calibration --out --unit --near --far --camera-size --projector-size",
@@ -102,7 +109,7 @@ def test_help_lists_every_command_and_examples(capsys):
     assert caught.value.code == 0
     text = capsys.readouterr().out
     for name in OPTIONS:
-        assert f"\n    {name.split()[0]} " in text
+        assert re.search(rf"\n    {name.split()[0]}\s", text)
     assert "graycast generate configs/demo.yaml --out out/demo" in text
     run(capsys, "rig")  # a group alone prints its help, too
 

@@ -6,13 +6,15 @@ from collections.abc import Sequence
 
 from .. import __version__
 from ..errors import GraycastError
-from . import datasets, machine, measuring, rigs
+from . import datasets, exporting, looking, machine, measuring, rigs
 
 EXAMPLES = """\
 examples:
   graycast generate configs/demo.yaml --out out/demo     three scenes of brackets in a box
   graycast preview configs/own_part.yaml --out p.png     one scene of your own part as a picture
   graycast validate out/demo                             check a dataset from its files
+  graycast report out/demo --out out/page                a web page to look at it
+  graycast export out/demo --format coco --out out/coco  the same for a trainer, in its format
   graycast decode stack.yaml --rig rig.yaml --out cloud  depth from a real scanner's pictures
   graycast certify phoxi-l --out sheet                   what a virtual scanner is worth
   graycast realism real/ --intrinsics K.json --out r     how real depth maps look, in figures
@@ -57,6 +59,8 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--version", action="version", version=f"graycast {__version__}")
     commands = parser.add_subparsers(required=True, metavar="COMMAND")
     datasets.add_commands(commands)
+    looking.add_commands(commands)
+    exporting.add_commands(commands)
     rigs.add_commands(commands)
     measuring.add_commands(commands)
     machine.add_commands(commands)

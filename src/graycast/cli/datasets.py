@@ -140,6 +140,7 @@ def _preview(options: argparse.Namespace) -> int:
 
 def _validate(options: argparse.Namespace) -> int:
     from ..dataset import validate
+    from ..dataset.real import absent
 
     problems = validate(options.dataset)
     for problem in problems:
@@ -149,6 +150,9 @@ def _validate(options: argparse.Namespace) -> int:
         if problems
         else f"{options.dataset}: valid"
     )
+    if not problems:
+        for lacking in absent(options.dataset):
+            print(f"  not known: {lacking}")
     return 1 if problems else 0
 
 

@@ -44,6 +44,15 @@ def read_png(path: Path) -> np.ndarray:
         data = path.read_bytes()
     except OSError as error:
         raise Unreadable(f"{name} is missing") from error
+    return png_pixels(data, name)
+
+
+def png_pixels(data: bytes, name: str) -> np.ndarray:
+    """The pixels of a PNG that is in memory, checked as `read_png` checks.
+
+    Raises:
+        Unreadable: it is damaged.
+    """
     at, kind = 8, b""
     while data[:8] == b"\x89PNG\r\n\x1a\n" and kind != b"IEND" and at + 12 <= len(data):
         end = at + 8 + int.from_bytes(data[at : at + 4], "big")

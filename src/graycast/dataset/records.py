@@ -13,17 +13,17 @@ Count = Annotated[int, Field(ge=0)]
 Positive = Annotated[float, Field(gt=0)]
 
 
-class _Record(BaseModel):
+class Record(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid", strict=True, allow_inf_nan=False)
 
 
-class PartClaim(_Record):
+class PartClaim(Record):
     obj_id: Annotated[int, Field(ge=1)]
     name: str
     content: str
 
 
-class Claim(_Record):
+class Claim(Record):
     """`graycast.json`."""
 
     format_version: int
@@ -37,7 +37,7 @@ class Claim(_Record):
     versions: dict[str, str]
 
 
-class Camera(_Record):
+class Camera(Record):
     """`camera.json`."""
 
     cx: float
@@ -50,12 +50,12 @@ class Camera(_Record):
     distortion: Distortion = [0.0] * 5
 
 
-class Continuous(_Record):
+class Continuous(Record):
     axis: Vector
     offset: Vector
 
 
-class ModelInfo(_Record):
+class ModelInfo(Record):
     """One model in `models_info.json`."""
 
     diameter: Positive
@@ -81,7 +81,7 @@ class ModelsInfo(RootModel[dict[str, ModelInfo]]):
     """`models_info.json`."""
 
 
-class View(_Record):
+class View(Record):
     """One image in `scene_camera.json`."""
 
     cam_K: Matrix3
@@ -91,7 +91,7 @@ class View(_Record):
     distortion: Distortion = [0.0] * 5
 
 
-class Pose(_Record):
+class Pose(Record):
     """One instance in `scene_gt.json`."""
 
     cam_R_m2c: Matrix3
@@ -99,7 +99,7 @@ class Pose(_Record):
     obj_id: Annotated[int, Field(ge=1)]
 
 
-class Info(_Record):
+class Info(Record):
     """One instance in `scene_gt_info.json`."""
 
     bbox_obj: Box
@@ -110,7 +110,7 @@ class Info(_Record):
     visib_fract: Annotated[float, Field(ge=0, le=1)]
 
 
-class Box3d(_Record):
+class Box3d(Record):
     """One instance in `scene_gt_box3d.json`."""
 
     R: Matrix3
@@ -118,7 +118,7 @@ class Box3d(_Record):
     size: Vector
 
 
-class Scanner(_Record):
+class Scanner(Record):
     """One image in `scene_sl.json`."""
 
     modulation_scale: Positive
@@ -126,50 +126,50 @@ class Scanner(_Record):
 
 
 # A scene file holds one image, so its only key is that image's id.
-class SceneCamera(_Record):
+class SceneCamera(Record):
     image: Annotated[View, Field(alias="0")]
 
 
-class SceneGt(_Record):
+class SceneGt(Record):
     image: Annotated[list[Pose], Field(alias="0")]
 
 
-class SceneGtInfo(_Record):
+class SceneGtInfo(Record):
     image: Annotated[list[Info], Field(alias="0")]
 
 
-class SceneBox3d(_Record):
+class SceneBox3d(Record):
     image: Annotated[list[Box3d], Field(alias="0")]
 
 
-class SceneScanner(_Record):
+class SceneScanner(Record):
     image: Annotated[Scanner, Field(alias="0")]
 
 
-class RunLengths(_Record):
+class RunLengths(Record):
     counts: list[Count]
     size: Annotated[list[int], Field(min_length=2, max_length=2)]
 
 
-class CompressedRunLengths(_Record):
+class CompressedRunLengths(Record):
     counts: str
     size: Annotated[list[int], Field(min_length=2, max_length=2)]
 
 
-class CocoImage(_Record):
+class CocoImage(Record):
     id: Count
     file_name: str
     width: int
     height: int
 
 
-class CocoCategory(_Record):
+class CocoCategory(Record):
     id: int
     name: str
     supercategory: str
 
 
-class SceneAnnotation(_Record):
+class SceneAnnotation(Record):
     id: int
     image_id: int
     category_id: int
@@ -182,7 +182,7 @@ class SceneAnnotation(_Record):
     ignore: bool
 
 
-class SplitAnnotation(_Record):
+class SplitAnnotation(Record):
     id: int
     image_id: int
     category_id: int
@@ -193,7 +193,7 @@ class SplitAnnotation(_Record):
     visib_fract: float
 
 
-class SceneCoco(_Record):
+class SceneCoco(Record):
     """`scene_gt_coco.json`."""
 
     info: dict[str, str]
@@ -203,7 +203,7 @@ class SceneCoco(_Record):
     annotations: list[SceneAnnotation]
 
 
-class SplitCoco(_Record):
+class SplitCoco(Record):
     """`train_coco.json`."""
 
     info: dict[str, str]

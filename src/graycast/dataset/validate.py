@@ -13,6 +13,7 @@ from ..frames import is_rigid
 from . import records
 from .models import diameter
 from .reading import Unreadable, read_json
+from .real import is_real, real_problems
 from .scene_check import Model, scene_problems
 from .store import finished_scenes
 
@@ -37,12 +38,16 @@ def validate(out: Path) -> tuple[Problem, ...]:
     rasteriser of this package's own; masks must be a partition, and every count, box and run
     length must follow from them.
 
+    Of real pictures only what they hold is checked: pictures, masks, counts and run lengths.
+
     Leaves out: whether the colour and the white-frame picture show the scene, and whether the
     scanner's depth is right: it is a measurement.
 
     Raises:
         DatasetError: the folder holds no dataset at all.
     """
+    if is_real(out):
+        return tuple(Problem(scene=scene, what=what) for scene, what in real_problems(out))
     try:
         claim = read_json(out / "graycast.json", records.Claim)
     except Unreadable as error:

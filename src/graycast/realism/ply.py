@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, UInt8
 
 from ..errors import DatasetError
 
@@ -24,10 +24,14 @@ _COLORS = ("red", "green", "blue")
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class OrganisedCloud:
-    """Points of a cloud in the file's unit, NaN where there is none, and their brightness."""
+    """Points of a cloud in the file's unit, NaN where there is none, and their look, if it is said.
+
+    `gray` is the mean of the colours as a share of their range.
+    """
 
     point: Float[np.ndarray, "h w 3"]
     gray: Float[np.ndarray, "h w"] | None
+    rgb: UInt8[np.ndarray, "h w 3"] | None = None
 
 
 def read_ply(path: Path, size_px: tuple[int, int] | None = None) -> OrganisedCloud:
@@ -56,10 +60,12 @@ def read_ply(path: Path, size_px: tuple[int, int] | None = None) -> OrganisedClo
     width_px, height_px = _size(path, header, count, size_px)
     point = np.stack([table[axis].astype(np.float64) for axis in "xyz"], axis=-1)
     point[~np.isfinite(point).all(axis=-1) | (point == 0).all(axis=-1)] = np.nan
-    gray = None
+    gray = rgb = None
     if all((name, "u1") in names for name in _COLORS):
-        gray = np.mean([table[name] for name in _COLORS], axis=0).reshape(height_px, width_px) / 255
-    return OrganisedCloud(point=point.reshape(height_px, width_px, 3), gray=gray)
+        color = np.stack([table[name] for name in _COLORS], axis=-1)
+        rgb = color.reshape(height_px, width_px, 3).astype(np.uint8)
+        gray = rgb.mean(axis=-1) / 255
+    return OrganisedCloud(point=point.reshape(height_px, width_px, 3), gray=gray, rgb=rgb)
 
 
 def camera_of(point: Float[np.ndarray, "h w 3"]) -> Float[np.ndarray, "3 3"]:

@@ -14,8 +14,8 @@ from ..errors import DatasetError
 from .ply import camera_of, read_ply
 from .scan import Scan
 
-_DEPTH_FILES = (".npy", ".png", ".ply", ".tif", ".tiff")
-_PICTURES = (".png", ".jpg", ".jpeg", ".tif", ".tiff")
+DEPTH_FILES = (".npy", ".png", ".ply", ".tif", ".tiff")
+PICTURES = (".png", ".jpg", ".jpeg", ".tif", ".tiff")
 _FARTHEST_M = 100.0
 _SCANNER = "_sl"  # of the camera type that our own datasets add
 _M_PER_MM = 1e-3
@@ -53,7 +53,7 @@ def read_scans(
             for scene in scenes:
                 yield from _read_scene(scene)
         elif path.is_dir():
-            files += _depth_files(path)
+            files += depth_files(path)
         else:
             files.append(path)
     for name, pictures in (("gray", gray), ("reason", reason)):
@@ -61,7 +61,7 @@ def read_scans(
             counts = f"{len(pictures)} {name} images for {len(files)} depth files"
             raise DatasetError(f"{counts}: give one each, in the same order, or none")
     for file, gray_file, reason_file in zip_longest(files, gray, reason):
-        depth_m, own_gray, own_K = _read_depth(file, scale_m, size_px, K)
+        depth_m, own_gray, own_K = read_depth(file, scale_m, size_px, K)
         yield _scan(
             name=str(file),
             depth_m=depth_m,
@@ -103,7 +103,7 @@ def read_intrinsics(text: str) -> Float[np.ndarray, "3 3"]:
 
 def read_gray(path: Path) -> Float[np.ndarray, "h w"]:
     """A picture as shares of its type's range; floats in NPY are such shares already."""
-    image = _load_npy(path) if path.suffix == ".npy" else _read_image(path)
+    image = load_npy(path) if path.suffix == ".npy" else read_image(path)
     if image.ndim == 3:
         image = image[..., :3].mean(axis=-1, dtype=np.float64).astype(image.dtype)
     if np.issubdtype(image.dtype, np.integer):
@@ -111,7 +111,7 @@ def read_gray(path: Path) -> Float[np.ndarray, "h w"]:
     return image.astype(np.float64)
 
 
-def _read_depth(
+def read_depth(
     path: Path,
     scale_m: float | None,
     size_px: tuple[int, int] | None,
@@ -129,7 +129,7 @@ def _read_depth(
             raise DatasetError(f"{path}: {error}") from error
         value, gray = cloud.point[..., 2], cloud.gray
     else:
-        value = _load_npy(path) if path.suffix.lower() == ".npy" else _read_image(path)
+        value = load_npy(path) if path.suffix.lower() == ".npy" else read_image(path)
     if K is None:
         raise DatasetError(
             f"{path}: its camera is not known: give the intrinsics (--intrinsics fx,fy,cx,cy)"
@@ -173,9 +173,9 @@ def _scenes(path: Path) -> list[Path]:
 def _read_scene(scene: Path) -> Iterator[Scan]:
     """All images of a scene folder, the scanner's where there is one beside the colour camera."""
     suffix = _SCANNER if (scene / f"scene_camera{_SCANNER}.json").is_file() else ""
-    views = _load_json(scene / f"scene_camera{suffix}.json")
+    views = load_json(scene / f"scene_camera{suffix}.json")
     own = scene / f"scene{_SCANNER}.json"
-    scanner = _load_json(own) if suffix and own.is_file() else {}
+    scanner = load_json(own) if suffix and own.is_file() else {}
     baseline_m = _baseline_m(scene)
     for image_id in sorted(views, key=int):
         view, stem = views[image_id], f"{int(image_id):06d}"
@@ -191,7 +191,7 @@ def _read_scene(scene: Path) -> Iterator[Scan]:
         names = scanner.get(image_id, {}).get("reasons", {})
         yield _scan(
             name=str(path),
-            depth_m=metres(_read_image(path), scale_m, str(path)),
+            depth_m=metres(read_image(path), scale_m, str(path)),
             K=K,
             gray=None if picture is None else read_gray(picture),
             reason=_read_reason(why) if suffix and why.is_file() else None,
@@ -201,7 +201,7 @@ def _read_scene(scene: Path) -> Iterator[Scan]:
 
 
 def _picture(scene: Path, folders: Sequence[str], stem: str) -> Path | None:
-    files = (scene / folder / f"{stem}{end}" for folder in folders for end in _PICTURES)
+    files = (scene / folder / f"{stem}{end}" for folder in folders for end in PICTURES)
     return next((file for file in files if file.is_file()), None)
 
 
@@ -210,7 +210,7 @@ def _baseline_m(scene: Path) -> float | None:
     claim = scene.parent.parent / "graycast.json"
     if not claim.is_file():
         return None
-    T_cam_proj = _load_json(claim).get("rig", {}).get("T_cam_proj")
+    T_cam_proj = load_json(claim).get("rig", {}).get("T_cam_proj")
     if np.shape(T_cam_proj) != (4, 4):
         return None
     return float(np.linalg.norm(np.array(T_cam_proj)[:3, 3]))
@@ -226,18 +226,18 @@ def _scan(**fields: Any) -> Scan:
         raise DatasetError(str(error)) from error
 
 
-def _depth_files(folder: Path) -> list[Path]:
+def depth_files(folder: Path) -> list[Path]:
     """`depth.npy` alone where `graycast decode` wrote it, else all that may be depth."""
     if (folder / "depth.npy").is_file():
         return [folder / "depth.npy"]
-    found = sorted(f for f in folder.iterdir() if f.suffix.lower() in _DEPTH_FILES)
+    found = sorted(f for f in folder.iterdir() if f.suffix.lower() in DEPTH_FILES)
     if not found:
-        kinds = ", ".join(_DEPTH_FILES)
+        kinds = ", ".join(DEPTH_FILES)
         raise DatasetError(f"{folder}: has neither depth files ({kinds}) nor a BOP dataset")
     return found
 
 
-def _read_image(path: Path) -> np.ndarray:
+def read_image(path: Path) -> np.ndarray:
     if not path.is_file():
         raise DatasetError(f"{path}: no such file: check the path")
     image = cv2.imread(str(path), cv2.IMREAD_UNCHANGED)
@@ -247,7 +247,7 @@ def _read_image(path: Path) -> np.ndarray:
 
 
 def _read_reason(path: Path) -> UInt8[np.ndarray, "h w"]:
-    image = _load_npy(path) if path.suffix == ".npy" else _read_image(path)
+    image = load_npy(path) if path.suffix == ".npy" else read_image(path)
     if image.ndim != 2 or image.dtype != np.uint8:
         raise DatasetError(
             f"{path}: is {image.dtype} {image.shape}: reasons are 8 bit, one channel"
@@ -255,7 +255,7 @@ def _read_reason(path: Path) -> UInt8[np.ndarray, "h w"]:
     return image
 
 
-def _load_npy(path: Path) -> np.ndarray:
+def load_npy(path: Path) -> np.ndarray:
     if not path.is_file():
         raise DatasetError(f"{path}: no such file: check the path")
     try:
@@ -264,7 +264,7 @@ def _load_npy(path: Path) -> np.ndarray:
         raise DatasetError(f"{path}: cannot be read as NPY ({error}): check the file") from error
 
 
-def _load_json(path: Path) -> dict[str, Any]:
+def load_json(path: Path) -> dict[str, Any]:
     try:
         content = json.loads(path.read_text(encoding="utf-8"))
     except (OSError, ValueError) as error:

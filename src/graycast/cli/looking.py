@@ -1,0 +1,76 @@
+"""Commands that look at a dataset: stats and report."""
+
+import argparse
+from pathlib import Path
+
+from .arguments import add_command, positive, progress_bar
+
+# Heavy modules are imported by the command that needs them, so that --help answers at once.
+
+
+def add_commands(commands) -> None:
+    stats = add_command(commands, "stats", _stats, "Count what a dataset holds, from its files.")
+    _add_dataset(stats)
+    stats.add_argument("--out", type=Path, help="also write stats.json and stats.png here")
+    stats.add_argument(
+        "--card", action="store_true", help="also write the dataset's card, README.md in its folder"
+    )
+    stats.add_argument("--licence", help="for the card: an SPDX identifier such as CC-BY-4.0")
+
+    report = add_command(
+        commands, "report", _report, "Write a web page to look at a dataset; opens from the disk."
+    )
+    report.set_defaults(when_stopped="finished scenes are kept; the same command goes on")
+    _add_dataset(report)
+    report.add_argument("--out", type=Path, required=True, help="the page's folder")
+    report.add_argument(
+        "--width", type=positive, help="thin out maps wider than this many pixels (default 1300)"
+    )
+
+
+def _add_dataset(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("dataset", type=Path, help="the dataset's folder")
+    parser.add_argument("--workers", type=positive, default=1, help="processes (default 1)")
+
+
+def _stats(options: argparse.Namespace) -> int:
+    from rich.console import Console
+
+    from ..errors import GraycastError
+    from ..stats import dataset_statistics, find_scenes, statistics_table, write_statistics
+
+    if options.licence is not None and not options.card:
+        raise GraycastError("--licence is of the card: give --card too, or leave it out")
+    with progress_bar() as bar:
+        task = bar.add_task("scenes", total=len(find_scenes(options.dataset)))
+        statistics = dataset_statistics(
+            options.dataset,
+            workers=options.workers,
+            on_scene=lambda _: bar.update(task, advance=1),
+        )
+    Console(width=None).print(statistics_table(statistics))
+    if options.out is not None:
+        write_statistics(statistics, options.out)
+        print(options.out)
+    if options.card:
+        from ..card import write_card
+
+        print(write_card(options.dataset, statistics, licence=options.licence))
+    return 0
+
+
+def _report(options: argparse.Namespace) -> int:
+    from ..report.page import WIDTH_PX, write_report
+
+    with progress_bar() as bar:
+        task = bar.add_task("scenes", total=None)
+        summary = write_report(
+            options.dataset,
+            options.out,
+            workers=options.workers,
+            width_px=options.width or WIDTH_PX,
+            on_start=lambda total, found: bar.update(task, total=total, completed=found),
+            on_scene=lambda _: bar.update(task, advance=1),
+        )
+    print(f"{summary.built} scenes made, {summary.kept} were there; open {summary.page.resolve()}")
+    return 0

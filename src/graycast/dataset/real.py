@@ -1,0 +1,248 @@
+"""Datasets of real pictures: the same files as simulated ones, without what nobody knows.
+
+`graycast.json` has `kind: real` and a list of what the scenes hold. There are no models, poses,
+perfect depth, silhouettes behind other parts or reasons of missing depth; everything else is where
+a simulated dataset has it, so that one reader serves both. Visible masks may overlap by what the
+annotators drew.
+"""
+
+import json
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import numpy as np
+from jaxtyping import Bool
+from pycocotools import mask as coco_mask
+from pydantic import Field
+
+from ..errors import DatasetError
+from .reading import Unreadable, read_json, read_png
+from .records import (
+    Box,
+    Camera,
+    CocoCategory,
+    CocoImage,
+    CompressedRunLengths,
+    Count,
+    Distortion,
+    Manifest,
+    Matrix3,
+    Positive,
+    Record,
+    SceneCoco,
+)
+from .store import finished_scenes
+
+IMAGES = {"rgb": np.uint8, "gray_sl": np.uint8, "depth_sl": np.uint16}
+Held = Literal["rgb", "gray_sl", "depth_sl", "masks"]
+_ABSENT = ("poses", "models", "perfect depth", "amodal masks", "visible shares", "reasons")
+_NAMES = {
+    "rgb": "colour pictures",
+    "gray_sl": "white-frame pictures",
+    "depth_sl": "scanner depth",
+    "masks": "masks",
+}
+
+
+class RealPart(Record):
+    obj_id: Annotated[int, Field(ge=1)]
+    name: str
+
+
+class RealClaim(Record):
+    """`graycast.json` of real pictures."""
+
+    format_version: int
+    kind: Literal["real"]
+    depth_scale_mm: Positive
+    parts: list[RealPart]
+    holds: list[Held]
+    sources: list[str]
+    versions: dict[str, str]
+
+
+class RealView(Record):
+    """One image in `scene_camera.json`: where the camera stood is not known."""
+
+    cam_K: Matrix3
+    depth_scale: Positive
+    distortion: Distortion = [0.0] * 5
+
+
+class RealPose(Record):
+    """One instance in `scene_gt.json`: what it is, not where."""
+
+    obj_id: Annotated[int, Field(ge=1)]
+
+
+class RealInfo(Record):
+    """One instance in `scene_gt_info.json`."""
+
+    bbox_visib: Box
+    px_count_visib: Count
+
+
+class RealSceneCamera(Record):
+    image: Annotated[RealView, Field(alias="0")]
+
+
+class RealSceneGt(Record):
+    image: Annotated[list[RealPose], Field(alias="0")]
+
+
+class RealSceneGtInfo(Record):
+    image: Annotated[list[RealInfo], Field(alias="0")]
+
+
+class RealAnnotation(Record):
+    id: int
+    image_id: int
+    category_id: int
+    iscrowd: int
+    area: int
+    bbox: Box
+    segmentation: CompressedRunLengths
+
+
+class RealSplitCoco(Record):
+    """`train_coco.json` of real pictures."""
+
+    info: dict[str, str]
+    licenses: list[Any]
+    categories: list[CocoCategory]
+    images: list[CocoImage]
+    annotations: list[RealAnnotation]
+
+
+def is_real(out: Path) -> bool:
+    """Whether a folder's `graycast.json` says that its pictures are real."""
+    try:
+        return json.loads((out / "graycast.json").read_bytes()).get("kind") == "real"
+    except (OSError, ValueError, AttributeError):
+        return False
+
+
+def absent(out: Path) -> tuple[str, ...]:
+    """What a dataset of real pictures does not hold, in words; nothing of a simulated one.
+
+    Raises:
+        DatasetError: its `graycast.json` is damaged.
+    """
+    if not is_real(out):
+        return ()
+    try:
+        claim = read_json(out / "graycast.json", RealClaim)
+    except Unreadable as error:
+        raise DatasetError(f"{out}: {error}") from error
+    return (*(_NAMES[name] for name in _NAMES if name not in claim.holds), *_ABSENT)
+
+
+def real_problems(out: Path) -> Iterator[tuple[int | None, str]]:
+    """All that is wrong with a dataset of real pictures, as (scene or None, what)."""
+    try:
+        claim = read_json(out / "graycast.json", RealClaim)
+        camera = read_json(out / "camera.json", Camera)
+    except Unreadable as error:
+        yield None, str(error)
+        return
+    if camera.depth_scale != claim.depth_scale_mm:
+        yield None, f"camera.json: depth_scale is not graycast.json's {claim.depth_scale_mm}"
+    finished = sorted(finished_scenes(out))
+    if not finished:
+        yield None, "train/ holds no scene"
+    for scene_id in finished:
+        try:
+            folder = out / "train" / f"{scene_id:06d}"
+            yield from ((scene_id, what) for what in _scene_problems(folder, claim, camera))
+        except Unreadable as error:
+            yield scene_id, str(error)
+    if "masks" in claim.holds:
+        yield from ((None, what) for what in _split_problems(out, claim, finished))
+
+
+def _scene_problems(folder: Path, claim: RealClaim, camera: Camera) -> Iterator[str]:
+    size = (camera.height, camera.width)
+    view = read_json(folder / "scene_camera.json", RealSceneCamera).image
+    read_json(folder / "manifest.json", Manifest)
+    if view.depth_scale != claim.depth_scale_mm:
+        yield f"scene_camera.json: depth_scale is not graycast.json's {claim.depth_scale_mm}"
+    for name in set(claim.holds) - {"masks"}:
+        image = read_png(folder / name / "000000.png")
+        shape = (*size, 3) if name == "rgb" else size
+        if image.shape != shape or image.dtype != IMAGES[name]:
+            is_, must = f"{image.shape} {image.dtype}", f"{shape} {np.dtype(IMAGES[name])}"
+            yield f"{name}/000000.png is {is_}, it must be {must}"
+    if "masks" in claim.holds:
+        yield from _mask_problems(folder, claim, size)
+
+
+def _mask_problems(folder: Path, claim: RealClaim, size: tuple[int, int]) -> Iterator[str]:
+    poses = read_json(folder / "scene_gt.json", RealSceneGt).image
+    infos = read_json(folder / "scene_gt_info.json", RealSceneGtInfo).image
+    entries = read_json(folder / "scene_gt_coco.json", SceneCoco).annotations
+    files = sorted((folder / "mask_visib").glob("*.png"))
+    if not len(poses) == len(infos) == len(entries) == len(files):
+        counts = f"{len(poses)}, {len(infos)}, {len(entries)} instances, {len(files)} masks"
+        yield f"scene_gt.json, scene_gt_info.json and scene_gt_coco.json have {counts}"
+        return
+    known = {part.obj_id for part in claim.parts}
+    for i, (pose, info, entry) in enumerate(zip(poses, infos, entries, strict=True)):
+        mask = read_png(folder / "mask_visib" / f"000000_{i:06d}.png") > 0
+        if mask.shape != size or not mask.any():
+            yield f"mask_visib/000000_{i:06d}.png is empty, or not {size[1]} x {size[0]} pixels"
+            continue
+        x, y, w, h = pixel_box(mask)
+        if pose.obj_id not in known or entry.category_id != pose.obj_id:
+            yield f"instance {i} is of object {pose.obj_id}, its annotation {entry.category_id}"
+        if sum(entry.segmentation.counts) != mask.size or not np.array_equal(
+            coco_mask.decode(coco_mask.frPyObjects(entry.segmentation.model_dump(), *size)), mask
+        ):
+            yield f"annotation {i + 1}: its segmentation is not the mask_visib of instance {i}"
+        if entry.bbox != [x, y, w, h] or info.bbox_visib != [x, y, w - 1, h - 1]:
+            yield f"instance {i}: its boxes {entry.bbox}, {info.bbox_visib} are not its mask's"
+        if not entry.area == info.px_count_visib == mask.sum():
+            yield f"instance {i}: its area {entry.area} is not the {mask.sum()} pixels of its mask"
+
+
+def _split_problems(out: Path, claim: RealClaim, finished: list[int]) -> Iterator[str]:
+    try:
+        split = read_json(out / "train_coco.json", RealSplitCoco)
+    except Unreadable as error:
+        yield str(error)
+        return
+    if {entry.id: entry.name for entry in split.categories} != {
+        part.obj_id: part.name for part in claim.parts
+    }:
+        yield "train_coco.json: its categories are not the parts of graycast.json"
+    if [image.id for image in split.images] != finished:
+        yield "train_coco.json: its images are not the scenes"
+        return
+    for scene_id in finished:
+        try:
+            coco = read_json(out / f"train/{scene_id:06d}/scene_gt_coco.json", SceneCoco)
+        except Unreadable:
+            continue  # told where the scene is checked
+        held = [e.model_dump(exclude={"id"}) for e in split.annotations if e.image_id == scene_id]
+        if held != [split_entry(e.model_dump(), scene_id) for e in coco.annotations]:
+            yield f"train_coco.json: the annotations of image {scene_id} are not the scene's"
+
+
+def split_entry(annotation: dict[str, Any], scene_id: int) -> dict[str, Any]:
+    """An annotation of `scene_gt_coco.json` as `train_coco.json` has it, without its id."""
+    runs = annotation["segmentation"]
+    compressed = coco_mask.frPyObjects(dict(runs), *runs["size"])
+    return {
+        "image_id": scene_id,
+        "category_id": annotation["category_id"],
+        "iscrowd": 0,
+        "area": annotation["area"],
+        "bbox": list(annotation["bbox"]),
+        "segmentation": {"counts": compressed["counts"].decode(), "size": list(runs["size"])},
+    }
+
+
+def pixel_box(mask: Bool[np.ndarray, "h w"]) -> list[int]:
+    """COCO's [x, y, columns, rows] of a mask that is not empty."""
+    rows, columns = np.flatnonzero(mask.any(axis=1)), np.flatnonzero(mask.any(axis=0))
+    return [int(columns[0]), int(rows[0]), int(np.ptp(columns)) + 1, int(np.ptp(rows)) + 1]

@@ -1,0 +1,103 @@
+"""BOP's image-wise layout, and the same files in shards, as BOP's own toolkit reads them.
+
+An image is the files KEY.rgb.png (or KEY.gray.tiff), KEY.depth.png, KEY.camera.json, KEY.gt.json,
+KEY.gt_info.json, KEY.mask.json and KEY.mask_visib.json. Masks are run lengths by the instance's
+place in `gt`. Shards keep the order of the scenes, which are independent draws, so that reading
+them one after another is random enough.
+
+Source: the documented layout of bop_toolkit's `dataset/bop_imagewise.py` and `bop_webdataset.py`.
+"""
+
+import json
+from collections.abc import Iterable, Iterator
+from pathlib import Path
+
+import cv2
+
+from ..dataset.coco import run_lengths
+from ..dataset.example import Master, StoredScene
+from ..errors import DatasetError
+from ..render.radiance import Silhouette
+from .options import Options
+from .placing import place
+from .shards import write_shards
+
+
+def write_imagewise(
+    folder: Path, split: str, scenes: Iterable[StoredScene], master: Master, options: Options
+) -> None:
+    """`SPLIT/KEY.*`: every image's own files side by side."""
+    (folder / split).mkdir()
+    for scene in scenes:
+        for name, content in _files(scene, options):
+            target = folder / split / f"{_key(scene)}.{name}"
+            if isinstance(content, Path):
+                place(content, target, link=options.link)
+            else:
+                target.write_bytes(content)
+
+
+def write_webdataset(
+    folder: Path, split: str, scenes: Iterable[StoredScene], master: Master, options: Options
+) -> None:
+    """`SPLIT/shard-000000.tar` ... and `SPLIT/key_to_shard.json`."""
+    (folder / split).mkdir()
+    samples = ((_key(scene), _loaded(_files(scene, options))) for scene in scenes)
+    shard_of = write_shards(folder / split, samples, most=options.shard_scenes)
+    (folder / split / "key_to_shard.json").write_text(json.dumps(shard_of), encoding="ascii")
+
+
+def write_rest(folder: Path, splits: Iterable[str], master: Master, options: Options) -> None:
+    """What belongs to the dataset as a whole: `camera.json` and the models."""
+    place(master.folder / "camera.json", folder / "camera.json", link=False)
+    for source in sorted((master.folder / "models").glob("*")):
+        place(source, folder / "models" / source.name, link=False)
+
+
+def _key(scene: StoredScene) -> str:
+    return f"{scene.scene_id:06d}_000000"
+
+
+def _loaded(files: Iterable[tuple[str, bytes | Path]]) -> Iterator[tuple[str, bytes]]:
+    for name, content in files:
+        yield name, content.read_bytes() if isinstance(content, Path) else content
+
+
+def _files(scene: StoredScene, options: Options) -> Iterator[tuple[str, bytes | Path]]:
+    if options.image == "rgb":
+        yield "rgb.png", scene.png("rgb")
+    elif options.image == "gray":
+        yield "gray.tiff", cv2.imencode(".tiff", scene.gray())[1].tobytes()
+    for depth in options.depths:
+        yield "depth.png", scene.png(depth)
+    yield "camera.json", _image(scene, "scene_camera.json")
+    if "masks" not in scene.holds:
+        return
+    scanner = options.depths == ("depth_sl",) and not scene.real
+    yield "gt.json", _image(scene, "scene_gt.json")
+    yield (
+        "gt_info.json",
+        _image(scene, "scene_gt_info_sl.json" if scanner else "scene_gt_info.json"),
+    )
+    if "amodal" in scene.holds:
+        yield "mask.json", _masks(scene, "mask")
+    yield "mask_visib.json", _masks(scene, "mask_visib")
+
+
+def _image(scene: StoredScene, name: str) -> bytes:
+    """What a scene's file says of its only image."""
+    try:
+        content = json.loads(scene.read_bytes(name))["0"]
+    except (ValueError, KeyError, TypeError) as error:
+        raise DatasetError(f"{scene.folder / name}: is damaged: run graycast validate") from error
+    return json.dumps(content).encode()
+
+
+def _masks(scene: StoredScene, name: str) -> bytes:
+    height_px, width_px = scene.size_px
+    runs = {}
+    for i, mask in enumerate(scene.masks(name)):
+        whole = Silhouette(left_px=0, top_px=0, mask=mask)
+        counts = run_lengths(whole, height_px=height_px, width_px=width_px)
+        runs[i] = {"counts": counts, "size": [height_px, width_px]}
+    return json.dumps(runs).encode()

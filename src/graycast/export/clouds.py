@@ -1,0 +1,146 @@
+"""Point clouds: what a perfect and what the simulated scanner sees, in colour, one file each.
+
+Points are metres in the camera frame. A lens with distortion is taken into account: a point lies
+on its pixel's true ray.
+"""
+
+from collections.abc import Iterable
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Bool, Float, Float32, UInt8
+
+from ..dataset.example import Master, StoredScene
+from ..frames import pixel_grid
+from ..optics import Optics, rays
+from .options import Options
+
+_NAMES = {"depth": "perfect", "depth_sl": "scanner"}
+_FRAME = "metres, camera frame: x right, y down, z forward"
+
+
+def write_split(
+    folder: Path, split: str, scenes: Iterable[StoredScene], master: Master, options: Options
+) -> None:
+    """`SPLIT/000000_perfect.ply` and `SPLIT/000000_scanner.ply`, or `.pcd`."""
+    (folder / split).mkdir()
+    form = {"ply": ply_bytes, "pcd": pcd_bytes}[options.cloud]
+    for scene in scenes:
+        color = _color(scene, options)
+        for depth in options.depths:
+            depth_m = scene.depth_m(depth)
+            point_m = points(depth_m, _optics(scene))
+            name = f"{scene.scene_id:06d}_{_NAMES[depth]}.{options.cloud}"
+            kept = np.ones_like(depth_m, dtype=bool) if options.organised else depth_m > 0
+            width_px = depth_m.shape[1] if options.organised else None
+            content = form(*_kept(point_m, color, kept), width_px=width_px)
+            (folder / split / name).write_bytes(content)
+
+
+def points(depth_m: Float32[np.ndarray, "h w"], camera: Optics) -> Float[np.ndarray, "h w 3"]:
+    """The point of each pixel [m], camera frame; NaN where there is no depth."""
+    ray = rays(camera, pixel_grid(camera.height_px, camera.width_px))
+    return ray * depth_m[..., None]
+
+
+def ply_bytes(
+    point_m: Float[np.ndarray, "n 3"],
+    color: UInt8[np.ndarray, "n 3"] | None,
+    *,
+    width_px: int | None,
+) -> bytes:
+    """A binary PLY; an organised one (`width_px` points a row) says its size in `obj_info`."""
+    table = _table(point_m, color)
+    names = {"<f4": "float", "|u1": "uchar"}
+    size = []
+    if width_px is not None:
+        rows = len(table) // width_px
+        size = [f"obj_info num_cols {width_px}", f"obj_info num_rows {rows}"]
+    head = [
+        "ply",
+        "format binary_little_endian 1.0",
+        f"comment {_FRAME}",
+        *size,
+        f"element vertex {len(table)}",
+        *(f"property {names[table.dtype[name].str]} {name}" for name in table.dtype.names),
+        "end_header",
+    ]
+    return ("\n".join(head) + "\n").encode("ascii") + table.tobytes()
+
+
+def pcd_bytes(
+    point_m: Float[np.ndarray, "n 3"],
+    color: UInt8[np.ndarray, "n 3"] | None,
+    *,
+    width_px: int | None,
+) -> bytes:
+    """A binary PCD 0.7 of the Point Cloud Library, whose colour is one packed field `rgb`.
+
+    Source: pointclouds.org, "The PCD (Point Cloud Data) file format".
+    """
+    columns = [point_m.astype("<f4")]
+    names = ["x", "y", "z"]
+    if color is not None:
+        wide = color.astype(np.uint32)
+        packed = (wide[:, 0] << 16) | (wide[:, 1] << 8) | wide[:, 2]
+        columns.append(packed.astype("<u4").view("<f4")[:, None])
+        names.append("rgb")
+    width = len(point_m) if width_px is None else width_px
+    head = [
+        "# .PCD v0.7 - Point Cloud Data file format",
+        "VERSION 0.7",
+        f"FIELDS {' '.join(names)}",
+        f"SIZE {' '.join('4' for _ in names)}",
+        f"TYPE {' '.join('F' for _ in names)}",
+        f"COUNT {' '.join('1' for _ in names)}",
+        f"WIDTH {width}",
+        f"HEIGHT {len(point_m) // width if width else 1}",
+        "VIEWPOINT 0 0 0 1 0 0 0",
+        f"POINTS {len(point_m)}",
+        "DATA binary",
+    ]
+    body = np.ascontiguousarray(np.hstack(columns)).tobytes()
+    return ("\n".join(head) + "\n").encode("ascii") + body
+
+
+def _table(point_m: Float[np.ndarray, "n 3"], color: UInt8[np.ndarray, "n 3"] | None) -> np.ndarray:
+    fields = [(axis, "<f4") for axis in "xyz"]
+    values = list(point_m.T)
+    if color is not None:
+        fields += [(name, "u1") for name in ("red", "green", "blue")]
+        values += list(color.T)
+    table = np.empty(len(point_m), dtype=fields)
+    for (name, _), column in zip(fields, values, strict=True):
+        table[name] = column
+    return table
+
+
+def _kept(
+    point_m: Float[np.ndarray, "h w 3"],
+    color: UInt8[np.ndarray, "h w 3"] | None,
+    kept: Bool[np.ndarray, "h w"],
+) -> tuple[np.ndarray, np.ndarray | None]:
+    return point_m[kept], None if color is None else color[kept]
+
+
+def _color(scene: StoredScene, options: Options) -> UInt8[np.ndarray, "h w 3"] | None:
+    match options.image:
+        case "rgb":
+            return scene.rgb()
+        case "gray":
+            return np.repeat(scene.gray()[..., None], 3, axis=-1)
+    return None
+
+
+def _optics(scene: StoredScene) -> Optics:
+    view, (height_px, width_px) = scene.view(), scene.size_px
+    k1, k2, p1, p2, k3 = view.distortion
+    return Optics(
+        width_px=width_px,
+        height_px=height_px,
+        fx_px=view.cam_K[0],
+        fy_px=view.cam_K[4],
+        cx_px=view.cam_K[2],
+        cy_px=view.cam_K[5],
+        distortion=(k1, k2, p1, p2, k3),
+    )

@@ -1,0 +1,125 @@
+"""What an export may be told, and which format understands what."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, fields, replace
+from typing import Any
+
+from ..dataset.example import Master
+from ..errors import GraycastError
+from .split import Split
+
+_ONE_DEPTH = ("perfect", "scanner", "none")
+_CHOICES = {
+    "image": ("rgb", "gray"),
+    "depth": (*_ONE_DEPTH[:2], "both", "none"),
+    "labels": ("segments", "boxes"),
+    "cloud": ("ply", "pcd"),
+}
+# The options of each format and what they are where nothing is said.
+FORMATS: Mapping[str, Mapping[str, Any]] = {
+    "coco": {
+        "image": "rgb", "depth": "none", "polygons": False, "link": False, "min_visibility": 0.0
+    },
+    "yolo": {"image": "rgb", "labels": "segments", "link": False, "min_visibility": 0.0},
+    "bop-imagewise": {"image": "rgb", "depth": "perfect", "link": False},
+    "bop-webdataset": {"image": "rgb", "depth": "perfect", "shard_scenes": 1000},
+    "webdataset": {"image": "rgb", "depth": "both", "shard_scenes": 500, "min_visibility": 0.0},
+    "parquet": {"image": "rgb", "depth": "both", "shard_scenes": 500, "min_visibility": 0.0},
+    "clouds": {"image": "rgb", "depth": "both", "cloud": "ply", "organised": False},
+}  # fmt: skip
+_PICTURE = {"rgb": "rgb", "gray": "gray_sl"}
+_DEPTHS = {
+    "perfect": ("depth",), "scanner": ("depth_sl",), "both": ("depth", "depth_sl"), "none": ()
+}  # fmt: skip
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Options:
+    """How to export; what is None is not said, and is the format's own choice.
+
+    Attributes:
+        format: one of `FORMATS`.
+        split: which scenes are train, val and test.
+        image: the picture: `rgb`, the colour camera's, or `gray`, the scanner's white frame.
+        depth: `perfect`, `scanner`, `both` or `none`.
+        polygons: COCO's masks as polygons instead of run lengths.
+        labels: YOLO's rows as `segments` or as `boxes`.
+        cloud: `ply` or `pcd`.
+        organised: clouds with a point for every pixel, NaN where there is none.
+        shard_scenes: scenes in one file, at most.
+        link: hard links to the dataset's pictures instead of copies.
+        min_visibility: leave out instances of which less is visible, as a share.
+    """
+
+    format: str
+    split: Split = field(default_factory=Split)
+    image: str | None = None
+    depth: str | None = None
+    polygons: bool | None = None
+    labels: str | None = None
+    cloud: str | None = None
+    organised: bool | None = None
+    shard_scenes: int | None = None
+    link: bool | None = None
+    min_visibility: float | None = None
+
+    def __post_init__(self) -> None:
+        if self.format not in FORMATS:
+            raise GraycastError(f"format is {self.format!r}: choose one of {', '.join(FORMATS)}")
+        for name in self.given():
+            if name not in FORMATS[self.format]:
+                raise GraycastError(
+                    f"{self.format} knows no {name}: leave it out; it knows "
+                    f"{', '.join(FORMATS[self.format])}"
+                )
+        for name, allowed in _CHOICES.items():
+            if name == "depth" and self.format.startswith("bop"):
+                allowed = _ONE_DEPTH
+            if (value := getattr(self, name)) not in (None, *allowed):
+                raise GraycastError(f"{name} is {value!r}: choose one of {', '.join(allowed)}")
+        if self.shard_scenes is not None and self.shard_scenes < 1:
+            raise GraycastError(f"shard_scenes is {self.shard_scenes}: scenes per file, from 1 up")
+        if self.min_visibility is not None and not 0 <= self.min_visibility <= 1:
+            raise GraycastError(f"min_visibility is {self.min_visibility}: a share from 0 to 1")
+
+    def given(self) -> list[str]:
+        """The options that were said."""
+        names = [each.name for each in fields(self) if each.name not in ("format", "split")]
+        return [name for name in names if getattr(self, name) is not None]
+
+    def resolved(self, master: Master) -> "Options":
+        """With the format's own choices, as far as the dataset holds what they take.
+
+        Raises:
+            GraycastError: the dataset lacks what was said.
+        """
+        chosen = dict(FORMATS[self.format]) | {name: getattr(self, name) for name in self.given()}
+        holds = master.holds
+        if "image" in chosen and _PICTURE[chosen["image"]] not in holds:
+            self._refuse("image", chosen["image"], master)
+            chosen["image"] = "gray" if "gray_sl" in holds else None
+        if not set(_DEPTHS[chosen.get("depth", "none")]) <= holds:
+            self._refuse("depth", chosen["depth"], master)
+            known = {"depth": "perfect", "depth_sl": "scanner"}
+            chosen["depth"] = next((known[n] for n in known if n in holds), "none")
+        if self.format in ("coco", "yolo"):
+            if "masks" not in holds:
+                raise GraycastError(f"{master.folder}: has no masks, {self.format} needs them")
+            if chosen["image"] is None:
+                raise GraycastError(f"{master.folder}: has no pictures, {self.format} needs them")
+        return replace(self, **chosen)
+
+    def _refuse(self, name: str, value: str, master: Master) -> None:
+        if getattr(self, name) is not None:
+            held = ", ".join(sorted(master.holds))
+            raise GraycastError(f"{master.folder}: has no {value} {name}; it holds {held}")
+
+    @property
+    def picture(self) -> str | None:
+        """The folder of the dataset's pictures; None where it has none."""
+        return _PICTURE[self.image] if self.image is not None else None
+
+    @property
+    def depths(self) -> tuple[str, ...]:
+        """The folders of the dataset's depth pictures."""
+        return _DEPTHS[self.depth or "none"]

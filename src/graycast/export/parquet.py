@@ -1,0 +1,78 @@
+"""Parquet: a row per scene, pictures as PNG bytes, labels as lists."""
+
+from collections.abc import Iterable
+from itertools import chain, islice
+from pathlib import Path
+from typing import Any
+
+from ..dataset.example import Master, StoredScene
+from ..errors import GraycastError
+from .options import Options
+
+try:
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+except ImportError as error:
+    raise GraycastError(
+        "Parquet needs pyarrow, which is not installed: pip install 'graycast[parquet]'"
+    ) from error
+
+_GROUP = 16  # scenes in memory at once
+_IMAGES = {"rgb": "rgb", "gray_sl": "gray", "depth": "depth", "depth_sl": "depth_sl"}
+
+
+def schema() -> "pa.Schema":
+    """One row; columns that a dataset does not hold are null."""
+    masks = pa.struct([("size", pa.list_(pa.int32(), 2)), ("counts", pa.string())])
+    return pa.schema(
+        [
+            ("scene_id", pa.int64()),
+            *((name, pa.binary()) for name in _IMAGES.values()),
+            ("depth_scale", pa.float64()),
+            ("cam_K", pa.list_(pa.float64(), 9)),
+            ("distortion", pa.list_(pa.float64(), 5)),
+            ("gt_id", pa.list_(pa.int64())),
+            ("obj_id", pa.list_(pa.int64())),
+            ("boxes", pa.list_(pa.list_(pa.float32(), 4))),
+            ("masks", pa.list_(masks)),
+            ("poses", pa.list_(pa.list_(pa.float64(), 16))),
+            ("visib_fract", pa.list_(pa.float64())),
+        ]
+    )
+
+
+def write_split(
+    folder: Path, split: str, scenes: Iterable[StoredScene], master: Master, options: Options
+) -> None:
+    """`SPLIT/part-000000.parquet` ...; a row group for every few scenes, so memory stays flat."""
+    (folder / split).mkdir()
+    left, part = iter(scenes), 0
+    while (first := next(left, None)) is not None:
+        target = folder / split / f"part-{part:06d}.parquet"
+        with pq.ParquetWriter(target, schema()) as writer:
+            held = chain([first], islice(left, options.shard_scenes - 1))
+            while group := [_row(scene, options) for scene in islice(held, _GROUP)]:
+                writer.write_table(pa.Table.from_pylist(group, schema=schema()))
+        part += 1
+
+
+def _row(scene: StoredScene, options: Options) -> dict[str, Any]:
+    view = scene.view()
+    names = (*options.depths, *([options.picture] if options.picture else ()))
+    row: dict[str, Any] = {_IMAGES[name]: scene.png(name).read_bytes() for name in names}
+    row |= {"scene_id": scene.scene_id, "depth_scale": view.depth_scale}
+    row |= {"cam_K": view.cam_K, "distortion": view.distortion}
+    if "masks" not in scene.holds:
+        return row
+    labels = scene.labels(min_visibility=options.min_visibility)
+    row |= {
+        "gt_id": [label.instance for label in labels],
+        "obj_id": [label.obj_id for label in labels],
+        "boxes": [label.box for label in labels],
+        "masks": [label.segmentation for label in labels],
+    }
+    if "poses" in scene.holds:
+        row["poses"] = [label.T_cam_part.ravel().tolist() for label in labels]
+    if "shares" in scene.holds:
+        row["visib_fract"] = [label.visib_fract for label in labels]
+    return row

@@ -1,0 +1,94 @@
+"""From a dataset in BOP's form to any other form: the one place that knows which there are."""
+
+from collections.abc import Callable, Iterable, Iterator
+from pathlib import Path
+
+from ..dataset.example import Master, StoredScene, open_master
+from ..errors import GraycastError
+from .options import Options
+from .placing import new_folder
+from .record import ExportRecord, write_record
+
+WriteSplit = Callable[[Path, str, Iterable[StoredScene], Master, Options], None]
+WriteRest = Callable[[Path, Iterable[str], Master, Options], None]
+
+
+def export(
+    dataset: Path,
+    out: Path,
+    options: Options,
+    *,
+    on_progress: Callable[[int, int], None] = lambda done, total: None,
+) -> ExportRecord:
+    """Write a finished dataset in another format, whole or not at all.
+
+    Args:
+        dataset: the folder of a dataset, of simulated or of real pictures.
+        out: a folder that does not exist or is empty.
+        options: the format and what it may be told.
+        on_progress: called with the scenes done and their number.
+
+    Returns:
+        What `export.json` in `out` says.
+
+    Raises:
+        GraycastError: `out` is in use or cannot be written, the dataset lacks what was asked for,
+            is damaged, or a set of the split would be empty.
+    """
+    write_split, write_rest = _writers(options.format)
+    master = open_master(dataset)
+    chosen = options.resolved(master)
+    splits = chosen.split.assign(master.scene_ids)
+    if out.absolute().is_relative_to(dataset.absolute()):
+        raise GraycastError(f"{out}: lies in the dataset: choose a folder outside of it")
+    total, done = len(master.scene_ids), 0
+
+    def counted(scene_ids: Iterable[int]) -> Iterator[StoredScene]:
+        nonlocal done
+        for scene_id in scene_ids:
+            yield master.scene(scene_id)
+            done += 1
+            on_progress(done, total)
+
+    with new_folder(out) as folder:
+        for split, scene_ids in splits.items():
+            write_split(folder, split, counted(scene_ids), master, chosen)
+        write_rest(folder, splits, master, chosen)
+        return write_record(folder, master, chosen, splits)
+
+
+def _writers(name: str) -> tuple[WriteSplit, WriteRest]:
+    match name:
+        case "coco":
+            from .coco import write_split
+
+            return write_split, _nothing
+        case "yolo":
+            from .yolo import write_rest, write_split
+
+            return write_split, write_rest
+        case "bop-imagewise":
+            from .bop_shards import write_imagewise, write_rest
+
+            return write_imagewise, write_rest
+        case "bop-webdataset":
+            from .bop_shards import write_rest, write_webdataset
+
+            return write_webdataset, write_rest
+        case "webdataset":
+            from .webdataset import write_split
+
+            return write_split, _nothing
+        case "parquet":
+            from .parquet import write_split
+
+            return write_split, _nothing
+        case "clouds":
+            from .clouds import write_split
+
+            return write_split, _nothing
+    raise ValueError(f"no writer for {name!r}")
+
+
+def _nothing(folder: Path, splits: Iterable[str], master: Master, options: Options) -> None:
+    """Formats that have nothing beside their splits."""

@@ -1,0 +1,179 @@
+"""Builds the page: only scenes that are new or changed, each whole or not at all."""
+
+import hashlib
+import os
+import secrets
+import shutil
+from collections.abc import Callable, Iterator
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import dataclass
+from functools import partial
+from importlib import resources
+from multiprocessing import get_context
+from pathlib import Path
+
+from ...errors import GraycastError
+from ...stats import (
+    DatasetFacts,
+    SceneFigures,
+    ScenePlace,
+    find_scenes,
+    load_scene,
+    read_facts,
+    scene_figures,
+)
+from .index import index_script
+from .scene_files import scene_page_files
+
+WIDTH_PX = 1300  # maps of wider cameras are thinned; one of 1032 px keeps every pixel
+_ASIDE = ".tmp-"
+_FORM = "2"  # of a scene's files; a change builds them anew
+_MARK = "graycast-report"
+_STAMPED = ("manifest.json", "scene_gt_coco.json", "depth_sl/000000.png", "rgb/000000.png")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ReportSummary:
+    """What a build did; `page` is what a browser opens."""
+
+    page: Path
+    built: int
+    kept: int
+    removed: int
+
+
+def write_report(
+    dataset: Path,
+    out: Path,
+    *,
+    workers: int = 1,
+    width_px: int = WIDTH_PX,
+    on_start: Callable[[int, int], None] | None = None,
+    on_scene: Callable[[str], None] | None = None,
+) -> ReportSummary:
+    """Write a dataset's page, or bring it up to date.
+
+    A scene whose files are as they were when its page was made is not made again, so a stopped
+    build goes on where it was. Pages of scenes that are gone are removed.
+
+    Args:
+        out: folder of the page; new, empty or that of an earlier report.
+        workers: processes that make scenes' pages.
+        width_px: maps wider than this are thinned; see `scene_page_files`.
+        on_start: called with (scenes in all, scenes already there).
+        on_scene: called with the key of every scene made.
+
+    Raises:
+        DatasetError: no scene, or one that cannot be read.
+        GraycastError: `out` holds something else, or cannot be written.
+    """
+    places, facts = find_scenes(dataset), read_facts(dataset)
+    _open_folder(out, dataset)
+    try:
+        scenes = out / "scenes"
+        scenes.mkdir(exist_ok=True)
+        for left in scenes.glob(f"{_ASIDE}*"):
+            shutil.rmtree(left)
+        todo = [p for p in places if not _is_current(scenes / p.key, p, width_px)]
+        if on_start is not None:
+            on_start(len(places), len(places) - len(todo))
+        for key in _made(todo, scenes, facts, width_px, workers):
+            if on_scene is not None:
+                on_scene(key)
+        gone = {entry.name for entry in scenes.iterdir()} - {place.key for place in places}
+        for key in gone:
+            shutil.rmtree(scenes / key)
+        _write_page(dataset, out, places, facts)
+    except OSError as error:
+        why = error.strerror or str(error)
+        raise GraycastError(
+            f"{out}: cannot be written ({why}): free space or choose another folder and run the "
+            "same command again; finished scenes are kept"
+        ) from error
+    page = out / "index.html"
+    kept = len(places) - len(todo)
+    return ReportSummary(page=page, built=len(todo), kept=kept, removed=len(gone))
+
+
+def _open_folder(out: Path, dataset: Path) -> None:
+    if out.resolve() == dataset.resolve():
+        raise GraycastError(f"{out} is the dataset itself: give the page a folder of its own")
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+        entries = [entry.name for entry in out.iterdir()]
+        if entries and _MARK not in entries:
+            raise GraycastError(
+                f"{out} is not empty and holds no report (it has {min(entries)}): choose another "
+                "folder"
+            )
+        (out / _MARK).write_text("made by graycast report; safe to remove with its folder\n")
+    except OSError as error:
+        why = error.strerror or str(error)
+        raise GraycastError(f"{out}: cannot be written ({why}): choose another folder") from error
+
+
+def _stamp(place: ScenePlace, width_px: int) -> str:
+    """Changes when the scene, the form of its page or the wanted width does."""
+    digest = hashlib.sha256(f"{_FORM} {width_px}".encode())
+    for name in _STAMPED:
+        path = place.folder / name
+        if path.exists():
+            state = path.stat()
+            digest.update(f"{name} {state.st_size} {state.st_mtime_ns}".encode())
+    return digest.hexdigest()
+
+
+def _is_current(page: Path, place: ScenePlace, width_px: int) -> bool:
+    stamp = page / "stamp"
+    return stamp.exists() and stamp.read_text() == _stamp(place, width_px)
+
+
+def _made(
+    todo: list[ScenePlace], scenes: Path, facts: DatasetFacts, width_px: int, workers: int
+) -> Iterator[str]:
+    make = partial(_make, scenes=scenes, facts=facts, width_px=width_px)
+    if workers == 1 or len(todo) < 2:
+        yield from map(make, todo)
+        return
+    with ProcessPoolExecutor(workers, mp_context=get_context("spawn")) as pool:
+        yield from pool.map(make, todo, chunksize=2)
+
+
+def _make(place: ScenePlace, *, scenes: Path, facts: DatasetFacts, width_px: int) -> str:
+    stamp = _stamp(place, width_px)  # before reading: a scene changed meanwhile is made again
+    scene = load_scene(place)
+    aside = scenes / f"{_ASIDE}{place.key}-{secrets.token_hex(4)}"
+    try:
+        aside.mkdir()
+        files = scene_page_files(scene, scene_figures(scene), facts, width_px=width_px)
+        for name, content in files:
+            (aside / name).write_bytes(content)
+        (aside / "stamp").write_text(stamp)
+        shutil.rmtree(scenes / place.key, ignore_errors=True)
+        aside.rename(scenes / place.key)
+    finally:
+        shutil.rmtree(aside, ignore_errors=True)
+    return place.key
+
+
+def _write_page(dataset: Path, out: Path, places: list[ScenePlace], facts: DatasetFacts) -> None:
+    def figures() -> Iterator[SceneFigures]:
+        for place in places:
+            yield SceneFigures.model_validate_json(
+                (out / "scenes" / place.key / "figures.json").read_bytes()
+            )
+
+    script, _ = index_script(dataset, figures(), facts)
+    _replace(out / "index.js", script.encode())
+    for source in sorted(resources.files(__package__).joinpath("web").iterdir(), key=_name):
+        _replace(out / source.name, source.read_bytes())
+
+
+def _name(entry) -> str:
+    return entry.name
+
+
+def _replace(path: Path, content: bytes) -> None:
+    aside = path.with_name(f"{_ASIDE}{path.name}")
+    aside.write_bytes(content)
+    os.replace(aside, path)

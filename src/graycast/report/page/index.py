@@ -1,0 +1,148 @@
+"""What all pages share, as one script: the dataset, its statistics, a row per scene."""
+
+import base64
+import json
+from collections.abc import Iterable, Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from matplotlib import colormaps
+
+from ... import __version__
+from ...decode import REASON_COLOR, Reason
+from ...pattern import Code, CodeSpec
+from ...stats import DatasetFacts, SceneFigures, Statistics, statistics_json, tally
+from ...stats.gather import error_figures
+from ...stats.scene import DEPTH_BIN_MM
+from .scene_files import MISSING_COLOR, REASON_MEANING
+
+_COLORMAPS = ("viridis_r", "viridis", "RdBu_r")  # depth, column, difference, as in previews
+
+
+def index_script(
+    dataset: Path, figures: Iterable[SceneFigures], facts: DatasetFacts
+) -> tuple[str, Statistics]:
+    """`data/index.js`, and the statistics that it holds; figures may come from a generator."""
+    rows: list[list[Any]] = []
+
+    def passing() -> Iterator[SceneFigures]:
+        for one in figures:
+            rows.append(_row(one))
+            yield one
+
+    statistics = tally(passing(), facts)
+    content = {
+        "name": dataset.resolve().name,
+        "graycast": __version__,
+        "claim": _claim(facts),
+        "classes": {str(one.obj_id): one.name for one in statistics.classes},
+        "reasons": _reasons(statistics),
+        "colormaps": {name: _table(name) for name in _COLORMAPS},
+        "code": _code(facts),
+        "statistics": statistics_json(statistics),
+        "columns": _COLUMNS,
+        "scenes": rows,
+    }
+    text = json.dumps(content, allow_nan=False, separators=(",", ":"))
+    return f"Graycast.report = {text};\n", statistics
+
+
+_COLUMNS = (
+    "split", "id", "objects", "instances", "visibility", "decoded", "part_decoded", "reasons",
+    "depth_mm", "sigma_mm", "bias_mm", "brightness",
+)  # fmt: skip
+
+
+def _row(one: SceneFigures) -> list[Any]:
+    """What the grid filters and sorts by; short, as thousands are loaded at once."""
+    error = error_figures(one.part_error_step or one.error_step, one.depth_scale_mm)
+    parts = max(sum(one.part_reason_px.values()), 1)
+    counts: dict[int, int] = {}
+    for obj_id in one.obj_id:
+        counts[obj_id] = counts.get(obj_id, 0) + 1
+    return [
+        one.split,
+        one.scene_id,
+        counts,
+        len(one.obj_id),
+        _short(_average([share for share in one.visib_fract if share is not None])),
+        _short(one.decoded_share),
+        _short(one.part_reason_px.get("decoded", 0) / parts),
+        {name: _short(px / one.pixels) for name, px in one.reason_px.items() if px},
+        _short(_median_depth_mm(one), 1),
+        _short(error.sigma_mm),
+        _short(error.median_mm),
+        _short(_mean(one.gray), 1),
+    ]
+
+
+def _short(value: float | None, digits: int = 4) -> float | None:
+    return None if value is None or np.isnan(value) else round(value, digits)
+
+
+def _average(values: list[float]) -> float | None:
+    return sum(values) / len(values) if values else None
+
+
+def _mean(counts: dict[int, int]) -> float | None:
+    total = sum(counts.values())
+    return sum(k * n for k, n in counts.items()) / total if total else None
+
+
+def _median_depth_mm(one: SceneFigures) -> float | None:
+    if not one.depth_bin:
+        return None
+    bins = np.array(sorted(one.depth_bin))
+    total = np.cumsum([one.depth_bin[int(k)] for k in bins])
+    return float(bins[np.searchsorted(total, total[-1] / 2)] + 0.5) * DEPTH_BIN_MM
+
+
+def _claim(facts: DatasetFacts) -> dict[str, Any]:
+    """The claim without what only machines compare."""
+    kept = ("config", "seed", "depth_scale_mm", "rig", "sources", "versions")
+    claim = {key: facts.claim[key] for key in kept if key in facts.claim}
+    if "config" in claim:
+        claim["config"] = {k: v for k, v in claim["config"].items() if k != "files"}
+    return claim
+
+
+def _reasons(statistics: Statistics) -> list[dict[str, Any]]:
+    listed = [
+        {
+            "number": int(reason),
+            "name": reason.name.lower(),
+            "color": REASON_COLOR[reason],
+            "meaning": REASON_MEANING[reason],
+        }
+        for reason in Reason
+    ]
+    if "missing" in statistics.reason:
+        meaning = "no scanner depth; the dataset does not say why"
+        listed.append(
+            {"number": 255, "name": "missing", "color": MISSING_COLOR, "meaning": meaning}
+        )
+    return listed
+
+
+def _table(name: str) -> str:
+    """256 colours of a colour map as hexadecimal digits."""
+    return (colormaps[name](np.arange(256))[:, :3] * 255).round().astype(np.uint8).tobytes().hex()
+
+
+def _code(facts: DatasetFacts) -> dict[str, Any] | None:
+    """The projected frames, each as its levels along its own axis; None where none are known."""
+    rig = facts.claim.get("rig")
+    told = facts.claim.get("config", {}).get("scanner", {}).get("code")
+    if not rig or not told:
+        return None
+    spec = CodeSpec(**{**told, "axes": tuple(told["axes"])})
+    code = spec.code(rig["projector"]["width_px"], rig["projector"]["height_px"])
+    return {"codec": spec.codec, "frames": list(_frames(code))}
+
+
+def _frames(code: Code) -> Iterator[dict[str, Any]]:
+    for frame, image in zip(code.frames, code.render(), strict=True):
+        level = image[:, 0] if frame.axis == "row" else image[0]
+        text = base64.b64encode(np.ascontiguousarray(level).tobytes()).decode()
+        yield {"name": frame.name, "axis": frame.axis, "levels": text}

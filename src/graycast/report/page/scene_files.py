@@ -1,0 +1,136 @@
+"""One scene as the page's files: a script with its maps, thumbnails, its figures."""
+
+import json
+from collections.abc import Iterator
+from typing import Any
+
+import cv2
+import numpy as np
+from jaxtyping import UInt8, UInt16
+
+from ...decode import REASON_COLOR, Reason
+from ...stats import DatasetFacts, SceneFigures, StoredScene
+from ...stats.stored import NO_REASON
+from .packing import (
+    jpeg,
+    jpeg_url,
+    pack_bytes,
+    pack_difference,
+    pack_words,
+    palette_picture,
+    shrunk,
+)
+
+THUMB_PX = 288
+_THUMB_QUALITY, _PICTURE_QUALITY = 80, 90
+MISSING_COLOR = "#555b6e"
+
+
+def reason_colors(names: dict[int, str]) -> dict[int, str]:
+    """A colour per reason's number, by the palette of all pictures."""
+    known = {reason.name.lower(): color for reason, color in REASON_COLOR.items()}
+    return {number: known.get(name, MISSING_COLOR) for number, name in names.items()}
+
+
+def scene_page_files(
+    scene: StoredScene, figures: SceneFigures, facts: DatasetFacts, *, width_px: int
+) -> Iterator[tuple[str, bytes]]:
+    """Every file of one scene as (name, content).
+
+    Args:
+        width_px: maps wider than this are thinned: every second, third, ... pixel in both
+            directions keeps its own value; pictures are averaged.
+    """
+    yield "thumb.jpg", jpeg(shrunk(_color(scene), THUMB_PX), _THUMB_QUALITY)
+    if scene.gray is not None:
+        yield "white.jpg", jpeg(shrunk(scene.gray, THUMB_PX), _THUMB_QUALITY)
+    yield "reason.png", _reason_thumb(scene)
+    content = _content(scene, facts, stride=-(-scene.reason.shape[1] // width_px))
+    text = json.dumps(content, allow_nan=False, separators=(",", ":"))
+    yield "scene.js", f"Graycast.receive({text});\n".encode()
+    yield "figures.json", figures.model_dump_json().encode()
+
+
+def _content(scene: StoredScene, facts: DatasetFacts, *, stride: int) -> dict[str, Any]:
+    thin = np.s_[::stride, ::stride]
+    depth = _map(scene.depth, scene.reason.shape)[thin]
+    scanner = _map(scene.scanner, scene.reason.shape)[thin]
+    height_px, width_px = depth.shape
+    maps = {
+        "depth": pack_words(depth),
+        "scanner": pack_difference(scanner, depth),
+        "reason": pack_bytes(np.where(scanner > 0, 0, scene.reason[thin]).astype(np.uint8)),
+        "instance": pack_words((scene.label[thin] + 1).astype(np.uint16)),
+    }
+    pictures = {"rgb": jpeg_url(shrunk(_color(scene), width_px), _PICTURE_QUALITY)}
+    if scene.gray is not None:
+        pictures["white"] = jpeg_url(shrunk(scene.gray, width_px), _PICTURE_QUALITY)
+    return {
+        "key": scene.place.key,
+        "stride": stride,
+        "width": width_px,
+        "height": height_px,
+        "full": [scene.reason.shape[1], scene.reason.shape[0]],
+        "depth_scale_mm": scene.depth_scale_mm,
+        "has": {"depth": scene.depth is not None, "scanner": scene.scanner is not None},
+        "view": {**_DOWNWARDS, **scene.view},
+        "instances": _instances(scene, facts),
+        "maps": maps,
+        "pictures": pictures,
+        "manifest": {k: v for k, v in scene.manifest.items() if k not in ("config", "reasons")},
+    }
+
+
+# Where a camera stands is not known of real pictures: as if it looked straight down.
+_DOWNWARDS = {"cam_R_w2c": [1, 0, 0, 0, -1, 0, 0, 0, -1], "cam_t_w2c": [0, 0, 0]}
+
+
+def _color(scene: StoredScene) -> UInt8[np.ndarray, "h w 3"]:
+    """The colour picture, or in its place the white frame, or black."""
+    if scene.rgb is not None:
+        return scene.rgb
+    gray = np.zeros(scene.reason.shape, np.uint8) if scene.gray is None else scene.gray
+    return np.repeat(gray[..., None], 3, axis=2)
+
+
+def _map(
+    values: UInt16[np.ndarray, "h w"] | None, size: tuple[int, int]
+) -> UInt16[np.ndarray, "h w"]:
+    return np.zeros(size, dtype=np.uint16) if values is None else values.astype(np.uint16)
+
+
+def _instances(scene: StoredScene, facts: DatasetFacts) -> list[dict[str, Any]]:
+    return [
+        {
+            "name": facts.part_name(one.obj_id),
+            "obj_id": one.obj_id,
+            "visible": one.visib_fract,
+            "area": one.area_px,
+            "box": one.box,
+            "amodal": one.amodal_box,
+            "t": one.position_mm,
+            "box3d": one.box3d,
+        }
+        for one in scene.instances
+    ]
+
+
+def _reason_thumb(scene: StoredScene) -> bytes:
+    """Not averaged: a mixture of two reasons would have a third one's colour."""
+    stride = max(-(-scene.reason.shape[1] // THUMB_PX), 1)
+    colors = reason_colors({**scene.reason_name, NO_REASON: "missing"})
+    picture = palette_picture(scene.reason[::stride, ::stride], colors)
+    return cv2.imencode(".png", np.ascontiguousarray(picture[..., ::-1]))[1].tobytes()
+
+
+REASON_MEANING = {
+    Reason.DECODED: "there is a depth",
+    Reason.SHADOW: "the projector does not reach the pixel",
+    Reason.LOW_MODULATION: "it does, but too weakly to be believed",
+    Reason.SATURATED: "a frame is at the top of the sensor's range",
+    Reason.CONTRADICTORY: "bits or phases that no single place of the projector shows",
+    Reason.INTERREFLECTION: "the coarse code contradicts the fine: light from elsewhere",
+    Reason.OUTSIDE_PROJECTOR: "a code that is none of the projector's pixels",
+    Reason.OUT_OF_RANGE: "no depth within the rig's working range",
+    Reason.OUTLIER: "off its epipolar line, or taken out by a filter",
+}

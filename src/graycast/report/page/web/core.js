@@ -1,0 +1,187 @@
+"use strict";
+// What the other scripts share: elements, numbers in words, and scenes brought in as scripts.
+
+const Graycast = { report: null, prefs: {} };
+
+// --- elements -----------------------------------------------------------------------------------
+
+/** Make an element: el("div", {class: "x", onclick: f}, "text", child, ...). */
+Graycast.el = (tag, attributes = {}, ...children) => {
+  const svg = ["svg", "g", "rect", "path", "text", "line"].includes(tag);
+  const made = svg
+    ? document.createElementNS("http://www.w3.org/2000/svg", tag)
+    : document.createElement(tag);
+  for (const [name, value] of Object.entries(attributes)) {
+    if (value === null || value === undefined || value === false) continue;
+    if (name.startsWith("on")) made.addEventListener(name.slice(2), value);
+    else made.setAttribute(name, value === true ? "" : value);
+  }
+  made.append(...children.flat(Infinity).filter((child) => child !== null && child !== undefined));
+  return made;
+};
+
+/** Show a short text at the pointer; no text hides it. */
+Graycast.tip = (event, text) => {
+  const tip = document.getElementById("tip");
+  tip.hidden = !text;
+  if (!text) return;
+  tip.textContent = text;
+  const flip = event.clientX > innerWidth - tip.offsetWidth - 24;
+  tip.style.left = `${flip ? event.clientX - tip.offsetWidth - 12 : event.clientX + 14}px`;
+  tip.style.top = `${Math.min(event.clientY + 14, innerHeight - tip.offsetHeight - 8)}px`;
+};
+
+// --- numbers in words ---------------------------------------------------------------------------
+
+Graycast.words = (name) => name.replaceAll("_", " ");
+Graycast.count = (value) => value.toLocaleString("en-US");
+Graycast.percent = (share, digits = 1) =>
+  share === null || share === undefined ? "–" : `${(100 * share).toFixed(digits)} %`;
+Graycast.mm = (value, digits = 1) =>
+  value === null || value === undefined || Number.isNaN(value)
+    ? "–"
+    : `${value.toFixed(digits)} mm`;
+Graycast.signed = (value, digits = 2) =>
+  `${value < 0 ? "−" : "+"}${Math.abs(value).toFixed(digits)}`;
+
+/** Rows of the scenes as objects, in the dataset's order. */
+Graycast.rows = () => {
+  if (Graycast.allRows) return Graycast.allRows;
+  const { columns, scenes } = Graycast.report;
+  Graycast.allRows = scenes.map((values) => {
+    const row = Object.fromEntries(columns.map((name, k) => [name, values[k]]));
+    row.key = `${row.split}-${String(row.id).padStart(6, "0")}`;
+    return row;
+  });
+  return Graycast.allRows;
+};
+
+Graycast.reasonColors = () => {
+  const table = new Uint8ClampedArray(256 * 3);
+  for (const { number, color } of Graycast.report.reasons)
+    for (let k = 0; k < 3; k++)
+      table[3 * number + k] = parseInt(color.slice(1 + 2 * k, 3 + 2 * k), 16);
+  return table;
+};
+
+const colormaps = {};
+Graycast.colormap = (name) => {
+  const hex = Graycast.report.colormaps[name];
+  colormaps[name] ??= Uint8Array.from({ length: 768 }, (_, k) =>
+    parseInt(hex.substr(2 * k, 2), 16),
+  );
+  return colormaps[name];
+};
+
+/** One colour per instance, neighbours in number far apart in hue. */
+Graycast.instanceColor = (index) => {
+  const hue = (index * 137.508) % 360;
+  const light = 0.58 + 0.09 * ((index % 3) - 1);
+  const part = (n) => {
+    const k = (n + hue / 30) % 12;
+    return Math.round(
+      255 * (light - 0.62 * Math.min(light, 1 - light) * Math.max(-1, Math.min(k - 3, 9 - k, 1))),
+    );
+  };
+  return [part(0), part(8), part(4)];
+};
+
+// --- scenes -------------------------------------------------------------------------------------
+
+const KEPT_SCENES = 6;
+const cache = new Map(); // key -> promise of a scene
+const waiting = new Map(); // key -> what the script's call resolves
+
+/** Called by a scene's script. */
+Graycast.receive = (content) => waiting.get(content.key)?.(content);
+
+/** A scene with its maps as arrays; a script tag is the only way to read a file from the disk. */
+Graycast.load = (key) => {
+  if (cache.has(key)) {
+    const held = cache.get(key);
+    cache.delete(key);
+    cache.set(key, held); // the last used goes last
+    return held;
+  }
+  const promise = new Promise((resolve, reject) => {
+    const script = Graycast.el("script", { src: `scenes/${key}/scene.js` });
+    waiting.set(key, (content) => {
+      script.remove();
+      waiting.delete(key);
+      resolve(content);
+    });
+    script.onerror = script.onload = () => {
+      // after a call that received, nobody waits any more
+      script.remove();
+      waiting.delete(key);
+      reject(
+        new Error(
+          `scenes/${key}/scene.js is missing or of another scene: run graycast report again`,
+        ),
+      );
+    };
+    document.head.append(script);
+  }).then(unpackScene);
+  cache.set(key, promise);
+  promise.catch(() => cache.delete(key));
+  while (cache.size > KEPT_SCENES) cache.delete(cache.keys().next().value);
+  return promise;
+};
+
+async function unpackScene(content) {
+  const n = content.width * content.height;
+  const [depth, scanner, reason, instance] = await Promise.all(
+    ["depth", "scanner", "reason", "instance"].map((name) => inflate(content.maps[name])),
+  );
+  const scene = { ...content, maps: null, pictures: null, n };
+  scene.depth = words(depth, content.width, content.height);
+  scene.reason = reason;
+  scene.scanner = difference(scanner, scene.depth, reason);
+  scene.instance = words(instance, content.width, content.height);
+  for (const [name, url] of Object.entries(content.pictures))
+    scene[name] = await pixels(url, content);
+  return scene;
+}
+
+async function inflate(text) {
+  const packed = Uint8Array.from(atob(text), (c) => c.charCodeAt(0));
+  const stream = new Blob([packed]).stream().pipeThrough(new DecompressionStream("deflate"));
+  return new Uint8Array(await new Response(stream).arrayBuffer());
+}
+
+/** Undoes packing.pack_words: adds up what the plane through three neighbours left over. */
+function words(bytes, width, height) {
+  const n = width * height,
+    out = new Uint16Array(n);
+  for (let r = 0, i = 0; r < height; r++) {
+    let row = 0; // sum of this row's left-overs: v[r, c] - v[r-1, c]
+    for (let c = 0; c < width; c++, i++) {
+      row += bytes[i] | (bytes[n + i] << 8);
+      out[i] = row + (r ? out[i - width] : 0);
+    }
+  }
+  return out;
+}
+
+/** Undoes packing.pack_difference. */
+function difference(bytes, base, reason) {
+  const n = base.length,
+    out = new Uint16Array(n);
+  for (let i = 0; i < n; i++) {
+    if (reason[i]) continue;
+    const folded = bytes[i] | (bytes[n + i] << 8);
+    out[i] = base[i] + (folded & 1 ? -(folded + 1) / 2 : folded / 2);
+  }
+  return out;
+}
+
+/** RGBA of a picture that came as a data URL; a file's would be closed to scripts. */
+async function pixels(url, { width, height }) {
+  const image = new Image();
+  image.src = url;
+  await image.decode();
+  const canvas = Graycast.el("canvas", { width, height });
+  const context = canvas.getContext("2d", { willReadFrequently: true });
+  context.drawImage(image, 0, 0, width, height);
+  return context.getImageData(0, 0, width, height).data;
+}

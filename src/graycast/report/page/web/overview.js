@@ -1,0 +1,275 @@
+"use strict";
+// The dataset at a glance: facts, plots, and below them the grid of scenes.
+
+{
+  const { el, count, percent } = Graycast;
+  const CLASS_COLORS = [
+    "#3b8ea5",
+    "#d07a3e",
+    "#5aa06f",
+    "#8f6fc0",
+    "#c8385a",
+    "#a08a34",
+    "#4a6fb0",
+    "#b0698f",
+  ];
+  const ACCENT = CLASS_COLORS[0],
+    SECOND = CLASS_COLORS[1];
+
+  Graycast.showOverview = (main) => {
+    const { statistics, name } = Graycast.report;
+    document.title = `${name} · graycast`;
+    document.getElementById("where").textContent = name;
+    main.replaceChildren(
+      el(
+        "section",
+        { class: "facts" },
+        facts().map(([term, value]) => el("div", {}, el("dt", {}, term), el("dd", {}, value))),
+      ),
+      el("section", { class: "plots" }, plots(statistics)),
+      el("section", { id: "grid" }),
+    );
+    Graycast.showGrid(document.getElementById("grid"));
+  };
+
+  function facts() {
+    const { statistics: s, claim, code } = Graycast.report;
+    const scenes = Object.entries(s.scenes),
+      total = scenes.reduce((sum, [, n]) => sum + n, 0);
+    const list = [
+      [
+        "scenes",
+        scenes.length > 1
+          ? `${count(total)} (${scenes.map(([k, n]) => `${n} ${k}`).join(", ")})`
+          : count(total),
+      ],
+      [
+        "instances",
+        `${count(s.classes.reduce((sum, c) => sum + c.instances, 0))} of ${s.classes.length} ${s.classes.length === 1 ? "class" : "classes"}`,
+      ],
+      ["pictures", s.image_sizes_px.map(([w, h]) => `${w} × ${h} px`).join(", ")],
+    ];
+    if (claim.rig) {
+      const t = claim.rig.T_cam_proj,
+        baseline = Math.hypot(t[0][3], t[1][3], t[2][3]);
+      list.push(["rig", `${claim.rig.name}, baseline ${(1000 * baseline).toFixed(0)} mm`]);
+    }
+    if (code) list.push(["code", `${Graycast.words(code.codec)}, ${code.frames.length} frames`]);
+    list.push([
+      "decoded",
+      `${percent(s.reasons.decoded)} of all, ${percent(s.part_reasons.decoded)} of parts' pixels`,
+    ]);
+    if (s.part_error.pixels)
+      list.push([
+        "scanner error on parts",
+        `σ ${s.part_error.sigma_mm.toFixed(3)} mm, median ${Graycast.signed(s.part_error.median_mm, 3)} mm`,
+      ]);
+    if (claim.seed !== undefined) list.push(["seed", String(claim.seed)]);
+    if (claim.versions) list.push(["made by", `graycast ${claim.versions.graycast}`]);
+    return list;
+  }
+
+  function plots(s) {
+    const out = [reasonPlot(s)];
+    if (s.part_error.pixels) out.push(errorPlot(s));
+    out.push(visibilityPlot(s), sizePlot(s), instancePlot(s));
+    if (Object.keys(s.depth_counts).length) out.push(depthPlot(s));
+    out.push(decodedPlot(s), brightnessPlot(s));
+    return out;
+  }
+
+  const reasonPlot = (s) => {
+    const parts = (shares) =>
+      Graycast.report.reasons.map((r) => ({
+        name: Graycast.words(r.name),
+        color: r.color,
+        share: shares[r.name] ?? 0,
+      }));
+    return Graycast.shares({
+      title: "Why there is no depth",
+      note: "parts · all pixels",
+      rows: [
+        { name: "parts", parts: parts(s.part_reasons) },
+        { name: "all", parts: parts(s.reasons) },
+      ],
+    });
+  };
+
+  const classes = (s, key) =>
+    s.classes.map((c, k) => ({
+      name: c.name,
+      color: CLASS_COLORS[k % CLASS_COLORS.length],
+      values: c[key],
+    }));
+
+  const visibilityPlot = (s) =>
+    Graycast.plot({
+      title: "Visibility",
+      note: "visible share of the silhouette",
+      unit: "%",
+      y: "instances",
+      bins: s.visib_fract_edges
+        .slice(1)
+        .map((to, k) => ({ from: 100 * s.visib_fract_edges[k], to: 100 * to })),
+      series: classes(s, "visib_fract"),
+    });
+
+  function sizePlot(s) {
+    const total =
+      s.classes[0]?.side_px.map((_, k) => s.classes.reduce((sum, c) => sum + c.side_px[k], 0)) ??
+      [];
+    const first = Math.max(
+      total.findIndex((n) => n > 0),
+      0,
+    );
+    const last =
+      total.length -
+      1 -
+      Math.max(
+        [...total].reverse().findIndex((n) => n > 0),
+        0,
+      );
+    const bins = s.side_edges_px
+      .slice(first, last + 1)
+      .map((from, k) => ({
+        from,
+        to: s.side_edges_px[first + k + 1],
+        label: `${from.toFixed(0)} to ${s.side_edges_px[first + k + 1].toFixed(0)}`,
+      }));
+    const series = classes(s, "side_px").map((one) => ({
+      ...one,
+      values: one.values.slice(first, last + 1),
+    }));
+    return Graycast.plot({
+      title: "Mask size",
+      note: "root of the visible area",
+      unit: "px",
+      y: "instances",
+      bins,
+      series,
+      even: true,
+    });
+  }
+
+  function instancePlot(s) {
+    const numbers = Object.keys(s.instances_per_scene).map(Number);
+    const low = Math.max(Math.min(...numbers) - 3, 0),
+      high = Math.max(...numbers) + 3,
+      width = Math.max(1, Math.ceil((high - low + 1) / 40));
+    const bins = [],
+      values = [];
+    for (let from = low; from <= high; from += width) {
+      bins.push({
+        from: from - 0.5,
+        to: from + width - 0.5,
+        label: width === 1 ? `${from}` : `${from} to ${from + width - 1}`,
+      });
+      values.push(
+        numbers
+          .filter((n) => n >= from && n < from + width)
+          .reduce((sum, n) => sum + s.instances_per_scene[n], 0),
+      );
+    }
+    return Graycast.plot({
+      title: "Instances per scene",
+      unit: "instances",
+      y: "scenes",
+      bins,
+      series: [{ color: ACCENT, values }],
+    });
+  }
+
+  const share = (value) => `${+(100 * value).toPrecision(2)} %`;
+
+  function depthPlot(s) {
+    const width = s.depth_bin_mm,
+      step = Math.max(1, Math.ceil((s.depth_mm.p99 - s.depth_mm.p01) / width / 60));
+    const low = Math.floor((s.depth_mm.p01 - 2 * width) / width / step),
+      high = Math.ceil((s.depth_mm.p99 + 2 * width) / width / step);
+    const bins = [],
+      values = [];
+    for (let k = low; k < high; k++) {
+      bins.push({ from: k * step * width, to: (k + 1) * step * width });
+      let sum = 0;
+      for (let j = k * step; j < (k + 1) * step; j++) sum += s.depth_counts[j] ?? 0;
+      values.push(sum / s.pixels);
+    }
+    return Graycast.plot({
+      title: "Perfect depth",
+      unit: "mm",
+      y: "pixels",
+      say: share,
+      bins,
+      series: [{ color: ACCENT, values }],
+    });
+  }
+
+  function errorPlot(s) {
+    const step = s.error_step_mm,
+      reach = Math.max(4 * s.part_error.sigma_mm, 3 * step);
+    const many = Math.max(Math.round((2 * reach) / 61 / step), 1),
+      width = many * step; // whole steps: no moiré
+    const n = Math.ceil(reach / width),
+      bins = [];
+    for (let k = -n; k <= n; k++)
+      bins.push({
+        from: (k - 0.5) * width,
+        to: (k + 0.5) * width,
+        label: `${Graycast.signed(k * width)}`,
+      });
+    const spread = (counts) => {
+      const values = bins.map(() => 0),
+        total = Object.values(counts).reduce((a, b) => a + b, 0);
+      for (const [k, c] of Object.entries(counts)) {
+        const bin = Math.round(Number(k) / many) + n;
+        if (bin >= 0 && bin < bins.length) values[bin] += c / total;
+      }
+      return values;
+    };
+    return Graycast.plot({
+      title: "Scanner error",
+      note: `${percent(s.part_error.beyond_1mm)} > 1 mm, ${percent(s.part_error.beyond_5mm)} > 5 mm`,
+      unit: "mm",
+      y: "pixels",
+      lines: true,
+      say: share,
+      bins,
+      series: [
+        { name: "parts", color: ACCENT, values: spread(s.part_error_counts) },
+        { name: "all", color: SECOND, values: spread(s.error_counts) },
+      ],
+    });
+  }
+
+  const decodedPlot = (s) =>
+    Graycast.plot({
+      title: "Decoded share per scene",
+      unit: "% of pixels",
+      y: "scenes",
+      bins: s.decoded_share_counts.map((_, k) => ({ from: 2 * k, to: 2 * k + 2 })),
+      series: [{ color: ACCENT, values: s.decoded_share_counts }],
+    });
+
+  function brightnessPlot(s) {
+    const series = [
+      ["white frame", s.white_frame_counts, ACCENT],
+      ["colour picture", s.luma_counts, SECOND],
+    ]
+      .filter(([, counts]) => Object.keys(counts).length)
+      .map(([name, counts, color]) => {
+        const values = new Array(64).fill(0),
+          total = Object.values(counts).reduce((a, b) => a + b, 0);
+        for (const [level, c] of Object.entries(counts)) values[level >> 2] += c / total;
+        return { name, color, values };
+      });
+    return Graycast.plot({
+      title: "Brightness",
+      unit: "of 255",
+      y: "pixels",
+      lines: true,
+      say: share,
+      series,
+      bins: Array.from({ length: 64 }, (_, k) => ({ from: 4 * k, to: 4 * k + 4 })),
+    });
+  }
+}

@@ -1,0 +1,156 @@
+"use strict";
+// What stands beside a scene: values under the pointer, reasons, instances, how it was made.
+
+{
+  const { el, percent, words } = Graycast;
+  const side = (Graycast.side = {});
+
+  /** Fill the table of values for pixel `i`, -1 for none. */
+  side.readout = (scene, i) => {
+    const s = scene.depth_scale_mm,
+      digits = s < 0.1 ? 2 : 1;
+    const on = i >= 0,
+      depth = on && scene.depth[i],
+      scan = on && scene.scanner[i],
+      k = on ? scene.instance[i] - 1 : -1;
+    const reason =
+      on && scene.has.scanner
+        ? Graycast.report.reasons.find((r) => r.number === scene.reason[i])
+        : null;
+    const map =
+      on && scan && Graycast.report.claim.rig ? Graycast.projectorMap(scene, "scanner") : null;
+    const lines = [
+      [
+        "pixel",
+        on
+          ? `${(i % scene.width) * scene.stride}, ${Math.floor(i / scene.width) * scene.stride}`
+          : "–",
+      ],
+      ["perfect", depth ? Graycast.mm(depth * s, digits) : "–"],
+      ["scanner", scan ? Graycast.mm(scan * s, digits) : "–"],
+      ["difference", depth && scan ? `${Graycast.signed((scan - depth) * s, digits)} mm` : "–"],
+      [
+        "reason",
+        reason ? [el("i", { style: `background:${reason.color}` }), words(reason.name)] : "–",
+      ],
+      [
+        "column, row",
+        map && map.column[i] === map.column[i]
+          ? `${map.column[i].toFixed(1)}, ${map.row[i].toFixed(1)} px`
+          : "–",
+      ],
+      ["white frame", on && scene.white ? `${scene.white[4 * i]} of 255` : "–"],
+      ["instance", k >= 0 ? `${k} ${scene.instances[k].name}` : "–"],
+    ];
+    document
+      .getElementById("readout")
+      .replaceChildren(
+        ...lines.map(([name, value]) =>
+          el("tr", { "data-name": name }, el("th", {}, name), el("td", {}, value)),
+        ),
+      );
+  };
+
+  /** The reasons in this scene; actions.light marks one, actions.pick opens their view. */
+  side.legend = (row, { light, pick }) => {
+    return el(
+      "div",
+      { id: "reasons" },
+      Graycast.report.reasons
+        .filter((r) => row.reasons[r.name])
+        .map((r) =>
+          el(
+            "div",
+            {
+              title: r.meaning,
+              onpointerenter: () => light({ reason: r.number }),
+              onpointerleave: () => light({ reason: null }),
+              onclick: () => pick("reasons"),
+            },
+            el("i", { style: `background:${r.color}` }),
+            el("span", {}, words(r.name)),
+            el("em", {}, percent(row.reasons[r.name])),
+          ),
+        ),
+    );
+  };
+
+  /** The list of instances; actions.light marks one in the picture. */
+  side.instances = (scene, { light }) => {
+    const rows = scene.instances.map((one, k) =>
+      el(
+        "tr",
+        {
+          "data-k": k,
+          onpointerenter: () => light({ instance: k }),
+          onpointerleave: () => light({ instance: -1 }),
+        },
+        el(
+          "td",
+          {},
+          el("i", { style: `background:rgb(${Graycast.instanceColor(k).join()})` }),
+          String(k),
+        ),
+        el("td", {}, one.name),
+        el("td", {}, percent(one.visible, 0)),
+        el("td", {}, String(one.area)),
+        el("td", {}, one.t ? one.t[2].toFixed(0) : "–"),
+      ),
+    );
+    return el(
+      "div",
+      { id: "instances" },
+      el(
+        "table",
+        {},
+        el(
+          "thead",
+          {},
+          el(
+            "tr",
+            {},
+            ["", "part", "visible", "px", "z mm"].map((name) => el("th", {}, name)),
+          ),
+        ),
+        el("tbody", {}, rows),
+      ),
+    );
+  };
+
+  /** What the manifest says. */
+  side.facts = (scene, row) => {
+    const m = scene.manifest,
+      list = [["decoded on parts", percent(row.part_decoded)]];
+    if (row.sigma_mm !== null)
+      list.push([
+        "scanner on parts",
+        `σ ${row.sigma_mm.toFixed(2)}, median ${Graycast.signed(row.bias_mm, 2)} mm`,
+      ]);
+    if (m.exposure_s) list.push(["exposure", `${(1000 * m.exposure_s).toPrecision(3)} ms`]);
+    if (m.backend) list.push(["rendered by", `${m.backend} on ${m.device}`]);
+    if (m.physics)
+      list.push([
+        "physics",
+        `${m.physics.at_rest ? "at rest" : "NOT at rest"}, overlap ${(1000 * m.physics.deepest_penetration_m).toFixed(2)} mm`,
+      ]);
+    if (m.timings)
+      list.push([
+        "made in",
+        `${Object.values(m.timings)
+          .reduce((a, b) => a + b, 0)
+          .toFixed(1)} s`,
+      ]);
+    list.push(
+      [
+        "picture",
+        `${scene.full.join(" × ")} px${scene.stride > 1 ? `, every ${scene.stride}. pixel here` : ""}`,
+      ],
+      ["depth step", `${scene.depth_scale_mm} mm`],
+    );
+    return el(
+      "dl",
+      { class: "scene-facts" },
+      list.map(([term, value]) => [el("dt", {}, term), el("dd", {}, value)]),
+    );
+  };
+}

@@ -1,0 +1,135 @@
+"""One reader for a dataset in BOP's form and for every export of it that holds examples."""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import final, overload
+
+from ..dataset.example import Example, Master, open_master
+from ..errors import DatasetError
+from ..export.record import RECORD, read_record
+from ..export.split import Split
+
+ReadOne = Callable[[int], Example]
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Examples(Sequence):
+    """The examples of one set, each read from its files when it is asked for.
+
+    It holds no open files, so that the processes of a data loader can each have it.
+
+    Attributes:
+        folder: where they come from.
+        scene_ids: in the order of the examples.
+        categories: object ids and the parts' names.
+    """
+
+    folder: Path
+    split: str
+    scene_ids: tuple[int, ...]
+    categories: Mapping[int, str]
+    read: ReadOne
+
+    def __len__(self) -> int:
+        return len(self.scene_ids)
+
+    @overload
+    def __getitem__(self, index: int) -> Example: ...
+
+    @overload
+    def __getitem__(self, index: slice) -> list[Example]: ...
+
+    def __getitem__(self, index: int | slice) -> Example | list[Example]:
+        """Read an example.
+
+        Raises:
+            DatasetError: a file of it is missing or damaged.
+            IndexError: there are not so many.
+        """
+        chosen = self.scene_ids[index]
+        if isinstance(chosen, tuple):
+            return [self.read(scene_id) for scene_id in chosen]
+        return self.read(chosen)
+
+
+def open_examples(folder: Path, *, split: str = "train", division: Split | None = None) -> Examples:
+    """The examples of a dataset, or of what `graycast export` made from it.
+
+    Args:
+        folder: a dataset's or an export's.
+        split: `train`, `val` or `test`.
+        division: the shares of the sets, for a dataset in BOP's form, where all scenes are `train`
+            if nothing is said. An export was divided when it was made.
+
+    Raises:
+        DatasetError: the folder is neither, or has no such set.
+    """
+    if not (folder / RECORD).is_file():
+        return _from_master(open_master(folder), split, division or Split())
+    if division is not None:
+        raise DatasetError(f"{folder}: was divided when it was exported: give no division")
+    record = read_record(folder)
+    scene_ids = _of_set(folder, record.splits, split)
+    return Examples(
+        folder=folder,
+        split=split,
+        scene_ids=scene_ids,
+        categories={int(obj_id): name for obj_id, name in record.categories.items()},
+        read=_reader(record.format)(folder, split, record, scene_ids),
+    )
+
+
+def _from_master(master: Master, split: str, division: Split) -> Examples:
+    sets = {name: tuple(ids) for name, ids in division.assign(master.scene_ids).items()}
+    return Examples(
+        folder=master.folder,
+        split=split,
+        scene_ids=_of_set(master.folder, sets, split),
+        categories=master.categories,
+        read=partial(_master_example, master),
+    )
+
+
+def _master_example(master: Master, scene_id: int) -> Example:
+    return master.scene(scene_id).example()
+
+
+def _of_set(folder: Path, sets: Mapping[str, Sequence[int]], split: str) -> tuple[int, ...]:
+    if split not in sets:
+        raise DatasetError(f"{folder}: has no set {split!r}: choose one of {', '.join(sets)}")
+    return tuple(sets[split])
+
+
+def _reader(name: str) -> Callable[..., ReadOne]:
+    match name:
+        case "coco":
+            from .pictures import open_coco
+
+            return open_coco
+        case "yolo":
+            from .pictures import open_yolo
+
+            return open_yolo
+        case "bop-imagewise":
+            from .shards import open_bop_imagewise
+
+            return open_bop_imagewise
+        case "bop-webdataset":
+            from .shards import open_bop_shards
+
+            return open_bop_shards
+        case "webdataset":
+            from .shards import open_webdataset
+
+            return open_webdataset
+        case "parquet":
+            from .table import open_parquet
+
+            return open_parquet
+    raise DatasetError(
+        f"an export as {name} holds points but no labels: read it with any reader of its files, "
+        "or train from the dataset or another export"
+    )

@@ -1,0 +1,251 @@
+"""Every format read by a program that is not ours, and compared with what was simulated."""
+
+import contextlib
+import gc
+import io
+import json
+import struct
+import tarfile
+import warnings
+
+import numpy as np
+import pytest
+import trimesh
+import yaml
+from PIL import Image
+from pycocotools import mask as coco_mask
+from pycocotools.coco import COCO
+from simulated_dataset import SCALE_MM, visible
+
+from graycast.export import Split
+from graycast.frames import inverse, pixel_grid
+from graycast.optics import rays
+
+# pycocotools 2.0.11 has an array type from before NumPy 2, which NumPy asks it to mend.
+pytestmark = pytest.mark.filterwarnings("ignore:__array__ implementation:DeprecationWarning")
+
+
+def poses_of(sample):
+    return inverse(sample.scene.T_world_cam) @ sample.layout.T_world_part
+
+
+def decoded(data):
+    """Pixels by Pillow."""
+    with Image.open(io.BytesIO(data)) as image:
+        return np.array(image)
+
+
+def steps_of(depth_m):
+    return np.rint(np.nan_to_num(depth_m) * 1e3 / SCALE_MM)
+
+
+@pytest.mark.parametrize("polygons", [False, True])
+def test_coco_is_read_by_pycocotools_with_masks_boxes_and_poses(exported, samples, polygons):
+    out = exported("coco", polygons=polygons, depth="both")
+    with contextlib.redirect_stdout(io.StringIO()):
+        coco = COCO(str(out / "annotations" / "instances_train.json"))
+    assert coco.getImgIds() == list(samples)
+    assert [c["name"] for c in coco.loadCats(coco.getCatIds())] == ["box", "wedge"]
+    for image in coco.loadImgs(coco.getImgIds()):
+        sample = samples[image["id"]]
+        name = f"train/{image['file_name']}"
+        assert np.array_equal(np.array(Image.open(out / "images" / name)), sample.rgb)
+        for folder, depth_m in (
+            ("depth", sample.truth.depth_m),
+            ("depth_sl", sample.scanner.depth_m),
+        ):
+            held = np.array(Image.open(out / folder / name))
+            assert np.array_equal(held, steps_of(depth_m))
+        seen, masks, boxes = visible(sample)
+        anns = coco.loadAnns(coco.getAnnIds(imgIds=image["id"]))
+        assert [ann["gt_id"] for ann in anns] == seen
+        for i, mask, box, ann in zip(seen, masks, boxes, anns, strict=True):
+            assert np.array_equal(coco.annToMask(ann), mask)
+            assert ann["bbox"] == box
+            assert ann["area"] == mask.sum()
+            assert ann["category_id"] == sample.layout.part_index[i] + 1
+            T = poses_of(sample)[i]
+            np.testing.assert_allclose(np.reshape(ann["cam_R_m2c"], (3, 3)), T[:3, :3])
+            np.testing.assert_allclose(ann["cam_t_m2c"], T[:3, 3] * 1e3)
+
+
+@pytest.mark.parametrize("labels", ["boxes", "segments"])
+def test_yolo_rows_are_the_boxes_or_masks_as_shares(exported, samples, labels):
+    out = exported("yolo", labels=labels, split=Split(shares=(0.5, 0.5, 0.0)))
+    data = yaml.safe_load((out / "data.yaml").read_text())
+    assert data["names"] == {0: "box", 1: "wedge"}
+    found = []
+    for split in ("train", "val"):
+        for picture in sorted((out / data[split]).glob("*.png")):
+            sample = samples[int(picture.stem)]
+            found.append(int(picture.stem))
+            assert np.array_equal(np.array(Image.open(picture)), sample.rgb)
+            # Ultralytics finds labels by this replacement of the last "images" of the path.
+            text = (out / "labels" / split / f"{picture.stem}.txt").read_text()
+            rows = [line.split() for line in text.splitlines()]
+            seen, masks, boxes = visible(sample)
+            assert [int(row[0]) for row in rows] == [sample.layout.part_index[i] for i in seen]
+            height_px, width_px = masks[0].shape
+            for row, mask, box in zip(rows, masks, boxes, strict=True):
+                xy = np.array(row[1:], float).reshape(-1, 2) * [width_px, height_px]
+                if labels == "boxes":
+                    np.testing.assert_allclose(xy[0] - xy[1] / 2, box[:2], atol=1e-4)
+                    np.testing.assert_allclose(xy[1], box[2:], atol=1e-4)
+                    continue
+                runs = coco_mask.frPyObjects([np.rint(xy).ravel().tolist()], height_px, width_px)
+                assert np.array_equal(coco_mask.decode(coco_mask.merge(runs)), mask)
+    assert sorted(found) == list(samples)
+
+
+def bop_toolkit_mask(runs):
+    """Uncompressed run lengths down the columns, as bop_toolkit's documentation tells them."""
+    value = np.arange(len(runs["counts"])) % 2 == 1
+    flat = np.repeat(value, runs["counts"])
+    return flat.reshape(runs["size"][::-1]).T
+
+
+def read_by_webdataset(folder, decode=None):
+    """All samples; the package leaves closing its files to the garbage collector."""
+    webdataset = pytest.importorskip("webdataset", reason="pip install webdataset")
+    urls = [str(path) for path in sorted(folder.glob("shard-*.tar"))]
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", ResourceWarning)
+        data = webdataset.WebDataset(urls, shardshuffle=False)
+        found = list(data if decode is None else data.decode(decode))
+        del data
+        gc.collect()
+    return found
+
+
+def check_bop(files, sample, depth_m, info_key):
+    camera = json.loads(files["camera.json"])
+    assert np.array_equal(decoded(files["rgb.png"]), sample.rgb)
+    depth_mm = decoded(files["depth.png"]) * camera["depth_scale"]
+    np.testing.assert_allclose(depth_mm, steps_of(depth_m) * SCALE_MM)
+    gt, info = json.loads(files["gt.json"]), json.loads(files["gt_info.json"])
+    visib, whole = json.loads(files["mask_visib.json"]), json.loads(files["mask.json"])
+    assert len(gt) == len(info) == len(visib) == len(whole) == 8
+    for i, T in enumerate(poses_of(sample)):
+        np.testing.assert_allclose(np.reshape(gt[i]["cam_R_m2c"], (3, 3)), T[:3, :3])
+        np.testing.assert_allclose(gt[i]["cam_t_m2c"], T[:3, 3] * 1e3)
+        assert np.array_equal(bop_toolkit_mask(visib[str(i)]), sample.truth.instance == i)
+        amodal = sample.truth.amodal[i].in_image(*sample.rgb.shape[:2])
+        assert np.array_equal(bop_toolkit_mask(whole[str(i)]), amodal)
+        valid = amodal & (steps_of(depth_m) > 0)
+        assert info[i]["px_count_valid"] == valid.sum(), info_key
+
+
+@pytest.mark.parametrize("depth", ["perfect", "scanner"])
+def test_bops_imagewise_files_say_what_the_scene_says(exported, samples, depth):
+    out = exported("bop-imagewise", depth=depth)
+    for scene_id, sample in samples.items():
+        key = f"{scene_id:06d}_000000"
+        found = (out / "train").glob(f"{key}.*")
+        files = {path.name.removeprefix(f"{key}."): path.read_bytes() for path in found}
+        depth_m = sample.truth.depth_m if depth == "perfect" else sample.scanner.depth_m
+        check_bop(files, sample, depth_m, depth)
+    assert json.loads((out / "models" / "models_info.json").read_text()).keys() == {"1", "2"}
+
+
+def test_bops_shards_are_read_by_the_webdataset_package(exported, samples):
+    out = exported("bop-webdataset", shard_scenes=3)
+    shard_of = json.loads((out / "train" / "key_to_shard.json").read_text())
+    assert shard_of == {f"{i:06d}_000000": n // 3 for n, i in enumerate(samples)}
+    found = read_by_webdataset(out / "train")
+    for item, sample in zip(found, samples.values(), strict=True):
+        check_bop(item, sample, sample.truth.depth_m, item["__key__"])
+        assert shard_of[item["__key__"]] == int(item["__url__"][-10:-4])
+
+
+def test_training_shards_are_decoded_by_the_webdataset_package(exported, samples):
+    out = exported("webdataset", shard_scenes=2)
+    data = read_by_webdataset(out / "train", "pil")
+    for item, (scene_id, sample) in zip(data, samples.items(), strict=True):
+        seen, masks, boxes = visible(sample)
+        assert item["__key__"] == f"{scene_id:06d}"
+        assert np.array_equal(np.array(item["rgb.png"]), sample.rgb)
+        assert np.array_equal(item["depth.npy"], steps_of(sample.truth.depth_m))
+        assert np.array_equal(item["depth_sl.npy"], steps_of(sample.scanner.depth_m))
+        assert np.array_equal(item["boxes.npy"], boxes)
+        assert np.array_equal(item["obj_id.npy"], sample.layout.part_index[seen] + 1)
+        np.testing.assert_allclose(item["poses.npy"], poses_of(sample)[seen], atol=1e-12)
+        for runs, mask in zip(item["masks.json"], masks, strict=True):
+            assert np.array_equal(coco_mask.decode(runs), mask)
+
+
+def test_equal_datasets_give_equal_shards_without_names_or_times(exported):
+    shards = [exported("webdataset") / "train" / "shard-000000.tar" for _ in range(2)]
+    assert shards[0].read_bytes() == shards[1].read_bytes()
+    with tarfile.open(shards[0]) as shard:
+        assert {(m.mtime, m.uid, m.uname) for m in shard.getmembers()} == {(0, 0, "")}
+
+
+def test_parquet_is_read_by_pyarrow(exported, samples):
+    pq = pytest.importorskip("pyarrow.parquet", reason="pip install 'graycast[parquet]'")
+    out = exported("parquet", shard_scenes=3, image="gray")
+    parts = sorted((out / "train").glob("*.parquet"))
+    assert [pq.read_metadata(part).num_rows for part in parts] == [3, 1]
+    rows = [row for part in parts for row in pq.read_table(part).to_pylist()]
+    for row, (scene_id, sample) in zip(rows, samples.items(), strict=True):
+        seen, masks, boxes = visible(sample)
+        assert row["scene_id"] == scene_id
+        assert row["rgb"] is None
+        assert np.array_equal(decoded(row["gray"]), sample.gray)
+        assert np.array_equal(decoded(row["depth_sl"]), steps_of(sample.scanner.depth_m))
+        assert row["boxes"] == boxes
+        poses = np.reshape(row["poses"], (-1, 4, 4))
+        np.testing.assert_allclose(poses, poses_of(sample)[seen], atol=1e-12)
+        for runs, mask in zip(row["masks"], masks, strict=True):
+            assert np.array_equal(coco_mask.decode(runs), mask)
+
+
+def expected_points(sample, depth_m):
+    camera = sample.scene.rig.camera
+    stored_m = steps_of(depth_m) * SCALE_MM / 1e3
+    stored_m[stored_m == 0] = np.nan
+    return rays(camera, pixel_grid(camera.height_px, camera.width_px)) * stored_m[..., None]
+
+
+@pytest.mark.parametrize("organised", [False, True])
+def test_ply_clouds_are_read_by_trimesh(exported, samples, organised):
+    out = exported("clouds", organised=organised)
+    for scene_id, sample in samples.items():
+        for name, depth_m in (
+            ("perfect", sample.truth.depth_m),
+            ("scanner", sample.scanner.depth_m),
+        ):
+            cloud = trimesh.load(out / "train" / f"{scene_id:06d}_{name}.ply")
+            point_m = expected_points(sample, depth_m)
+            known = np.ones(point_m.shape[:2], bool) if organised else ~np.isnan(point_m[..., 2])
+            np.testing.assert_allclose(cloud.vertices, point_m[known], atol=1e-6)
+            assert np.array_equal(cloud.colors[:, :3], sample.rgb[known])
+
+
+@pytest.mark.parametrize("organised", [False, True])
+def test_pcd_clouds_say_what_the_format_demands(exported, samples, organised):
+    out = exported("clouds", cloud="pcd", organised=organised, depth="scanner", image="gray")
+    sample = samples[3]
+    data = (out / "train" / "000003_scanner.pcd").read_bytes()
+    head, body = data.split(b"DATA binary\n", 1)
+    said = dict(line.split(" ", 1) for line in head.decode().splitlines()[1:])
+    count = int(said["POINTS"])
+    assert int(said["WIDTH"]) * int(said["HEIGHT"]) == count
+    assert (int(said["HEIGHT"]) == 120) == organised
+    assert said["FIELDS"] == "x y z rgb"
+    values = np.array(list(struct.iter_unpack("<fffI", body)))
+    point_m = expected_points(sample, sample.scanner.depth_m)
+    known = np.ones(point_m.shape[:2], bool) if organised else ~np.isnan(point_m[..., 2])
+    np.testing.assert_allclose(values[:, :3], point_m[known], atol=1e-6)
+    gray = sample.gray[known].astype(int)
+    assert np.array_equal(values[:, 3], gray * 0x010101)
+
+
+def test_an_organised_cloud_is_depth_and_camera_again(exported, samples):
+    """By the reader of real clouds, which fits the camera to the points."""
+    from graycast.realism import read_scans
+
+    out = exported("clouds", organised=True, depth="scanner")
+    (scan,) = read_scans([out / "train" / "000003_scanner.ply"])
+    camera = samples[3].scene.rig.camera
+    np.testing.assert_allclose(scan.K, camera.K, atol=1e-3)
+    np.testing.assert_allclose(scan.depth_m, samples[3].scanner.depth_m, atol=0.6e-3 * SCALE_MM)

@@ -1,0 +1,65 @@
+"""A small finished dataset of prisms in closed form, with what a report wants to know of it."""
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+from dataset.prisms import box_part, build_sample, make_rig, wedge_part
+
+from graycast.dataset.store import open_store
+
+SCALE_MM = 0.1
+LENS = (-0.12, 0.05, 0.001, -0.0007, 0.0)
+CODE = {
+    "codec": "gray",
+    "axes": ["column", "row"],
+    "base_bit": None,
+    "inverses": None,
+    "period_px": None,
+    "steps": None,
+}
+
+
+def lensed_rig():
+    """Distortion on both sides: the labels' geometry stays a pinhole's, the rig's does not."""
+    rig = make_rig()
+    return replace(
+        rig,
+        camera=replace(rig.camera, distortion=LENS),
+        projector=replace(rig.projector, distortion=LENS),
+    )
+
+
+def write_dataset(out: Path, scene_ids=(0, 3), rig=None):
+    """Returns the samples by scene."""
+    rig, parts = rig or make_rig(), (box_part(), wedge_part())
+    samples = {k: build_sample(k, parts=parts, rig=rig) for k in scene_ids}
+    with open_store(
+        out,
+        config={"rig": "test", "scanner": {"code": CODE}},
+        seed=7,
+        parts=parts,
+        rig=rig,
+        depth_scale_mm=SCALE_MM,
+    ) as store:
+        for scene_id, sample in samples.items():
+            store.write(scene_id, sample)
+        store.finish(samples)
+    return samples
+
+
+def forget(scene: Path) -> None:
+    """Leave of a scene what one of real pictures has."""
+    for name in ("depth", "reason_sl", "gray_sl"):
+        (scene / name / "000000.png").unlink()
+    (scene / "scene_gt_box3d.json").unlink()
+    for name, kept in (
+        ("scene_gt", ("obj_id",)),
+        ("scene_gt_info", ("bbox_visib", "px_count_visib")),
+    ):
+        path = scene / f"{name}.json"
+        entries = json.loads(path.read_bytes())["0"]
+        path.write_text(json.dumps({"0": [{k: e[k] for k in kept} for e in entries]}))
+    path = scene / "scene_camera.json"
+    view = json.loads(path.read_bytes())["0"]
+    path.write_text(json.dumps({"0": {k: view[k] for k in ("cam_K", "depth_scale")}}))

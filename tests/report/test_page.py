@@ -1,0 +1,143 @@
+"""A dataset's web page: its files, and that only what changed is built again."""
+
+import base64
+import json
+import re
+import shutil
+import zlib
+
+import numpy as np
+import pytest
+from pictured import forget, write_dataset
+
+from graycast.decode import REASON_COLOR, Reason
+from graycast.errors import DatasetError, GraycastError
+from graycast.report.page import build, write_report
+from graycast.report.page.packing import pack_difference, pack_words
+
+
+@pytest.fixture(scope="module")
+def dataset(tmp_path_factory):
+    out = tmp_path_factory.mktemp("page") / "bins"
+    write_dataset(out)
+    return out
+
+
+def planes(text):
+    data = np.frombuffer(zlib.decompress(base64.b64decode(text)), dtype=np.uint8)
+    low, high = data.reshape(2, -1).astype(np.int64)
+    return low + 256 * high
+
+
+def content(out):
+    return {
+        str(path.relative_to(out)): path.read_bytes() for path in out.rglob("*") if path.is_file()
+    }
+
+
+@pytest.mark.parametrize("kind", ["random", "plane", "edge"])
+def test_packed_words_add_up_to_what_they_were(kind):
+    """Oracle: two running sums undo the two differences that a plane leaves nothing of."""
+    v, u = np.mgrid[:31, :17]
+    values = {
+        "random": np.random.default_rng(0).integers(0, 65536, (31, 17)),
+        "plane": 9000 + 3 * u - 2 * v,
+        "edge": np.where(u > 8, 65535, 0),
+    }[kind].astype(np.uint16)
+    left_over = planes(pack_words(values)).reshape(values.shape)
+    assert kind != "plane" or not left_over[1:, 1:].any()
+    found = left_over.cumsum(axis=0).cumsum(axis=1) % 65536
+    np.testing.assert_array_equal(found, values)
+
+
+def test_packed_differences_of_either_sign_come_back():
+    base = np.array([[0, 65535, 9000, 9000, 5]], dtype=np.uint16)
+    values = np.array([[65535, 1, 9003, 8990, 0]], dtype=np.uint16)
+    folded = planes(pack_difference(values, base)).reshape(values.shape)
+    d = np.where(folded % 2 == 1, -(folded + 1) // 2, folded // 2)
+    found = np.where(values > 0, (base + d) % 65536, 0)
+    np.testing.assert_array_equal(found, values)
+    assert folded[0, 2:].tolist() == [6, 19, 0]
+
+
+def test_a_second_build_makes_nothing_and_changes_nothing(dataset, tmp_path):
+    first = write_report(dataset, tmp_path / "page")
+    held = content(tmp_path / "page")
+    again = write_report(dataset, tmp_path / "page")
+    assert (first.built, again.built, again.kept) == (2, 0, 2)
+    assert content(tmp_path / "page") == held
+
+
+def test_only_a_changed_scene_is_built_again_and_one_that_is_gone_leaves(dataset, tmp_path):
+    out = tmp_path / "bins"
+    shutil.copytree(dataset, out)
+    write_report(out, tmp_path / "page")
+    (out / "train/000000/manifest.json").write_text('{"seed": 8}')
+    shutil.copytree(out / "train/000000", out / "train/000001")
+    shutil.rmtree(out / "train/000003")
+    made = []
+    summary = write_report(out, tmp_path / "page", on_scene=made.append)
+    assert made == ["train-000000", "train-000001"]
+    assert (summary.built, summary.kept, summary.removed) == (2, 0, 1)
+    assert not (tmp_path / "page/scenes/train-000003").exists()
+
+
+def test_a_build_that_fails_goes_on_where_it_was(dataset, tmp_path):
+    out = tmp_path / "bins"
+    shutil.copytree(dataset, out)
+    path = out / "train/000003/rgb/000000.png"
+    whole = path.read_bytes()
+    path.write_bytes(whole[:100])
+    with pytest.raises(DatasetError, match="000003"):
+        write_report(out, tmp_path / "page")
+    assert [p.name for p in (tmp_path / "page/scenes").iterdir()] == ["train-000000"]
+    path.write_bytes(whole)
+    assert write_report(out, tmp_path / "page").kept == 1
+
+
+def test_another_folder_is_not_written_into(dataset, tmp_path):
+    (tmp_path / "thesis.tex").write_text("x")
+    with pytest.raises(GraycastError, match=r"thesis\.tex"):
+        write_report(dataset, tmp_path)
+    with pytest.raises(GraycastError, match="folder of its own"):
+        write_report(dataset, dataset)
+
+
+def test_the_page_needs_nothing_from_the_network(dataset, tmp_path):
+    write_report(dataset, tmp_path / "page")
+    page = (tmp_path / "page/index.html").read_text()
+    for name in re.findall(r'(?:src|href)="([^"#]+)"', page):
+        assert name == "data:," or (tmp_path / "page" / name).is_file(), name
+    for path in (tmp_path / "page").glob("*.*s"):
+        found = set(re.findall(r"https?://[\w./]+", path.read_text()))
+        assert found <= {"http://www.w3.org/2000/svg"}, path.name
+
+
+def test_reasons_have_the_palette_of_all_pictures(dataset, tmp_path):
+    write_report(dataset, tmp_path / "page")
+    text = (tmp_path / "page/index.js").read_text()
+    index = json.loads(text.removeprefix("Graycast.report = ").rstrip().rstrip(";"))
+    assert {r["number"]: r["color"] for r in index["reasons"]} == {
+        int(reason): REASON_COLOR[reason] for reason in Reason
+    }
+    assert [row[1] for row in index["scenes"]] == [0, 3]
+    assert len(index["code"]["frames"]) == 2 + 8 + 7
+
+
+def test_wide_maps_are_thinned(dataset, tmp_path):
+    write_report(dataset, tmp_path / "page", width_px=100)
+    text = (tmp_path / "page/scenes/train-000000/scene.js").read_text()
+    scene = json.loads(text.removeprefix("Graycast.receive(").rstrip().removesuffix(");"))
+    assert (scene["stride"], scene["width"], scene["height"]) == (2, 80, 60)
+
+
+def test_pages_of_real_pictures_are_built(dataset, tmp_path):
+    out = tmp_path / "bins"
+    shutil.copytree(dataset, out)
+    forget(out / "train/000003")
+    assert write_report(out, tmp_path / "page").built == 2
+
+
+def test_every_file_of_the_page_is_in_the_package():
+    names = {path.name for path in (build.resources.files(build.__package__) / "web").iterdir()}
+    assert {"index.html", "style.css", "app.js", "cloud.js"} <= names

@@ -1,0 +1,36 @@
+"""A small finished dataset in closed form, for tests outside of tests/dataset, and its samples."""
+
+import sys
+from pathlib import Path
+
+from graycast.dataset.store import open_store
+
+sys.path.append(str(Path(__file__).parent / "dataset"))
+from prisms import box_part, build_sample, make_rig, wedge_part
+
+SCALE_MM = 0.1
+
+
+def write_dataset(out, scene_ids=(0, 3, 4, 5)):
+    """Writes it and returns the samples by scene."""
+    parts, rig = (box_part(), wedge_part()), make_rig()
+    samples = {i: build_sample(i, parts=parts, rig=rig) for i in scene_ids}
+    config = {"rig": "test"}
+    with open_store(
+        out, config=config, seed=7, parts=parts, rig=rig, depth_scale_mm=SCALE_MM
+    ) as store:
+        for scene_id, sample in samples.items():
+            store.write(scene_id, sample)
+        store.finish(samples)
+    return samples
+
+
+def visible(sample):
+    """Which instances are seen, their masks, and their boxes [x, y, columns, rows]."""
+    seen = [i for i in range(8) if (sample.truth.instance == i).any()]
+    masks = [sample.truth.instance == i for i in seen]
+    boxes = []
+    for mask in masks:
+        y, x = mask.nonzero()
+        boxes.append([x.min(), y.min(), x.max() - x.min() + 1, y.max() - y.min() + 1])
+    return seen, masks, boxes

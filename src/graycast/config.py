@@ -155,7 +155,7 @@ class CyclesSection(Settings):
     """What only Blender Cycles has."""
 
     denoise: Literal["none", "oidn", "optix"] = Field(
-        "none", description="of every picture, patterns too, as the paper does; optix needs a GPU"
+        "oidn", description="of every picture, patterns too, as the paper does; optix needs a GPU"
     )
     patterns_per_render: Literal[1, 3] = Field(
         1, description="3: a pattern each in R, G and B, where light is of one wavelength"

@@ -11,6 +11,8 @@ from graycast.card import write_card
 from graycast.dataset import validate
 from graycast.stats import dataset_statistics, find_scenes
 
+pytestmark = pytest.mark.slow
+
 
 @pytest.fixture(scope="module")
 def dataset(tmp_path_factory):

@@ -15,6 +15,8 @@ from graycast.errors import DatasetError, GraycastError
 from graycast.report.page import build, write_report
 from graycast.report.page.packing import pack_difference, pack_words
 
+pytestmark = pytest.mark.slow
+
 
 @pytest.fixture(scope="module")
 def dataset(tmp_path_factory):

@@ -21,6 +21,8 @@ from graycast.stats import (
 )
 from graycast.stats.gather import _quantiles, error_figures
 
+pytestmark = pytest.mark.slow
+
 
 @pytest.fixture(scope="module")
 def made(tmp_path_factory):

@@ -193,9 +193,9 @@ class CyclesRenderer:
             if self._process is None:
                 self._process = CyclesProcess(examine_cycles().python)
             try:
-                for _ in self._process.run(folder):
-                    written = sum((folder / f"{frame.name}.npy").exists() for frame in frames)
-                    self.on_frame(written, len(frames))
+                written = sum((folder / f"{frame.name}.npy").exists() for frame in frames)
+                for done, _ in enumerate(self._process.run(folder), start=written + 1):
+                    self.on_frame(done, len(frames))
                 return
             except CyclesDied as error:
                 why = error

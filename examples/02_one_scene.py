@@ -8,9 +8,10 @@ from pathlib import Path
 
 import numpy as np
 
+from graycast.cell import open_cell_renderer, resolve_cell
 from graycast.config import Config
 from graycast.decode import Reason
-from graycast.generate import make_scene, open_cell_renderer, resolve_cell
+from graycast.simulate import make_scene
 
 
 def main(samples: int) -> None:

@@ -11,10 +11,10 @@ import yaml
 from small_cell import write_cell
 
 from graycast import config as words
+from graycast.cell import resolve_cell
 from graycast.config import Config, config_schema, load_config
 from graycast.drop import DropLimits
 from graycast.errors import ConfigError
-from graycast.generate import resolve_cell
 from graycast.parts import Material
 from graycast.render import Quality
 from graycast.rig import PRESETS

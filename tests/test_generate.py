@@ -13,10 +13,12 @@ import numpy as np
 import pytest
 from small_cell import content, finished, start, write_cell
 
+from graycast.cell import resolve_cell
 from graycast.cli import main
 from graycast.config import load_config
 from graycast.dataset import validate
-from graycast.generate import _counts, generate, resolve_cell
+from graycast.generate import generate
+from graycast.simulate import _counts
 
 
 def run(cell, out, *, scenes, seed=0, workers=1):
@@ -273,8 +275,10 @@ def test_runs_killed_at_ten_random_moments_end_in_the_same_dataset(config_file, 
 _MEMORY = """
 import sys, resource
 from pathlib import Path
+from graycast.cell import resolve_cell
 from graycast.config import load_config
-from graycast.generate import generate, resolve_cell
+from graycast.cell import resolve_cell
+from graycast.generate import generate
 path, out = map(Path, sys.argv[1:])
 def rss(progress):
     pages = int(Path("/proc/self/statm").read_text().split()[1])

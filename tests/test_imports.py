@@ -11,6 +11,7 @@ SOURCE = Path(__file__).resolve().parents[1] / "src" / "graycast"
 ORDER = (
     "errors",
     "folder",
+    "plotting",
     "settings",
     "color",
     "frames",
@@ -33,6 +34,8 @@ ORDER = (
     "stack",
     "dataset",
     "config",
+    "cell",
+    "simulate",
     "generate",
     "metrology",
     "realism",
@@ -52,10 +55,10 @@ FORBIDDEN = {
     "sensor": {"drop", "render"},
     "decode": {"drop", "render"},
     "dataset": {"drop"},
-    "metrology": {"drop", "dataset", "config", "generate"},
-    "doctor": {"drop", "dataset", "decode", "sensor", "generate", "report"},
+    "metrology": {"drop", "dataset", "config", "cell", "simulate", "generate"},
+    "doctor": {"drop", "dataset", "decode", "sensor", "simulate", "generate", "report"},
 }
-WHOLE_LINE = {"generate", "report", "bench", "cli"}
+WHOLE_LINE = {"simulate", "generate", "report", "bench", "cli"}
 # The truth is the renderer's, so the dataset takes its values, but no back end.
 ONLY_VALUES = {"dataset": {"render": {"render", "render.radiance"}}}
 

@@ -1,4 +1,4 @@
-"""One scene all the way from parts to files, and many scenes on one or several processes.
+"""Many scenes of one cell into a dataset's folder, on one or several processes.
 
 A scene depends on (configuration, dataset seed, scene id) alone, not on the number of workers, the
 order of scenes or a restart.
@@ -7,7 +7,6 @@ order of scenes or a restart.
 import atexit
 import multiprocessing
 import os
-import platform
 import signal
 import threading
 import time
@@ -15,71 +14,20 @@ from collections.abc import Callable, Generator, Iterator
 from concurrent.futures import FIRST_COMPLETED, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import closing, contextmanager
-from dataclasses import asdict, dataclass
-from importlib.metadata import version
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numba
 import numpy as np
-from jaxtyping import UInt8
 
-from . import __version__
-from .config import (
-    Config,
-    file_digests,
-    resolve_bin,
-    resolve_environment,
-    resolve_lamps,
-    resolve_limits,
-    resolve_parts,
-    resolve_quality,
-    resolve_scanner,
-)
-from .dataset import Sample, depth_scale_mm, described_values, open_store, write_scene
-from .decode import CodeMap, Reason
-from .drop import drop
+from .cell import Cell, open_cell_renderer
+from .dataset import depth_scale_mm, described_values, open_store, write_scene
+from .decode import Reason
 from .errors import GraycastError
-from .pattern import Code
-from .picture import color_picture, gray_picture
-from .render import OnFrame, Renderer, Rendering, choose_device, open_renderer
-from .rig import grey_levels, place, standoff_m
-from .scanner import Scanner, measure, take
-from .scene import Scene
-from .sensor import Capture
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Cell:
-    """A configuration with its files read: what all scenes of a dataset share.
-
-    `scene` holds every kind of part; a scene drops one kind of it, or all where `config.mix`.
-    """
-
-    config: Config
-    scene: Scene
-    scanner: Scanner
-    notes: tuple[str, ...]
-    file_digests: dict[str, str]
-
-    @property
-    def code(self) -> Code:
-        """The code that the scanner shows."""
-        return self.scanner.patterns()
-
-    def patterns(self) -> UInt8[np.ndarray, "n ph pw"]:
-        """What the projector is given: grey levels that undo its response."""
-        return self.code.render(lambda share: grey_levels(self.scanner.rig, share))
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Shot:
-    """One finished scene with what lies between radiance and sample, for pictures of it."""
-
-    sample: Sample
-    rendering: Rendering
-    capture: Capture
-    codes: CodeMap
+from .render import OnFrame, Renderer, choose_device
+from .scanner import Scanner
+from .simulate import make_scene
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -99,158 +47,6 @@ class Summary:
     found: int
     seconds: float
     reasons: dict[str, float]
-
-
-def resolve_cell(config: Config, folder: Path) -> Cell:
-    """Read what a configuration names; `folder` is where its relative paths start.
-
-    Raises:
-        GraycastError, ValueError: a file or a value that cannot be used, named.
-    """
-    parts, notes = resolve_parts(config, folder)
-    scanner = resolve_scanner(config, folder)
-    rig = scanner.rig
-    box = resolve_bin(config.bin, folder)
-    view = config.view
-    target = view.target_m or (0.0, 0.0, box.inner_m[2] / 3)
-    T_world_cam = place(
-        rig,
-        target_m=np.array(target),
-        distance_m=view.distance_m or standoff_m(rig),
-        tilt_rad=np.radians(view.tilt_deg),
-        azimuth_rad=np.radians(view.azimuth_deg),
-    )
-    scene = Scene(
-        rig=rig,
-        T_world_cam=T_world_cam,
-        parts=parts,
-        bin=box,
-        environment=resolve_environment(config.light.environment, folder),
-        lamps=resolve_lamps(config.light),
-    )
-    return Cell(
-        config=config,
-        scene=scene,
-        scanner=scanner,
-        notes=notes,
-        file_digests=file_digests(config, folder),
-    )
-
-
-# --- one scene ---------------------------------------------------------------------------------
-
-
-def open_cell_renderer(
-    cell: Cell,
-    *,
-    device: str = "auto",
-    threads: int | None = None,
-    on_frame: OnFrame | None = None,
-) -> Renderer:
-    """The renderer that a cell's configuration asks for; arguments as of `open_renderer`."""
-    render = cell.config.render
-    return open_renderer(
-        render.backend,
-        device=device,
-        threads=threads,
-        patterns_per_render=render.cycles.patterns_per_render,
-        on_frame=on_frame,
-    )
-
-
-def make_scene(cell: Cell, scene_id: int, *, seed: int, renderer: Renderer) -> Shot:
-    """One scene from its seeds to its sample.
-
-    Raises:
-        DropError: the parts did not come to an acceptable rest.
-        ValueError: the picture is dark, or a value is out of its range.
-    """
-    config = cell.config
-    # One independent stream per stage, so that a change in one leaves the others as they were.
-    stream = np.random.SeedSequence(seed, spawn_key=(scene_id,)).generate_state(5, np.uint64)
-    seeds = dict(
-        zip(("counts", "drop", "render", "noise", "picture"), map(int, stream), strict=True)
-    )
-    timings: dict[str, float] = {}
-    with _timed(timings, "drop"):
-        counts = _counts(cell, scene_id, np.random.default_rng(seeds["counts"]))
-        layout = drop(cell.scene, counts, seed=seeds["drop"], limits=resolve_limits(config))
-    with _timed(timings, "render"):
-        quality = resolve_quality(config)
-        rendering = renderer.render(
-            cell.scene, layout, cell.patterns(), quality=quality, seed=seeds["render"]
-        )
-    with _timed(timings, "sensor"):
-        capture = take(cell.scanner, rendering.radiance, seed=seeds["noise"])
-    with _timed(timings, "picture"):
-        noisy = config.render.denoise and quality.denoise == "none"
-        rgb = color_picture(
-            cell.scanner,
-            rendering,
-            denoiser=renderer.denoiser if noisy else None,
-            seed=seeds["picture"],
-        )
-    with _timed(timings, "decode"):
-        codes, depth = measure(cell.scanner, capture)
-    manifest = {
-        "scene_id": scene_id,
-        "dataset_seed": seed,
-        "seeds": seeds,
-        "backend": renderer.name,
-        "device": renderer.device,
-        "versions": _versions(renderer),
-        "counts": {p.name: n for p, n in zip(cell.scene.parts, counts, strict=True) if n},
-        "physics": {
-            key: value
-            for key, value in asdict(layout).items()
-            if key not in ("T_world_part", "part_index")
-        },
-        "exposure_s": float(np.max(capture.exposure_s)),
-        "reasons": {r.name.lower(): float((depth.reason == r).mean()) for r in Reason},
-        "config": config.model_dump(mode="json", exclude={"scenes", "seed"}),
-        "timings": timings,
-    }
-    sample = Sample(
-        scene=cell.scene,
-        layout=layout,
-        truth=rendering.truth,
-        rgb=rgb,
-        gray=gray_picture(capture),
-        scanner=depth,
-        modulation=codes.modulation,
-        manifest=manifest,
-    )
-    return Shot(sample=sample, rendering=rendering, capture=capture, codes=codes)
-
-
-def _counts(cell: Cell, scene_id: int, rng: np.random.Generator) -> tuple[int, ...]:
-    """How many of each kind: one kind in turn, or all kinds drawn at random."""
-    low, high = cell.config.count_range
-    total = int(rng.integers(low, high + 1))
-    kinds = len(cell.scene.parts)
-    if cell.config.mix:
-        return tuple(int(n) for n in rng.multinomial(total, np.full(kinds, 1 / kinds)))
-    return tuple(total if kind == scene_id % kinds else 0 for kind in range(kinds))
-
-
-@contextmanager
-def _timed(timings: dict[str, float], stage: str) -> Iterator[None]:
-    start = time.perf_counter()
-    yield
-    timings[stage] = time.perf_counter() - start
-
-
-def _versions(renderer: Renderer) -> dict[str, str]:
-    packages = ("numpy", "rapier3d", "coacd", "numba", "pyoidn")
-    return {
-        "graycast": __version__,
-        "python": platform.python_version(),
-        **{name: version(name) for name in packages},
-        **renderer.versions,
-    }
-
-
-# --- many scenes -------------------------------------------------------------------------------
 
 
 def generate(

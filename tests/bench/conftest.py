@@ -7,8 +7,8 @@ import pytest
 import trimesh
 
 from graycast.bench import agree, cells, convergence, denoise, renderers
+from graycast.cell import resolve_cell
 from graycast.config import Config
-from graycast.generate import resolve_cell
 from graycast.render import GroundTruth, Radiance, Rendering
 from graycast.scanner import Scanner
 from graycast.scene import Layout

@@ -13,7 +13,6 @@ from graycast.dataset import Sample
 from graycast.decode import CodeMap, DepthMap, Reason
 from graycast.errors import GraycastError
 from graycast.frames import axis_rotation, random_quaternions, rigid, rotation_from_quaternion
-from graycast.generate import Shot
 from graycast.optics import Optics
 from graycast.parts import Material, Mesh, Part
 from graycast.pattern import gray
@@ -22,6 +21,7 @@ from graycast.report import preview
 from graycast.rig import Rig
 from graycast.scene import EMPTY_LAYOUT, Layout, Scene
 from graycast.sensor import Capture, SensorSpec
+from graycast.simulate import Shot
 
 WIDTH, HEIGHT = 80, 60
 F_PX, BASELINE_M, WALL_M = 100.0, 0.1, 0.5
@@ -127,7 +127,9 @@ def tiles(monkeypatch, tmp_path):
 
     def drawn(shot):
         figures = []
-        monkeypatch.setattr(preview, "save_png", lambda figure, path: figures.append(figure))
+        monkeypatch.setattr(
+            preview, "save_png", lambda figure, path, *, dpi: figures.append(figure)
+        )
         preview.draw_preview(shot, CODE, tmp_path / "unused.png")
         return figures[0], {ax.get_title(loc="left"): ax for ax in figures[0].axes if ax.images}
 

@@ -15,8 +15,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Float, Int
 
+from ..cell import Cell
 from ..errors import GraycastError
-from ..generate import Cell
 from ..render import Quality, Renderer, Rendering
 from ..scanner import Scanner
 from ..scene import Layout

@@ -3,10 +3,10 @@
 from dataclasses import replace
 from pathlib import Path
 
+from ..cell import Cell, resolve_cell
 from ..config import Config
 from ..decode import DecodeSpec
 from ..drop import DropLimits, drop
-from ..generate import Cell, resolve_cell
 from ..optics import Optics
 from ..parts import Material, Part
 from ..pattern import CodeSpec

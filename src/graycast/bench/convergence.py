@@ -9,7 +9,7 @@ from itertools import pairwise
 import numpy as np
 from jaxtyping import Bool
 
-from ..generate import Cell
+from ..cell import Cell
 from ..render import Denoiser, Quality, Radiance, Renderer
 from ..scanner import Scanner
 from ..scene import Layout

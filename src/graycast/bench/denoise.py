@@ -7,7 +7,7 @@ so. Rig and code are the paper's: white light, and Gray code along the baseline.
 the same rig in the light of one band, where Cycles' denoisers get pictures of pure red.
 """
 
-from ..generate import Cell
+from ..cell import Cell
 from ..render import Renderer
 from ..scene import Layout
 from ..sensor import SensorSpec

@@ -15,7 +15,7 @@ from statistics import mean, median
 import numpy as np
 from jaxtyping import UInt8
 
-from ..generate import Cell
+from ..cell import Cell
 from ..render import Quality, Renderer
 from ..scene import Layout
 from .cells import PHASE, PHASE_BOTH, bracket_cell, dropped

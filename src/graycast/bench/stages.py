@@ -15,9 +15,9 @@ from ..config import resolve_quality
 from ..dataset import depth_scale_mm, open_store
 from ..decode import DecodeSpec, Levels, decode, decode_plain
 from ..drop import DropLimits, drop
-from ..generate import make_scene
 from ..pattern import Code, gray, gray_phase, multi_frequency
 from ..render import open_renderer
+from ..simulate import make_scene
 from .cells import paper_cell
 from .figures import Figures
 from .usage import rss_bytes

@@ -4,7 +4,7 @@ import math
 from collections.abc import Callable
 from typing import final
 
-from ..generate import Cell
+from ..cell import Cell
 from ..pattern import Code
 from ..render import Renderer
 

@@ -53,8 +53,8 @@ def add_commands(commands) -> None:
 
 
 def _load_cell(options: argparse.Namespace):
+    from ..cell import resolve_cell
     from ..config import load_config
-    from ..generate import resolve_cell
 
     config = load_config(options.config)
     if getattr(options, "backend", None) is not None:
@@ -117,8 +117,9 @@ def _generate(options: argparse.Namespace) -> int:
 
 
 def _preview(options: argparse.Namespace) -> int:
-    from ..generate import make_scene, open_cell_renderer
+    from ..cell import open_cell_renderer
     from ..report import draw_preview
+    from ..simulate import make_scene
 
     cell = _load_cell(options)
     seed = cell.config.seed if options.seed is None else options.seed

@@ -5,8 +5,6 @@ linear light are shown in sRGB, as an eye would see them; maps of numbers bear a
 """
 
 import math
-import os
-import tempfile
 from colorsys import hls_to_rgb
 from pathlib import Path
 
@@ -23,15 +21,15 @@ from matplotlib.patches import Rectangle
 
 from ..color import srgb
 from ..decode import REASON_COLOR, Reason, triangulation_axis
-from ..errors import GraycastError
 from ..frames import inverse, transform_points
-from ..generate import Shot
 from ..optics import Optics, project
 from ..parts import Part
 from ..pattern import Axis, Code, Frame
+from ..plotting import save_png
 from ..render import GroundTruth
 from ..rig import depth_per_column_m
 from ..scene import Scene
+from ..simulate import Shot
 
 DPI = 100  # lengths in pixels; a point of type is then 1.39 px
 SHEET_WIDTH_PX = 2400
@@ -74,7 +72,7 @@ def draw_preview(shot: Shot, code: Code, path: Path) -> None:
     _draw_error(sheet, shot)
     _draw_reasons(sheet, shot.sample.scanner.reason)
     _draw_instances(sheet, shot)
-    save_png(sheet.figure, path)
+    save_png(sheet.figure, path, dpi=DPI)
 
 
 # --- the sheet ---------------------------------------------------------------------------------
@@ -87,31 +85,6 @@ def pixel_axes(figure: Figure, left: int, top: int, width: int, height: int) -> 
     return figure.add_axes(
         (left / sheet_width, bottom / sheet_height, width / sheet_width, height / sheet_height)
     )
-
-
-def save_png(figure: Figure, path: Path) -> None:
-    """Write a figure at `DPI`: beside the file first, then renamed, so that none is half written.
-
-    Raises:
-        GraycastError: the folder is missing or the disk refuses.
-    """
-    aside = None
-    try:
-        with tempfile.NamedTemporaryFile(
-            dir=path.parent, prefix=f".{path.name}.", suffix=".tmp", delete=False
-        ) as file:
-            aside = Path(file.name)
-            figure.savefig(file, dpi=DPI, format="png", metadata={"Software": None})
-        aside.chmod(0o644)  # temporary files are for their owner alone
-        os.replace(aside, path)
-    except OSError as error:
-        why = error.strerror or str(error)
-        raise GraycastError(
-            f"picture {path} cannot be written: {why}; give a path in a folder with space"
-        ) from error
-    finally:
-        if aside is not None:
-            aside.unlink(missing_ok=True)
 
 
 class _Sheet:

@@ -1,0 +1,76 @@
+"""How plots look and how they are written: the one style of sheets, studies and certificates."""
+
+import os
+import tempfile
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Literal
+
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+
+from .errors import GraycastError
+
+INK, ACCENT, SECOND, SOFT, PALE = "#1f2933", "#0b6e99", "#c4622d", "#9aa5b1", "#e4e7eb"
+
+
+Grid = Literal["both", "x", "y"]
+
+
+def plain_figure(
+    width_in: float,
+    height_in: float,
+    columns: Sequence[float],
+    *,
+    rows: int = 1,
+    grid: Grid = "both",
+) -> tuple[Figure, list[Axes]]:
+    """A figure of plain axes, row by row; `columns` are the widths of a row's, as shares."""
+    figure = Figure(figsize=(width_in, height_in), layout="constrained")
+    FigureCanvasAgg(figure)
+    axes = figure.subplots(rows, len(columns), width_ratios=columns, squeeze=False).ravel().tolist()
+    for ax in axes:
+        plain_axes(ax, grid=grid)
+    return figure, axes
+
+
+def plain_axes(ax: Axes, *, grid: Grid = "both") -> None:
+    """Two quiet spines, small ticks, and a pale grid behind what is drawn."""
+    ax.spines[["top", "right"]].set_visible(False)
+    ax.spines[["left", "bottom"]].set_color(SOFT)
+    ax.tick_params(colors=INK, labelsize=8, length=3)
+    ax.grid(axis=grid, color=PALE, lw=0.6)
+    ax.set_axisbelow(True)
+
+
+def caption(ax: Axes, title: str, x: str, y: str = "") -> None:
+    """A title at the left, and what the axes are."""
+    ax.set_title(title, loc="left", fontsize=9, color=INK, fontweight="bold")
+    ax.set_xlabel(x, fontsize=8, color=INK)
+    ax.set_ylabel(y, fontsize=8, color=INK)
+
+
+def save_png(figure: Figure, path: Path, *, dpi: float) -> None:
+    """Write a figure: beside the file first, then renamed, so that none is half written.
+
+    Raises:
+        GraycastError: the folder is missing or the disk refuses.
+    """
+    aside = None
+    try:
+        with tempfile.NamedTemporaryFile(
+            dir=path.parent, prefix=f".{path.name}.", suffix=".tmp", delete=False
+        ) as file:
+            aside = Path(file.name)
+            figure.savefig(file, dpi=dpi, format="png", metadata={"Software": None})
+        aside.chmod(0o644)  # temporary files are for their owner alone
+        os.replace(aside, path)
+    except OSError as error:
+        why = error.strerror or str(error)
+        raise GraycastError(
+            f"picture {path} cannot be written: {why}; give a path in a folder with space"
+        ) from error
+    finally:
+        if aside is not None:
+            aside.unlink(missing_ok=True)

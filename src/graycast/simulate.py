@@ -1,0 +1,126 @@
+"""One scene all the way from its seeds to what is measured: drop, light, sensor, decoding.
+
+A scene depends on (configuration, dataset seed, scene id) alone.
+"""
+
+import platform
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import asdict, dataclass
+from importlib.metadata import version
+
+import numpy as np
+
+from . import __version__
+from .cell import Cell
+from .config import resolve_limits, resolve_quality
+from .dataset import Sample
+from .decode import CodeMap, Reason
+from .drop import drop
+from .picture import color_picture, gray_picture
+from .render import Renderer, Rendering
+from .scanner import measure, take
+from .sensor import Capture
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Shot:
+    """One finished scene with what lies between radiance and sample, for pictures of it."""
+
+    sample: Sample
+    rendering: Rendering
+    capture: Capture
+    codes: CodeMap
+
+
+def make_scene(cell: Cell, scene_id: int, *, seed: int, renderer: Renderer) -> Shot:
+    """One scene from its seeds to its sample.
+
+    Raises:
+        DropError: the parts did not come to an acceptable rest.
+        ValueError: the picture is dark, or a value is out of its range.
+    """
+    config = cell.config
+    # One independent stream per stage, so that a change in one leaves the others as they were.
+    stream = np.random.SeedSequence(seed, spawn_key=(scene_id,)).generate_state(5, np.uint64)
+    seeds = dict(
+        zip(("counts", "drop", "render", "noise", "picture"), map(int, stream), strict=True)
+    )
+    timings: dict[str, float] = {}
+    with _timed(timings, "drop"):
+        counts = _counts(cell, scene_id, np.random.default_rng(seeds["counts"]))
+        layout = drop(cell.scene, counts, seed=seeds["drop"], limits=resolve_limits(config))
+    with _timed(timings, "render"):
+        quality = resolve_quality(config)
+        rendering = renderer.render(
+            cell.scene, layout, cell.patterns(), quality=quality, seed=seeds["render"]
+        )
+    with _timed(timings, "sensor"):
+        capture = take(cell.scanner, rendering.radiance, seed=seeds["noise"])
+    with _timed(timings, "picture"):
+        noisy = config.render.denoise and quality.denoise == "none"
+        rgb = color_picture(
+            cell.scanner,
+            rendering,
+            denoiser=renderer.denoiser if noisy else None,
+            seed=seeds["picture"],
+        )
+    with _timed(timings, "decode"):
+        codes, depth = measure(cell.scanner, capture)
+    manifest = {
+        "scene_id": scene_id,
+        "dataset_seed": seed,
+        "seeds": seeds,
+        "backend": renderer.name,
+        "device": renderer.device,
+        "versions": _versions(renderer),
+        "counts": {p.name: n for p, n in zip(cell.scene.parts, counts, strict=True) if n},
+        "physics": {
+            key: value
+            for key, value in asdict(layout).items()
+            if key not in ("T_world_part", "part_index")
+        },
+        "exposure_s": float(np.max(capture.exposure_s)),
+        "reasons": {r.name.lower(): float((depth.reason == r).mean()) for r in Reason},
+        "config": config.model_dump(mode="json", exclude={"scenes", "seed"}),
+        "timings": timings,
+    }
+    sample = Sample(
+        scene=cell.scene,
+        layout=layout,
+        truth=rendering.truth,
+        rgb=rgb,
+        gray=gray_picture(capture),
+        scanner=depth,
+        modulation=codes.modulation,
+        manifest=manifest,
+    )
+    return Shot(sample=sample, rendering=rendering, capture=capture, codes=codes)
+
+
+def _counts(cell: Cell, scene_id: int, rng: np.random.Generator) -> tuple[int, ...]:
+    """How many of each kind: one kind in turn, or all kinds drawn at random."""
+    low, high = cell.config.count_range
+    total = int(rng.integers(low, high + 1))
+    kinds = len(cell.scene.parts)
+    if cell.config.mix:
+        return tuple(int(n) for n in rng.multinomial(total, np.full(kinds, 1 / kinds)))
+    return tuple(total if kind == scene_id % kinds else 0 for kind in range(kinds))
+
+
+@contextmanager
+def _timed(timings: dict[str, float], stage: str) -> Iterator[None]:
+    start = time.perf_counter()
+    yield
+    timings[stage] = time.perf_counter() - start
+
+
+def _versions(renderer: Renderer) -> dict[str, str]:
+    packages = ("numpy", "rapier3d", "coacd", "numba", "pyoidn")
+    return {
+        "graycast": __version__,
+        "python": platform.python_version(),
+        **{name: version(name) for name in packages},
+        **renderer.versions,
+    }

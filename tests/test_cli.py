@@ -22,7 +22,10 @@ from graycast.scanner import preset
 from graycast.stack import stack_schema
 
 OPTIONS = {
-    "generate": "config --out --scenes --seed --backend --device --workers",
+    "generate": (
+        "config --out --scenes --seed --backend --device --workers --threads --engine --address"
+    ),
+    "rerender": "dataset scene_id --config --device",
     "preview": "config --out --scene --seed --backend --device",
     "validate": "dataset",
     "parts": "config --out --device",
@@ -46,6 +49,7 @@ OPTIONS = {
     "bench decode": "--json",
     "bench drop": "--json --count",
     "bench scene": "--json --scenes --count --device",
+    "bench engine": "--json --scenes --count",
     "bench agree": "--json --plot --device --scenes --samples --size",
     "bench denoise": "--json --plot --device --samples --size --count",
     "bench renderers": "--json --plot --device --samples --size --count --whole",

@@ -17,6 +17,10 @@ class DeviceError(GraycastError):
     """No usable render device: no LLVM library, no NVIDIA driver."""
 
 
+class WorkerDied(GraycastError):
+    """A worker process or its machine was lost in the middle of a scene."""
+
+
 class DropError(GraycastError):
     """Parts did not come to an acceptable rest in the bin within the allowed tries."""
 

@@ -1,50 +1,57 @@
-"""Many scenes of one cell into a dataset's folder, on one or several processes.
+"""Many scenes of one cell into a dataset's folder, by workers wherever they are.
 
 A scene depends on (configuration, dataset seed, scene id) alone, not on the number of workers, the
 order of scenes or a restart.
 """
 
-import atexit
-import multiprocessing
-import os
-import signal
-import threading
 import time
-from collections.abc import Callable, Generator, Iterator
-from concurrent.futures import FIRST_COMPLETED, ProcessPoolExecutor, wait
-from concurrent.futures.process import BrokenProcessPool
-from contextlib import closing, contextmanager
+import traceback
+from collections.abc import Callable
+from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import numba
 import numpy as np
+from pydantic import ValidationError
 
-from .cell import Cell, open_cell_renderer
-from .dataset import depth_scale_mm, described_values, open_store, write_scene
-from .decode import Reason
-from .errors import GraycastError
-from .render import OnFrame, Renderer, choose_device
+from .cell import Cell
+from .config import Config
+from .dataset import (
+    SetAside,
+    Store,
+    depth_scale_mm,
+    described_values,
+    differing_files,
+    open_store,
+    refuse_other_dataset,
+)
+from .dataset.reading import Unreadable, read_json
+from .dataset.records import Claim
+from .engine import Failed, Made, Pool, SceneMaker, Task, make_all, open_pool
+from .errors import DatasetError, GraycastError
+from .render import OnFrame, choose_device
+from .rig import PRESETS
 from .scanner import Scanner
-from .simulate import make_scene
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Progress:
-    """A scene has ended: its id, seconds it took and share of pixels per reason."""
+class Workers:
+    """Who makes the scenes; as of `engine.open_pool`."""
 
-    scene_id: int
-    seconds: float
-    reasons: dict[str, float]
+    engine: str = "local"
+    count: int = 1
+    threads: int | None = None
+    address: str | None = None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Summary:
-    """What a run did."""
+    """What a run did: scenes that it made, found, and gave up; share of pixels per reason."""
 
     written: int
     found: int
+    set_aside: tuple[SetAside, ...]
     seconds: float
     reasons: dict[str, float]
 
@@ -55,66 +62,144 @@ def generate(
     *,
     scenes: int,
     seed: int,
-    device: str,
-    workers: int,
-    on_start: Callable[[int], None],
-    on_progress: Callable[[Progress], None],
+    device: str = "auto",
+    workers: Workers = Workers(),
+    on_start: Callable[[int], None] = lambda found: None,
+    on_made: Callable[[Made], None] = lambda made: None,
+    on_failed: Callable[[Failed], None] = lambda failed: None,
     on_frame: OnFrame | None = None,
 ) -> Summary:
     """Make the scenes 0 .. scenes-1 that are not in `out` yet, and the split's COCO file.
 
+    A scene that fails for good is set aside and the others are made; `set_aside.json` names it,
+    and the next run tries it anew.
+
     Args:
         out: the dataset's folder; made, or continued where the same configuration began it.
         device: 'auto', 'cpu', 'cuda' or, of Cycles, 'optix'.
-        workers: processes; with more than one the cores are shared out among them.
         on_start: called with the number of scenes that are there already.
-        on_progress: called in this process after each scene.
-        on_frame: as of `open_renderer`, where one worker makes all.
+        on_made: called in this process after each scene.
+        on_failed: called after each try that did not come out.
+        on_frame: as of `open_renderer`, where this process makes all.
 
     Raises:
         DatasetError: the folder is another dataset's, is in use, or the disk refuses.
         DeviceError: no such device here.
-        DropError: parts that do not come to rest; scenes made so far are kept.
+        GraycastError, ValueError: nothing came out, for this reason; or Ray does not answer.
     """
     start = time.perf_counter()
-    device = choose_device(cell.config.render.backend, device)
-    scale_mm = depth_scale_mm(cell.scene.rig.far_m)
-    identity = cell.config.model_dump(mode="json", exclude={"scenes", "seed"})
-    with open_store(
-        out,
-        config=identity | {"files": cell.file_digests, "scanner": _identity(cell.scanner)},
+    task = Task(
+        cell=cell,
         seed=seed,
-        parts=cell.scene.parts,
-        rig=cell.scene.rig,
-        depth_scale_mm=scale_mm,
-    ) as store:
+        device=_device(cell, device, workers.engine),
+        depth_scale_mm=depth_scale_mm(cell.scene.rig.far_m),
+    )
+    with open_store(out, **_claimed(task)) as store:
         found = store.finished()
         todo = [scene_id for scene_id in range(scenes) if scene_id not in found]
-        task = _Task(cell=cell, out=out, seed=seed, device=device, depth_scale_mm=scale_mm)
         on_start(scenes - len(todo))
-        alone = workers == 1 or len(todo) <= 1
-        run = _run_here(task, todo, on_frame) if alone else _run_on_processes(task, todo, workers)
-        done = []
+        run = _Run(store=store, found=len(found), on_made=on_made, on_failed=on_failed)
         try:
-            with closing(run) as ended:
-                for progress in ended:
-                    done.append(progress)
-                    on_progress(progress)
-            store.finish(range(scenes))
+            if todo:
+                with closing(_open_pool(task, workers, len(todo), on_frame)) as pool:
+                    left = len(todo)
+                    for outcome in make_all(pool, todo):
+                        left -= isinstance(outcome, Made) or outcome.final
+                        run.take(outcome, last=left == 0)
+            store.finish(set(range(scenes)) - {scene.scene_id for scene in run.set_aside})
+            store.set_aside(run.set_aside)
         except BaseException:
             store.tidy()
             raise
-    reasons = {
-        reason.name.lower(): float(np.mean([p.reasons[reason.name.lower()] for p in done]))
-        for reason in Reason
-        if done
-    }
     return Summary(
-        written=len(done),
+        written=len(run.reasons),
         found=scenes - len(todo),
+        set_aside=tuple(run.set_aside),
         seconds=time.perf_counter() - start,
-        reasons=reasons,
+        reasons={
+            name: float(np.mean([reasons[name] for reasons in run.reasons]))
+            for name in (run.reasons[0] if run.reasons else ())
+        },
     )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Origin:
+    """What a dataset says it was made from; `files` are the paths in its configuration."""
+
+    config: Config
+    seed: int
+    files: tuple[str, ...]
+
+
+def read_origin(out: Path) -> Origin:
+    """The configuration and seed of a dataset that `generate` made.
+
+    Raises:
+        DatasetError: `out` holds no such dataset, or one of another version of Graycast.
+    """
+    try:
+        claim = read_json(out / "graycast.json", Claim)
+        held = {key: claim.config[key] for key in claim.config if key not in _BESIDE_CONFIG}
+        config = Config.model_validate(held)
+        rig = () if config.rig in PRESETS else (config.rig,)
+        return Origin(config=config, seed=claim.seed, files=(*claim.config["files"], *rig))
+    except (Unreadable, ValidationError, KeyError) as error:
+        why = " ".join(str(error).split())
+        raise DatasetError(
+            f"{out} holds no dataset that this Graycast made ({why}): give its --config"
+        ) from error
+
+
+def rerender(
+    cell: Cell, out: Path, scene_id: int, *, seed: int, device: str = "auto"
+) -> dict[str, str]:
+    """Make a stored scene again, and compare; nothing is written.
+
+    Returns:
+        The files that differ and how; none where the scene came out the same. A manifest's
+        timings are left out.
+
+    Raises:
+        DatasetError: no such scene, or the dataset is of another configuration.
+        DropError, ValueError, DeviceError: as of `make_scene` and `open_renderer`.
+    """
+    task = Task(
+        cell=cell,
+        seed=seed,
+        device=_device(cell, device, "local"),
+        depth_scale_mm=depth_scale_mm(cell.scene.rig.far_m),
+    )
+    refuse_other_dataset(out, **_claimed(task))
+    scene = out / "train" / f"{scene_id:06d}"
+    if not scene.is_dir():
+        raise DatasetError(f"{scene} is not there: give the number of a finished scene")
+    with SceneMaker(task) as maker:
+        return differing_files(scene, maker.make(scene_id).files)
+
+
+def _device(cell: Cell, device: str, engine: str) -> str:
+    """'auto' settled, so that all workers take the same; a cluster has devices of its own."""
+    if engine == "ray":
+        return device
+    return choose_device(cell.config.render.backend, device)
+
+
+_BESIDE_CONFIG = ("files", "scanner")  # in a claim's configuration, but no keys of it
+
+
+def _claimed(task: Task) -> dict[str, Any]:
+    """What a dataset's folder is claimed for."""
+    cell = task.cell
+    config = cell.config.model_dump(mode="json", exclude={"scenes", "seed"})
+    beside = (cell.file_digests, _identity(cell.scanner))
+    return {
+        "config": config | dict(zip(_BESIDE_CONFIG, beside, strict=True)),
+        "seed": task.seed,
+        "parts": cell.scene.parts,
+        "rig": cell.scene.rig,
+        "depth_scale_mm": task.depth_scale_mm,
+    }
 
 
 def _identity(scanner: Scanner) -> dict[str, Any]:
@@ -123,91 +208,71 @@ def _identity(scanner: Scanner) -> dict[str, Any]:
     return {name: described_values(getattr(scanner, name)) for name in names}
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class _Task:
-    """What a worker needs to make any scene."""
-
-    cell: Cell
-    out: Path
-    seed: int
-    device: str
-    depth_scale_mm: float
-
-
-def _run_here(
-    task: _Task, todo: list[int], on_frame: OnFrame | None
-) -> Generator[Progress, None, None]:
-    if not todo:
-        return
-    with open_cell_renderer(task.cell, device=task.device, on_frame=on_frame) as renderer:
-        for scene_id in todo:
-            yield _finish_scene(task, scene_id, renderer)
-
-
-def _run_on_processes(
-    task: _Task, todo: list[int], workers: int
-) -> Generator[Progress, None, None]:
-    threads = max(1, (os.cpu_count() or 1) // workers)
-    others = multiprocessing.active_children()
-    pool = ProcessPoolExecutor(
-        min(workers, len(todo)),
-        mp_context=multiprocessing.get_context("spawn"),  # forked threads of a JIT do not live on
-        initializer=_start_worker,
-        initargs=(task, threads),
+def _open_pool(task: Task, workers: Workers, todo: int, on_frame: OnFrame | None) -> Pool:
+    return open_pool(
+        task,
+        engine=workers.engine,
+        workers=min(workers.count, todo),
+        threads=workers.threads,
+        address=workers.address,
+        on_frame=on_frame,
     )
-    try:
-        with _deaf_to_interrupts():
-            waiting = {pool.submit(_finish_in_worker, task, scene_id) for scene_id in todo}
-        while waiting:
-            ended, waiting = wait(waiting, return_when=FIRST_COMPLETED)
-            for future in ended:
-                yield future.result()
-    except (KeyboardInterrupt, GeneratorExit):
-        for worker in set(multiprocessing.active_children()) - set(others):
-            worker.terminate()  # rather than wait for minutes; the next run removes what it left
-        raise
-    except BrokenProcessPool as error:
-        raise GraycastError(
-            "a worker process died (killed, or out of memory): use fewer --workers and run the "
-            "same command again; finished scenes are kept"
-        ) from error
-    finally:
-        pool.shutdown(wait=True, cancel_futures=True)
 
 
-@contextmanager
-def _deaf_to_interrupts() -> Iterator[None]:
-    """Processes started inside do not hear Ctrl-C: their parent does, and ends them quietly."""
-    if threading.current_thread() is not threading.main_thread():
-        yield  # only the main thread may set signals
-        return
-    heard = signal.signal(signal.SIGINT, signal.SIG_IGN)
-    try:
-        yield
-    finally:
-        signal.signal(signal.SIGINT, heard)
+_HOPELESS = 3  # scenes given up before any came out: then the rest would be, too
 
 
-_worker_renderer: Renderer | None = None  # of a worker process; a pool has no other place for it
+class _Run:
+    """What has come out so far."""
+
+    def __init__(
+        self,
+        *,
+        store: Store,
+        found: int,
+        on_made: Callable[[Made], None],
+        on_failed: Callable[[Failed], None],
+    ) -> None:
+        self.reasons: list[dict[str, float]] = []
+        self.set_aside: list[SetAside] = []
+        self._store, self._found = store, found
+        self._on_made, self._on_failed = on_made, on_failed
+
+    def take(self, outcome: Made | Failed, *, last: bool) -> None:
+        """Keep a scene, or record that it is given up; raise its error where all are."""
+        if isinstance(outcome, Made):
+            self._store.write_files(outcome.scene_id, outcome.files)
+            self.reasons.append(outcome.reasons)
+            self._on_made(outcome)
+            return
+        if outcome.final:
+            self.set_aside.append(_given_up(outcome))
+            nothing = not self.reasons and not self._found
+            if nothing and (last or len(self.set_aside) >= _HOPELESS):
+                raise _shown(outcome.error)
+            self._store.set_aside(self.set_aside)
+        self._on_failed(outcome)
 
 
-def _start_worker(task: _Task, threads: int) -> None:
-    global _worker_renderer
-    numba.set_num_threads(min(threads, numba.config.NUMBA_NUM_THREADS))
-    _worker_renderer = open_cell_renderer(task.cell, device=task.device, threads=threads)
-    atexit.register(_worker_renderer.close)
+def _shown(error: Exception) -> Exception:
+    """What a user is to be told; what nobody foresaw says at least what it is."""
+    if isinstance(error, (GraycastError, ValueError)):
+        return error
+    told = GraycastError(f"{_told(error)}: this is a fault of Graycast or of the machine")
+    told.__cause__ = error
+    return told
 
 
-def _finish_in_worker(task: _Task, scene_id: int) -> Progress:
-    return _finish_scene(task, scene_id, _worker_renderer)
+def _told(error: Exception) -> str:
+    text = " ".join(str(error).split())
+    foreseen = isinstance(error, (GraycastError, ValueError))
+    return text if foreseen and text else f"{type(error).__name__} {text}".rstrip()
 
 
-def _finish_scene(task: _Task, scene_id: int, renderer: Renderer) -> Progress:
-    start = time.perf_counter()
-    shot = make_scene(task.cell, scene_id, seed=task.seed, renderer=renderer)
-    write_scene(task.out, scene_id, shot.sample, task.depth_scale_mm)
-    return Progress(
-        scene_id=scene_id,
-        seconds=time.perf_counter() - start,
-        reasons=dict(shot.sample.manifest["reasons"]),
+def _given_up(failed: Failed) -> SetAside:
+    error = failed.error
+    foreseen = isinstance(error, (GraycastError, ValueError))
+    trace = "" if foreseen else "".join(traceback.format_exception(error))
+    return SetAside(
+        scene_id=failed.scene_id, tries=failed.tries, reason=_told(error), traceback=trace
     )

@@ -15,7 +15,6 @@ import numpy as np
 import pytest
 
 from graycast.dataset import store as store_module
-from graycast.dataset.store import write_scene
 from graycast.errors import DatasetError
 
 
@@ -173,35 +172,13 @@ def test_a_run_killed_while_opening_is_taken_up(opened, samples, tmp_path, lost)
     assert (out / "train").is_dir()
 
 
-def test_a_scene_finished_by_an_orphaned_worker_is_kept_if_it_is_the_same(
-    opened, samples, another_time, tmp_path
-):
+def test_a_scene_that_is_there_is_not_written_over(opened, samples, tmp_path):
     with opened(tmp_path / "out") as store:
         store.write(0, samples[0])
         before = content(store.out)
-        write_scene(store.out, 0, another_time(samples[0]), store.depth_scale_mm)
-        with pytest.raises(DatasetError, match="already holds another scene"):
-            write_scene(store.out, 0, samples[3], store.depth_scale_mm)
+        with pytest.raises(DatasetError, match="000000 is there already: remove it"):
+            store.write(0, samples[3])
         assert content(store.out) == before
-
-
-def test_an_orphaned_worker_cannot_write_into_a_new_run(opened, samples, tmp_path, monkeypatch):
-    """A worker of a killed run is half way through a scene when the next run opens the folder."""
-    out = tmp_path / "out"
-    opened(out).close()
-    real = store_module.scene_files
-
-    def slow(sample, scale_mm):
-        for count, file in enumerate(real(sample, scale_mm)):
-            if count == 10:
-                opened(out).close()
-            yield file
-
-    monkeypatch.setattr(store_module, "scene_files", slow)
-    with pytest.raises(DatasetError, match="No such file"):
-        write_scene(out, 0, samples[0], 0.1)
-    assert list((out / "train").iterdir()) == []
-    assert list(out.glob(".tmp-*")) == []
 
 
 def test_the_split_is_refused_while_scenes_are_missing(opened, samples, tmp_path):

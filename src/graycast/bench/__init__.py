@@ -2,6 +2,7 @@
 
 from .agree import study_agreement
 from .denoise import study_denoisers
+from .engines import measure_engines
 from .figures import Figures, describe, stamped
 from .opening import opened
 from .plots import draw
@@ -14,6 +15,7 @@ __all__ = [
     "draw",
     "measure_decode",
     "measure_drop",
+    "measure_engines",
     "measure_render",
     "measure_scene",
     "opened",

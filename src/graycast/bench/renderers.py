@@ -18,11 +18,11 @@ from jaxtyping import UInt8
 from ..cell import Cell
 from ..render import Quality, Renderer
 from ..scene import Layout
+from ..usage import children_peak_rss_bytes, cpu_s
 from .cells import PHASE, PHASE_BOTH, bracket_cell, dropped
 from .convergence import converge, error_row, samples_for
 from .denoise import REFERENCE_FACTOR, sample_counts
 from .figures import Figures
-from .usage import children_peak_rss_bytes, cpu_s
 from .work import OnWork, Work, needed, renders, stack_work
 
 TIMED = {1: 3, 3: 2}  # renders that are timed, of one and of three patterns each

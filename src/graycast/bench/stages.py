@@ -18,9 +18,9 @@ from ..drop import DropLimits, drop
 from ..pattern import Code, gray, gray_phase, multi_frequency
 from ..render import open_renderer
 from ..simulate import make_scene
+from ..usage import rss_bytes
 from .cells import paper_cell
 from .figures import Figures
-from .usage import rss_bytes
 
 PAIRS = 5  # timed in turn, A B A B ...
 

@@ -71,6 +71,29 @@ def resolve_rig_option(options: argparse.Namespace):
     return resolve_scanner(options.rig, folder=Path(), resolution=options.resolution or "low")
 
 
+def load_cell(options: argparse.Namespace):
+    """The cell of `config`, with the back end that was asked for; notes on its meshes are told."""
+    from ..config import load_config
+
+    return resolve_cell_option(load_config(options.config), options)
+
+
+def resolve_cell_option(config, options: argparse.Namespace):
+    """The cell of a configuration whose relative paths start where the file `options.config` is."""
+    from ..cell import resolve_cell
+
+    if getattr(options, "backend", None) is not None:
+        render = config.render.model_copy(update={"backend": options.backend})
+        config = config.model_copy(update={"render": render})
+    try:
+        cell = resolve_cell(config, options.config.parent)
+    except (GraycastError, ValueError, OSError) as error:
+        raise GraycastError(f"{options.config}: {error}") from error
+    for note in cell.notes:
+        print(f"note: {note}")
+    return cell
+
+
 def positive(text: str) -> int:
     if not text.isdecimal() or int(text) < 1:
         raise argparse.ArgumentTypeError(f"{text!r} is not a whole number from 1 up")

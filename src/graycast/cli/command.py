@@ -1,12 +1,13 @@
 """The command line: which commands there are, and how their errors are told."""
 
 import argparse
+import signal
 import sys
 from collections.abc import Sequence
 
 from .. import __version__
 from ..errors import GraycastError
-from . import datasets, exporting, looking, machine, measuring, rigs
+from . import datasets, exporting, generating, looking, machine, measuring, rigs
 
 EXAMPLES = """\
 examples:
@@ -26,6 +27,8 @@ examples:
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run one command; returns the exit code: 0 done, 1 failed, 2 wrong arguments."""
     options = _parser().parse_args(arguments)
+    if arguments is None:  # a process of its own
+        signal.signal(signal.SIGTERM, _stop)  # a batch system's way to say Ctrl-C
     try:
         return options.run(options) or 0
     except KeyboardInterrupt:
@@ -37,6 +40,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
         text = _told(error)
         print(f"graycast: error: {text}", file=sys.stderr)
         return 1
+
+
+def _stop(number: int, frame: object) -> None:
+    raise KeyboardInterrupt
 
 
 def _told(error: Exception) -> str:
@@ -58,6 +65,7 @@ def _parser() -> argparse.ArgumentParser:
     )
     parser.add_argument("--version", action="version", version=f"graycast {__version__}")
     commands = parser.add_subparsers(required=True, metavar="COMMAND")
+    generating.add_commands(commands)
     datasets.add_commands(commands)
     looking.add_commands(commands)
     exporting.add_commands(commands)

@@ -54,6 +54,11 @@ def _add_bench(commands) -> None:
     scene.add_argument("--scenes", type=positive, default=3, help="how many (default 3)")
     _add_count(scene)
     add_device(scene)
+    engine = _add_kind(kinds, "engine", _engine, "What workers cost and bring, of Ray too.")
+    engine.add_argument(
+        "--scenes", type=positive, default=6, help="of each round of three (default 6)"
+    )
+    _add_count(engine)
     _add_studies(kinds)
 
 
@@ -151,6 +156,14 @@ def _scene(options: argparse.Namespace) -> int:
 
     figures = bench.measure_scene(options.device, options.count, options.scenes)
     return _report(options, "scene", figures)
+
+
+def _engine(options: argparse.Namespace) -> int:
+    from .. import bench
+
+    with _following() as on_work:
+        figures = bench.measure_engines(options.count, options.scenes, on_work=on_work)
+    return _report(options, "engine", figures)
 
 
 def _agree(options: argparse.Namespace) -> int:

@@ -31,6 +31,17 @@ from .sample import Sample
 
 _ASIDE = ".tmp-"
 _LOCK = ".lock"
+SET_ASIDE = "set_aside.json"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SetAside:
+    """A scene that could not be made after so many tries: why, and where if nobody foresaw it."""
+
+    scene_id: int
+    tries: int
+    reason: str
+    traceback: str = ""
 
 
 @final
@@ -49,8 +60,49 @@ class Store:
         return finished_scenes(self.out)
 
     def write(self, scene_id: int, sample: Sample) -> None:
-        """Write one scene; see `write_scene`."""
-        write_scene(self.out, scene_id, sample, self.depth_scale_mm)
+        """Write one scene; as `write_files`, and ValueError as `scene_files`."""
+        self.write_files(scene_id, scene_files(sample, self.depth_scale_mm))
+
+    def write_files(self, scene_id: int, files: Iterable[tuple[str, bytes]]) -> None:
+        """Write one scene, all of it or nothing.
+
+        Args:
+            files: (path inside the scene's folder, content), as `scene_files` gives them.
+
+        Raises:
+            DatasetError: the disk refuses, or the scene is there already.
+        """
+        train = self.out / "train"
+        aside = train / f"{_ASIDE}{scene_id:06d}-{secrets.token_hex(4)}"
+        try:
+            with _disk_errors(self.out):
+                aside.mkdir()
+                for folder in ("mask", "mask_visib", "mask_sl", "mask_visib_sl"):
+                    (aside / folder).mkdir()  # also where no instance is seen
+                for name, content in files:
+                    path = aside / name
+                    path.parent.mkdir(exist_ok=True)
+                    _write(path, [content], to_disk=not name.startswith("mask"))
+                _commit(aside, train / f"{scene_id:06d}")
+        finally:
+            shutil.rmtree(aside, ignore_errors=True)
+
+    def set_aside(self, scenes: Iterable["SetAside"]) -> None:
+        """Record which scenes this run gave up, in `set_aside.json`; without any, remove it."""
+        path = self.out / SET_ASIDE
+        entries = {
+            f"{scene.scene_id:06d}": {
+                "reason": scene.reason,
+                "traceback": scene.traceback.splitlines(),
+                "tries": scene.tries,
+            }
+            for scene in sorted(scenes, key=lambda scene: scene.scene_id)
+        }
+        if entries:
+            _replace(path, [json_bytes(entries)])
+            return
+        with _disk_errors(self.out):
+            path.unlink(missing_ok=True)
 
     def finish(self, scene_ids: Iterable[int]) -> None:
         """Write the split's COCO file over every finished scene.
@@ -91,6 +143,7 @@ class Store:
             shutil.rmtree(self.out / "models", ignore_errors=True)
             (self.out / "train").rmdir()
             (self.out / "camera.json").unlink(missing_ok=True)
+            (self.out / SET_ASIDE).unlink(missing_ok=True)
             (self.out / CLAIM).unlink(missing_ok=True)
 
     def close(self) -> None:
@@ -152,37 +205,28 @@ def open_store(
     )
 
 
-def finished_scenes(out: Path) -> set[int]:
-    """The scenes of a dataset folder; a scene that has its name is whole."""
-    train = out / "train"
-    names = [entry.name for entry in train.iterdir()] if train.is_dir() else []
-    return {int(name) for name in names if name.isdecimal() and len(name) >= 6}
-
-
-def write_scene(out: Path, scene_id: int, sample: Sample, depth_scale_mm: float) -> None:
-    """Write one scene of an open store, all of it or nothing; for worker processes too.
-
-    A scene that is already there, because a worker of a killed parent finished it meanwhile, is
-    kept if it is the same.
+def refuse_other_dataset(
+    out: Path,
+    *,
+    config: Mapping[str, Any],
+    seed: int,
+    parts: tuple[Part, ...],
+    rig: Rig,
+    depth_scale_mm: float,
+) -> None:
+    """Whether a folder's dataset is of this configuration; nothing is written.
 
     Raises:
-        DatasetError: the disk refuses, a depth does not fit, or another scene has this id.
-        ValueError: the sample contradicts itself; see `scene_files`.
+        DatasetError: it is not, and where it differs; or it is damaged.
     """
-    place = out / "train" / f"{scene_id:06d}"
-    aside = out / "train" / f"{_ASIDE}{scene_id:06d}-{secrets.token_hex(4)}"
-    try:
-        with _disk_errors(out):
-            aside.mkdir()
-            for folder in ("mask", "mask_visib", "mask_sl", "mask_visib_sl"):
-                (aside / folder).mkdir()
-            for name, content in scene_files(sample, depth_scale_mm):
-                path = aside / name
-                path.parent.mkdir(exist_ok=True)
-                _write(path, [content], to_disk=not name.startswith("mask"))
-            _commit(aside, place)
-    finally:
-        shutil.rmtree(aside, ignore_errors=True)
+    refuse_other(out / CLAIM, make_claim(config, seed, parts, rig, depth_scale_mm))
+
+
+def finished_scenes(out: Path, split: str = "train") -> set[int]:
+    """The scenes of a dataset folder; a scene that has its name is whole."""
+    place = out / split
+    names = [entry.name for entry in place.iterdir()] if place.is_dir() else []
+    return {int(name) for name in names if name.isdecimal() and len(name) >= 6}
 
 
 def _commit(aside: Path, place: Path) -> None:
@@ -191,34 +235,12 @@ def _commit(aside: Path, place: Path) -> None:
     except OSError as error:
         if error.errno not in (errno.ENOTEMPTY, errno.EEXIST):
             raise
-        if not _same_scene(aside, place):
-            raise DatasetError(
-                f"{place} already holds another scene: remove it, or choose another scene id"
-            ) from error
-        return
+        raise DatasetError(f"{place} is there already: remove it to make it again") from error
     folder = os.open(place.parent, os.O_RDONLY)
     try:
         os.fsync(folder)  # the new name reaches the disk with the scene
     finally:
         os.close(folder)
-
-
-def _same_scene(a: Path, b: Path) -> bool:
-    """Whether two scene folders hold the same bytes; timings in the manifests may differ."""
-    files = [
-        sorted(path.relative_to(folder) for path in folder.rglob("*") if path.is_file())
-        for folder in (a, b)
-    ]
-    if files[0] != files[1]:
-        return False
-    manifests = [json.loads((folder / "manifest.json").read_bytes()) for folder in (a, b)]
-    for manifest in manifests:
-        manifest.pop("timings", None)
-    return manifests[0] == manifests[1] and all(
-        (a / name).read_bytes() == (b / name).read_bytes()
-        for name in files[0]
-        if name.name != "manifest.json"
-    )
 
 
 def _annotations(
@@ -267,16 +289,10 @@ def _locked(out: Path) -> IO[str]:
 
 
 def _sweep(out: Path) -> None:
-    """Remove what killed runs left.
-
-    A worker that outlived its parent may still be writing there: the folder is renamed before it
-    is emptied, so that the worker finds no place to put another file.
-    """
+    """Remove what killed runs left."""
     for left in [*out.glob(f"{_ASIDE}*"), *out.glob(f"train/{_ASIDE}*")]:
         if left.is_dir():
-            doomed = out / f"{_ASIDE}{secrets.token_hex(4)}"
-            left.rename(doomed)
-            shutil.rmtree(doomed)
+            shutil.rmtree(left)
         else:
             left.unlink()
 

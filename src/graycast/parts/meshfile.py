@@ -159,7 +159,8 @@ def _read(path: Path) -> _Surface:
             reason = f"unreadable as {suffix[1:].upper()} ({_one_line(error)})"
             raise _Refusal(f"{reason}; is it cut off? export it again") from error
     if not pieces:
-        raise _Refusal("no triangles in it; is it cut off, or points or curves? export a mesh")
+        # Which of the two a cut file gives depends on what else is installed beside the reader.
+        raise _Refusal("no triangles in it; is it cut off, or points? export it again, as a mesh")
     return _surface(pieces, shares_vertices=suffix != ".stl")
 
 

@@ -63,6 +63,8 @@ class MitsubaRenderer:
         seed: int,
     ) -> Rendering:
         _refuse(scene.rig, pattern, quality)
+        # Blocks that Dr.Jit keeps from the last scene: not all fit this one, so they would add up.
+        dr.flush_malloc_cache()
         measured = at_projector_wavelength(scene)
         world, part_shapes = build(measured, layout)
         radiance = light(world, measured, pattern, quality=quality, seed=seed)

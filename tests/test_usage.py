@@ -6,7 +6,7 @@ import sys
 
 import pytest
 
-from graycast.bench.usage import children, children_peak_rss_bytes, cpu_s, rss_bytes
+from graycast.usage import children, children_peak_rss_bytes, cpu_s, rss_bytes
 
 WORK = """
 import time

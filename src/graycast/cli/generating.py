@@ -1,0 +1,189 @@
+"""Commands that make scenes for a dataset: generate, rerender."""
+
+import argparse
+from pathlib import Path
+
+from ..errors import DatasetError
+from .arguments import (
+    add_backend,
+    add_command,
+    add_config,
+    add_device,
+    add_seed,
+    load_cell,
+    positive,
+    progress_bar,
+    resolve_cell_option,
+    seed,
+)
+
+# Heavy modules are imported by the command that needs them, so that --help answers at once.
+
+GENERATE = """\
+Make a dataset, or go on with one. The same command goes on where it was stopped, however it was: a
+scene depends on the configuration, the seed and its number alone. A worker that dies is replaced
+and its scene made again; a scene that fails three times is set aside (set_aside.json says why), the
+others are made, and the exit code is 1."""
+
+
+def add_commands(commands) -> None:
+    generate = add_command(commands, "generate", _generate, GENERATE)
+    generate.set_defaults(when_stopped="finished scenes are kept")
+    add_config(generate)
+    generate.add_argument("--out", type=Path, required=True, help="the dataset's folder")
+    generate.add_argument("--scenes", type=positive, help="how many (default: as configured)")
+    add_seed(generate)
+    add_backend(generate)
+    add_device(generate)
+    generate.add_argument(
+        "--workers",
+        type=positive,
+        help="scenes made at a time (default: 1; of ray: as many as the cluster has room for)",
+    )
+    generate.add_argument(
+        "--threads",
+        type=positive,
+        help="processor threads per worker (default: this machine's shared out; of ray: 1)",
+    )
+    generate.add_argument(
+        "--engine",
+        choices=("local", "ray"),
+        default="local",
+        help="processes of this machine, or a Ray cluster (pip install 'graycast[ray]')",
+    )
+    generate.add_argument(
+        "--address", help="of the Ray cluster, host:port (default: Ray on this machine)"
+    )
+
+    rerender = add_command(
+        commands, "rerender", _rerender, "Make a scene of a dataset again, and compare the two."
+    )
+    rerender.add_argument("dataset", type=Path, help="the dataset's folder")
+    rerender.add_argument("scene_id", type=seed, help="the scene's number")
+    rerender.add_argument(
+        "--config",
+        type=Path,
+        help="the configuration that made it (needed where it names files of its own)",
+    )
+    add_device(rerender)
+
+
+def _generate(options: argparse.Namespace) -> int:
+    from ..generate import Workers, generate
+
+    if options.address is not None and options.engine != "ray":
+        raise DatasetError("--address is of a Ray cluster: add --engine ray, or leave it out")
+    cell = load_cell(options)
+    config = cell.config
+    scenes = options.scenes or config.scenes
+    chosen_seed = config.seed if options.seed is None else options.seed
+    workers = Workers(
+        engine=options.engine,
+        count=options.workers or (1 if options.engine == "local" else 0),
+        threads=options.threads,
+        address=options.address,
+    )
+    backend = config.render.backend
+    print(
+        f"{scenes} scenes of {', '.join(part.name for part in cell.scene.parts)} by "
+        f"{backend}{_where(backend, options)}, rig {cell.scene.rig.name}, seed {chosen_seed}, "
+        f"{_who(workers)}"
+    )
+    with progress_bar() as bar:
+        shown = _Shown(bar, scenes)
+        summary = generate(
+            cell,
+            options.out,
+            scenes=scenes,
+            seed=chosen_seed,
+            device=options.device,
+            workers=workers,
+            on_start=shown.start,
+            on_made=shown.made,
+            on_failed=shown.failed,
+            on_frame=shown.frame,
+        )
+    _tell(summary, options.out)
+    return 1 if summary.set_aside else 0
+
+
+def _where(backend: str, options: argparse.Namespace) -> str:
+    from ..render import choose_device
+
+    if options.engine == "ray":
+        return ""  # its machines have devices of their own
+    return f" on {choose_device(backend, options.device)}"
+
+
+def _who(workers) -> str:
+    count = f"{workers.count} worker(s)" if workers.count else "workers"
+    return count if workers.engine == "local" else f"{count} on Ray"
+
+
+class _Shown:
+    """The progress bar of a run."""
+
+    def __init__(self, bar, scenes: int) -> None:
+        self._bar = bar
+        self._scenes = bar.add_task("scenes", total=scenes)
+        self._frames = bar.add_task("renders of a scene", total=None, visible=False)
+
+    def start(self, found: int) -> None:
+        self._bar.update(self._scenes, completed=found)
+
+    def made(self, made) -> None:
+        self._bar.update(self._scenes, advance=1)
+        self._bar.reset(self._frames, total=None, visible=False)
+        decoded = made.reasons["decoded"]
+        self._bar.console.print(
+            f"scene {made.scene_id:06d}  {made.seconds:6.1f} s  {decoded:.1%} decoded"
+        )
+
+    def failed(self, failed) -> None:
+        told = " ".join(str(failed.error).split()) or type(failed.error).__name__
+        then = "set aside" if failed.final else "will be made again"
+        self._bar.console.print(f"scene {failed.scene_id:06d}  {then}: {told}", markup=False)
+
+    def frame(self, done: int, total: int) -> None:
+        self._bar.update(self._frames, completed=done, total=total, visible=True)
+
+
+def _tell(summary, out: Path) -> None:
+    print(f"{out}: {summary.written} scenes made, {summary.found} were there", end="")
+    print(f", {summary.seconds:.1f} s")
+    for name, share in summary.reasons.items():
+        print(f"  {name:18} {share:7.2%} of the pixels")
+    for scene in summary.set_aside:
+        print(f"  scene {scene.scene_id:06d} is missing, after {scene.tries} tries: {scene.reason}")
+    if summary.set_aside:
+        print(f"  the same command tries the missing ones again; see {out / 'set_aside.json'}")
+
+
+def _rerender(options: argparse.Namespace) -> int:
+    from ..config import load_config
+    from ..generate import read_origin, rerender
+
+    origin = read_origin(options.dataset)
+    config = origin.config
+    if options.config is not None:
+        asked = load_config(options.config)
+        backend = config.render.backend  # it may have been an option of the command
+        config = asked.model_copy(
+            update={"render": asked.render.model_copy(update={"backend": backend})}
+        )
+    elif origin.files:
+        raise DatasetError(
+            f"{options.dataset} was made from {', '.join(origin.files)}: add --config and the "
+            "configuration file that names them"
+        )
+    else:
+        options.config = options.dataset / "graycast.json"
+    cell = resolve_cell_option(config, options)
+    differing = rerender(
+        cell, options.dataset, options.scene_id, seed=origin.seed, device=options.device
+    )
+    scene = options.dataset / "train" / f"{options.scene_id:06d}"
+    for name, how in differing.items():
+        print(f"{name} {how}")
+    print(f"{scene}: {len(differing)} file(s) differ" if differing else f"{scene}: the same")
+    return 1 if differing else 0

@@ -1,0 +1,37 @@
+"""A stored scene against one that was made again."""
+
+import json
+from collections.abc import Iterable
+from pathlib import Path
+
+import numpy as np
+
+from .reading import png_pixels
+
+
+def differing_files(scene: Path, files: Iterable[tuple[str, bytes]]) -> dict[str, str]:
+    """Which files of a stored scene are not these, and how; timings in manifests may differ."""
+    new = dict(files)
+    stored = {str(p.relative_to(scene)): p for p in scene.rglob("*") if p.is_file()}
+    differing = dict.fromkeys(new.keys() - stored.keys(), "is not stored")
+    differing |= dict.fromkeys(stored.keys() - new.keys(), "is stored, but was not made again")
+    for name in new.keys() & stored.keys():
+        content = stored[name].read_bytes()
+        if content != new[name] and (how := _difference(name, content, new[name])):
+            differing[name] = how
+    return dict(sorted(differing.items()))
+
+
+def _difference(name: str, stored: bytes, new: bytes) -> str | None:
+    if name == "manifest.json":
+        one, other = json.loads(stored), json.loads(new)
+        keys = [k for k in sorted({*one, *other} - {"timings"}) if one.get(k) != other.get(k)]
+        return f"differs in {', '.join(keys)}" if keys else None
+    if not name.endswith(".png"):
+        return "differs"
+    pictures = [png_pixels(content, name).astype(np.int64) for content in (stored, new)]
+    if pictures[0].shape != pictures[1].shape:
+        return "has another size"
+    gap = np.abs(pictures[0] - pictures[1])
+    changed = gap if gap.ndim == 2 else gap.max(axis=2)
+    return f"differs in {np.count_nonzero(changed)} of {changed.size} pixels, by up to {gap.max()}"

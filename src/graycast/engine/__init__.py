@@ -1,0 +1,47 @@
+"""Who makes the scenes of a run: this process, processes of this machine, or a Ray cluster."""
+
+from ..render import OnFrame
+from .maker import Made, SceneMaker, Task
+from .pool import TRIES, Failed, Pool, make_all
+
+__all__ = ["TRIES", "Failed", "Made", "Pool", "SceneMaker", "Task", "make_all", "open_pool"]
+
+
+def open_pool(
+    task: Task,
+    *,
+    engine: str = "local",
+    workers: int = 1,
+    threads: int | None = None,
+    address: str | None = None,
+    on_frame: OnFrame | None = None,
+) -> Pool:
+    """Workers for the scenes of a task; close them after use.
+
+    Args:
+        engine: 'local' or 'ray'.
+        workers: scenes that are made at a time. Local: one is this process, more are processes of
+            their own. Ray: at most so many; 0 takes as many as the cluster has room for.
+        threads: processor threads per worker; None shares this machine's out among local workers,
+            and is one on Ray.
+        address: of a Ray cluster's head; None starts Ray on this machine.
+        on_frame: as of `open_renderer`, where this process makes all.
+
+    Raises:
+        GraycastError: Ray is not installed, or does not answer.
+        ValueError: no such engine.
+    """
+    match engine:
+        case "local" if workers == 1:
+            from .here import Here
+
+            return Here(task, threads=threads, on_frame=on_frame)
+        case "local":
+            from .local import LocalPool
+
+            return LocalPool(task, workers=workers, threads=threads)
+        case "ray":
+            from .cluster import RayPool
+
+            return RayPool(task, workers=workers, threads=threads or 1, address=address)
+    raise ValueError(f"no engine {engine!r}: choose 'local' or 'ray'")

@@ -1,0 +1,30 @@
+"""Scenes in this process, one after the other."""
+
+from ..render import OnFrame
+from .maker import Made, SceneMaker, Task
+from .pool import Failed
+
+
+class Here:
+    """A pool of this process alone: what is submitted is made when it is gathered."""
+
+    def __init__(self, task: Task, *, threads: int | None, on_frame: OnFrame | None) -> None:
+        self._maker = SceneMaker(task, threads=threads, on_frame=on_frame)
+        self._next: int | None = None
+
+    @property
+    def free(self) -> int:
+        return int(self._next is None)
+
+    def submit(self, scene_id: int) -> None:
+        self._next = scene_id
+
+    def gather(self) -> Made | Failed:
+        scene_id, self._next = self._next, None
+        try:
+            return self._maker.make(scene_id)
+        except Exception as error:
+            return Failed(scene_id=scene_id, error=error)
+
+    def close(self) -> None:
+        self._maker.close()

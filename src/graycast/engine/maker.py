@@ -1,0 +1,116 @@
+"""What a worker does, wherever it runs: scenes of one task, from seeds to the bytes of files."""
+
+import time
+from dataclasses import dataclass
+from types import TracebackType
+
+import numba
+
+from .. import __version__
+from ..cell import Cell, open_cell_renderer
+from ..dataset import scene_files
+from ..errors import DeviceError, GraycastError, WorkerDied
+from ..render import OnFrame, Renderer
+from ..simulate import make_scene
+from ..usage import rss_bytes
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Task:
+    """What a worker needs to know to make any scene of a dataset.
+
+    `device` is one that is there: 'auto' was settled before, so that all workers take the same.
+    """
+
+    cell: Cell
+    seed: int
+    device: str
+    depth_scale_mm: float
+    graycast: str = __version__
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Made:
+    """A scene: its files as (path inside its folder, content), seconds, share of pixels per reason.
+
+    `rss_bytes` is the memory of the process that made it, afterwards.
+    """
+
+    scene_id: int
+    files: tuple[tuple[str, bytes], ...]
+    seconds: float
+    reasons: dict[str, float]
+    rss_bytes: int
+
+
+class SceneMaker:
+    """Makes scenes of one task; opens its renderer for the first one and keeps it."""
+
+    def __init__(
+        self, task: Task, *, threads: int | None = None, on_frame: OnFrame | None = None
+    ) -> None:
+        self.task = task
+        self._threads = threads
+        self._on_frame = on_frame
+        self._renderer: Renderer | None = None
+
+    def make(self, scene_id: int) -> Made:
+        """One scene.
+
+        Raises:
+            DropError, ValueError: this scene cannot be made; the next one may be.
+            Exception: what nobody foresaw; the renderer is opened anew for the next scene.
+        """
+        start = time.perf_counter()
+        task = self.task
+        try:
+            if self._renderer is None:
+                self._renderer = self._open()
+            shot = make_scene(task.cell, scene_id, seed=task.seed, renderer=self._renderer)
+            files = tuple(scene_files(shot.sample, task.depth_scale_mm))
+        except BaseException as error:
+            if not is_the_scenes_own(error):
+                self.close()
+            raise
+        return Made(
+            scene_id=scene_id,
+            files=files,
+            seconds=time.perf_counter() - start,
+            reasons=dict(shot.sample.manifest["reasons"]),
+            rss_bytes=rss_bytes(),
+        )
+
+    def _open(self) -> Renderer:
+        if self._threads is not None:
+            numba.set_num_threads(min(self._threads, numba.config.NUMBA_NUM_THREADS))
+        return open_cell_renderer(
+            self.task.cell,
+            device=self.task.device,
+            threads=self._threads,
+            on_frame=self._on_frame,
+        )
+
+    def close(self) -> None:
+        renderer, self._renderer = self._renderer, None
+        if renderer is not None:
+            renderer.close()
+
+    def __enter__(self) -> "SceneMaker":
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self.close()
+
+
+def is_the_scenes_own(error: BaseException) -> bool:
+    """Whether an error would come again: parts that find no rest, values out of their range.
+
+    All else (a lost driver, memory, a process that was killed) may be the machine's.
+    """
+    foreseen = isinstance(error, (GraycastError, ValueError))
+    return foreseen and not isinstance(error, (DeviceError, WorkerDied))

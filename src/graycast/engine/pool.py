@@ -1,0 +1,65 @@
+"""Many scenes on whatever makes them; what fails is tried again, and set aside in the end."""
+
+from collections import Counter, deque
+from collections.abc import Generator, Iterable
+from dataclasses import dataclass
+from typing import Protocol, runtime_checkable
+
+from .maker import Made, is_the_scenes_own
+
+TRIES = 3
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Failed:
+    """A scene that did not come out; `tries` counts up to now, and `final` says that none follow.
+
+    A scene whose own values are the cause is not tried again: it would fail the same way.
+    """
+
+    scene_id: int
+    error: Exception
+    tries: int = 1
+    final: bool = False
+
+
+@runtime_checkable
+class Pool(Protocol):
+    """Workers that take scenes and give them back, in any order."""
+
+    @property
+    def free(self) -> int:
+        """How many scenes may be submitted now."""
+        ...
+
+    def submit(self, scene_id: int) -> None:
+        """Let a free worker make a scene."""
+        ...
+
+    def gather(self) -> Made | Failed:
+        """Wait for the next scene that ends, well or not."""
+        ...
+
+    def close(self) -> None:
+        """Stop the workers, also in the middle of a scene."""
+        ...
+
+
+def make_all(pool: Pool, scene_ids: Iterable[int]) -> Generator[Made | Failed, None, None]:
+    """Every scene, as it ends. One that fails goes to the queue's end, up to `TRIES` times."""
+    waiting, failures, running = deque(scene_ids), Counter[int](), 0
+    while waiting or running:
+        while waiting and pool.free:
+            pool.submit(waiting.popleft())
+            running += 1
+        outcome = pool.gather()
+        running -= 1
+        if isinstance(outcome, Made):
+            yield outcome
+            continue
+        scene_id, error = outcome.scene_id, outcome.error
+        failures[scene_id] += 1
+        final = is_the_scenes_own(error) or failures[scene_id] >= TRIES
+        if not final:
+            waiting.append(scene_id)
+        yield Failed(scene_id=scene_id, error=error, tries=failures[scene_id], final=final)

@@ -1,0 +1,188 @@
+"""Worker processes of this machine: killed, starved, stopped. What comes out stays the same."""
+
+import os
+import signal
+import threading
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+from small_cell import content, finished, start
+
+from graycast.dataset import validate
+from graycast.engine import Failed, Made, Task, make_all
+from graycast.engine import local as local_module
+from graycast.engine.local import LocalPool, list_gpus
+from graycast.errors import WorkerDied
+
+
+def workers_of(pid):
+    """Processes that a run has started to make scenes."""
+    found = []
+    for file in Path(f"/proc/{pid}/task").glob("*/children"):
+        for child in file.read_text().split():
+            try:
+                command = Path(f"/proc/{child}/cmdline").read_bytes()
+            except OSError:
+                continue
+            if b"spawn_main" in command:
+                found.append(int(child))
+    return found
+
+
+def alive(pid):
+    try:
+        return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] != "Z"
+    except OSError:
+        return False
+
+
+def test_gpus_are_those_that_the_user_allows(monkeypatch):
+    monkeypatch.setenv("CUDA_VISIBLE_DEVICES", "2, GPU-5a,7")
+    assert list_gpus() == ["2", "GPU-5a", "7"]
+    monkeypatch.setenv("CUDA_VISIBLE_DEVICES", "")
+    assert list_gpus() == []
+
+
+def test_workers_share_threads_and_gpus(task, monkeypatch):
+    monkeypatch.setenv("CUDA_VISIBLE_DEVICES", "4,6")
+    monkeypatch.setattr(os, "sched_getaffinity", lambda pid: range(9))
+    pool = LocalPool(
+        Task(cell=task.cell, seed=0, device="cuda", depth_scale_mm=0.1), workers=3, threads=None
+    )
+    try:
+        told = [pool._variables(i) for i in range(3)]
+    finally:
+        pool.close()
+    assert [variables["CUDA_VISIBLE_DEVICES"] for variables in told] == ["4", "6", "4"]
+    assert {variables["OIDN_NUM_THREADS"] for variables in told} == {"3"}
+    assert {variables["OIDN_SET_AFFINITY"] for variables in told} == {"0"}
+
+
+@pytest.mark.slow
+def test_a_worker_that_is_killed_is_replaced_and_its_scene_made_again(task):
+    pool = LocalPool(task, workers=1, threads=1)
+    try:
+        outcomes = []
+        for outcome in make_all(pool, range(3)):
+            outcomes.append(outcome)
+            if len(outcomes) == 1:
+                os.kill(workers_of(os.getpid())[0], signal.SIGKILL)  # it has scene 1 in hand
+    finally:
+        pool.close()
+    (failed,) = [outcome for outcome in outcomes if isinstance(outcome, Failed)]
+    assert isinstance(failed.error, WorkerDied)
+    assert str(failed.error) == (
+        "its worker process was killed (SIGKILL, by hand or by the system for lack of memory)"
+    )
+    made = [outcome.scene_id for outcome in outcomes if isinstance(outcome, Made)]
+    assert sorted(made) == [0, 1, 2]
+    assert workers_of(os.getpid()) == []
+
+
+@pytest.mark.slow
+def test_a_worker_that_grows_beyond_its_share_is_replaced_between_scenes(task, monkeypatch):
+    def pids(share):
+        monkeypatch.setattr(local_module, "_MEMORY_SHARE", share)
+        pool, seen = LocalPool(task, workers=1, threads=1), []
+        try:
+            for scene_id in range(3):
+                pool.submit(scene_id)
+                seen += workers_of(os.getpid())
+                assert isinstance(pool.gather(), Made)
+        finally:
+            pool.close()
+        return seen
+
+    assert len(set(pids(0.8))) == 1
+    assert len(set(pids(1e-6))) == 3
+
+
+@pytest.mark.slow
+def test_workers_end_with_the_run_that_started_them(config_file, tmp_path):
+    command = ("generate", config_file, "--out", tmp_path / "out", "--scenes", 500)
+    with start(*command, "--workers", 2) as run:
+        while finished(tmp_path / "out") < 2 and run.poll() is None:
+            time.sleep(0.05)
+        workers = workers_of(run.pid)
+        assert len(workers) == 2
+        os.kill(run.pid, signal.SIGKILL)  # the parent alone
+    deadline = time.monotonic() + 10
+    while any(map(alive, workers)) and time.monotonic() < deadline:
+        time.sleep(0.05)
+    assert not any(map(alive, workers))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("word", [signal.SIGINT, signal.SIGTERM])
+def test_a_run_that_is_told_to_stop_leaves_nothing_behind(config_file, tmp_path, monkeypatch, word):
+    out, temporary = tmp_path / "out", tmp_path / "temporary"
+    temporary.mkdir()
+    monkeypatch.setenv("TMPDIR", str(temporary))
+    command = ("generate", config_file, "--out", out, "--scenes", 500, "--workers", 2)
+    with start(*command) as run:
+        while finished(out) < 2 and run.poll() is None:
+            time.sleep(0.05)
+        workers = workers_of(run.pid)
+        run.send_signal(word)
+        begun = time.monotonic()
+        _, complaint = run.communicate()
+    assert (run.returncode, complaint) == (130, "graycast: stopped; finished scenes are kept\n")
+    assert time.monotonic() - begun < 10
+    assert not any(map(alive, workers))
+    assert not list(out.rglob(".tmp-*"))
+    assert list(temporary.iterdir()) == []
+
+
+SCENES, WORKER_KILLS, RUN_KILLS = 200, 20, 5
+
+
+@pytest.mark.slow
+def test_killed_workers_and_killed_runs_end_in_the_same_dataset(config_file, undisturbed, tmp_path):
+    """`kill -9` of a random worker 20 times, of the whole run 5 times, while it is at work."""
+    rng, out = np.random.default_rng(5), tmp_path / "out"
+    command = ("generate", config_file, "--out", out, "--scenes", SCENES, "--workers", 2)
+    kills = ["run"] * RUN_KILLS + ["worker"] * WORKER_KILLS
+    kills = [str(kind) for kind in rng.permutation(kills)]
+    run = start(*command)
+    for number, kind in enumerate(kills):
+        goal = (number + 1) * (SCENES - 10) // len(kills)  # spread over the whole run
+        while finished(out) < goal and run.poll() is None:
+            time.sleep(0.01)
+        time.sleep(rng.uniform(0, 0.3))
+        assert run.poll() is None, "it was done before all kills"
+        if kind == "run":
+            os.killpg(run.pid, signal.SIGKILL)
+            run.communicate()
+            run = start(*command)
+        else:
+            os.kill(int(rng.choice(workers_of(run.pid))), signal.SIGKILL)
+    _, complaint = run.communicate()
+    assert (run.returncode, complaint) == (0, "")
+    assert content(out) == content(undisturbed(SCENES))
+    assert validate(out) == ()
+
+
+@pytest.mark.slow
+def test_a_scene_whose_worker_is_killed_each_time_is_given_up(task):
+    pool, stop = LocalPool(task, workers=1, threads=1), threading.Event()
+
+    def killer():
+        while not stop.wait(0.01):
+            for worker in workers_of(os.getpid()):
+                os.kill(worker, signal.SIGKILL)
+
+    thread = threading.Thread(target=killer)
+    thread.start()
+    try:
+        outcomes = list(make_all(pool, [0]))
+    finally:
+        stop.set()
+        thread.join()
+        pool.close()
+    assert [(o.scene_id, o.tries, o.final) for o in outcomes] == [
+        (0, 1, False),
+        (0, 2, False),
+        (0, 3, True),
+    ]

@@ -1,0 +1,81 @@
+"""Every scene comes out or is given up, however its workers fare."""
+
+from collections import Counter
+
+import pytest
+
+from graycast.engine import TRIES, Failed, Made, make_all, open_pool
+from graycast.errors import DeviceError, DropError, WorkerDied
+
+IDS = range(20)
+
+
+class Scripted:
+    """Three workers; tries fail as the script says, and the last scene in comes out first."""
+
+    def __init__(self, script=()):
+        self.script = {scene_id: list(errors) for scene_id, errors in dict(script).items()}
+        self.running, self.submitted = [], Counter()
+
+    @property
+    def free(self):
+        return 3 - len(self.running)
+
+    def submit(self, scene_id):
+        assert self.free
+        self.running.append(scene_id)
+        self.submitted[scene_id] += 1
+
+    def gather(self):
+        scene_id = self.running.pop()
+        if self.script.get(scene_id):
+            return Failed(scene_id=scene_id, error=self.script[scene_id].pop(0))
+        return Made(scene_id=scene_id, files=(), seconds=1.0, reasons={}, rss_bytes=0)
+
+    def close(self):
+        pass
+
+
+def outcomes(script=()):
+    pool = Scripted(script)
+    all_of_them = list(make_all(pool, IDS))
+    assert not pool.running
+    made = sorted(o.scene_id for o in all_of_them if isinstance(o, Made))
+    return made, [o for o in all_of_them if isinstance(o, Failed)], pool.submitted
+
+
+def test_each_scene_is_made_once():
+    made, failed, submitted = outcomes()
+    assert (made, failed) == (list(IDS), [])
+    assert set(submitted.values()) == {1}
+
+
+@pytest.mark.parametrize("error", [WorkerDied("killed"), DeviceError("lost"), MemoryError()])
+def test_what_may_be_the_machines_fault_is_tried_again(error):
+    made, failed, submitted = outcomes({4: [error] * 2, 19: [error]})
+    assert made == list(IDS)
+    assert [(f.scene_id, f.tries, f.final) for f in failed] == [
+        (4, 1, False),
+        (19, 1, False),
+        (4, 2, False),
+    ]
+    assert (submitted[4], submitted[19], submitted[5]) == (3, 2, 1)
+
+
+def test_three_failures_end_a_scene_and_no_other():
+    made, failed, submitted = outcomes({4: [WorkerDied("killed")] * 9})
+    assert made == [scene_id for scene_id in IDS if scene_id != 4]
+    assert [f.final for f in failed] == [False, False, True]
+    assert submitted[4] == TRIES == 3
+
+
+@pytest.mark.parametrize("error", [DropError("no rest"), ValueError("dark")])
+def test_what_would_fail_again_is_given_up_at_once(error):
+    _, failed, submitted = outcomes({4: [error]})
+    assert [(f.scene_id, f.tries, f.final) for f in failed] == [(4, 1, True)]
+    assert submitted[4] == 1
+
+
+def test_an_unknown_engine_is_refused(task):
+    with pytest.raises(ValueError, match="no engine 'slurm': choose 'local' or 'ray'"):
+        open_pool(task, engine="slurm", workers=2)

@@ -1,8 +1,24 @@
 """What tests share: the render device of the process, and the data beside the repository."""
 
+import os
 from pathlib import Path
 
 import pytest
+
+# Workers side by side (-n) that each took all cores would wait for each other: a third of the
+# processor time. NumPy's threads are told before it is loaded, the others below.
+BESIDE_OTHERS = "PYTEST_XDIST_WORKER" in os.environ
+if BESIDE_OTHERS:
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
+
+@pytest.fixture(scope="session", autouse=True)
+def one_thread_beside_others():
+    """Numba's; a test that is about threads sets them itself."""
+    if BESIDE_OTHERS:
+        import numba
+
+        numba.set_num_threads(1)
 
 
 @pytest.fixture(scope="session")

@@ -3,7 +3,10 @@
 import sys
 from pathlib import Path
 
+import pytest
+
 from graycast.dataset.store import open_store
+from graycast.export import Options, Split, export
 
 sys.path.append(str(Path(__file__).parent / "dataset"))
 from prisms import box_part, build_sample, make_rig, wedge_part
@@ -23,6 +26,36 @@ def write_dataset(out, scene_ids=(0, 3, 4, 5)):
             store.write(scene_id, sample)
         store.finish(samples)
     return samples
+
+
+@pytest.fixture(scope="session")
+def made(tmp_path_factory):
+    """One dataset for all formats. Tests that change it copy it."""
+    out = tmp_path_factory.mktemp("master") / "out"
+    return out, write_dataset(out)
+
+
+@pytest.fixture(scope="session")
+def master(made):
+    return made[0]
+
+
+@pytest.fixture(scope="session")
+def samples(made):
+    return made[1]
+
+
+@pytest.fixture
+def exported(master, tmp_path):
+    """Exports the dataset; keywords are options."""
+
+    def run(form, **said):
+        said.setdefault("split", Split())
+        out = tmp_path / f"{form}-{len(list(tmp_path.iterdir()))}"
+        export(master, out, Options(format=form, **said))
+        return out
+
+    return run
 
 
 def visible(sample):

@@ -1,8 +1,9 @@
 """A folder of results: all of its files appear, or none."""
 
+import fcntl
 import os
+import secrets
 import shutil
-import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
@@ -14,28 +15,81 @@ from .errors import GraycastError
 def whole_folder(out: Path) -> Iterator[Path]:
     """A folder to fill in `out`, whose files are moved up into `out` when the block ends well.
 
-    It is made first, so that a path that cannot be written stops a command before its work, not
-    after. When the block fails or is stopped, `out` is as it was before, or is not there.
+    `out` may hold other files, which stay. The folder is made first, so that a path that cannot be
+    written stops a command before its work, not after. When the block fails or is stopped, `out`
+    is as it was before, or is not there.
 
     Raises:
         GraycastError: `out` cannot be written.
     """
     made = [folder for folder in (out, *out.parents) if not folder.exists()]
-    aside = None
     try:
-        out.mkdir(parents=True, exist_ok=True)
-        aside = Path(tempfile.mkdtemp(dir=out, prefix=".part-"))
+        with _refusals(out), _aside(out, ".part-") as aside:
+            yield aside
+            for file in sorted(aside.iterdir()):
+                os.replace(file, out / file.name)
+    finally:
+        with suppress(OSError):  # what holds something stays: the result, or what was there
+            for folder in made:
+                folder.rmdir()
+
+
+@contextmanager
+def new_folder(out: Path) -> Iterator[Path]:
+    """A folder beside `out` to fill, renamed to `out` in one step when the block ends well.
+
+    For what is one thing of many files and shares its folder with nothing.
+
+    Raises:
+        GraycastError: `out` is there and not empty, or cannot be written.
+    """
+    out = out.absolute()
+    if out.is_dir() and any(out.iterdir()):
+        raise GraycastError(f"{out}: is not empty: choose another folder, or remove this one")
+    if out.exists() and not out.is_dir():
+        raise GraycastError(f"{out}: is a file: choose a folder")
+    with _refusals(out), _aside(out.parent, f".{out.name}.part-") as aside:
         yield aside
-        for file in sorted(aside.iterdir()):
-            os.replace(file, out / file.name)
+        aside.rename(out)
+
+
+@contextmanager
+def _aside(parent: Path, prefix: str) -> Iterator[Path]:
+    """A hidden folder that is gone at the end; those that killed runs left go first.
+
+    Its lock tells the folder of a run that is going on from one that was left. Where the disk
+    knows no locks (some networks'), what was left stays.
+    """
+    parent.mkdir(parents=True, exist_ok=True)
+    for left in [entry for entry in parent.iterdir() if entry.name.startswith(prefix)]:
+        with suppress(OSError), _locked(left):
+            shutil.rmtree(left)
+    aside = parent / f"{prefix}{secrets.token_hex(4)}"
+    try:
+        aside.mkdir()
+        with _locked(aside, needed=False):
+            yield aside
+    finally:
+        shutil.rmtree(aside, ignore_errors=True)
+
+
+@contextmanager
+def _locked(folder: Path, *, needed: bool = True) -> Iterator[None]:
+    lock = os.open(folder, os.O_RDONLY)
+    try:
+        with suppress(*(() if needed else (OSError,))):
+            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        yield
+    finally:
+        os.close(lock)
+
+
+@contextmanager
+def _refusals(out: Path) -> Iterator[None]:
+    try:
+        yield
     except OSError as error:
         why = error.strerror or str(error)
         raise GraycastError(
             f"{out}: cannot be written ({why}): choose a writable folder with space"
         ) from error
-    finally:
-        if aside is not None:
-            shutil.rmtree(aside, ignore_errors=True)
-        with suppress(OSError):  # what holds something stays: the result, or what was there
-            for folder in made:
-                folder.rmdir()

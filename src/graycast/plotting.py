@@ -21,7 +21,7 @@ Grid = Literal["both", "x", "y"]
 def plain_figure(
     width_in: float,
     height_in: float,
-    columns: Sequence[float],
+    columns: Sequence[float | int],
     *,
     rows: int = 1,
     grid: Grid = "both",
@@ -51,7 +51,7 @@ def caption(ax: Axes, title: str, x: str, y: str = "") -> None:
     ax.set_ylabel(y, fontsize=8, color=INK)
 
 
-def save_png(figure: Figure, path: Path, *, dpi: float) -> None:
+def save_png(figure: Figure, path: Path, *, dpi: int) -> None:
     """Write a figure: beside the file first, then renamed, so that none is half written.
 
     Raises:

@@ -65,7 +65,7 @@ def rasterize(
     return Raster(left_px=int(origin[0]), top_px=int(origin[1]), z=z)
 
 
-@numba.njit
+@numba.njit(cache=True)
 @no_type_check  # the tests' type checker would wrap the function, which numba cannot compile
 def _nearest(edge, volume, first, last, ray, z):
     for f in range(len(edge)):

@@ -67,27 +67,33 @@ def test_a_stack_that_is_counted_takes_as_long_as_one_that_is_rendered(painted, 
     assert figures["cycles3_over_onepass"] == pytest.approx(135 / 2.1)
     assert figures["cycles_over_onepass_cpu"] == pytest.approx(183 / 2.1)
     assert figures["cycles_cpu_s"] == pytest.approx(2 * 183)
+    assert figures["cycles_frame_cpu_s"] == pytest.approx(2 * 16)
+    assert figures["cycles_frame_cpu_s_at_few_samples"] == pytest.approx(2 * 4)
     assert figures["cycles_renders_timed"] == (11 if whole else 3)
     assert len(figures["rounds"]) == (1 if whole else 2)
 
 
 def test_equal_error_is_told_by_the_law_of_the_error():
-    """Errors 1 / n of one pass and 6 / n of Cycles: 96 samples for 16; frames of 2 + n / 2 s."""
+    """Errors 1 / n of one pass and 6 / n of Cycles: 96 samples for 16; frames of 2 + n / 2 s
+    of processors.
+    """
     rows = [
         {"renderer": name, "samples": n, "bad_share": factor / n, "depth_rms_right_mm": factor / n}
         for name, factor in (("mitsuba", 1.0), ("cycles", 6.0))
         for n in (4, 8, 16, 32, 64, 128)
     ]
     timed = {
-        "cycles_frame_s": 2 + 16 * 0.5,
-        "cycles_frame_s_at_few_samples": 2 + 4 * 0.5,
-        "cycles_over_onepass": 70.0,
-        "cycles3_over_onepass": 30.0,
+        "cycles_frame_s": 9.0,  # one thread for half of the time: not what samples cost
+        "cycles_over_onepass": 99.0,
+        "cycles_frame_cpu_s": 2 + 16 * 0.5,
+        "cycles_frame_cpu_s_at_few_samples": 2 + 4 * 0.5,
+        "cycles_over_onepass_cpu": 70.0,
+        "cycles3_over_onepass_cpu": 30.0,
     }
     for row in equal_error(rows, timed, 16):
         assert row["cycles_samples"] == pytest.approx(96) and row["cycles_side"] == ""
-        assert row["cycles_over_onepass"] == pytest.approx(70 * 50 / 10)
-        assert row["cycles3_over_onepass"] == pytest.approx(30 * 50 / 10)
+        assert row["cycles_over_onepass_cpu"] == pytest.approx(70 * 50 / 10)
+        assert row["cycles3_over_onepass_cpu"] == pytest.approx(30 * 50 / 10)
         assert row["onepass_samples_for_cycles_error"] == 4.0 and row["onepass_side"] == "<"
 
 

@@ -97,11 +97,24 @@ def test_yolo_rows_are_the_boxes_or_masks_as_shares(exported, samples, labels):
     assert sorted(found) == list(samples)
 
 
+def test_yolo_boxes_are_read_by_globox(exported, samples):
+    globox = pytest.importorskip("globox", reason="pip install globox")
+    out = exported("yolo", labels="boxes")
+    read = globox.AnnotationSet.from_yolo_v5(
+        out / "labels" / "train", image_folder=out / "images" / "train", image_extension=".png"
+    )
+    assert {one.image_id for one in read} == {f"{i:06d}.png" for i in samples}
+    for scene_id, sample in samples.items():
+        seen, _, boxes = visible(sample)
+        found = read[f"{scene_id:06d}.png"].boxes
+        assert [int(b.label) for b in found] == [sample.layout.part_index[i] for i in seen]
+        edges = [[b.xmin, b.ymin, b.xmax - b.xmin, b.ymax - b.ymin] for b in found]
+        np.testing.assert_allclose(edges, boxes, atol=1e-3)
+
+
 def bop_toolkit_mask(runs):
-    """Uncompressed run lengths down the columns, as bop_toolkit's documentation tells them."""
-    value = np.arange(len(runs["counts"])) % 2 == 1
-    flat = np.repeat(value, runs["counts"])
-    return flat.reshape(runs["size"][::-1]).T
+    """Uncompressed run lengths down the columns, by pycocotools, as bop_toolkit's own are."""
+    return coco_mask.decode(coco_mask.frPyObjects(runs, *runs["size"])) == 1
 
 
 def read_by_webdataset(folder, decode=None):
@@ -238,6 +251,23 @@ def test_pcd_clouds_say_what_the_format_demands(exported, samples, organised):
     np.testing.assert_allclose(values[:, :3], point_m[known], atol=1e-6)
     gray = sample.gray[known].astype(int)
     assert np.array_equal(values[:, 3], gray * 0x010101)
+
+
+@pytest.mark.parametrize("organised", [False, True])
+def test_pcd_clouds_are_read_by_pypcd4(exported, samples, organised):
+    pypcd4 = pytest.importorskip("pypcd4", reason="pip install pypcd4")
+    out = exported("clouds", cloud="pcd", organised=organised)
+    for scene_id, sample in samples.items():
+        for name, depth_m in (
+            ("perfect", sample.truth.depth_m),
+            ("scanner", sample.scanner.depth_m),
+        ):
+            cloud = pypcd4.PointCloud.from_path(out / "train" / f"{scene_id:06d}_{name}.pcd")
+            point_m = expected_points(sample, depth_m)
+            known = np.ones(point_m.shape[:2], bool) if organised else ~np.isnan(point_m[..., 2])
+            np.testing.assert_allclose(cloud.numpy(("x", "y", "z")), point_m[known], atol=1e-6)
+            color = pypcd4.PointCloud.decode_rgb(cloud.numpy(("rgb",)))
+            assert np.array_equal(color.reshape(-1, 3), sample.rgb[known])
 
 
 def test_an_organised_cloud_is_depth_and_camera_again(exported, samples):

@@ -8,12 +8,11 @@ import numpy as np
 import pytest
 from pictured import SCALE_MM, forget, write_dataset
 
+from graycast.dataset.stored import open_dataset
 from graycast.decode import Reason
 from graycast.errors import DatasetError
 from graycast.stats import (
     dataset_statistics,
-    find_scenes,
-    load_scene,
     scene_figures,
     statistics_json,
     statistics_table,
@@ -37,10 +36,10 @@ def statistics(made):
 
 def test_labels_from_run_lengths_are_the_mask_pictures(made):
     """Oracle: the PNGs of mask_visib, which are written by other code."""
-    for place in find_scenes(made[0]):
-        label = load_scene(place).label
+    for scene in open_dataset(made[0]).scenes:
+        label = scene.content().label
         painted = np.full(label.shape, -1)
-        for path in (place.folder / "mask_visib").glob("*.png"):
+        for path in (scene.folder / "mask_visib").glob("*.png"):
             painted[cv2.imread(str(path), cv2.IMREAD_UNCHANGED) > 0] = int(path.stem[-6:])
         np.testing.assert_array_equal(label, painted)
 
@@ -110,7 +109,7 @@ def test_depth_range_holds_the_wall(made, statistics):
 
 
 def test_figures_survive_json(made):
-    figures = scene_figures(load_scene(find_scenes(made[0])[1]))
+    figures = scene_figures(open_dataset(made[0]).scene(3).content())
     assert type(figures).model_validate_json(figures.model_dump_json()) == figures
 
 
@@ -128,8 +127,7 @@ def test_real_pictures_are_counted_without_what_nobody_knows(made, tmp_path):
     out = tmp_path / "real"
     shutil.copytree(made[0], out)
     whole = dataset_statistics(out)
-    for place in find_scenes(out):
-        forget(place.folder)
+    forget(out)
     bare = dataset_statistics(out)
     assert bare.error.pixels == 0 and not bare.depth_bin and not bare.gray
     assert bare.reason["decoded"] == whole.reason["decoded"]
@@ -143,13 +141,16 @@ def test_splits_are_counted_apart(made, tmp_path):
     shutil.copytree(made[0], out)
     (out / "val").mkdir()
     (out / "train/000003").rename(out / "val/000003")
-    assert [place.key for place in find_scenes(out)] == ["train-000000", "val-000003"]
+    assert [scene.key for scene in open_dataset(out).scenes] == ["train-000000", "val-000003"]
     assert dataset_statistics(out).scenes == {"train": 1, "val": 1}
 
 
-def test_a_folder_without_scenes_is_refused(tmp_path):
-    with pytest.raises(DatasetError, match="holds no scene"):
+def test_a_folder_without_a_dataset_or_without_scenes_is_refused(made, tmp_path):
+    with pytest.raises(DatasetError, match="is not a Graycast dataset"):
         dataset_statistics(tmp_path)
+    out = shutil.copytree(made[0], tmp_path / "out", ignore=shutil.ignore_patterns("train"))
+    with pytest.raises(DatasetError, match="has no finished scene"):
+        dataset_statistics(out)
 
 
 def test_a_damaged_picture_is_named(made, tmp_path):

@@ -5,18 +5,17 @@ from pathlib import Path
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.axis import Axis
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.ticker import FixedLocator, Locator, LogLocator, NullFormatter
 
 from ..errors import GraycastError
+from ..plotting import ACCENT, INK, PALE, SECOND, SOFT, caption, plain_figure, save_png
 from .agree import MEDIAN_COLUMNS, MEDIAN_RATIO
 from .figures import Figures
 
-INK, SOFT = "#1f2933", "#9aa5b1"
-COLOR = {"mitsuba": "#0b6e99", "cycles": "#c4622d", "cycles3": "#e0a458"}
+COLOR = {"mitsuba": ACCENT, "cycles": SECOND, "cycles3": "#e0a458"}
 STYLE = {"none": "o-", "oidn": "s--", "optix": "^:"}
-CLASS_COLOR = {"diffuse": "#0b6e99", "metal": "#1f2933", "plastic": "#c4622d", "bin": "#b08d57"}
+CLASS_COLOR = {"diffuse": ACCENT, "metal": INK, "plastic": SECOND, "bin": "#b08d57"}
 
 SUBS = (1, 2, 5)  # of a logarithmic axis's decade
 
@@ -35,14 +34,11 @@ def draw(figures: Figures, path: Path) -> None:
         figure = _renderers(figures)
     else:
         raise GraycastError("only the studies agree, denoise and renderers have plots")
-    try:
-        figure.savefig(path, dpi=110, format="png", metadata={"Software": None})
-    except OSError as error:
-        raise GraycastError(f"picture {path} cannot be written: {error.strerror}") from error
+    save_png(figure, path, dpi=110)
 
 
 def _agreement(figures: Figures) -> Figure:
-    figure, (white, ambient, depth) = _figure(12.0, 3.6, 3)
+    figure, (white, ambient, depth) = plain_figure(12.0, 3.6, (1, 1, 1))
     histograms = figures["histograms"]
     edges = np.array(histograms["ratio_edges"])
     for ax, light in ((white, "white"), (ambient, "ambient")):
@@ -53,20 +49,20 @@ def _agreement(figures: Figures) -> Figure:
         ax.axvline(1, color=SOFT, lw=0.8)
         ax.legend(fontsize=8, frameon=False)
         title = {"white": "Projector's light", "ambient": "All other light"}[light]
-        _words(ax, title, f"{figures['second']} / {figures['first']}, pixels", "of the most")
+        caption(ax, title, f"{figures['second']} / {figures['first']}, pixels", "of the most")
     low, high = MEDIAN_RATIO["diffuse"]
-    white.axvspan(low, high, color="#e4e7eb", zorder=0)
+    white.axvspan(low, high, color=PALE, zorder=0)
     counts = np.array(histograms["columns"], dtype=float)
     depth.stairs(counts / max(counts.max(), 1), histograms["column_edges"], color=INK, lw=1.4)
-    depth.axvspan(-MEDIAN_COLUMNS, MEDIAN_COLUMNS, color="#e4e7eb", zorder=0)
+    depth.axvspan(-MEDIAN_COLUMNS, MEDIAN_COLUMNS, color=PALE, zorder=0)
     depth.set_yscale("log")
     difference = f"{figures['second']} less {figures['first']}"
-    _words(depth, "Decoded place", f"{difference} [projector columns]", "of the most")
+    caption(depth, "Decoded place", f"{difference} [projector columns]", "of the most")
     return figure
 
 
 def _denoisers(figures: Figures) -> Figure:
-    figure, axes = _figure(9.6, 6.4, 2, rows=2)
+    figure, axes = plain_figure(9.6, 6.4, (1, 1), rows=2)
     rows = figures["rows"]
     panels = (
         ("samples", "bad_share", "Wrong, lost or extra pixels", "samples", "share"),
@@ -75,10 +71,10 @@ def _denoisers(figures: Figures) -> Figure:
     )
     for ax, (x, y, title, below, beside) in zip(axes, panels, strict=False):
         _curves(ax, rows, x, y)
-        _words(ax, title, below, beside)
+        caption(ax, title, below, beside)
     _curves(axes[3], rows, "samples", "edge_growth_px", log=False)
     axes[3].axhline(0, color=INK, lw=0.8)
-    _words(axes[3], "How far lit stripes grow at an edge", "samples", "camera px")
+    caption(axes[3], "How far lit stripes grow at an edge", "samples", "camera px")
     handles, labels = axes[0].get_legend_handles_labels()
     figure.legend(
         handles, labels, loc="outside lower center", ncols=len(labels), fontsize=8, frameon=False
@@ -87,7 +83,7 @@ def _denoisers(figures: Figures) -> Figure:
 
 
 def _renderers(figures: Figures) -> Figure:
-    figure, (seconds, wrong, depth) = _figure(12.0, 3.6, 3)
+    figure, (seconds, wrong, depth) = plain_figure(12.0, 3.6, (1, 1, 1))
     names = {"onepass": "Mitsuba, one pass", "cycles3": "Cycles, 3 a render", "cycles": "Cycles"}
     colors = (COLOR["mitsuba"], COLOR["cycles3"], COLOR["cycles"])
     values = [figures[f"{name}_s"] for name in names]
@@ -99,7 +95,7 @@ def _renderers(figures: Figures) -> Figure:
     seconds.invert_yaxis()
     seconds.grid(axis="y", visible=False)
     size = f"{figures['width_px']} x {figures['height_px']}, {figures['samples']} samples"
-    _words(seconds, f"{figures['patterns']} patterns, {size}", "seconds", "")
+    caption(seconds, f"{figures['patterns']} patterns, {size}", "seconds", "")
     for ax, measure, title, unit in (
         (wrong, "bad_share", "Wrong, lost or extra pixels", "share"),
         (depth, "depth_rms_right_mm", "Depth of right pixels", "RMS [mm]"),
@@ -108,7 +104,7 @@ def _renderers(figures: Figures) -> Figure:
         row = next(row for row in figures["equal_error"] if row["measure"] == measure)
         if row["error"] > 0:
             ax.axhline(row["error"], color=SOFT, lw=0.8)
-        _words(ax, title, "samples", unit)
+        caption(ax, title, "samples", unit)
         ax.legend(fontsize=8, frameon=False)
     return figure
 
@@ -134,22 +130,3 @@ def _number(axis: Axis, locator: Locator) -> None:
     axis.set_major_locator(locator)
     axis.set_major_formatter("{x:g}")
     axis.set_minor_formatter(NullFormatter())
-
-
-def _figure(width: float, height: float, count: int, *, rows: int = 1) -> tuple:
-    figure = Figure(figsize=(width, height), layout="constrained")
-    FigureCanvasAgg(figure)
-    axes = list(figure.subplots(rows, count, squeeze=False).ravel())
-    for ax in axes:
-        ax.spines[["top", "right"]].set_visible(False)
-        ax.spines[["left", "bottom"]].set_color(SOFT)
-        ax.tick_params(colors=INK, labelsize=8, length=3)
-        ax.grid(color="#e4e7eb", lw=0.6)
-        ax.set_axisbelow(True)
-    return figure, axes
-
-
-def _words(ax: Axes, title: str, x: str, y: str) -> None:
-    ax.set_title(title, loc="left", fontsize=9, color=INK, fontweight="bold")
-    ax.set_xlabel(x, fontsize=8, color=INK)
-    ax.set_ylabel(y, fontsize=8, color=INK)

@@ -129,7 +129,7 @@ def _timed(
         figures[f"{name}_over_onepass_cpu"] = figures[f"{name}_cpu_s"] / figures["onepass_cpu_s"]
     work.begin(f"timing cycles at {FEW_SAMPLES} samples")
     few = _stack(cell, layout, cycles, patterns, Quality(samples=FEW_SAMPLES), False, work)
-    figures["cycles_frame_s_at_few_samples"] = few["frame_s"]
+    figures["cycles_frame_cpu_s_at_few_samples"] = few["frame_cpu_s"]
     rounds = zip(*found.values(), strict=True)
     figures["rounds"] = [
         {name: end["s"] for name, end in zip(found, ends, strict=True)} for ends in rounds
@@ -172,6 +172,7 @@ def _stack(
         "s": total_s + (count - shown) * frame_s,
         "cpu_s": total_cpu_s + (count - shown) * frame_cpu_s,
         "frame_s": frame_s,
+        "frame_cpu_s": frame_cpu_s,
         "renders": count,
         "renders_timed": shown,
     }
@@ -197,13 +198,13 @@ def _timing_work(
 def equal_error(rows: list[Figures], timed: Figures, samples: int) -> list[Figures]:
     """For each measure of error: how many samples Cycles needs for what one pass has at `samples`.
 
-    And how many one pass needs for what Cycles has at `samples`. `cycles_over_onepass` is
-    then the ratio of times at the same error; a frame's time is linear in its samples. A '>' or
-    '<' says that the number lies beyond what was tried.
+    And how many one pass needs for what Cycles has at `samples`. `cycles_over_onepass_cpu` is
+    then the ratio of processor times at the same error; a frame's is linear in its samples, which
+    its wall time is not where short frames leave processors idle. A '>' or '<' says that the
+    number lies beyond what was tried.
     """
-    slope_s = (timed["cycles_frame_s"] - timed["cycles_frame_s_at_few_samples"]) / (
-        samples - FEW_SAMPLES
-    )
+    frame_s, few_s = timed["cycles_frame_cpu_s"], timed["cycles_frame_cpu_s_at_few_samples"]
+    slope_s = (frame_s - few_s) / (samples - FEW_SAMPLES)
     result = []
     for measure in MEASURES:
         own = {
@@ -214,7 +215,7 @@ def equal_error(rows: list[Figures], timed: Figures, samples: int) -> list[Figur
         fewer, other_side = samples_for(
             own["mitsuba"], measure, _at(own["cycles"], measure, samples)
         )
-        grown = 1 + slope_s * (needed - samples) / timed["cycles_frame_s"]
+        grown = 1 + slope_s * (needed - samples) / frame_s
         result.append(
             {
                 "measure": measure,
@@ -222,8 +223,8 @@ def equal_error(rows: list[Figures], timed: Figures, samples: int) -> list[Figur
                 "error": target,
                 "cycles_samples": needed,
                 "cycles_side": side,
-                "cycles_over_onepass": timed["cycles_over_onepass"] * grown,
-                "cycles3_over_onepass": timed["cycles3_over_onepass"] * grown,
+                "cycles_over_onepass_cpu": timed["cycles_over_onepass_cpu"] * grown,
+                "cycles3_over_onepass_cpu": timed["cycles3_over_onepass_cpu"] * grown,
                 "onepass_samples_for_cycles_error": fewer,
                 "onepass_side": other_side,
             }

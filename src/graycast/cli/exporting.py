@@ -105,14 +105,14 @@ def _export(options: argparse.Namespace) -> int:
 
 
 def _import_real(options: argparse.Namespace) -> int:
-    from ..dataset.example import open_master
     from ..dataset.real import absent
+    from ..dataset.stored import open_dataset
     from ..import_real import import_real
     from ..realism import read_intrinsics
 
     names = None
     if options.like is not None:
-        names = list(open_master(options.like).categories.values())
+        names = list(open_dataset(options.like).categories.values())
     with progress_bar() as bar:
         task = bar.add_task("pictures", total=None)
         done = import_real(

@@ -36,13 +36,14 @@ def _add_dataset(parser: argparse.ArgumentParser) -> None:
 def _stats(options: argparse.Namespace) -> int:
     from rich.console import Console
 
+    from ..dataset.stored import open_dataset
     from ..errors import GraycastError
-    from ..stats import dataset_statistics, find_scenes, statistics_table, write_statistics
+    from ..stats import dataset_statistics, statistics_table, write_statistics
 
     if options.licence is not None and not options.card:
         raise GraycastError("--licence is of the card: give --card too, or leave it out")
     with progress_bar() as bar:
-        task = bar.add_task("scenes", total=len(find_scenes(options.dataset)))
+        task = bar.add_task("scenes", total=len(open_dataset(options.dataset).scenes))
         statistics = dataset_statistics(
             options.dataset,
             workers=options.workers,

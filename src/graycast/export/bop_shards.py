@@ -15,7 +15,7 @@ from pathlib import Path
 import cv2
 
 from ..dataset.coco import run_lengths
-from ..dataset.example import Master, StoredScene
+from ..dataset.stored import StoredDataset, StoredScene
 from ..errors import DatasetError
 from ..render.radiance import Silhouette
 from .options import Options
@@ -24,7 +24,7 @@ from .shards import write_shards
 
 
 def write_imagewise(
-    folder: Path, split: str, scenes: Iterable[StoredScene], master: Master, options: Options
+    folder: Path, split: str, scenes: Iterable[StoredScene], stored: StoredDataset, options: Options
 ) -> None:
     """`SPLIT/KEY.*`: every image's own files side by side."""
     (folder / split).mkdir()
@@ -38,7 +38,7 @@ def write_imagewise(
 
 
 def write_webdataset(
-    folder: Path, split: str, scenes: Iterable[StoredScene], master: Master, options: Options
+    folder: Path, split: str, scenes: Iterable[StoredScene], stored: StoredDataset, options: Options
 ) -> None:
     """`SPLIT/shard-000000.tar` ... and `SPLIT/key_to_shard.json`."""
     (folder / split).mkdir()
@@ -47,10 +47,12 @@ def write_webdataset(
     (folder / split / "key_to_shard.json").write_text(json.dumps(shard_of), encoding="ascii")
 
 
-def write_rest(folder: Path, splits: Iterable[str], master: Master, options: Options) -> None:
+def write_rest(
+    folder: Path, splits: Iterable[str], stored: StoredDataset, options: Options
+) -> None:
     """What belongs to the dataset as a whole: `camera.json` and the models."""
-    place(master.folder / "camera.json", folder / "camera.json", link=False)
-    for source in sorted((master.folder / "models").glob("*")):
+    place(stored.folder / "camera.json", folder / "camera.json", link=False)
+    for source in sorted((stored.folder / "models").glob("*")):
         place(source, folder / "models" / source.name, link=False)
 
 

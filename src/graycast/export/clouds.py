@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Bool, Float, Float32, UInt8
 
-from ..dataset.example import Master, StoredScene
+from ..dataset.stored import StoredDataset, StoredScene
 from ..frames import pixel_grid
 from ..optics import Optics, rays
 from .options import Options
@@ -20,7 +20,7 @@ _FRAME = "metres, camera frame: x right, y down, z forward"
 
 
 def write_split(
-    folder: Path, split: str, scenes: Iterable[StoredScene], master: Master, options: Options
+    folder: Path, split: str, scenes: Iterable[StoredScene], stored: StoredDataset, options: Options
 ) -> None:
     """`SPLIT/000000_perfect.ply` and `SPLIT/000000_scanner.ply`, or `.pcd`."""
     (folder / split).mkdir()

@@ -7,14 +7,15 @@ from typing import Any
 
 from pycocotools import mask as coco_mask
 
-from ..dataset.example import Label, Master, StoredScene
+from ..dataset.example import Label
+from ..dataset.stored import StoredDataset, StoredScene
 from .options import Options
 from .outline import polygons
 from .placing import place
 
 
 def write_split(
-    folder: Path, split: str, scenes: Iterable[StoredScene], master: Master, options: Options
+    folder: Path, split: str, scenes: Iterable[StoredScene], stored: StoredDataset, options: Options
 ) -> None:
     """`annotations/instances_SPLIT.json`, `images/SPLIT/000000.png` and depth beside them.
 
@@ -29,7 +30,7 @@ def write_split(
     with open(target, "w", encoding="utf-8") as file:
         info = json.dumps({"description": f"Graycast, {split}"})
         file.write(f'{{"info": {info},\n"licenses": [],\n')
-        file.write(f'"categories": {json.dumps(_categories(master))},\n"annotations": [')
+        file.write(f'"categories": {json.dumps(_categories(stored))},\n"annotations": [')
         for scene in scenes:
             images.append(_image(folder, split, scene, options))
             for label in scene.labels(min_visibility=options.min_visibility):
@@ -41,10 +42,10 @@ def write_split(
         file.write(f'],\n"images": [\n{lines}]}}\n')
 
 
-def _categories(master: Master) -> list[dict[str, Any]]:
+def _categories(stored: StoredDataset) -> list[dict[str, Any]]:
     return [
         {"id": obj_id, "name": name, "supercategory": "graycast"}
-        for obj_id, name in master.categories.items()
+        for obj_id, name in stored.categories.items()
     ]
 
 

@@ -4,7 +4,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, fields, replace
 from typing import Any
 
-from ..dataset.example import Master
+from ..dataset.stored import StoredDataset
 from ..errors import GraycastError
 from .split import Split
 
@@ -87,32 +87,32 @@ class Options:
         names = [each.name for each in fields(self) if each.name not in ("format", "split")]
         return [name for name in names if getattr(self, name) is not None]
 
-    def resolved(self, master: Master) -> "Options":
+    def resolved(self, stored: StoredDataset) -> "Options":
         """With the format's own choices, as far as the dataset holds what they take.
 
         Raises:
             GraycastError: the dataset lacks what was said.
         """
         chosen = dict(FORMATS[self.format]) | {name: getattr(self, name) for name in self.given()}
-        holds = master.holds
+        holds = stored.holds
         if "image" in chosen and _PICTURE[chosen["image"]] not in holds:
-            self._refuse("image", chosen["image"], master)
+            self._refuse("image", chosen["image"], stored)
             chosen["image"] = "gray" if "gray_sl" in holds else None
         if not set(_DEPTHS[chosen.get("depth", "none")]) <= holds:
-            self._refuse("depth", chosen["depth"], master)
+            self._refuse("depth", chosen["depth"], stored)
             known = {"depth": "perfect", "depth_sl": "scanner"}
             chosen["depth"] = next((known[n] for n in known if n in holds), "none")
         if self.format in ("coco", "yolo"):
             if "masks" not in holds:
-                raise GraycastError(f"{master.folder}: has no masks, {self.format} needs them")
+                raise GraycastError(f"{stored.folder}: has no masks, {self.format} needs them")
             if chosen["image"] is None:
-                raise GraycastError(f"{master.folder}: has no pictures, {self.format} needs them")
+                raise GraycastError(f"{stored.folder}: has no pictures, {self.format} needs them")
         return replace(self, **chosen)
 
-    def _refuse(self, name: str, value: str, master: Master) -> None:
+    def _refuse(self, name: str, value: str, stored: StoredDataset) -> None:
         if getattr(self, name) is not None:
-            held = ", ".join(sorted(master.holds))
-            raise GraycastError(f"{master.folder}: has no {value} {name}; it holds {held}")
+            held = ", ".join(sorted(stored.holds))
+            raise GraycastError(f"{stored.folder}: has no {value} {name}; it holds {held}")
 
     @property
     def picture(self) -> str | None:

@@ -5,7 +5,7 @@ from itertools import chain, islice
 from pathlib import Path
 from typing import Any
 
-from ..dataset.example import Master, StoredScene
+from ..dataset.stored import StoredDataset, StoredScene
 from ..errors import GraycastError
 from .options import Options
 
@@ -42,7 +42,7 @@ def schema() -> "pa.Schema":
 
 
 def write_split(
-    folder: Path, split: str, scenes: Iterable[StoredScene], master: Master, options: Options
+    folder: Path, split: str, scenes: Iterable[StoredScene], stored: StoredDataset, options: Options
 ) -> None:
     """`SPLIT/part-000000.parquet` ...; a row group for every few scenes, so memory stays flat."""
     (folder / split).mkdir()

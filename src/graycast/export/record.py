@@ -6,8 +6,8 @@ from typing import Any
 from .. import __version__
 from ..dataset import records
 from ..dataset.bop import json_bytes
-from ..dataset.example import Master
 from ..dataset.reading import Unreadable, read_json
+from ..dataset.stored import StoredDataset
 from ..errors import DatasetError
 from .options import FORMATS, Options
 
@@ -29,7 +29,7 @@ class ExportRecord(records.Record):
 
 
 def write_record(
-    folder: Path, master: Master, options: Options, splits: dict[str, list[int]]
+    folder: Path, stored: StoredDataset, options: Options, splits: dict[str, list[int]]
 ) -> ExportRecord:
     """Write `export.json`; its options are those in force."""
     said = {name: getattr(options, name) for name in FORMATS[options.format]}
@@ -37,11 +37,11 @@ def write_record(
         format=options.format,
         options=said | {"shares": list(options.split.shares), "split_seed": options.split.seed},
         splits=splits,
-        categories={str(obj_id): name for obj_id, name in master.categories.items()},
-        size_px=list(master.size_px),
-        depth_scale_mm=master.depth_scale_mm,
-        holds=sorted(master.holds),
-        fingerprint=master.fingerprint,
+        categories={str(obj_id): name for obj_id, name in stored.categories.items()},
+        size_px=list(stored.size_px),
+        depth_scale_mm=stored.depth_scale_mm,
+        holds=sorted(stored.holds),
+        fingerprint=stored.claim.get("fingerprint", ""),
         graycast=__version__,
     )
     (folder / RECORD).write_bytes(json_bytes(record.model_dump()))

@@ -14,13 +14,13 @@ from pathlib import Path
 
 import numpy as np
 
-from ..dataset.example import Master, StoredScene
+from ..dataset.stored import StoredDataset, StoredScene
 from .options import Options
 from .shards import write_shards
 
 
 def write_split(
-    folder: Path, split: str, scenes: Iterable[StoredScene], master: Master, options: Options
+    folder: Path, split: str, scenes: Iterable[StoredScene], stored: StoredDataset, options: Options
 ) -> None:
     """`SPLIT/shard-000000.tar` ..."""
     (folder / split).mkdir()

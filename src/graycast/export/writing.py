@@ -3,14 +3,14 @@
 from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 
-from ..dataset.example import Master, StoredScene, open_master
+from ..dataset.stored import StoredDataset, StoredScene, open_dataset
 from ..errors import GraycastError
+from ..folder import new_folder
 from .options import Options
-from .placing import new_folder
 from .record import ExportRecord, write_record
 
-WriteSplit = Callable[[Path, str, Iterable[StoredScene], Master, Options], None]
-WriteRest = Callable[[Path, Iterable[str], Master, Options], None]
+WriteSplit = Callable[[Path, str, Iterable[StoredScene], StoredDataset, Options], None]
+WriteRest = Callable[[Path, Iterable[str], StoredDataset, Options], None]
 
 
 def export(
@@ -36,25 +36,26 @@ def export(
             is damaged, or a set of the split would be empty.
     """
     write_split, write_rest = _writers(options.format)
-    master = open_master(dataset)
-    chosen = options.resolved(master)
-    splits = chosen.split.assign(master.scene_ids)
+    stored = open_dataset(dataset)
+    scene_ids = stored.scene_ids["train"]
+    chosen = options.resolved(stored)
+    splits = chosen.split.assign(scene_ids)
     if out.absolute().is_relative_to(dataset.absolute()):
         raise GraycastError(f"{out}: lies in the dataset: choose a folder outside of it")
-    total, done = len(master.scene_ids), 0
+    total, done = len(scene_ids), 0
 
     def counted(scene_ids: Iterable[int]) -> Iterator[StoredScene]:
         nonlocal done
         for scene_id in scene_ids:
-            yield master.scene(scene_id)
+            yield stored.scene(scene_id)
             done += 1
             on_progress(done, total)
 
     with new_folder(out) as folder:
         for split, scene_ids in splits.items():
-            write_split(folder, split, counted(scene_ids), master, chosen)
-        write_rest(folder, splits, master, chosen)
-        return write_record(folder, master, chosen, splits)
+            write_split(folder, split, counted(scene_ids), stored, chosen)
+        write_rest(folder, splits, stored, chosen)
+        return write_record(folder, stored, chosen, splits)
 
 
 def _writers(name: str) -> tuple[WriteSplit, WriteRest]:
@@ -90,5 +91,5 @@ def _writers(name: str) -> tuple[WriteSplit, WriteRest]:
     raise ValueError(f"no writer for {name!r}")
 
 
-def _nothing(folder: Path, splits: Iterable[str], master: Master, options: Options) -> None:
+def _nothing(folder: Path, splits: Iterable[str], stored: StoredDataset, options: Options) -> None:
     """Formats that have nothing beside their splits."""

@@ -12,17 +12,18 @@ from pathlib import Path
 import yaml
 from pycocotools import mask as coco_mask
 
-from ..dataset.example import Label, Master, StoredScene
+from ..dataset.example import Label
+from ..dataset.stored import StoredDataset, StoredScene
 from .options import Options
 from .outline import path
 from .placing import place
 
 
 def write_split(
-    folder: Path, split: str, scenes: Iterable[StoredScene], master: Master, options: Options
+    folder: Path, split: str, scenes: Iterable[StoredScene], stored: StoredDataset, options: Options
 ) -> None:
     """`images/SPLIT/000000.png` and `labels/SPLIT/000000.txt`."""
-    place_of = {obj_id: i for i, obj_id in enumerate(master.categories)}
+    place_of = {obj_id: i for i, obj_id in enumerate(stored.categories)}
     labels = folder / "labels" / split
     labels.mkdir(parents=True)
     for scene in scenes:
@@ -36,13 +37,15 @@ def write_split(
         (labels / f"{name}.txt").write_text("".join(rows), encoding="ascii")
 
 
-def write_rest(folder: Path, splits: Iterable[str], master: Master, options: Options) -> None:
+def write_rest(
+    folder: Path, splits: Iterable[str], stored: StoredDataset, options: Options
+) -> None:
     """`data.yaml`, without `path`: its own folder is the root, wherever it is moved."""
     content = {split: f"images/{split}" for split in splits}
     # Ultralytics insists on both keys; a dataset of one set validates on what it trains on.
     first = next(iter(content.values()))
     content = {"train": first, "val": first} | content
-    names = dict(enumerate(master.categories.values()))
+    names = dict(enumerate(stored.categories.values()))
     text = yaml.safe_dump(content | {"names": names}, sort_keys=False, allow_unicode=True)
     (folder / "data.yaml").write_text(text, encoding="utf-8")
 

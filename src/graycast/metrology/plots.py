@@ -3,19 +3,21 @@
 from pathlib import Path
 
 import numpy as np
-from matplotlib.axes import Axes
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
+from ..plotting import ACCENT, INK, SECOND, SOFT, caption, plain_figure, save_png
 from .certificate import Certificate
 
-INK, ACCENT, SECOND, SOFT = "#1f2933", "#0b6e99", "#c4622d", "#9aa5b1"
-DEPTH_COLORS = ("#5aa9c7", "#0b6e99", "#0a3d56")  # near, middle, far
+DEPTH_COLORS = ("#5aa9c7", ACCENT, "#0a3d56")  # near, middle, far
 MAP_SIGMAS = 3.0  # of the plane's deviation that the colours span
 
 
 def draw_plots(certificate: Certificate, folder: Path) -> dict[str, Path]:
-    """Write all plots as PNGs into a folder that is there; returns them by name."""
+    """Write all plots as PNGs into a folder that is there; returns them by name.
+
+    Raises:
+        GraycastError: a file cannot be written.
+    """
     drawn = {
         "volume": _volume(certificate),
         "noise": _noise(certificate),
@@ -25,32 +27,13 @@ def draw_plots(certificate: Certificate, folder: Path) -> dict[str, Path]:
     paths = {}
     for name, figure in drawn.items():
         paths[name] = folder / f"{name}.png"
-        figure.savefig(paths[name], dpi=150, format="png", metadata={"Software": None})
+        save_png(figure, paths[name], dpi=150)
     return paths
-
-
-def _figure(width: float, height: float, *columns: float | int) -> tuple[Figure, list[Axes]]:
-    figure = Figure(figsize=(width, height), layout="constrained")
-    FigureCanvasAgg(figure)
-    axes = figure.subplots(1, len(columns), width_ratios=columns, squeeze=False)[0]
-    for ax in axes:
-        ax.spines[["top", "right"]].set_visible(False)
-        ax.spines[["left", "bottom"]].set_color(SOFT)
-        ax.tick_params(colors=INK, labelsize=8, length=3)
-        ax.grid(color="#e4e7eb", lw=0.6)
-        ax.set_axisbelow(True)
-    return figure, list(axes)
-
-
-def _words(ax: Axes, title: str, x: str, y: str) -> None:
-    ax.set_title(title, loc="left", fontsize=9, color=INK, fontweight="bold")
-    ax.set_xlabel(x, fontsize=8, color=INK)
-    ax.set_ylabel(y, fontsize=8, color=INK)
 
 
 def _volume(certificate: Certificate) -> Figure:
     """Where the artefacts stood, from above and from the side."""
-    figure, axes = _figure(9.6, 4.2, 1, 1)
+    figure, axes = plain_figure(9.6, 4.2, (1, 1))
     for ax, across, letter in zip(axes, (0, 1), "xy", strict=True):
         for plane in certificate.facing:
             ax.axhline(1e3 * plane.z_m, color=SOFT, lw=0.8, zorder=1)
@@ -75,7 +58,7 @@ def _volume(certificate: Certificate) -> Figure:
         ax.set_aspect("equal")
         ax.invert_yaxis()
         view = {"x": "from above", "y": "from the side"}[letter]
-        _words(ax, f"Artefacts {view}", f"{letter} [mm]", "depth z [mm]")
+        caption(ax, f"Artefacts {view}", f"{letter} [mm]", "depth z [mm]")
     handles = [
         axes[0].plot([], [], color=SOFT, lw=1, label="facing planes")[0],
         axes[0].plot([], [], "o", color=ACCENT, alpha=0.6, ms=8, label="probing spheres")[0],
@@ -86,7 +69,7 @@ def _volume(certificate: Certificate) -> Figure:
 
 
 def _noise(certificate: Certificate) -> Figure:
-    figure, (distance, tilt) = _figure(9.6, 2.9, 1, 1)
+    figure, (distance, tilt) = plain_figure(9.6, 2.9, (1, 1))
     rows = (
         (distance, certificate.facing, [1e3 * plane.z_m for plane in certificate.facing]),
         (tilt, certificate.tilted, [plane.tilt_deg for plane in certificate.tilted]),
@@ -98,9 +81,9 @@ def _noise(certificate: Certificate) -> Figure:
         ax.plot(x, measured, "o", color=ACCENT, ms=5, label="measured")
         ax.set_ylim(bottom=0)
         ax.legend(fontsize=8, frameon=False)
-    _words(distance, "Temporal noise against distance", "distance [mm]", "1 sigma of depth [mm]")
+    caption(distance, "Temporal noise against distance", "distance [mm]", "1 sigma of depth [mm]")
     middle_mm = 1e3 * certificate.middle.z_m
-    _words(
+    caption(
         tilt,
         f"Temporal noise against tilt at {middle_mm:.0f} mm",
         "tilt about the baseline [deg]",
@@ -110,7 +93,7 @@ def _noise(certificate: Certificate) -> Figure:
 
 
 def _shape(certificate: Certificate) -> Figure:
-    figure, (plane, sphere, bar) = _figure(9.6, 3.1, 1.25, 1, 0.8)
+    figure, (plane, sphere, bar) = plain_figure(9.6, 3.1, (1.25, 1, 0.8))
     deviation_mm = 1e3 * certificate.deviation_m
     limit_mm = MAP_SIGMAS * float(np.nanstd(deviation_mm)) or 1.0
     plane.grid(False)
@@ -122,7 +105,7 @@ def _shape(certificate: Certificate) -> Figure:
     shown.ax.tick_params(labelsize=8)
     shown.outline.set_visible(False)
     middle_mm = 1e3 * certificate.middle.z_m
-    _words(plane, f"Plane at {middle_mm:.0f} mm less its fit [mm]", "", "")
+    caption(plane, f"Plane at {middle_mm:.0f} mm less its fit [mm]", "", "")
     z_mm = [1e3 * one.centre_m[2] for one in certificate.probing]
     form_mm = [1e3 * one.form_m for one in certificate.probing]
     size_mm = [1e3 * one.size_m for one in certificate.probing]
@@ -130,19 +113,19 @@ def _shape(certificate: Certificate) -> Figure:
     sphere.plot(z_mm, form_mm, "o", color=ACCENT, ms=5, label="form PF")
     sphere.plot(z_mm, size_mm, "D", color=SECOND, ms=4, label="size PS")
     sphere.legend(fontsize=8, frameon=False)
-    _words(sphere, "Probing errors", "distance [mm]", "error [mm]")
+    caption(sphere, "Probing errors", "distance [mm]", "error [mm]")
     names = [one.name.replace("space diagonal", "space diag.") for one in certificate.spacing]
     names = [name.replace("diagonal of", "diag.") for name in names]
     bar.barh(names, [1e3 * one.error_m for one in certificate.spacing], color=ACCENT, height=0.55)
     bar.axvline(0, color=INK, lw=0.8)
     bar.invert_yaxis()
     bar.tick_params(axis="y", length=0)
-    _words(bar, "Sphere spacing SD", "error [mm]", "")
+    caption(bar, "Sphere spacing SD", "error [mm]", "")
     return figure
 
 
 def _focus(certificate: Certificate) -> Figure:
-    figure, (bits, blur) = _figure(9.6, 2.9, 1.2, 1)
+    figure, (bits, blur) = plain_figure(9.6, 2.9, (1.2, 1))
     facing = certificate.facing
     chosen = facing[0], certificate.middle, facing[-1]
     for name, plane, color in zip(("near", "middle", "far"), chosen, DEPTH_COLORS, strict=True):
@@ -153,14 +136,14 @@ def _focus(certificate: Certificate) -> Figure:
     bits.set_xticks(range(len(labels)), labels, rotation=90 if len(labels) > 8 else 0, fontsize=7)
     bits.set_ylim(0, 1.05)
     bits.legend(fontsize=8, frameon=False, loc="lower left")
-    _words(bits, "Modulation per bit, coarse to fine", "", "modulation")
+    caption(bits, "Modulation per bit, coarse to fine", "", "modulation")
     z_mm = [1e3 * one.z_m for one in certificate.blur]
     for name, color in (("camera", ACCENT), ("projector", SECOND)):
         radius_px = [getattr(one, f"{name}_px") for one in certificate.blur]
         blur.plot(z_mm, radius_px, color=color, lw=1.5, label=name)
     blur.set_ylim(bottom=0)
     blur.legend(fontsize=8, frameon=False)
-    _words(blur, "Blur against distance", "distance [mm]", "radius of blur [own px]")
+    caption(blur, "Blur against distance", "distance [mm]", "radius of blur [own px]")
     return figure
 
 

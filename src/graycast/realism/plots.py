@@ -7,7 +7,7 @@ from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
-from ..errors import GraycastError
+from ..plotting import save_png
 from .record import Bin, Realism
 
 _LEAST_PATCHES = 5  # a bin of fewer is in the table, with its count, but in no curve
@@ -31,10 +31,7 @@ def draw_realism(records: Sequence[Realism], path: Path) -> None:
     _draw_jumps(axes[1, 2], records)
     handles, labels = axes[1, 0].get_legend_handles_labels()
     figure.legend(handles, labels, loc="outside lower center", ncols=min(len(labels), 4))
-    try:
-        figure.savefig(path, dpi=100, format="png", metadata={"Software": None})
-    except OSError as error:
-        raise GraycastError(f"picture {path} cannot be written: {error.strerror}") from error
+    save_png(figure, path, dpi=100)
 
 
 def _draw_missing(ax: Axes, records: Sequence[Realism]) -> None:

@@ -81,7 +81,10 @@ def choose_device(backend: str, name: str) -> str:
         ValueError: no such device of this back end.
     """
     if backend == "cycles":
-        from .cycles.renderer import choose_cycles_device as choose
-    else:
-        from .device import choose_device as choose
+        from .cycles import examine_cycles
+        from .cycles.renderer import choose_cycles_device
+
+        return choose_cycles_device(name, examine_cycles())
+    from .device import choose_device as choose
+
     return choose(name)

@@ -28,30 +28,22 @@ from . import ggx
 
 
 @final
-class CoatedDiffuse(mi.BSDF):
+class CoatedDiffuse(ggx.GlossyBSDF):
     """Properties: `reflectance` (texture), `alpha` (GGX), `eta` (index of the coat)."""
 
     def __init__(self, props: mi.Properties):
         super().__init__(props)
-        self.reflectance = props.get_texture("reflectance")
-        alpha, eta = float(props["alpha"]), float(props["eta"])
-        table = coat_albedo(alpha, eta)
+        eta = float(props["eta"])
+        table = coat_albedo(float(props["alpha"]), eta)
         cosine = np.linspace(0, 1, ggx.TABLE)
         mean = float(np.trapezoid(2 * cosine * table, cosine))
-        # Opaque: literals would be compiled into the kernel, anew for every coat.
-        self.alpha, self.eta = dr.opaque(mi.Float, alpha), dr.opaque(mi.Float, eta)
+        self.eta = dr.opaque(mi.Float, eta)  # opaque, as alpha is
         self.base_scale = dr.opaque(mi.Float, 1 / (np.pi * (1 - mean)))
         self.table = mi.Float(table.astype(np.float32))
         coat = mi.BSDFFlags.GlossyReflection | mi.BSDFFlags.FrontSide
         base = mi.BSDFFlags.DiffuseReflection | mi.BSDFFlags.FrontSide
         self.m_components = [int(coat), int(base)]
         self.m_flags = coat | base
-
-    def eval(self, context, si, wo, active):
-        return self.eval_pdf(context, si, wo, active)[0]
-
-    def pdf(self, context, si, wo, active):
-        return self.eval_pdf(context, si, wo, active)[1]
 
     def eval_pdf(self, context, si, wo, active):
         """Value times cosine, and solid-angle density."""
@@ -87,12 +79,6 @@ class CoatedDiffuse(mi.BSDF):
         bs.sampled_component = dr.select(of_coat, mi.UInt32(0), 1)
         active &= pdf > 0
         return bs, dr.select(active, value / pdf, 0)
-
-    def eval_diffuse_reflectance(self, si, active):
-        return self.reflectance.eval(si, active)
-
-    def traverse(self, callback):
-        callback.put("reflectance", self.reflectance, mi.ParamFlags.Differentiable)
 
     def to_string(self):
         return f"CoatedDiffuse[alpha={self.alpha}, eta={self.eta}]"

@@ -53,6 +53,31 @@ def interpolated(table: mi.Float, cosine: mi.Float) -> mi.Float:
     return dr.lerp(a, b, place - mi.Float(low))
 
 
+class GlossyBSDF(mi.BSDF):
+    """What our BSDFs share; `eval_pdf` and `sample` are each one's own.
+
+    Properties: `reflectance` (texture), `alpha` (GGX).
+    """
+
+    def __init__(self, props: mi.Properties):
+        super().__init__(props)
+        self.reflectance = props.get_texture("reflectance")
+        # Opaque: a literal would be compiled into the kernel, anew for every roughness.
+        self.alpha = dr.opaque(mi.Float, float(props["alpha"]))
+
+    def eval(self, context, si, wo, active):
+        return self.eval_pdf(context, si, wo, active)[0]
+
+    def pdf(self, context, si, wo, active):
+        return self.eval_pdf(context, si, wo, active)[1]
+
+    def eval_diffuse_reflectance(self, si, active):
+        return self.reflectance.eval(si, active)
+
+    def traverse(self, callback):
+        callback.put("reflectance", self.reflectance, mi.ParamFlags.Differentiable)
+
+
 def directional_albedo(
     cosine: Float[np.ndarray, " n"],
     alpha: float,

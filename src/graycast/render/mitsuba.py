@@ -38,13 +38,13 @@ from .denoise import denoised
 from .mitsuba_paths import Tracer
 from .mitsuba_scene import build
 from .mitsuba_truth import truth
-from .radiance import Denoiser, Quality, Radiance, Rendering
+from .radiance import Denoiser, Quality, Radiance, Renderer, Rendering, refuse_other_size
 from .wavelength import at_projector_wavelength
 
 
 @final
-class MitsubaRenderer:
-    """See the module. Each call builds its scene and lets it go; the device stays open."""
+class MitsubaRenderer(Renderer):
+    """See the module. Each call builds its scene and lets it go; the process keeps the device."""
 
     name = "mitsuba"
 
@@ -81,22 +81,9 @@ class MitsubaRenderer:
             radiance = denoised(radiance, seen.normal, quality.denoise)
         return Rendering(radiance=radiance, truth=seen)
 
-    def close(self) -> None:
-        """A process keeps its Mitsuba device to its end."""
-
-    def __enter__(self) -> "MitsubaRenderer":
-        return self
-
-    def __exit__(self, *error: object) -> None:
-        self.close()
-
 
 def _refuse(rig: Rig, pattern: np.ndarray, quality: Quality) -> None:
-    projector = rig.projector
-    if pattern.shape[1:] != (projector.height_px, projector.width_px):
-        size = f"{pattern.shape[2]} x {pattern.shape[1]}"
-        wanted = f"{projector.width_px} x {projector.height_px}"
-        raise ValueError(f"patterns are {size} px, the projector is {wanted} px")
+    refuse_other_size(pattern, rig.projector)
     if rig.speckle_contrast**2 * quality.samples > 1:
         raise ValueError(
             f"speckle_contrast is {rig.speckle_contrast} with {quality.samples} samples, too many: "

@@ -7,6 +7,7 @@ from typing import Literal, Protocol, runtime_checkable
 import numpy as np
 from jaxtyping import Bool, Float, Int, UInt8
 
+from ..optics import Optics
 from ..scene import Layout, Scene
 
 Denoiser = Literal["oidn", "optix"]
@@ -128,8 +129,9 @@ class Rendering:
 class Renderer(Protocol):
     """Light transport and geometry only: no noise, no exposure, no files.
 
-    An open renderer may hold a device or a process: `close` it, or use it in a `with` statement.
-    `denoiser` is what cleans a colour picture on its device.
+    An open renderer may hold a process: `close` it, or use it in a `with` statement. Back ends
+    derive from this class, which closes for those that hold nothing. `denoiser` is what cleans a
+    colour picture on its device.
     """
 
     name: str
@@ -156,8 +158,21 @@ class Renderer(Protocol):
 
     def close(self) -> None:
         """Let go of what it holds; closing again does nothing."""
-        ...
 
-    def __enter__(self) -> "Renderer": ...
+    def __enter__(self) -> "Renderer":
+        return self
 
-    def __exit__(self, *error: object) -> None: ...
+    def __exit__(self, *error: object) -> None:
+        self.close()
+
+
+def refuse_other_size(pattern: UInt8[np.ndarray, "n ph pw"], projector: Optics) -> None:
+    """Patterns are made for one projector.
+
+    Raises:
+        ValueError: they have another size than this one's picture.
+    """
+    if pattern.shape[1:] != (projector.height_px, projector.width_px):
+        size = f"{pattern.shape[2]} x {pattern.shape[1]}"
+        wanted = f"{projector.width_px} x {projector.height_px}"
+        raise ValueError(f"patterns are {size} px, the projector is {wanted} px")

@@ -17,14 +17,22 @@ from ..frames import inverse, pixel_grid, transform_points
 from ..optics import project, rays, relative_illumination
 from ..rig import Rig, emission
 from ..scene import Layout, Quad, Scene, Sphere
-from .radiance import Denoiser, GroundTruth, Quality, Radiance, Rendering
+from .radiance import (
+    Denoiser,
+    GroundTruth,
+    Quality,
+    Radiance,
+    Renderer,
+    Rendering,
+    refuse_other_size,
+)
 from .wavelength import at_projector_wavelength
 
 CLEARANCE_M = 1e-9  # a shadow ray starts this far from its surface; float64 needs no more
 
 
 @final
-class ReferenceRenderer:
+class ReferenceRenderer(Renderer):
     """See the module. Raises ValueError for whatever is beyond its limits."""
 
     name, device = "reference", "cpu"
@@ -74,24 +82,12 @@ class ReferenceRenderer:
         )
         return Rendering(radiance=radiance, truth=_truth(scene, grid))
 
-    def close(self) -> None:
-        pass
-
-    def __enter__(self) -> "ReferenceRenderer":
-        return self
-
-    def __exit__(self, *error: object) -> None:
-        self.close()
-
 
 def _refuse_beyond_limits(
     scene: Scene, layout: Layout, pattern: np.ndarray, quality: Quality
 ) -> None:
     projector = scene.rig.projector
-    if pattern.shape[1:] != (projector.height_px, projector.width_px):
-        size = f"{pattern.shape[2]} x {pattern.shape[1]}"
-        wanted = f"{projector.width_px} x {projector.height_px}"
-        raise ValueError(f"patterns are {size} px, the projector is {wanted} px")
+    refuse_other_size(pattern, projector)
     if scene.bin is not None or len(layout.part_index) or scene.lamps:
         raise ValueError("the reference renderer knows surfaces alone: no parts, bin or lamps")
     if any(scene.environment.radiance):

@@ -37,25 +37,16 @@ from . import ggx
 
 
 @final
-class RoughConductor(mi.BSDF):
+class RoughConductor(ggx.GlossyBSDF):
     """Properties: `reflectance` (texture) at normal incidence, `alpha` (GGX)."""
 
     def __init__(self, props: mi.Properties):
         super().__init__(props)
-        self.reflectance = props.get_texture("reflectance")
-        alpha = float(props["alpha"])
-        lost, mean = lost_share(alpha)
-        # Opaque: literals would be compiled into the kernel, anew for every roughness.
-        self.alpha, self.mean = dr.opaque(mi.Float, alpha), dr.opaque(mi.Float, mean)
+        lost, mean = lost_share(float(props["alpha"]))
+        self.mean = dr.opaque(mi.Float, mean)
         self.lost = mi.Float(lost.astype(np.float32))
         self.m_flags = mi.BSDFFlags.GlossyReflection | mi.BSDFFlags.FrontSide
         self.m_components = [int(self.m_flags)]
-
-    def eval(self, context, si, wo, active):
-        return self.eval_pdf(context, si, wo, active)[0]
-
-    def pdf(self, context, si, wo, active):
-        return self.eval_pdf(context, si, wo, active)[1]
 
     def eval_pdf(self, context, si, wo, active):
         """Value times cosine, and solid-angle density."""
@@ -86,12 +77,6 @@ class RoughConductor(mi.BSDF):
         bs.sampled_type, bs.sampled_component = mi.UInt32(self.m_components[0]), mi.UInt32(0)
         weight = self._reflected(si, cos_half, length_i, active) * kept
         return bs, dr.select(active, weight, 0)
-
-    def eval_diffuse_reflectance(self, si, active):
-        return self.reflectance.eval(si, active)
-
-    def traverse(self, callback):
-        callback.put("reflectance", self.reflectance, mi.ParamFlags.Differentiable)
 
     def to_string(self):
         return f"RoughConductor[alpha={self.alpha}]"

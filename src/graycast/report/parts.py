@@ -11,11 +11,12 @@ from ..color import srgb
 from ..frames import inverse, look_at, rigid, transform_points
 from ..optics import Optics
 from ..parts import Material, Mesh, Part, Symmetry
+from ..plotting import save_png
 from ..render import Quality, Renderer
 from ..render.denoise import denoise
 from ..rig import Rig
 from ..scene import Environment, Lamp, Layout, Quad, Scene
-from .preview import DPI, pixel_axes, save_png
+from .preview import DPI, pixel_axes
 
 _TILE_PX = (480, 360)
 _FOCAL_PX = 900.0  # a field of 30 degrees: little perspective, as in a catalogue
@@ -98,7 +99,7 @@ def draw_parts(
         ax.annotate(text, (0, 0), (0, -32), xycoords="axes fraction",
                     textcoords="offset pixels", va="top", fontsize=9, linespacing=1.4,
                     color="0.25")  # fmt: skip
-    save_png(figure, path)
+    save_png(figure, path, dpi=DPI)
 
 
 # --- picture -----------------------------------------------------------------------------------

@@ -15,6 +15,7 @@ from matplotlib.figure import Figure
 from shapely import Polygon
 
 from ..optics import Optics, rays
+from ..plotting import save_png
 from ..rig import Rig, depth_per_column_m
 
 _CAMERA, _PROJECTOR, _COMMON = "tab:blue", "tab:red", "tab:purple"
@@ -72,7 +73,11 @@ def describe_rig(rig: Rig) -> str:
 
 
 def draw_rig(rig: Rig, path: Path) -> None:
-    """Write a PNG: the rig from above and from the side, depth per column, and the fields."""
+    """Write a PNG: the rig from above and from the side, depth per column, and the fields.
+
+    Raises:
+        GraycastError: the file cannot be written.
+    """
     figure = Figure(figsize=(15, 10), layout="constrained")
     FigureCanvasAgg(figure)
     axes = figure.subplots(2, 3, height_ratios=(1.35, 1))
@@ -86,7 +91,7 @@ def draw_rig(rig: Rig, path: Path) -> None:
     figure.legend(handles, labels, loc="outside lower center", ncols=len(labels))
     toe_in = f"toe-in {math.degrees(rig.axes_angle_rad):.2f}° between the axes"
     figure.suptitle(f"{rig.name}: baseline {1e3 * rig.baseline_m:.1f} mm, {toe_in}")
-    figure.savefig(path, dpi=100, format="png", metadata={"Software": None})
+    save_png(figure, path, dpi=100)
 
 
 def _draw_view(ax: Axes, rig: Rig, *, across: int) -> None:

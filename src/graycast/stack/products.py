@@ -13,6 +13,7 @@ from matplotlib.figure import Figure
 
 from ..decode import REASON_COLOR, Reason
 from ..folder import whole_folder
+from ..plotting import save_png
 from .decoding import Cloud, StackResult
 
 PREVIEW = "preview.png"
@@ -175,7 +176,7 @@ def _draw(result: StackResult, path: Path) -> None:
             _draw_reasons(ax, result, step)
         else:
             _draw_map(figure, ax, values[::step, ::step], limits)
-    figure.savefig(path, dpi=DPI, format="png", metadata={"Software": None})
+    save_png(figure, path, dpi=DPI)
 
 
 def _draw_map(figure: Figure, ax, values, limits) -> None:

@@ -1,7 +1,7 @@
 """From scenes to a dataset: histograms that add up, so memory does not grow with the scenes."""
 
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, field
 from multiprocessing import get_context
@@ -11,8 +11,8 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from ..dataset.coco import IGNORED_BELOW
+from ..dataset.stored import StoredScene, open_dataset
 from .scene import DEPTH_BIN_MM, SceneFigures, scene_figures
-from .stored import DatasetFacts, ScenePlace, find_scenes, load_scene, read_facts
 
 VISIBILITY_BINS = 20
 SIDE_EDGES_PX = 2.0 ** (np.arange(49) / 4)  # quarter octaves, 1 to 4096 px
@@ -117,19 +117,19 @@ def dataset_statistics(
     Raises:
         DatasetError: no scene, or one that cannot be read.
     """
-    places, facts = find_scenes(dataset), read_facts(dataset)
+    stored = open_dataset(dataset)
 
     def passing() -> Iterator[SceneFigures]:
-        for figures in _each(places, workers):
+        for figures in _each(stored.scenes, workers):
             if on_scene is not None:
                 on_scene(figures)
             yield figures
 
-    return tally(passing(), facts)
+    return tally(passing(), stored.categories)
 
 
-def tally(scenes: Iterable[SceneFigures], facts: DatasetFacts) -> Statistics:
-    """Add up scenes' figures; holds one scene at a time."""
+def tally(scenes: Iterable[SceneFigures], categories: Mapping[int, str]) -> Statistics:
+    """Add up scenes' figures, one scene at a time; `categories` are the objects' names."""
     sums = _Sums()
     for figures in scenes:
         _add(sums, figures)
@@ -140,7 +140,7 @@ def tally(scenes: Iterable[SceneFigures], facts: DatasetFacts) -> Statistics:
         part_pixels=part_pixels,
         sizes_px=dict(sums.sizes),
         depth_scale_mm=sums.scale_mm,
-        classes=tuple(_class(k, facts, held) for k, held in sorted(sums.per_class.items())),
+        classes=tuple(_class(k, categories[k], held) for k, held in sorted(sums.per_class.items())),
         areas={name: sums.areas[name] for name in ("small", "medium", "large")},
         instances=dict(sorted(sums.instances.items())),
         depth_bin=dict(sorted(sums.depth.items())),
@@ -196,16 +196,16 @@ def _quantiles(
     return value[k] + inside if continuous else value[k]
 
 
-def _each(places: list[ScenePlace], workers: int) -> Iterator[SceneFigures]:
+def _each(scenes: Sequence[StoredScene], workers: int) -> Iterator[SceneFigures]:
     if workers == 1:
-        yield from map(_read, places)
+        yield from map(_read, scenes)
         return
     with ProcessPoolExecutor(workers, mp_context=get_context("spawn")) as pool:
-        yield from pool.map(_read, places, chunksize=4)
+        yield from pool.map(_read, scenes, chunksize=4)
 
 
-def _read(place: ScenePlace) -> SceneFigures:
-    return scene_figures(load_scene(place))
+def _read(scene: StoredScene) -> SceneFigures:
+    return scene_figures(scene.content())
 
 
 def _add(sums: _Sums, figures: SceneFigures) -> None:
@@ -259,11 +259,11 @@ def _side_bin(side_px: float) -> int:
     return min(max(k, 0), len(SIDE_EDGES_PX) - 2)
 
 
-def _class(obj_id: int, facts: DatasetFacts, held: list) -> ClassFigures:
+def _class(obj_id: int, name: str, held: list) -> ClassFigures:
     scenes, instances, visible, visib_fract, side_px, box_px = held
     return ClassFigures(
         obj_id=obj_id,
-        name=facts.part_name(obj_id),
+        name=name,
         scenes=scenes,
         instances=instances,
         visible=int(visible),

@@ -4,40 +4,28 @@ from pathlib import Path
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.backends.backend_agg import FigureCanvasAgg
-from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
 from ..decode import REASON_COLOR, Reason
+from ..plotting import ACCENT, SECOND, SOFT, caption, plain_figure, save_png
 from .gather import SIDE_EDGES_PX, VISIBILITY_BINS, Statistics
 from .scene import DEPTH_BIN_MM
 
-INK, ACCENT, SOFT = "#1f2933", "#0b6e99", "#9aa5b1"
-_CLASS_COLORS = ("#0b6e99", "#c4622d", "#4f9d69", "#7d5ba6", "#c8385a", "#8a7a2b")
+_CLASS_COLORS = (ACCENT, SECOND, "#4f9d69", "#7d5ba6", "#c8385a", "#8a7a2b")
 _ERROR_SIGMAS = 5.0
 
 
 def draw_statistics(statistics: Statistics, path: Path) -> None:
-    """Write the sheet; the suffix of `path` chooses the format (png, svg, pdf)."""
-    figure = Figure(figsize=(13.2, 5.6), layout="constrained")
-    FigureCanvasAgg(figure)
-    axes = figure.subplots(2, 4).ravel()
+    """Write the sheet as a PNG.
+
+    Raises:
+        GraycastError: the file cannot be written.
+    """
+    figure, axes = plain_figure(13.2, 5.6, (1, 1, 1, 1), rows=2, grid="y")
     drawings = (_counts, _visibility, _sides, _depth, _reasons, _errors, _decoded, _brightness)
     for ax, draw in zip(axes, drawings, strict=True):
-        ax.spines[["top", "right"]].set_visible(False)
-        ax.spines[["left", "bottom"]].set_color(SOFT)
-        ax.tick_params(colors=INK, labelsize=8, length=3)
-        ax.grid(axis="y", color="#e4e7eb", lw=0.6)
-        ax.set_axisbelow(True)
         draw(ax, statistics)
-    metadata = {"Software": None} if path.suffix == ".png" else None
-    figure.savefig(path, dpi=120, metadata=metadata)
-
-
-def _words(ax: Axes, title: str, x: str, y: str = "") -> None:
-    ax.set_title(title, loc="left", fontsize=9, color=INK, fontweight="bold")
-    ax.set_xlabel(x, fontsize=8, color=INK)
-    ax.set_ylabel(y, fontsize=8, color=INK)
+    save_png(figure, path, dpi=120)
 
 
 def _color(k: int) -> str:
@@ -50,7 +38,7 @@ def _counts(ax: Axes, s: Statistics) -> None:
     ax.xaxis.set_major_locator(MaxNLocator(integer=True))
     ax.yaxis.set_major_locator(MaxNLocator(integer=True))
     total = sum(one.instances for one in s.classes)
-    _words(ax, f"Instances per scene ({total:,} in all)", "instances", "scenes")
+    caption(ax, f"Instances per scene ({total:,} in all)", "instances", "scenes")
 
 
 def _stacked(ax: Axes, edges: np.ndarray, counts: list[np.ndarray], names: list[str]) -> None:
@@ -66,7 +54,7 @@ def _stacked(ax: Axes, edges: np.ndarray, counts: list[np.ndarray], names: list[
 def _visibility(ax: Axes, s: Statistics) -> None:
     edges = np.linspace(0, 1, VISIBILITY_BINS + 1)
     _stacked(ax, edges, [one.visib_fract for one in s.classes], [one.name for one in s.classes])
-    _words(ax, "Visibility", "visible share of the silhouette", "instances")
+    caption(ax, "Visibility", "visible share of the silhouette", "instances")
 
 
 def _sides(ax: Axes, s: Statistics) -> None:
@@ -77,7 +65,7 @@ def _sides(ax: Axes, s: Statistics) -> None:
     used = np.flatnonzero(sum(counts, np.zeros(len(SIDE_EDGES_PX) - 1)))
     if len(used):
         ax.set_xlim(SIDE_EDGES_PX[used[0]], SIDE_EDGES_PX[used[-1] + 1])
-    _words(ax, "Mask size", "root of the visible area [px]", "instances")
+    caption(ax, "Mask size", "root of the visible area [px]", "instances")
 
 
 def _depth(ax: Axes, s: Statistics) -> None:
@@ -87,7 +75,7 @@ def _depth(ax: Axes, s: Statistics) -> None:
     if s.depth_bin:
         found = s.depth_quantiles_mm
         ax.set_xlim(found["p01"] - 3 * DEPTH_BIN_MM, found["p99"] + 3 * DEPTH_BIN_MM)
-    _words(ax, "Perfect depth", "z [mm]", "pixels [%]")
+    caption(ax, "Perfect depth", "z [mm]", "pixels [%]")
 
 
 def _reasons(ax: Axes, s: Statistics) -> None:
@@ -102,11 +90,11 @@ def _reasons(ax: Axes, s: Statistics) -> None:
     ax.set_yticks([0, 1], ["parts", "all"])
     ax.set_ylim(-0.5, 3.2)
     ax.legend(fontsize=6.5, frameon=False, ncols=2, loc="upper left")
-    _words(ax, "Why there is no depth", "pixels [%]")
+    caption(ax, "Why there is no depth", "pixels [%]")
 
 
 def _errors(ax: Axes, s: Statistics) -> None:
-    _words(ax, "Scanner less perfect depth", "[mm]", "pixels [%]")
+    caption(ax, "Scanner less perfect depth", "[mm]", "pixels [%]")
     if not s.error.pixels:
         return
     reach = max(_ERROR_SIGMAS * s.error.sigma_mm, 3 * s.depth_scale_mm)
@@ -126,14 +114,14 @@ def _errors(ax: Axes, s: Statistics) -> None:
 def _decoded(ax: Axes, s: Statistics) -> None:
     edges = np.linspace(0, 100, len(s.decoded_share) + 1)
     ax.bar(edges[:-1], s.decoded_share, np.diff(edges), align="edge", color=ACCENT)
-    _words(ax, "Decoded share per scene", "decoded pixels [%]", "scenes")
+    caption(ax, "Decoded share per scene", "decoded pixels [%]", "scenes")
 
 
 def _brightness(ax: Axes, s: Statistics) -> None:
-    for counts, color, name in ((s.gray, ACCENT, "white frame"), (s.luma, "#c4622d", "colour")):
+    for counts, color, name in ((s.gray, ACCENT, "white frame"), (s.luma, SECOND, "colour")):
         if counts:
             level = np.bincount(list(counts), list(counts.values()), minlength=256)
             share = 100 * level.reshape(64, 4).sum(axis=1) / level.sum()
             ax.step(np.arange(64) * 4 + 2, share, where="mid", color=color, lw=1.2, label=name)
     ax.legend(fontsize=7, frameon=False)
-    _words(ax, "Brightness", "value of 255", "pixels [%]")
+    caption(ax, "Brightness", "value of 255", "pixels [%]")

@@ -4,7 +4,7 @@ import numpy as np
 from jaxtyping import Bool, Int, UInt8
 from pydantic import BaseModel, ConfigDict
 
-from .stored import StoredScene
+from ..dataset.stored import SceneContent
 
 DEPTH_BIN_MM = 10.0
 ERROR_LIMIT_STEPS = 20000  # farther off is counted there: two metres in steps of 0.1 mm
@@ -49,7 +49,7 @@ class SceneFigures(BaseModel):
         return self.reason_px.get("decoded", 0) / self.pixels
 
 
-def scene_figures(scene: StoredScene) -> SceneFigures:
+def scene_figures(scene: SceneContent) -> SceneFigures:
     """Count one scene."""
     on_part = scene.label >= 0
     everywhere = np.ones_like(on_part)
@@ -59,8 +59,8 @@ def scene_figures(scene: StoredScene) -> SceneFigures:
         known = scene.depth[scene.depth > 0].astype(np.int64)
         depth_bin = (known * (scene.depth_scale_mm / DEPTH_BIN_MM)).astype(np.int64)
     return SceneFigures(
-        split=scene.place.split,
-        scene_id=scene.place.scene_id,
+        split=scene.stored.split,
+        scene_id=scene.stored.scene_id,
         width_px=width_px,
         height_px=height_px,
         depth_scale_mm=scene.depth_scale_mm,
@@ -88,12 +88,12 @@ def _counts(value: np.ndarray) -> dict[int, int]:
     return {int(k) + low: int(counts[k]) for k in np.flatnonzero(counts)}
 
 
-def _reason_counts(scene: StoredScene, within: Bool[np.ndarray, "h w"]) -> dict[str, int]:
+def _reason_counts(scene: SceneContent, within: Bool[np.ndarray, "h w"]) -> dict[str, int]:
     counts = np.bincount(scene.reason[within], minlength=256)
     return {name: int(counts[number]) for number, name in sorted(scene.reason_name.items())}
 
 
-def _error_counts(scene: StoredScene, within: Bool[np.ndarray, "h w"]) -> dict[int, int]:
+def _error_counts(scene: SceneContent, within: Bool[np.ndarray, "h w"]) -> dict[int, int]:
     if scene.depth is None or scene.scanner is None:
         return {}
     both = within & (scene.depth > 0) & (scene.scanner > 0)

@@ -6,7 +6,8 @@ from functools import partial
 from pathlib import Path
 from typing import final, overload
 
-from ..dataset.example import Example, Master, open_master
+from ..dataset.example import Example
+from ..dataset.stored import StoredDataset, open_dataset
 from ..errors import DatasetError
 from ..export.record import RECORD, read_record
 from ..export.split import Split
@@ -68,7 +69,7 @@ def open_examples(folder: Path, *, split: str = "train", division: Split | None 
         DatasetError: the folder is neither, or has no such set.
     """
     if not (folder / RECORD).is_file():
-        return _from_master(open_master(folder), split, division or Split())
+        return _from_dataset(open_dataset(folder), split, division or Split())
     if division is not None:
         raise DatasetError(f"{folder}: was divided when it was exported: give no division")
     record = read_record(folder)
@@ -82,19 +83,19 @@ def open_examples(folder: Path, *, split: str = "train", division: Split | None 
     )
 
 
-def _from_master(master: Master, split: str, division: Split) -> Examples:
-    sets = {name: tuple(ids) for name, ids in division.assign(master.scene_ids).items()}
+def _from_dataset(stored: StoredDataset, split: str, division: Split) -> Examples:
+    sets = {name: tuple(ids) for name, ids in division.assign(stored.scene_ids["train"]).items()}
     return Examples(
-        folder=master.folder,
+        folder=stored.folder,
         split=split,
-        scene_ids=_of_set(master.folder, sets, split),
-        categories=master.categories,
-        read=partial(_master_example, master),
+        scene_ids=_of_set(stored.folder, sets, split),
+        categories=stored.categories,
+        read=partial(_stored_example, stored),
     )
 
 
-def _master_example(master: Master, scene_id: int) -> Example:
-    return master.scene(scene_id).example()
+def _stored_example(stored: StoredDataset, scene_id: int) -> Example:
+    return stored.scene(scene_id).example()
 
 
 def _of_set(folder: Path, sets: Mapping[str, Sequence[int]], split: str) -> tuple[int, ...]:

@@ -4,6 +4,6 @@ Cycles lives in an environment of its own (`make cycles`) and in a child process
 Graycast's side of it (`renderer.CyclesRenderer`), `worker/` is Cycles'.
 """
 
-from .process import CyclesState, examine_cycles, find_cycles
+from .process import CyclesState, examine_cycles
 
-__all__ = ["CyclesState", "examine_cycles", "find_cycles"]
+__all__ = ["CyclesState", "examine_cycles"]

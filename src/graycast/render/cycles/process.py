@@ -1,7 +1,7 @@
 """The child process in which Cycles runs.
 
 The protocol: a line on the child's stdin is the path of a job's folder. Each answer is one line of
-JSON: `{"ready": version}` at the start, `{"frame": name}` when a frame's file is written, and
+JSON: `{"ready": true}` at the start, `{"frame": name}` when a frame's file is written, and
 `{"done": true}` or `{"error": text}` at the end of a job. Pictures pass by files.
 """
 
@@ -87,14 +87,10 @@ class CyclesProcess:
             start_new_session=True,  # Ctrl-C is for the parent, which then ends it
         )
         try:
-            self.version = self._answer()["ready"]
+            self._answer()  # that it is ready
         except CyclesDied as error:
             self.close()
             raise GraycastError(f"Blender Cycles does not start: {error}") from error
-
-    @property
-    def pid(self) -> int:
-        return self._child.pid
 
     def run(self, folder: Path) -> Iterator[str]:
         """Render a job; yields the name of each frame when its file is written.

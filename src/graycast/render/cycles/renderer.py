@@ -22,10 +22,19 @@ from ...raster import rasterize
 from ...rig import Rig
 from ...scene import Layout, Scene
 from ..device import examine_cuda
-from ..radiance import GroundTruth, OnFrame, Quality, Radiance, Rendering, Silhouette
+from ..radiance import (
+    GroundTruth,
+    OnFrame,
+    Quality,
+    Radiance,
+    Renderer,
+    Rendering,
+    Silhouette,
+    refuse_other_size,
+)
 from ..wavelength import at_one_wavelength, at_projector_wavelength
 from .job import ALBEDO, LOOK, TRUTH, Frame, is_simple, need_renders, pattern_frames, write_job
-from .process import CyclesDied, CyclesProcess, examine_cycles
+from .process import CyclesDied, CyclesProcess, CyclesState, examine_cycles
 
 DEVICES = ("auto", "cpu", "cuda", "optix")
 MAX_DEATHS = 3  # of the child, for one scene
@@ -37,7 +46,7 @@ Bands = tuple[float, float, float]
 Pictures = dict[str, Float[np.ndarray, "h w 4"]]
 
 
-def choose_cycles_device(name: str) -> str:
+def choose_cycles_device(name: str, cycles: CyclesState) -> str:
     """The device that Cycles renders on: 'cpu', 'cuda' or 'optix'.
 
     Raises:
@@ -46,7 +55,6 @@ def choose_cycles_device(name: str) -> str:
     """
     if name not in DEVICES:
         raise ValueError(f"no device {name!r} for Cycles: choose one of {', '.join(DEVICES)}")
-    cycles = examine_cycles()
     if not cycles.usable:
         raise DeviceError(cycles.problem)
     if name == "cpu":
@@ -62,7 +70,7 @@ def choose_cycles_device(name: str) -> str:
 
 
 @final
-class CyclesRenderer:
+class CyclesRenderer(Renderer):
     """Owns one child process for all its scenes; starts another where that one dies."""
 
     name = "cycles"
@@ -78,8 +86,10 @@ class CyclesRenderer:
     ):
         if patterns_per_render not in (1, 3):
             raise ValueError(f"patterns_per_render is {patterns_per_render}; 1 or 3 (R, G and B)")
-        self.device = choose_cycles_device(device)
-        self.versions = {"bpy": str(examine_cycles().version)}
+        cycles = examine_cycles()
+        self.device = choose_cycles_device(device, cycles)
+        self.versions = {"bpy": str(cycles.version)}
+        self._python = cycles.python
         self.threads, self.patterns_per_render = threads, patterns_per_render
         self.on_frame = on_frame or (lambda done, total: None)
         self._process: CyclesProcess | None = None
@@ -115,14 +125,10 @@ class CyclesRenderer:
         )
 
     def _refuse(self, rig: Rig, pattern: UInt8[np.ndarray, "n ph pw"], quality: Quality) -> None:
-        projector = rig.projector
-        if pattern.shape[1:] != (projector.height_px, projector.width_px):
-            size = f"{pattern.shape[2]} x {pattern.shape[1]}"
-            wanted = f"{projector.width_px} x {projector.height_px}"
-            raise ValueError(f"patterns are {size} px, the projector is {wanted} px")
+        refuse_other_size(pattern, rig.projector)
         if rig.speckle_contrast:
             raise ValueError("Cycles has no speckle: set speckle_contrast to 0, or use mitsuba")
-        if projector.psf_px:
+        if rig.projector.psf_px:
             raise ValueError(
                 "Cycles has no constant blur of the projector: set its psf_px to 0, or use mitsuba"
             )
@@ -152,12 +158,6 @@ class CyclesRenderer:
         if self._process is not None:
             self._process.close()
             self._process = None
-
-    def __enter__(self) -> "CyclesRenderer":
-        return self
-
-    def __exit__(self, *error: object) -> None:
-        self.close()
 
     def _render(
         self,
@@ -191,7 +191,7 @@ class CyclesRenderer:
         """A job to its end, by as many processes as it takes: frames that are there are kept."""
         for _ in range(MAX_DEATHS):
             if self._process is None:
-                self._process = CyclesProcess(examine_cycles().python)
+                self._process = CyclesProcess(self._python)
             try:
                 written = sum((folder / f"{frame.name}.npy").exists() for frame in frames)
                 for done, _ in enumerate(self._process.run(folder), start=written + 1):

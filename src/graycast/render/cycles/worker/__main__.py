@@ -20,7 +20,7 @@ def main() -> None:
     _die_with_parent()
     import frames  # bpy writes to stdout, so only now
 
-    print(json.dumps({"ready": frames.version()}), file=answers, flush=True)
+    print(json.dumps({"ready": True}), file=answers, flush=True)
     for line in sys.stdin:
         try:
             for done in frames.render_job(Path(line.strip())):

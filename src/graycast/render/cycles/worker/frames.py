@@ -20,10 +20,6 @@ LIGHT = ("projected", "ambient")  # kinds of frame that gather light; the others
 TRUTH = ("position", "normal", "instance")  # at pixel centres
 
 
-def version() -> str:
-    return bpy.app.version_string
-
-
 def render_job(folder: Path) -> Iterator[str]:
     """Yields the name of each frame when its file is written."""
     job = json.loads((folder / "job.json").read_text())

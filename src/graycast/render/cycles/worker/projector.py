@@ -19,7 +19,7 @@ SPREAD = 1.001  # of the light cone beyond the field's corner
 
 class Projector:
     def __init__(self, scene: bpy.types.Scene, job: dict[str, Any], folder: Path):
-        self.scene, self.optics = scene, job["projector"]
+        self.optics = job["projector"]
         self.pattern = np.load(folder / "pattern.npy", mmap_mode="r")
         self.emission = np.array(job["emission"], dtype=np.float32)  # per grey level
         self.texture: bpy.types.Node | None = None
@@ -37,9 +37,9 @@ class Projector:
         self._emit(light, np.array(job["T_world_proj"]))
 
     def show(self, levels: list[int], bands: list[float]) -> None:
-        """Patterns by number, one for all bands or one for each; -1 is white. None is no light.
+        """Patterns by number, one for all bands or one for each; -1 is white.
 
-        `bands` are the bands' shares of the light.
+        No pattern is no light. `bands` are the bands' shares of it.
         """
         self.body.hide_render = not levels
         if not levels:

@@ -1,0 +1,386 @@
+"""A dataset read back, of simulated or of real pictures: the one reader of `train/`.
+
+Nothing is trusted: a file that is missing, damaged or contradicts another is a DatasetError that
+says which one.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from functools import partial
+from pathlib import Path
+from typing import Any, final
+
+import numpy as np
+from jaxtyping import Bool, Float32, Int, UInt8, UInt16
+from pycocotools import mask as coco_mask
+
+from ..errors import DatasetError
+from . import records
+from .claim import CLAIM
+from .example import Example, Label, label_arrays, metres
+from .reading import Unreadable, read_json, read_png
+from .real import RealClaim, RealSceneCamera, RealSceneGt, RealSceneGtInfo, is_real
+from .store import finished_scenes
+
+SPLITS = ("train", "val", "test")
+NO_REASON = 255  # a pixel without scanner depth in a dataset that does not say why
+_HELD = frozenset({"rgb", "gray_sl", "depth", "depth_sl", "masks", "amodal", "poses", "shares"})
+_PIXELS = {"rgb": (3, np.uint8), "gray_sl": (2, np.uint8), "reason_sl": (2, np.uint8)}
+_DEPTH = (2, np.uint16)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class StoredInstance:
+    """One instance, seen or not; None is what a dataset of real pictures does not know.
+
+    `box` and `amodal_box` are BOP's [x, y, last column - first, last row - first], -1 four times
+    where nothing is visible; `box3d` is rotation (9), centre and size [mm], camera frame.
+    """
+
+    obj_id: int
+    area_px: int
+    box: list[int]
+    visib_fract: float | None = None
+    amodal_box: list[int] | None = None
+    position_mm: list[float] | None = None
+    box3d: tuple[list[float], list[float], list[float]] | None = None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SceneContent:
+    """All of one scene in memory, as stored; a picture that the dataset does not hold is None.
+
+    Depths are steps of `depth_scale_mm`, 0 where there is none. `reason` holds the numbers of
+    `reason_name`, 0 where there is a scanner depth and `NO_REASON` where the dataset does not say
+    why there is none. `label` is the visible instance of each pixel, -1 for none; where masks of
+    annotators overlap, the later one.
+    """
+
+    stored: "StoredScene"
+    rgb: UInt8[np.ndarray, "h w 3"] | None
+    gray: UInt8[np.ndarray, "h w"] | None
+    depth: UInt16[np.ndarray, "h w"] | None
+    scanner: UInt16[np.ndarray, "h w"] | None
+    reason: UInt8[np.ndarray, "h w"]
+    label: Int[np.ndarray, "h w"]
+    view: dict[str, Any]
+    instances: tuple[StoredInstance, ...]
+    reason_name: dict[int, str]
+    manifest: dict[str, Any]
+
+    @property
+    def depth_scale_mm(self) -> float:
+        return float(self.view["depth_scale"])
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True)
+class StoredScene:
+    """One scene of a dataset, each file read and checked when it is asked for.
+
+    Every method raises DatasetError where a file is missing, damaged or contradicts another.
+    """
+
+    folder: Path
+    split: str
+    scene_id: int
+    size_px: tuple[int, int]
+    categories: Mapping[int, str] = field(hash=False)
+    real: bool
+    holds: frozenset[str]
+
+    @property
+    def key(self) -> str:
+        """Its name among all scenes of the dataset."""
+        return f"{self.split}-{self.scene_id:06d}"
+
+    def view(self) -> records.View | Any:
+        """Intrinsics and depth scale; of simulated scenes also where the camera stood."""
+        form = RealSceneCamera if self.real else records.SceneCamera
+        return self._read("scene_camera.json", form).image
+
+    def manifest(self) -> dict[str, Any]:
+        """What the run that made it had to say."""
+        return self._read("manifest.json", records.Manifest).root
+
+    def obj_ids(self) -> tuple[int, ...]:
+        """What each instance is, seen or not: all that one small file tells."""
+        return tuple(pose.obj_id for pose in self._poses()) if "masks" in self.holds else ()
+
+    def labels(self, *, min_visibility: float = 0.0) -> list[Label]:
+        """The visible instances, or those visible for at least a share; none without masks."""
+        poses, infos, annotations = self._annotated()
+        seen = [i for i, info in enumerate(infos) if info.px_count_visib > 0]
+        labels = (
+            self._label(i, poses[i], infos[i], entry)
+            for i, entry in zip(seen, annotations, strict=True)
+        )
+        return [
+            label
+            for label in labels
+            if label.visib_fract is None or label.visib_fract >= min_visibility
+        ]
+
+    def png(self, name: str) -> Path:
+        """A picture's file, found whole and of the right form."""
+        self._image(name)
+        return self.folder / name / "000000.png"
+
+    def rgb(self) -> UInt8[np.ndarray, "h w 3"]:
+        return np.ascontiguousarray(self._image("rgb")[..., ::-1])
+
+    def gray(self) -> UInt8[np.ndarray, "h w"]:
+        return self._image("gray_sl")
+
+    def depth_steps(self, name: str) -> UInt16[np.ndarray, "h w"]:
+        """`depth` or `depth_sl` as stored: steps of the depth scale, 0 where there is none."""
+        return self._image(name)
+
+    def depth_m(self, name: str) -> Float32[np.ndarray, "h w"]:
+        """z [m] of `depth` or `depth_sl`, NaN where there is none."""
+        return metres(self._image(name), self.view().depth_scale)
+
+    def masks(self, name: str) -> list[Bool[np.ndarray, "h w"]]:
+        """All masks of `mask` or `mask_visib`, of hidden instances too."""
+        return [self._mask(f"{name}/000000_{i:06d}.png") for i in range(len(self._poses()))]
+
+    def example(self, *, min_visibility: float = 0.0) -> Example:
+        """What a trainer wants of it."""
+        view, labels = self.view(), self.labels(min_visibility=min_visibility)
+        known = labels if "masks" in self.holds else None
+        return Example(
+            scene_id=self.scene_id,
+            K=np.array(view.cam_K).reshape(3, 3),
+            distortion=tuple(view.distortion),
+            rgb=self.rgb() if "rgb" in self.holds else None,
+            gray=self.gray() if "gray_sl" in self.holds else None,
+            depth_m=self.depth_m("depth") if "depth" in self.holds else None,
+            scanner_depth_m=self.depth_m("depth_sl") if "depth_sl" in self.holds else None,
+            **label_arrays(known, self.size_px),
+        )
+
+    def content(self) -> SceneContent:
+        """What statistics and pages want of it: everything."""
+        scanner = self.depth_steps("depth_sl") if "depth_sl" in self.holds else None
+        reason, reason_name = self._reasons(scanner)
+        poses, infos, annotations = self._annotated()
+        return SceneContent(
+            stored=self,
+            rgb=self.rgb() if "rgb" in self.holds else None,
+            gray=self.gray() if "gray_sl" in self.holds else None,
+            depth=self.depth_steps("depth") if "depth" in self.holds else None,
+            scanner=scanner,
+            reason=reason,
+            label=self._label_map(infos, annotations),
+            view=self.view().model_dump(),
+            instances=self._instances(poses, infos),
+            reason_name=reason_name,
+            manifest=self.manifest(),
+        )
+
+    def read_bytes(self, name: str) -> bytes:
+        """A JSON file of the scene as it is."""
+        try:
+            return (self.folder / name).read_bytes()
+        except OSError as error:
+            why = f"cannot be read ({error.strerror}): run graycast validate"
+            raise DatasetError(f"{self.folder / name}: {why}") from error
+
+    def _poses(self) -> list[Any]:
+        form = RealSceneGt if self.real else records.SceneGt
+        poses = self._read("scene_gt.json", form).image
+        for obj_id in {pose.obj_id for pose in poses}.difference(self.categories):
+            raise DatasetError(
+                f"{self.folder / 'scene_gt.json'}: has object {obj_id}, {CLAIM} has "
+                f"{', '.join(map(str, self.categories))}: run graycast validate"
+            )
+        return poses
+
+    def _annotated(self) -> tuple[list[Any], list[Any], list[records.SceneAnnotation]]:
+        """Poses and figures of all instances, annotations of those that are seen."""
+        if "masks" not in self.holds:
+            return [], [], []
+        form = RealSceneGtInfo if self.real else records.SceneGtInfo
+        poses = self._poses()
+        infos = self._read("scene_gt_info.json", form).image
+        annotations = self._read("scene_gt_coco.json", records.SceneCoco).annotations
+        seen = sum(info.px_count_visib > 0 for info in infos)
+        if len(poses) != len(infos) or seen != len(annotations):
+            raise DatasetError(
+                f"{self.folder}: scene_gt.json has {len(poses)} instances, scene_gt_info.json "
+                f"{seen} visible of {len(infos)}, scene_gt_coco.json "
+                f"{len(annotations)} annotations: run graycast validate"
+            )
+        size = list(self.size_px)
+        for entry in annotations:
+            runs = entry.segmentation
+            if runs.size != size or sum(runs.counts) != size[0] * size[1]:
+                raise DatasetError(
+                    f"{self.folder / 'scene_gt_coco.json'}: annotation {entry.id} is of another "
+                    f"image than {size[1]} x {size[0]} pixels: run graycast validate"
+                )
+        return poses, infos, annotations
+
+    def _label(self, i: int, pose: Any, info: Any, entry: records.SceneAnnotation) -> Label:
+        size = list(self.size_px)
+        runs = coco_mask.frPyObjects(entry.segmentation.model_dump(), *size)
+        return Label(
+            instance=i,
+            obj_id=pose.obj_id,
+            area_px=entry.area,
+            box=[int(edge) for edge in coco_mask.toBbox(runs)],
+            segmentation={"size": size, "counts": runs["counts"].decode()},
+            pose=(pose.cam_R_m2c, pose.cam_t_m2c) if "poses" in self.holds else None,
+            visib_fract=info.visib_fract if "shares" in self.holds else None,
+        )
+
+    def _label_map(
+        self, infos: list[Any], annotations: list[records.SceneAnnotation]
+    ) -> Int[np.ndarray, "h w"]:
+        """From run lengths: a picture per mask would be read a hundred times slower."""
+        height_px, width_px = self.size_px
+        label = np.full(height_px * width_px, -1, dtype=np.int32)  # by columns, as COCO counts
+        seen = [i for i, info in enumerate(infos) if info.px_count_visib > 0]
+        for i, entry in zip(seen, annotations, strict=True):
+            turn = np.cumsum(entry.segmentation.counts).tolist()
+            for start, end in zip(turn[0::2], turn[1::2], strict=False):
+                label[start:end] = i
+        return np.ascontiguousarray(label.reshape(width_px, height_px).T)
+
+    def _instances(self, poses: list[Any], infos: list[Any]) -> tuple[StoredInstance, ...]:
+        if self.real:
+            return tuple(
+                StoredInstance(obj_id=pose.obj_id, area_px=info.px_count_visib, box=info.bbox_visib)
+                for pose, info in zip(poses, infos, strict=True)
+            )
+        boxes = self._read("scene_gt_box3d.json", records.SceneBox3d).image
+        if len(boxes) != len(poses):
+            raise DatasetError(
+                f"{self.folder}: scene_gt_box3d.json has {len(boxes)} boxes, scene_gt.json "
+                f"{len(poses)} instances: run graycast validate"
+            )
+        return tuple(
+            StoredInstance(
+                obj_id=pose.obj_id,
+                area_px=info.px_count_visib,
+                box=info.bbox_visib,
+                visib_fract=info.visib_fract,
+                amodal_box=info.bbox_obj,
+                position_mm=pose.cam_t_m2c,
+                box3d=(box.R, box.center, box.size),
+            )
+            for pose, info, box in zip(poses, infos, boxes, strict=True)
+        )
+
+    def _reasons(
+        self, scanner: UInt16[np.ndarray, "h w"] | None
+    ) -> tuple[UInt8[np.ndarray, "h w"], dict[int, str]]:
+        if not self.real:
+            said = self._read("scene_sl.json", records.SceneScanner).image.reasons
+            return self._image("reason_sl"), {k: name.lower() for name, k in said.items()}
+        known = np.zeros(self.size_px, dtype=bool) if scanner is None else scanner > 0
+        return np.where(known, 0, NO_REASON).astype(np.uint8), {0: "decoded", NO_REASON: "missing"}
+
+    def _image(self, name: str) -> np.ndarray:
+        axes, kind = _PIXELS.get(name, _DEPTH)
+        image = self._checked(partial(read_png, self.folder / name / "000000.png"))
+        if image.ndim != axes or image.dtype != kind or image.shape[:2] != self.size_px:
+            height_px, width_px = self.size_px
+            must = f"{np.dtype(kind)}, {width_px} x {height_px} pixels"
+            raise DatasetError(
+                f"{self.folder / name / '000000.png'}: is {image.dtype} {image.shape}, it must be "
+                f"{must}: run graycast validate"
+            )
+        return image
+
+    def _mask(self, name: str) -> Bool[np.ndarray, "h w"]:
+        mask = self._checked(partial(read_png, self.folder / name))
+        if mask.shape != self.size_px:
+            raise DatasetError(f"{self.folder / name}: is {mask.shape}, not {self.size_px}")
+        return mask > 0
+
+    def _read(self, name: str, form: type) -> Any:
+        return self._checked(partial(read_json, self.folder / name, form))
+
+    def _checked(self, read: partial) -> Any:
+        try:
+            return read()
+        except Unreadable as error:
+            why = "run graycast validate, remove the scene and make it again"
+            raise DatasetError(f"{self.folder}: {error}: {why}") from error
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True)
+class StoredDataset:
+    """A finished dataset in BOP's form, of simulated or of real pictures.
+
+    Attributes:
+        claim: what `graycast.json` says.
+        categories: object ids and the parts' names.
+        scene_ids: the scenes of each split's folder. Graycast writes `train` alone; who moves
+            scenes to `val` and `test` has them counted and shown apart.
+        size_px: height, width.
+        holds: which of rgb, gray_sl, depth, depth_sl, masks, amodal, poses and shares (visible
+            ones) its scenes have.
+    """
+
+    folder: Path
+    claim: Mapping[str, Any]
+    categories: Mapping[int, str]
+    scene_ids: Mapping[str, tuple[int, ...]]
+    size_px: tuple[int, int]
+    holds: frozenset[str]
+
+    @property
+    def real(self) -> bool:
+        return self.claim.get("kind") == "real"
+
+    @property
+    def depth_scale_mm(self) -> float:
+        return self.claim["depth_scale_mm"]
+
+    @property
+    def scenes(self) -> tuple[StoredScene, ...]:
+        """The scenes of all splits."""
+        return tuple(
+            self.scene(scene_id, split=split)
+            for split, scene_ids in self.scene_ids.items()
+            for scene_id in scene_ids
+        )
+
+    def scene(self, scene_id: int, *, split: str = "train") -> StoredScene:
+        return StoredScene(
+            folder=self.folder / split / f"{scene_id:06d}",
+            split=split,
+            scene_id=scene_id,
+            size_px=self.size_px,
+            categories=self.categories,
+            real=self.real,
+            holds=self.holds,
+        )
+
+
+def open_dataset(folder: Path) -> StoredDataset:
+    """A dataset that `graycast generate` or `graycast import-real` made.
+
+    Raises:
+        DatasetError: the folder holds none, or none with a scene.
+    """
+    real = is_real(folder)
+    try:
+        claim = read_json(folder / CLAIM, RealClaim if real else records.Claim)
+        camera = read_json(folder / "camera.json", records.Camera)
+    except Unreadable as error:
+        raise DatasetError(f"{folder} is not a Graycast dataset: {error}") from error
+    scene_ids = {split: tuple(sorted(finished_scenes(folder, split))) for split in SPLITS}
+    if not any(scene_ids.values()):
+        raise DatasetError(f"{folder}: has no finished scene: run graycast generate first")
+    return StoredDataset(
+        folder=folder,
+        claim=claim.model_dump(),
+        categories={part.obj_id: part.name for part in claim.parts},
+        scene_ids=scene_ids,
+        size_px=(camera.height, camera.width),
+        holds=frozenset(claim.holds) if real else _HELD,
+    )

@@ -1,0 +1,76 @@
+"""The one reader of stored datasets: all that it gives of a scene agrees."""
+
+import json
+import pickle
+import shutil
+
+import numpy as np
+import pytest
+from simulated_dataset import write_dataset
+
+from graycast.dataset.stored import open_dataset
+from graycast.errors import DatasetError
+
+# pycocotools 2.0.11 has an array type from before NumPy 2, which NumPy asks it to mend.
+pytestmark = pytest.mark.filterwarnings("ignore:__array__ implementation:DeprecationWarning")
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory):
+    out = tmp_path_factory.mktemp("stored") / "out"
+    return out, write_dataset(out, (0, 3))
+
+
+def test_instances_labels_and_label_map_are_those_of_the_sample(made):
+    out, samples = made
+    for scene in open_dataset(out).scenes:
+        sample, content = samples[scene.scene_id], scene.content()
+        np.testing.assert_array_equal(content.label, sample.truth.instance)
+        np.testing.assert_array_equal(content.rgb, sample.rgb)
+        np.testing.assert_array_equal(content.reason, sample.scanner.reason)
+        area_px = [int((sample.truth.instance == i).sum()) for i in range(8)]
+        assert [one.area_px for one in content.instances] == area_px
+        assert [one.obj_id for one in content.instances] == list(scene.obj_ids())
+        assert list(scene.obj_ids()) == (sample.layout.part_index + 1).tolist()
+        assert [label.instance for label in scene.labels()] == np.flatnonzero(area_px).tolist()
+        assert [label.area_px for label in scene.labels()] == [a for a in area_px if a]
+
+
+def test_scenes_of_other_splits_are_told_apart(made, tmp_path):
+    out = shutil.copytree(made[0], tmp_path / "out")
+    (out / "val").mkdir()
+    shutil.copytree(out / "train/000003", out / "val/000003")
+    stored = open_dataset(out)
+    assert stored.scene_ids == {"train": (0, 3), "val": (3,), "test": ()}
+    assert [scene.key for scene in stored.scenes] == ["train-000000", "train-000003", "val-000003"]
+    assert len(set(stored.scenes)) == 3
+    assert pickle.loads(pickle.dumps(stored)) == stored
+
+
+def test_an_object_that_the_dataset_does_not_know_is_told(made, tmp_path):
+    out = shutil.copytree(made[0], tmp_path / "out")
+    path = out / "train/000003/scene_gt.json"
+    poses = json.loads(path.read_bytes())
+    poses["0"][2]["obj_id"] = 7
+    path.write_text(json.dumps(poses))
+    scene = open_dataset(out).scene(3)
+    for read in (scene.content, scene.labels, scene.example, scene.obj_ids):
+        with pytest.raises(DatasetError, match=r"has object 7, graycast\.json has 1, 2"):
+            read()
+
+
+@pytest.mark.parametrize(
+    ("name", "read"),
+    [
+        ("manifest.json", "content"),
+        ("scene_gt_box3d.json", "content"),
+        ("scene_sl.json", "content"),
+        ("scene_gt_coco.json", "labels"),
+        ("scene_camera.json", "example"),
+    ],
+)
+def test_a_file_that_is_missing_is_named(made, tmp_path, name, read):
+    out = shutil.copytree(made[0], tmp_path / "out")
+    (out / "train/000003" / name).unlink()
+    with pytest.raises(DatasetError, match=f"000003: {name} is missing: run graycast validate"):
+        getattr(open_dataset(out).scene(3), read)()

@@ -1,0 +1,52 @@
+"""Folders of results are whole or not there, and what killed runs left goes."""
+
+import subprocess
+import sys
+
+import pytest
+
+from graycast.errors import GraycastError
+from graycast.folder import new_folder, whole_folder
+
+KILLED = """
+import os, signal, sys
+from pathlib import Path
+from graycast.folder import new_folder, whole_folder
+with globals()[sys.argv[1]](Path(sys.argv[2])) as folder:
+    (folder / "half").write_text("half")
+    os.kill(os.getpid(), signal.SIGKILL)
+"""
+
+
+def names(folder):
+    return sorted(str(path.relative_to(folder)) for path in folder.rglob("*"))
+
+
+@pytest.mark.parametrize("make", [new_folder, whole_folder])
+def test_what_a_killed_run_left_goes_with_the_next(tmp_path, make):
+    out = tmp_path / "a[b]*"  # a name that is a pattern, too
+    run = [sys.executable, "-c", KILLED, make.__name__, str(out)]
+    assert subprocess.run(run).returncode == -9
+    assert any("part-" in name and name.endswith("/half") for name in names(tmp_path))
+    with make(out) as folder:
+        (folder / "whole").write_text("whole")
+    assert names(tmp_path) == ["a[b]*", "a[b]*/whole"]
+
+
+@pytest.mark.parametrize("make", [new_folder, whole_folder])
+def test_the_folder_of_a_run_that_is_going_on_stays(tmp_path, make):
+    with make(tmp_path / "out") as first:
+        (first / "a").write_text("a")
+        with pytest.raises(RuntimeError), make(tmp_path / "out"):
+            raise RuntimeError
+        assert (first / "a").exists()
+    assert names(tmp_path) == ["out", "out/a"]
+
+
+def test_of_two_runs_the_first_to_end_has_the_new_folder(tmp_path):
+    with pytest.raises(GraycastError, match="out: cannot be written"):
+        with new_folder(tmp_path / "out") as slow:
+            (slow / "slow").write_text("slow")
+            with new_folder(tmp_path / "out") as quick:
+                (quick / "quick").write_text("quick")
+    assert names(tmp_path) == ["out", "out/quick"]

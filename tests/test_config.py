@@ -13,6 +13,7 @@ from small_cell import write_cell
 from graycast import config as words
 from graycast.cell import resolve_cell
 from graycast.config import Config, config_schema, load_config
+from graycast.domain.sections import KINDS
 from graycast.drop import DropLimits
 from graycast.errors import ConfigError
 from graycast.parts import Material
@@ -270,6 +271,20 @@ _PLACES = {
     "LightSection": ("light",),
     "EnvironmentSection": ("light", "environment"),
     "LampSection": ("light", "lamps", 0),
+    "AdaptedSection": ("domain", "adapted"),
+    "CameraTolerance": ("domain", "adapted", "camera"),
+    "BinTolerance": ("domain", "adapted", "bin"),
+    "LampTolerance": ("domain", "adapted", "lamps"),
+    "PartTolerance": ("domain", "adapted", "parts"),
+    "RandomizedSection": ("domain", "randomized"),
+    "CameraRanges": ("domain", "randomized", "camera"),
+    "EnvironmentRanges": ("domain", "randomized", "environment"),
+    "LampRanges": ("domain", "randomized", "lamps"),
+    "BinRanges": ("domain", "randomized", "bin"),
+    "SurfaceRanges": ("domain", "randomized", "table"),
+    "ColorRanges": ("domain", "randomized", "bin", "color"),
+    "PartRanges": ("domain", "randomized", "parts"),
+    "DistractorRanges": ("domain", "randomized", "distractors"),
 }
 
 
@@ -277,5 +292,8 @@ def _placed(section, content):
     """A configuration with `content` where a section stands."""
     place = _PLACES.get(section, (section.removesuffix("Section").lower(),))
     for step in reversed(place):
-        content = [content] if step == 0 else {step: content}
+        if step in KINDS:
+            content = {"kind": step} | content
+        else:
+            content = [content] if step == 0 else {step: content}
     return content if "parts" in content else {"parts": [{"builtin": "toothpaste"}]} | content

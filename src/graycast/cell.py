@@ -4,22 +4,26 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import UInt8
+from jaxtyping import Float, UInt8
 
 from .config import (
     Config,
+    ViewSection,
     file_digests,
     resolve_bin,
     resolve_environment,
     resolve_lamps,
+    resolve_material,
     resolve_parts,
     resolve_scanner,
 )
+from .domain import Domain, resolve_domain
+from .parts import Part
 from .pattern import Code
 from .render import OnFrame, Renderer, open_renderer
-from .rig import grey_levels, place, standoff_m
+from .rig import Rig, grey_levels, place, standoff_m
 from .scanner import Scanner
-from .scene import Scene
+from .scene import Bin, Scene
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -34,6 +38,12 @@ class Cell:
     scanner: Scanner
     notes: tuple[str, ...]
     file_digests: dict[str, str]
+    domain: Domain | None = None
+
+    @property
+    def kinds(self) -> tuple[Part, ...]:
+        """Every kind of part that may lie in a scene, distractors last."""
+        return self.scene.parts + (self.domain.distractors if self.domain else ())
 
     @property
     def code(self) -> Code:
@@ -55,29 +65,37 @@ def resolve_cell(config: Config, folder: Path) -> Cell:
     scanner = resolve_scanner(config, folder)
     rig = scanner.rig
     box = resolve_bin(config.bin, folder)
-    view = config.view
-    target = view.target_m or (0.0, 0.0, box.inner_m[2] / 3)
-    T_world_cam = place(
-        rig,
-        target_m=np.array(target),
-        distance_m=view.distance_m or standoff_m(rig),
-        tilt_rad=np.radians(view.tilt_deg),
-        azimuth_rad=np.radians(view.azimuth_deg),
-    )
+    table = {} if config.table is None else {"table": resolve_material(config.table, folder)}
     scene = Scene(
         rig=rig,
-        T_world_cam=T_world_cam,
+        T_world_cam=_pose(config.view, rig, box),
         parts=parts,
         bin=box,
+        **table,
         environment=resolve_environment(config.light.environment, folder),
         lamps=resolve_lamps(config.light),
     )
+    domain = config.domain and resolve_domain(config.domain, folder, scene=scene)
     return Cell(
         config=config,
         scene=scene,
         scanner=scanner,
-        notes=notes,
+        notes=notes + (domain.notes if domain else ()),
         file_digests=file_digests(config, folder),
+        domain=domain,
+    )
+
+
+def _pose(view: ViewSection, rig: Rig, box: Bin) -> Float[np.ndarray, "4 4"]:
+    """`T_world_cam`: the one given, or the rig placed above the bin."""
+    if view.T_world_cam is not None:
+        return np.reshape(view.T_world_cam, (4, 4)).astype(np.float64)
+    return place(
+        rig,
+        target_m=np.array(view.target_m or (0.0, 0.0, box.inner_m[2] / 3)),
+        distance_m=view.distance_m or standoff_m(rig),
+        tilt_rad=np.radians(view.tilt_deg),
+        azimuth_rad=np.radians(view.azimuth_deg),
     )
 
 

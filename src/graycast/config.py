@@ -6,106 +6,32 @@ Paths in a configuration are relative to its file.
 
 import hashlib
 from collections.abc import Callable
-from dataclasses import replace
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Any, Literal
 
 import numpy as np
-from jaxtyping import UInt8
-from PIL import Image, UnidentifiedImageError
 from pydantic import (
     Field,
     ValidationError,
     field_validator,
+    model_serializer,
     model_validator,
 )
 
 from .decode import triangulation_axis
+from .domain import DomainSection, domain_files
 from .drop import DropLimits
 from .errors import ConfigError
 from .frames import is_rigid
-from .parts import BUILTIN, Material, Part, Symmetry, builtin_part, load_part
+from .parts import Material, Part
+from .parts.sections import MaterialSection, PartSection, resolve_material, resolve_part
 from .parts.wood import wood_texture
 from .render import Quality
 from .rig_file import ScannerSections, with_sections
 from .rig_file import resolve_scanner as resolve_rig_file
 from .scanner import Scanner
 from .scene import Bin, Environment, Lamp
-from .settings import Settings, read_settings
-
-Vector = tuple[float, float, float]
-Share = Annotated[float, Field(ge=0, le=1)]
-Positive = Annotated[float, Field(gt=0)]
-Level = Annotated[float, Field(ge=0)]
-
-
-class MaterialSection(Settings):
-    """A surface in a few physical words."""
-
-    base_color: tuple[Share, Share, Share] = Field(
-        (0.5, 0.5, 0.5), description="linear RGB reflectance, each 0 to 1"
-    )
-    texture: Path | None = Field(None, description="picture file that replaces base_color (sRGB)")
-    metallic: Share = Field(0.0, description="0 plastic, paint, wood, card; 1 bare metal")
-    roughness: float = Field(0.5, ge=0.05, le=1, description="0.05 polished to 1 matt")
-    specular: Share = Field(0.5, description="0 Lambertian, 0.5 clear coat of index 1.5")
-    projector_reflectance: Share | None = Field(
-        None, description="at the projector's wavelength; left out: base_color in its bands"
-    )
-
-
-class ContinuousSymmetry(Settings):
-    axis: Vector
-    point_m: Vector = (0.0, 0.0, 0.0)
-
-    @field_validator("axis")
-    @classmethod
-    def _direction(cls, axis: Vector) -> Vector:
-        if not any(axis):
-            raise ValueError("an axis has a direction, such as [0, 0, 1]")
-        x, y, z = np.array(axis) / np.linalg.norm(axis)  # datasets hold unit vectors
-        return float(x), float(y), float(z)
-
-
-class SymmetrySection(Settings):
-    """Rigid motions that leave the part looking the same, in its own frame."""
-
-    discrete: tuple[tuple[float, ...], ...] = Field(
-        (), description="4x4 transforms, row by row (16 numbers, metres)"
-    )
-    continuous: tuple[ContinuousSymmetry, ...] = ()
-
-    @model_validator(mode="after")
-    def _sixteen(self) -> "SymmetrySection":
-        for matrix in self.discrete:
-            if len(matrix) != 16:
-                raise ValueError(f"a discrete symmetry has {len(matrix)} numbers; give 16")
-            if not is_rigid(np.reshape(matrix, (4, 4))):
-                raise ValueError("a discrete symmetry is not a rotation and a translation")
-        return self
-
-
-class PartSection(Settings):
-    """A kind of part: one of the built-in ones, or a mesh file of your own."""
-
-    builtin: str | None = Field(None, description=f"one of {', '.join(BUILTIN)}")
-    mesh: Path | None = Field(None, description="OBJ, PLY, STL or GLB file")
-    unit: Literal["m", "cm", "mm", "inch"] | None = Field(
-        None, description="the mesh file's unit; asked for unless metres are plausible"
-    )
-    name: str | None = None
-    material: MaterialSection | None = Field(None, description="instead of the part's own")
-    density_kg_m3: Positive | None = Field(None, description="a solid mesh: 7800 is steel")
-    friction: float | None = Field(None, ge=0)
-    symmetry: SymmetrySection | None = None
-
-    @model_validator(mode="after")
-    def _one_source(self) -> "PartSection":
-        if (self.builtin is None) == (self.mesh is None):
-            raise ValueError("give either builtin or mesh")
-        if self.builtin is not None and (self.unit or self.name or self.symmetry):
-            raise ValueError("unit, name and symmetry belong to a mesh, not to a built-in part")
-        return self
+from .settings import Level, Positive, Settings, Vector, read_settings
 
 
 class BinSection(Settings):
@@ -114,6 +40,11 @@ class BinSection(Settings):
     inner_m: tuple[Positive, Positive, Positive] = (0.40, 0.30, 0.15)
     wall_m: Positive = 0.012
     material: MaterialSection | None = Field(None, description="left out: a wood of our own")
+    floor: MaterialSection | None = Field(
+        None,
+        description="of the inner floor alone; left out: as the walls",
+        exclude_if=lambda floor: floor is None,  # so that older datasets can go on
+    )
     friction: float = Field(0.5, ge=0)
 
 
@@ -149,6 +80,26 @@ class ViewSection(Settings):
     tilt_deg: float = Field(0.0, ge=0, le=80)
     azimuth_deg: float = 0.0
     target_m: Vector | None = Field(None, description="else a third of the bin's height up")
+    T_world_cam: tuple[float, ...] | None = Field(
+        None,
+        description="instead of all others: the camera's exact pose, 4x4, row by row (metres)",
+        exclude_if=lambda pose: pose is None,  # so that older datasets can go on
+    )
+
+    @model_validator(mode="after")
+    def _one_pose(self) -> "ViewSection":
+        if self.T_world_cam is None:
+            return self
+        # By value: what is read back from a manifest gives every key.
+        own = {name: field.default for name, field in ViewSection.model_fields.items()}
+        others = [n for n in own if n != "T_world_cam" and getattr(self, n) != own[n]]
+        if others:
+            raise ValueError(f"T_world_cam is the whole pose: remove it, or {', '.join(others)}")
+        if len(self.T_world_cam) != 16:
+            raise ValueError(f"T_world_cam has {len(self.T_world_cam)} numbers; give 16")
+        if not is_rigid(np.reshape(self.T_world_cam, (4, 4))):
+            raise ValueError("T_world_cam is not a rotation and a translation")
+        return self
 
 
 class CyclesSection(Settings):
@@ -179,6 +130,17 @@ class DropSection(Settings):
     attempts: int = Field(5, ge=1)
 
 
+class StoreSection(Settings):
+    """What a scene's folder keeps beside pictures, depth and labels."""
+
+    frames: bool = Field(
+        False, description="every captured picture as the sensor stored it, for graycast decode"
+    )
+    columns: bool = Field(
+        False, description="decoded projector columns and rows with their standard deviations"
+    )
+
+
 class Config(ScannerSections):
     """One dataset: its parts, bin, rig, light and how much of it.
 
@@ -193,12 +155,31 @@ class Config(ScannerSections):
     scenes: int = Field(3, ge=1, description="how many; --scenes goes before")
     seed: int = Field(0, ge=0, description="of everything random; --seed goes before")
     bin: BinSection = BinSection()
+    table: MaterialSection | None = Field(
+        None,
+        description="what the bin stands on; left out: matt grey",
+        exclude_if=lambda table: table is None,  # so that older datasets can go on
+    )
     rig: str = Field("paper", description="a preset's name or a rig file")
     resolution: Literal["low", "full"] = Field("low", description="of a preset's camera")
     view: ViewSection = ViewSection()
     light: LightSection = LightSection()
+    domain: DomainSection | None = Field(
+        None,
+        description="how scenes differ from each other in all but their parts' poses",
+        exclude_if=lambda domain: domain is None,  # so that older datasets can go on
+    )
     render: RenderSection = RenderSection()
     drop: DropSection = DropSection()
+    store: StoreSection = StoreSection()
+
+    @model_serializer(mode="wrap")
+    def _as_before(self, dump: Callable[[Any], Any]) -> dict[str, Any]:
+        """Without `store` where nothing more is stored, so that older datasets can go on."""
+        said = dump(self)
+        if self.store == StoreSection():
+            said.pop("store", None)
+        return said
 
     @field_validator("count", mode="wrap")
     @classmethod
@@ -243,7 +224,7 @@ def resolve_parts(config: Config, folder: Path) -> tuple[tuple[Part, ...], tuple
     """
     parts, notes = [], []
     for section in config.parts:
-        part, found = _part(section, folder)
+        part, found = resolve_part(section, folder)
         if part.name in {other.name for other in parts}:
             raise ConfigError(f"two parts are called {part.name}: give one another name")
         parts.append(part)
@@ -251,65 +232,18 @@ def resolve_parts(config: Config, folder: Path) -> tuple[tuple[Part, ...], tuple
     return tuple(parts), tuple(notes)
 
 
-def _part(section: PartSection, folder: Path) -> tuple[Part, tuple[str, ...]]:
-    material = None if section.material is None else resolve_material(section.material, folder)
-    if section.builtin is not None:
-        if section.builtin not in BUILTIN:
-            raise ConfigError(f"no built-in part {section.builtin!r}: choose {', '.join(BUILTIN)}")
-        own = builtin_part(section.builtin)
-        return replace(
-            own,
-            material=material or own.material,
-            density_kg_m3=section.density_kg_m3 or own.density_kg_m3,
-            friction=own.friction if section.friction is None else section.friction,
-        ), ()
-    symmetry = section.symmetry or SymmetrySection()
-    return load_part(
-        folder / section.mesh,
-        name=section.name,
-        unit=section.unit,
-        material=material,
-        density_kg_m3=section.density_kg_m3 or 1000.0,
-        friction=0.4 if section.friction is None else section.friction,
-        symmetry=Symmetry(
-            discrete=tuple(np.reshape(matrix, (4, 4)) for matrix in symmetry.discrete),
-            continuous=tuple((s.axis, s.point_m) for s in symmetry.continuous),
-        ),
-    )
-
-
-def resolve_material(section: MaterialSection, folder: Path) -> Material:
-    """A material, its texture read.
-
-    Raises:
-        ConfigError: the texture cannot be read.
-    """
-    texture = None if section.texture is None else _read_texture(folder / section.texture)
-    return Material(
-        base_color=section.base_color,
-        texture=texture,
-        metallic=section.metallic,
-        roughness=section.roughness,
-        specular=section.specular,
-        projector_reflectance=section.projector_reflectance,
-    )
-
-
-def _read_texture(path: Path) -> UInt8[np.ndarray, "h w 3"]:
-    try:
-        with Image.open(path) as image:
-            return np.array(image.convert("RGB"))
-    except (OSError, UnidentifiedImageError, Image.DecompressionBombError) as error:
-        raise ConfigError(f"texture {path}: {error}; give a PNG or JPEG picture") from error
-
-
 def resolve_bin(section: BinSection, folder: Path) -> Bin:
     if section.material is None:
         material = Material(texture=wood_texture(), roughness=0.6)
     else:
         material = resolve_material(section.material, folder)
+    floor = None if section.floor is None else resolve_material(section.floor, folder)
     return Bin(
-        inner_m=section.inner_m, wall_m=section.wall_m, material=material, friction=section.friction
+        inner_m=section.inner_m,
+        wall_m=section.wall_m,
+        material=material,
+        floor=floor,
+        friction=section.friction,
     )
 
 
@@ -358,7 +292,10 @@ def file_digests(config: Config, folder: Path) -> dict[str, str]:
     """SHA-256 of every file that a configuration names, so that a changed file is noticed."""
     named = [section.mesh for section in config.parts]
     named += [section.material and section.material.texture for section in config.parts]
-    named += [config.bin.material and config.bin.material.texture, config.light.environment.map]
+    surfaces = (config.bin.material, config.bin.floor, config.table)
+    named += [material and material.texture for material in surfaces]
+    named.append(config.light.environment.map)
+    named += domain_files(config.domain, folder)
     digests = {}
     for path in named:
         if path is not None:

@@ -196,7 +196,7 @@ def _claimed(task: Task) -> dict[str, Any]:
     return {
         "config": config | dict(zip(_BESIDE_CONFIG, beside, strict=True)),
         "seed": task.seed,
-        "parts": cell.scene.parts,
+        "parts": cell.kinds,
         "rig": cell.scene.rig,
         "depth_scale_mm": task.depth_scale_mm,
     }

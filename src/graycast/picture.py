@@ -6,6 +6,7 @@ from jaxtyping import Float, UInt8
 from .color import srgb
 from .render import Denoiser, Rendering
 from .render.denoise import denoise
+from .rig import Rig
 from .scanner import Scanner
 from .sensor import Capture, SensorSpec, auto_exposure_s, expose
 
@@ -24,10 +25,8 @@ def color_picture(
     Raises:
         ValueError: there is no light in the picture.
     """
-    radiance, rig, sensor = rendering.radiance, scanner.rig, scanner.sensor
-    black = 1 / rig.contrast_ratio
-    idle = (1 - black) * rig.picture_level + black
-    linear = radiance.ambient_rgb + np.float32(idle) * radiance.white_rgb
+    radiance, sensor = rendering.radiance, scanner.sensor
+    linear = radiance.ambient_rgb + np.float32(idle_share(scanner.rig)) * radiance.white_rgb
     if denoiser is not None:
         linear = denoise(linear, radiance.albedo, rendering.truth.normal, denoiser)
     if not linear.max() > 0:
@@ -39,6 +38,12 @@ def color_picture(
     exposure_s = auto_exposure_s(bands, sensor, percentile=PERCENTILE, target=TARGET)
     capture = expose(bands, None, sensor, exposure_s=exposure_s, seed=seed)
     return srgb(np.moveaxis(_share(capture.frames, sensor), 0, -1))
+
+
+def idle_share(rig: Rig) -> float:
+    """What the projector shines while the colour picture is taken, as a share of its white."""
+    black = 1 / rig.contrast_ratio
+    return (1 - black) * rig.picture_level + black
 
 
 def gray_picture(capture: Capture) -> UInt8[np.ndarray, "h w"]:

@@ -239,11 +239,18 @@ def place(
     away = turn @ np.array([0.0, -np.sin(tilt_rad), np.cos(tilt_rad)])
     down = turn @ np.array([0.0, -np.cos(tilt_rad), -np.sin(tilt_rad)])
     T_world_rig = look_at(np.asarray(target_m) + distance_m * away, np.asarray(target_m), down)
-    # The rig's own frame: origin mid-baseline, z the bisector, y the camera's as near as may be.
+    return T_world_rig @ inverse(frame_in_camera(rig))
+
+
+def frame_in_camera(rig: Rig) -> Float[np.ndarray, "4 4"]:
+    """`T_cam_rig` of the rig's own frame.
+
+    Its origin is mid-baseline, z the bisector of the optical axes, y the camera's as near as may
+    be.
+    """
     bisector = np.array([0.0, 0.0, 1.0]) + rig.T_cam_proj[:3, 2]
     middle = rig.T_cam_proj[:3, 3] / 2
-    T_cam_rig = look_at(middle, middle + bisector, np.array([0.0, 1.0, 0.0]))
-    return T_world_rig @ inverse(T_cam_rig)
+    return look_at(middle, middle + bisector, np.array([0.0, 1.0, 0.0]))
 
 
 def best_depth_m(rig: Rig) -> float:

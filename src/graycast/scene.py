@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 
 from .frames import is_rigid
 from .parts import Material, Mesh, Part
@@ -17,11 +17,15 @@ from .rig import Rig
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Bin:
-    """An open box. Its walls carry the material's texture once per `texture_size_m`."""
+    """An open box. Its walls carry the material's texture once per `texture_size_m`.
+
+    `floor` is the material of the inner floor alone; None: the same as all else.
+    """
 
     inner_m: tuple[float, float, float]
     wall_m: float = 0.012
     material: Material = field(default_factory=Material)
+    floor: Material | None = None
     texture_size_m: float = 0.5
     friction: float = 0.5
 
@@ -36,18 +40,28 @@ class Bin:
 class Quad:
     """A flat rectangle: centre and half edges in world coordinates [m]; lit on one side.
 
-    Its front is `cross(half_u_m, half_v_m)`.
+    Its front is `cross(half_u_m, half_v_m)`. A texture is repeated every `texture_size_m`, from
+    the corner at `-half_u_m - half_v_m` on; None spreads it over the whole.
     """
 
     center_m: tuple[float, float, float]
     half_u_m: tuple[float, float, float]
     half_v_m: tuple[float, float, float]
     material: Material
+    texture_size_m: float | None = None
 
     def __post_init__(self) -> None:
         u, v = np.array(self.half_u_m), np.array(self.half_v_m)
         if not (u.any() and v.any()) or abs(u @ v) > 1e-6 * np.linalg.norm(u) * np.linalg.norm(v):
             raise ValueError(f"a quad needs two half edges at right angles, not {u} and {v}")
+
+    @property
+    def texture_repeats(self) -> tuple[float, float]:
+        """How often a texture fits along each edge."""
+        if self.texture_size_m is None:
+            return 1.0, 1.0
+        u, v = (2 * float(np.linalg.norm(half)) for half in (self.half_u_m, self.half_v_m))
+        return u / self.texture_size_m, v / self.texture_size_m
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -61,12 +75,16 @@ class Sphere:
 class Environment:
     """Light from all around: constant `radiance` [W sr^-1 m^-2 per band], or a map scaled by it.
 
-    A map (EXR) is latitude-longitude with its top row at the world's zenith and its left border
-    towards the world's +y.
+    A map (EXR, HDR) is latitude-longitude with its top row at the world's zenith and its left
+    border towards the world's +y; `rotation_rad` turns it about the world's z by the right-hand
+    rule. A `levelled` map is first divided by its own mean over all directions and bands, so that
+    `radiance` is the mean, whatever unit the file has.
     """
 
     radiance: tuple[float, float, float] = (0.2, 0.2, 0.2)
     map_file: Path | None = None
+    rotation_rad: float = 0.0
+    levelled: bool = False
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -92,8 +110,9 @@ class Lamp:
 class Scene:
     """Everything that light meets but the poses of the dropped parts.
 
-    `parts` are the kinds; a `Layout` says how many of each lie where. `surfaces` are analytic
-    shapes for measurement. Without a bin there is no table either.
+    `parts` are the kinds, those without a label last; a `Layout` says how many of each lie where.
+    `surfaces` are analytic shapes for measurement. Without a bin there is no table either. The
+    table's texture is repeated every `table_texture_m`; None spreads it over the whole table.
     """
 
     rig: Rig
@@ -101,6 +120,7 @@ class Scene:
     parts: tuple[Part, ...] = ()
     bin: Bin | None = None
     table: Material = field(default_factory=lambda: Material(base_color=(0.35, 0.35, 0.36)))
+    table_texture_m: float | None = None
     surfaces: tuple[Quad | Sphere, ...] = ()
     environment: Environment = field(default_factory=Environment)
     lamps: tuple[Lamp, ...] = ()
@@ -109,6 +129,9 @@ class Scene:
         self.T_world_cam.flags.writeable = False
         if not is_rigid(self.T_world_cam):
             raise ValueError("T_world_cam is not a rotation and a translation")
+        labelled = [part.labelled for part in self.parts]
+        if labelled != sorted(labelled, reverse=True):  # a label is a place among the parts
+            raise ValueError(f"labelled parts are {labelled}: those without a label go last")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -149,7 +172,17 @@ def table_quad(scene: Scene) -> Quad | None:
         half_u_m=(TABLE_HALF_M, 0.0, 0.0),
         half_v_m=(0.0, TABLE_HALF_M, 0.0),
         material=scene.table,
+        texture_size_m=scene.table_texture_m,
     )
+
+
+def quad_mesh(quad: Quad) -> Mesh:
+    """A quad as two triangles, its texture's row 0 along the edge at `+half_v_m`."""
+    center, u, v = (np.array(value) for value in (quad.center_m, quad.half_u_m, quad.half_v_m))
+    corners = np.array([center - u - v, center + u - v, center + u + v, center - u + v])
+    uv = np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]]) * quad.texture_repeats
+    faces = np.array([[0, 1, 2], [0, 2, 3]])
+    return Mesh(vertices_m=corners, faces=faces, corner_uv=uv[faces])
 
 
 def lamp_quad(lamp: Lamp) -> Quad:
@@ -188,7 +221,7 @@ def bin_mesh(box: Bin) -> Mesh:
             [i + 4, j + 4, j + 8, i + 8],
             [i + 8, j + 8, j + 12, i + 12],
         ]
-    faces = np.array([f for a, b, c, d in quads for f in ((a, b, c), (a, c, d))])
+    faces = np.array([f for a, b, c, d in quads for f in ((a, b, c), (a, c, d))])  # see _FLOOR
     corner = vertices[faces]
     normal = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
     axis = np.abs(normal).argmax(axis=1)
@@ -197,3 +230,25 @@ def bin_mesh(box: Bin) -> Mesh:
     v = np.where((axis == 2)[:, None], corner[..., 1], corner[..., 2])
     uv = np.stack([u, v], axis=-1) / box.texture_size_m
     return Mesh(vertices_m=vertices, faces=faces, corner_uv=uv)
+
+
+_FLOOR = slice(2, 4)  # the inner floor's triangles in `bin_mesh`
+
+
+def bin_surfaces(box: Bin) -> tuple[tuple[str, Mesh, Material], ...]:
+    """The bin's meshes by name, each of one material: all of it, or walls and inner floor."""
+    whole = bin_mesh(box)
+    if box.floor is None:
+        return (("bin", whole, box.material),)
+    floor = np.zeros(len(whole.faces), dtype=bool)
+    floor[_FLOOR] = True
+    return (
+        ("bin", _faces_of(whole, ~floor), box.material),
+        ("floor", _faces_of(whole, floor), box.floor),
+    )
+
+
+def _faces_of(mesh: Mesh, chosen: Bool[np.ndarray, "f"]) -> Mesh:
+    """Some of a mesh's faces. Its vertices stay: those that nobody uses do no harm."""
+    uv = None if mesh.corner_uv is None else mesh.corner_uv[chosen]
+    return Mesh(vertices_m=mesh.vertices_m, faces=mesh.faces[chosen], corner_uv=uv)

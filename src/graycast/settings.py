@@ -2,13 +2,35 @@
 
 import difflib
 from collections.abc import Mapping
+from functools import cache
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Annotated, Any, TypeVar
 
 import yaml
-from pydantic import BaseModel, ConfigDict, ValidationError
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError
 
 from .errors import ConfigError
+
+Vector = tuple[float, float, float]
+Share = Annotated[float, Field(ge=0, le=1)]
+Positive = Annotated[float, Field(gt=0)]
+Level = Annotated[float, Field(ge=0)]
+
+
+def _ordered(span: tuple[Any, Any]) -> tuple[Any, Any]:
+    if span[0] > span[1]:
+        raise ValueError("give [lowest, highest], the lowest first")
+    return span
+
+
+def span_of(number: Any) -> Any:
+    """The type of a range [lowest, highest] of such numbers."""
+    return Annotated[tuple[number, number], AfterValidator(_ordered)]
+
+
+Span = span_of(float)
+PositiveSpan = span_of(Positive)
+ShareSpan = span_of(Share)
 
 
 class Settings(BaseModel):
@@ -85,10 +107,10 @@ def _first_problem(error: ValidationError, model: type[Settings]) -> str:
     problems = [p for p in problems if p["type"] != "too_short" or p["loc"] not in inside]
     # A misspelt key goes first, because it explains the one that is missing.
     first = next((p for p in problems if p["type"] == "extra_forbidden"), problems[0])
-    key = ".".join(str(part) for part in first["loc"]) or "the file"
+    key = ".".join(_place(model, first["loc"])[0]) or "the file"
     more = f" (and {len(problems) - 1} more)" if len(problems) > 1 else ""
     if first["type"] == "extra_forbidden":
-        known = _known_keys(model, first["loc"][:-1])
+        known = _place(model, first["loc"][:-1])[1]
         near = difflib.get_close_matches(str(first["loc"][-1]), known, n=1)
         hint = f"did you mean {near[0]}?" if near else f"the keys are {', '.join(known)}"
         return f"unknown key {key}: {hint}{more}"
@@ -100,13 +122,40 @@ def _first_problem(error: ValidationError, model: type[Settings]) -> str:
     return f"{key} is {first['input']!r}: {message[0].lower()}{message[1:]}{more}"
 
 
-def _known_keys(model: type[Settings], location: tuple[int | str, ...]) -> list[str]:
-    """Names of the keys that are known at a place, found by following the JSON Schema."""
-    schema = model.model_json_schema()
-    node: Mapping[str, Any] = schema
+@cache
+def _schema(model: type[Settings]) -> Mapping[str, Any]:
+    return model.model_json_schema()
+
+
+def _place(model: type[Settings], location: tuple[int | str, ...]) -> tuple[list[str], list[str]]:
+    """Where a problem is: the keys that lead there, and the keys known there, by the JSON Schema.
+
+    Where a key `kind` chooses between sections, pydantic puts the choice into its locations; what
+    a user reads has only the keys of his file.
+    """
+    schema = _schema(model)
+    path, options = [], [schema]
     for key in location:
-        node = node.get("items", {}) if isinstance(key, int) else node["properties"][str(key)]
-        node = next((option for option in node.get("anyOf", ()) if "$ref" in option), node)
-        if "$ref" in node:
-            node = schema["$defs"][node["$ref"].rsplit("/", 1)[1]]
-    return list(node.get("properties", {}))
+        chosen = [option for option in options if _kind(option) == key]
+        if chosen:
+            options = chosen
+            continue
+        path.append(str(key))
+        node = options[0] if options else {}
+        inner = node.get("items") if isinstance(key, int) else node.get("properties", {}).get(key)
+        options = _sections(inner or {}, schema)
+    return path, list(options[0].get("properties", {})) if options else []
+
+
+def _sections(node: Mapping[str, Any], schema: Mapping[str, Any]) -> list[Mapping[str, Any]]:
+    """What a value may be, references followed, sections first."""
+    if "$ref" in node:
+        return [schema["$defs"][node["$ref"].rsplit("/", 1)[1]]]
+    if "anyOf" not in node:
+        return [node]
+    found = [section for option in node["anyOf"] for section in _sections(option, schema)]
+    return sorted(found, key=lambda section: "properties" not in section)
+
+
+def _kind(section: Mapping[str, Any]) -> str | None:
+    return section.get("properties", {}).get("kind", {}).get("const")

@@ -15,8 +15,9 @@ import numpy as np
 from . import __version__
 from .cell import Cell
 from .config import resolve_limits, resolve_quality
-from .dataset import Sample
+from .dataset import Raw, Sample
 from .decode import CodeMap, Reason
+from .domain import Variation, draw, vary
 from .drop import drop
 from .picture import color_picture, gray_picture
 from .render import Renderer, Rendering
@@ -42,19 +43,17 @@ def make_scene(cell: Cell, scene_id: int, *, seed: int, renderer: Renderer) -> S
         ValueError: the picture is dark, or a value is out of its range.
     """
     config = cell.config
-    # One independent stream per stage, so that a change in one leaves the others as they were.
-    stream = np.random.SeedSequence(seed, spawn_key=(scene_id,)).generate_state(5, np.uint64)
-    seeds = dict(
-        zip(("counts", "drop", "render", "noise", "picture"), map(int, stream), strict=True)
-    )
+    seeds = _seeds(cell, scene_id, seed)
     timings: dict[str, float] = {}
     with _timed(timings, "drop"):
         counts = _counts(cell, scene_id, np.random.default_rng(seeds["counts"]))
-        layout = drop(cell.scene, counts, seed=seeds["drop"], limits=resolve_limits(config))
+        variation = _varied(cell, counts, seeds)
+        scene, counts = variation.scene, variation.counts
+        layout = drop(scene, counts, seed=seeds["drop"], limits=resolve_limits(config))
     with _timed(timings, "render"):
         quality = resolve_quality(config)
         rendering = renderer.render(
-            cell.scene, layout, cell.patterns(), quality=quality, seed=seeds["render"]
+            scene, layout, cell.patterns(), quality=quality, seed=seeds["render"]
         )
     with _timed(timings, "sensor"):
         capture = take(cell.scanner, rendering.radiance, seed=seeds["noise"])
@@ -75,7 +74,9 @@ def make_scene(cell: Cell, scene_id: int, *, seed: int, renderer: Renderer) -> S
         "backend": renderer.name,
         "device": renderer.device,
         "versions": _versions(renderer),
-        "counts": {p.name: n for p, n in zip(cell.scene.parts, counts, strict=True) if n},
+        "counts": {
+            part.name: n for part, n in zip(scene.parts, counts, strict=True) if n and part.labelled
+        },
         "physics": {
             key: value
             for key, value in asdict(layout).items()
@@ -85,9 +86,9 @@ def make_scene(cell: Cell, scene_id: int, *, seed: int, renderer: Renderer) -> S
         "reasons": {r.name.lower(): float((depth.reason == r).mean()) for r in Reason},
         "config": config.model_dump(mode="json", exclude={"scenes", "seed"}),
         "timings": timings,
-    }
+    } | ({"domain": variation.record} if variation.record else {})
     sample = Sample(
-        scene=cell.scene,
+        scene=scene,
         layout=layout,
         truth=rendering.truth,
         rgb=rgb,
@@ -95,8 +96,37 @@ def make_scene(cell: Cell, scene_id: int, *, seed: int, renderer: Renderer) -> S
         scanner=depth,
         modulation=codes.modulation,
         manifest=manifest,
+        raw=Raw(
+            scanner=cell.scanner,
+            capture=capture if config.store.frames else None,
+            codes=codes if config.store.columns else None,
+        ),
     )
     return Shot(sample=sample, rendering=rendering, capture=capture, codes=codes)
+
+
+# One independent stream per stage, so that a change in one leaves the others as they were: they
+# are known by their places, so new ones go last.
+_STREAMS = ("counts", "drop", "render", "noise", "picture", "domain")
+
+
+def _seeds(cell: Cell, scene_id: int, seed: int) -> dict[str, int]:
+    """The seed of each stage."""
+    sequence = np.random.SeedSequence(seed, spawn_key=(scene_id,))
+    state = sequence.generate_state(len(_STREAMS), np.uint64)
+    seeds = dict(zip(_STREAMS, map(int, state), strict=True))
+    if cell.config.domain is None:
+        del seeds["domain"]  # manifests stay as they were before there were domains
+    return seeds
+
+
+def _varied(cell: Cell, counts: tuple[int, ...], seeds: dict[str, int]) -> Variation:
+    """The cell's scene as its domain has it; without a domain the cell's own."""
+    if cell.config.domain is None:
+        return Variation(scene=cell.scene, counts=counts, record={})
+    rng = np.random.default_rng(seeds["domain"])
+    record = draw(cell.domain, cell.scene, counts, rng)
+    return vary(cell.domain, cell.scene, counts, record)
 
 
 def _counts(cell: Cell, scene_id: int, rng: np.random.Generator) -> tuple[int, ...]:

@@ -5,10 +5,8 @@ from backends import CYCLES, MITSUBA, REFERENCE
 
 from graycast.render import open_renderer
 
-SLOW_ON_CYCLES = pytest.param(CYCLES, marks=pytest.mark.slow)
 
-
-@pytest.fixture(params=[REFERENCE, MITSUBA, SLOW_ON_CYCLES], scope="session")
+@pytest.fixture(params=[REFERENCE, MITSUBA, CYCLES], scope="session")
 def renderer(request):
     """All: surfaces, sharp lenses and direct light of the projector."""
     if request.param == REFERENCE:
@@ -16,7 +14,7 @@ def renderer(request):
     return request.getfixturevalue(f"{request.param}_renderer")
 
 
-@pytest.fixture(params=[MITSUBA, SLOW_ON_CYCLES], scope="session")
+@pytest.fixture(params=[MITSUBA, CYCLES], scope="session")
 def path_tracer(request):
     """Those that know parts, lamps, interreflection and blur, too."""
     return request.getfixturevalue(f"{request.param}_renderer")

@@ -3,7 +3,6 @@
 import cv2
 import numpy as np
 import pytest
-from backends import quick_on_all, quick_on_path_tracers
 from stage import (
     askew_rig,
     centre_rays,
@@ -31,7 +30,6 @@ def render(renderer, scene, pattern=None, *, samples=4):
     return renderer.render(scene, EMPTY_LAYOUT, pattern, quality=quality, seed=0)
 
 
-@quick_on_all
 def test_depth_of_a_plane_is_z_where_the_centre_ray_meets_it(renderer):
     """Oracle: z = d / (n . ray). Half a pixel would change z by over 1e-3 of itself here."""
     rig = askew_rig()
@@ -42,7 +40,6 @@ def test_depth_of_a_plane_is_z_where_the_centre_ray_meets_it(renderer):
     assert (truth.instance == -1).all() and truth.amodal == ()
 
 
-@quick_on_all
 def test_depth_and_normal_of_a_sphere_are_those_of_the_quadratic(renderer):
     """Oracle: |z ray - centre| = radius; the normal is the radius vector itself."""
     rig = askew_rig()
@@ -104,7 +101,6 @@ def test_an_edge_splits_the_pixels_at_the_place_where_it_is(renderer, axis, side
     assert light[k + side] == 0
 
 
-@quick_on_path_tracers
 def test_one_sample_lies_anywhere_in_its_pixel(path_tracer):
     """A border that covers 3/4 of each pixel of a column is met by 3/4 of the pixels' samples; one
     that always is the pixel's middle would meet it everywhere.
@@ -132,7 +128,6 @@ def test_one_sample_lies_anywhere_in_its_pixel(path_tracer):
     assert abs(hit.mean() - 0.75) < 4 * np.sqrt(0.75 * 0.25 / len(hit))
 
 
-@quick_on_all
 def test_right_and_up_of_the_camera_are_right_and_up_in_the_picture(renderer):
     sphere = Sphere(center_m=(0.1, -0.08, 0.8), radius_m=0.05, material=GRAY)
     seen = np.isfinite(render(renderer, in_camera(askew_rig(), sphere)).truth.depth_m)
@@ -157,7 +152,6 @@ def test_the_projector_draws_columns_to_the_right_and_rows_down(renderer):
         assert (other > one + 0.2).all()
 
 
-@quick_on_all
 def test_camera_rays_obey_the_distortion_of_opencv(renderer):
     """The ray of every pixel is measured: on the plane a x + z = d a depth tells x, as
     x / z = (d / z - 1) / a; a second plane tells y. OpenCV must send the ray back to its pixel.

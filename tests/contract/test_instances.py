@@ -2,7 +2,6 @@
 
 import numpy as np
 import pytest
-from backends import quick_on_path_tracers
 from stage import (
     SOMEWHERE,
     askew_rig,
@@ -56,7 +55,6 @@ def heap(count, seed, *, spread_m=(0.35, 0.25, 0.1)):
     return rng.integers(0, 2, count), poses
 
 
-@quick_on_path_tracers
 def test_ids_depth_and_silhouettes_of_a_heap_are_those_of_the_boxes_alone(path_tracer):
     """Oracle: the slab method, box by box. 70 instances fill more than two words of bits; the
     silhouettes reach over the border up to one image size. Edges may differ by rounding.
@@ -108,7 +106,6 @@ def test_a_silhouette_does_not_know_the_others(path_tracer):
         assert np.array_equal(alone.instance == 0, one.in_image(72, 96))
 
 
-@quick_on_path_tracers
 def test_a_part_half_outside_the_image_has_a_complete_silhouette(path_tracer):
     """A square on the left border: its mask is symmetric about the border, half of it outside."""
     rig = make_rig(centred(64, 48, 80), centred(32, 24, 40))
@@ -186,7 +183,6 @@ def square_part(material, *, corner_normals=None):
     return Part(name="square", mesh=mesh, material=material, density_kg_m3=1.0, friction=0.5)
 
 
-@quick_on_path_tracers
 @pytest.mark.parametrize("metallic", [0.0, 1.0])
 def test_row_0_of_a_texture_is_on_top_and_its_levels_are_srgb(path_tracer, metallic):
     """Four quarters of known colours; linear value by the sRGB curve of IEC 61966-2-1."""
@@ -210,7 +206,6 @@ def test_row_0_of_a_texture_is_on_top_and_its_levels_are_srgb(path_tracer, metal
         assert light[10, 10, 0] > 0 and light[10, 10, 1] == 0 and light[10, 20, 0] == 0
 
 
-@quick_on_path_tracers
 def test_corner_normals_shade_and_geometric_normals_stay(path_tracer):
     """Lambert's cosine with the given normal, while truth keeps the plane's."""
     normal = np.array([0.3, 0.2, -1.0]) / np.linalg.norm([0.3, 0.2, -1.0])

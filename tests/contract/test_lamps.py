@@ -2,12 +2,12 @@
 
 import numpy as np
 import pytest
-from backends import quick_on_path_tracers
 from scipy.ndimage import binary_erosion
 from stage import centre_rays, centred, in_camera, lambert, make_rig, plain_pattern, wall
 
 from graycast.errors import GraycastError
 from graycast.frames import axis_rotation, look_at, rigid
+from graycast.parts import Material
 from graycast.render import Quality
 from graycast.scene import EMPTY_LAYOUT, Environment, Lamp, Quad, Scene
 
@@ -94,7 +94,6 @@ def test_a_lamp_and_the_sky_themselves_look_as_bright_as_they_are_said_to_be(pat
             assert np.allclose(image[:3, :3], sky, atol=1e-5)
 
 
-@quick_on_path_tracers
 def test_a_lamp_stands_in_the_projectors_light_and_is_black_in_it(path_tracer):
     """The shadow of its square on a wall, by rays from the wall to the lens."""
     rig = make_rig(centred(48, 36, 50), centred(32, 32, 16), baseline_m=(0.2, 0.0, 0.0))
@@ -117,7 +116,6 @@ def test_a_lamp_stands_in_the_projectors_light_and_is_black_in_it(path_tracer):
     assert on_lamp.sum() > 50 and not white[on_lamp].any()
 
 
-@quick_on_path_tracers
 def test_constant_light_on_a_wall_is_albedo_times_it_in_every_band(path_tracer):
     rig = make_rig(centred(32, 24, 40), centred(8, 8, 8))
     sky, albedo = (0.9, 0.5, 0.2), (0.3, 0.6, 0.9)
@@ -248,6 +246,100 @@ def test_a_spot_of_a_map_lights_a_wall_by_its_angle_and_solid_angle(path_tracer,
     assert error < 0.005 * expected
     # Half a texel at the middle of the sky, which the two place by different rules, is 0.3 %.
     assert abs(image[..., 0].mean() - expected) < 4 * error + 0.005 * expected
+
+
+@pytest.mark.parametrize("turn_deg", [90.0, -35.0])
+def test_a_map_turns_about_the_world_s_z_by_the_right_hand_rule(path_tracer, tmp_path, turn_deg):
+    """The spot is seen, and lights a wall by its cosine, where the turn takes it."""
+    turn = axis_rotation("z", np.radians(turn_deg))
+    direction = turn @ spot_direction()
+    environment = Environment(
+        radiance=(1.0, 1.0, 1.0),
+        map_file=spot_map(tmp_path / "s.exr"),
+        rotation_rad=float(np.radians(turn_deg)),
+    )
+    seen = Scene(
+        rig=make_rig(centred(33, 33, 80), centred(8, 8, 8)),
+        T_world_cam=look_at(np.zeros(3), direction, -np.eye(3)[2]),
+        environment=environment,
+    )
+    image = ambient(path_tracer, seen, samples=16)[..., 0]
+    y, x = np.mgrid[0:33, 0:33]
+    assert abs((image * x).sum() / image.sum() - 16) < 0.1
+    assert abs((image * y).sum() / image.sum() - 16) < 0.2
+    u, v = np.eye(3)[1] * np.sign(direction[0]), np.eye(3)[2]
+    wall_along_x = Quad(
+        center_m=(0.0, 0.0, 0.0),
+        half_u_m=tuple((9 * u).tolist()),
+        half_v_m=tuple((9 * v).tolist()),
+        material=lambert(0.7),
+    )
+    lit = Scene(
+        rig=make_rig(centred(16, 12, 40), centred(8, 8, 8)),
+        T_world_cam=look_at(np.cross(u, v) + 0.2 * u, np.zeros(3), u),
+        surfaces=(wall_along_x,),
+        environment=environment,
+    )
+    image = ambient(path_tracer, lit)[..., 0]
+    solid_angle = (8 * np.pi / 256) ** 2 * np.cos(np.radians(HEIGHT_DEG))
+    expected = 0.7 / np.pi * 300.0 * solid_angle * abs(direction[0])
+    error = image.std() / np.sqrt(16 * 12)
+    assert abs(image.mean() - expected) < 4 * error + 0.005 * expected
+
+
+def test_a_levelled_map_has_the_stated_mean_over_all_directions(path_tracer, tmp_path):
+    """A cap of 45 degrees is (1 - cos 45) / 2 of the sphere; by pixels it is a quarter of it."""
+    import mitsuba as mi
+
+    pixels = np.zeros((64, 128, 3), dtype=np.float32)
+    pixels[:16] = (4000.0, 2000.0, 0.0)  # of any unit; the mean of the bands is 2000
+    mi.Bitmap(pixels).write(str(tmp_path / "cap.exr"))
+    scene = Scene(
+        rig=make_rig(centred(16, 16, 80), centred(8, 8, 8)),
+        T_world_cam=np.eye(4),  # looks up
+        environment=Environment(
+            radiance=(0.3, 0.3, 0.6), map_file=tmp_path / "cap.exr", levelled=True
+        ),
+    )
+    image = ambient(path_tracer, scene, samples=4)[8, 8]
+    share = (1 - np.cos(np.pi / 4)) / 2
+    assert image == pytest.approx(np.array([0.6, 0.3, 0.0]) / share, rel=1e-3)
+
+
+def test_a_levelled_map_without_light_or_with_infinite_light_is_refused(path_tracer, tmp_path):
+    import mitsuba as mi
+
+    rig = make_rig(centred(16, 16, 40), centred(8, 8, 8))
+    for level in (0.0, np.inf):
+        file = tmp_path / "odd.exr"
+        mi.Bitmap(np.full((8, 16, 3), level, dtype=np.float32)).write(str(file))
+        sky = Environment(map_file=file, levelled=True)
+        with pytest.raises(GraycastError, match=r"odd\.exr has the mean radiance"):
+            ambient(path_tracer, in_camera(rig, wall(1.0, lambert(0.5)), environment=sky))
+
+
+def test_a_quad_repeats_its_texture_from_its_corner_on_upright(path_tracer):
+    """Red above green in the picture is red above green on the wall, every 0.2 m."""
+    picture = np.zeros((256, 8, 3), dtype=np.uint8)  # fine enough that it is sharp
+    picture[:128, :, 0], picture[128:, :, 1] = 255, 255
+    rig = make_rig(centred(40, 40, 40), centred(8, 8, 8))
+    quad = Quad(
+        center_m=(0.0, 0.0, 0.0),
+        half_u_m=(0.5, 0.0, 0.0),
+        half_v_m=(0.0, 0.5, 0.0),
+        material=Material(texture=picture, specular=0.0),
+        texture_size_m=0.2,
+    )
+    pose = look_at(np.array([0.0, 0.0, 1.0]), np.zeros(3), np.array([0.0, -1.0, 0.0]))
+    scene = Scene(
+        rig=rig, T_world_cam=pose, surfaces=(quad,), environment=Environment(radiance=(1.0,) * 3)
+    )
+    image = ambient(path_tracer, scene, samples=64)
+    # 40 px a metre: four rows of red and four of green in each period of eight, top row first.
+    height = image[:, 20]
+    for row in range(40):
+        red = row % 8 < 4
+        assert (height[row, 0] > 0.5) == red and (height[row, 1] > 0.5) != red, (row, height)
 
 
 def test_a_map_that_cannot_be_read_is_named(path_tracer, tmp_path):

@@ -2,7 +2,6 @@
 
 import numpy as np
 import pytest
-from backends import quick_on_all
 from scipy import ndimage
 from stage import (
     askew_rig,
@@ -143,7 +142,6 @@ def test_the_shadow_of_a_sphere_lies_away_from_the_projector(renderer):
     assert dark.sum() > 50 and (np.nonzero(dark)[1] < 48).all()
 
 
-@quick_on_all
 def test_the_same_seed_gives_the_same_bits(renderer):
     rig = askew_rig(camera=optics(40, 30, 50))
     scene = in_camera(rig, wall(0.9, lambert(0.5)))

@@ -9,6 +9,8 @@ from stage import lambert, plain_pattern
 from graycast.pattern import gray
 from graycast.render import Quality
 
+pytestmark = pytest.mark.slow  # each render of Cycles takes a moment
+
 DEPTH = 3
 DULL = {"metal": lambert(0.6, 0.5, 0.4), "coat": lambert(0.6, 0.3, 0.2)}
 
@@ -61,7 +63,6 @@ def test_that_comparison_notices_two_percent_and_a_lost_bounce(dull_pair, mitsub
     assert not agree(blocks(shallow)[:, 0], theirs[:, 0])
 
 
-@pytest.mark.slow
 def test_mitsuba_and_cycles_give_one_picture_to_half_a_percent(mitsuba_renderer, cycles_renderer):
     scene, layout = corner_scene(**DULL)
     pattern = stripes(scene.rig)
@@ -81,7 +82,6 @@ LIMITS = {"wall": 0.002, "metal": 0.005, "coat": 0.03}
 NOISE = {"wall": 0.001, "metal": 0.007, "coat": 0.003}
 
 
-@pytest.mark.slow
 def test_each_material_is_as_bright_in_both_as_its_model_allows(mitsuba_renderer, cycles_renderer):
     scene, layout = corner_scene(metal=METAL, coat=COAT)
     pattern = plain_pattern(scene.rig, 255)

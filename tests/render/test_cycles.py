@@ -37,6 +37,8 @@ from graycast.render.cycles.job import is_simple
 from graycast.render.cycles.process import PYTHON_VARIABLE, WORKER, examine_cycles
 from graycast.scene import EMPTY_LAYOUT, Environment, Lamp, Sphere
 
+pytestmark = pytest.mark.slow  # each render of Cycles takes a moment
+
 ON_LINUX = pytest.mark.skipif(not Path("/proc/self/stat").exists(), reason="needs Linux's /proc")
 SOURCE = WORKER.parents[2]
 
@@ -120,7 +122,6 @@ def test_a_child_that_is_killed_in_a_scene_is_replaced_and_no_frame_is_lost_or_m
 
 
 @ON_LINUX
-@pytest.mark.slow
 def test_a_scene_that_kills_every_child_ends_with_one_error_and_the_next_scene_goes_on(open_cycles):
     before, deaths = set(children(os.getpid())), []
 
@@ -156,7 +157,6 @@ for seed in range(10**6):
 
 
 @ON_LINUX
-@pytest.mark.slow
 def test_the_child_ends_with_a_parent_that_is_killed(open_cycles):
     """In the middle of a frame that takes a minute."""
     open_cycles()  # or skip
@@ -183,7 +183,6 @@ def rss_mib(pid):
 
 
 @ON_LINUX
-@pytest.mark.slow
 def test_one_child_renders_scene_after_scene_in_the_same_memory(open_cycles):
     """Meshes and textures of 5 MiB a scene, new ones each time: leaks of any would show."""
     before = set(children(os.getpid()))
@@ -258,7 +257,7 @@ def test_frames_of_one_scene_have_noise_of_their_own(cycles_renderer):
     assert 0.7 < within / between < 1.4 and 0.7 < also / between < 1.4
 
 
-@pytest.mark.parametrize("size", [(48, 36), pytest.param((36, 48), marks=pytest.mark.slow)])
+@pytest.mark.parametrize("size", [(48, 36), (36, 48)])
 def test_blenders_own_camera_sees_what_the_exact_renderer_sees(cycles_renderer, size):
     """Square pixels and an axis off the middle, in a broad and in a tall picture. The middle of 64
     well spread places lies within a twentieth of a pixel of the pixel's own.
@@ -283,7 +282,6 @@ def test_blenders_own_camera_sees_what_the_exact_renderer_sees(cycles_renderer, 
     assert np.median(slope[inside] / a[inside]) > 0.005
 
 
-@pytest.mark.slow
 def test_the_denoiser_makes_a_lit_wall_quieter_and_keeps_its_brightness(cycles_renderer):
     """A lamp's noise at 4 samples, against 256. The lamp itself is out of sight.
 
@@ -310,7 +308,6 @@ def test_the_denoiser_makes_a_lit_wall_quieter_and_keeps_its_brightness(cycles_r
     assert abs(clean.mean()) < 0.01
 
 
-@pytest.mark.slow
 def test_three_patterns_in_one_render_are_what_each_is_in_its_own(open_cycles, cycles_renderer):
     """Of a laser on coloured things; four patterns leave two bands of the second render over."""
     scene, layout = corner_scene()

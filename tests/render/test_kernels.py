@@ -16,10 +16,10 @@ from stage import (
 
 from graycast.frames import rigid
 from graycast.render import Quality
-from graycast.scene import Environment
+from graycast.scene import Environment, Lamp
 
 
-def test_another_seed_pose_colour_layout_and_count_compile_nothing(mitsuba_renderer):
+def test_another_seed_pose_colour_lamp_layout_and_count_compile_nothing(mitsuba_renderer):
     """Light, ground truth and silhouettes; 40 and 70 parts need more than one word of bits."""
     import drjit as dr
 
@@ -39,6 +39,7 @@ def test_another_seed_pose_colour_layout_and_count_compile_nothing(mitsuba_rende
             T_world_cam=SOMEWHERE @ T_world_cam,
             parts=(part,),
             environment=Environment(radiance=(level, level, level)),
+            lamps=(Lamp(center_m=tuple(rng.uniform(2, 3, 3)), size_m=rng.uniform(0.1, 0.5)),),
         )
         layout = layout_in_camera([0] * count, poses, SOMEWHERE @ T_world_cam)
         dr.kernel_history_clear()

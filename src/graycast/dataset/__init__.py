@@ -3,19 +3,24 @@
 from .bop import depth_scale_mm, scene_files
 from .claim import described_values
 from .compare import differing_files
-from .sample import Sample
+from .raw import read_capture, read_code_maps
+from .sample import Raw, Sample, labelled
 from .store import SetAside, Store, open_store, refuse_other_dataset
 from .validate import Problem, validate
 
 __all__ = [
     "Problem",
+    "Raw",
     "Sample",
     "SetAside",
     "Store",
     "depth_scale_mm",
     "described_values",
     "differing_files",
+    "labelled",
     "open_store",
+    "read_capture",
+    "read_code_maps",
     "refuse_other_dataset",
     "scene_files",
     "validate",

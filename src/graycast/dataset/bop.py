@@ -29,7 +29,8 @@ from ..optics import Optics
 from ..render.radiance import Silhouette
 from .coco import run_lengths, scene_annotation, scene_coco
 from .models import MM_PER_M
-from .sample import Sample
+from .raw import raw_facts, raw_files
+from .sample import Sample, labelled
 
 _PNG_LEVEL = 2  # higher ones take twice the time for a hundredth of the size
 _DEPTH_MAX = 65535  # of 16 bits
@@ -77,6 +78,7 @@ def scene_files(sample: Sample, scale_mm: float) -> Iterator[tuple[str, bytes]]:
     """
     camera = sample.scene.rig.camera
     _check_shapes(sample, (camera.height_px, camera.width_px))
+    sample = labelled(sample)
     seen = _instances(sample)
     truth = _depth_steps(sample.truth.depth_m, scale_mm, needed=sample.truth.instance >= 0)
     known = sample.scanner.reason == Reason.DECODED
@@ -105,7 +107,10 @@ def scene_files(sample: Sample, scale_mm: float) -> Iterator[tuple[str, bytes]]:
     reasons = {reason.name: reason.value for reason in Reason}
     scanner = {"modulation_scale": modulation_scale, "reasons": reasons}
     yield "scene_sl.json", json_bytes({"0": scanner})
-    yield "manifest.json", json_bytes(sample.manifest)
+    if sample.raw is not None:
+        yield from raw_files(sample.raw)
+    facts = {} if sample.raw is None else raw_facts(sample.raw)
+    yield "manifest.json", json_bytes({**sample.manifest, **facts})
 
 
 def json_bytes(content: Mapping[str, Any]) -> bytes:

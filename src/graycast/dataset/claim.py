@@ -19,16 +19,20 @@ from .bop import plain
 
 CLAIM = "graycast.json"
 FORMAT_VERSION = 1
-_CLAIMED = ("format_version", "seed", "depth_scale_mm", "rig", "parts", "config")
+_CLAIMED = ("format_version", "seed", "depth_scale_mm", "rig", "parts", "distractors", "config")
 
 
 def make_claim(
     config: Mapping[str, Any], seed: int, parts: tuple[Part, ...], rig: Rig, depth_scale_mm: float
 ) -> dict[str, Any]:
     """What `graycast.json` says; the fingerprint covers all but versions and the parts' sources."""
+    known = [part for part in parts if part.labelled]
     described = [
         {"obj_id": obj_id, "name": part.name, "content": _digest(part)}
-        for obj_id, part in enumerate(parts, start=1)
+        for obj_id, part in enumerate(known, start=1)
+    ]
+    distractors = [
+        {"name": part.name, "content": _digest(part)} for part in parts if not part.labelled
     ]
     claim = plain(
         {
@@ -39,6 +43,7 @@ def make_claim(
             "rig": described_values(rig),
             "parts": described,
         }
+        | ({"distractors": distractors} if distractors else {})
     )
     text = json.dumps(claim, sort_keys=True, allow_nan=False)
     versions = {
@@ -48,7 +53,7 @@ def make_claim(
     }
     return claim | {
         "fingerprint": hashlib.sha256(text.encode()).hexdigest(),
-        "sources": [part.source for part in parts],
+        "sources": [part.source for part in known],
         "versions": versions,
     }
 
@@ -101,7 +106,7 @@ def refuse_other(path: Path, claim: Mapping[str, Any]) -> None:
             (
                 found
                 for key in _CLAIMED
-                if (found := _difference(held.get(key), claim[key], key)) is not None
+                if (found := _difference(held.get(key), claim.get(key), key)) is not None
             ),
             "the fingerprint",
         )

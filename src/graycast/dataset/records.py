@@ -23,6 +23,13 @@ class PartClaim(Record):
     content: str
 
 
+class DistractorClaim(Record):
+    """A part that lies among the others and is in no annotation."""
+
+    name: str
+    content: str
+
+
 class Claim(Record):
     """`graycast.json`."""
 
@@ -33,6 +40,7 @@ class Claim(Record):
     depth_scale_mm: Positive
     rig: dict[str, Any]
     parts: list[PartClaim]
+    distractors: list[DistractorClaim] = []
     sources: list[str]
     versions: dict[str, str]
 
@@ -211,6 +219,31 @@ class SplitCoco(Record):
     categories: list[CocoCategory]
     images: list[CocoImage]
     annotations: list[SplitAnnotation]
+
+
+class Shown(BaseModel):
+    """One of a scene's `frames`, in a stack file's words."""
+
+    model_config = ConfigDict(frozen=True, extra="allow", strict=True, allow_inf_nan=False)
+
+    file: str
+
+
+class FramesTold(Record):
+    """The captured pictures of a scene, in its `manifest.json`."""
+
+    bit_depth: Annotated[int, Field(ge=1, le=16)]
+    exposures_s: Annotated[list[Positive], Field(min_length=1)]
+    shown: Annotated[list[Shown], Field(min_length=1)]
+
+
+class RawFacts(BaseModel):
+    """Of `manifest.json` what tells of captured pictures and code maps."""
+
+    model_config = ConfigDict(frozen=True, extra="ignore", strict=True)
+
+    frames: FramesTold | None = None
+    code_maps: list[str] = []
 
 
 class Manifest(RootModel[dict[str, Any]]):

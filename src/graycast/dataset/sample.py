@@ -1,15 +1,40 @@
 """One scene's finished products, as the dataset writers take them."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 from jaxtyping import Float, UInt8
 
-from ..decode import DepthMap
+from ..decode import CodeMap, DepthMap
 from ..render.radiance import GroundTruth
+from ..scanner import Scanner
 from ..scene import Layout, Scene
+from ..sensor import Capture
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Raw:
+    """What lies between light and depth, as far as it is kept; `scanner` took and read it."""
+
+    scanner: Scanner
+    capture: Capture | None = None
+    codes: CodeMap | None = None
+
+    def __post_init__(self) -> None:
+        camera, code = self.scanner.rig.camera, self.scanner.patterns()
+        must = (len(code.frames), camera.height_px, camera.width_px)
+        if self.capture is not None and self.capture.frames.shape != must:
+            is_ = f"{self.capture.frames.shape} (frames, rows, columns)"
+            raise ValueError(f"the captured stack is {is_}, code and camera make {must}")
+        if self.codes is not None and self.codes.column.shape != must[1:]:
+            raise ValueError(f"the code map is {self.codes.column.shape}, the camera {must[1:]}")
+
+    @property
+    def code_maps(self) -> tuple[str, ...]:
+        """The fields of `codes` that the code has an axis for, positions and their sigmas."""
+        return tuple(n for axis in self.scanner.code.axes for n in (axis, f"sigma_{axis}"))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -18,7 +43,8 @@ class Sample:
 
     `rgb` is the colour picture (8-bit sRGB), `gray` the measuring camera's white frame (8 bit),
     `scanner` what the structured-light camera measured. `manifest` is stored beside the images as
-    it is; its `timings` are the only part that may differ between two equal runs.
+    it is; its `timings` are the only part that may differ between two equal runs. `raw` is kept
+    where the configuration wants it.
     """
 
     scene: Scene
@@ -29,7 +55,35 @@ class Sample:
     scanner: DepthMap
     modulation: Float[np.ndarray, "h w"]
     manifest: Mapping[str, Any]
+    raw: Raw | None = None
 
     def __post_init__(self) -> None:
         for array in (self.rgb, self.gray, self.modulation):
             array.flags.writeable = False
+
+
+def labelled(sample: Sample) -> Sample:
+    """A sample as annotations know it: without the instances of parts that have no label.
+
+    They stay in depth and pictures, and what they hide stays hidden.
+    """
+    scene, layout, truth = sample.scene, sample.layout, sample.truth
+    has_label = np.array([part.labelled for part in scene.parts], dtype=bool)
+    if has_label.all():
+        return sample
+    kept = has_label[layout.part_index]
+    number = np.append(np.where(kept, np.cumsum(kept) - 1, -1), -1)  # -1, no part, stays -1
+    return replace(
+        sample,
+        scene=replace(scene, parts=tuple(part for part in scene.parts if part.labelled)),
+        layout=replace(
+            layout,
+            T_world_part=layout.T_world_part[kept],
+            part_index=layout.part_index[kept],
+        ),
+        truth=replace(
+            truth,
+            instance=number[truth.instance].astype(truth.instance.dtype),
+            amodal=tuple(whole for whole, own in zip(truth.amodal, kept, strict=True) if own),
+        ),
+    )

@@ -13,6 +13,7 @@ from ..frames import is_rigid, rigid
 from ..optics import Optics
 from ..raster import Raster, rasterize
 from . import records
+from .raw_check import raw_problems
 from .reading import Unreadable, read_json, read_png
 
 # A pixel whose centre lies very near an edge may fall to either side in a renderer of single
@@ -78,6 +79,8 @@ def scene_problems(
     if unfit:
         return
     yield from _scanner_problems(scene)
+    gray, reason = scene.image["gray_sl"], scene.image["reason_sl"]
+    yield from raw_problems(folder, camera, gray=gray, reason=reason)
     try:
         yield from _mask_problems(folder, scene, camera, models)
     except Unreadable as error:

@@ -176,6 +176,7 @@ def open_store(
         ValueError: something in `config` has no JSON form.
     """
     claim = make_claim(config, seed, parts, rig, depth_scale_mm)
+    parts = tuple(part for part in parts if part.labelled)
     _refuse_foreign(out)
     with _disk_errors(out):
         out.mkdir(parents=True, exist_ok=True)

@@ -18,7 +18,7 @@ from ..dataset.claim import CLAIM, FORMAT_VERSION
 from ..dataset.coco import run_lengths, scene_annotation, scene_coco
 from ..dataset.real import pixel_box, split_entry
 from ..errors import DatasetError
-from ..export.placing import new_folder
+from ..folder import new_folder
 from ..render.radiance import Silhouette
 from .annotations import Drawn, read_annotations
 from .pictures import Seen, Shot, depth_step_mm, depth_steps, find_shots, read_shot

@@ -106,7 +106,10 @@ class Symmetry:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Part:
-    """One kind of part. `source` says where it came from, for datasets and error messages."""
+    """One kind of part. `source` says where it came from, for datasets and error messages.
+
+    A part that is not `labelled` lies among the others and hides them, but no annotation knows it.
+    """
 
     name: str
     mesh: Mesh
@@ -115,6 +118,7 @@ class Part:
     friction: float
     symmetry: Symmetry = field(default_factory=Symmetry)
     source: str = "built in"
+    labelled: bool = True
 
     def __post_init__(self) -> None:
         if not self.density_kg_m3 > 0:

@@ -4,13 +4,25 @@ Imported only by `mitsuba.py`, after a variant was set.
 """
 
 from dataclasses import dataclass
+from pathlib import Path
 
+import drjit as dr
 import mitsuba as mi
 import numpy as np
 
 from ..errors import ConfigError
 from ..parts import Material, Mesh
-from ..scene import Lamp, Layout, Quad, Scene, Sphere, bin_mesh, lamp_quad, table_quad
+from ..scene import (
+    Lamp,
+    Layout,
+    Quad,
+    Scene,
+    Sphere,
+    bin_surfaces,
+    lamp_quad,
+    quad_mesh,
+    table_quad,
+)
 from .coated_diffuse import CoatedDiffuse
 from .rough_conductor import RoughConductor
 
@@ -39,10 +51,13 @@ def build(scene: Scene, layout: Layout) -> tuple[mi.Scene, tuple[PartShape, ...]
         part_shapes.append(PartShape(shape, len(part.mesh.faces), instances))
         world[f"part{index}"] = shape
     if scene.bin is not None:
-        world["bin"] = _mesh("bin", bin_mesh(scene.bin), scene.bin.material, np.eye(4)[None])
-        world["table"] = _quad(table_quad(scene))
+        for name, mesh, material in bin_surfaces(scene.bin):
+            world[name] = _mesh(name, mesh, material, np.eye(4)[None])
+        world["table"] = _flat_surface("table", table_quad(scene))
     for index, surface in enumerate(scene.surfaces):
-        world[f"surface{index}"] = _quad(surface) if isinstance(surface, Quad) else _ball(surface)
+        name = f"surface{index}"
+        is_flat = isinstance(surface, Quad)
+        world[name] = _flat_surface(name, surface) if is_flat else _ball(surface)
     environment = _environment(scene)
     if environment is not None:
         world["environment"] = environment
@@ -125,6 +140,13 @@ def _flat(array: np.ndarray) -> mi.Float:
     return mi.Float(np.ascontiguousarray(array, dtype=np.float32).ravel())
 
 
+def _flat_surface(name: str, quad: Quad) -> mi.Mesh | dict[str, object]:
+    """A rectangle; a mesh where there is a texture, which on rectangles would stand on its head."""
+    if quad.material.texture is None:
+        return _quad(quad)
+    return _mesh(name, quad_mesh(quad), quad.material, np.eye(4)[None])
+
+
 def _quad(quad: Quad) -> dict[str, object]:
     u, v = np.array(quad.half_u_m), np.array(quad.half_v_m)
     matrix = np.eye(4)
@@ -146,9 +168,18 @@ def _ball(sphere: Sphere) -> dict[str, object]:
     }
 
 
-def _lamp(lamp: Lamp) -> dict[str, object]:
+def _lamp(lamp: Lamp) -> mi.Shape:
     radiance = {"type": "rgb", "value": list(lamp.radiance)}
-    return _quad(lamp_quad(lamp)) | {"emitter": {"type": "area", "radiance": radiance}}
+    shape = mi.load_dict(
+        _quad(lamp_quad(lamp)) | {"emitter": {"type": "area", "radiance": radiance}}
+    )
+    # Literal places would be compiled into the kernel, anew for every scene.
+    parameters = mi.traverse(shape)
+    to_world = mi.Transform4f(parameters["to_world"].matrix)
+    dr.make_opaque(to_world)
+    parameters["to_world"] = to_world
+    parameters.update()
+    return shape
 
 
 def _environment(scene: Scene) -> dict[str, object] | None:
@@ -160,15 +191,39 @@ def _environment(scene: Scene) -> dict[str, object] | None:
             "type": "constant",
             "radiance": {"type": "rgb", "value": list(environment.radiance)},
         }
+    pixels = _map_pixels(environment.map_file)
+    if environment.levelled:
+        pixels = pixels / _mean_radiance(pixels, environment.map_file)
+    pixels = pixels * np.array(environment.radiance, dtype=np.float32)
+    turned = mi.ScalarTransform4f().rotate([0, 0, 1], np.degrees(environment.rotation_rad))
+    z_up = turned.rotate([1, 0, 0], 90.0)  # Mitsuba's maps have y up
+    return {"type": "envmap", "bitmap": mi.Bitmap(pixels), "to_world": z_up}
+
+
+def _map_pixels(file: Path) -> np.ndarray:
+    threads = dr.thread_count()
+    # Mitsuba 3.9 gives the rows of an EXR to Dr.Jit's threads and waits: of one alone, for ever.
+    dr.set_thread_count(max(threads, 2))
     try:
-        bitmap = mi.Bitmap(str(environment.map_file))
+        bitmap = mi.Bitmap(str(file))
     except RuntimeError as error:
         why = str(error).splitlines()[-1]
         raise ConfigError(
-            f"environment map {environment.map_file} cannot be read: {why}; "
+            f"environment map {file} cannot be read: {why}; "
             "give a latitude-longitude EXR or HDR picture"
         ) from error
-    pixels = np.array(bitmap.convert(mi.Bitmap.PixelFormat.RGB, mi.Struct.Type.Float32, False))
-    pixels = pixels * np.array(environment.radiance, dtype=np.float32)
-    z_up = mi.ScalarTransform4f().rotate([1, 0, 0], 90.0)  # Mitsuba's maps have y up
-    return {"type": "envmap", "bitmap": mi.Bitmap(pixels), "to_world": z_up}
+    finally:
+        dr.set_thread_count(threads)
+    return np.array(bitmap.convert(mi.Bitmap.PixelFormat.RGB, mi.Struct.Type.Float32, False))
+
+
+def _mean_radiance(pixels: np.ndarray, file: Path) -> np.float32:
+    """Mean of a latitude-longitude map over all directions and bands: rows by solid angle."""
+    border = np.cos(np.linspace(0, np.pi, len(pixels) + 1))
+    mean = float((border[:-1] - border[1:]) / 2 @ pixels.mean(axis=(1, 2), dtype=np.float64))
+    if not 0 < mean < np.inf:
+        raise ConfigError(
+            f"environment map {file} has the mean radiance {mean}: take out what is not finite, "
+            "or give another map"
+        )
+    return np.float32(mean)

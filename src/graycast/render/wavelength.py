@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 
 from ..parts import Material
-from ..scene import Scene
+from ..scene import Bin, Scene
 
 
 def at_projector_wavelength(scene: Scene) -> Scene:
@@ -46,7 +46,10 @@ def at_one_wavelength(scene: Scene) -> Scene:
 def _materials(scene: Scene) -> list[Material]:
     materials = [part.material for part in scene.parts]
     materials += [surface.material for surface in scene.surfaces]
-    return materials if scene.bin is None else [*materials, scene.table, scene.bin.material]
+    if scene.bin is not None:
+        materials += [scene.table, scene.bin.material]
+        materials += [] if scene.bin.floor is None else [scene.bin.floor]
+    return materials
 
 
 def _with_materials(scene: Scene, change: Callable[[Material], Material]) -> Scene:
@@ -55,8 +58,13 @@ def _with_materials(scene: Scene, change: Callable[[Material], Material]) -> Sce
         table=change(scene.table),
         parts=tuple(replace(part, material=change(part.material)) for part in scene.parts),
         surfaces=tuple(replace(one, material=change(one.material)) for one in scene.surfaces),
-        bin=scene.bin and replace(scene.bin, material=change(scene.bin.material)),
+        bin=scene.bin and _with_bin_materials(scene.bin, change),
     )
+
+
+def _with_bin_materials(box: Bin, change: Callable[[Material], Material]) -> Bin:
+    floor = None if box.floor is None else change(box.floor)
+    return replace(box, material=change(box.material), floor=floor)
 
 
 def _is_grey(material: Material) -> bool:

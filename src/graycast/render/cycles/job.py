@@ -14,7 +14,17 @@ from PIL import Image
 from ...optics import Optics, fold_radius2, rays
 from ...parts import Material, Mesh
 from ...rig import Rig, emission
-from ...scene import Environment, Layout, Quad, Scene, Sphere, bin_mesh, lamp_quad, table_quad
+from ...scene import (
+    Environment,
+    Layout,
+    Quad,
+    Scene,
+    Sphere,
+    bin_surfaces,
+    lamp_quad,
+    quad_mesh,
+    table_quad,
+)
 from ..radiance import Quality
 
 WHITE = -1  # in a frame's list of patterns
@@ -178,14 +188,14 @@ def _placed(scene: Scene, layout: Layout) -> list[_Placed]:
                 )
             )
     if scene.bin is not None:
-        placed.append(_alone("bin", bin_mesh(scene.bin), scene.bin.material))
+        placed += [_alone(*surface) for surface in bin_surfaces(scene.bin)]
     quads = [
         surface for surface in (table_quad(scene), *scene.surfaces) if isinstance(surface, Quad)
     ]
-    placed += [_alone("quad", _quad_mesh(quad), quad.material) for quad in quads]
+    placed += [_alone("quad", quad_mesh(quad), quad.material) for quad in quads]
     for lamp in scene.lamps:
         quad = lamp_quad(lamp)
-        placed.append(_alone("lamp", _quad_mesh(quad), quad.material, lamp.radiance))
+        placed.append(_alone("lamp", quad_mesh(quad), quad.material, lamp.radiance))
     return placed
 
 
@@ -200,14 +210,6 @@ def _alone(
         instances=np.zeros(1, dtype=np.int64),
         radiance=radiance,
     )
-
-
-def _quad_mesh(quad: Quad) -> Mesh:
-    center, u, v = (np.array(value) for value in (quad.center_m, quad.half_u_m, quad.half_v_m))
-    corners = np.array([center - u - v, center + u - v, center + u + v, center - u + v])
-    uv = np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]])
-    faces = np.array([[0, 1, 2], [0, 2, 3]])
-    return Mesh(vertices_m=corners, faces=faces, corner_uv=uv[faces])
 
 
 def _mesh(folder: Path, index: int, placed: _Placed) -> dict[str, Any]:
@@ -242,7 +244,6 @@ def _material(
         "texture": texture,
         "metallic": material.metallic,
         "roughness": material.roughness,
-        "specular": material.specular,
         "ior": material.ior,
         "radiance": radiance,
     }
@@ -252,4 +253,9 @@ def _environment(environment: Environment) -> dict[str, Any] | None:
     if environment.map_file is None and not any(environment.radiance):
         return None
     file = None if environment.map_file is None else str(environment.map_file.resolve())
-    return {"radiance": environment.radiance, "map_file": file}
+    return {
+        "radiance": environment.radiance,
+        "map_file": file,
+        "rotation_rad": environment.rotation_rad,
+        "levelled": environment.levelled,
+    }

@@ -70,22 +70,44 @@ class World:
         background = nodes.new("ShaderNodeBackground")
         color: object = (*words["radiance"], 1.0)
         if words["map_file"] is not None:
-            scaled = nodes.vector("MULTIPLY", _mapped(nodes, words), tuple(words["radiance"]))
-            color = scaled.outputs[0]
+            image = _map(words["map_file"])
+            share = 1 / _mean_radiance(image, words["map_file"]) if words["levelled"] else 1.0
+            mapped = _mapped(nodes, image, words["rotation_rad"])
+            factor = tuple(share * level for level in words["radiance"])
+            color = nodes.vector("MULTIPLY", mapped, factor).outputs[0]
         nodes.put(background.inputs["Color"], color)
         out = nodes.new("ShaderNodeOutputWorld")
         nodes.put(out.inputs["Surface"], background.outputs[0])
         return sky
 
 
-def _mapped(nodes: Nodes, words: dict[str, Any]) -> bpy.types.NodeSocket:
-    """The map's colour in a direction; its left border lies towards the world's +y."""
-    image = bpy.data.images.load(words["map_file"])
+def _map(file: str) -> bpy.types.Image:
+    image = bpy.data.images.load(file)
     if image.size[1] == 0:
         raise ValueError(
-            f"environment map {words['map_file']} cannot be read; "
-            "give a latitude-longitude EXR or HDR picture"
+            f"environment map {file} cannot be read; give a latitude-longitude EXR or HDR picture"
         )
+    return image
+
+
+def _mean_radiance(image: bpy.types.Image, file: str) -> float:
+    """Mean of a latitude-longitude map over all directions and bands: rows by solid angle."""
+    width, height = image.size
+    pixels = np.empty(width * height * image.channels, dtype=np.float32)
+    image.pixels.foreach_get(pixels)
+    rows = pixels.reshape(height, width, image.channels)[..., :3].mean(axis=(1, 2), dtype=float)
+    border = np.cos(np.linspace(0, np.pi, height + 1))  # the same from either pole
+    mean = float((border[:-1] - border[1:]) / 2 @ rows)
+    if not 0 < mean < math.inf:
+        raise ValueError(
+            f"environment map {file} has the mean radiance {mean}: take out what is not finite, "
+            "or give another map"
+        )
+    return mean
+
+
+def _mapped(nodes: Nodes, image: bpy.types.Image, rotation_rad: float) -> bpy.types.NodeSocket:
+    """The map's colour in a direction; its left border lies towards the world's +y, turned."""
     way = nodes.new("ShaderNodeTexCoord").outputs["Generated"]
     # Beyond the middles of the first and last row Cycles would mix them with each other.
     slope = math.tan(math.pi / 2 / image.size[1])
@@ -94,9 +116,13 @@ def _mapped(nodes: Nodes, words: dict[str, Any]) -> bpy.types.NodeSocket:
     split = nodes.new("ShaderNodeSeparateXYZ")
     nodes.put(split.inputs[0], way)
     widened = nodes.math("MAXIMUM", widened, 1.0)
+    cosine, sine = math.cos(rotation_rad), math.sin(rotation_rad)
+    x, y = split.outputs["X"], split.outputs["Y"]
+    map_x = nodes.add(nodes.mul(x, cosine), nodes.mul(y, sine))
+    map_y = nodes.add(nodes.mul(y, cosine), nodes.mul(x, -sine))
     turned = nodes.new("ShaderNodeCombineXYZ")  # Cycles' left border lies towards -x
-    nodes.put(turned.inputs["X"], nodes.mul(nodes.mul(split.outputs["Y"], -1.0), widened))
-    nodes.put(turned.inputs["Y"], nodes.mul(split.outputs["X"], widened))
+    nodes.put(turned.inputs["X"], nodes.mul(nodes.mul(map_y, -1.0), widened))
+    nodes.put(turned.inputs["Y"], nodes.mul(map_x, widened))
     nodes.put(turned.inputs["Z"], split.outputs["Z"])
     texture = nodes.new("ShaderNodeTexEnvironment", image=image, interpolation="Linear")
     nodes.put(texture.inputs["Vector"], turned.outputs[0])

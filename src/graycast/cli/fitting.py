@@ -1,0 +1,139 @@
+"""The command that fits a configuration to a real cell: fit-bin."""
+
+import argparse
+import math
+from pathlib import Path
+
+from ..errors import GraycastError
+from .arguments import above_zero, add_command, add_device, add_seed, size
+
+
+def add_commands(commands) -> None:
+    fit = add_command(
+        commands, "fit-bin", _fit_bin, "Find a real bin's pose and look from views of it empty."
+    )
+    fit.add_argument(
+        "real",
+        nargs="+",
+        type=Path,
+        help="depth or clouds of one camera (PNG, TIFF, NPY, PLY), folders with rgb and depth, or "
+        "scene folders of a dataset",
+    )
+    fit.add_argument(
+        "--config", type=Path, required=True, help="the cell's configuration: bin, rig and light"
+    )
+    fit.add_argument(
+        "--out", type=Path, required=True, help="a new configuration, in the folder of --config"
+    )
+    _add_files(fit)
+    fit.add_argument(
+        "--inner", metavar="L,W,H", help="the bin's inside in metres, if not --config's"
+    )
+    fit.add_argument("--wall", type=above_zero, metavar="METRES", help="thickness of its walls")
+    fit.add_argument(
+        "--azimuth",
+        type=float,
+        metavar="DEGREES",
+        help="about where the camera's x axis points in the bin: a box looks the same after half a "
+        "turn, the nearest is taken (default: as configured)",
+    )
+    fit.add_argument(
+        "--floor-reflectance",
+        type=above_zero,
+        metavar="SHARE",
+        help="mean linear reflectance of the floor, which colours are relative to (default: the "
+        "configuration's)",
+    )
+    fit.add_argument("--white", type=Path, help="linear frame with the projector white, and")
+    fit.add_argument("--black", type=Path, help="one with it black, in one exposure: lamps' level")
+    fit.add_argument("--pose-only", action="store_true", help="leave colours and light as they are")
+    add_seed(fit, 0)
+    add_device(fit)
+
+
+def _add_files(fit: argparse.ArgumentParser) -> None:
+    fit.add_argument(
+        "--rgb", type=Path, nargs="+", default=[], help="a colour picture for each depth file"
+    )
+    fit.add_argument(
+        "--intrinsics", metavar="K", help="fx,fy,cx,cy or a file with K (default: the rig's)"
+    )
+    fit.add_argument("--distortion", metavar="D", help="k1,k2,p1,p2,k3 of OpenCV")
+    fit.add_argument(
+        "--scale",
+        type=above_zero,
+        metavar="METRES",
+        help="of one unit of depth: 0.001 for millimetres; integers need it, floats are metres",
+    )
+    fit.add_argument("--size", type=size, metavar="WxH", help="of PLYs that do not say it")
+
+
+def _fit_bin(options: argparse.Namespace) -> int:
+    from ..cell import resolve_cell
+    from ..config import load_config
+    from ..fit_bin import (
+        Said,
+        azimuth_of,
+        fit_pose,
+        open_box,
+        read_frames,
+        read_views,
+        refuse_existing,
+        summary,
+        with_look,
+        write_fit,
+    )
+    from ..realism import read_intrinsics
+
+    refuse_existing(options.out, options.config)
+    if (options.white is None) != (options.black is None):
+        raise GraycastError("--white and --black belong together: give both, or neither")
+    if options.pose_only and (options.white or options.floor_reflectance):
+        raise GraycastError("--pose-only leaves the look alone: leave out what is said about it")
+    config = load_config(options.config)
+    given = {} if options.inner is None else {"inner_m": _inner(options.inner)}
+    given |= {} if options.wall is None else {"wall_m": options.wall}
+    known = options.wall or ("wall_m" in config.bin.model_fields_set and options.inner is None)
+    config = config.model_copy(update={"bin": config.bin.model_copy(update=given)})
+    cell = resolve_cell(config, options.config.parent)
+    said = Said(
+        K=None if options.intrinsics is None else read_intrinsics(options.intrinsics),
+        distortion=None if options.distortion is None else _numbers(options.distortion, 5),
+        scale_m=options.scale,
+        size_px=options.size,
+    )
+    views = read_views(options.real, rgb=options.rgb, said=said, own=cell.scene.rig.camera)
+    box = open_box(config.bin.inner_m, config.bin.wall_m if known else None)
+    azimuth = azimuth_of(config) if options.azimuth is None else math.radians(options.azimuth)
+    fit = fit_pose(views, box, azimuth_rad=azimuth, seed=options.seed)
+    paired = options.white is not None
+    asked = paired or options.floor_reflectance is not None
+    if not options.pose_only and (asked or any(view.rgb is not None for view in views)):
+        fit = with_look(
+            fit,
+            cell,
+            views,
+            floor_reflectance=options.floor_reflectance,
+            frames=read_frames(options.white, options.black, views[0]) if paired else None,
+            device=options.device,
+            seed=options.seed,
+        )
+    print("\n".join(summary(fit)))
+    for path in write_fit(fit, cell, views, options.config, options.out):
+        print(path)
+    return 0
+
+
+def _inner(text: str) -> tuple[float, float, float]:
+    length, width, height = _numbers(text, 3)
+    return length, width, height
+
+
+def _numbers(text: str, count: int) -> tuple[float, ...]:
+    try:
+        numbers = tuple(float(word) for word in text.split(","))
+    except ValueError:
+        numbers = ()
+    if len(numbers) != count:
+        raise GraycastError(f"{text!r} is not {count} numbers with commas between them")
+    return numbers

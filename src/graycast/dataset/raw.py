@@ -1,0 +1,170 @@
+"""What lies between light and depth, where a dataset keeps it: captured pictures, code maps.
+
+The pictures lie in a scene's `frames/` as the sensor stored them, with what `graycast decode` wants
+to know: `stack.yaml` says what each shows and how it is to be read, `rig.yaml` is the scanner. The
+way from there to `depth_sl` is the scanner's own, so it gives the same numbers.
+"""
+
+import io
+import warnings
+from collections.abc import Iterator, Mapping
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+from jaxtyping import Float32, UInt8, UInt16
+from PIL import Image, UnidentifiedImageError
+
+from ..errors import ConfigError
+from ..pattern import AXES
+from ..rig_file import load_scanner, scanner_text
+from ..sensor import Capture
+from ..stack import describe_frames, describe_stack
+from . import records
+from .reading import Unreadable, read_json, read_png
+from .sample import Raw
+
+_THREADS = 4  # decoding a PNG lets others run
+FRAMES = "frames"  # folder of a scene
+STACK, RIG, EXPOSURE = "stack.yaml", "rig.yaml", "exposure.png"  # beside the pictures
+# Noise does not shrink, however long one tries: half the time of zlib's own, and smaller.
+_NOISY_PNG = [
+    cv2.IMWRITE_PNG_COMPRESSION,
+    1,
+    cv2.IMWRITE_PNG_STRATEGY,
+    cv2.IMWRITE_PNG_STRATEGY_RLE,
+]
+
+
+def raw_files(raw: Raw) -> Iterator[tuple[str, bytes]]:
+    """Every file as (path inside the scene's folder, content), equal for equal values."""
+    if raw.capture is not None:
+        yield from _frame_files(raw, raw.capture)
+    if raw.codes is not None:
+        for name in raw.code_maps:
+            image = getattr(raw.codes, name)
+            yield f"{_folder(name)}/000000.tiff", _tiff(image.astype(np.float32))
+
+
+def raw_facts(raw: Raw) -> dict[str, Any]:
+    """What a scene's manifest says of these files."""
+    facts: dict[str, Any] = {}
+    if raw.capture is not None:
+        facts["frames"] = {
+            "bit_depth": raw.scanner.sensor.bit_depth,
+            "exposures_s": np.unique(raw.capture.exposure_s).astype(np.float64),
+            "shown": describe_frames(raw.scanner.patterns(), _names(raw.capture)),
+        }
+    if raw.codes is not None:
+        facts["code_maps"] = [_folder(name) for name in raw.code_maps]
+    return facts
+
+
+def _frame_files(raw: Raw, capture: Capture) -> Iterator[tuple[str, bytes]]:
+    names = _names(capture)
+    for name, image in zip(names, capture.frames, strict=True):
+        yield f"{FRAMES}/{name}", _png(image)
+    if isinstance(capture.exposure_s, np.ndarray):
+        index = np.unique(capture.exposure_s, return_inverse=True)[1]
+        yield f"{FRAMES}/{EXPOSURE}", _png(index.reshape(capture.exposure_s.shape).astype(np.uint8))
+    yield f"{FRAMES}/{STACK}", describe_stack(raw.scanner, names, rig=RIG).encode()
+    yield f"{FRAMES}/{RIG}", scanner_text(raw.scanner).encode()
+
+
+def _names(capture: Capture) -> list[str]:
+    return [f"{k:04d}.png" for k in range(len(capture.frames))]
+
+
+def _folder(name: str) -> str:
+    """`sigma_column` lies in `column_sigma_sl`, beside `column_sl`."""
+    return "_".join(reversed(name.split("_"))) + "_sl"
+
+
+def _png(image: UInt8[np.ndarray, "h w"] | UInt16[np.ndarray, "h w"]) -> bytes:
+    return cv2.imencode(".png", image, _NOISY_PNG)[1].tobytes()
+
+
+def _tiff(image: Float32[np.ndarray, "h w"]) -> bytes:
+    """Deflated, each number as its difference to the one before (TIFF's predictor for floats)."""
+    file = io.BytesIO()
+    Image.fromarray(image).save(
+        file, "TIFF", compression="tiff_adobe_deflate", tiffinfo={_PREDICTOR: _FLOATING_POINT}
+    )
+    return file.getvalue()
+
+
+_PREDICTOR, _FLOATING_POINT = 317, 3  # tag and value of TIFF Technical Note 3
+
+
+# --- reading -----------------------------------------------------------------------------------
+
+
+def read_capture(scene: Path) -> Raw | None:
+    """The captured pictures of a scene's folder, and their scanner; None where it keeps none.
+
+    Raises:
+        Unreadable: a file is missing or damaged, or they do not fit together.
+    """
+    told = told_of(scene).frames
+    if told is None:
+        return None
+    folder = scene / FRAMES
+    with ThreadPoolExecutor(_THREADS) as pool:
+        images = list(pool.map(read_png, [folder / shown.file for shown in told.shown]))
+    exposure_s: float | Float32[np.ndarray, "h w"] = told.exposures_s[0]
+    if len(told.exposures_s) > 1:
+        index = read_png(folder / EXPOSURE)
+        if index.max() >= len(told.exposures_s):
+            raise Unreadable(f"{FRAMES}/{EXPOSURE} numbers more exposures than manifest.json")
+        exposure_s = np.array(told.exposures_s, dtype=np.float32)[index]
+    try:
+        scanner = load_scanner(folder / RIG)
+        capture = Capture(frames=np.stack(images), sensor=scanner.sensor, exposure_s=exposure_s)
+        return Raw(scanner=scanner, capture=capture)
+    except (ConfigError, ValueError) as error:
+        raise Unreadable(f"{FRAMES}: {error}") from error
+
+
+def read_code_maps(scene: Path) -> Mapping[str, Float32[np.ndarray, "h w"]]:
+    """Decoded projector positions and their standard deviations, by the names of `CodeMap`.
+
+    Raises:
+        Unreadable: a file is missing or damaged.
+    """
+    names = [name for axis in AXES for name in (axis, f"sigma_{axis}")]
+    held = told_of(scene).code_maps
+    return {
+        name: _read_tiff(scene / _folder(name) / "000000.tiff")
+        for name in names
+        if _folder(name) in held
+    }
+
+
+def told_of(scene: Path) -> records.RawFacts:
+    """What a scene's manifest says of frames and code maps; one without a manifest has none.
+
+    Raises:
+        Unreadable: the manifest is damaged.
+    """
+    path = scene / "manifest.json"
+    if not path.exists():
+        return records.RawFacts()
+    return read_json(path, records.RawFacts)
+
+
+def _read_tiff(path: Path) -> Float32[np.ndarray, "h w"]:
+    name = f"{path.parent.name}/{path.name}"
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("error")  # of a table that is cut off Pillow only warns
+            with Image.open(path) as image:
+                values = np.array(image)
+    except FileNotFoundError as error:
+        raise Unreadable(f"{name} is missing") from error
+    except (UnidentifiedImageError, OSError, SyntaxError, ValueError, UserWarning) as error:
+        raise Unreadable(f"{name} is cut off or damaged") from error
+    if values.dtype != np.float32 or values.ndim != 2:
+        raise Unreadable(f"{name} is {values.shape} {values.dtype}, it must be float32")
+    return values

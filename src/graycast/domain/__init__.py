@@ -1,0 +1,22 @@
+"""How scenes differ from the cell: within its tolerances, or drawn at random, and fully recorded.
+
+The cell's `Scene` and a random generator give a record of drawn values, plain enough for JSON; the
+record alone gives the scene that is dropped and rendered.
+"""
+
+from .draw import draw
+from .files import Domain, domain_files, resolve_domain
+from .sections import AdaptedSection, DomainSection, RandomizedSection
+from .vary import Variation, vary
+
+__all__ = [
+    "AdaptedSection",
+    "Domain",
+    "DomainSection",
+    "RandomizedSection",
+    "Variation",
+    "domain_files",
+    "draw",
+    "resolve_domain",
+    "vary",
+]

@@ -1,0 +1,144 @@
+"""What a user writes about a part and its surface, and the values that it stands for."""
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+from jaxtyping import UInt8
+from PIL import Image, UnidentifiedImageError
+from pydantic import Field, field_validator, model_validator
+
+from ..errors import ConfigError
+from ..frames import is_rigid
+from ..settings import Positive, Settings, Share, Vector
+from .builtin import BUILTIN, builtin_part
+from .meshfile import load_part
+from .part import Material, Part, Symmetry
+
+
+class MaterialSection(Settings):
+    """A surface in a few physical words."""
+
+    base_color: tuple[Share, Share, Share] = Field(
+        (0.5, 0.5, 0.5), description="linear RGB reflectance, each 0 to 1"
+    )
+    texture: Path | None = Field(None, description="picture file that replaces base_color (sRGB)")
+    metallic: Share = Field(0.0, description="0 plastic, paint, wood, card; 1 bare metal")
+    roughness: float = Field(0.5, ge=0.05, le=1, description="0.05 polished to 1 matt")
+    specular: Share = Field(0.5, description="0 Lambertian, 0.5 clear coat of index 1.5")
+    projector_reflectance: Share | None = Field(
+        None, description="at the projector's wavelength; left out: base_color in its bands"
+    )
+
+
+class ContinuousSymmetry(Settings):
+    axis: Vector
+    point_m: Vector = (0.0, 0.0, 0.0)
+
+    @field_validator("axis")
+    @classmethod
+    def _direction(cls, axis: Vector) -> Vector:
+        if not any(axis):
+            raise ValueError("an axis has a direction, such as [0, 0, 1]")
+        x, y, z = np.array(axis) / np.linalg.norm(axis)  # datasets hold unit vectors
+        return float(x), float(y), float(z)
+
+
+class SymmetrySection(Settings):
+    """Rigid motions that leave the part looking the same, in its own frame."""
+
+    discrete: tuple[tuple[float, ...], ...] = Field(
+        (), description="4x4 transforms, row by row (16 numbers, metres)"
+    )
+    continuous: tuple[ContinuousSymmetry, ...] = ()
+
+    @model_validator(mode="after")
+    def _sixteen(self) -> "SymmetrySection":
+        for matrix in self.discrete:
+            if len(matrix) != 16:
+                raise ValueError(f"a discrete symmetry has {len(matrix)} numbers; give 16")
+            if not is_rigid(np.reshape(matrix, (4, 4))):
+                raise ValueError("a discrete symmetry is not a rotation and a translation")
+        return self
+
+
+class PartSection(Settings):
+    """A kind of part: one of the built-in ones, or a mesh file of your own."""
+
+    builtin: str | None = Field(None, description=f"one of {', '.join(BUILTIN)}")
+    mesh: Path | None = Field(None, description="OBJ, PLY, STL or GLB file")
+    unit: Literal["m", "cm", "mm", "inch"] | None = Field(
+        None, description="the mesh file's unit; asked for unless metres are plausible"
+    )
+    name: str | None = None
+    material: MaterialSection | None = Field(None, description="instead of the part's own")
+    density_kg_m3: Positive | None = Field(None, description="a solid mesh: 7800 is steel")
+    friction: float | None = Field(None, ge=0)
+    symmetry: SymmetrySection | None = None
+
+    @model_validator(mode="after")
+    def _one_source(self) -> "PartSection":
+        if (self.builtin is None) == (self.mesh is None):
+            raise ValueError("give either builtin or mesh")
+        if self.builtin is not None and (self.unit or self.name or self.symmetry):
+            raise ValueError("unit, name and symmetry belong to a mesh, not to a built-in part")
+        return self
+
+
+def resolve_part(section: PartSection, folder: Path) -> tuple[Part, tuple[str, ...]]:
+    """A part, and what was noticed about its mesh.
+
+    Raises:
+        ConfigError: an unknown built-in part, or a texture that cannot be read.
+        MeshError: a mesh that cannot be a part.
+    """
+    material = None if section.material is None else resolve_material(section.material, folder)
+    if section.builtin is not None:
+        if section.builtin not in BUILTIN:
+            raise ConfigError(f"no built-in part {section.builtin!r}: choose {', '.join(BUILTIN)}")
+        own = builtin_part(section.builtin)
+        return replace(
+            own,
+            material=material or own.material,
+            density_kg_m3=section.density_kg_m3 or own.density_kg_m3,
+            friction=own.friction if section.friction is None else section.friction,
+        ), ()
+    symmetry = section.symmetry or SymmetrySection()
+    return load_part(
+        folder / section.mesh,
+        name=section.name,
+        unit=section.unit,
+        material=material,
+        density_kg_m3=section.density_kg_m3 or 1000.0,
+        friction=0.4 if section.friction is None else section.friction,
+        symmetry=Symmetry(
+            discrete=tuple(np.reshape(matrix, (4, 4)) for matrix in symmetry.discrete),
+            continuous=tuple((s.axis, s.point_m) for s in symmetry.continuous),
+        ),
+    )
+
+
+def resolve_material(section: MaterialSection, folder: Path) -> Material:
+    """A material, its texture read.
+
+    Raises:
+        ConfigError: the texture cannot be read.
+    """
+    texture = None if section.texture is None else read_texture(folder / section.texture)
+    return Material(
+        base_color=section.base_color,
+        texture=texture,
+        metallic=section.metallic,
+        roughness=section.roughness,
+        specular=section.specular,
+        projector_reflectance=section.projector_reflectance,
+    )
+
+
+def read_texture(path: Path) -> UInt8[np.ndarray, "h w 3"]:
+    try:
+        with Image.open(path) as image:
+            return np.array(image.convert("RGB"))
+    except (OSError, UnidentifiedImageError, Image.DecompressionBombError) as error:
+        raise ConfigError(f"texture {path}: {error}; give a PNG or JPEG picture") from error

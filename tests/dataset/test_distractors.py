@@ -1,0 +1,127 @@
+"""Parts without a label hide the others and are in no annotation."""
+
+import json
+from dataclasses import replace
+
+import cv2
+import numpy as np
+import pytest
+from prisms import box_part, build_sample, make_rig, wedge_part
+
+from graycast.dataset import open_store, validate
+from graycast.dataset.bop import scene_files
+from graycast.dataset.sample import labelled
+from graycast.errors import DatasetError
+from graycast.scene import Scene
+
+BOX, WEDGE = box_part(), wedge_part()
+FOREIGN = replace(WEDGE, labelled=False)
+
+
+def sample(parts):
+    """Eight instances, box and wedge in turn."""
+    return build_sample(3, parts=parts, rig=make_rig())
+
+
+def store(out, parts):
+    rig = make_rig()
+    return open_store(out, config={}, seed=0, parts=parts, rig=rig, depth_scale_mm=0.02)
+
+
+@pytest.fixture
+def dataset(tmp_path):
+    """One scene whose wedges are distractors."""
+    with store(tmp_path / "out", (BOX, FOREIGN)) as opened:
+        opened.write(0, sample((BOX, FOREIGN)))
+        opened.finish([0])
+    return tmp_path / "out"
+
+
+def test_labels_are_those_of_the_boxes_alone_and_pictures_those_of_all():
+    """Every file but the annotations is that of a scene in which the wedges have labels, too."""
+    all_of_them = dict(scene_files(sample((BOX, WEDGE)), 0.02))
+    boxes = dict(scene_files(sample((BOX, FOREIGN)), 0.02))
+    for name in ("rgb", "depth", "depth_sl", "gray_sl", "reason_sl"):
+        assert boxes[f"{name}/000000.png"] == all_of_them[f"{name}/000000.png"]
+    for k in range(4):  # the boxes were instances 0, 2, 4 and 6
+        for kind in ("mask", "mask_visib", "mask_visib_sl"):
+            own, among = (f"{kind}/000000_{i:06d}.png" for i in (k, 2 * k))
+            assert boxes[own] == all_of_them[among]
+    assert sum(name.startswith("mask_visib/") for name in boxes) == 4
+    for name in ("scene_gt.json", "scene_gt_info.json", "scene_gt_info_sl.json",
+                 "scene_gt_box3d.json"):  # fmt: skip
+        every = json.loads(all_of_them[name])["0"]
+        assert json.loads(boxes[name])["0"] == every[::2]
+    coco = json.loads(boxes["scene_gt_coco.json"])
+    assert {entry["category_id"] for entry in coco["annotations"]} == {1}
+    assert [category["id"] for category in coco["categories"]] == [1]
+
+
+def test_a_distractor_in_front_takes_pixels_from_a_label():
+    """The visible mask is what remains of the whole one; nothing of it goes to another label."""
+    whole = sample((BOX, FOREIGN))
+    kept = labelled(whole)
+    hidden = 0
+    for number, i in enumerate((0, 2, 4, 6)):
+        assert ((kept.truth.instance == number) == (whole.truth.instance == i)).all()
+        mask = whole.truth.amodal[i].clipped(*whole.truth.instance.shape)
+        window = np.zeros(whole.truth.instance.shape, dtype=bool)
+        h, w = mask.mask.shape
+        window[mask.top_px : mask.top_px + h, mask.left_px : mask.left_px + w] = mask.mask
+        hidden += int((window & (whole.truth.instance % 2 == 1)).sum())
+    assert hidden > 100
+    assert len(kept.truth.amodal) == len(kept.layout.part_index) == 4
+    assert labelled(kept) is kept
+
+
+def test_a_dataset_with_distractors_is_sound_and_has_no_model_of_them(dataset):
+    assert validate(dataset) == ()
+    assert [path.name for path in sorted((dataset / "models").glob("*.ply"))] == ["obj_000001.ply"]
+    claim = json.loads((dataset / "graycast.json").read_text())
+    assert [part["name"] for part in claim["parts"]] == ["box"]
+    assert [part["name"] for part in claim["distractors"]] == ["wedge"]
+    split = json.loads((dataset / "train_coco.json").read_text())
+    assert [category["name"] for category in split["categories"]] == ["box"]
+
+
+def test_a_label_that_lies_is_found_among_distractors(dataset):
+    """What a distractor hides, said to be seen; and a box moved by a millimetre."""
+    scene = dataset / "train" / "000000"
+    for suffix in ("", "_sl"):
+        path = scene / f"scene_gt{suffix}.json"
+        poses = json.loads(path.read_text())
+        poses["0"][1]["cam_t_m2c"][0] += 1.0
+        path.write_text(json.dumps(poses))
+    told = [problem.what for problem in validate(dataset)]
+    assert any("instance 1: mask differs from the model at its pose" in what for what in told)
+    assert not any("instance 0" in what or "instance 2" in what for what in told)
+
+
+def test_a_visible_mask_that_covers_a_distractor_is_found(dataset):
+    scene = dataset / "train" / "000000"
+    amodal = cv2.imread(str(scene / "mask" / "000000_000000.png"), cv2.IMREAD_UNCHANGED)
+    visible = cv2.imread(str(scene / "mask_visib" / "000000_000000.png"), cv2.IMREAD_UNCHANGED)
+    assert (amodal != visible).any()
+    for kind in ("mask_visib", "mask_visib_sl"):
+        cv2.imwrite(str(scene / kind / "000000_000000.png"), amodal)
+    told = [problem.what for problem in validate(dataset)]
+    assert any("instance 0: depth is off the model at its pose" in what for what in told)
+
+
+def test_another_distractor_is_another_dataset(dataset):
+    store(dataset, (BOX, FOREIGN)).close()
+    heavier = replace(FOREIGN, density_kg_m3=1.0)
+    with pytest.raises(DatasetError, match="distractors"):
+        store(dataset, (BOX, heavier))
+    with pytest.raises(DatasetError, match="distractors"):
+        store(dataset, (BOX,))
+
+
+def test_a_claim_without_distractors_is_as_before_there_were_any(tmp_path):
+    with store(tmp_path / "out", (BOX, WEDGE)):
+        assert "distractors" not in json.loads((tmp_path / "out" / "graycast.json").read_text())
+
+
+def test_labelled_parts_go_first():
+    with pytest.raises(ValueError, match="those without a label go last"):
+        Scene(rig=make_rig(), T_world_cam=np.eye(4), parts=(FOREIGN, BOX))

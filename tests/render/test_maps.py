@@ -1,0 +1,28 @@
+"""Environment maps where they once went wrong."""
+
+import subprocess
+import sys
+
+import pytest
+
+READ_ON_ONE_THREAD = """
+import sys
+from pathlib import Path
+import numpy as np
+from graycast.render import open_renderer
+renderer = open_renderer("mitsuba", device="cpu", threads=2)
+import drjit, mitsuba
+file = Path(sys.argv[1])
+mitsuba.Bitmap(np.ones((64, 128, 3), dtype=np.float32)).write(str(file))
+drjit.set_thread_count(1)
+from graycast.render.mitsuba_scene import _map_pixels
+assert _map_pixels(file).shape == (64, 128, 3)
+assert drjit.thread_count() == 1
+"""
+
+
+@pytest.mark.slow
+def test_a_map_is_read_where_the_renderer_has_one_thread(tmp_path):
+    """Two workers on two cores have one each, and each waited for ever."""
+    command = [sys.executable, "-c", READ_ON_ONE_THREAD, str(tmp_path / "map.exr")]
+    subprocess.run(command, check=True, timeout=120)

@@ -4,9 +4,11 @@ import json
 from dataclasses import replace
 from pathlib import Path
 
+from dataset.captured import scanned, toed_in
 from dataset.prisms import box_part, build_sample, make_rig, wedge_part
 
 from graycast.dataset.store import open_store
+from graycast.scanner import Scanner
 
 SCALE_MM = 0.1
 LENS = (-0.12, 0.05, 0.001, -0.0007, 0.0)
@@ -30,13 +32,19 @@ def lensed_rig():
     )
 
 
-def write_dataset(out: Path, scene_ids=(0, 3), rig=None):
-    """Returns the samples by scene."""
+def write_dataset(out: Path, scene_ids=(0, 3), rig=None, *, keeps=False):
+    """Returns the samples by scene. `keeps` frames and code maps of a scanner with that code."""
     rig, parts = rig or make_rig(), (box_part(), wedge_part())
     samples = {k: build_sample(k, parts=parts, rig=rig) for k in scene_ids}
+    config = {"rig": "test", "scanner": {"code": CODE}}
+    if keeps:
+        scanner = Scanner(rig=toed_in(rig))
+        rig = scanner.rig
+        samples = {k: scanned(sample, scanner, seed=k) for k, sample in samples.items()}
+        config["store"] = {"frames": True, "columns": True}
     with open_store(
         out,
-        config={"rig": "test", "scanner": {"code": CODE}},
+        config=config,
         seed=7,
         parts=parts,
         rig=rig,
@@ -48,18 +56,24 @@ def write_dataset(out: Path, scene_ids=(0, 3), rig=None):
     return samples
 
 
-def forget(scene: Path) -> None:
-    """Leave of a scene what one of real pictures has."""
-    for name in ("depth", "reason_sl", "gray_sl"):
-        (scene / name / "000000.png").unlink()
-    (scene / "scene_gt_box3d.json").unlink()
-    for name, kept in (
-        ("scene_gt", ("obj_id",)),
-        ("scene_gt_info", ("bbox_visib", "px_count_visib")),
-    ):
-        path = scene / f"{name}.json"
-        entries = json.loads(path.read_bytes())["0"]
-        path.write_text(json.dumps({"0": [{k: e[k] for k in kept} for e in entries]}))
-    path = scene / "scene_camera.json"
-    view = json.loads(path.read_bytes())["0"]
-    path.write_text(json.dumps({"0": {k: view[k] for k in ("cam_K", "depth_scale")}}))
+def forget(out: Path) -> None:
+    """Leave of a dataset what one of real pictures has."""
+    claim = json.loads((out / "graycast.json").read_bytes())
+    kept = ("format_version", "depth_scale_mm", "sources", "versions")
+    parts = [{key: part[key] for key in ("obj_id", "name")} for part in claim["parts"]]
+    real = {"kind": "real", "parts": parts, "holds": ["rgb", "depth_sl", "masks"]}
+    (out / "graycast.json").write_text(json.dumps({key: claim[key] for key in kept} | real))
+    for scene in (out / "train").iterdir():
+        for name in ("depth", "reason_sl", "gray_sl"):
+            (scene / name / "000000.png").unlink()
+        (scene / "scene_gt_box3d.json").unlink()
+        for name, keys in (
+            ("scene_gt", ("obj_id",)),
+            ("scene_gt_info", ("bbox_visib", "px_count_visib")),
+        ):
+            path = scene / f"{name}.json"
+            entries = json.loads(path.read_bytes())["0"]
+            path.write_text(json.dumps({"0": [{k: e[k] for k in keys} for e in entries]}))
+        path = scene / "scene_camera.json"
+        view = json.loads(path.read_bytes())["0"]
+        path.write_text(json.dumps({"0": {k: view[k] for k in ("cam_K", "depth_scale")}}))

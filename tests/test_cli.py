@@ -35,6 +35,8 @@ OPTIONS = {
     "--cloud --organised --shard-scenes --link --min-visibility",
     "import-real": "folder --out --intrinsics --distortion --scale --size --annotations "
     "--unlabelled --like",
+    "fit-bin": "real --config --out --rgb --intrinsics --distortion --scale --size --inner --wall "
+    "--azimuth --floor-reflectance --white --black --pose-only --seed --device",
     "rig show": "rig --resolution --out",
     "rig write": "rig --resolution --out",
     "rig import": "calibration --out --unit --near --far --camera-size --projector-size",

@@ -1,10 +1,15 @@
 """The card of a dataset: a README that says what it is, how it was made and how it looks.
 
-The head between two lines `---` is what the Hugging Face Hub reads of a dataset's README. The same
-dataset gives the same card: no date, no duration.
+The head between two lines `---` is what the Hugging Face Hub reads of a dataset's README. Equal
+datasets have equal cards, to the byte and wherever they lie: no date, no duration, no folder.
 """
 
 import json
+import os
+import shutil
+import tempfile
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -14,34 +19,53 @@ import yaml
 from jaxtyping import UInt8
 
 from .dataset.bop import plain
+from .dataset.stored import SceneContent, StoredDataset, StoredScene, open_dataset
 from .decode import REASON_COLOR, Reason
-from .folder import whole_folder
-from .stats import (
-    DatasetFacts,
-    Statistics,
-    StoredScene,
-    draw_statistics,
-    find_scenes,
-    load_scene,
-    read_facts,
-    statistics_json,
-)
+from .errors import GraycastError
+from .stats import Statistics, draw_statistics, scene_figures, statistics_json, tally
 
 CARD = "README.md"
 FOLDER = "card"  # of its pictures
 UNSTATED = "not stated"
+SAMPLED = 40  # scenes whose pictures are read where nobody has counted all
 _SHOWN = 3
 _TILE_PX = 480
+_NAMED = 4  # parts in a title
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Census:
+    """Which objects every scene holds; an object is there as often as it has instances."""
+
+    objects: Mapping[StoredScene, tuple[int, ...]]
+
+    def instances(self, obj_id: int) -> int:
+        return sum(held.count(obj_id) for held in self.objects.values())
+
+    def scenes(self, obj_id: int) -> int:
+        return sum(obj_id in held for held in self.objects.values())
+
+    @property
+    def obj_ids(self) -> list[int]:
+        return sorted({obj_id for held in self.objects.values() for obj_id in held})
 
 
 def write_card(
-    dataset: Path, statistics: Statistics, *, licence: str | None = None, title: str | None = None
+    dataset: Path,
+    statistics: Statistics | None = None,
+    *,
+    licence: str | None = None,
+    title: str | None = None,
 ) -> Path:
     """Write `README.md`, and `card/` with its pictures and `stats.json`, into a dataset's folder.
 
+    Scenes and instances are counted in all scenes' `scene_gt.json`, which is quick.
+
     Args:
+        statistics: of all scenes (`dataset_statistics`). Left out, only `SAMPLED` scenes are read,
+            drawn with a fixed seed, so that it takes seconds for any dataset; the card says so.
         licence: an SPDX identifier or words; left out, the card says that none is stated.
-        title: left out, the folder's name.
+        title: left out, it names the parts.
 
     Returns:
         The card.
@@ -50,31 +74,93 @@ def write_card(
         DatasetError: the dataset cannot be read.
         GraycastError: its folder cannot be written.
     """
-    places, facts = find_scenes(dataset), read_facts(dataset)
-    chosen = [places[k * len(places) // _SHOWN] for k in range(min(_SHOWN, len(places)))]
-    with whole_folder(dataset / FOLDER) as folder:
-        draw_statistics(statistics, folder / "stats.png")
-        text = json.dumps(statistics_json(statistics), indent=1, allow_nan=False)
-        (folder / "stats.json").write_text(text + "\n", encoding="utf-8")
-        for place in chosen:
-            picture = scene_strip(load_scene(place))
-            cv2.imwrite(str(folder / f"{place.key}.jpg"), picture[..., ::-1])
+    stored = open_dataset(dataset)
+    scenes = stored.scenes
+    census = take_census(scenes)
+    if statistics is None:
+        drawn = (scene_figures(scene.content()) for scene in sampled(scenes))
+        statistics = tally(drawn, stored.categories)
+    shown = _shown(census)
     card = card_text(
-        title or dataset.resolve().name,
+        title or _title(stored),
         statistics,
-        facts,
+        census,
+        stored,
         licence=licence,
-        pictures=[f"{FOLDER}/{place.key}.jpg" for place in chosen],
+        pictures=[f"{FOLDER}/{scene.key}.jpg" for scene in shown],
     )
-    with whole_folder(dataset) as folder:
-        (folder / CARD).write_text(card, encoding="utf-8")
+    try:
+        _publish(dataset, card, statistics, len(scenes), shown)
+    except OSError as error:
+        why = error.strerror or str(error)
+        raise GraycastError(
+            f"{dataset}: the card cannot be written ({why}): make the folder writable, free space"
+        ) from error
     return dataset / CARD
+
+
+def sampled(scenes: Sequence[StoredScene]) -> list[StoredScene]:
+    """At most `SAMPLED` of the scenes, in their order; the same for the same number of scenes.
+
+    Drawn, not evenly spread: scenes of several parts take turns.
+    """
+    drawn = np.random.default_rng(0).permutation(len(scenes))[:SAMPLED]
+    return [scenes[k] for k in sorted(drawn)]
+
+
+def take_census(scenes: Sequence[StoredScene]) -> Census:
+    """Count objects from the scenes' labels alone.
+
+    Raises:
+        DatasetError: a label file is missing or damaged.
+    """
+    return Census(objects={scene: scene.obj_ids() for scene in scenes})
+
+
+def _shown(census: Census) -> list[StoredScene]:
+    """A scene of each mix of objects first, then any."""
+    first: dict[frozenset[int], StoredScene] = {}
+    for scene, held in census.objects.items():
+        first.setdefault(frozenset(held), scene)
+    return list(dict.fromkeys([*first.values(), *census.objects]))[:_SHOWN]
+
+
+def _title(stored: StoredDataset) -> str:
+    kind = "Real scans" if stored.claim.get("kind") == "real" else "Simulated scans"
+    names = list(stored.categories.values())
+    more = f" and {len(names) - _NAMED} more" if len(names) > _NAMED else ""
+    return f"{kind} of {', '.join(names[:_NAMED])}{more}" if names else kind
+
+
+def _publish(
+    dataset: Path, card: str, statistics: Statistics, scenes: int, shown: Sequence[StoredScene]
+) -> None:
+    """Made beside its place and renamed; what a killed run leaves the next `generate` removes."""
+    aside = Path(tempfile.mkdtemp(dir=dataset, prefix=".tmp-card-"))
+    try:
+        folder = aside / FOLDER
+        folder.mkdir()
+        draw_statistics(statistics, folder / "stats.png")
+        figures = {"scenes_in_dataset": scenes} | statistics_json(statistics)
+        text = json.dumps(figures, indent=1, allow_nan=False)
+        (folder / "stats.json").write_text(text + "\n", encoding="utf-8")
+        for scene in shown:
+            picture = scene_strip(scene.content())[..., ::-1]
+            (folder / f"{scene.key}.jpg").write_bytes(cv2.imencode(".jpg", picture)[1].tobytes())
+        (aside / CARD).write_text(card, encoding="utf-8")
+        if (dataset / FOLDER).exists():
+            (dataset / FOLDER).rename(aside / "before")
+        folder.rename(dataset / FOLDER)
+        os.replace(aside / CARD, dataset / CARD)
+    finally:
+        shutil.rmtree(aside, ignore_errors=True)
 
 
 def card_text(
     title: str,
     statistics: Statistics,
-    facts: DatasetFacts,
+    census: Census,
+    stored: StoredDataset,
     *,
     licence: str | None,
     pictures: list[str],
@@ -89,16 +175,17 @@ def card_text(
     blocks = [
         "---\n" + yaml.safe_dump(head, sort_keys=False) + "---",
         f"# {title}",
-        _introduction(facts),
+        _introduction(stored),
         f"Licence: {licence or UNSTATED}.",
         *(f"![colour, white frame, scanner depth, reasons]({name})" for name in pictures[:_SHOWN]),
         _CAPTION if pictures else "",
         "## Figures",
-        _figures(statistics),
+        _figures(statistics, census, stored),
+        _told_of_sample(statistics, census),
         f"![statistics]({FOLDER}/stats.png)",
         f"All of them as numbers: `{FOLDER}/stats.json`.",
         "## How it was made",
-        _making(facts),
+        _making(stored),
     ]
     return "\n\n".join(block for block in blocks if block) + "\n"
 
@@ -110,8 +197,8 @@ _CAPTION = (
 )
 
 
-def _introduction(facts: DatasetFacts) -> str:
-    if facts.claim.get("kind") == "real":
+def _introduction(stored: StoredDataset) -> str:
+    if stored.claim.get("kind") == "real":
         return (
             "Real pictures in the files of a [BOP](https://bop.felk.cvut.cz) dataset, brought in "
             "by Graycast. Poses and perfect depth are not known."
@@ -124,16 +211,29 @@ def _introduction(facts: DatasetFacts) -> str:
     )
 
 
-def _figures(s: Statistics) -> str:
-    splits = ", ".join(f"{count:,} {split}" for split, count in s.scenes.items())
+def _told_of_sample(s: Statistics, census: Census) -> str:
+    read, scenes = sum(s.scenes.values()), len(census.objects)
+    if read == scenes:
+        return ""
+    return (
+        f"Scenes and instances are counted; all else, plots too, is from {read} scenes drawn of "
+        f"the {scenes:,}. `graycast stats --card` reads all."
+    )
+
+
+def _figures(s: Statistics, census: Census, stored: StoredDataset) -> str:
+    splits: dict[str, int] = {}
+    for scene in census.objects:
+        splits[scene.split] = splits.get(scene.split, 0) + 1
     rows = [
-        ("scenes", splits),
+        ("scenes", ", ".join(f"{count:,} {split}" for split, count in splits.items())),
         ("pictures", ", ".join(f"{w} x {h} px" for w, h in s.sizes_px)),
     ]
-    for one in s.classes:
-        plural = "" if one.scenes == 1 else "s"
-        told = f"{one.instances:,} instances in {one.scenes:,} scene{plural}"
-        rows.append((f"part `{one.name}`", told))
+    for obj_id in census.obj_ids:
+        scenes = census.scenes(obj_id)
+        plural = "" if scenes == 1 else "s"
+        told = f"{census.instances(obj_id):,} instances in {scenes:,} scene{plural}"
+        rows.append((f"part `{stored.categories[obj_id]}`", told))
     if s.depth_bin:
         depth = s.depth_quantiles_mm
         rows.append(("perfect depth (1 to 99 %)", f"{depth['p01']:.0f} to {depth['p99']:.0f} mm"))
@@ -150,14 +250,16 @@ def _figures(s: Statistics) -> str:
         error = s.part_error
         told = f"sigma {error.sigma_mm:.3f} mm, median {error.median_mm:+.3f} mm"
         rows.append(("scanner less perfect depth, on parts", told))
+    kept = stored.claim.get("config", {}).get("store", {})
+    names = {"frames": "every captured frame", "columns": "projector columns"}
+    also = [words for key, words in names.items() if kept.get(key)]
+    rows += [("kept beside", ", ".join(also))] if also else []
     lines = [f"| {name} | {value} |" for name, value in rows]
     return "\n".join(["| | |", "|---|---|", *lines])
 
 
-def _making(facts: DatasetFacts) -> str:
-    claim = facts.claim
-    if not claim:
-        return "The folder does not say."
+def _making(stored: StoredDataset) -> str:
+    claim = stored.claim
     said: dict[str, Any] = {
         key: claim[key] for key in ("seed", "versions", "sources") if key in claim
     }
@@ -172,7 +274,7 @@ def _making(facts: DatasetFacts) -> str:
     return "\n\n".join(blocks)
 
 
-def scene_strip(scene: StoredScene) -> UInt8[np.ndarray, "h w 3"]:
+def scene_strip(scene: SceneContent) -> UInt8[np.ndarray, "h w 3"]:
     """Colour, white frame, scanner depth and reasons side by side; what is missing is left out."""
     tiles = [scene.rgb] if scene.rgb is not None else []
     if scene.gray is not None:
@@ -194,7 +296,7 @@ def _depth_picture(step: np.ndarray) -> UInt8[np.ndarray, "h w 3"]:
     return np.where(known[..., None], colored, 58).astype(np.uint8)
 
 
-def _reason_picture(scene: StoredScene) -> UInt8[np.ndarray, "h w 3"]:
+def _reason_picture(scene: SceneContent) -> UInt8[np.ndarray, "h w 3"]:
     table = np.full((256, 3), 90, dtype=np.uint8)
     colors = {reason.name.lower(): color for reason, color in REASON_COLOR.items()}
     for number, name in scene.reason_name.items():

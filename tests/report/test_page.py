@@ -6,6 +6,7 @@ import re
 import shutil
 import zlib
 
+import cv2
 import numpy as np
 import pytest
 from pictured import forget, write_dataset
@@ -133,10 +134,36 @@ def test_wide_maps_are_thinned(dataset, tmp_path):
     assert (scene["stride"], scene["width"], scene["height"]) == (2, 80, 60)
 
 
+def test_frames_and_columns_are_scripts_of_their_own(dataset, tmp_path):
+    out = tmp_path / "bins"
+    write_dataset(out, scene_ids=(0,), keeps=True)
+    write_report(out, tmp_path / "page", width_px=100)
+    folder = tmp_path / "page/scenes/train-000000"
+    held = {}
+    for name in ("scene", "frames", "columns"):
+        text = (folder / f"{name}.js").read_text()
+        held[name] = json.loads(text.removeprefix("Graycast.receive(").rstrip().removesuffix(");"))
+    assert held["scene"]["kept"]["columns"] == ["column", "sigma_column", "row", "sigma_row"]
+    assert held["scene"]["kept"]["frames"][:3] == ["white", "black", "column_bit07"]
+    assert len(held["frames"]["pictures"]) == 18
+    data = base64.b64decode(held["frames"]["pictures"][0].split(",")[1])
+    assert cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED).shape == (60, 80)
+    write_report(dataset, tmp_path / "plain")
+    assert not list((tmp_path / "plain").rglob("frames.js"))
+
+
+def test_a_damaged_frame_is_named(tmp_path):
+    out = tmp_path / "bins"
+    write_dataset(out, scene_ids=(0,), keeps=True)
+    (out / "train/000000/frames/0007.png").write_bytes(b"x")
+    with pytest.raises(DatasetError, match=r"0007\.png is cut off"):
+        write_report(out, tmp_path / "page")
+
+
 def test_pages_of_real_pictures_are_built(dataset, tmp_path):
     out = tmp_path / "bins"
     shutil.copytree(dataset, out)
-    forget(out / "train/000003")
+    forget(out)
     assert write_report(out, tmp_path / "page").built == 2
 
 

@@ -1,6 +1,5 @@
 """The page in a real browser, opened from the disk: it loads, and its controls do what they say."""
 
-import json
 import shutil
 
 import cv2
@@ -28,6 +27,14 @@ def rig():
 def made(rig, tmp_path_factory):
     folder = tmp_path_factory.mktemp("browser")
     samples = write_dataset(folder / "bins", scene_ids=SCENES, rig=rig)
+    return folder / "bins", samples, write_report(folder / "bins", folder / "page").page
+
+
+@pytest.fixture(scope="module")
+def kept(rig, tmp_path_factory):
+    """The same with captured frames and decoded columns."""
+    folder = tmp_path_factory.mktemp("kept")
+    samples = write_dataset(folder / "bins", scene_ids=(0, 3), rig=rig, keeps=True)
     return folder / "bins", samples, write_report(folder / "bins", folder / "page").page
 
 
@@ -163,6 +170,152 @@ def test_pattern_bits_are_the_code_s(page, made):
     before = page.locator("#choose-frame").input_value()
     page.keyboard.press("]")
     assert int(page.locator("#choose-frame").input_value()) == (int(before) + 1) % 17
+
+
+def slide(page, k):
+    """Move the slider to a frame, and wait until it is shown."""
+    page.evaluate(
+        """(k) => {
+            const slider = document.getElementById("frame-slider");
+            slider.value = k;
+            slider.dispatchEvent(new Event("input"));
+        }""",
+        k,
+    )
+    frame_shown(page, k)
+
+
+def frame_shown(page, k):
+    page.wait_for_function(
+        f"Graycast.prefs.frame === {k} && Graycast.opened().scene.frames.levels.has({k})"
+    )
+
+
+def grey(sample):
+    """Captured frames as 8 bits: black at the sensor's offset, white where it saturates."""
+    sensor = sample.raw.capture.sensor
+    share = (sample.raw.capture.frames - sensor.offset_dn) / (
+        sensor.saturation_dn - sensor.offset_dn
+    )
+    return 255 * share.clip(0, 1)
+
+
+def test_captured_frames_are_brought_in_when_they_are_looked_at(page, kept):
+    opened(page, kept, 0)
+    assert page.evaluate("!Graycast.opened().scene.frames && !Graycast.opened().scene.columns")
+    stored = grey(kept[1][0])
+    page.click('[data-view="pattern"]')
+    for k in (0, 1, 2, 9, 17):
+        slide(page, k)
+        picture = shown(page)[..., 0].astype(float)
+        miss = np.abs(picture - stored).mean(axis=(1, 2))
+        assert miss.argmin() == k and miss[k] < 4, miss  # noise through JPEG
+        assert page.locator("#choose-frame").input_value() == str(k)
+    assert "captured, 12 bit" in page.locator(".note").inner_text()
+
+
+def test_frames_flip_by_arrows_brackets_and_play(page, kept):
+    opened(page, kept, 0, "pattern")
+    slide(page, 16)
+    for key, k in (("ArrowDown", 17), ("]", 0), ("ArrowUp", 17), ("[", 16)):
+        page.keyboard.press(key)
+        frame_shown(page, k)
+    page.locator("#frame-slider").focus()
+    page.keyboard.press("ArrowLeft")  # the slider's own
+    frame_shown(page, 15)
+    page.keyboard.press("p")
+    assert page.locator("#frame-play").get_attribute("aria-pressed") == "true"
+    frame_shown(page, 17)
+    page.keyboard.press("p")
+    stopped = page.evaluate("Graycast.prefs.frame")
+    page.wait_for_timeout(700)
+    assert page.evaluate("Graycast.prefs.frame") == stopped
+    page.keyboard.press("p")
+    page.keyboard.press("1")  # another view: nothing flips in the dark
+    page.wait_for_timeout(700)
+    assert page.evaluate("Graycast.prefs.frame") in (stopped, stopped + 1)
+    page.keyboard.press("3")
+    assert page.locator("#frame-play").get_attribute("aria-pressed") == "false"
+
+
+def test_ideal_bits_stand_beside_captured_frames(page, kept):
+    opened(page, kept, 3, "pattern")
+    slide(page, 2)
+    captured = shown(page)[..., 0]
+    page.select_option("#choose-source", "scanner")
+    assert "ideal bits" in page.locator(".note").inner_text()
+    known = held(page, "scanner") > 0
+    page.click("#toggle-shade")
+    ideal = shown(page)[..., 0]
+    assert set(np.unique(ideal[known])) == {0, 255}
+    lit = captured > np.median(captured[known])
+    assert (lit == (ideal == 255))[known].mean() > 0.9
+
+
+@pytest.mark.parametrize("axis", ["column", "sigma_column", "row", "sigma_row"])
+def test_decoded_positions_are_the_stored_ones(page, kept, axis):
+    """Oracle: the code map in memory, through TIFF, packing and JavaScript."""
+    opened(page, kept, 0, "column")
+    page.select_option("#choose-axis", axis)
+    page.wait_for_function("Graycast.opened().scene.columns.maps")
+    found = np.array(
+        page.evaluate(
+            f"Array.from(Graycast.opened().scene.columns.maps.{axis},"
+            " (v) => Number.isNaN(v) ? null : v)"
+        ),
+        dtype=float,
+    ).reshape(120, 160)
+    stored = getattr(kept[1][0].raw.codes, axis)
+    np.testing.assert_allclose(found, stored, atol=2e-3)
+    unknown = np.isnan(stored)
+    assert (shown(page)[unknown][:, :3] == [58, 60, 66]).all() and unknown.any()
+    assert len(np.unique(shown(page)[~unknown][:, :3], axis=0)) > (0 if "sigma" in axis else 40)
+
+
+def test_frame_and_column_under_the_pointer(page, kept):
+    opened(page, kept, 3, "column")
+    page.wait_for_function("Graycast.opened().scene.columns.maps")
+    sample = kept[1][3]
+    codes, shot = sample.raw.codes, sample.raw.capture
+    page.click('[data-view="pattern"]')
+    slide(page, 0)
+    off_dn = []
+    for row, column in np.argwhere(np.isfinite(codes.column))[::1500]:
+        page.mouse.move(*place(page, row, column))
+        for axis in ("column", "row"):
+            value, sigma = getattr(codes, axis), getattr(codes, f"sigma_{axis}")
+            said = readout(page, f"decoded {axis}").split()
+            assert abs(float(said[0]) - value[row, column]) < 0.01
+            assert abs(float(said[2]) - sigma[row, column]) < 0.01
+        said = readout(page, "this frame").split()
+        off_dn.append(int(said[1]) - int(shot.frames[0, row, column]))
+    assert np.abs(off_dn).max() < 200 and abs(np.mean(off_dn)) < 30  # of 4095: noise through JPEG
+    row, column = np.argwhere(np.isnan(codes.column))[20]
+    page.mouse.move(*place(page, row, column))
+    assert readout(page, "decoded column") == NONE
+
+
+def test_what_is_not_stored_is_told_with_the_key_that_would(page, made):
+    opened(page, made, 0, "pattern")
+    assert "store: {frames: true}" in page.locator(".note").inner_text()
+    page.click('[data-view="column"]')
+    assert "store: {columns: true}" in page.locator(".note").inner_text()
+    names = page.eval_on_selector_all("#choose-axis option", "all => all.map((o) => o.value)")
+    assert names == ["column", "row"]
+    assert page.locator('#readout tr[data-name="decoded column"]').count() == 0
+
+
+def test_frames_that_are_gone_are_told(browser, kept, tmp_path):
+    page_folder = shutil.copytree(kept[2].parent, tmp_path / "page")
+    (page_folder / "scenes/train-000000/frames.js").unlink()
+    page = browser.new_page()
+    page.goto(f"{(page_folder / 'index.html').as_uri()}#/train-000000")
+    ready(page, "train-000000")
+    page.click('[data-view="pattern"]')
+    page.wait_for_selector(".note:has-text('run graycast report again')")
+    page.click('[data-view="scanner"]')
+    assert page.locator('[aria-pressed="true"]').first.inner_text().endswith("Scanner depth")
+    page.close()
 
 
 def test_values_under_the_pointer_are_the_files_(page, made):
@@ -312,10 +465,7 @@ def test_a_scene_that_is_not_there_is_said(page, made):
 
 def test_real_pictures_show_what_they_have(page, rig, tmp_path):
     write_dataset(tmp_path / "real", scene_ids=(3,), rig=rig)
-    forget(tmp_path / "real/train/000003")
-    claim = tmp_path / "real/graycast.json"
-    held = json.loads(claim.read_bytes())
-    claim.write_text(json.dumps({"kind": "real", "parts": held["parts"]}))
+    forget(tmp_path / "real")
     made = write_report(tmp_path / "real", tmp_path / "page").page
     page.goto(f"{made.as_uri()}#/train-000003")
     ready(page, "train-000003")

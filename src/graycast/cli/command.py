@@ -7,7 +7,7 @@ from collections.abc import Sequence
 
 from .. import __version__
 from ..errors import GraycastError
-from . import datasets, exporting, generating, looking, machine, measuring, rigs
+from . import datasets, exporting, fitting, generating, looking, machine, measuring, rigs
 
 EXAMPLES = """\
 examples:
@@ -69,6 +69,7 @@ def _parser() -> argparse.ArgumentParser:
     datasets.add_commands(commands)
     looking.add_commands(commands)
     exporting.add_commands(commands)
+    fitting.add_commands(commands)
     rigs.add_commands(commands)
     measuring.add_commands(commands)
     machine.add_commands(commands)

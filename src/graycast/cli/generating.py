@@ -23,11 +23,12 @@ GENERATE = """\
 Make a dataset, or go on with one. The same command goes on where it was stopped, however it was: a
 scene depends on the configuration, the seed and its number alone. A worker that dies is replaced
 and its scene made again; a scene that fails three times is set aside (set_aside.json says why), the
-others are made, and the exit code is 1."""
+others are made, and the exit code is 1. README.md in the folder tells what the dataset holds."""
 
 
 def add_commands(commands) -> None:
-    generate = add_command(commands, "generate", _generate, GENERATE)
+    generate = add_command(commands, "generate", _generate, "Make a dataset, or go on with one.")
+    generate.description = GENERATE
     generate.set_defaults(when_stopped="finished scenes are kept")
     add_config(generate)
     generate.add_argument("--out", type=Path, required=True, help="the dataset's folder")
@@ -69,6 +70,7 @@ def add_commands(commands) -> None:
 
 
 def _generate(options: argparse.Namespace) -> int:
+    from ..card import write_card
     from ..generate import Workers, generate
 
     if options.address is not None and options.engine != "ray":
@@ -103,6 +105,7 @@ def _generate(options: argparse.Namespace) -> int:
             on_failed=shown.failed,
             on_frame=shown.frame,
         )
+    write_card(options.out)
     _tell(summary, options.out)
     return 1 if summary.set_aside else 0
 

@@ -24,8 +24,13 @@ def add_commands(commands) -> None:
     decode = add_command(
         commands, "decode", _decode, "Decode a scanner's pictures; with its rig, to depth."
     )
-    decode.add_argument("stack", type=Path, help="YAML that says what each picture is")
-    decode.add_argument("--rig", help="a rig file (or a preset): depth and a cloud as well")
+    decode.add_argument(
+        "stack", type=Path, help="YAML that says what each picture is, or a folder's stack.yaml"
+    )
+    decode.add_argument(
+        "--rig",
+        help="a rig file (or a preset): depth and a cloud as well (default: the stack file's own)",
+    )
     add_resolution(decode)
     decode.add_argument(
         "--average", action="store_true", help="one point per projector pixel, not per camera pixel"
@@ -64,15 +69,19 @@ def add_commands(commands) -> None:
 
 
 def _decode(options: argparse.Namespace) -> int:
-    from ..stack import decode_stack, describe_result, write_result
+    from ..rig_file import load_scanner
+    from ..stack import decode_stack, describe_result, read_description, write_result
 
-    if options.rig is None:
-        result = decode_stack(options.stack, average=options.average)
-    else:
+    stack = options.stack / "stack.yaml" if options.stack.is_dir() else options.stack
+    if options.rig is not None:
         scanner = resolve_rig_option(options)
-        result = decode_stack(
-            options.stack, scanner.rig, average=options.average, filters=scanner.filters
-        )
+    else:
+        own = read_description(stack).rig
+        scanner = None if own is None else load_scanner(stack.parent / own)
+    if scanner is None:
+        result = decode_stack(stack, average=options.average)
+    else:
+        result = decode_stack(stack, scanner.rig, average=options.average, filters=scanner.filters)
     written = write_result(result, options.out)
     print(describe_result(result))
     for path in written:

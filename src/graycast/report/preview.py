@@ -20,6 +20,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 
 from ..color import srgb
+from ..dataset import labelled
 from ..decode import REASON_COLOR, Reason, triangulation_axis
 from ..frames import inverse, transform_points
 from ..optics import Optics, project
@@ -152,6 +153,7 @@ def _write_head(figure: Figure, shot: Shot, code: Code) -> None:
         f"overlap {1e3 * layout.deepest_penetration_m:.2g} mm, {layout.outside} outside",
         f"seed {manifest['dataset_seed']}",
         f"{manifest['backend']} on {manifest['device']}",
+        *([f"domain {manifest['domain']['kind']}"] if "domain" in manifest else []),
     ]
     height_px = figure.get_size_inches()[1] * DPI
     left = _MARGIN_PX / SHEET_WIDTH_PX
@@ -289,8 +291,8 @@ def _draw_reasons(sheet: _Sheet, reason: UInt8[np.ndarray, "h w"]) -> None:
 
 
 def _draw_instances(sheet: _Sheet, shot: Shot) -> None:
-    """Visible masks, their boxes, and the oriented boxes of the instances that are seen."""
-    sample = shot.sample
+    """Visible masks, their boxes, and the oriented boxes of the labels that are seen."""
+    sample = labelled(shot.sample)
     instance = sample.truth.instance
     color = instance_colors(len(sample.layout.part_index))
     seen = np.unique(instance[instance >= 0])

@@ -1,7 +1,7 @@
 """Scanners in files: Graycast's own YAML both ways, and OpenCV stereo calibrations in."""
 
 from .opencv import import_opencv
-from .own import load_scanner, resolve_scanner, rig_schema, save_scanner
+from .own import load_scanner, resolve_scanner, rig_schema, save_scanner, scanner_text
 from .sections import ScannerSections, with_sections
 
 __all__ = [
@@ -11,5 +11,6 @@ __all__ = [
     "resolve_scanner",
     "rig_schema",
     "save_scanner",
+    "scanner_text",
     "with_sections",
 ]

@@ -86,6 +86,21 @@ def save_scanner(scanner: Scanner, path: Path) -> None:
     Raises:
         ConfigError: the file cannot be written; a file that was there is left as it was.
     """
+    aside = path.with_name(path.name + ".part")
+    try:
+        aside.write_text(scanner_text(scanner), encoding="utf-8")
+        os.replace(aside, path)
+    except OSError as error:
+        with suppress(OSError):
+            aside.unlink(missing_ok=True)
+        why = error.strerror or error
+        raise ConfigError(
+            f"{path}: the rig cannot be written ({why}): choose a writable folder"
+        ) from error
+
+
+def scanner_text(scanner: Scanner) -> str:
+    """What a scanner's rig file holds."""
     rig = scanner.rig
     content = {
         "name": rig.name,
@@ -98,18 +113,7 @@ def save_scanner(scanner: Scanner, path: Path) -> None:
     content |= _plain({f.name: getattr(rig, f.name) for f in fields(rig) if f.name in of_light})
     for section in ScannerSections.model_fields:
         content[section] = _plain(asdict(getattr(scanner, section)))
-    text = yaml.safe_dump(content, sort_keys=False, default_flow_style=None, width=100)
-    aside = path.with_name(path.name + ".part")
-    try:
-        aside.write_text(text, encoding="utf-8")
-        os.replace(aside, path)
-    except OSError as error:
-        with suppress(OSError):
-            aside.unlink(missing_ok=True)
-        why = error.strerror or error
-        raise ConfigError(
-            f"{path}: the rig cannot be written ({why}): choose a writable folder"
-        ) from error
+    return yaml.safe_dump(content, sort_keys=False, default_flow_style=None, width=100)
 
 
 def load_scanner(path: Path) -> Scanner:

@@ -2,7 +2,15 @@
 
 from .averaging import Cells, join_pixels, meet_rays
 from .decoding import Cloud, StackResult, decode_stack
-from .description import StackDescription, describe_code, read_description, stack_schema
+from .description import (
+    StackDescription,
+    code_of,
+    describe_code,
+    describe_frames,
+    describe_stack,
+    read_description,
+    stack_schema,
+)
 from .levels import MeasuredLevels, measure_levels
 from .products import describe_result, write_ply, write_result
 
@@ -12,9 +20,12 @@ __all__ = [
     "MeasuredLevels",
     "StackDescription",
     "StackResult",
+    "code_of",
     "decode_stack",
     "describe_code",
+    "describe_frames",
     "describe_result",
+    "describe_stack",
     "join_pixels",
     "measure_levels",
     "meet_rays",

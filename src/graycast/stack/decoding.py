@@ -123,8 +123,12 @@ def decode_stack(
         warnings += _rig_size(code, rig)
         first = triangulate(codes, rig)
         residual_px = epipolar_residual_px(codes, first, rig) if len(code.axes) == 2 else None
-        limit_px = _epipolar_limit_px(description, residual_px)
-        depth = _less_outliers(codes, first, residual_px, limit_px)
+        stated_px = description.decode.max_epipolar_px
+        limit_px = _epipolar_limit_px(stated_px, residual_px)
+        if stated_px is None:
+            depth = _less_outliers(codes, first, residual_px, limit_px)
+        else:  # as a scanner does whose limit this is
+            depth = triangulate(codes, rig, max_epipolar_px=stated_px)
         if filters is not None:
             depth = filter_depth(depth, filters, rig.camera)
         warnings += _rig_symptoms(first, residual_px)
@@ -274,11 +278,11 @@ def _rig_size(code: Code, rig: Rig) -> list[str]:
 
 
 def _epipolar_limit_px(
-    description: StackDescription, residual_px: Float[np.ndarray, "h w"] | None
+    stated_px: float | None, residual_px: Float[np.ndarray, "h w"] | None
 ) -> float:
-    stated = description.decode.max_epipolar_px
-    if stated is not None or residual_px is None:
-        return np.inf if stated is None else stated
+    """The limit in force; infinite where none is."""
+    if stated_px is not None or residual_px is None:
+        return stated_px or np.inf
     known = np.abs(residual_px[np.isfinite(residual_px)])
     median_px = float(np.median(known)) if known.size else 0.0
     return max(EPIPOLAR_MEDIANS * median_px, EPIPOLAR_PX)

@@ -1,4 +1,4 @@
-"""What a user says of a stack in YAML: the projector, and what each picture shows."""
+"""What YAML says of a stack: the projector, what each picture shows, how it is to be read."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -7,9 +7,10 @@ from typing import Annotated, Any, Literal
 import yaml
 from pydantic import Field, model_validator
 
-from ..decode import DecodeSpec
+from ..decode import DecodeSpec, levels_of
 from ..errors import ConfigError
 from ..pattern import AXES, Axis, Code, Frame
+from ..scanner import Scanner
 from ..settings import Settings, read_settings
 
 Positive = Annotated[float, Field(gt=0)]
@@ -104,9 +105,11 @@ class DecodeSection(Settings):
     min_contrast: float = Field(DecodeSpec().min_contrast, gt=0, lt=1)
     doubt: float = Field(DecodeSpec().doubt, ge=0, lt=1)
     fine_bits: int = Field(DecodeSpec().fine_bits, ge=0)
-    max_epipolar_px: Positive | None = Field(
+    max_epipolar_px: float | None = Field(
         None,
-        description="Farthest from the epipolar line; left out: 5 times the median, at least 2.",
+        ge=0,
+        description="Farthest from the epipolar line, 0 is any; left out: 5 times the median, "
+        "at least 2.",
     )
 
 
@@ -119,6 +122,9 @@ class StackDescription(Settings):
     stride_px: StrideSection = StrideSection()
     levels: LevelsSection = LevelsSection()
     decode: DecodeSection = DecodeSection()
+    rig: Path | None = Field(
+        None, description="Rig file that it was taken with, relative to this file."
+    )
 
     @model_validator(mode="after")
     def _shows_each_frame_once(self) -> "StackDescription":
@@ -153,6 +159,39 @@ def read_description(path: Path) -> StackDescription:
 
 def describe_code(code: Code, files: Sequence[str]) -> str:
     """The stack file of a code whose pictures have these names, one per frame in order."""
+    return _as_yaml(_said_of_code(code, files))
+
+
+def describe_stack(scanner: Scanner, files: Sequence[str], *, rig: str) -> str:
+    """The stack file of a scanner's own pictures, by which they are read as it reads them.
+
+    Sensor and thresholds are stated, so nothing is measured in the pictures.
+
+    Args:
+        files: one name per frame of the scanner's code, in order.
+        rig: name of its rig file, which has the filters; beside the stack file.
+    """
+    levels, decode = levels_of(scanner.sensor), scanner.decode
+    content = _said_of_code(scanner.patterns(), files) | {
+        "levels": {
+            "offset_dn": float(levels.offset_dn),
+            "saturation_dn": float(levels.saturation_dn),
+            "read_noise_dn": float(scanner.sensor.gain_dn_per_e * scanner.sensor.read_noise_e),
+            "gain_dn_per_e": float(levels.slope_dn),
+        },
+        "decode": {
+            "min_contrast": float(decode.min_contrast),
+            "doubt": float(decode.doubt),
+            "fine_bits": int(decode.fine_bits),
+            "max_epipolar_px": float(decode.max_epipolar_px),
+        },
+        "rig": rig,
+    }
+    return _as_yaml(content)
+
+
+def describe_frames(code: Code, files: Sequence[str]) -> list[dict[str, Any]]:
+    """What each picture shows, in a stack file's words."""
     frames = []
     for frame, file in zip(code.frames, files, strict=True):
         entry: dict[str, Any] = {"file": file, "kind": frame.kind}
@@ -166,12 +205,19 @@ def describe_code(code: Code, files: Sequence[str]) -> str:
             "steps": frame.steps or None,
         }
         frames.append(entry | {key: value for key, value in said.items() if value is not None})
-    content = {
+    return frames
+
+
+def _said_of_code(code: Code, files: Sequence[str]) -> dict[str, Any]:
+    return {
         "projector": {"width_px": code.width_px, "height_px": code.height_px},
-        "frames": frames,
+        "frames": describe_frames(code, files),
         "offset_px": dict(zip(AXES, map(float, code.offset_px), strict=True)),
         "stride_px": dict(zip(AXES, map(float, code.stride_px), strict=True)),
     }
+
+
+def _as_yaml(content: dict[str, Any]) -> str:
     return yaml.safe_dump(content, sort_keys=False, default_flow_style=None, width=100)
 
 

@@ -12,24 +12,25 @@ from importlib import resources
 from multiprocessing import get_context
 from pathlib import Path
 
+from ...dataset.stored import StoredDataset, StoredScene, open_dataset
 from ...errors import GraycastError
-from ...stats import (
-    DatasetFacts,
-    SceneFigures,
-    ScenePlace,
-    find_scenes,
-    load_scene,
-    read_facts,
-    scene_figures,
-)
+from ...stats import SceneFigures, scene_figures
 from .index import index_script
 from .scene_files import scene_page_files
 
 WIDTH_PX = 1300  # maps of wider cameras are thinned; one of 1032 px keeps every pixel
 _ASIDE = ".tmp-"
-_FORM = "2"  # of a scene's files; a change builds them anew
+_FORM = "3"  # of a scene's files; a change builds them anew
 _MARK = "graycast-report"
-_STAMPED = ("manifest.json", "scene_gt_coco.json", "depth_sl/000000.png", "rgb/000000.png")
+_STAMPED = (
+    "manifest.json",
+    "scene_gt_coco.json",
+    "depth_sl/000000.png",
+    "rgb/000000.png",
+    "frames/0000.png",
+    "column_sl/000000.tiff",
+    "row_sl/000000.tiff",
+)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -67,23 +68,24 @@ def write_report(
         DatasetError: no scene, or one that cannot be read.
         GraycastError: `out` holds something else, or cannot be written.
     """
-    places, facts = find_scenes(dataset), read_facts(dataset)
+    stored = open_dataset(dataset)
+    held = stored.scenes
     _open_folder(out, dataset)
     try:
         scenes = out / "scenes"
         scenes.mkdir(exist_ok=True)
         for left in scenes.glob(f"{_ASIDE}*"):
             shutil.rmtree(left)
-        todo = [p for p in places if not _is_current(scenes / p.key, p, width_px)]
+        todo = [one for one in held if not _is_current(scenes / one.key, one, width_px)]
         if on_start is not None:
-            on_start(len(places), len(places) - len(todo))
-        for key in _made(todo, scenes, facts, width_px, workers):
+            on_start(len(held), len(held) - len(todo))
+        for key in _made(todo, scenes, width_px, workers):
             if on_scene is not None:
                 on_scene(key)
-        gone = {entry.name for entry in scenes.iterdir()} - {place.key for place in places}
+        gone = {entry.name for entry in scenes.iterdir()} - {one.key for one in held}
         for key in gone:
             shutil.rmtree(scenes / key)
-        _write_page(dataset, out, places, facts)
+        _write_page(stored, out)
     except OSError as error:
         why = error.strerror or str(error)
         raise GraycastError(
@@ -91,7 +93,7 @@ def write_report(
             "same command again; finished scenes are kept"
         ) from error
     page = out / "index.html"
-    kept = len(places) - len(todo)
+    kept = len(held) - len(todo)
     return ReportSummary(page=page, built=len(todo), kept=kept, removed=len(gone))
 
 
@@ -112,26 +114,24 @@ def _open_folder(out: Path, dataset: Path) -> None:
         raise GraycastError(f"{out}: cannot be written ({why}): choose another folder") from error
 
 
-def _stamp(place: ScenePlace, width_px: int) -> str:
+def _stamp(scene: StoredScene, width_px: int) -> str:
     """Changes when the scene, the form of its page or the wanted width does."""
     digest = hashlib.sha256(f"{_FORM} {width_px}".encode())
     for name in _STAMPED:
-        path = place.folder / name
+        path = scene.folder / name
         if path.exists():
             state = path.stat()
             digest.update(f"{name} {state.st_size} {state.st_mtime_ns}".encode())
     return digest.hexdigest()
 
 
-def _is_current(page: Path, place: ScenePlace, width_px: int) -> bool:
+def _is_current(page: Path, scene: StoredScene, width_px: int) -> bool:
     stamp = page / "stamp"
-    return stamp.exists() and stamp.read_text() == _stamp(place, width_px)
+    return stamp.exists() and stamp.read_text() == _stamp(scene, width_px)
 
 
-def _made(
-    todo: list[ScenePlace], scenes: Path, facts: DatasetFacts, width_px: int, workers: int
-) -> Iterator[str]:
-    make = partial(_make, scenes=scenes, facts=facts, width_px=width_px)
+def _made(todo: list[StoredScene], scenes: Path, width_px: int, workers: int) -> Iterator[str]:
+    make = partial(_make, scenes=scenes, width_px=width_px)
     if workers == 1 or len(todo) < 2:
         yield from map(make, todo)
         return
@@ -139,31 +139,30 @@ def _made(
         yield from pool.map(make, todo, chunksize=2)
 
 
-def _make(place: ScenePlace, *, scenes: Path, facts: DatasetFacts, width_px: int) -> str:
-    stamp = _stamp(place, width_px)  # before reading: a scene changed meanwhile is made again
-    scene = load_scene(place)
-    aside = scenes / f"{_ASIDE}{place.key}-{secrets.token_hex(4)}"
+def _make(scene: StoredScene, *, scenes: Path, width_px: int) -> str:
+    stamp = _stamp(scene, width_px)  # before reading: a scene changed meanwhile is made again
+    content = scene.content()
+    aside = scenes / f"{_ASIDE}{scene.key}-{secrets.token_hex(4)}"
     try:
         aside.mkdir()
-        files = scene_page_files(scene, scene_figures(scene), facts, width_px=width_px)
-        for name, content in files:
-            (aside / name).write_bytes(content)
+        for name, data in scene_page_files(content, scene_figures(content), width_px=width_px):
+            (aside / name).write_bytes(data)
         (aside / "stamp").write_text(stamp)
-        shutil.rmtree(scenes / place.key, ignore_errors=True)
-        aside.rename(scenes / place.key)
+        shutil.rmtree(scenes / scene.key, ignore_errors=True)
+        aside.rename(scenes / scene.key)
     finally:
         shutil.rmtree(aside, ignore_errors=True)
-    return place.key
+    return scene.key
 
 
-def _write_page(dataset: Path, out: Path, places: list[ScenePlace], facts: DatasetFacts) -> None:
+def _write_page(stored: StoredDataset, out: Path) -> None:
     def figures() -> Iterator[SceneFigures]:
-        for place in places:
+        for scene in stored.scenes:
             yield SceneFigures.model_validate_json(
-                (out / "scenes" / place.key / "figures.json").read_bytes()
+                (out / "scenes" / scene.key / "figures.json").read_bytes()
             )
 
-    script, _ = index_script(dataset, figures(), facts)
+    script, _ = index_script(stored, figures())
     _replace(out / "index.js", script.encode())
     for source in sorted(resources.files(__package__).joinpath("web").iterdir(), key=_name):
         _replace(out / source.name, source.read_bytes())

@@ -2,27 +2,26 @@
 
 import base64
 import json
-from collections.abc import Iterable, Iterator
-from pathlib import Path
+from collections.abc import Iterable, Iterator, Mapping
 from typing import Any
 
 import numpy as np
 from matplotlib import colormaps
 
 from ... import __version__
+from ...dataset.stored import NO_REASON, StoredDataset
 from ...decode import REASON_COLOR, Reason
 from ...pattern import Code, CodeSpec
-from ...stats import DatasetFacts, SceneFigures, Statistics, statistics_json, tally
+from ...stats import SceneFigures, Statistics, statistics_json, tally
 from ...stats.gather import error_figures
 from ...stats.scene import DEPTH_BIN_MM
 from .scene_files import MISSING_COLOR, REASON_MEANING
 
-_COLORMAPS = ("viridis_r", "viridis", "RdBu_r")  # depth, column, difference, as in previews
+# Depth, column, difference as in previews; captured frames.
+_COLORMAPS = ("viridis_r", "viridis", "RdBu_r", "gray")
 
 
-def index_script(
-    dataset: Path, figures: Iterable[SceneFigures], facts: DatasetFacts
-) -> tuple[str, Statistics]:
+def index_script(stored: StoredDataset, figures: Iterable[SceneFigures]) -> tuple[str, Statistics]:
     """`data/index.js`, and the statistics that it holds; figures may come from a generator."""
     rows: list[list[Any]] = []
 
@@ -31,15 +30,15 @@ def index_script(
             rows.append(_row(one))
             yield one
 
-    statistics = tally(passing(), facts)
+    statistics = tally(passing(), stored.categories)
     content = {
-        "name": dataset.resolve().name,
+        "name": stored.folder.resolve().name,
         "graycast": __version__,
-        "claim": _claim(facts),
+        "claim": _claim(stored.claim),
         "classes": {str(one.obj_id): one.name for one in statistics.classes},
         "reasons": _reasons(statistics),
         "colormaps": {name: _table(name) for name in _COLORMAPS},
-        "code": _code(facts),
+        "code": _code(stored.claim),
         "statistics": statistics_json(statistics),
         "columns": _COLUMNS,
         "scenes": rows,
@@ -98,10 +97,10 @@ def _median_depth_mm(one: SceneFigures) -> float | None:
     return float(bins[np.searchsorted(total, total[-1] / 2)] + 0.5) * DEPTH_BIN_MM
 
 
-def _claim(facts: DatasetFacts) -> dict[str, Any]:
+def _claim(said: Mapping[str, Any]) -> dict[str, Any]:
     """The claim without what only machines compare."""
     kept = ("config", "seed", "depth_scale_mm", "rig", "sources", "versions")
-    claim = {key: facts.claim[key] for key in kept if key in facts.claim}
+    claim = {key: said[key] for key in kept if key in said}
     if "config" in claim:
         claim["config"] = {k: v for k, v in claim["config"].items() if k != "files"}
     return claim
@@ -120,7 +119,7 @@ def _reasons(statistics: Statistics) -> list[dict[str, Any]]:
     if "missing" in statistics.reason:
         meaning = "no scanner depth; the dataset does not say why"
         listed.append(
-            {"number": 255, "name": "missing", "color": MISSING_COLOR, "meaning": meaning}
+            {"number": NO_REASON, "name": "missing", "color": MISSING_COLOR, "meaning": meaning}
         )
     return listed
 
@@ -130,10 +129,10 @@ def _table(name: str) -> str:
     return (colormaps[name](np.arange(256))[:, :3] * 255).round().astype(np.uint8).tobytes().hex()
 
 
-def _code(facts: DatasetFacts) -> dict[str, Any] | None:
+def _code(claim: Mapping[str, Any]) -> dict[str, Any] | None:
     """The projected frames, each as its levels along its own axis; None where none are known."""
-    rig = facts.claim.get("rig")
-    told = facts.claim.get("config", {}).get("scanner", {}).get("code")
+    rig = claim.get("rig")
+    told = claim.get("config", {}).get("scanner", {}).get("code")
     if not rig or not told:
         return None
     spec = CodeSpec(**{**told, "axes": tuple(told["axes"])})

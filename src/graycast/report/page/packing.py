@@ -21,7 +21,7 @@ def pack_bytes(values: UInt8[np.ndarray, "h w"]) -> str:
     return _text(np.ascontiguousarray(values).tobytes())
 
 
-def pack_words(values: UInt16[np.ndarray, "h w"]) -> str:
+def pack_words(values: UInt16[np.ndarray, "h w"], *, level: int = _LEVEL) -> str:
     """A map of 16-bit numbers as what a plane through three neighbours leaves over.
 
     `d[r, c] = v[r, c] - v[r-1, c] - v[r, c-1] + v[r-1, c-1]` modulo 2^16, beyond the border 0; low
@@ -31,7 +31,7 @@ def pack_words(values: UInt16[np.ndarray, "h w"]) -> str:
     left_over = wide[1:, 1:] - wide[:-1, 1:] - wide[1:, :-1] + wide[:-1, :-1]
     words = (left_over % _WHOLE).astype(np.uint16)
     planes = np.stack([words & 255, words >> 8]).astype(np.uint8)
-    return _text(planes.tobytes())
+    return _text(planes.tobytes(), level)
 
 
 def pack_difference(values: UInt16[np.ndarray, "h w"], base: UInt16[np.ndarray, "h w"]) -> str:
@@ -76,5 +76,5 @@ def palette_picture(
     return table[index]
 
 
-def _text(data: bytes) -> str:
-    return base64.b64encode(zlib.compress(data, _LEVEL)).decode()
+def _text(data: bytes, level: int = _LEVEL) -> str:
+    return base64.b64encode(zlib.compress(data, level)).decode()

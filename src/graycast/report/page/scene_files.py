@@ -8,9 +8,10 @@ import cv2
 import numpy as np
 from jaxtyping import UInt8, UInt16
 
+from ...dataset.stored import NO_REASON, SceneContent
 from ...decode import REASON_COLOR, Reason
-from ...stats import DatasetFacts, SceneFigures, StoredScene
-from ...stats.stored import NO_REASON
+from ...stats import SceneFigures
+from .kept import Kept, columns_script, frames_script, read_kept
 from .packing import (
     jpeg,
     jpeg_url,
@@ -33,25 +34,42 @@ def reason_colors(names: dict[int, str]) -> dict[int, str]:
 
 
 def scene_page_files(
-    scene: StoredScene, figures: SceneFigures, facts: DatasetFacts, *, width_px: int
+    scene: SceneContent, figures: SceneFigures, *, width_px: int
 ) -> Iterator[tuple[str, bytes]]:
     """Every file of one scene as (name, content).
 
     Args:
         width_px: maps wider than this are thinned: every second, third, ... pixel in both
             directions keeps its own value; pictures are averaged.
+
+    Raises:
+        DatasetError: a captured frame or a code map is missing or damaged.
     """
+    kept = read_kept(scene.stored.folder)
+    stride = -(-scene.reason.shape[1] // width_px)
     yield "thumb.jpg", jpeg(shrunk(_color(scene), THUMB_PX), _THUMB_QUALITY)
     if scene.gray is not None:
         yield "white.jpg", jpeg(shrunk(scene.gray, THUMB_PX), _THUMB_QUALITY)
     yield "reason.png", _reason_thumb(scene)
-    content = _content(scene, facts, stride=-(-scene.reason.shape[1] // width_px))
-    text = json.dumps(content, allow_nan=False, separators=(",", ":"))
-    yield "scene.js", f"Graycast.receive({text});\n".encode()
+    yield "scene.js", receiving(_content(scene, kept, stride=stride))
+    if kept.raw is not None:
+        yield (
+            "frames.js",
+            receiving(frames_script(f"{scene.stored.key}/frames.js", kept.raw, stride)),
+        )
+    if kept.code_maps:
+        name = f"{scene.stored.key}/columns.js"
+        yield "columns.js", receiving(columns_script(name, kept.code_maps, stride))
     yield "figures.json", figures.model_dump_json().encode()
 
 
-def _content(scene: StoredScene, facts: DatasetFacts, *, stride: int) -> dict[str, Any]:
+def receiving(content: dict[str, Any]) -> bytes:
+    """A script that hands its content to the page."""
+    text = json.dumps(content, allow_nan=False, separators=(",", ":"))
+    return f"Graycast.receive({text});\n".encode()
+
+
+def _content(scene: SceneContent, kept: Kept, *, stride: int) -> dict[str, Any]:
     thin = np.s_[::stride, ::stride]
     depth = _map(scene.depth, scene.reason.shape)[thin]
     scanner = _map(scene.scanner, scene.reason.shape)[thin]
@@ -66,26 +84,29 @@ def _content(scene: StoredScene, facts: DatasetFacts, *, stride: int) -> dict[st
     if scene.gray is not None:
         pictures["white"] = jpeg_url(shrunk(scene.gray, width_px), _PICTURE_QUALITY)
     return {
-        "key": scene.place.key,
+        "key": scene.stored.key,
         "stride": stride,
         "width": width_px,
         "height": height_px,
         "full": [scene.reason.shape[1], scene.reason.shape[0]],
         "depth_scale_mm": scene.depth_scale_mm,
         "has": {"depth": scene.depth is not None, "scanner": scene.scanner is not None},
+        "kept": {"frames": kept.frame_names, "columns": list(kept.code_maps)},
         "view": {**_DOWNWARDS, **scene.view},
-        "instances": _instances(scene, facts),
+        "instances": _instances(scene),
         "maps": maps,
         "pictures": pictures,
-        "manifest": {k: v for k, v in scene.manifest.items() if k not in ("config", "reasons")},
+        "manifest": {k: v for k, v in scene.manifest.items() if k not in _LEFT_OUT},
     }
 
+
+_LEFT_OUT = ("config", "reasons", "frames", "code_maps")
 
 # Where a camera stands is not known of real pictures: as if it looked straight down.
 _DOWNWARDS = {"cam_R_w2c": [1, 0, 0, 0, -1, 0, 0, 0, -1], "cam_t_w2c": [0, 0, 0]}
 
 
-def _color(scene: StoredScene) -> UInt8[np.ndarray, "h w 3"]:
+def _color(scene: SceneContent) -> UInt8[np.ndarray, "h w 3"]:
     """The colour picture, or in its place the white frame, or black."""
     if scene.rgb is not None:
         return scene.rgb
@@ -99,10 +120,10 @@ def _map(
     return np.zeros(size, dtype=np.uint16) if values is None else values.astype(np.uint16)
 
 
-def _instances(scene: StoredScene, facts: DatasetFacts) -> list[dict[str, Any]]:
+def _instances(scene: SceneContent) -> list[dict[str, Any]]:
     return [
         {
-            "name": facts.part_name(one.obj_id),
+            "name": scene.stored.categories[one.obj_id],
             "obj_id": one.obj_id,
             "visible": one.visib_fract,
             "area": one.area_px,
@@ -115,7 +136,7 @@ def _instances(scene: StoredScene, facts: DatasetFacts) -> list[dict[str, Any]]:
     ]
 
 
-def _reason_thumb(scene: StoredScene) -> bytes:
+def _reason_thumb(scene: SceneContent) -> bytes:
     """Not averaged: a mixture of two reasons would have a third one's colour."""
     stride = max(-(-scene.reason.shape[1] // THUMB_PX), 1)
     colors = reason_colors({**scene.reason_name, NO_REASON: "missing"})

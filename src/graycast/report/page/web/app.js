@@ -9,7 +9,8 @@
     ["← →", "previous, next scene of the filtered list"],
     ["1 … 9", "views"],
     ["space", "back to the last view: flip between two"],
-    ["[ ]", "previous, next pattern frame"],
+    ["↑ ↓ or [ ]", "previous, next pattern frame"],
+    ["p", "pattern frames: play, stop"],
     ["m b", "masks, boxes"],
     ["s p", "3D: perfect surface, scanner points"],
     ["+ − 0", "zoom in, out, whole picture"],
@@ -81,7 +82,8 @@
       event.metaKey ||
       event.altKey ||
       help.open ||
-      event.target.matches("input, select")
+      event.target.matches("select, input:not([type=range])") ||
+      (event.target.matches("input") && event.key.startsWith("Arrow"))
     )
       return;
     if (event.key === "t") change();

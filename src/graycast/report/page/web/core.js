@@ -92,10 +92,31 @@ const KEPT_SCENES = 6;
 const cache = new Map(); // key -> promise of a scene
 const waiting = new Map(); // key -> what the script's call resolves
 
-/** Called by a scene's script. */
+/** Called by a scene's scripts. */
 Graycast.receive = (content) => waiting.get(content.key)?.(content);
 
-/** A scene with its maps as arrays; a script tag is the only way to read a file from the disk. */
+/** What a script hands over; a script tag is the only way to read a file from the disk. */
+function bring(file, name) {
+  return new Promise((resolve, reject) => {
+    const script = Graycast.el("script", { src: `scenes/${file}` });
+    waiting.set(name, (content) => {
+      script.remove();
+      waiting.delete(name);
+      resolve(content);
+    });
+    script.onerror = script.onload = () => {
+      // after a call that received, nobody waits any more
+      script.remove();
+      waiting.delete(name);
+      reject(
+        new Error(`scenes/${file} is missing or of another scene: run graycast report again`),
+      );
+    };
+    document.head.append(script);
+  });
+}
+
+/** A scene with its maps as arrays. */
 Graycast.load = (key) => {
   if (cache.has(key)) {
     const held = cache.get(key);
@@ -103,25 +124,7 @@ Graycast.load = (key) => {
     cache.set(key, held); // the last used goes last
     return held;
   }
-  const promise = new Promise((resolve, reject) => {
-    const script = Graycast.el("script", { src: `scenes/${key}/scene.js` });
-    waiting.set(key, (content) => {
-      script.remove();
-      waiting.delete(key);
-      resolve(content);
-    });
-    script.onerror = script.onload = () => {
-      // after a call that received, nobody waits any more
-      script.remove();
-      waiting.delete(key);
-      reject(
-        new Error(
-          `scenes/${key}/scene.js is missing or of another scene: run graycast report again`,
-        ),
-      );
-    };
-    document.head.append(script);
-  }).then(unpackScene);
+  const promise = bring(`${key}/scene.js`, key).then(unpackScene);
   cache.set(key, promise);
   promise.catch(() => cache.delete(key));
   while (cache.size > KEPT_SCENES) cache.delete(cache.keys().next().value);
@@ -142,6 +145,57 @@ async function unpackScene(content) {
     scene[name] = await pixels(url, content);
   return scene;
 }
+
+// --- what a scene keeps beside: brought in when it is first looked at, let go with the scene -----
+
+/**
+ * The captured frame `k` as grey levels, 0 to 255; null while it is on its way, then `ready` is
+ * called. An error is thrown once it is known.
+ */
+Graycast.frame = (scene, k, ready) => {
+  const held = (scene.frames ??= { levels: new Map(), coming: new Set() });
+  if (held.error) throw held.error;
+  if (!held.coming.has(k)) {
+    held.coming.add(k);
+    const name = `${scene.key}/frames.js`;
+    held.script ??= bring(name, name);
+    held.script
+      .then(async (content) => {
+        held.content = content;
+        const rgba = await pixels(content.pictures[k], scene);
+        held.levels.set(
+          k,
+          Uint8Array.from({ length: scene.n }, (_, i) => rgba[4 * i]),
+        );
+      })
+      .catch((error) => (held.error = error))
+      .then(() => scene.frames === held && ready());
+  }
+  return held.levels.get(k) ?? null;
+};
+
+/** Decoded positions {column, sigma_column, ...} [px], NaN for none; null while on their way. */
+Graycast.columns = (scene, ready) => {
+  const held = (scene.columns ??= {});
+  if (held.error) throw held.error;
+  const name = `${scene.key}/columns.js`;
+  held.script ??= bring(name, name)
+    .then(async (content) => {
+      const maps = {};
+      for (const [axis, map] of Object.entries(content.maps)) {
+        const steps = words(await inflate(map.words), scene.width, scene.height);
+        maps[axis] = Float32Array.from(steps, (v) => (v ? map.low + (v - 1) * map.step : NaN));
+      }
+      held.maps = maps;
+    })
+    .catch((error) => (held.error = error))
+    .then(() => scene.columns === held && ready());
+  return held.maps ?? null;
+};
+
+Graycast.letGo = (scene) => {
+  scene.frames = scene.columns = scene.shown = null;
+};
 
 async function inflate(text) {
   const packed = Uint8Array.from(atob(text), (c) => c.charCodeAt(0));

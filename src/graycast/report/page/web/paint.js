@@ -8,7 +8,7 @@
   Graycast.VIEWS = [
     { id: "color", label: "Colour" },
     { id: "white", label: "White frame" },
-    { id: "pattern", label: "Pattern bits" },
+    { id: "pattern", label: "Pattern frames" },
     { id: "column", label: "Column map" },
     { id: "perfect", label: "Perfect depth" },
     { id: "scanner", label: "Scanner depth" },
@@ -24,8 +24,8 @@
     const has = {
       color: true,
       white: !!scene.white,
-      pattern: !!Graycast.report.code && any,
-      column: !!rig && any,
+      pattern: scene.kept.frames.length > 0 || (!!Graycast.report.code && any),
+      column: scene.kept.columns.length > 0 || (!!rig && any),
       perfect: scene.has.depth,
       scanner: scene.has.scanner,
       difference: scene.has.depth && scene.has.scanner,
@@ -37,6 +37,7 @@
 
   /** Paint a view into RGBA bytes; returns {bar: {map, low, high, unit}, note}. */
   Graycast.paint = (scene, view, prefs, out) => {
+    scene.shown = null;
     switch (view) {
       case "color":
         out.set(scene.rgb);
@@ -117,28 +118,128 @@
     return {};
   }
 
-  const source = (scene, prefs) =>
-    (prefs.source === "depth" && scene.has.depth) || !scene.has.scanner ? "depth" : "scanner";
+  /** The quiet word on what a dataset does not store, and the key that would. */
+  const keeping = (kept, key, what) =>
+    kept.length ? "" : ` (${what} are stored where the configuration says store: {${key}: true})`;
   const SAID = { scanner: "from the scanner's depth", depth: "from the perfect depth" };
 
-  function paintColumn(scene, prefs, out) {
-    const which = source(scene, prefs),
-      { column, row } = Graycast.projectorMap(scene, which);
-    const lens = Graycast.report.claim.rig.projector,
-      upright = prefs.axis === "row";
-    const values = upright ? row : column,
-      size = upright ? lens.height_px : lens.width_px;
+  /** Where frames or positions may come from, best first: as stored, or worked out from a depth. */
+  Graycast.sourcesOf = (scene, view, prefs) => {
+    const stored =
+      view === "pattern" ? scene.kept.frames.length > 0 : scene.kept.columns.includes(prefs.axis);
+    const rig = view === "pattern" ? Graycast.report.code : Graycast.report.claim.rig;
+    return [
+      stored && "stored",
+      rig && scene.has.scanner && "scanner",
+      rig && scene.has.depth && "depth",
+    ].filter(Boolean);
+  };
+  const source = (scene, view, prefs) => {
+    const all = Graycast.sourcesOf(scene, view, prefs);
+    return all.includes(prefs.source) ? prefs.source : all[0];
+  };
+  Graycast.sourceOf = source;
+
+  /** What the pattern view can show, by name. */
+  Graycast.frameNames = (scene) =>
+    scene.kept.frames.length
+      ? scene.kept.frames
+      : (Graycast.report.code?.frames ?? []).map((frame) => frame.name);
+
+  function blank(scene, out) {
+    for (let i = 0; i < scene.n; i++) put(out, i, DARK, 0);
+  }
+
+  /** A captured frame, as the decoder saw it. */
+  function paintFrame(scene, prefs, out) {
+    const n = scene.kept.frames.length,
+      k = prefs.frame % n;
+    let levels = null;
+    try {
+      levels = Graycast.frame(scene, k, Graycast.repaint);
+      if (levels) Graycast.frame(scene, (k + 1) % n, Graycast.repaint); // the next one, ahead
+    } catch (error) {
+      blank(scene, out);
+      return { note: error.message };
+    }
+    if (!levels) {
+      blank(scene, out);
+      return { note: "bringing the captured frames …" };
+    }
+    scene.shown = levels;
+    for (let i = 0; i < scene.n; i++) {
+      out[4 * i] = out[4 * i + 1] = out[4 * i + 2] = levels[i];
+      out[4 * i + 3] = 255;
+    }
+    const { bits, low_dn, high_dn, merged } = scene.frames.content;
+    const kind = merged ? ", each pixel from the exposure that suits it" : "";
+    return {
+      bar: { map: "gray", low: low_dn, high: high_dn, unit: "DN", digits: 0, whole: true },
+      note: `captured, ${bits} bit${kind}; here 8 bit, black at the sensor's offset, white where it saturates`,
+    };
+  }
+
+  /** Decoded positions, or their standard deviations, as stored. */
+  function paintStoredColumn(scene, prefs, out) {
+    let maps = null;
+    try {
+      maps = Graycast.columns(scene, Graycast.repaint);
+    } catch (error) {
+      blank(scene, out);
+      return { note: error.message };
+    }
+    if (!maps) {
+      blank(scene, out);
+      return { note: "bringing the code maps …" };
+    }
+    const values = maps[prefs.axis],
+      axis = prefs.axis.replace("sigma_", "");
+    if (prefs.axis !== axis) {
+      const high = Graycast.highest(values, 0.99) || 1;
+      paintMap(out, "viridis", scene.n, (i) => values[i] / high);
+      return {
+        bar: { map: "viridis", low: 0, high, unit: "projector px", digits: 3 },
+        note: `standard deviation of the decoded ${axis}, as the decoder states it`,
+      };
+    }
+    const size = projectorSize(axis) ?? Graycast.highest(values, 1);
     paintMap(out, "viridis", scene.n, (i) => values[i] / size);
     return {
       bar: { map: "viridis", low: 0, high: size, unit: "projector px", digits: 0 },
-      note: `projector ${upright ? "row" : "column"} of each pixel, worked out ${SAID[which]} and the rig`,
+      note: `projector ${axis} of each pixel as it was decoded`,
+    };
+  }
+
+  const projectorSize = (axis) => {
+    const lens = Graycast.report.claim.rig?.projector;
+    return axis === "row" ? lens?.height_px : lens?.width_px;
+  };
+
+  /** A quantile of the numbers in a map, from every 7th pixel. */
+  Graycast.highest = (values, share) => {
+    const some = values.filter((v, i) => i % 7 === 0 && v === v).sort();
+    return some[Math.min(Math.floor(share * some.length), some.length - 1)] ?? 0;
+  };
+
+  function paintColumn(scene, prefs, out) {
+    const which = source(scene, "column", prefs);
+    if (which === "stored") return paintStoredColumn(scene, prefs, out);
+    const { column, row } = Graycast.projectorMap(scene, which);
+    const upright = prefs.axis === "row";
+    const values = upright ? row : column,
+      size = projectorSize(upright ? "row" : "column");
+    paintMap(out, "viridis", scene.n, (i) => values[i] / size);
+    return {
+      bar: { map: "viridis", low: 0, high: size, unit: "projector px", digits: 0 },
+      note: `projector ${upright ? "row" : "column"} of each pixel, worked out ${SAID[which]} and the rig${keeping(scene.kept.columns, "columns", "decoded ones")}`,
     };
   }
 
   /** What a frame would show at the projector position of every pixel. */
   function paintPattern(scene, prefs, out) {
-    const which = source(scene, prefs),
-      map = Graycast.projectorMap(scene, which);
+    const which = source(scene, "pattern", prefs);
+    if (which === "stored") return paintFrame(scene, prefs, out);
+    const map = Graycast.projectorMap(scene, which);
     const { frames } = Graycast.report.code,
       frame = frames[prefs.frame % frames.length];
     frame.table ??= Uint8Array.from(atob(frame.levels), (c) => c.charCodeAt(0));
@@ -154,7 +255,7 @@
       put(out, i, [v, v, v], 0);
     }
     return {
-      note: `ideal bits, looked up ${SAID[which]}: not the captured frames, which the dataset does not store (no blur, noise or stray light${which === "depth" ? ", no shadow" : ""})`,
+      note: `ideal bits, looked up ${SAID[which]}: no blur, noise or stray light${which === "depth" ? ", no shadow" : ""}${keeping(scene.kept.frames, "frames", "captured frames")}`,
     };
   }
 

@@ -9,7 +9,7 @@
     masks: false,
     boxes: false,
     frame: 2,
-    source: "scanner",
+    source: "stored",
     axis: "column",
     shade: true,
     limit: 0,
@@ -33,6 +33,7 @@
     const views = Graycast.viewsOf(scene);
     if (!views.some((view) => view.id === prefs.view)) prefs.view = views[0].id;
     open = { scene, row, views, lit: {}, viewer: null, cloud: null };
+    pointed = -1;
     main.replaceChildren(
       el(
         "section",
@@ -63,6 +64,8 @@
   };
 
   Graycast.closeScene = () => {
+    play(false);
+    if (open) Graycast.letGo(open.scene);
     open?.viewer?.close();
     open?.cloud?.close();
     open = null;
@@ -97,6 +100,7 @@
       open.lit.instance = -1;
       Graycast.tip(null, "");
     }
+    if (prefs.view !== "pattern") play(false);
     const { scene, views, viewer } = open,
       at = (name) => main.querySelector(name);
     at(".tabs").replaceChildren(
@@ -134,16 +138,32 @@
         ...under({ bar, note: "drag turns, shift-drag moves, wheel zooms, double click resets" }),
       );
     } else {
-      at(".under").replaceChildren(...under(viewer.paint(prefs.view, prefs)));
+      repaint();
       viewer.cover(prefs, open.lit);
     }
   }
+
+  /** The picture anew, its controls left as they are: a slider that is being moved stays. */
+  function repaint() {
+    if (!open || prefs.view === "cloud") return;
+    const said = open.viewer.paint(prefs.view, prefs);
+    document.querySelector("#main .under").replaceChildren(...under(said));
+    side.readout(open.scene, pointed);
+    for (const id of ["frame-slider", "choose-frame"]) {
+      const control = document.getElementById(id);
+      if (control) control.value = String(prefs.frame);
+    }
+  }
+  Graycast.repaint = repaint;
 
   function pick(view) {
     if (view !== prefs.view) prefs.last = prefs.view;
     prefs.view = view;
     show();
   }
+
+  const STORED = { pattern: "the camera", column: "the decoder" };
+  const SOURCES = { scanner: "scanner's depth", depth: "perfect depth" };
 
   function options() {
     const { scene } = open,
@@ -180,12 +200,15 @@
       );
     const view = prefs.view,
       both = scene.has.depth && scene.has.scanner;
-    const source = both
-      ? choose("source", "from", [
-          ["scanner", "scanner's depth"],
-          ["depth", "perfect depth"],
-        ])
-      : null;
+    const sources = Graycast.sourcesOf(scene, view, prefs);
+    const source =
+      sources.length > 1
+        ? choose(
+            "source",
+            "from",
+            sources.map((one) => [one, one === "stored" ? STORED[view] : SOURCES[one]]),
+          )
+        : null;
     const limit = choose("limit", "±", [
       [0, `auto (${Graycast.errorLimit({})} mm)`],
       ...Graycast.ERROR_LIMITS_MM.map((mm) => [mm, `${mm} mm`]),
@@ -220,37 +243,78 @@
         ...["camera", "oblique", "side", "top"].map(look),
       ];
     }
-    const frames = Graycast.report.code?.frames ?? [];
+    const frames = Graycast.frameNames(scene);
+    prefs.frame = Math.min(prefs.frame, Math.max(frames.length - 1, 0));
     return [
       toggle("masks", "masks", "m"),
       toggle("boxes", "boxes", "b"),
       view === "difference" ? limit : null,
-      view === "column"
-        ? choose("axis", "axis", [
-            ["column", "column"],
-            ["row", "row"],
-          ])
-        : null,
+      view === "column" ? choose("axis", "of", axes(scene)) : null,
       view === "column" || view === "pattern" ? source : null,
       ...(view === "pattern"
         ? [
-            el("button", { id: "frame-back", title: "[", onclick: () => flip(-1) }, "‹"),
+            el("button", { id: "frame-back", title: "↑ or [", onclick: () => flip(-1) }, "‹"),
+            el("input", {
+              id: "frame-slider",
+              type: "range",
+              "aria-label": "frame",
+              min: 0,
+              max: frames.length - 1,
+              value: prefs.frame,
+              oninput: (event) => flip(Number(event.target.value) - prefs.frame),
+            }),
+            el("button", { id: "frame-on", title: "↓ or ]", onclick: () => flip(1) }, "›"),
             choose(
               "frame",
               "frame",
-              frames.map((frame, k) => [k, `${k} ${words(frame.name)}`]),
+              frames.map((name, k) => [k, `${k} ${words(name)}`]),
             ),
-            el("button", { id: "frame-on", title: "]", onclick: () => flip(1) }, "›"),
-            scene.white ? toggle("shade", "over the white frame") : null,
+            el(
+              "button",
+              {
+                id: "frame-play",
+                "aria-pressed": String(!!playing),
+                onclick: () => play(!playing),
+              },
+              el("kbd", {}, "p"),
+              "play",
+            ),
+            scene.white && Graycast.sourceOf(scene, view, prefs) !== "stored"
+              ? toggle("shade", "over the white frame")
+              : null,
           ]
         : []),
     ];
   }
 
+  function axes(scene) {
+    const all = [
+      ["column", "column"],
+      ["row", "row"],
+      ["sigma_column", "σ of column"],
+      ["sigma_row", "σ of row"],
+    ];
+    const there = all.filter(
+      ([axis]) => scene.kept.columns.includes(axis) || !axis.startsWith("sigma_"),
+    );
+    if (!there.some(([axis]) => axis === prefs.axis)) prefs.axis = "column";
+    return there;
+  }
+
   function flip(by) {
-    const n = Graycast.report.code.frames.length;
-    prefs.frame = (prefs.frame + by + n) % n;
-    show();
+    const n = Graycast.frameNames(open.scene).length;
+    prefs.frame = (((prefs.frame + by) % n) + n) % n;
+    repaint();
+  }
+
+  const PLAY_MS = 300;
+  let playing = 0; // the timer that flips, 0 for none
+  function play(on) {
+    clearInterval(playing);
+    // a frame that is still on its way is waited for
+    const next = () => (open.scene.kept.frames.length && !open.scene.shown ? null : flip(1));
+    playing = on ? setInterval(next, PLAY_MS) : 0;
+    document.getElementById("frame-play")?.setAttribute("aria-pressed", String(!!playing));
   }
 
   function under({ bar, note }) {
@@ -264,7 +328,7 @@
       canvas.getContext("2d").putImageData(image, 0, 0);
       const say = (value) => value.toFixed(bar.digits).replace("-", "−");
       out.push(el("span", { class: "bar" }, say(bar.low), canvas, `${say(bar.high)} ${bar.unit}`));
-      if (prefs.view !== "cloud")
+      if (prefs.view !== "cloud" && !bar.whole)
         out.push(el("span", { class: "bar" }, el("i", { class: "none" }), "no value"));
     }
     if (note) out.push(el("span", { class: "note" }, note));
@@ -279,8 +343,10 @@
   }
 
   let named = -1;
+  let pointed = -1;
   function point(i, event) {
     if (!open) return;
+    pointed = i;
     side.readout(open.scene, i);
     const k = i < 0 ? -1 : open.scene.instance[i] - 1,
       shown = prefs.masks || prefs.boxes;
@@ -305,10 +371,13 @@
     else if (event.key === "ArrowRight") press("after");
     else if (event.key === " ") {
       if (open.views.some((v) => v.id === prefs.last)) pick(prefs.last);
-    } else if ((event.key === "[" || event.key === "]") && Graycast.report.code) {
+    } else if ("[]".includes(event.key) && open.views.some((v) => v.id === "pattern")) {
       if (prefs.view === "pattern") flip(event.key === "]" ? 1 : -1);
       else pick("pattern");
-    } else if (event.key === "m") press("toggle-masks");
+    } else if (prefs.view === "pattern" && event.key.startsWith("Arrow"))
+      flip(event.key === "ArrowDown" ? 1 : -1);
+    else if (event.key === "p" && prefs.view === "pattern") play(!playing);
+    else if (event.key === "m") press("toggle-masks");
     else if (event.key === "b") press("toggle-boxes");
     else if (event.key === "s") press("toggle-surface");
     else if (event.key === "p") press("toggle-points");

@@ -39,7 +39,11 @@
           ? `${map.column[i].toFixed(1)}, ${map.row[i].toFixed(1)} px`
           : "–",
       ],
+      ...["column", "row"]
+        .filter((axis) => scene.kept.columns.includes(axis))
+        .map((axis) => [`decoded ${axis}`, decoded(scene, axis, i)]),
       ["white frame", on && scene.white ? `${scene.white[4 * i]} of 255` : "–"],
+      ...(scene.shown ? [["this frame", on ? captured(scene, i) : "–"]] : []),
       ["instance", k >= 0 ? `${k} ${scene.instances[k].name}` : "–"],
     ];
     document
@@ -50,6 +54,22 @@
         ),
       );
   };
+
+  /** As stored, once it has been looked at: the page brings it in then. */
+  function decoded(scene, axis, i) {
+    const maps = scene.columns?.maps,
+      value = maps?.[axis][i];
+    if (!maps) return "in its map";
+    return i >= 0 && value === value
+      ? `${value.toFixed(2)} ± ${maps[`sigma_${axis}`][i].toFixed(2)} px`
+      : "–";
+  }
+
+  /** A frame's digital number, as near as 8 bits and JPEG tell. */
+  function captured(scene, i) {
+    const { low_dn, high_dn } = scene.frames.content;
+    return `≈ ${Math.round(low_dn + ((high_dn - low_dn) * scene.shown[i]) / 255)} DN`;
+  }
 
   /** The reasons in this scene; actions.light marks one, actions.pick opens their view. */
   side.legend = (row, { light, pick }) => {

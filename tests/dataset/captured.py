@@ -1,0 +1,78 @@
+"""A sample's scene before a whole scanner: each pixel is lit by what the projector shows there."""
+
+from dataclasses import replace
+
+import numpy as np
+
+from graycast.dataset import Raw
+from graycast.frames import axis_rotation, inverse, pixel_grid, rigid, transform_points
+from graycast.optics import Optics, project, rays
+from graycast.pattern import level_share
+from graycast.picture import gray_picture
+from graycast.scanner import Scanner, measure
+from graycast.sensor import auto_exposure_s, expose, merge_exposures
+
+PROJECTOR = (256, 192)
+
+
+def toed_in(rig):
+    """A rig's camera with a projector 0.2 m beside it that looks where it looks."""
+    width_px, height_px = PROJECTOR
+    projector = Optics(
+        width_px=width_px,
+        height_px=height_px,
+        fx_px=300.0,
+        fy_px=300.0,
+        cx_px=(width_px - 1) / 2,
+        cy_px=(height_px - 1) / 2,
+        distortion=rig.projector.distortion,
+    )
+    T_cam_proj = rigid(axis_rotation("y", -0.35), np.array([0.2, 0.0, 0.0]))
+    return replace(rig, projector=projector, T_cam_proj=T_cam_proj)
+
+
+def rolled(rig, angle_rad):
+    """The projector turned about its axis: rows come out wrong towards its left and right."""
+    turn = rigid(axis_rotation("z", angle_rad), np.zeros(3))
+    return replace(rig, T_cam_proj=rig.T_cam_proj @ turn)
+
+
+def light(code, rig, depth_m):
+    """(frames, h, w) radiance; nothing shadows anything, and a veil lies over all."""
+    point = rays(rig.camera, pixel_grid(*depth_m.shape)) * depth_m[..., None]
+    place = project(rig.projector, transform_points(inverse(rig.T_cam_proj), point))
+    inside = ((place > -0.5) & (place < np.array(PROJECTOR) - 0.5)).all(axis=-1)
+    albedo = 0.7 + 0.3 * np.sin(0.21 * np.arange(depth_m.shape[1]))
+    stack = []
+    for frame in code.frames:
+        i = 1 if frame.axis == "row" else 0
+        size = 1 if frame.axis is None else PROJECTOR[i]
+        share = level_share(frame, size, offset_px=code.offset_px[i], stride_px=code.stride_px[i])
+        lit = np.interp(place[..., i], np.arange(size), share)  # blurred over a pixel's width
+        stack.append(np.where(inside, lit * albedo, 0.0) + 0.02)
+    return np.float32(stack)
+
+
+def scanned(sample, scanner: Scanner, *, seed: int, roll_rad: float = 0.0):
+    """The sample as this scanner measures it, with all that lies between.
+
+    `roll_rad` is how far its projector is turned from where its rig says.
+    """
+    stack = light(scanner.patterns(), rolled(scanner.rig, roll_rad), sample.truth.depth_m)
+    exposure = scanner.exposure
+    time_s = auto_exposure_s(stack[0], scanner.sensor, percentile=99.0, target=exposure.target)
+    capture = merge_exposures(
+        [
+            expose(stack, None, scanner.sensor, exposure_s=factor * time_s, seed=seed + k)
+            for k, factor in enumerate(exposure.factors)
+        ]
+    )
+    found, depth = measure(scanner, capture)
+    return replace(
+        sample,
+        scene=replace(sample.scene, rig=scanner.rig),
+        gray=gray_picture(capture),
+        scanner=depth,
+        modulation=found.modulation,
+        raw=Raw(scanner=scanner, capture=capture, codes=found),
+    )

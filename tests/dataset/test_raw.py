@@ -1,0 +1,361 @@
+"""Captured frames and code maps on disk: they decode again to the stored depth, to the last bit."""
+
+import json
+import shutil
+from dataclasses import replace
+
+import cv2
+import numpy as np
+import pytest
+import yaml
+from captured import scanned, toed_in
+from prisms import build_sample
+from small_cell import content, write_cell
+
+from graycast.cli import main
+from graycast.config import Config
+from graycast.dataset import Raw, read_capture, read_code_maps, records, validate
+from graycast.dataset.bop import scene_files
+from graycast.dataset.raw_check import raw_problems
+from graycast.dataset.reading import read_json
+from graycast.decode import CodeMap, DecodeSpec, FilterSpec, Reason, triangulate
+from graycast.pattern import CodeSpec
+from graycast.rig_file import load_scanner
+from graycast.scanner import ExposureSpec, Scanner
+from graycast.sensor import SensorSpec
+from graycast.stack import decode_stack
+
+LENS = (-0.12, 0.05, 0.001, -0.0007, 0.0)
+PHASES = CodeSpec(codec="gray_phase", axes=("column",), period_px=16.0, steps=4)
+FILTERS = FilterSpec(flying_angle_deg=75.0, outlier_sigmas=4.0, island_px=9, smoothing_px=0.55)
+
+
+def scanner_of(rig, case):
+    rig = toed_in(rig)
+    match case:
+        case "as the paper's":
+            return Scanner(rig=rig, decode=DecodeSpec(max_epipolar_px=0.0))
+        case "phases, filtered":
+            return Scanner(rig=rig, code=PHASES, filters=FILTERS, decode=DecodeSpec(fine_bits=2))
+        case "exposures merged":
+            return Scanner(rig=rig, exposure=ExposureSpec(factors=(4.0, 1.0)))
+        case "outliers off their epipolar lines":
+            code = replace(PHASES, axes=("column", "row"))
+            return Scanner(rig=rig, code=code, decode=DecodeSpec(max_epipolar_px=0.1))
+        case "doubt counts":
+            doubting = DecodeSpec(fine_bits=0, doubt=0.3, min_contrast=0.4)
+            return Scanner(rig=rig, sensor=SensorSpec(read_noise_e=500.0), decode=doubting)
+        case "8 bits":
+            sensor = SensorSpec(bit_depth=8, gain_dn_per_e=0.025, offset_dn=3.3)
+            return Scanner(rig=rig, sensor=sensor)
+        case "bent lenses, many periods":
+            camera = replace(rig.camera, distortion=LENS)
+            rig = replace(rig, camera=camera, projector=replace(rig.projector, distortion=LENS))
+            return Scanner(rig=rig, code=CodeSpec(codec="multi_frequency", axes=("column",)))
+        case "exclusive-or":
+            return Scanner(rig=rig, code=CodeSpec(codec="xor_gray"))
+    raise ValueError(case)
+
+
+CASES = (
+    "as the paper's",
+    "phases, filtered",
+    "exposures merged",
+    "outliers off their epipolar lines",
+    "doubt counts",
+    "8 bits",
+    "bent lenses, many periods",
+    "exclusive-or",
+)
+
+
+@pytest.fixture(scope="session")
+def kept(tmp_path_factory, opened, parts, rig):
+    """A dataset of one scene per case, made when first asked for."""
+    made = {}
+
+    def make(case):
+        if case not in made:
+            scanner = scanner_of(rig, case)
+            plain = build_sample(0, parts=parts, rig=rig)
+            sample = scanned(plain, scanner, seed=5, roll_rad=0.003 if "outliers" in case else 0.0)
+            out = tmp_path_factory.mktemp("kept") / "out"
+            with opened(out, rig=scanner.rig) as store:
+                store.write(0, sample)
+                store.finish([0])
+            made[case] = out, sample
+        return made[case]
+
+    return make
+
+
+@pytest.mark.parametrize(
+    "case",
+    [c if k == 0 else pytest.param(c, marks=pytest.mark.slow) for k, c in enumerate(CASES)],
+)
+def test_stored_frames_decode_to_the_stored_depth_to_the_last_bit(kept, case):
+    """Oracle: what the simulation measured, in memory and in its PNGs, from the files alone."""
+    out, sample = kept(case)
+    scene = out / "train/000000"
+    scanner = load_scanner(scene / "frames/rig.yaml")
+    result = decode_stack(scene / "frames/stack.yaml", scanner.rig, filters=scanner.filters)
+    np.testing.assert_array_equal(result.depth.depth_m, sample.scanner.depth_m)
+    np.testing.assert_array_equal(result.depth.sigma_m, sample.scanner.sigma_m)
+    np.testing.assert_array_equal(result.depth.reason, sample.scanner.reason)
+    step = cv2.imread(str(scene / "depth_sl/000000.png"), cv2.IMREAD_UNCHANGED)
+    depth_m = np.nan_to_num(result.depth.depth_m.astype(np.float64))
+    np.testing.assert_array_equal(np.rint(depth_m * 1e4), step)
+    assert (step > 0).mean() > 0.4
+    assert (sample.scanner.reason == Reason.OUTLIER).any() == ("outliers" in case or "filt" in case)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("case", ["as the paper's", "exposures merged", "8 bits"])
+def test_a_capture_comes_back_as_it_was(kept, case):
+    out, sample = kept(case)
+    found = read_capture(out / "train/000000")
+    capture = sample.raw.capture
+    np.testing.assert_array_equal(found.capture.frames, capture.frames)
+    np.testing.assert_array_equal(found.capture.exposure_s, capture.exposure_s)
+    assert found.capture.frames.dtype == (np.uint8 if case == "8 bits" else np.uint16)
+    assert found.scanner.patterns() == sample.raw.scanner.patterns()
+    assert found.capture.sensor == capture.sensor
+    assert (len(np.unique(capture.exposure_s)) == 2) == ("merged" in case)
+
+
+def test_code_maps_are_read_by_opencv_and_give_the_depth_again(kept):
+    """Oracles: a reader that is not Pillow; the triangulation of what was decoded."""
+    out, sample = kept("as the paper's")
+    maps = {
+        name: cv2.imread(str(out / f"train/000000/{folder}/000000.tiff"), cv2.IMREAD_UNCHANGED)
+        for name, folder in (
+            ("column", "column_sl"),
+            ("sigma_column", "column_sigma_sl"),
+            ("row", "row_sl"),
+            ("sigma_row", "row_sigma_sl"),
+        )
+    }
+    for name, image in maps.items():
+        np.testing.assert_array_equal(image, getattr(sample.raw.codes, name))
+        np.testing.assert_array_equal(read_code_maps(out / "train/000000")[name], image)
+    reason = np.where(np.isfinite(maps["column"]), 0, Reason.SHADOW).astype(np.uint8)
+    codes = CodeMap(**maps, modulation=sample.modulation, reason=reason)
+    depth = triangulate(codes, sample.scene.rig)
+    np.testing.assert_array_equal(depth.depth_m, sample.scanner.depth_m)
+
+
+@pytest.mark.slow
+def test_a_code_of_one_axis_has_maps_of_that_axis(kept):
+    out, _ = kept("phases, filtered")
+    assert list(read_code_maps(out / "train/000000")) == ["column", "sigma_column"]
+    assert not (out / "train/000000/row_sl").exists()
+
+
+@pytest.mark.slow
+def test_a_scene_that_keeps_nothing_has_the_bytes_it_had(parts, rig):
+    sample = build_sample(0, parts=parts, rig=rig)
+    scanner = Scanner(rig=toed_in(rig))
+    before = dict(scene_files(sample, 0.1))
+    assert dict(scene_files(replace(sample, raw=Raw(scanner=scanner)), 0.1)) == before
+    after = dict(scene_files(scanned(sample, scanner, seed=5), 0.1))
+    assert {name.split("/")[0] for name in set(after) - set(before)} == {
+        "frames", "column_sl", "column_sigma_sl", "row_sl", "row_sigma_sl"
+    }  # fmt: skip
+    manifest = json.loads(after["manifest.json"])
+    assert set(manifest) - set(json.loads(before["manifest.json"])) == {"frames", "code_maps"}
+    shown = manifest["frames"]["shown"]
+    assert shown[:2] == [
+        {"file": "0000.png", "kind": "white"},
+        {"file": "0001.png", "kind": "black"},
+    ]
+    assert shown[2] == {"file": "0002.png", "kind": "gray", "axis": "column", "bit": 7}
+
+
+def test_a_stack_of_another_size_is_refused(rig, kept):
+    _, sample = kept("as the paper's")
+    with pytest.raises(ValueError, match="the captured stack is"):
+        replace(sample.raw, scanner=Scanner(rig=toed_in(rig), code=PHASES))
+
+
+def test_a_configuration_says_nothing_of_what_is_not_stored():
+    """So that datasets begun before the key was there can be gone on with."""
+    plain = Config(parts=[{"builtin": "washer"}])
+    said = plain.model_dump(mode="json", exclude={"scenes", "seed"})
+    assert not {"store", "scenes", "seed"} & set(said) and "drop" in said
+    more = Config(parts=[{"builtin": "washer"}], store={"frames": True})
+    assert more.model_dump(mode="json")["store"] == {"frames": True, "columns": False}
+
+
+# --- validate ----------------------------------------------------------------------------------
+
+
+def problems(out):
+    scene = out / "train/000000"
+    camera = read_json(out / "camera.json", records.Camera)
+    gray, reason = (
+        cv2.imread(str(scene / f"{name}_sl/000000.png"), cv2.IMREAD_UNCHANGED)
+        for name in ("gray", "reason")
+    )
+    return list(raw_problems(scene, camera, gray=gray, reason=reason))
+
+
+def repaint(path, change):
+    cv2.imwrite(str(path), change(cv2.imread(str(path), cv2.IMREAD_UNCHANGED)))
+
+
+def edit_yaml(path, change):
+    content = yaml.safe_load(path.read_text())
+    change(content)
+    path.write_text(yaml.safe_dump(content))
+
+
+def edit_manifest(scene, change):
+    path = scene / "manifest.json"
+    content = json.loads(path.read_bytes())
+    change(content)
+    path.write_text(json.dumps(content))
+
+
+DAMAGE = {
+    "a frame missing": (lambda s: (s / "frames/0004.png").unlink(), "tells of 20: see 0004.png"),
+    "a frame too many": (
+        lambda s: shutil.copy(s / "frames/0004.png", s / "frames/0018.png"),
+        "tells of 20: see 0018.png",
+    ),
+    "a frame cut off": (
+        lambda s: (s / "frames/0004.png").write_bytes((s / "frames/0004.png").read_bytes()[:900]),
+        "0004.png is cut off",
+    ),
+    "frames of 8 bits": (
+        lambda s: [repaint(p, lambda v: (v >> 4).astype(np.uint8)) for p in s.glob("frames/00*")],
+        "the pictures 8 bits",
+    ),
+    "a frame of another size": (
+        lambda s: repaint(s / "frames/0003.png", lambda v: v[:-1]),
+        "frames: all input arrays must have the same shape",
+    ),
+    "a value beyond the converter": (
+        lambda s: repaint(s / "frames/0005.png", lambda v: v | 4096),
+        "0005.png has the value",
+    ),
+    "another scene's frame": (
+        lambda s: repaint(s / "frames/0000.png", lambda v: v[:, ::-1]),
+        "gray_sl is not the first",
+    ),
+    "two bits exchanged in the stack file": (
+        lambda s: edit_yaml(
+            s / "frames/stack.yaml",
+            lambda c: [c["frames"][k].update(bit=b) for k, b in ((2, 6), (3, 7))],
+        ),
+        "its frames are not those of manifest.json",
+    ),
+    "another code in the rig file": (
+        lambda s: edit_yaml(s / "frames/rig.yaml", lambda c: c["code"].update(inverses=True)),
+        "the captured stack is",
+    ),
+    "another code in the rig file, as long": (
+        lambda s: edit_yaml(s / "frames/rig.yaml", lambda c: c["code"]["axes"].reverse()),
+        "its code is not that of stack.yaml",
+    ),
+    "no rig file": (lambda s: (s / "frames/rig.yaml").unlink(), "rig.yaml"),
+    "another bit depth": (
+        lambda s: edit_manifest(s, lambda m: m["frames"].update(bit_depth=10)),
+        "manifest.json has bit_depth 10",
+    ),
+    "a manifest that does not tell": (
+        lambda s: edit_manifest(s, lambda m: m.pop("frames")),
+        "manifest.json tells of 0",
+    ),
+    "a manifest that tells of no map": (
+        lambda s: edit_manifest(s, lambda m: m["code_maps"].remove("row_sl")),
+        "row_sl/ is there",
+    ),
+    "a map missing": (
+        lambda s: (s / "column_sl/000000.tiff").unlink(),
+        "column_sl/000000.tiff is missing",
+    ),
+    "half a map": (
+        lambda s: (s / "column_sl/000000.tiff").write_bytes(
+            (s / "column_sl/000000.tiff").read_bytes()[:3000]
+        ),
+        "column_sl/000000.tiff is cut off",
+    ),
+    "a map of whole numbers": (
+        lambda s: repaint(s / "row_sl/000000.tiff", lambda v: np.nan_to_num(v).astype(np.uint16)),
+        "it must be float32",
+    ),
+    "a map without gaps": (
+        lambda s: repaint(s / "row_sl/000000.tiff", np.nan_to_num),
+        "map of row and reason_sl disagree",
+    ),
+    "a map below its first pixel": (
+        lambda s: repaint(s / "column_sl/000000.tiff", lambda v: v - 200),
+        "under -0.5",
+    ),
+}  # fmt: skip
+
+
+def test_a_sound_dataset_with_frames_is_valid(kept):
+    assert problems(kept("as the paper's")[0]) == []
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("case", [c for c in CASES if "bent" not in c])  # its truth is straight
+def test_every_kind_of_stack_is_valid(kept, case):
+    assert validate(kept(case)[0]) == ()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("damage", DAMAGE)
+def test_damage_to_frames_and_maps_is_found(kept, tmp_path, damage):
+    do, reason = DAMAGE[damage]
+    out = shutil.copytree(kept("as the paper's")[0], tmp_path / "out")
+    do(out / "train/000000")
+    found = problems(out)
+    assert any(reason in text for text in found), found
+
+
+# --- the whole way -----------------------------------------------------------------------------
+
+
+def decoded(capsys, *arguments):
+    assert main(["decode", *map(str, arguments)]) == 0
+    capsys.readouterr()
+
+
+@pytest.mark.slow
+def test_the_stack_file_names_its_rig_and_a_folder_its_stack_file(kept, capsys, tmp_path):
+    out, sample = kept("phases, filtered")
+    decoded(capsys, out / "train/000000/frames", "--out", tmp_path)
+    np.testing.assert_array_equal(np.load(tmp_path / "depth.npy"), sample.scanner.depth_m)
+
+
+@pytest.mark.slow
+def test_a_rig_file_that_is_gone_is_named(kept, tmp_path, capsys):
+    folder = shutil.copytree(kept("as the paper's")[0] / "train/000000/frames", tmp_path / "frames")
+    (folder / "rig.yaml").unlink()
+    assert main(["decode", str(folder), "--out", str(tmp_path / "o")]) != 0
+    assert "rig.yaml" in capsys.readouterr().err
+
+
+@pytest.mark.slow
+def test_a_generated_dataset_decodes_again_and_is_otherwise_the_same(capsys, tmp_path):
+    """The renderer's light, all the way: graycast generate, validate, decode."""
+    for name, store in (("plain", {}), ("kept", {"frames": True, "columns": True})):
+        folder = tmp_path / name
+        folder.mkdir()
+        cell = write_cell(folder, store=store, scenes=1)
+        out = folder / "out"
+        assert main(["generate", str(cell), "--out", str(out), "--device", "cpu"]) == 0
+    plain, kept = (content(tmp_path / name / "out") for name in ("plain", "kept"))
+    assert validate(tmp_path / "kept/out") == ()
+    new = {name.split("/")[2] for name in set(kept) - set(plain)}
+    assert new >= {"frames", "column_sl"} and not set(plain) - set(kept)
+    pictures = [name for name in plain if name.endswith(".png") and "train" in name]
+    assert all(plain[name] == kept[name] for name in pictures) and len(pictures) > 10
+    scene = tmp_path / "kept/out/train/000000"
+    decoded(capsys, scene / "frames", "--out", tmp_path / "decoded")
+    step = cv2.imread(str(scene / "depth_sl/000000.png"), cv2.IMREAD_UNCHANGED)
+    depth_m = np.load(tmp_path / "decoded/depth.npy").astype(np.float64)
+    scale_mm = json.loads((scene / "scene_camera_sl.json").read_bytes())["0"]["depth_scale"]
+    np.testing.assert_array_equal(np.rint(np.nan_to_num(depth_m * (1e3 / scale_mm))), step)

@@ -174,6 +174,7 @@ def test_generate_says_what_it_made_and_the_next_time_that_all_was_there(capsys,
     assert sum(shares.values()) == pytest.approx(100, abs=0.04)
 
 
+@pytest.mark.slow
 def test_the_options_go_before_the_configuration(made, tmp_path, capsys):
     same = write_cell(tmp_path, scenes=7, seed=5)
     arguments = ("--out", tmp_path / "out", "--scenes", 2, "--seed", 0, "--device", "cpu")

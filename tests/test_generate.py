@@ -112,6 +112,7 @@ def test_more_scenes_later_are_the_scenes_of_one_go(cell, undisturbed, tmp_path)
     assert content(tmp_path / "out") == content(undisturbed)
 
 
+@pytest.mark.slow
 def test_fewer_scenes_later_leave_all_that_are_there(cell, undisturbed, tmp_path):
     shutil.copytree(undisturbed, tmp_path / "out")
     summary, found, made = run(cell, tmp_path / "out", scenes=1)
@@ -119,6 +120,7 @@ def test_fewer_scenes_later_leave_all_that_are_there(cell, undisturbed, tmp_path
     assert content(tmp_path / "out") == content(undisturbed)
 
 
+@pytest.mark.slow
 def test_a_scene_that_was_deleted_comes_back_the_same(cell, undisturbed, tmp_path):
     shutil.copytree(undisturbed, tmp_path / "out")
     shutil.rmtree(tmp_path / "out" / "train" / "000001")

@@ -110,6 +110,7 @@ def test_phases_are_ten_times_finer_than_plain_gray(rig, mitsuba_renderer):
     assert rms_m["gray"] > 10 * rms_m["gray_phase"]
 
 
+@pytest.mark.slow
 def test_exposures_are_merged_where_several_are_asked_for(rig, flat_light):
     """Ten times the light saturates at the longer time; both come out unsaturated."""
     exposure = ExposureSpec(exposure_s=2e-3, factors=(1.0, 0.1))

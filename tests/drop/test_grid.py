@@ -25,6 +25,7 @@ def test_parts_start_in_cells_of_their_own_between_the_walls_and_above_the_rim()
     assert (np.abs(shift) < 4 * center.std(axis=0) * np.sqrt(1 / 150 + 1 / 60)).all()
 
 
+@pytest.mark.slow
 def test_orientations_are_uniform():
     """Over uniform rotations each entry has mean 0 and mean square 1/3 (variance 4/45)."""
     T, _ = start_poses(BIN, (BOX,), (4000,), np.random.default_rng(2))

@@ -85,6 +85,7 @@ def test_a_slab_holds_below_the_friction_angle_and_slides_above(monkeypatch, ang
     assert moved < 1e-3 if holds else moved == pytest.approx(0.27, abs=2e-3)  # at the far wall
 
 
+@pytest.mark.slow
 def test_a_ring_let_down_over_a_peg_ends_with_the_peg_through_its_hole(ring_part, ring_hulls):
     base = trimesh.creation.box((0.06, 0.06, 0.006))
     pin = trimesh.creation.cylinder(radius=0.010, height=0.05, sections=48)

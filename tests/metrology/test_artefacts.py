@@ -36,6 +36,7 @@ def test_the_common_rectangle_of_parallel_devices_is_the_overlap_of_their_fields
 
 
 @pytest.mark.parametrize("name", PRESETS)
+@pytest.mark.slow
 def test_all_artefacts_of_a_preset_lie_in_both_fields(name):
     rig = preset(name)
     volume = working_volume(rig)

@@ -45,6 +45,7 @@ def certificate(mitsuba_renderer):
     return certify(small_scanner(), renderer=mitsuba_renderer, seed=3, scope=LITTLE)
 
 
+@pytest.mark.slow
 def test_temporal_noise_is_the_standard_deviation_that_the_decoder_propagates(certificate):
     """The sensor's law, carried through decoding and triangulation, against scatter over shots.
     Without filters the two share nothing; 4 shots of some thousand pixels tell 3 %.

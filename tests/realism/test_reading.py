@@ -204,6 +204,7 @@ def test_a_ply_of_another_frame_is_not_given_a_camera(tmp_path, depth_m):
     assert "off every pinhole camera" in refusal(path, scale_m=1e-3)
 
 
+@pytest.mark.slow
 def test_a_picture_of_another_size_is_refused(tmp_path, depth_m):
     """In a process of its own that checks no annotations, as users have it."""
     np.save(tmp_path / "a.npy", depth_m)

@@ -14,7 +14,6 @@ from pydantic import (
     Field,
     ValidationError,
     field_validator,
-    model_serializer,
     model_validator,
 )
 
@@ -171,15 +170,10 @@ class Config(ScannerSections):
     )
     render: RenderSection = RenderSection()
     drop: DropSection = DropSection()
-    store: StoreSection = StoreSection()
-
-    @model_serializer(mode="wrap")
-    def _as_before(self, dump: Callable[[Any], Any]) -> dict[str, Any]:
-        """Without `store` where nothing more is stored, so that older datasets can go on."""
-        said = dump(self)
-        if self.store == StoreSection():
-            said.pop("store", None)
-        return said
+    store: StoreSection = Field(
+        StoreSection(),
+        exclude_if=lambda store: store == StoreSection(),  # so that older datasets can go on
+    )
 
     @field_validator("count", mode="wrap")
     @classmethod

@@ -10,7 +10,7 @@ from typing import Any
 
 from .. import __version__
 from ..errors import GraycastError, WorkerDied
-from .maker import Made, SceneMaker, Task
+from .maker import GPU_DEVICES, Made, SceneMaker, Task
 from .pool import Failed
 
 _AHEAD = 2  # scenes submitted per place: workers need not wait, finished scenes do not pile up
@@ -37,7 +37,7 @@ class RayPool:
             ) from error
         if task.device == "auto":
             task = replace(task, device="cuda" if ray.cluster_resources().get("GPU") else "cpu")
-        self._gpus = 0 if task.device == "cpu" else 1
+        self._gpus = int(task.device in GPU_DEVICES)
         remote = ray.remote(num_cpus=threads, num_gpus=self._gpus, max_retries=0)
         self._make = remote(_make_on_node)
         self._task = ray.put(task)

@@ -14,7 +14,7 @@ from multiprocessing.process import BaseProcess
 from pathlib import Path
 
 from ..errors import WorkerDied
-from .maker import Made, SceneMaker, Task, is_the_scenes_own
+from .maker import GPU_DEVICES, Made, SceneMaker, Task, is_the_scenes_own
 from .pool import Failed
 
 _MEMORY_SHARE = 0.8  # of the machine's memory, for all workers together
@@ -40,7 +40,9 @@ class LocalPool:
         self._threads = threads or max(1, len(os.sched_getaffinity(0)) // workers)
         self._memory_bytes = _MEMORY_SHARE * _machine_memory_bytes() / workers
         # What a killed worker leaves in its temporary folder goes when the run ends.
-        self._temporary = tempfile.TemporaryDirectory(prefix="graycast-run-")
+        self._temporary = tempfile.TemporaryDirectory(
+            prefix="graycast-run-", ignore_cleanup_errors=True
+        )
         self._workers = [_Worker(task, self._threads, self._variables(i)) for i in range(workers)]
 
     def _variables(self, index: int) -> dict[str, str]:
@@ -48,7 +50,7 @@ class LocalPool:
         variables = dict.fromkeys(_THREAD_VARIABLES, str(self._threads))
         variables |= {"OIDN_SET_AFFINITY": "0", "TMPDIR": self._temporary.name}
         gpus = list_gpus()
-        if self._task.device != "cpu" and gpus:
+        if self._task.device in GPU_DEVICES and gpus:
             variables["CUDA_VISIBLE_DEVICES"] = gpus[index % len(gpus)]
         return variables
 
@@ -65,12 +67,15 @@ class LocalPool:
         worker = busy[ended.pop()]
         outcome = worker.result()
         if isinstance(outcome, Made) and outcome.rss_bytes > self._memory_bytes:
-            worker.replace()  # between two scenes, before the system kills it in the middle of one
+            worker.end()  # between two scenes, before the system kills it in the middle of one
         return outcome
 
     def close(self) -> None:
         for worker in self._workers:
-            worker.stop()
+            if worker.future is not None:
+                worker.stop()  # rather than wait for minutes
+            else:
+                worker.end()
         self._temporary.cleanup()
 
 
@@ -119,12 +124,13 @@ class _Worker:
         except Exception as raised:
             error = raised
             if not is_the_scenes_own(error):
-                self.replace()  # a lost driver does not come back in the same process
+                self.end()  # a lost driver does not come back in the same process
         return Failed(scene_id=self._scene_id, error=error)
 
-    def replace(self) -> None:
-        """End the process; the next scene starts another."""
-        self._pool.shutdown(wait=True)
+    def end(self) -> None:
+        """End the process, which has no scene in hand; the next scene starts another."""
+        if self._pool is not None:
+            self._pool.shutdown(wait=True)
         self._pool = self._process = None
 
     def stop(self) -> None:
@@ -132,7 +138,7 @@ class _Worker:
         pool, process = self._pool, self._process
         self.future = self._pool = self._process = None
         if process is not None and pool is not None:
-            process.kill()  # rather than wait for minutes
+            process.kill()
         if pool is not None:
             pool.shutdown(wait=True, cancel_futures=True)
 

@@ -14,6 +14,8 @@ from ..render import OnFrame, Renderer
 from ..simulate import make_scene
 from ..usage import rss_bytes
 
+GPU_DEVICES = ("cuda", "optix")
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Task:

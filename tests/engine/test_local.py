@@ -2,6 +2,7 @@
 
 import os
 import signal
+import subprocess
 import threading
 import time
 from pathlib import Path
@@ -13,7 +14,7 @@ from small_cell import content, finished, start
 from graycast.dataset import validate
 from graycast.engine import Failed, Made, Task, make_all
 from graycast.engine import local as local_module
-from graycast.engine.local import LocalPool, list_gpus
+from graycast.engine.local import LocalPool, _deaf_to_interrupts, list_gpus
 from graycast.errors import WorkerDied
 
 
@@ -58,6 +59,14 @@ def test_workers_share_threads_and_gpus(task, monkeypatch):
     assert [variables["CUDA_VISIBLE_DEVICES"] for variables in told] == ["4", "6", "4"]
     assert {variables["OIDN_NUM_THREADS"] for variables in told} == {"3"}
     assert {variables["OIDN_SET_AFFINITY"] for variables in told} == {"0"}
+
+
+def test_ctrl_c_while_a_worker_starts_is_heard_afterwards():
+    with pytest.raises(KeyboardInterrupt):
+        with _deaf_to_interrupts():
+            signal.raise_signal(signal.SIGINT)
+            begun = subprocess.run(["grep", "SigBlk", "/proc/self/status"], capture_output=True)
+    assert int(begun.stdout.split()[1], 16) & 1 << (signal.SIGINT - 1)
 
 
 @pytest.mark.slow

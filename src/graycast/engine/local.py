@@ -154,15 +154,15 @@ def _obituary(process: BaseProcess | None) -> str:
 
 @contextmanager
 def _deaf_to_interrupts() -> Iterator[None]:
-    """Processes started inside do not hear Ctrl-C: their parent does, and ends them quietly."""
-    if threading.current_thread() is not threading.main_thread():
-        yield  # only the main thread may set signals
-        return
-    heard = signal.signal(signal.SIGINT, signal.SIG_IGN)
+    """Processes started inside do not hear Ctrl-C: their parent does, and ends them quietly.
+
+    Blocked, not ignored: a process hands its mask on, and what comes meanwhile is heard afterwards.
+    """
+    mask = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
     try:
         yield
     finally:
-        signal.signal(signal.SIGINT, heard)
+        signal.pthread_sigmask(signal.SIG_SETMASK, mask)
 
 
 @contextmanager

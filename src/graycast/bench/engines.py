@@ -41,9 +41,9 @@ def measure_engines(count: int, scenes: int, *, on_work: OnWork) -> Figures:
         contenders = dict(_contenders(task, open_now))
         for number, (name, contender) in enumerate(contenders.items()):
             on_work(number / len(contenders) / (1 + ROUNDS), f"warm-up of {name}")
-            contender.make(list(range(4)))
+            contender.make([0, 1])
         for round_number in range(ROUNDS):
-            first = 4 + round_number * scenes
+            first = 2 + round_number * scenes
             for number, (name, contender) in enumerate(contenders.items()):
                 done = (1 + round_number + number / len(contenders)) / (1 + ROUNDS)
                 on_work(done, f"round {round_number + 1}, {name}")

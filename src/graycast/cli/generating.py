@@ -39,7 +39,7 @@ def add_commands(commands) -> None:
     generate.add_argument(
         "--workers",
         type=positive,
-        help="scenes made at a time (default: 1; of ray: as many as the cluster has room for)",
+        help="scenes made at a time (default 1; of ray: as many as the cluster has room for)",
     )
     generate.add_argument(
         "--threads",

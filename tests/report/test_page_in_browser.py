@@ -381,8 +381,8 @@ def test_zoom_keeps_the_pixel_under_the_pointer(page, made):
     page.mouse.move(*place(page, 80, 33))
     for _ in range(3):
         page.mouse.wheel(0, -300)
-        page.wait_for_timeout(50)
-    assert page.locator("#picture").bounding_box()["width"] > 1500
+    page.wait_for_function("document.querySelector('#picture').getBoundingClientRect().width > 1500")
+    page.wait_for_timeout(300)  # the last turn of the wheel, too
     assert readout(page, "pixel") == "33, 80"
     page.keyboard.press("0")
     assert page.locator("#picture").bounding_box()["width"] < 1200

@@ -381,7 +381,8 @@ def test_zoom_keeps_the_pixel_under_the_pointer(page, made):
     page.mouse.move(*place(page, 80, 33))
     for _ in range(3):
         page.mouse.wheel(0, -300)
-    page.wait_for_function("document.querySelector('#picture').getBoundingClientRect().width > 1500")
+    width = "document.querySelector('#picture').getBoundingClientRect().width"
+    page.wait_for_function(f"{width} > 1500")
     page.wait_for_timeout(300)  # the last turn of the wheel, too
     assert readout(page, "pixel") == "33, 80"
     page.keyboard.press("0")

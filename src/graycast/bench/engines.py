@@ -34,9 +34,7 @@ def measure_engines(count: int, scenes: int, *, on_work: OnWork) -> Figures:
     Raises:
         DropError, GraycastError: a scene could not be made.
     """
-    task = Task(
-        cell=paper_cell(count), seed=0, device=choose_device("mitsuba", "cpu"), depth_scale_mm=0.1
-    )
+    task = Task(cell=paper_cell(count), seed=0, device="cpu", depth_scale_mm=0.1)
     with ExitStack() as open_now:
         contenders = dict(_contenders(task, open_now))
         for number, (name, contender) in enumerate(contenders.items()):

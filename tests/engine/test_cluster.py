@@ -88,7 +88,7 @@ def giving_up(process, seconds):
         timer.cancel()
 
 
-SCENES = 60
+SCENES = 200
 
 
 @pytest.mark.slow
@@ -99,7 +99,7 @@ def test_a_node_that_is_lost_in_the_middle_loses_no_scene(
     address, lost = cluster
     out = tmp_path / "out"
     command = ("generate", config_file, "--out", out, "--scenes", SCENES)
-    with start(*command, "--engine", "ray", "--address", address) as run, giving_up(run, 300):
+    with start(*command, "--engine", "ray", "--address", address) as run, giving_up(run, 600):
         while finished(out) < SCENES // 3 and run.poll() is None:
             time.sleep(0.02)
         assert run.poll() is None

@@ -22,7 +22,7 @@ def write_cell(folder: Path, *without: str, **changes) -> Path:
     """A configuration with its mesh and rig; `changes` and `without` are keys at its top."""
     trimesh.creation.box((60, 40, 30)).export(folder / "box.stl")
     rig = preset("paper")
-    camera, projector = _shrunk(rig.camera, 160, 120), _shrunk(rig.projector, 128, 96)
+    camera, projector = shrunk(rig.camera, 160, 120), shrunk(rig.projector, 128, 96)
     rig = replace(rig, name="small", camera=camera, projector=projector)
     save_scanner(Scanner(rig=rig), folder / "rig.yaml")
     content = {
@@ -39,7 +39,7 @@ def write_cell(folder: Path, *without: str, **changes) -> Path:
     return path
 
 
-def _shrunk(optics: Optics, width_px: int, height_px: int) -> Optics:
+def shrunk(optics: Optics, width_px: int, height_px: int) -> Optics:
     return replace(
         optics,
         width_px=width_px,

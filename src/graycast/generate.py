@@ -256,7 +256,7 @@ class _Run:
 
 def _shown(error: Exception) -> Exception:
     """What a user is to be told; what nobody foresaw says at least what it is."""
-    if isinstance(error, (GraycastError, ValueError)):
+    if _foreseen(error):
         return error
     told = GraycastError(f"{_told(error)}: this is a fault of Graycast or of the machine")
     told.__cause__ = error
@@ -265,14 +265,16 @@ def _shown(error: Exception) -> Exception:
 
 def _told(error: Exception) -> str:
     text = " ".join(str(error).split())
-    foreseen = isinstance(error, (GraycastError, ValueError))
-    return text if foreseen and text else f"{type(error).__name__} {text}".rstrip()
+    return text if _foreseen(error) and text else f"{type(error).__name__} {text}".rstrip()
+
+
+def _foreseen(error: Exception) -> bool:
+    return isinstance(error, (GraycastError, ValueError))
 
 
 def _given_up(failed: Failed) -> SetAside:
     error = failed.error
-    foreseen = isinstance(error, (GraycastError, ValueError))
-    trace = "" if foreseen else "".join(traceback.format_exception(error))
+    trace = "" if _foreseen(error) else "".join(traceback.format_exception(error))
     return SetAside(
         scene_id=failed.scene_id, tries=failed.tries, reason=_told(error), traceback=trace
     )

@@ -8,11 +8,11 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+from small_cell import shrunk
 
 from graycast.cell import Cell, resolve_cell
 from graycast.config import Config
 from graycast.fit_bin import View, fit_pose, open_box
-from graycast.optics import Optics
 from graycast.render import Quality, open_renderer
 from graycast.scene import EMPTY_LAYOUT
 from graycast.simulate import make_scene
@@ -30,18 +30,6 @@ def small_cell(size_px=(344, 258), **words) -> Cell:
     rig = replace(rig, camera=shrunk(rig.camera, *size_px))
     scanner = replace(cell.scanner, rig=rig)
     return replace(cell, scene=replace(cell.scene, rig=rig), scanner=scanner)
-
-
-def shrunk(optics: Optics, width_px: int, height_px: int) -> Optics:
-    return replace(
-        optics,
-        width_px=width_px,
-        height_px=height_px,
-        fx_px=optics.fx_px * width_px / optics.width_px,
-        fy_px=optics.fy_px * height_px / optics.height_px,
-        cx_px=(width_px - 1) / 2,
-        cy_px=(height_px - 1) / 2,
-    )
 
 
 def random_cell(rng: np.random.Generator) -> Cell:

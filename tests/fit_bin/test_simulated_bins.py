@@ -7,7 +7,7 @@ from dataclasses import replace
 import cv2
 import numpy as np
 import pytest
-from small_cell import write_cell
+from small_cell import shrunk, write_cell
 
 from graycast.cell import resolve_cell
 from graycast.cli.fitting import add_commands
@@ -20,7 +20,7 @@ from graycast.rig_file import save_scanner
 from graycast.scanner import Scanner, measure, take
 from graycast.scene import EMPTY_LAYOUT
 
-from .simulated_bins import LOST, shrunk, study
+from .simulated_bins import LOST, study
 
 pytestmark = pytest.mark.slow
 

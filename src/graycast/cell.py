@@ -64,7 +64,7 @@ def resolve_cell(config: Config, folder: Path) -> Cell:
     parts, notes = resolve_parts(config, folder)
     scanner = resolve_scanner(config, folder)
     rig = scanner.rig
-    box = resolve_bin(config.bin, folder)
+    box, bin_notes = resolve_bin(config.bin, folder)
     table = {} if config.table is None else {"table": resolve_material(config.table, folder)}
     scene = Scene(
         rig=rig,
@@ -80,7 +80,7 @@ def resolve_cell(config: Config, folder: Path) -> Cell:
         config=config,
         scene=scene,
         scanner=scanner,
-        notes=notes + (domain.notes if domain else ()),
+        notes=notes + bin_notes + (domain.notes if domain else ()),
         file_digests=file_digests(config, folder),
         domain=domain,
     )

@@ -17,13 +17,20 @@ from pydantic import (
     model_validator,
 )
 
+from .bins import Up, load_bin
 from .decode import triangulation_axis
 from .domain import DomainSection, domain_files
 from .drop import DropLimits
 from .errors import ConfigError
 from .frames import is_rigid
 from .parts import Material, Part
-from .parts.sections import MaterialSection, PartSection, resolve_material, resolve_part
+from .parts.sections import (
+    MaterialSection,
+    PartSection,
+    Unit,
+    resolve_material,
+    resolve_part,
+)
 from .parts.wood import wood_texture
 from .render import Quality
 from .rig_file import ScannerSections, with_sections
@@ -34,17 +41,46 @@ from .settings import Level, Positive, Settings, Vector, read_settings
 
 
 class BinSection(Settings):
-    """The box; all sizes are of its inside."""
+    """A box of a stated inside, or a mesh file."""
 
     inner_m: tuple[Positive, Positive, Positive] = (0.40, 0.30, 0.15)
     wall_m: Positive = 0.012
-    material: MaterialSection | None = Field(None, description="left out: a wood of our own")
+    mesh: Path | None = Field(
+        None,
+        description="instead of inner_m and wall_m: OBJ, PLY, STL or GLB file of a closed surface",
+        exclude_if=lambda mesh: mesh is None,  # so that older datasets can go on
+    )
+    unit: Unit | None = Field(
+        None,
+        description="the mesh file's unit; asked for unless metres are plausible",
+        exclude_if=lambda unit: unit is None,
+    )
+    up_axis: Up = Field(
+        "z",
+        description="the mesh file's axis that points out of the opening",
+        exclude_if=lambda up: up == "z",
+    )
+    material: MaterialSection | None = Field(
+        None, description="left out: a wood of our own, of a mesh what its file says"
+    )
     floor: MaterialSection | None = Field(
         None,
         description="of the inner floor alone; left out: as the walls",
         exclude_if=lambda floor: floor is None,  # so that older datasets can go on
     )
     friction: float = Field(0.5, ge=0)
+
+    @model_validator(mode="after")
+    def _one_shape(self) -> "BinSection":
+        # By value: what is read back from a manifest gives every key.
+        of_other = ("unit", "up_axis") if self.mesh is None else ("inner_m", "wall_m")
+        fields = BinSection.model_fields
+        given = [name for name in of_other if getattr(self, name) != fields[name].default]
+        if given and self.mesh is None:
+            raise ValueError(f"{' and '.join(given)} of a bin belong to a mesh: name its file")
+        if given:
+            raise ValueError(f"a mesh has its own size: remove {' and '.join(given)}, or mesh")
+        return self
 
 
 class EnvironmentSection(Settings):
@@ -226,19 +262,27 @@ def resolve_parts(config: Config, folder: Path) -> tuple[tuple[Part, ...], tuple
     return tuple(parts), tuple(notes)
 
 
-def resolve_bin(section: BinSection, folder: Path) -> Bin:
-    if section.material is None:
-        material = Material(texture=wood_texture(), roughness=0.6)
-    else:
-        material = resolve_material(section.material, folder)
+def resolve_bin(section: BinSection, folder: Path) -> tuple[Bin, tuple[str, ...]]:
+    """The bin, and what was noticed about its mesh.
+
+    Raises:
+        ConfigError, MeshError: a file that cannot be used, named.
+    """
+    given = None if section.material is None else resolve_material(section.material, folder)
     floor = None if section.floor is None else resolve_material(section.floor, folder)
-    return Bin(
-        inner_m=section.inner_m,
-        wall_m=section.wall_m,
-        material=material,
-        floor=floor,
-        friction=section.friction,
+    words = {"floor": floor, "friction": section.friction}
+    if section.mesh is None:
+        material = given or Material(texture=wood_texture(), roughness=0.6)
+        return Bin(inner_m=section.inner_m, wall_m=section.wall_m, material=material, **words), ()
+    found = load_bin(folder / section.mesh, unit=section.unit, up=section.up_axis)
+    box = Bin(
+        inner_m=found.inner_m,
+        mesh=found.mesh,
+        own_texture=given is None and found.material.texture is not None,
+        material=given or found.material,
+        **words,
     )
+    return box, tuple(f"bin: {note}" for note in found.notes)
 
 
 def resolve_environment(section: EnvironmentSection, folder: Path) -> Environment:
@@ -284,7 +328,7 @@ def resolve_limits(config: Config) -> DropLimits:
 
 def file_digests(config: Config, folder: Path) -> dict[str, str]:
     """SHA-256 of every file that a configuration names, so that a changed file is noticed."""
-    named = [section.mesh for section in config.parts]
+    named = [section.mesh for section in (*config.parts, config.bin)]
     named += [section.material and section.material.texture for section in config.parts]
     surfaces = (config.bin.material, config.bin.floor, config.table)
     named += [material and material.texture for material in surfaces]

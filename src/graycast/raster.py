@@ -12,17 +12,36 @@ from .optics import Optics, project, rays
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Raster:
-    """z of the nearest surface per pixel, NaN where there is none; [0, 0] is (left_px, top_px)."""
+    """z of the nearest surface per pixel, NaN where there is none; [0, 0] is (left_px, top_px).
+
+    `face` is the nearest face, -1 where there is none.
+    """
 
     left_px: int
     top_px: int
     z: Float[np.ndarray, "bh bw"]
+    face: Int[np.ndarray, "bh bw"]
 
     def __post_init__(self) -> None:
         self.z.flags.writeable = False
+        self.face.flags.writeable = False
+
+    def over(self, camera: Optics) -> tuple[Int[np.ndarray, "h w"], Float[np.ndarray, "h w"]]:
+        """Face and z over the whole image and no more."""
+        face = np.full((camera.height_px, camera.width_px), -1)
+        z = np.full(face.shape, np.nan)
+        rows, columns = self.z.shape
+        top, left = max(self.top_px, 0), max(self.left_px, 0)
+        bottom = max(min(self.top_px + rows, camera.height_px), top)
+        right = max(min(self.left_px + columns, camera.width_px), left)
+        from_y, from_x = top - self.top_px, left - self.left_px
+        mine = np.s_[from_y : from_y + bottom - top, from_x : from_x + right - left]
+        face[top:bottom, left:right] = self.face[mine]
+        z[top:bottom, left:right] = self.z[mine]
+        return face, z
 
 
-NOTHING = Raster(left_px=0, top_px=0, z=np.zeros((0, 0)))
+NOTHING = Raster(left_px=0, top_px=0, z=np.zeros((0, 0)), face=np.zeros((0, 0), dtype=np.int64))
 
 
 def rasterize(
@@ -39,7 +58,8 @@ def rasterize(
     Source: J. Pineda, "A parallel algorithm for polygon rasterization", 1988, in 3D.
     """
     corner = vertices_cam[faces]
-    corner = corner[(corner[..., 2] > 0).all(axis=1)]
+    number = np.flatnonzero((corner[..., 2] > 0).all(axis=1))
+    corner = corner[number]
     if len(corner) == 0:
         return NOTHING
     pixel = project(camera, corner)
@@ -53,21 +73,22 @@ def rasterize(
     met = (first <= last).all(axis=1)
     if not met.any():
         return NOTHING
-    corner, first, last = corner[met], first[met], last[met]
+    number, corner, first, last = number[met], corner[met], first[met], last[met]
     origin, end = first.min(axis=0), last.max(axis=0) + 1
     y, x = np.mgrid[origin[1] : end[1], origin[0] : end[0]].astype(np.float64)
     ray = rays(camera, np.stack([x, y], axis=-1))
     a, b, c = corner[:, 0], corner[:, 1], corner[:, 2]
     edge = np.stack([np.cross(b, c), np.cross(c, a), np.cross(a, b)], axis=1)
-    z = np.full(ray.shape[:2], np.inf)
-    _nearest(edge, np.einsum("fi,fi->f", a, edge[:, 0]), first - origin, last - origin, ray, z)
+    z, face = np.full(ray.shape[:2], np.inf), np.full(ray.shape[:2], -1)
+    volume = np.einsum("fi,fi->f", a, edge[:, 0])
+    _nearest(edge, volume, number, first - origin, last - origin, ray, z, face)
     z[np.isinf(z)] = np.nan
-    return Raster(left_px=int(origin[0]), top_px=int(origin[1]), z=z)
+    return Raster(left_px=int(origin[0]), top_px=int(origin[1]), z=z, face=face)
 
 
 @numba.njit(cache=True)
 @no_type_check  # the tests' type checker would wrap the function, which numba cannot compile
-def _nearest(edge, volume, first, last, ray, z):
+def _nearest(edge, volume, number, first, last, ray, z, face):
     for f in range(len(edge)):
         for i in range(first[f, 1], last[f, 1] + 1):
             for j in range(first[f, 0], last[f, 0] + 1):
@@ -77,5 +98,6 @@ def _nearest(edge, volume, first, last, ray, z):
                 e2 = edge[f, 2, 0] * x + edge[f, 2, 1] * y + edge[f, 2, 2]
                 inside = (e0 >= 0 and e1 >= 0 and e2 >= 0) or (e0 <= 0 and e1 <= 0 and e2 <= 0)
                 total = e0 + e1 + e2
-                if inside and total != 0:
-                    z[i, j] = min(z[i, j], volume[f] / total)
+                if inside and total != 0 and volume[f] / total < z[i, j]:
+                    z[i, j] = volume[f] / total
+                    face[i, j] = number[f]

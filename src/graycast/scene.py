@@ -1,10 +1,10 @@
 """The world before physics and light: parts, bin, surfaces, lights, rig.
 
 World frame: origin in the middle of the bin's inner floor, z up. The bin stands on an endless
-looking table whose top is at `z = -bin.wall_m`.
+looking table whose top is at `z = -bin.floor_m`.
 """
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -17,13 +17,17 @@ from .rig import Rig
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Bin:
-    """An open box. Its walls carry the material's texture once per `texture_size_m`.
+    """An open box, or a mesh in its place. The material's texture repeats every `texture_size_m`.
 
-    `floor` is the material of the inner floor alone; None: the same as all else.
+    `floor` is the material of the inner floor alone; None: the same as all else. A `mesh` is in
+    the world frame, `inner_m` says about what room it has inside, and `wall_m` nothing. Where
+    `own_texture`, the material's texture lies as the mesh's uv say.
     """
 
     inner_m: tuple[float, float, float]
     wall_m: float = 0.012
+    mesh: Mesh | None = None
+    own_texture: bool = False
     material: Material = field(default_factory=Material)
     floor: Material | None = None
     texture_size_m: float = 0.5
@@ -34,6 +38,19 @@ class Bin:
             raise ValueError(f"inner_m of the bin is {self.inner_m}; metres, each 0.01 to 5")
         if not 0.0005 <= self.wall_m <= 0.2:
             raise ValueError(f"wall_m of the bin is {self.wall_m}; metres, 0.0005 to 0.2")
+
+    @property
+    def bounds_m(self) -> Float[np.ndarray, "2 3"]:
+        """Lowest and highest corner of all of it."""
+        if self.mesh is not None:
+            return self.mesh.bounds_m
+        x, y = (size / 2 + self.wall_m for size in self.inner_m[:2])
+        return np.array([[-x, -y, -self.wall_m], [x, y, self.inner_m[2]]])
+
+    @property
+    def floor_m(self) -> float:
+        """How high the inner floor is above the table."""
+        return -float(self.bounds_m[0, 2])
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -168,7 +185,7 @@ def table_quad(scene: Scene) -> Quad | None:
     if scene.bin is None:
         return None
     return Quad(
-        center_m=(0.0, 0.0, -scene.bin.wall_m),
+        center_m=(0.0, 0.0, -scene.bin.floor_m),
         half_u_m=(TABLE_HALF_M, 0.0, 0.0),
         half_v_m=(0.0, TABLE_HALF_M, 0.0),
         material=scene.table,
@@ -201,6 +218,19 @@ def lamp_quad(lamp: Lamp) -> Quad:
 
 def bin_mesh(box: Bin) -> Mesh:
     """The bin as a watertight mesh, textured in metres along each face's own two axes."""
+    mesh = _box_mesh(box) if box.mesh is None else box.mesh
+    if box.own_texture:
+        return mesh
+    corner = mesh.vertices_m[mesh.faces]
+    normal = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
+    axis = np.abs(normal).argmax(axis=1)
+    # Wood grain (u) runs along the longer horizontal direction of each face.
+    u = np.where((axis == 0)[:, None], corner[..., 1], corner[..., 0])
+    v = np.where((axis == 2)[:, None], corner[..., 1], corner[..., 2])
+    return replace(mesh, corner_uv=np.stack([u, v], axis=-1) / box.texture_size_m)
+
+
+def _box_mesh(box: Bin) -> Mesh:
     inner_x, inner_y, height = box.inner_m
     outer = np.array([inner_x / 2 + box.wall_m, inner_y / 2 + box.wall_m])
     inner = np.array([inner_x / 2, inner_y / 2])
@@ -221,18 +251,21 @@ def bin_mesh(box: Bin) -> Mesh:
             [i + 4, j + 4, j + 8, i + 8],
             [i + 8, j + 8, j + 12, i + 12],
         ]
-    faces = np.array([f for a, b, c, d in quads for f in ((a, b, c), (a, c, d))])  # see _FLOOR
-    corner = vertices[faces]
+    faces = np.array([f for a, b, c, d in quads for f in ((a, b, c), (a, c, d))])
+    return Mesh(vertices_m=vertices, faces=faces)
+
+
+def inner_floor(box: Bin, mesh: Mesh) -> Bool[np.ndarray, "f"]:
+    """Which faces of the bin's mesh are its inner floor: they look up and lie at its height."""
+    corner = mesh.vertices_m[mesh.faces]
     normal = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
-    axis = np.abs(normal).argmax(axis=1)
-    # Wood grain (u) runs along the longer horizontal direction of each face.
-    u = np.where((axis == 0)[:, None], corner[..., 1], corner[..., 0])
-    v = np.where((axis == 2)[:, None], corner[..., 1], corner[..., 2])
-    uv = np.stack([u, v], axis=-1) / box.texture_size_m
-    return Mesh(vertices_m=vertices, faces=faces, corner_uv=uv)
+    looks_up = normal[:, 2] > _UPRIGHT * np.linalg.norm(normal, axis=1)
+    low = np.abs(corner[..., 2]).max(axis=1) < max(1e-3, _LOW * box.inner_m[2])
+    within = (np.abs(corner[..., :2].mean(axis=1)) < np.array(box.inner_m[:2]) / 2).all(axis=1)
+    return looks_up & low & within
 
 
-_FLOOR = slice(2, 4)  # the inner floor's triangles in `bin_mesh`
+_UPRIGHT, _LOW = 0.9, 0.03  # cosine to z; how far from the floor's height, of the bin's depth
 
 
 def bin_surfaces(box: Bin) -> tuple[tuple[str, Mesh, Material], ...]:
@@ -240,8 +273,7 @@ def bin_surfaces(box: Bin) -> tuple[tuple[str, Mesh, Material], ...]:
     whole = bin_mesh(box)
     if box.floor is None:
         return (("bin", whole, box.material),)
-    floor = np.zeros(len(whole.faces), dtype=bool)
-    floor[_FLOOR] = True
+    floor = inner_floor(box, whole)
     return (
         ("bin", _faces_of(whole, ~floor), box.material),
         ("floor", _faces_of(whole, floor), box.floor),
@@ -250,5 +282,9 @@ def bin_surfaces(box: Bin) -> tuple[tuple[str, Mesh, Material], ...]:
 
 def _faces_of(mesh: Mesh, chosen: Bool[np.ndarray, "f"]) -> Mesh:
     """Some of a mesh's faces. Its vertices stay: those that nobody uses do no harm."""
-    uv = None if mesh.corner_uv is None else mesh.corner_uv[chosen]
-    return Mesh(vertices_m=mesh.vertices_m, faces=mesh.faces[chosen], corner_uv=uv)
+    return Mesh(
+        vertices_m=mesh.vertices_m,
+        faces=mesh.faces[chosen],
+        corner_uv=None if mesh.corner_uv is None else mesh.corner_uv[chosen],
+        corner_normals=None if mesh.corner_normals is None else mesh.corner_normals[chosen],
+    )

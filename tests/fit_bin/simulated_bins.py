@@ -1,18 +1,21 @@
 """Empty bins through the whole virtual camera, with remains in them and walls lost; and a study.
 
-cd tests && python -m fit_bin.simulated_bins --bins 20     the figures of docs/fit-bin.md
+cd tests && python -m fit_bin.simulated_bins --bins 20             the figures of docs/fit-bin.md
+cd tests && python -m fit_bin.simulated_bins --bins 20 --crates    of crates with leaning walls
 """
 
 import argparse
 from dataclasses import replace
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import numpy as np
+from crates import Crate
 from small_cell import shrunk
 
 from graycast.cell import Cell, resolve_cell
 from graycast.config import Config
-from graycast.fit_bin import View, fit_pose, open_box
+from graycast.fit_bin import View, fit_pose, shape_of
 from graycast.render import Quality, open_renderer
 from graycast.scene import EMPTY_LAYOUT
 from graycast.simulate import make_scene
@@ -32,8 +35,12 @@ def small_cell(size_px=(344, 258), **words) -> Cell:
     return replace(cell, scene=replace(cell.scene, rig=rig), scanner=scanner)
 
 
-def random_cell(rng: np.random.Generator) -> Cell:
-    """A bin of random size and look, a view that tilts up to 30 degrees, 3 to 8 parts left."""
+def random_cell(rng: np.random.Generator, folder: Path | None) -> tuple[Cell, Crate]:
+    """A bin of random size and look, a view that tilts up to 30 degrees, 3 to 8 parts left.
+
+    With a folder for its file the bin is a mesh whose walls lean, else a box. The crate returned
+    has the walls of either.
+    """
     length, width, height = rng.uniform([0.30, 0.22, 0.10], [0.50, 0.38, 0.22]).round(3).tolist()
     view = {
         "tilt_deg": rng.uniform(0, 30),
@@ -41,13 +48,19 @@ def random_cell(rng: np.random.Generator) -> Cell:
         "distance_m": rng.uniform(0.75, 1.0),
         "target_m": [*rng.uniform(-0.05, 0.05, 2).tolist(), height / 3],
     }
-    box = {"inner_m": [length, width, height], "wall_m": rng.uniform(0.003, 0.02)}
+    crate, wall_m = Crate(inner_m=(length, width, height), lean=0.0), rng.uniform(0.003, 0.02)
+    if folder is None:
+        box = {"inner_m": [length, width, height], "wall_m": wall_m}
+    else:
+        crate = replace(crate, lean=rng.uniform(0.0, 0.12), rim_m=rng.uniform(0.005, 0.02))
+        box = {"mesh": crate.write(folder / "crate.stl"), "unit": "mm"}
     if rng.random() < 0.6:  # else of wood
         box["material"] = {
             "base_color": rng.uniform(0.1, 0.7, 3).tolist(),
             "roughness": rng.uniform(0.3, 0.8),
         }
-    return small_cell(view=view, bin=box, count=[3, 8], render={"samples": 16, "denoise": False})
+    cell = small_cell(view=view, bin=box, count=[3, 8], render={"samples": 16, "denoise": False})
+    return cell, crate
 
 
 def measured(cell: Cell, renderer, *, seed: int) -> View:
@@ -56,7 +69,7 @@ def measured(cell: Cell, renderer, *, seed: int) -> View:
     return View(name="simulated", camera=cell.scene.rig.camera, depth_m=shot.sample.scanner.depth_m)
 
 
-def wall_pixels(cell: Cell, view: View, renderer, *, seed: int) -> np.ndarray:
+def wall_pixels(cell: Cell, crate: Crate, view: View, renderer, *, seed: int) -> np.ndarray:
     """Which inner wall each pixel shows, 1 to 4; 0 elsewhere: from the renderer's own truth."""
     nothing = np.zeros(
         (0, cell.scene.rig.projector.height_px, cell.scene.rig.projector.width_px), np.uint8
@@ -69,11 +82,12 @@ def wall_pixels(cell: Cell, view: View, renderer, *, seed: int) -> np.ndarray:
     ray = np.stack([(x - camera.cx_px) / camera.fx_px, (y - camera.cy_px) / camera.fy_px], -1)
     point = np.concatenate([ray, np.ones_like(ray[..., :1])], -1) * truth.depth_m[..., None]
     world = point @ T[:3, :3].T + T[:3, 3]
-    half, height = np.array(cell.scene.bin.inner_m[:2]) / 2, cell.scene.bin.inner_m[2]
+    half, height = np.array(crate.inner_m[:2]) / 2, crate.inner_m[2]
     label = np.zeros(truth.depth_m.shape, dtype=int)
     between = (world[..., 2] > 1e-4) & (world[..., 2] < height - 1e-4)
     for number, (axis, sign) in enumerate([(0, 1), (0, -1), (1, 1), (1, -1)], start=1):
-        label[between & (np.abs(sign * world[..., axis] - half[axis]) < 1e-4)] = number
+        beyond_m = sign * world[..., axis] - half[axis] - crate.lean * world[..., 2]
+        label[between & (np.abs(beyond_m) < 1e-4)] = number
     return label
 
 
@@ -97,17 +111,17 @@ def lose_walls(
     return np.where(lost, np.nan, depth_m), float(lost.sum() / max((label > 0).sum(), 1))
 
 
-def fit_one(number: int, renderer, *, seed: int) -> dict[str, float]:
+def fit_one(number: int, renderer, *, seed: int, crates: bool = False) -> dict[str, float]:
     """One random bin: by how much its fitted pose is wrong, and what the fit says."""
     rng = np.random.default_rng([seed, number])
-    cell = random_cell(rng)
+    with TemporaryDirectory() as folder:
+        cell, crate = random_cell(rng, Path(folder) if crates else None)
     view = measured(cell, renderer, seed=int(rng.integers(1 << 31)))
-    label = wall_pixels(cell, view, renderer, seed=0)
+    label = wall_pixels(cell, crate, view, renderer, seed=0)
     depth_m, lost = lose_walls(view.depth_m, label, rng)
     view = replace(view, depth_m=depth_m)
-    box = open_box(cell.scene.bin.inner_m, cell.scene.bin.wall_m)
     azimuth = np.radians(cell.config.view.azimuth_deg)
-    fit = fit_pose([view], box, azimuth_rad=azimuth, seed=0)
+    fit = fit_pose([view], shape_of(cell.scene.bin), azimuth_rad=azimuth, seed=0)
     off_m, off_deg = wrong_by(fit.pose.T_world_cam, cell.scene.T_world_cam)
     return {
         "off_mm": 1e3 * float(off_m),
@@ -121,10 +135,12 @@ def fit_one(number: int, renderer, *, seed: int) -> dict[str, float]:
     }
 
 
-def study(bins: int, renderer, *, seed: int, on_bin=print) -> list[dict[str, float]]:
+def study(
+    bins: int, renderer, *, seed: int, crates: bool = False, on_bin=print
+) -> list[dict[str, float]]:
     rows = []
     for number in range(bins):
-        rows.append(fit_one(number, renderer, seed=seed))
+        rows.append(fit_one(number, renderer, seed=seed, crates=crates))
         on_bin(f"{number:3} " + " ".join(f"{k} {v}" if isinstance(v, str) else f"{k} {v:.3f}"
                                          for k, v in rows[-1].items()))  # fmt: skip
     return rows
@@ -134,9 +150,10 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--bins", type=int, default=20)
     parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--crates", action="store_true", help="meshes with leaning walls")
     options = parser.parse_args()
     with open_renderer("mitsuba", device="cpu") as renderer:
-        rows = study(options.bins, renderer, seed=options.seed)
+        rows = study(options.bins, renderer, seed=options.seed, crates=options.crates)
     good = sum(row["off_mm"] < 1 and row["off_deg"] < 0.3 for row in rows)
     off, turned = ([row[k] for row in rows] for k in ("off_mm", "off_deg"))
     print(

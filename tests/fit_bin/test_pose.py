@@ -4,10 +4,11 @@ import numpy as np
 import pytest
 
 from graycast.errors import GraycastError
-from graycast.fit_bin import find_pose, fit_pose, judge, open_box, register, settle
-from graycast.fit_bin.box import NO_FACE, cast, height_over, nearest_face
+from graycast.fit_bin import find_pose, fit_pose, judge, register, settle
+from graycast.fit_bin.box import open_box
 from graycast.fit_bin.edges import hold_by_edges
-from graycast.fit_bin.start import evidence, planes
+from graycast.fit_bin.shape import NO_FACE, height_over
+from graycast.fit_bin.start import planes
 from graycast.frames import axis_rotation, rigid
 from graycast.scene import Bin
 
@@ -33,11 +34,11 @@ def test_rays_meet_the_box_where_the_rasteriser_sees_its_mesh():
     T = pose(tilt_deg=35.0)
     box = open_box(BOX.inner_m, BOX.wall_m)
     seen = view(perfect_depth(T))
-    ray, depth_m = seen.grid(160)
-    face, z = cast(box, T, ray)
+    grid = seen.grid(160)
+    face, z = box.cast(T, grid)
     hit = face != NO_FACE
     assert hit.mean() > 0.2
-    off_m = np.abs(z[hit] - depth_m[hit])
+    off_m = np.abs(z[hit] - grid.depth_m[hit])
     assert np.mean(off_m < 1e-9) > 0.995  # pixel centres on an edge may go to either side
     names = {box.names[f] for f in np.unique(face[hit])}
     assert {"floor", "wall +y", "wall +x", "wall -x", "rim -x", "outside -y"} <= names
@@ -47,16 +48,16 @@ def test_a_point_belongs_to_its_nearest_face_and_stands_as_far_above_it():
     box = open_box((0.4, 0.3, 0.15), 0.01)
     point = np.array([[0.1, 0.0, 0.002], [0.198, 0.1, 0.07], [0.0, -0.149, 0.1], [0.0, 0.153, 0.1]])
     normal = np.array([[0.0, 0.6, 0.8], [-1.0, 0, 0], [0, 1.0, 0], [0, -1.0, 0]])
-    facing = box.facing(np.array([0.0, 0.0, 1.0]))
-    face, distance_m = nearest_face(box, point, normal, facing)
+    eye_m = np.array([0.0, 0.0, 1.0])
+    face, distance_m = box.nearest(point, normal, eye_m)
     assert [box.names[f] for f in face] == ["floor", "wall +x", "wall -y", "wall +y"]
     assert height_over(box, point, face) == pytest.approx([0.002, 0.002, 0.001, -0.003])
     assert distance_m == pytest.approx([0.002, 0.002, 0.001, 0.003])
     level = np.tile([0.0, 0.0, 1.0], (4, 1))  # the second is 70 mm over the floor, no wall's point
-    face, distance_m = nearest_face(box, point, level, facing)
+    face, distance_m = box.nearest(point, level, eye_m)
     assert [box.names[f] for f in face] == ["floor", "floor", "rim -y", "rim +y"]
     assert distance_m[1] == pytest.approx(0.07)
-    away, _ = nearest_face(box, point, -level, facing)
+    away, _ = box.nearest(point, -level, eye_m)
     assert (away == NO_FACE).all()
 
 
@@ -72,8 +73,7 @@ def test_normals_of_a_cloud_are_those_of_the_faces():
 
 def test_planes_are_found_largest_first_and_face_the_camera():
     T = pose(tilt_deg=0.0, roll_deg=0.0, azimuth_deg=0.0, aside_m=(0.0, 0.0))
-    ray, depth_m = view(perfect_depth(T)).grid(80)
-    found = planes(ray * depth_m[..., None], seed=0)
+    found = planes(view(perfect_depth(T)).grid(80).point_m, seed=0)
     camera_z = T[2, 3]  # looks straight down: a level z is the plane n = (0, 0, -1), d = z - camera
     table, floor = found[0], found[1]
     for (normal, offset_m), level_m in ((table, -0.012), (floor, 0.0)):
@@ -83,12 +83,11 @@ def test_planes_are_found_largest_first_and_face_the_camera():
 
 def test_depth_seen_through_a_wall_speaks_against_a_pose():
     T, box = pose(), open_box(BOX.inner_m)
-    ray, depth_m = view(perfect_depth(T)).grid(80)
-    ray, depth_m = ray.reshape(-1, 3), depth_m.ravel()
+    grid = view(perfect_depth(T)).grid(80)
     beside = rigid(np.eye(3), np.array([0.45, 0.0, 0.0])) @ T
-    true, aside = evidence(box, np.stack([T, beside]), ray, depth_m, 0.01)
+    true, aside = box.votes(np.stack([T, beside]), grid, 0.01) / grid.depth_m.size
     for pose_of, score in ((T, true), (beside, aside)):  # the same again, by the other ray caster
-        behind_m = depth_m - cast(box, pose_of, ray)[1]
+        behind_m = grid.depth_m - box.cast(pose_of, grid)[1]
         agrees = np.maximum(1 - np.abs(behind_m) / 0.01, 0)
         assert score == pytest.approx((agrees - (behind_m > 0.01)).mean(), abs=1e-12)
     assert true > 0.25

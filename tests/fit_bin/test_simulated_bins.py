@@ -12,7 +12,7 @@ from small_cell import shrunk, write_cell
 from graycast.cell import resolve_cell
 from graycast.cli.fitting import add_commands
 from graycast.config import load_config
-from graycast.fit_bin import View, fit_look
+from graycast.fit_bin import View, fit_look, shape_of
 from graycast.picture import color_picture
 from graycast.render import Quality
 from graycast.rig import preset
@@ -163,6 +163,7 @@ def test_without_frames_the_lamps_stay_and_the_colours_come_out_all_the_same(
     looks = [
         fit_look(
             base_cell,
+            shape_of(base_cell.scene.bin),
             [view],
             cell.scene.T_world_cam,
             floor_reflectance=level,

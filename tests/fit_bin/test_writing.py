@@ -10,12 +10,12 @@ from graycast.errors import ConfigError, GraycastError
 from graycast.fit_bin import (
     BinFit,
     fitted_text,
-    open_box,
     refuse_existing,
     settle,
     summary,
     write_fit,
 )
+from graycast.fit_bin.box import open_box
 from graycast.frames import axis_rotation, rigid
 
 from .empty_bins import BOX, perfect_depth, pose, view, without
@@ -79,7 +79,7 @@ def test_a_pose_that_nothing_holds_is_not_written(tmp_path):
     lost = lambda p: (np.abs(p[..., 0]) > 0.15) | (p[..., 2] < -0.004)  # noqa: E731
     seen = [view(without(perfect_depth(T), T, lost))]
     box = open_box(BOX.inner_m)
-    fit = BinFit(views=("a",), box=box, pose=settle(seen, box, T), apart=())
+    fit = BinFit(views=("a",), shape=box, pose=settle(seen, box, T), apart=())
     assert fit.pose.loose == ("x",)
     assert any("NOT HELD by what was seen: x" in line for line in summary(fit))
     base = tmp_path / "cell.yaml"

@@ -75,10 +75,10 @@ def _fit_bin(options: argparse.Namespace) -> int:
         Said,
         azimuth_of,
         fit_pose,
-        open_box,
         read_frames,
         read_views,
         refuse_existing,
+        shape_of,
         summary,
         with_look,
         write_fit,
@@ -93,6 +93,11 @@ def _fit_bin(options: argparse.Namespace) -> int:
     config = load_config(options.config)
     given = {} if options.inner is None else {"inner_m": _inner(options.inner)}
     given |= {} if options.wall is None else {"wall_m": options.wall}
+    if given and config.bin.mesh is not None:
+        raise GraycastError(
+            f"--inner and --wall are of a box, the bin of {options.config} is {config.bin.mesh}: "
+            "leave them out"
+        )
     known = options.wall or ("wall_m" in config.bin.model_fields_set and options.inner is None)
     config = config.model_copy(update={"bin": config.bin.model_copy(update=given)})
     cell = resolve_cell(config, options.config.parent)
@@ -103,9 +108,9 @@ def _fit_bin(options: argparse.Namespace) -> int:
         size_px=options.size,
     )
     views = read_views(options.real, rgb=options.rgb, said=said, own=cell.scene.rig.camera)
-    box = open_box(config.bin.inner_m, config.bin.wall_m if known else None)
+    shape = shape_of(cell.scene.bin, wall_known=bool(known))
     azimuth = azimuth_of(config) if options.azimuth is None else math.radians(options.azimuth)
-    fit = fit_pose(views, box, azimuth_rad=azimuth, seed=options.seed)
+    fit = fit_pose(views, shape, azimuth_rad=azimuth, seed=options.seed)
     paired = options.white is not None
     asked = paired or options.floor_reflectance is not None
     if not options.pose_only and (asked or any(view.rgb is not None for view in views)):
@@ -126,6 +131,8 @@ def _fit_bin(options: argparse.Namespace) -> int:
 
 def _inner(text: str) -> tuple[float, float, float]:
     length, width, height = _numbers(text, 3)
+    if not min(length, width, height) > 0:
+        raise GraycastError(f"--inner {text}: the inside of a bin has three sizes above 0, metres")
     return length, width, height
 
 

@@ -222,9 +222,9 @@ def _widest_rad(lens: Optics) -> float:
 def in_the_way(lamp: Lamp, scene: Scene, cones: tuple[_Cone, ...]) -> bool:
     """Whether the ball around a lamp meets the one around the bin, or a cone around a view."""
     center_m, reach_m = np.array(lamp.center_m), lamp.size_m * math.sqrt(0.5)
-    half_m = np.array(scene.bin.inner_m) / 2 + scene.bin.wall_m
-    middle_m = np.array([0.0, 0.0, scene.bin.inner_m[2] / 2])
-    if np.linalg.norm(center_m - middle_m) < reach_m + np.linalg.norm(half_m):
+    low_m, high_m = scene.bin.bounds_m
+    bin_reach_m = np.linalg.norm(high_m - low_m) / 2
+    if np.linalg.norm(center_m - (low_m + high_m) / 2) < reach_m + bin_reach_m:
         return True
     return any(cone.meets(center_m, reach_m) for cone in cones)
 

@@ -200,10 +200,13 @@ def _looked_at(T_world_rig: Float[np.ndarray, "4 4"], scene: Scene) -> Float[np.
 
 
 def _changed_bin(box: Bin, drawn: Record, texture: np.ndarray | None) -> Bin:
-    x, y, z = (drawn["size_factor"] * size for size in box.inner_m)
+    factor, mesh = drawn["size_factor"], box.mesh
+    x, y, z = (factor * size for size in box.inner_m)
     return replace(
         box,
         inner_m=(x, y, z),
+        mesh=None if mesh is None else replace(mesh, vertices_m=factor * mesh.vertices_m),
+        own_texture=False,
         material=painted(drawn, texture),
         floor=None,
         texture_size_m=drawn["texture_size_m"],

@@ -20,7 +20,7 @@ from jaxtyping import Bool, Float, Int
 from scipy.spatial.transform import Rotation
 
 from ..frames import rotation_from_quaternion, transform_points
-from ..parts import Part
+from ..parts import Mesh, Part
 from ..scene import Bin, Layout
 from .decomposition import Hull
 from .overlap import overlap_m
@@ -133,7 +133,7 @@ def simulate(
             walled, calm = False, 0
         at_rest = calm >= REST_LOOKS
     end = _poses(world, handles)
-    solids = [[block.corners_m] for block in blocks]
+    solids = [list(block.pieces_m) for block in blocks]
     for T, kind in zip(end, part_index, strict=True):
         solids.append([transform_points(T, vertices) for vertices, _ in bodies[kind].hulls])
     return Layout(
@@ -189,8 +189,10 @@ def _world() -> rapier3d.PhysicsWorld:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _Block:
+    """What stands still; each piece is the corners [m] of something convex."""
+
     handle: rapier3d.ColliderHandle
-    corners_m: Float[np.ndarray, "8 3"]
+    pieces_m: Float[np.ndarray, "p c 3"]
     above_rim: bool
 
 
@@ -200,9 +202,11 @@ def _add_bin(world: rapier3d.PhysicsWorld, box: Bin, ceiling_m: float) -> list[_
     out_x, out_y, below = half_x + WALL_M, half_y + WALL_M, -max(WALL_M, box.wall_m)
     sides = [((-out_x, -half_x), (-out_y, out_y)), ((half_x, out_x), (-out_y, out_y))]
     sides += [((-half_x, half_x), (-out_y, -half_y)), ((-half_x, half_x), (half_y, out_y))]
-    spans = [((-out_x, out_x), (-out_y, out_y), (below, 0.0))]
-    spans += [((-TABLE_M, TABLE_M), (-TABLE_M, TABLE_M), (below - box.wall_m, -box.wall_m))]
-    spans += [(x, y, (0.0, rim_m)) for x, y in sides]
+    is_box = box.mesh is None
+    spans = [((-out_x, out_x), (-out_y, out_y), (below, 0.0))] if is_box else []
+    table_m = (below - box.floor_m, -box.floor_m)
+    spans += [((-TABLE_M, TABLE_M), (-TABLE_M, TABLE_M), table_m)]
+    spans += [(x, y, (0.0, rim_m)) for x, y in sides] if is_box else []
     spans += [(x, y, (rim_m, ceiling_m)) for x, y in sides]
     blocks = []
     for span in spans:
@@ -215,9 +219,23 @@ def _add_bin(world: rapier3d.PhysicsWorld, box: Bin, ceiling_m: float) -> list[_
             .user_data(len(blocks))
         )
         handle = world.add_collider(collider)
-        corners_m = np.array(list(product(*span)))
-        blocks.append(_Block(handle=handle, corners_m=corners_m, above_rim=above_rim))
+        pieces_m = np.array([list(product(*span))])
+        blocks.append(_Block(handle=handle, pieces_m=pieces_m, above_rim=above_rim))
+    if box.mesh is not None:
+        blocks.append(_add_mesh(world, box.mesh, box.friction, label=len(blocks)))
     return blocks
+
+
+def _add_mesh(world: rapier3d.PhysicsWorld, mesh: Mesh, friction: float, *, label: int) -> _Block:
+    """A mesh that stands still, as the triangles that it is."""
+    shape = rapier3d.SharedShape.trimesh(
+        (mesh.vertices_m * SCALE).astype(np.float32),
+        mesh.faces.astype(np.uint32),
+        # What is in the mesh is pushed out of it, and an edge between coplanar faces is none.
+        flags=rapier3d.TriMeshFlags.ORIENTED | rapier3d.TriMeshFlags.FIX_INTERNAL_EDGES,
+    )
+    handle = world.add_collider(rapier3d.Collider.new(shape).friction(friction).user_data(label))
+    return _Block(handle=handle, pieces_m=mesh.vertices_m[mesh.faces], above_rim=False)
 
 
 def _add_parts(
@@ -298,6 +316,16 @@ def _poses(
     return T
 
 
+def _near(one: list[np.ndarray], other: list[np.ndarray]) -> list[list[int]]:
+    """Which pieces of two solids have bounding boxes that meet."""
+    (low, high), (low_b, high_b) = (
+        np.array([[piece.min(axis=0), piece.max(axis=0)] for piece in solid]).swapaxes(0, 1)
+        for solid in (one, other)
+    )
+    apart = (low[:, None] > high_b) | (low_b > high[:, None])
+    return np.argwhere(~apart.any(axis=2)).tolist()
+
+
 def _deepest_penetration_m(world: rapier3d.PhysicsWorld, solids: list[list[np.ndarray]]) -> float:
     """`solids`: by collider label, its convex pieces as vertices [m] in the world."""
     # Contacts are fresh, not recycled from an earlier step, and belong to the poses read above.
@@ -312,6 +340,6 @@ def _deepest_penetration_m(world: rapier3d.PhysicsWorld, solids: list[list[np.nd
                 solids[world.colliders[handle].user_data]
                 for handle in (pair.collider1, pair.collider2)
             )
-            depth_m = max(overlap_m(a, b) for a in one for b in other)
+            depth_m = max((overlap_m(one[i], other[j]) for i, j in _near(one, other)), default=0.0)
         deepest_m = max(deepest_m, depth_m)
     return deepest_m

@@ -1,6 +1,5 @@
 """Pose, colours and light of a real bin from views of it when it is empty."""
 
-from .box import OpenBox, open_box
 from .fitting import (
     BinFit,
     azimuth_of,
@@ -8,6 +7,7 @@ from .fitting import (
     fit_pose,
     read_frames,
     sections,
+    shape_of,
     summary,
     with_look,
     write_fit,
@@ -15,14 +15,15 @@ from .fitting import (
 from .look import Frames, Look, fit_look
 from .reading import Said, View, read_views
 from .registration import FaceFit, PoseFit, difference, find_pose, judge, register, settle
+from .shape import BinShape
 from .writing import fitted_text, refuse_existing
 
 __all__ = [
     "BinFit",
+    "BinShape",
     "FaceFit",
     "Frames",
     "Look",
-    "OpenBox",
     "PoseFit",
     "Said",
     "View",
@@ -34,13 +35,13 @@ __all__ = [
     "fit_pose",
     "fitted_text",
     "judge",
-    "open_box",
     "read_frames",
     "read_views",
     "refuse_existing",
     "register",
     "sections",
     "settle",
+    "shape_of",
     "summary",
     "with_look",
     "write_fit",

@@ -4,21 +4,25 @@ World frame: origin in the middle of the inner floor, z up, so every rectangle l
 """
 
 from dataclasses import dataclass
-from typing import no_type_check
+from typing import final, no_type_check
 
 import numba
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Float, Int
 
-NO_FACE = -1
-COS_ALIKE = 0.707  # of the largest angle between a point's normal and its face's
+from .reading import Grid
+from .shape import COS_ALIKE, NO_FACE
+
+_RAISED_M, _AROUND_M = 0.015, 0.025  # of content: above the floor; walls, and what places are off
 
 
+@final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class OpenBox:
     """Rectangles from corner `low_m` to corner `high_m`; `axis` is the one that they lie across.
 
-    `side` is the sign of the normal along it, towards where the face can be seen from.
+    `side` is the sign of the normal along it, towards where the face can be seen from. `wall_m` is
+    None where rim and outside are not known.
     """
 
     inner_m: tuple[float, float, float]
@@ -34,26 +38,83 @@ class OpenBox:
             array.flags.writeable = False
 
     @property
-    def offset_m(self) -> Float[np.ndarray, "f"]:
-        """Where each face's plane cuts its axis."""
-        return self.low_m[np.arange(len(self.axis)), self.axis]
+    def stand_in(self) -> "OpenBox":
+        return self
+
+    @property
+    def surface(self) -> Int[np.ndarray, "f"]:
+        return np.arange(len(self.names))
 
     @property
     def normal(self) -> Float[np.ndarray, "f 3"]:
         return np.eye(3)[self.axis] * self.side[:, None]
 
     @property
-    def is_floor(self) -> Bool[np.ndarray, "f"]:
-        return np.array([name == "floor" for name in self.names])
+    def offset_m(self) -> Float[np.ndarray, "f"]:
+        return self.side * self.low_m[np.arange(len(self.axis)), self.axis]
+
+    @property
+    def bounds_m(self) -> Float[np.ndarray, "2 3"]:
+        return np.stack([self.low_m.min(axis=0), self.high_m.max(axis=0)])
 
     @property
     def turns(self) -> int:
         """Into how many equal turns about z the box maps itself: 4 of a square one, else 2."""
         return 4 if abs(self.inner_m[0] - self.inner_m[1]) <= 1e-3 else 2
 
-    def facing(self, eye_m: Float[np.ndarray, "3"]) -> Bool[np.ndarray, "f"]:
-        """Which faces can be seen from a point."""
-        return self.side * (eye_m[self.axis] - self.offset_m) > 0
+    def nearest(
+        self,
+        point: Float[np.ndarray, "n 3"],
+        normal: Float[np.ndarray, "n 3"],
+        eye_m: Float[np.ndarray, "3"],
+    ) -> tuple[Int[np.ndarray, "n"], Float[np.ndarray, "n"]]:
+        facing = self.normal @ eye_m > self.offset_m
+        return _nearest(point, normal, self.low_m, self.high_m, self.axis, self.side, facing)
+
+    def cast(
+        self, T_world_cam: Float[np.ndarray, "4 4"], grid: Grid
+    ) -> tuple[Int[np.ndarray, "rows columns"], Float[np.ndarray, "rows columns"]]:
+        eye, direction = T_world_cam[:3, 3], grid.ray @ T_world_cam[:3, :3].T
+        face = np.full(direction.shape[:-1], NO_FACE)
+        nearest = np.full(direction.shape[:-1], np.inf)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            for f, a in enumerate(self.axis):
+                t = (self.low_m[f, a] - eye[a]) / direction[..., a]
+                meets = (t > 0) & (t < nearest)
+                for b in {0, 1, 2} - {int(a)}:
+                    at = eye[b] + t * direction[..., b]
+                    meets &= (at >= self.low_m[f, b]) & (at <= self.high_m[f, b])
+                nearest[meets] = t[meets]
+                face[meets] = f
+        return face, nearest
+
+    def votes(
+        self, T_world_cam: Float[np.ndarray, "p 4 4"], grid: Grid, tolerance_m: float
+    ) -> Float[np.ndarray, "p"]:
+        known = np.isfinite(grid.depth_m)
+        score = self.evidence(T_world_cam, grid.ray[known], grid.depth_m[known], tolerance_m)
+        return known.sum() * score
+
+    def evidence(
+        self,
+        T_world_cam: Float[np.ndarray, "p 4 4"],
+        ray: Float[np.ndarray, "n 3"],
+        depth_m: Float[np.ndarray, "n"],
+        tolerance_m: float | Float[np.ndarray, "f"],
+        *,
+        content: float = 0.0,
+    ) -> Float[np.ndarray, "p"]:
+        """`votes` as a mean over camera rays of unit z, none of them without depth.
+
+        Args:
+            tolerance_m: of each face or of all.
+            content: what depth counts beside that if it stands above the floor and not beside the
+                box.
+        """
+        each_m = np.broadcast_to(np.float64(tolerance_m), len(self.names)).copy()
+        faces = self.low_m, self.high_m, self.axis, each_m
+        inner_m = np.array(self.inner_m)
+        return _evidence(np.ascontiguousarray(T_world_cam), ray, depth_m, *faces, inner_m, content)
 
 
 def open_box(inner_m: tuple[float, float, float], wall_m: float | None = None) -> OpenBox:
@@ -91,42 +152,6 @@ def _outside(x: float, y: float, height: float, wall_m: float) -> list[tuple]:
     return faces
 
 
-def cast(
-    box: OpenBox, T_world_cam: Float[np.ndarray, "4 4"], ray: Float[np.ndarray, "*n 3"]
-) -> tuple[Int[np.ndarray, "*n"], Float[np.ndarray, "*n"]]:
-    """What camera rays (unit z) meet first, from either side: the face, and its z-depth [m].
-
-    `NO_FACE` and inf where a ray meets nothing.
-    """
-    eye, direction = T_world_cam[:3, 3], ray @ T_world_cam[:3, :3].T
-    face = np.full(ray.shape[:-1], NO_FACE)
-    nearest = np.full(ray.shape[:-1], np.inf)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        for f, (a, offset) in enumerate(zip(box.axis, box.offset_m, strict=True)):
-            t = (offset - eye[a]) / direction[..., a]
-            meets = (t > 0) & (t < nearest)
-            for b in {0, 1, 2} - {int(a)}:
-                at = eye[b] + t * direction[..., b]
-                meets &= (at >= box.low_m[f, b]) & (at <= box.high_m[f, b])
-            nearest[meets] = t[meets]
-            face[meets] = f
-    return face, nearest
-
-
-def nearest_face(
-    box: OpenBox,
-    point: Float[np.ndarray, "n 3"],
-    normal: Float[np.ndarray, "n 3"],
-    facing: Bool[np.ndarray, "f"],
-) -> tuple[Int[np.ndarray, "n"], Float[np.ndarray, "n"]]:
-    """The nearest rectangle to each point and its distance [m].
-
-    Of those that face the camera and lie within 45 degrees of the point's own normal; `NO_FACE` and
-    inf where there is none.
-    """
-    return _nearest(point, normal, box.low_m, box.high_m, box.axis, box.side, facing)
-
-
 @numba.njit(cache=True)
 @no_type_check  # the tests' type checker would wrap the function, which numba cannot compile
 def _nearest(point, normal, low_m, high_m, axis, side, facing):
@@ -144,9 +169,45 @@ def _nearest(point, normal, low_m, high_m, axis, side, facing):
     return face, np.sqrt(distance_m)
 
 
-def height_over(
-    box: OpenBox, point: Float[np.ndarray, "n 3"], face: Int[np.ndarray, "n"]
-) -> Float[np.ndarray, "n"]:
-    """Signed distance [m] of points from their face's plane, positive on its visible side."""
-    along = point[np.arange(len(point)), box.axis[face]]
-    return box.side[face] * (along - box.offset_m[face])
+@numba.njit(cache=True)
+@no_type_check  # the tests' type checker would wrap the function, which numba cannot compile
+def _evidence(T_world_cam, ray, depth_m, low_m, high_m, axis, tolerance_m, inner_m, content):
+    score = np.zeros(len(T_world_cam))
+    way = np.zeros(3)
+    for p in range(len(T_world_cam)):
+        T = T_world_cam[p]
+        for i in range(len(ray)):
+            for k in range(3):
+                way[k] = T[k, 0] * ray[i, 0] + T[k, 1] * ray[i, 1] + T[k, 2] * ray[i, 2]
+            nearest, tolerance = np.inf, 0.0
+            for f in range(len(axis)):
+                a = axis[f]
+                if way[a] == 0:
+                    continue
+                t = (low_m[f, a] - T[a, 3]) / way[a]
+                if t <= 0 or t >= nearest:
+                    continue
+                b, c = (a + 1) % 3, (a + 2) % 3
+                at_b, at_c = T[b, 3] + t * way[b], T[c, 3] + t * way[c]
+                if low_m[f, b] <= at_b <= high_m[f, b] and low_m[f, c] <= at_c <= high_m[f, c]:
+                    nearest, tolerance = t, tolerance_m[f]
+            behind_m = depth_m[i] - nearest
+            if content > 0 and _raised_within(T, way, depth_m[i], inner_m):
+                score[p] += content
+            if nearest == np.inf:
+                continue
+            if behind_m > tolerance:
+                score[p] -= 1
+            elif behind_m > -tolerance:
+                score[p] += 1 - abs(behind_m) / tolerance
+    return score / len(ray)
+
+
+@numba.njit(cache=True)
+@no_type_check
+def _raised_within(T, way, depth_m, inner_m):
+    """Whether a point stands above the floor, no higher than the rim, within or on the walls."""
+    x, y = abs(T[0, 3] + depth_m * way[0]), abs(T[1, 3] + depth_m * way[1])
+    z = T[2, 3] + depth_m * way[2]
+    inside = x < inner_m[0] / 2 + _AROUND_M and y < inner_m[1] / 2 + _AROUND_M
+    return inside and _RAISED_M < z < inner_m[2] + _RAISED_M

@@ -11,9 +11,8 @@ import numpy as np
 from jaxtyping import Float
 
 from ..frames import axis_rotation, rigid
-from .box import OpenBox
 from .reading import View
-from .start import evidence
+from .shape import BinShape
 
 SEARCHED = ("x", "y", "about z")
 _FIRST_M, _LAST_M = 4e-3, 0.05e-3
@@ -25,7 +24,7 @@ _TRY_M, _LEAST_VOTES = 2e-3, 25.0  # a shift by the one must cost as many pixels
 
 def hold_by_edges(
     views: Sequence[View],
-    box: OpenBox,
+    shape: BinShape,
     T_world_cam: Float[np.ndarray, "4 4"],
     loose: Sequence[str],
     noise_m: float,
@@ -41,14 +40,11 @@ def hold_by_edges(
     free = [name for name in SEARCHED if name in loose]
     if not free:
         return T_world_cam, ()
-    rays, depths = zip(*(view.grid(_ACROSS_PX) for view in views), strict=True)
-    depth_m = np.concatenate([depth.ravel() for depth in depths])
-    known = np.isfinite(depth_m)
-    ray = np.concatenate([one.reshape(-1, 3) for one in rays])[known]
+    grids = [view.grid(_ACROSS_PX) for view in views]
     tolerance_m = max(_LEAST_TOLERANCE_M, 4 * noise_m)
 
     def votes(poses: list[np.ndarray]) -> Float[np.ndarray, "p"]:
-        return known.sum() * evidence(box, np.stack(poses), ray, depth_m[known], tolerance_m)
+        return sum(shape.votes(np.stack(poses), grid, tolerance_m) for grid in grids)
 
     best, step_m = T_world_cam, _FIRST_M
     most = votes([best])[0]
@@ -61,7 +57,7 @@ def hold_by_edges(
             step_m /= 2
     beside = votes([_moved(best, name, s * _TRY_M) for name in free for s in (1, -1)])
     cost = most - beside.reshape(len(free), 2).max(axis=1)
-    held = tuple(name for name, votes in zip(free, cost, strict=True) if votes >= _LEAST_VOTES)
+    held = tuple(name for name, lost in zip(free, cost, strict=True) if lost >= _LEAST_VOTES)
     return best, held
 
 

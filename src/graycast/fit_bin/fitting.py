@@ -15,12 +15,15 @@ from ..config import Config
 from ..errors import GraycastError
 from ..parts import Material
 from ..realism.reading import read_gray
+from ..scene import Bin
 from ..settings import read_text
-from .box import OpenBox
+from .box import open_box
 from .look import Frames, Look, fit_look
+from .mesh import mesh_shape
 from .plots import draw_residuals
 from .reading import View
 from .registration import FREEDOMS, FaceFit, PoseFit, difference, find_pose, settle
+from .shape import BinShape
 from .writing import fitted_text
 
 
@@ -29,23 +32,30 @@ class BinFit:
     """What was found. `apart`: how far the pose of each view of several is from all's [m, rad]."""
 
     views: tuple[str, ...]
-    box: OpenBox
+    shape: BinShape
     pose: PoseFit
     apart: tuple[tuple[float, float], ...]
     look: Look | None = None
 
 
-def fit_pose(views: Sequence[View], box: OpenBox, *, azimuth_rad: float, seed: int) -> BinFit:
+def shape_of(box: Bin, *, wall_known: bool = True) -> BinShape:
+    """The faces of a bin; without its walls' thickness a box has neither rim nor outside."""
+    if box.mesh is not None:
+        return mesh_shape(box)
+    return open_box(box.inner_m, box.wall_m if wall_known else None)
+
+
+def fit_pose(views: Sequence[View], shape: BinShape, *, azimuth_rad: float, seed: int) -> BinFit:
     """The pose from all views together, and by itself from each, which tells the spread.
 
     Raises:
         GraycastError: nothing in the views looks like the bin.
     """
-    pose = settle(views, box, find_pose(views, box, azimuth_rad=azimuth_rad, seed=seed))
-    alone = [settle([view], box, pose.T_world_cam) for view in views if len(views) > 1]
+    pose = settle(views, shape, find_pose(views, shape, azimuth_rad=azimuth_rad, seed=seed))
+    alone = [settle([view], shape, pose.T_world_cam) for view in views if len(views) > 1]
     return BinFit(
         views=tuple(view.name for view in views),
-        box=box,
+        shape=shape,
         pose=pose,
         apart=tuple(difference(one.T_world_cam, pose.T_world_cam) for one in alone),
     )
@@ -69,6 +79,7 @@ def with_look(
     with open_cell_renderer(cell, device=device) as renderer:
         look = fit_look(
             cell,
+            shape_of(cell.scene.bin),
             views,
             fit.pose.T_world_cam,
             floor_reflectance=floor_reflectance,
@@ -110,7 +121,7 @@ def write_fit(fit: BinFit, cell: Cell, views: Sequence[View], base: Path, out: P
     for path in (report, picture, out):
         if path.exists():
             raise GraycastError(f"{path}: is there already: choose another name, or remove it")
-    draw_residuals(fit.pose, fit.box, views, picture)
+    draw_residuals(fit.pose, fit.shape, views, picture)
     for path, content in ((report, json.dumps(described(fit), indent=1) + "\n"), (out, text)):
         with path.open("x", encoding="utf-8") as file:  # refuses what came meanwhile
             file.write(content)
@@ -128,8 +139,11 @@ def azimuth_of(config: Config) -> float:
 
 def sections(fit: BinFit, cell: Cell) -> dict[str, Mapping[str, Any]]:
     """The keys of a configuration that were fitted, with their new values."""
-    own = cell.config.bin.model_dump(mode="json", exclude_none=True)
-    box = own | {"inner_m": list(fit.box.inner_m), "wall_m": cell.scene.bin.wall_m}
+    box = cell.config.bin.model_dump(mode="json", exclude_none=True)
+    if cell.scene.bin.mesh is None:
+        box |= {"inner_m": list(cell.scene.bin.inner_m), "wall_m": cell.scene.bin.wall_m}
+    else:
+        box = {key: value for key, value in box.items() if key not in ("inner_m", "wall_m")}
     made: dict[str, Mapping[str, Any]] = {
         "view": {"T_world_cam": _numbers(fit.pose.T_world_cam)},
         "bin": box,
@@ -196,7 +210,7 @@ def described(fit: BinFit) -> dict[str, Any]:
     pose, look = fit.pose, fit.look
     content = {
         "views": list(fit.views),
-        "bin": {"inner_m": list(fit.box.inner_m), "wall_m": fit.box.wall_m},
+        "bin": {"inner_m": list(fit.shape.inner_m), "bounds_m": fit.shape.bounds_m.tolist()},
         "T_world_cam": pose.T_world_cam.tolist(),
         "residuals_m": {"rms": pose.rms_m, "median": pose.median_m, "p95": pose.p95_m},
         "inlier_share": pose.inlier_share,

@@ -24,15 +24,14 @@ from ..camera_light import veiled
 from ..cell import Cell
 from ..color import linear
 from ..errors import GraycastError
-from ..frames import pixel_grid, transform_points
-from ..optics import rays
+from ..frames import transform_points
 from ..parts import Material
 from ..picture import idle_share
 from ..render import Quality, Renderer, Rendering
 from ..rig import Rig
 from ..scene import EMPTY_LAYOUT, Scene
-from .box import NO_FACE, OpenBox, cast, open_box
-from .reading import View
+from .reading import Grid, View
+from .shape import NO_FACE, BinShape, height_over, is_floor
 
 SURFACES = ("walls", "floor", "table")
 _ACROSS_PX = 256  # of the pictures that are compared
@@ -73,6 +72,7 @@ class Look:
 
 def fit_look(
     cell: Cell,
+    shape: BinShape,
     views: Sequence[View],
     T_world_cam: Float[np.ndarray, "4 4"],
     *,
@@ -85,6 +85,7 @@ def fit_look(
 
     Args:
         cell: the configuration with the fitted bin's size.
+        shape: all of its bin, rim and outside too.
         floor_reflectance: mean of its three bands; None: that of the configuration's floor.
         frames: of the first view's camera.
 
@@ -95,16 +96,16 @@ def fit_look(
     views = [view for view in views if view.rgb is not None]
     if not views:
         raise GraycastError("no view has a colour picture: give --rgb, or leave the look out")
-    step = views[0].step(_ACROSS_PX)
-    box = open_box(cell.scene.bin.inner_m, cell.scene.bin.wall_m)
-    masks = [_masks(view, box, T_world_cam, step) for view in views]
+    step, grid = views[0].step(_ACROSS_PX), views[0].grid(_ACROSS_PX)
+    floor_m = cell.scene.bin.floor_m
+    masks = [_masks(view, shape, floor_m, T_world_cam) for view in views]
     pixels = {name: sum(int(mask[name].sum()) for mask in masks) for name in SURFACES}
     shown = [name for name in SURFACES if all(m[name].sum() >= _LEAST_PX for m in masks)]
     if "floor" not in shown:
         raise GraycastError("the pictures show too little of the floor: is it clipped or covered?")
     color = {name: mean_color(material) for name, material in _materials(cell.scene).items()}
     level = floor_reflectance or float(np.mean(color["floor"]))
-    scene = _seen_scene(cell.scene, views[0], T_world_cam, step)
+    scene = _seen_scene(cell.scene, grid, T_world_cam)
     scale, off, exposure = None, np.inf, 1.0
     for _ in range(_ROUNDS):
         made = _render(renderer, scene, color, cell, seed)
@@ -146,22 +147,9 @@ def _materials(scene: Scene) -> dict[str, Material]:
     return {"walls": walls, "floor": scene.bin.floor or walls, "table": scene.table}
 
 
-def _seen_scene(
-    scene: Scene, view: View, T_world_cam: Float[np.ndarray, "4 4"], step: int
-) -> Scene:
+def _seen_scene(scene: Scene, grid: Grid, T_world_cam: Float[np.ndarray, "4 4"]) -> Scene:
     """The cell before the view's camera, of which every n-th pixel is left."""
-    camera = view.camera
-    rows, columns = view.depth_m[::step, ::step].shape
-    coarse = replace(
-        camera,
-        width_px=columns,
-        height_px=rows,
-        fx_px=camera.fx_px / step,
-        fy_px=camera.fy_px / step,
-        cx_px=camera.cx_px / step,
-        cy_px=camera.cy_px / step,
-    )
-    rig = replace(scene.rig, camera=coarse, speckle_contrast=0.0)
+    rig = replace(scene.rig, camera=grid.camera, speckle_contrast=0.0)
     return replace(scene, rig=rig, T_world_cam=T_world_cam.copy(), parts=())
 
 
@@ -194,21 +182,20 @@ def _picture(made: Rendering, rig: Rig, scale: float) -> Float[np.ndarray, "h w 
 
 
 def _masks(
-    view: View, box: OpenBox, T_world_cam: Float[np.ndarray, "4 4"], step: int
+    view: View, shape: BinShape, floor_m: float, T_world_cam: Float[np.ndarray, "4 4"]
 ) -> dict[str, Bool[np.ndarray, "rows columns"]]:
     """Where each surface is seen, by geometry and by depth alike, and its picture can be used.
 
-    `..._depth` is the same whatever the picture is like.
+    `..._depth` is the same whatever the picture is like. The table is `floor_m` below the floor.
     """
-    pixel = pixel_grid(*view.depth_m.shape)[::step, ::step]
-    ray, depth_m = rays(view.camera, pixel), view.depth_m[::step, ::step]
-    face, _ = cast(box, T_world_cam, ray)
-    point = transform_points(T_world_cam, ray * depth_m[..., None])
-    along = np.take_along_axis(point, box.axis[face][..., None], axis=-1)[..., 0]
-    # Where the box is missed (face -1) only the table, at its bottom, can be seen.
-    off_m = np.where(face == NO_FACE, point[..., 2] + box.wall_m, along - box.offset_m[face])
-    surface = np.where(box.is_floor[face], SURFACES.index("floor"), SURFACES.index("walls"))
-    surface = np.where(face == NO_FACE, SURFACES.index("table"), surface)
+    grid, step = view.grid(_ACROSS_PX), view.step(_ACROSS_PX)
+    face, _ = shape.cast(T_world_cam, grid)
+    point = transform_points(T_world_cam, grid.point_m)
+    # Where the bin is missed only the table, at its bottom, can be seen.
+    missed = face == NO_FACE
+    off_m = np.where(missed, point[..., 2] + floor_m, height_over(shape, point, face))
+    bin_surface = np.where(is_floor(shape)[face], *map(SURFACES.index, ("floor", "walls")))
+    surface = np.where(missed, SURFACES.index("table"), bin_surface)
     label = np.where(np.abs(off_m) < _NEAR_M, surface, NO_FACE)
     alike = minimum_filter(label, 3) == maximum_filter(label, 3)  # all neighbours
     rgb = view.rgb[::step, ::step]

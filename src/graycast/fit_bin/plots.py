@@ -11,16 +11,16 @@ from matplotlib.figure import Figure
 
 from ..frames import transform_points
 from ..plotting import ACCENT, INK, PALE, SECOND, caption, plain_axes, save_png
-from .box import NO_FACE, OpenBox, cast, height_over
 from .reading import View
 from .registration import PoseFit
+from .shape import NO_FACE, BinShape, height_over
 
 _SHOWN_M = 0.006  # beyond, it is not the bin
 _ACROSS_PX = 640
 _BELOW = (0.5, -0.1)  # of an axes' own size
 
 
-def draw_residuals(pose: PoseFit, box: OpenBox, views: Sequence[View], path: Path) -> None:
+def draw_residuals(pose: PoseFit, shape: BinShape, views: Sequence[View], path: Path) -> None:
     """Write a PNG: the first view's signed residuals, the faces' spread, how much agrees.
 
     Raises:
@@ -30,7 +30,7 @@ def draw_residuals(pose: PoseFit, box: OpenBox, views: Sequence[View], path: Pat
     FigureCanvasAgg(figure)
     left, middle, right = figure.subplots(1, 3, width_ratios=(1.5, 1, 1))
     limit_mm = 1e3 * max(3 * pose.rms_m, 0.3e-3)
-    shown = 1e3 * residual_map(views[0], box, pose.T_world_cam)
+    shown = 1e3 * residual_map(views[0], shape, pose.T_world_cam)
     image = left.imshow(shown, cmap="RdBu_r", vmin=-limit_mm, vmax=limit_mm)
     bar = figure.colorbar(image, ax=left, shrink=0.85)
     bar.set_label("above its face [mm]", fontsize=8, color=INK)
@@ -44,19 +44,18 @@ def draw_residuals(pose: PoseFit, box: OpenBox, views: Sequence[View], path: Pat
 
 
 def residual_map(
-    view: View, box: OpenBox, T_world_cam: Float[np.ndarray, "4 4"]
+    view: View, shape: BinShape, T_world_cam: Float[np.ndarray, "4 4"]
 ) -> Float[np.ndarray, "rows columns"]:
     """Signed distance [m] of each pixel's point from the face that it should show.
 
     NaN where nothing is measured, the bin is missed, or something else stands before it.
     """
-    ray, depth_m = view.grid(_ACROSS_PX)
-    face = cast(box, T_world_cam, ray)[0].ravel()
-    point = transform_points(T_world_cam, (ray * depth_m[..., None]).reshape(-1, 3))
-    height_m = height_over(box, point, face)
+    grid = view.grid(_ACROSS_PX)
+    face, _ = shape.cast(T_world_cam, grid)
+    height_m = height_over(shape, transform_points(T_world_cam, grid.point_m), face)
     with np.errstate(invalid="ignore"):
         mine = (face != NO_FACE) & (np.abs(height_m) < _SHOWN_M)
-    return np.where(mine, height_m, np.nan).reshape(depth_m.shape)
+    return np.where(mine, height_m, np.nan)
 
 
 def _draw_spread(ax: Axes, pose: PoseFit) -> None:

@@ -2,7 +2,8 @@
 
 import json
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
 
 import numpy as np
@@ -29,6 +30,24 @@ class Said:
     size_px: tuple[int, int] | None = None
 
 
+@dataclass(frozen=True, kw_only=True)
+class Grid:
+    """Every n-th pixel of a view: the camera that has no others, and z-depth [m], NaN for none."""
+
+    camera: Optics
+    depth_m: Float[np.ndarray, "rows columns"]
+
+    @cached_property
+    def ray(self) -> Float[np.ndarray, "rows columns 3"]:
+        """Camera frame, unit z."""
+        return rays(self.camera, pixel_grid(*self.depth_m.shape))
+
+    @cached_property
+    def point_m(self) -> Float[np.ndarray, "rows columns 3"]:
+        """What is measured, in the camera frame; NaN where nothing is."""
+        return self.ray * self.depth_m[..., None]
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class View:
     """One look into the bin; z-depth [m] is NaN where there is none."""
@@ -46,13 +65,21 @@ class View:
                 "bin in view and well exposed?"
             )
 
-    def grid(
-        self, across: int
-    ) -> tuple[Float[np.ndarray, "rows columns 3"], Float[np.ndarray, "rows columns"]]:
-        """Rays and depth of every n-th pixel, about `across` along the longer side."""
-        step = self.step(across)
-        pixel = pixel_grid(*self.depth_m.shape)[::step, ::step]
-        return rays(self.camera, pixel), self.depth_m[::step, ::step]
+    def grid(self, across: int) -> Grid:
+        """Every n-th pixel, about `across` along the longer side."""
+        step, camera = self.step(across), self.camera
+        depth_m = self.depth_m[::step, ::step]
+        rows, columns = depth_m.shape
+        coarse = replace(
+            camera,
+            width_px=columns,
+            height_px=rows,
+            fx_px=camera.fx_px / step,
+            fy_px=camera.fy_px / step,
+            cx_px=camera.cx_px / step,
+            cy_px=camera.cy_px / step,
+        )
+        return Grid(camera=coarse, depth_m=depth_m)
 
     def cloud(self, count: int = 20_000) -> Float[np.ndarray, "n 6"]:
         """About so many measured points, evenly over the picture: place [m] and unit normal.

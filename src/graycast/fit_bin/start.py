@@ -8,14 +8,14 @@ the true walls stand beside the box.
 """
 
 from collections.abc import Callable
-from typing import no_type_check
 
-import numba
 import numpy as np
 from jaxtyping import Float
 
 from ..frames import axis_rotation, inverse, rigid, transform_points
 from .box import OpenBox, open_box
+from .reading import Grid
+from .shape import is_floor
 
 PLANES = 6  # the floor is among the largest: table, floor, walls
 _TRIALS = 400
@@ -24,86 +24,13 @@ _LEAST_SHARE = 0.02  # of all points, for a plane
 _YAW_STEP_RAD = np.radians(7.5)
 _STEPS = 12  # between places, in the box's shorter side
 _CONTENT = 1.0
-_RAISED_M, _AROUND_M = 0.015, 0.025  # above the floor; walls, and what a place may be off
 _CLIMBERS = 200  # of them, that are moved to where they fit best
 _CENTRES = 2000  # places tried on one plane, at most
 _APART = 0.25  # poses nearer than this share of the box's shorter side are one
 
 
-def evidence(
-    box: OpenBox,
-    T_world_cam: Float[np.ndarray, "p 4 4"],
-    ray: Float[np.ndarray, "n 3"],
-    depth_m: Float[np.ndarray, "n"],
-    tolerance_m: float | Float[np.ndarray, "f"],
-    *,
-    content: float = 0.0,
-) -> Float[np.ndarray, "p"]:
-    """Mean over the rays of what speaks for each pose: 1 agrees, -1 contradicts, 0 says nothing.
-
-    Args:
-        ray: camera frame, unit z.
-        depth_m: measured along each ray, no gaps.
-        tolerance_m: over which agreement falls from 1 to 0, of each face or of all.
-        content: what depth counts beside that if it stands above the floor and not beside the box.
-    """
-    each_m = np.broadcast_to(np.float64(tolerance_m), len(box.names)).copy()
-    faces = box.low_m, box.high_m, box.axis, each_m
-    inner_m = np.array(box.inner_m)
-    return _evidence(np.ascontiguousarray(T_world_cam), ray, depth_m, *faces, inner_m, content)
-
-
-@numba.njit(cache=True)
-@no_type_check  # the tests' type checker would wrap the function, which numba cannot compile
-def _evidence(T_world_cam, ray, depth_m, low_m, high_m, axis, tolerance_m, inner_m, content):
-    score = np.zeros(len(T_world_cam))
-    way = np.zeros(3)
-    for p in range(len(T_world_cam)):
-        T = T_world_cam[p]
-        for i in range(len(ray)):
-            for k in range(3):
-                way[k] = T[k, 0] * ray[i, 0] + T[k, 1] * ray[i, 1] + T[k, 2] * ray[i, 2]
-            nearest, tolerance = np.inf, 0.0
-            for f in range(len(axis)):
-                a = axis[f]
-                if way[a] == 0:
-                    continue
-                t = (low_m[f, a] - T[a, 3]) / way[a]
-                if t <= 0 or t >= nearest:
-                    continue
-                b, c = (a + 1) % 3, (a + 2) % 3
-                at_b, at_c = T[b, 3] + t * way[b], T[c, 3] + t * way[c]
-                if low_m[f, b] <= at_b <= high_m[f, b] and low_m[f, c] <= at_c <= high_m[f, c]:
-                    nearest, tolerance = t, tolerance_m[f]
-            behind_m = depth_m[i] - nearest
-            if content > 0 and _raised_within(T, way, depth_m[i], inner_m):
-                score[p] += content
-            if nearest == np.inf:
-                continue
-            if behind_m > tolerance:
-                score[p] -= 1
-            elif behind_m > -tolerance:
-                score[p] += 1 - abs(behind_m) / tolerance
-    return score / len(ray)
-
-
-@numba.njit(cache=True)
-@no_type_check
-def _raised_within(T, way, depth_m, inner_m):
-    """Whether a point stands above the floor, no higher than the rim, within or on the walls."""
-    x, y = abs(T[0, 3] + depth_m * way[0]), abs(T[1, 3] + depth_m * way[1])
-    z = T[2, 3] + depth_m * way[2]
-    inside = x < inner_m[0] / 2 + _AROUND_M and y < inner_m[1] / 2 + _AROUND_M
-    return inside and _RAISED_M < z < inner_m[2] + _RAISED_M
-
-
 def start_poses(
-    box: OpenBox,
-    ray: Float[np.ndarray, "rows columns 3"],
-    depth_m: Float[np.ndarray, "rows columns"],
-    *,
-    each: int,
-    seed: int,
+    box: OpenBox, grid: Grid, *, each: int, seed: int
 ) -> list[Float[np.ndarray, "4 4"]]:
     """`T_world_cam` of likely poses, each clearly another, on every plane that may be the floor.
 
@@ -111,25 +38,25 @@ def start_poses(
     each plane has its turn.
 
     Args:
-        ray: of a coarse grid of pixels, unit z.
-        depth_m: NaN where there is none.
+        grid: a coarse one.
         each: how many on a plane.
         seed: of the search for planes.
     """
-    known = np.isfinite(depth_m)
+    known = np.isfinite(grid.depth_m)
+    ray, depth_m = grid.ray[known], grid.depth_m[known]
     inside = open_box(box.inner_m)  # coarse steps do not resolve a wall's thickness
 
     def score(
         T_world_cam: Float[np.ndarray, "p 4 4"], step: int, floor_m: float
     ) -> Float[np.ndarray, "p"]:
         # A plane is known better than the place on it.
-        tolerance_m = np.where(inside.is_floor, floor_m, _coarse_m(box))
-        some, z = ray[known][::step], depth_m[known][::step]
-        return evidence(inside, T_world_cam, some, z, tolerance_m, content=_CONTENT)
+        tolerance_m = np.where(is_floor(inside), floor_m, _coarse_m(box))
+        some, z = ray[::step], depth_m[::step]
+        return inside.evidence(T_world_cam, some, z, tolerance_m, content=_CONTENT)
 
     starts = []
-    for normal, offset_m in planes(ray * depth_m[..., None], seed=seed):
-        T_world_cam = _poses_on(box, ray[known] * depth_m[known][:, None], normal, offset_m)
+    for normal, offset_m in planes(grid.point_m, seed=seed):
+        T_world_cam = _poses_on(box, grid.point_m[known], normal, offset_m)
         # Most places are out of the question after a few rays. A table hardly lower than the floor
         # makes one plane with it, between the two: so more may be off, and climbing mends it.
         likely = np.argsort(-score(T_world_cam, 24, 2 * _PLANE_M), kind="stable")

@@ -1,7 +1,16 @@
 """The object database: meshes with materials, built in and the user's own."""
 
 from .builtin import BUILTIN, builtin_part
-from .meshfile import load_part
+from .meshfile import load_mesh, load_part
 from .part import Material, Mesh, Part, Symmetry
 
-__all__ = ["BUILTIN", "Material", "Mesh", "Part", "Symmetry", "builtin_part", "load_part"]
+__all__ = [
+    "BUILTIN",
+    "Material",
+    "Mesh",
+    "Part",
+    "Symmetry",
+    "builtin_part",
+    "load_mesh",
+    "load_part",
+]

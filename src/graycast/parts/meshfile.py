@@ -1,7 +1,7 @@
-"""The user's own parts: mesh files read, judged, and refused with a remedy.
+"""The user's own meshes: files read, judged, and refused with a remedy.
 
 A file is taken as it is or refused. What is put right without changing the shape (vertices
-merged, repeated faces dropped) is reported. The part keeps the file's own frame; its shading
+merged, repeated faces dropped) is reported. The mesh keeps the file's own frame; its shading
 normals are made anew.
 """
 
@@ -43,15 +43,45 @@ def load_part(
     """A part from an OBJ, PLY, STL or GLB file.
 
     Args:
-        path: the mesh file; a texture is looked for where the file says.
+        path, unit, material: see `load_mesh`.
         name: of the part; None takes the file's name without its ending.
-        unit: one of `UNITS_M`. None takes metres where the format states them (GLB), or where the
-            longest side is then within `UNSTATED_SIZE_M`.
-        material: None takes the file's texture on a plain dielectric, or plain grey.
         symmetry: in the file's own frame, lengths in metres.
 
     Returns:
         The part, and what was found in the file but is no reason to refuse it, a sentence each.
+
+    Raises:
+        MeshError, ValueError: see `load_mesh`.
+    """
+    mesh, material, findings = load_mesh(path, unit=unit, material=material)
+    away_m = float(np.linalg.norm(mesh.bounds_m.mean(axis=0)))
+    if away_m > mesh.extent_m.max():
+        findings += (f"The file's origin lies {_size(away_m)} from the part's middle.",)
+    part = Part(
+        name=path.stem if name is None else name,
+        mesh=mesh,
+        material=material,
+        density_kg_m3=density_kg_m3,
+        friction=friction,
+        symmetry=symmetry,
+        source=path.name,
+    )
+    return part, findings
+
+
+def load_mesh(
+    path: Path, *, unit: str | None = None, material: Material | None = None
+) -> tuple[Mesh, Material, tuple[str, ...]]:
+    """A mesh in metres, in the file's own frame, and its surface, from OBJ, PLY, STL or GLB.
+
+    Args:
+        path: the mesh file; a texture is looked for where the file says.
+        unit: one of `UNITS_M`. None takes metres where the format states them (GLB), or where the
+            longest side is then within `UNSTATED_SIZE_M`.
+        material: None takes the file's texture on a plain dielectric, or plain grey.
+
+    Returns:
+        Mesh, material, and what was found in the file but is no reason to refuse it.
 
     Raises:
         MeshError: the file cannot be read, is no closed surface facing outwards, or is of an
@@ -77,23 +107,11 @@ def load_part(
         corner_uv=closed.corner_uv,
         corner_normals=crease_normals(vertices_m, closed.faces, CREASE_RAD),
     )
-    away_m = float(np.linalg.norm(mesh.bounds_m.mean(axis=0)))
-    if away_m > mesh.extent_m.max():
-        findings.append(f"The file's origin lies {_size(away_m)} from the part's middle.")
-    part = Part(
-        name=path.stem if name is None else name,
-        mesh=mesh,
-        material=material,
-        density_kg_m3=density_kg_m3,
-        friction=friction,
-        symmetry=symmetry,
-        source=path.name,
-    )
-    return part, tuple(findings)
+    return mesh, material, tuple(findings)
 
 
 class _Refusal(Exception):
-    """Why a file cannot be a part, and the remedy; `load_part` adds the file's name."""
+    """Why a file cannot be a part, and the remedy; `load_mesh` adds the file's name."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

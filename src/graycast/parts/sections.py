@@ -16,6 +16,8 @@ from .builtin import BUILTIN, builtin_part
 from .meshfile import load_part
 from .part import Material, Part, Symmetry
 
+Unit = Literal["m", "cm", "mm", "inch"]
+
 
 class MaterialSection(Settings):
     """A surface in a few physical words."""
@@ -68,7 +70,7 @@ class PartSection(Settings):
 
     builtin: str | None = Field(None, description=f"one of {', '.join(BUILTIN)}")
     mesh: Path | None = Field(None, description="OBJ, PLY, STL or GLB file")
-    unit: Literal["m", "cm", "mm", "inch"] | None = Field(
+    unit: Unit | None = Field(
         None, description="the mesh file's unit; asked for unless metres are plausible"
     )
     name: str | None = None

@@ -1,0 +1,158 @@
+"""A bin from a mesh file: turned upright, set onto the world's origin, measured."""
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from .errors import MeshError
+from .parts import Material, Mesh, load_mesh
+
+Up = Literal["x", "-x", "y", "-y", "z", "-z"]
+
+# To the world's axes, by the file's axis that points up; z would be the identity.
+_TURNS = {
+    "x": ((0, 0, -1), (0, 1, 0), (1, 0, 0)),
+    "-x": ((0, 0, 1), (0, 1, 0), (-1, 0, 0)),
+    "y": ((1, 0, 0), (0, 0, -1), (0, 1, 0)),
+    "-y": ((1, 0, 0), (0, 0, 1), (0, -1, 0)),
+    "z": ((1, 0, 0), (0, 1, 0), (0, 0, 1)),
+    "-z": ((1, 0, 0), (0, -1, 0), (0, 0, -1)),
+}
+_CUTS = (-0.207, -0.093, 0.011, 0.113, 0.193)  # of the width: odd, so as not to run along edges
+_UPRIGHT = 0.9  # least cosine between the floor's normal and z
+_INWARD = 0.7  # least cosine between a wall's normal and the way inside: it leans up to 45 degrees
+_LEAST_DEPTH = 0.1  # of the bin's height: what is shallower is a plate
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class MeshBin:
+    """A bin's mesh in the world: z up, the origin in the middle of the inner floor.
+
+    `inner_m` is its inside, length and width half way down; `material` is the file's own.
+    """
+
+    mesh: Mesh
+    inner_m: tuple[float, float, float]
+    material: Material
+    notes: tuple[str, ...]
+
+
+def load_bin(path: Path, *, unit: str | None, up: Up) -> MeshBin:
+    """A bin from an OBJ, PLY, STL or GLB file.
+
+    The floor is what most of the cuts through the middle show of surfaces that look up; length and
+    width are between the walls as a cut half way between floor and top shows most of them, so that
+    leaning walls count with their middle. Of the file's frame only the axis that points up matters.
+
+    Args:
+        unit: see `load_mesh`.
+        up: the file's axis that points out of the bin's opening.
+
+    Raises:
+        MeshError: see `load_mesh`; or the mesh has no floor with walls around it.
+        ValueError: no such unit.
+    """
+    mesh, material, findings = load_mesh(path, unit=unit)
+    turned = _moved(mesh, np.array(_TURNS[up], dtype=np.float64), np.zeros(3))
+    try:
+        floor_m = _floor_m(turned)
+        depth_m = float(turned.bounds_m[1, 2]) - floor_m
+        if depth_m < _LEAST_DEPTH * turned.extent_m[2]:
+            raise _NoBin("its middle is hardly lower than its top")
+        sides = _sides_m(turned, floor_m + depth_m / 2)
+    except _NoBin as error:
+        raise MeshError(
+            f"{path}: is no open bin whose top is at its {up} end: {error}; say which axis points "
+            f"out of its opening (up_axis: {', '.join(_TURNS)})"
+        ) from error
+    low, high = sides[:, 0], sides[:, 1]
+    origin = np.array([*(low + high) / 2, floor_m])
+    x, y = (high - low).tolist()
+    size = " x ".join(f"{1e3 * length:.0f}" for length in (x, y, depth_m))
+    bottom_m = floor_m - float(turned.bounds_m[0, 2])
+    told = f"{size} mm inside, its floor {1e3 * bottom_m:.1f} mm above the table"
+    return MeshBin(
+        mesh=_moved(turned, np.eye(3), -origin),
+        inner_m=(x, y, depth_m),
+        material=material,
+        notes=(*findings, f"The bin is {told}."),
+    )
+
+
+class _NoBin(Exception):
+    """What a bin would have, and the mesh has not."""
+
+
+def _moved(mesh: Mesh, R: Float[np.ndarray, "3 3"], shift_m: Float[np.ndarray, "3"]) -> Mesh:
+    normals = None if mesh.corner_normals is None else mesh.corner_normals @ R.T
+    return replace(mesh, vertices_m=mesh.vertices_m @ R.T + shift_m, corner_normals=normals)
+
+
+def _floor_m(mesh: Mesh) -> float:
+    """Height of most of what looks up in cuts along x and y through the middle."""
+    middle, extent = mesh.bounds_m.mean(axis=0), mesh.extent_m
+    heights, lengths = [], []
+    for across in (0, 1):
+        along, normal = 1 - across, np.eye(3)[across]
+        for cut in _CUTS:
+            segment, face = _cut(mesh, normal, middle + cut * extent * normal)
+            floor = _normals(mesh, face)[:, 2] > _UPRIGHT
+            inside = _within(segment[floor, :, along] - middle[along], extent[along] / 4)
+            heights.append(segment[floor, :, 2].mean(axis=1))
+            lengths.append(inside)
+    return _median(np.concatenate(heights), np.concatenate(lengths), "no surface looks up")
+
+
+def _sides_m(mesh: Mesh, height_m: float) -> Float[np.ndarray, "2 2"]:
+    """Where the walls are, low and high, along x and along y."""
+    middle, extent = mesh.bounds_m.mean(axis=0), mesh.extent_m
+    segment, face = _cut(mesh, np.array([0.0, 0.0, 1.0]), np.array([0.0, 0.0, height_m]))
+    normal = _normals(mesh, face)
+    sides = np.empty((2, 2))
+    for across in (0, 1):
+        along = 1 - across
+        for k, sign in enumerate((-1, 1)):
+            place = segment[:, :, across].mean(axis=1) - middle[across]
+            wall = (sign * normal[:, across] < -_INWARD) & (sign * place > 0)
+            inside = _within(segment[wall, :, along] - middle[along], extent[along] / 4)
+            name = f"no wall is on its {'-+'[k]}{'xy'[across]} side half way up"
+            sides[across, k] = middle[across] + _median(place[wall], inside, name)
+    return sides
+
+
+def _cut(
+    mesh: Mesh, normal: Float[np.ndarray, "3"], point_m: Float[np.ndarray, "3"]
+) -> tuple[Float[np.ndarray, "n 2 3"], Int[np.ndarray, "n"]]:
+    """Segments in which a plane cuts the mesh, and their faces."""
+    import trimesh
+
+    shape = trimesh.Trimesh(mesh.vertices_m, mesh.faces, process=False)
+    return trimesh.intersections.mesh_plane(shape, normal, point_m, return_faces=True)
+
+
+def _normals(mesh: Mesh, face: Int[np.ndarray, "n"]) -> Float[np.ndarray, "n 3"]:
+    corner = mesh.vertices_m[mesh.faces[face]]
+    normal = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
+    return normal / np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-30)
+
+
+def _within(span_m: Float[np.ndarray, "n 2"], half_m: float) -> Float[np.ndarray, "n"]:
+    """How much of each span lies between -half and half."""
+    low, high = np.clip(np.sort(span_m, axis=1), -half_m, half_m).T
+    return high - low
+
+
+def _median(value: Float[np.ndarray, "n"], weight: Float[np.ndarray, "n"], if_none: str) -> float:
+    """The weighted median.
+
+    Raises:
+        _NoBin: nothing has any weight.
+    """
+    if not weight.sum() > 0:
+        raise _NoBin(if_none)
+    order = np.argsort(value, kind="stable")
+    passed = np.cumsum(weight[order])
+    return float(value[order][np.searchsorted(passed, passed[-1] / 2)])

@@ -1,0 +1,94 @@
+"""What a fit asks of a bin: flat faces in the world frame, of a box or of a mesh."""
+
+from typing import TYPE_CHECKING, Protocol, runtime_checkable
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+from .reading import Grid
+
+if TYPE_CHECKING:
+    from .box import OpenBox
+
+NO_FACE = -1
+COS_ALIKE = 0.707  # of the largest angle between a point's normal and its face's
+
+
+@runtime_checkable
+class BinShape(Protocol):
+    """Faces that lie in planes `normal . p = offset_m`; several may make one surface.
+
+    World frame: origin in the middle of the inner floor, z up. Normals point towards where a face
+    can be seen from.
+    """
+
+    inner_m: tuple[float, float, float]
+    names: tuple[str, ...]  # of the surfaces: floor, wall +x, ...
+
+    @property
+    def stand_in(self) -> "OpenBox":
+        """The box that is about the same, for the first search."""
+        ...
+
+    @property
+    def surface(self) -> Int[np.ndarray, "f"]:
+        """Which surface each face belongs to."""
+        ...
+
+    @property
+    def normal(self) -> Float[np.ndarray, "f 3"]: ...
+
+    @property
+    def offset_m(self) -> Float[np.ndarray, "f"]: ...
+
+    @property
+    def axis(self) -> Int[np.ndarray, "f"]:
+        """The world's axis that each face lies across, or nearly."""
+        ...
+
+    @property
+    def bounds_m(self) -> Float[np.ndarray, "2 3"]: ...
+
+    def nearest(
+        self,
+        point: Float[np.ndarray, "n 3"],
+        normal: Float[np.ndarray, "n 3"],
+        eye_m: Float[np.ndarray, "3"],
+    ) -> tuple[Int[np.ndarray, "n"], Float[np.ndarray, "n"]]:
+        """The nearest face to each point and its distance [m].
+
+        Of those that can be seen from `eye_m` and lie within 45 degrees of the point's own normal;
+        `NO_FACE` and inf where there is none.
+        """
+        ...
+
+    def cast(
+        self, T_world_cam: Float[np.ndarray, "4 4"], grid: Grid
+    ) -> tuple[Int[np.ndarray, "rows columns"], Float[np.ndarray, "rows columns"]]:
+        """What each pixel's ray meets first, from either side: the face, and its z-depth [m].
+
+        `NO_FACE` and inf where it meets nothing.
+        """
+        ...
+
+    def votes(
+        self, T_world_cam: Float[np.ndarray, "p 4 4"], grid: Grid, tolerance_m: float
+    ) -> Float[np.ndarray, "p"]:
+        """Sum over what is measured of what speaks for each pose.
+
+        1 where it agrees (falling to 0 over `tolerance_m`), -1 where it lies behind a face through
+        which it would have been seen, 0 where it says nothing.
+        """
+        ...
+
+
+def height_over(
+    shape: BinShape, point: Float[np.ndarray, "*n 3"], face: Int[np.ndarray, "*n"]
+) -> Float[np.ndarray, "*n"]:
+    """Signed distance [m] of points from their face's plane, positive on its visible side."""
+    return (shape.normal[face] * point).sum(axis=-1) - shape.offset_m[face]
+
+
+def is_floor(shape: BinShape) -> Bool[np.ndarray, "f"]:
+    """Which faces are the inner floor's."""
+    return np.array(shape.names)[shape.surface] == "floor"

@@ -22,6 +22,7 @@ ORDER = (
     "pattern",
     "rig",
     "parts",
+    "bins",
     "scene",
     "drop",
     "render",

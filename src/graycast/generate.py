@@ -97,6 +97,7 @@ def generate(
     with open_store(out, **_claimed(task)) as store:
         found = store.finished()
         todo = [scene_id for scene_id in range(scenes) if scene_id not in found]
+        store.set_aside(())  # those of the last run are tried anew
         on_start(scenes - len(todo))
         run = _Run(store=store, found=len(found), on_made=on_made, on_failed=on_failed)
         try:

@@ -5,7 +5,7 @@ from collections import Counter
 import pytest
 
 from graycast.engine import TRIES, Failed, Made, make_all, open_pool
-from graycast.errors import DeviceError, DropError, WorkerDied
+from graycast.errors import DeviceError, DropError, GraycastError, WorkerDied
 
 IDS = range(20)
 
@@ -74,6 +74,25 @@ def test_what_would_fail_again_is_given_up_at_once(error):
     _, failed, submitted = outcomes({4: [error]})
     assert [(f.scene_id, f.tries, f.final) for f in failed] == [(4, 1, True)]
     assert submitted[4] == 1
+
+
+def test_a_machine_that_loses_scene_after_scene_ends_the_run():
+    """Its driver is lost after six scenes; with three at work 13 in a row come to nothing."""
+    seen = []
+    lost = {scene_id: [DeviceError("no driver")] * 9 for scene_id in range(6, 40)}
+    with pytest.raises(GraycastError, match=r"13 scenes in a row.*no driver: run again when"):
+        for outcome in make_all(Scripted(lost), range(40)):
+            seen.append(outcome)
+    assert all(isinstance(o, Made) for o in seen[:-13])
+    assert all(isinstance(o, Failed) and not o.final for o in seen[-13:])
+
+
+def test_scenes_that_are_lost_now_and_then_do_not_end_a_run():
+    script = {scene_id: [WorkerDied("killed")] for scene_id in range(0, 20, 2)}
+    script |= {scene_id: [DropError("no rest")] for scene_id in range(20, 40)}  # none the machine's
+    pool = Scripted(script)
+    outcomes = list(make_all(pool, range(40)))
+    assert sum(isinstance(o, Made) for o in outcomes) == 20
 
 
 def test_an_unknown_engine_is_refused(task):

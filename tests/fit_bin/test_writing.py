@@ -1,5 +1,7 @@
 """What was fitted goes into a configuration; what a user wrote stays."""
 
+import errno
+
 import numpy as np
 import pytest
 import yaml
@@ -87,6 +89,25 @@ def test_a_pose_that_nothing_holds_is_not_written(tmp_path):
     config = load_config(base)
     with pytest.raises(GraycastError, match="no wall or edge holds x of the bin"):
         write_fit(fit, resolve_cell(config, tmp_path), seen, base, tmp_path / "new.yaml")
+    assert [path.name for path in tmp_path.iterdir()] == ["cell.yaml"]
+
+
+def test_a_full_disk_leaves_nothing_half_written(tmp_path, monkeypatch):
+    T = pose()
+    seen = [view(perfect_depth(T))]
+    box = open_box(BOX.inner_m)
+    fit = BinFit(views=("a",), shape=box, pose=settle(seen, box, T), apart=())
+    base = tmp_path / "cell.yaml"
+    base.write_text(BASE)
+
+    def full(pose, shape, views, path):
+        path.write_bytes(b"half")
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr("graycast.fit_bin.fitting.draw_residuals", full)
+    cell = resolve_cell(load_config(base), tmp_path)
+    with pytest.raises(GraycastError, match="No space left on device"):
+        write_fit(fit, cell, seen, base, tmp_path / "new.yaml")
     assert [path.name for path in tmp_path.iterdir()] == ["cell.yaml"]
 
 

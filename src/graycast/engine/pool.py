@@ -5,9 +5,11 @@ from collections.abc import Generator, Iterable
 from dataclasses import dataclass
 from typing import Protocol, runtime_checkable
 
+from ..errors import GraycastError
 from .maker import Made, is_the_scenes_own
 
 TRIES = 3
+_IN_VAIN = 10  # scenes lost one after another, beside those at work: then the machine is not well
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -46,20 +48,37 @@ class Pool(Protocol):
 
 
 def make_all(pool: Pool, scene_ids: Iterable[int]) -> Generator[Made | Failed, None, None]:
-    """Every scene, as it ends. One that fails goes to the queue's end, up to `TRIES` times."""
+    """Every scene, as it ends. One that fails goes to the queue's end, up to `TRIES` times.
+
+    Raises:
+        GraycastError: scene after scene was lost and not by its own fault, so that the rest of them
+            would be, too: a driver is gone, or the memory.
+    """
     waiting, failures, running = deque(scene_ids), Counter[int](), 0
+    lost: set[int] = set()  # since the last that came out
     while waiting or running:
         while waiting and pool.free:
             pool.submit(waiting.popleft())
             running += 1
+        at_work = running
         outcome = pool.gather()
         running -= 1
         if isinstance(outcome, Made):
+            lost.clear()
             yield outcome
             continue
         scene_id, error = outcome.scene_id, outcome.error
         failures[scene_id] += 1
-        final = is_the_scenes_own(error) or failures[scene_id] >= TRIES
+        own = is_the_scenes_own(error)
+        final = own or failures[scene_id] >= TRIES
         if not final:
             waiting.append(scene_id)
         yield Failed(scene_id=scene_id, error=error, tries=failures[scene_id], final=final)
+        if not own:
+            lost.add(scene_id)
+        if len(lost) >= _IN_VAIN + at_work:
+            why = " ".join(str(error).split()) or type(error).__name__
+            raise GraycastError(
+                f"{len(lost)} scenes in a row were lost, the last because {why}: run again when "
+                "the machine is well; what is finished stays"
+            ) from error

@@ -13,6 +13,7 @@ from jaxtyping import Float
 from ..cell import Cell, open_cell_renderer
 from ..config import Config
 from ..errors import GraycastError
+from ..folder import whole_folder
 from ..parts import Material
 from ..realism.reading import read_gray
 from ..scene import Bin
@@ -121,10 +122,11 @@ def write_fit(fit: BinFit, cell: Cell, views: Sequence[View], base: Path, out: P
     for path in (report, picture, out):
         if path.exists():
             raise GraycastError(f"{path}: is there already: choose another name, or remove it")
-    draw_residuals(fit.pose, fit.shape, views, picture)
-    for path, content in ((report, json.dumps(described(fit), indent=1) + "\n"), (out, text)):
-        with path.open("x", encoding="utf-8") as file:  # refuses what came meanwhile
-            file.write(content)
+    with whole_folder(out.parent) as aside:
+        draw_residuals(fit.pose, fit.shape, views, aside / picture.name)
+        told = json.dumps(described(fit), indent=1) + "\n"
+        (aside / report.name).write_text(told, encoding="utf-8")
+        (aside / out.name).write_text(text, encoding="utf-8")
     return [out, report, picture]
 
 

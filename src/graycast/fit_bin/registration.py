@@ -35,7 +35,7 @@ _LEAST_SIGMA_M = 1e-4
 _LEAST_INLIERS = 60  # points of a face that hold a degree of freedom
 _FINE_M = 0.005  # of the evidence that picks one of the starts
 _SEARCH_PX = 64  # of the grid on which the first search looks
-_STARTS, _FINALISTS = 10, 3  # poses begun with on each plane, and followed to the end
+_STARTS, _FINALISTS = 10, 4  # poses begun with on each plane, and followed to the end
 _LEAST_AGREEING = 0.35  # of what is measured where the bin should be
 _LOOSE_M, _LOOSE_RAD = 0.4e-3, np.radians(0.15)
 
@@ -103,10 +103,11 @@ def find_pose(
         raise GraycastError("no flat surface is in the depth that could be the bin's floor")
     few = np.concatenate([view.cloud(1500 // len(views)) for view in views])
     coarse = _best_first(shape, grids, [register(few, T, shape, iterations=20) for T in starts])
-    quarter = rigid(axis_rotation("z", np.pi / 2), np.zeros(3))
-    finalists = [turned for T in coarse[:_FINALISTS] for turned in (T, quarter @ T)]
     cloud = np.concatenate([view.cloud() for view in views])
-    best = _best_first(shape, grids, [register(cloud, T, shape) for T in finalists])[0]
+    best = _best_first(shape, grids, [register(cloud, T, shape) for T in coarse[:_FINALISTS]])[0]
+    # Of a bin that is nearly square coarse steps do not tell length from width.
+    crosswise = register(cloud, rigid(axis_rotation("z", np.pi / 2), np.zeros(3)) @ best, shape)
+    best = _best_first(shape, grids, [best, crosswise])[0]
     return _turned(best, box, azimuth_rad)
 
 

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from crates import Crate
 from stage import (
     SOMEWHERE,
     askew_rig,
@@ -297,6 +298,31 @@ def test_a_bin_stands_on_its_table_around_the_origin(path_tracer):
     assert np.abs(z[floor & ~(rim_x > 0.2 - slack)]).max() < 1e-5
     assert np.abs(z[rim] - 0.1).max() < 1e-5
     assert np.abs(z[table] + 0.02).max() < 1e-5
+    assert (truth.instance == -1).all()
+
+
+def test_a_bin_that_is_a_mesh_is_seen_with_its_leaning_walls(path_tracer, tmp_path):
+    """From straight above: each ray ends where it leaves the room, on the rim, or on the table."""
+    crate = Crate(lean=0.5, rim_m=0.03)  # it opens wider than the rays do
+    rig = make_rig(centred(120, 90, 110), centred(32, 24, 40))
+    pose = rigid(np.diag([1.0, -1.0, -1.0]), np.array([0.0, 0.0, 1.0]))
+    scene = in_camera(rig, T_world_cam=pose, bin=crate.bin(tmp_path))
+    truth = truth_of(path_tracer, scene, EMPTY_LAYOUT)
+    ray = np.abs(centre_rays(rig.camera)[..., :2])
+    depth, half = crate.inner_m[2], crate.half_m(0)
+    # On the wall x = half + lean z, and x = r (1 - z): z = (r - half) / (lean + r).
+    wall_z = ((ray - half) / (crate.lean + ray)).max(axis=-1)
+    at_rim = ray * (1 - depth)
+    inside = (at_rim < crate.half_m(depth) - 0.004).all(axis=-1)
+    beyond = (at_rim > crate.half_m(depth) + crate.rim_m + 0.004).any(axis=-1)
+    rim = ~inside & ~beyond & (at_rim > crate.half_m(depth) + 0.004).any(axis=-1)
+    rim &= (at_rim < crate.half_m(depth) + crate.rim_m - 0.004).all(axis=-1)
+    z = 1.0 - truth.depth_m
+    assert min(inside.sum(), beyond.sum(), rim.sum()) > 100
+    assert (wall_z[inside] > 0.01).sum() > 300
+    assert np.abs(z - np.maximum(wall_z, 0))[inside].max() < 1e-5
+    assert np.abs(z[rim] - depth).max() < 1e-5
+    assert np.abs(z[beyond] + 0.010).max() < 1e-5
     assert (truth.instance == -1).all()
 
 

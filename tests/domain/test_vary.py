@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from cells import AZIMUTH_RAD, DISTANCE_M, TARGET_M, TILT_RAD, cell, differences, domain
+from crates import Crate
 from PIL import Image
 from scipy import integrate
 
@@ -75,6 +76,20 @@ def test_the_record_of_a_random_scene_makes_the_same_scene_again(full):
     assert {".T_world_cam", ".lamps", ".environment.map_file", ".bin.inner_m", ".parts"} <= changed
     assert {".table_texture_m", ".environment.rotation_rad", ".bin.texture_size_m"} <= changed
     assert not changed & {".rig", ".surfaces", ".bin.friction", ".bin.wall_m"}
+
+
+def test_a_bin_that_is_a_mesh_grows_and_is_painted_like_a_box(full, tmp_path):
+    scene, own = full
+    crate = replace(Crate().bin(tmp_path), own_texture=True)
+    scene = replace(scene, bin=crate)
+    record = draw(own, scene, (7, 0), np.random.default_rng(1))
+    box, factor = vary(own, scene, (7, 0), record).scene.bin, record["bin"]["size_factor"]
+    assert factor != 1
+    assert box.inner_m == pytest.approx(tuple(factor * size for size in crate.inner_m))
+    assert box.bounds_m == pytest.approx(factor * crate.bounds_m)
+    assert box.floor_m == pytest.approx(factor * crate.floor_m)
+    assert box.material.roughness == record["bin"]["roughness"]
+    assert not box.own_texture
 
 
 def test_the_record_of_an_adapted_scene_makes_the_same_scene_again():

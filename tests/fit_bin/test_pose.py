@@ -109,7 +109,7 @@ def test_the_pose_is_found_without_a_hint_in_spite_of_noise_clutter_and_a_lost_w
     T = pose(**view_words)
     box = open_box(BOX.inner_m, BOX.wall_m)
     azimuth = np.arctan2(T[1, 0], T[0, 0])
-    found = find_pose([faulty(T, seed)], box, azimuth_rad=azimuth + 0.3, seed=0)
+    found = find_pose([faulty(T, seed)], box, azimuth_rad=azimuth + 0.3, seed=0).T_world_cam
     off_m, off_deg = wrong_by(found, T)
     assert off_m < 0.5e-3
     assert off_deg < 0.1
@@ -133,7 +133,7 @@ def test_a_pose_nearby_settles_in_spite_of_noise_clutter_and_a_lost_wall():
 @pytest.mark.slow
 def test_a_wall_s_thickness_need_not_be_known():
     T = pose()
-    found = find_pose([faulty(T, 4)], open_box(BOX.inner_m), azimuth_rad=0.0, seed=0)
+    found = find_pose([faulty(T, 4)], open_box(BOX.inner_m), azimuth_rad=0.0, seed=0).T_world_cam
     off_m, off_deg = wrong_by(found, T)
     assert off_m < 0.5e-3
     assert off_deg < 0.15
@@ -146,10 +146,10 @@ def test_of_poses_that_look_alike_the_one_nearest_to_the_azimuth_is_taken(inner_
     box, T = Bin(inner_m=inner_m), pose(tilt_deg=5.0)
     seen = [view(perfect_depth(T, box))]
     own = np.arctan2(T[1, 0], T[0, 0])
-    first = find_pose(seen, open_box(inner_m), azimuth_rad=own, seed=0)
+    first = find_pose(seen, open_box(inner_m), azimuth_rad=own, seed=0).T_world_cam
     assert wrong_by(first, T)[1] < 0.01
     angle = 2 * np.pi / turns
-    turned = find_pose(seen, open_box(inner_m), azimuth_rad=own + angle, seed=0)
+    turned = find_pose(seen, open_box(inner_m), azimuth_rad=own + angle, seed=0).T_world_cam
     expected = rigid(axis_rotation("z", angle), np.zeros(3)) @ T
     assert wrong_by(turned, expected)[1] < 0.01
 

@@ -33,6 +33,12 @@ def test_19_of_20_random_bins_are_found_within_1_mm_and_0_3_degrees(mitsuba_rend
     assert sum(good) >= 19, rows
 
 
+def test_crates_that_are_meshes_are_found_as_well(mitsuba_renderer):
+    rows = study(8, mitsuba_renderer, seed=3, crates=True, on_bin=lambda row: None)
+    good = [row["off_mm"] < 1 and row["off_deg"] < 0.3 for row in rows]
+    assert sum(good) == 8, rows
+
+
 # --- colours -----------------------------------------------------------------------------------
 
 WALLS, FLOOR, TABLE = (0.55, 0.30, 0.15), (0.20, 0.35, 0.45), (0.25, 0.22, 0.20)

@@ -52,7 +52,7 @@ def fit_pose(views: Sequence[View], shape: BinShape, *, azimuth_rad: float, seed
     Raises:
         GraycastError: nothing in the views looks like the bin.
     """
-    pose = settle(views, shape, find_pose(views, shape, azimuth_rad=azimuth_rad, seed=seed))
+    pose = find_pose(views, shape, azimuth_rad=azimuth_rad, seed=seed)
     alone = [settle([view], shape, pose.T_world_cam) for view in views if len(views) > 1]
     return BinFit(
         views=tuple(view.name for view in views),
@@ -197,11 +197,11 @@ def _comments(fit: BinFit, base: Path) -> dict[str, str]:
     )
     if pose.by_edges:
         told += f"\nHeld by edges alone, not by walls: {', '.join(pose.by_edges)}."
-    comments = {"view": told, "bin": "Size as given."}
+    comments = {"view": told, "bin": "Shape as given."}
     if fit.look is not None:
         level = np.mean(fit.look.reflectance["floor"])
         color = f"colours from the pictures, relative to a floor that reflects {level:.3f} (stated)"
-        comments["bin"] = f"Size as given; {color}."
+        comments["bin"] = f"Shape as given; {color}."
         comments["table"] = f"What the bin stands on: {color}."
         comments["light"] = "Levels from the white and black frames, all by one factor."
     return comments

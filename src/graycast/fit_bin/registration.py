@@ -35,6 +35,7 @@ _LEAST_SIGMA_M = 1e-4
 _LEAST_INLIERS = 60  # points of a face that hold a degree of freedom
 _FINE_M = 0.005  # of the evidence that picks one of the starts
 _SEARCH_PX = 64  # of the grid on which the first search looks
+_NEARLY_SQUARE = 0.8  # width over length of a bin that coarse steps may take crosswise
 _STARTS, _FINALISTS = 10, 4  # poses begun with on each plane, and followed to the end
 _LEAST_AGREEING = 0.35  # of what is measured where the bin should be
 _LOOSE_M, _LOOSE_RAD = 0.4e-3, np.radians(0.15)
@@ -83,10 +84,8 @@ class PoseFit:
         self.sigma.flags.writeable = False
 
 
-def find_pose(
-    views: Sequence[View], shape: BinShape, *, azimuth_rad: float, seed: int
-) -> Float[np.ndarray, "4 4"]:
-    """`T_world_cam` from all views together, without a hint.
+def find_pose(views: Sequence[View], shape: BinShape, *, azimuth_rad: float, seed: int) -> PoseFit:
+    """The pose from all views together, without a hint.
 
     Likely places of the box that stands in for the shape are where fits of the shape begin. A box
     looks the same after half a turn, a square one after a quarter: of these poses it is the one
@@ -105,10 +104,28 @@ def find_pose(
     coarse = _best_first(shape, grids, [register(few, T, shape, iterations=20) for T in starts])
     cloud = np.concatenate([view.cloud() for view in views])
     best = _best_first(shape, grids, [register(cloud, T, shape) for T in coarse[:_FINALISTS]])[0]
-    # Of a bin that is nearly square coarse steps do not tell length from width.
-    crosswise = register(cloud, rigid(axis_rotation("z", np.pi / 2), np.zeros(3)) @ best, shape)
-    best = _best_first(shape, grids, [best, crosswise])[0]
-    return _turned(best, box, azimuth_rad)
+    candidates = [best]
+    if box.turns < 4 and min(box.inner_m[:2]) > _NEARLY_SQUARE * max(box.inner_m[:2]):
+        quarter = rigid(axis_rotation("z", np.pi / 2), np.zeros(3))
+        candidates.append(register(cloud, quarter @ best, shape))
+    # Length and width are told apart where the bin ends, so by what edges hold, too.
+    return _best_settled(views, shape, [_turned(T, box, azimuth_rad) for T in candidates])
+
+
+def _best_settled(
+    views: Sequence[View], shape: BinShape, candidates: Sequence[Float[np.ndarray, "4 4"]]
+) -> PoseFit:
+    fits, refusals = [], []
+    for T in candidates:
+        try:
+            fits.append(settle(views, shape, T))
+        except GraycastError as refusal:
+            refusals.append(refusal)
+    if not fits:
+        raise refusals[0]
+    grids = [view.grid(_SEARCH_PX) for view in views]
+    best = _best_first(shape, grids, [fit.T_world_cam for fit in fits])[0]
+    return next(fit for fit in fits if fit.T_world_cam is best)
 
 
 def _best_first(

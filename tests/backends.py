@@ -3,4 +3,11 @@
 import pytest
 
 REFERENCE, MITSUBA = "reference", "mitsuba"
-CYCLES = pytest.param("cycles", marks=pytest.mark.slow)
+
+
+def slow(*values):
+    """A case that the slow suite alone meets."""
+    return pytest.param(*values, marks=pytest.mark.slow)
+
+
+CYCLES = slow("cycles")

@@ -456,6 +456,7 @@ def test_wrong_arguments_end_with_code_2_and_say_which(capsys, arguments, words)
     assert words in capsys.readouterr().err.splitlines()[-1]
 
 
+@pytest.mark.slow
 def test_the_command_itself_fails_as_told(tmp_path):
     path = write_cell(tmp_path, scnes=3)
     run = subprocess.run(

@@ -155,7 +155,11 @@ def made(tmp_path_factory):
 
 def test_generate_says_what_it_made_and_the_next_time_that_all_was_there(capsys, made, tmp_path):
     path, out = made
+    card, text = out / "README.md", (out / "README.md").read_text()
+    card.write_text("with a licence of its own")
     again = run(capsys, "generate", path, "--out", out, "--device", "cpu")
+    assert card.read_text() == "with a licence of its own"
+    card.write_text(text)
     assert "2 scenes of box by mitsuba on llvm, rig small, seed 0, 1 worker(s)" in again
     assert f"{out}: 0 scenes made, 2 were there" in again
     first = run(

@@ -1,6 +1,7 @@
 """Which module may import which: the one table of the package's arrows (STYLE.md, section 2)."""
 
 import ast
+from functools import cache
 from pathlib import Path
 
 import pytest
@@ -75,10 +76,17 @@ def modules():
         yield parts[:-1] if parts[-1] == "__init__" else parts, file, parts[-1] == "__init__"
 
 
+@cache
+def import_nodes(file):
+    """The statements that import, anywhere in a file."""
+    tree = ast.parse(file.read_text(encoding="utf-8"))
+    return [node for node in ast.walk(tree) if isinstance(node, ast.Import | ast.ImportFrom)]
+
+
 def imports(name, file, is_folder):
     """Dotted names below the package that a file imports, anywhere in it."""
     package = name if is_folder else name[:-1]
-    for node in ast.walk(ast.parse(file.read_text(encoding="utf-8"))):
+    for node in import_nodes(file):
         if isinstance(node, ast.Import):
             dotted = [alias.name.split(".") for alias in node.names]
             yield from (tuple(d[1:]) for d in dotted if d[0] == "graycast")
@@ -152,7 +160,7 @@ def test_mitsuba_and_drjit_are_imported_inside_render_alone():
     for name, file, _ in modules():
         if name and name[0] in ("render", "doctor", "bench"):
             continue
-        for node in ast.walk(ast.parse(file.read_text(encoding="utf-8"))):
+        for node in import_nodes(file):
             names = [a.name for a in node.names] if isinstance(node, ast.Import) else []
             names += [node.module or ""] if isinstance(node, ast.ImportFrom) else []
             assert not {n.split(".")[0] for n in names} & {"mitsuba", "drjit"}, ".".join(name)

@@ -121,7 +121,8 @@ def save(folder: Path, content: dict, stack: np.ndarray, *, color: bool = False)
     """Write pictures and STACK.yaml; returns the latter."""
     for entry, picture in zip(content["frames"], stack, strict=True):
         image = Image.fromarray(np.repeat(picture[..., None], 3, axis=-1) if color else picture)
-        options = {"quality": 95} if entry["file"].endswith(".jpg") else {}
+        is_jpeg = entry["file"].endswith(".jpg")
+        options = {"quality": 95} if is_jpeg else {"compress_level": 1}  # noise does not shrink
         image.save(folder / entry["file"], **options)
     return write_yaml(folder, content)
 

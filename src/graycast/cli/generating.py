@@ -70,7 +70,7 @@ def add_commands(commands) -> None:
 
 
 def _generate(options: argparse.Namespace) -> int:
-    from ..card import write_card
+    from ..card import CARD, write_card
     from ..generate import Workers, generate
 
     if options.address is not None and options.engine != "ray":
@@ -105,7 +105,8 @@ def _generate(options: argparse.Namespace) -> int:
             on_failed=shown.failed,
             on_frame=shown.frame,
         )
-    write_card(options.out)
+    if summary.written or not (options.out / CARD).exists():
+        write_card(options.out)  # else one with a licence or all scenes' figures may be there
     _tell(summary, options.out)
     return 1 if summary.set_aside else 0
 

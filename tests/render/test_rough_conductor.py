@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from backends import slow
 
 from graycast.parts import Material
 
@@ -93,7 +94,7 @@ def direction(z, turn):
 
 
 @pytest.mark.parametrize("roughness", ROUGHNESS)
-@pytest.mark.parametrize("angle_deg", [0, 45, 70, 85, 89])
+@pytest.mark.parametrize("angle_deg", [slow(0), 45, slow(70), 85, slow(89)])
 def test_white_metal_returns_all_light(cpu_device, roughness, angle_deg):
     """A limit of 0.2 %: 128 nodes of a table that is itself a mean of 4096 facets."""
     weight = drawn(metal(roughness, (1.0, 1.0, 1.0)), leaning(angle_deg), 400_000)[2][0]
@@ -154,7 +155,7 @@ def test_facets_seen_straight_on_lean_as_ggx_says(cpu_device, roughness):
 
 
 @pytest.mark.parametrize("roughness", ROUGHNESS)
-@pytest.mark.parametrize("angle_deg", [0, 50, 80])
+@pytest.mark.parametrize("angle_deg", [slow(0), 50, slow(80)])
 def test_samples_bring_value_over_density(cpu_device, roughness, angle_deg):
     bsdf, wi = metal(roughness), leaning(angle_deg)
     wo, density, weight = drawn(bsdf, wi, 5000)
@@ -167,7 +168,7 @@ def test_samples_bring_value_over_density(cpu_device, roughness, angle_deg):
 
 
 @pytest.mark.parametrize("roughness", [0.3, 0.5, 1.0])
-@pytest.mark.parametrize("angle_deg", [0, 50, 80])
+@pytest.mark.parametrize("angle_deg", [slow(0), 50, slow(80)])
 def test_densities_sum_to_one_and_samples_fall_where_they_say(cpu_device, roughness, angle_deg):
     """Over a grid of directions: the density with the share that dips below the surface is 1, and
     the samples in each of 8 x 8 cells are as many as it says (chi-square, one in a million).

@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import yaml
+from backends import slow
 from PIL import Image
 
 from graycast.decode import Reason
@@ -84,9 +85,9 @@ def test_any_part_of_a_code_decodes_to_half_of_its_cell(keep, cell_px, tmp_path)
     ("suffix", "bits", "color"),
     [
         (".png", 8, True),
-        (".jpg", 8, False),
+        slow(".jpg", 8, False),
         (".jpg", 8, True),
-        (".tif", 8, False),
+        slow(".tif", 8, False),
         (".png", 16, False),
         (".tif", 16, False),
         (".png", 12, False),

@@ -10,6 +10,7 @@ from graycast.bins import load_bin
 from graycast.cell import resolve_cell
 from graycast.config import Config, file_digests
 from graycast.errors import MeshError
+from graycast.parts import Material
 from graycast.scene import Bin, bin_mesh, bin_surfaces, table_quad
 
 CRATE = Crate()
@@ -37,6 +38,8 @@ def test_a_crate_comes_to_the_origin_and_is_measured_whatever_frame_its_file_has
     placed = trimesh.Trimesh(found.mesh.vertices_m, found.mesh.faces)
     assert found.mesh.bounds_m == pytest.approx(made.bounds, abs=2e-6)
     assert placed.volume == pytest.approx(made.volume, rel=1e-4)  # not inside out
+    across = np.einsum("fi,fci->fc", placed.face_normals, found.mesh.corner_normals)
+    assert across.min() > 0.99  # a crate's faces are flat
     assert cKDTree(made.vertices).query(placed.vertices)[0].max() < 2e-6
     assert "its floor 10.0 mm above the table" in found.notes[-1]
 
@@ -68,6 +71,20 @@ def test_the_table_is_under_the_bars_and_the_inner_floor_is_a_surface_of_its_own
     assert np.abs(corner[..., 2]).max() < 1e-6
     assert len(walls.faces) + len(floor.faces) == len(cell.scene.bin.mesh.faces)
     assert floor.corner_normals[..., 2] == pytest.approx(np.ones((len(floor.faces), 3)), abs=1e-6)
+
+
+def test_a_foot_as_high_as_the_inner_floor_is_no_floor(tmp_path):
+    crate = Crate(floor_m=0.01, bar_m=0.0)
+    foot = trimesh.creation.box((0.5, 0.4, 0.01))
+    foot.apply_translation((0.0, 0.0, -0.005))
+    body = trimesh.boolean.union([crate.solid(), foot], engine="manifold")
+    body.export(tmp_path / "crate.stl")
+    found = load_bin(tmp_path / "crate.stl", unit="m", up="z")
+    material = Material()
+    box = Bin(inner_m=found.inner_m, mesh=found.mesh, floor=material)
+    _, (_, floor, _) = bin_surfaces(box)
+    reach_m = np.abs(floor.vertices_m[floor.faces][..., :2]).max(axis=(0, 1))
+    assert reach_m == pytest.approx(np.array(crate.inner_m[:2]) / 2, abs=1e-4)
 
 
 def test_textures_repeat_as_on_a_box(tmp_path):

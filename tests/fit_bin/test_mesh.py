@@ -60,6 +60,21 @@ def test_pixels_see_the_faces_where_their_rays_leave_the_room(shape):
     assert "rim and ledges" in outside
 
 
+def test_surfaces_are_named_by_where_they_look(shape):
+    middle = shape.mesh.vertices_m[shape.mesh.faces].mean(axis=1)
+    named = np.array(shape.names)[shape.surface]
+    assert set(named) == set(shape.names)
+    assert (shape.normal[named == "underside"][:, 2] < -0.9).all()
+    assert (shape.normal[named == "rim and ledges"][:, 2] > 0.9).all()
+    assert (middle[named == "rim and ledges"][:, 2] > 0.13).all()
+    for name, inward in (("wall", -1), ("outside", 1)):
+        for axis, letter in enumerate("xy"):
+            for sign, side in ((1, f"+{letter}"), (-1, f"-{letter}")):
+                mine = named == f"{name} {side}"
+                assert (inward * sign * shape.normal[mine][:, axis] > 0.9).all()
+                assert (sign * middle[mine][:, axis] > 0).all()
+
+
 def test_a_point_belongs_to_its_nearest_face_and_stands_as_far_above_it(shape):
     slope = np.hypot(1.0, CRATE.lean)
     wall = np.array([-1.0, 0.0, CRATE.lean]) / slope  # inward, of the wall towards +x

@@ -223,6 +223,11 @@ def test_a_scene_that_cannot_be_made_is_set_aside_and_named(
         with pytest.raises(KeyboardInterrupt):
             run(cell, out, scenes=3)
     assert not (out / "set_aside.json").exists()  # it is not given up any more
+    with monkeypatch.context() as patch:
+        failing(patch, {1: (DropError("no rest"), 1), 3: (KeyboardInterrupt(), 1)})
+        with pytest.raises(KeyboardInterrupt):
+            run(cell, out, scenes=4)
+    assert json.loads((out / "set_aside.json").read_text()) == {"000001": recorded}
     summary, found, made = run(cell, out, scenes=3)
     assert (summary.set_aside, found, made) == ((), 2, [1])
     assert content(out) == content(undisturbed)

@@ -88,11 +88,12 @@ def test_a_machine_that_loses_scene_after_scene_ends_the_run():
 
 
 def test_scenes_that_are_lost_now_and_then_do_not_end_a_run():
-    script = {scene_id: [WorkerDied("killed")] for scene_id in range(0, 20, 2)}
-    script |= {scene_id: [DropError("no rest")] for scene_id in range(20, 40)}  # none the machine's
-    pool = Scripted(script)
-    outcomes = list(make_all(pool, range(40)))
-    assert sum(isinstance(o, Made) for o in outcomes) == 20
+    script = {scene_id: [WorkerDied("killed")] for scene_id in range(0, 80, 2)}
+    script |= {
+        scene_id: [DropError("no rest")] for scene_id in range(80, 100)
+    }  # by their own fault
+    outcomes = list(make_all(Scripted(script), range(100)))
+    assert sum(isinstance(o, Made) for o in outcomes) == 80
 
 
 def test_an_unknown_engine_is_refused(task):

@@ -1,5 +1,7 @@
 """Bins from mesh files: placed and measured, as a configuration names them."""
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 import trimesh
@@ -42,6 +44,11 @@ def test_a_crate_comes_to_the_origin_and_is_measured_whatever_frame_its_file_has
     assert across.min() > 0.99  # a crate's faces are flat
     assert cKDTree(made.vertices).query(placed.vertices)[0].max() < 2e-6
     assert "its floor 10.0 mm above the table" in found.notes[-1]
+
+
+def test_the_crate_of_the_configurations_is_this_one(tmp_path):
+    ours = Path(__file__).resolve().parents[1] / "examples" / "data" / "crate.stl"
+    assert CRATE.write(tmp_path / "crate.stl").read_bytes() == ours.read_bytes()
 
 
 def test_a_box_as_a_mesh_is_the_box(tmp_path):

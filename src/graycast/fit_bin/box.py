@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from .reading import Grid
-from .shape import COS_ALIKE, NO_FACE
+from .shape import COS_ALIKE, NO_FACE, BinShape
 
 _RAISED_M, _AROUND_M = 0.015, 0.025  # of content: above the floor; walls, and what places are off
 
@@ -36,10 +36,6 @@ class OpenBox:
     def __post_init__(self) -> None:
         for array in (self.low_m, self.high_m, self.axis, self.side):
             array.flags.writeable = False
-
-    @property
-    def stand_in(self) -> "OpenBox":
-        return self
 
     @property
     def surface(self) -> Int[np.ndarray, "f"]:
@@ -115,6 +111,11 @@ class OpenBox:
         faces = self.low_m, self.high_m, self.axis, each_m
         inner_m = np.array(self.inner_m)
         return _evidence(np.ascontiguousarray(T_world_cam), ray, depth_m, *faces, inner_m, content)
+
+
+def stand_in(shape: BinShape) -> OpenBox:
+    """The box that is about the same, for a first search."""
+    return shape if isinstance(shape, OpenBox) else open_box(shape.inner_m)
 
 
 def open_box(inner_m: tuple[float, float, float], wall_m: float | None = None) -> OpenBox:

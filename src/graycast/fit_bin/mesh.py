@@ -15,7 +15,6 @@ from ..frames import inverse, transform_points
 from ..parts import Mesh
 from ..raster import rasterize
 from ..scene import Bin, inner_floor
-from .box import OpenBox, open_box
 from .reading import Grid
 from .shape import COS_ALIKE, NO_FACE
 
@@ -49,10 +48,6 @@ class MeshShape:
     spacing_m: float
     # Faces that look along one axis the same way: their samples, and whose they are.
     trees: tuple[tuple[cKDTree, Int[np.ndarray, "_"]] | None, ...] = field(repr=False)
-
-    @property
-    def stand_in(self) -> OpenBox:
-        return open_box(self.inner_m)
 
     @property
     def bounds_m(self) -> Float[np.ndarray, "2 3"]:

@@ -22,7 +22,7 @@ from scipy.spatial.transform import Rotation
 
 from ..errors import GraycastError
 from ..frames import axis_rotation, inverse, rigid, transform_points
-from .box import OpenBox
+from .box import OpenBox, stand_in
 from .edges import hold_by_edges
 from .reading import Grid, View
 from .shape import NO_FACE, BinShape, height_over
@@ -94,7 +94,7 @@ def find_pose(views: Sequence[View], shape: BinShape, *, azimuth_rad: float, see
     Raises:
         GraycastError: nothing in the views looks like the bin.
     """
-    box, starts = shape.stand_in, []
+    box, starts = stand_in(shape), []
     grids = [view.grid(_SEARCH_PX) for view in views]
     for grid in grids:
         starts += start_poses(box, grid, each=_STARTS, seed=seed)

@@ -1,14 +1,11 @@
 """What a fit asks of a bin: flat faces in the world frame, of a box or of a mesh."""
 
-from typing import TYPE_CHECKING, Protocol, runtime_checkable
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from .reading import Grid
-
-if TYPE_CHECKING:
-    from .box import OpenBox
 
 NO_FACE = -1
 COS_ALIKE = 0.707  # of the largest angle between a point's normal and its face's
@@ -24,11 +21,6 @@ class BinShape(Protocol):
 
     inner_m: tuple[float, float, float]
     names: tuple[str, ...]  # of the surfaces: floor, wall +x, ...
-
-    @property
-    def stand_in(self) -> "OpenBox":
-        """The box that is about the same, for the first search."""
-        ...
 
     @property
     def surface(self) -> Int[np.ndarray, "f"]:

@@ -1,9 +1,14 @@
 """What tests share: the render device of the process, and the data beside the repository."""
 
 import os
+import signal
 from pathlib import Path
 
 import pytest
+
+# A run in the background is born deaf to Ctrl-C, and so would be what tests start and interrupt.
+if signal.getsignal(signal.SIGINT) == signal.SIG_IGN:
+    signal.signal(signal.SIGINT, signal.default_int_handler)
 
 # Workers side by side (-n) that each took all cores would wait for each other: a third of the
 # processor time. NumPy's threads are told before it is loaded, the others below.

@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import Literal
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Float
 
 from .errors import MeshError
 from .parts import Material, Mesh, load_mesh
@@ -98,8 +98,8 @@ def _floor_m(mesh: Mesh) -> float:
     for across in (0, 1):
         along, normal = 1 - across, np.eye(3)[across]
         for cut in _CUTS:
-            segment, face = _cut(mesh, normal, middle + cut * extent * normal)
-            floor = _normals(mesh, face)[:, 2] > _UPRIGHT
+            segment, face_normal = _cut(mesh, normal, middle + cut * extent * normal)
+            floor = face_normal[:, 2] > _UPRIGHT
             inside = _within(segment[floor, :, along] - middle[along], extent[along] / 4)
             heights.append(segment[floor, :, 2].mean(axis=1))
             lengths.append(inside)
@@ -109,8 +109,7 @@ def _floor_m(mesh: Mesh) -> float:
 def _sides_m(mesh: Mesh, height_m: float) -> Float[np.ndarray, "2 2"]:
     """Where the walls are, low and high, along x and along y."""
     middle, extent = mesh.bounds_m.mean(axis=0), mesh.extent_m
-    segment, face = _cut(mesh, np.array([0.0, 0.0, 1.0]), np.array([0.0, 0.0, height_m]))
-    normal = _normals(mesh, face)
+    segment, normal = _cut(mesh, np.array([0.0, 0.0, 1.0]), np.array([0.0, 0.0, height_m]))
     sides = np.empty((2, 2))
     for across in (0, 1):
         along = 1 - across
@@ -125,18 +124,14 @@ def _sides_m(mesh: Mesh, height_m: float) -> Float[np.ndarray, "2 2"]:
 
 def _cut(
     mesh: Mesh, normal: Float[np.ndarray, "3"], point_m: Float[np.ndarray, "3"]
-) -> tuple[Float[np.ndarray, "n 2 3"], Int[np.ndarray, "n"]]:
-    """Segments in which a plane cuts the mesh, and their faces."""
+) -> tuple[Float[np.ndarray, "n 2 3"], Float[np.ndarray, "n 3"]]:
+    """Segments in which a plane cuts the mesh, and the unit normals of their faces."""
     import trimesh
 
     shape = trimesh.Trimesh(mesh.vertices_m, mesh.faces, process=False)
-    return trimesh.intersections.mesh_plane(shape, normal, point_m, return_faces=True)
-
-
-def _normals(mesh: Mesh, face: Int[np.ndarray, "n"]) -> Float[np.ndarray, "n 3"]:
-    corner = mesh.vertices_m[mesh.faces[face]]
-    normal = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
-    return normal / np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-30)
+    segment, face = trimesh.intersections.mesh_plane(shape, normal, point_m, return_faces=True)
+    cross = mesh.face_cross_m2[face]
+    return segment, cross / np.maximum(np.linalg.norm(cross, axis=1, keepdims=True), 1e-30)
 
 
 def _within(span_m: Float[np.ndarray, "n 2"], half_m: float) -> Float[np.ndarray, "n"]:

@@ -111,6 +111,26 @@ def test_a_full_disk_leaves_nothing_half_written(tmp_path, monkeypatch):
     assert [path.name for path in tmp_path.iterdir()] == ["cell.yaml"]
 
 
+def test_a_file_that_came_meanwhile_stays(tmp_path, monkeypatch):
+    T = pose()
+    seen = [view(perfect_depth(T))]
+    box = open_box(BOX.inner_m)
+    fit = BinFit(views=("a",), shape=box, pose=settle(seen, box, T), apart=())
+    base = tmp_path / "cell.yaml"
+    base.write_text(BASE)
+
+    def slowly(pose, shape, views, path):
+        path.write_bytes(b"picture")
+        (tmp_path / "new.yaml").write_text("of another run")
+
+    monkeypatch.setattr("graycast.fit_bin.fitting.draw_residuals", slowly)
+    cell = resolve_cell(load_config(base), tmp_path)
+    with pytest.raises(GraycastError, match="is there already"):
+        write_fit(fit, cell, seen, base, tmp_path / "new.yaml")
+    assert (tmp_path / "new.yaml").read_text() == "of another run"
+    assert {path.name for path in tmp_path.iterdir()} == {"cell.yaml", "new.yaml"}
+
+
 # --- the keys that it writes -------------------------------------------------------------------
 
 

@@ -25,7 +25,7 @@ from .plots import draw_residuals
 from .reading import View
 from .registration import FREEDOMS, FaceFit, PoseFit, difference, find_pose, settle
 from .shape import BinShape
-from .writing import fitted_text
+from .writing import fitted_text, refuse_there
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -119,14 +119,13 @@ def write_fit(fit: BinFit, cell: Cell, views: Sequence[View], base: Path, out: P
         )
     text = fitted_text(read_text(base), base, sections(fit, cell), _comments(fit, base))
     report, picture = (out.with_name(out.stem + end) for end in (".fit.json", ".fit.png"))
-    for path in (report, picture, out):
-        if path.exists():
-            raise GraycastError(f"{path}: is there already: choose another name, or remove it")
+    refuse_there(report, picture, out)
     with whole_folder(out.parent) as aside:
         draw_residuals(fit.pose, fit.shape, views, aside / picture.name)
         told = json.dumps(described(fit), indent=1) + "\n"
         (aside / report.name).write_text(told, encoding="utf-8")
         (aside / out.name).write_text(text, encoding="utf-8")
+        refuse_there(report, picture, out)  # what came meanwhile
     return [out, report, picture]
 
 

@@ -100,7 +100,7 @@ def mesh_shape(box: Bin) -> MeshShape:
     """The faces of a bin that is a mesh."""
     mesh = box.mesh
     corner = mesh.vertices_m[mesh.faces]
-    cross = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
+    cross = mesh.face_cross_m2
     area_m2 = np.linalg.norm(cross, axis=1) / 2
     normal = cross / np.maximum(2 * area_m2, 1e-30)[:, None]
     spacing_m = max(_LEAST_SPACING_M, float(np.sqrt(area_m2.sum() / _SAMPLES)))

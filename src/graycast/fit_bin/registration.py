@@ -109,12 +109,17 @@ def find_pose(views: Sequence[View], shape: BinShape, *, azimuth_rad: float, see
         quarter = rigid(axis_rotation("z", np.pi / 2), np.zeros(3))
         candidates.append(register(cloud, quarter @ best, shape))
     # Length and width are told apart where the bin ends, so by what edges hold, too.
-    return _best_settled(views, shape, [_turned(T, box, azimuth_rad) for T in candidates])
+    turned = [_turned(T, box, azimuth_rad) for T in candidates]
+    return _best_settled(views, shape, grids, turned)
 
 
 def _best_settled(
-    views: Sequence[View], shape: BinShape, candidates: Sequence[Float[np.ndarray, "4 4"]]
+    views: Sequence[View],
+    shape: BinShape,
+    grids: Sequence[Grid],
+    candidates: Sequence[Float[np.ndarray, "4 4"]],
 ) -> PoseFit:
+    """The best of what the candidates settle to; the first's refusal where all are refused."""
     fits, refusals = [], []
     for T in candidates:
         try:
@@ -123,7 +128,6 @@ def _best_settled(
             refusals.append(refusal)
     if not fits:
         raise refusals[0]
-    grids = [view.grid(_SEARCH_PX) for view in views]
     best = _best_first(shape, grids, [fit.T_world_cam for fit in fits])[0]
     return next(fit for fit in fits if fit.T_world_cam is best)
 

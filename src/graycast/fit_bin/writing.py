@@ -18,12 +18,22 @@ def refuse_existing(out: Path, base: Path) -> None:
     Raises:
         GraycastError: the file is there, or would change what relative paths mean.
     """
-    if out.exists():
-        raise GraycastError(f"{out}: is there already: choose another name, or remove it")
+    refuse_there(out)
     if out.absolute().parent.resolve() != base.absolute().parent.resolve():
         raise GraycastError(
             f"{out}: is not in the folder of {base}, where its relative paths start: write it there"
         )
+
+
+def refuse_there(*paths: Path) -> None:
+    """Nothing is written over.
+
+    Raises:
+        GraycastError: one of the files is there.
+    """
+    for path in paths:
+        if path.exists():
+            raise GraycastError(f"{path}: is there already: choose another name, or remove it")
 
 
 def fitted_text(

@@ -91,6 +91,12 @@ class Mesh:
     def extent_m(self) -> Float[np.ndarray, "3"]:
         return np.ptp(self.vertices_m, axis=0)
 
+    @property
+    def face_cross_m2(self) -> Float[np.ndarray, "f 3"]:
+        """Outward, along each face's normal, as long as twice its area."""
+        corner = self.vertices_m[self.faces]
+        return np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Symmetry:

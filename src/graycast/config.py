@@ -162,7 +162,14 @@ class DropSection(Settings):
     penetration_m: float = Field(
         0.5e-3, gt=0, le=0.1, description="deepest overlap that is accepted"
     )
-    attempts: int = Field(5, ge=1)
+    attempts: int = Field(5, ge=1, description="starts that are tried before a scene is given up")
+    simulated_s: float = Field(
+        20.0,
+        gt=0,
+        le=600,
+        description="how long the parts of one attempt may take to come to rest, simulated time",
+        exclude_if=lambda seconds: seconds == 20.0,  # so that older datasets can go on
+    )
 
 
 class StoreSection(Settings):

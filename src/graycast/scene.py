@@ -156,15 +156,15 @@ class Layout:
     """Where the parts came to lie, and how well: the outcome of a drop.
 
     `part_index[i]` indexes `Scene.parts`; instance i has the pose `T_world_part[i]`. The numbers
-    are what an acceptance test needs: nobody has judged them yet. Penetration is that of the
-    collision hulls, which may lie inside a curved surface by half a millimetre.
+    are what an acceptance test needs: nobody has judged them yet. `last_motion_m` is how far a
+    point of a part moved at the end; where they rest, that is while they were let go. Penetration
+    is that of the collision hulls, which may lie inside a curved surface by half a millimetre.
     """
 
     T_world_part: Float[np.ndarray, "n 4 4"]
     part_index: Int[np.ndarray, "n"]
     at_rest: bool = True
-    last_speed_m_s: float = 0.0
-    last_spin_rad_s: float = 0.0
+    last_motion_m: float = 0.0
     deepest_penetration_m: float = 0.0
     outside: int = 0
     simulated_s: float = 0.0

@@ -5,8 +5,9 @@ import pytest
 from crates import Crate
 
 from graycast.drop import DropLimits, drop
+from graycast.drop.body import body_of
 from graycast.drop.decomposition import _hull
-from graycast.drop.rapier import body_of, simulate
+from graycast.drop.rapier import simulate
 from graycast.frames import axis_rotation, rigid
 from graycast.rig import preset
 from graycast.scene import Bin, Scene, bin_mesh

@@ -1,3 +1,4 @@
+import re
 import subprocess
 import sys
 
@@ -101,8 +102,8 @@ def test_flaws_are_told_with_their_numbers():
     assert "0.51 mm" in text and "0.50 mm" in text
     (text,) = flaws(Layout(**good, outside=1), LIMITS)
     assert "1 of 1 parts lie outside" in text
-    (text,) = flaws(Layout(**good, at_rest=False, last_speed_m_s=0.012, simulated_s=10.0), LIMITS)
-    assert "12.0 mm/s" in text and "10.0 s" in text
+    (text,) = flaws(Layout(**good, at_rest=False, last_motion_m=0.012, simulated_s=10.0), LIMITS)
+    assert "12.00 mm" in text and "10.0 s" in text
     assert len(flaws(Layout(**good, outside=1, at_rest=False), LIMITS)) == 2
     assert flaws(Layout(**good, deepest_penetration_m=float("nan")), LIMITS)
 
@@ -125,12 +126,31 @@ def test_attempts_take_other_sub_seeds_until_one_is_good(scene_of, hull_folder, 
     assert not np.allclose(seen[0], seen[1]) and not np.allclose(seen[1], seen[2])
 
 
-def test_no_good_attempt_is_an_error_that_names_numbers_and_remedy(scene_of, hull_folder):
-    limits = DropLimits(simulated_s=0.2, attempts=2)
-    with pytest.raises(DropError, match=r"4 parts .* 2 attempts.*not at rest.*mm/s.*fewer parts"):
-        drop(
-            scene_of((box_part((0.03,) * 3),)), (4,), seed=0, limits=limits, hull_folder=hull_folder
-        )
+@pytest.mark.parametrize(
+    "count, end, said, unsaid",
+    [
+        (4, dict(at_rest=False), "drop.simulated_s, now 7 s", "larger bin"),
+        (1, dict(at_rest=False), "more friction", "fewer|attempts \\(drop"),
+        (4, dict(outside=2), "larger bin or fewer parts.*drop.attempts, now 2", "simulated_s"),
+        (1, dict(outside=1), "take a larger bin; allow more", "fewer"),
+        (4, dict(deepest_penetration_m=1e-3), "drop.penetration_m, now 0.0005 m", "larger bin"),
+    ],
+)
+def test_an_error_names_what_helps_this_case_and_only_keys_that_exist(
+    scene_of, hull_folder, monkeypatch, count, end, said, unsaid
+):
+    from graycast.config import DropSection
+    from graycast.drop import settle
+
+    def simulate(box, bodies, start, index, **_):
+        return Layout(T_world_part=start, part_index=index, **end)
+
+    monkeypatch.setattr(settle, "simulate", simulate)
+    scene, limits = scene_of((box_part((0.03,) * 3),)), DropLimits(simulated_s=7.0, attempts=2)
+    with pytest.raises(DropError, match=f"^{count} part.*2 attempts; the best: .*{said}") as caught:
+        drop(scene, (count,), seed=0, limits=limits, hull_folder=hull_folder)
+    assert not re.search(unsaid, str(caught.value))
+    assert set(re.findall(r"drop\.(\w+)", str(caught.value))) <= set(DropSection.model_fields)
 
 
 @pytest.mark.parametrize(

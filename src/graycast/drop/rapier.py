@@ -1,39 +1,53 @@
 """The physics engine, Rapier 0.36: the only file that knows it.
 
 Lengths are scaled by 20 inside, gravity too, because Rapier's contact model is tuned to things
-of a metre; times and masses are not. With the settings below, 255 concave parts come to rest
-without creeping and without overlap to speak of; Rapier's defaults leave 1 mm or never rest. One
+of a metre; times and masses are not. Rapier's defaults leave 1 mm of overlap or never rest. One
 thread, so that one start gives one end, bit for bit, on one type of machine.
 
-Leaves out: bouncing (restitution is 0), rolling friction, bending, air. A little damping stands in
-for them and cures trembling heaps. Friction of a pair is the mean of the two coefficients. Parts
+Rest is a statement on where parts are, not on an instant's speed: see `REST_MOTION_M`. Parts come
+to it in three stages. They fall between walls that stand on the bin's and guide them; then the
+walls go; and at last all that is not physics is taken away (`_LET_GO`), and the heap has to hold by
+itself. Where it does not, it settles on from there and is let go once more.
+
+Leaves out: bouncing (restitution is 0), rolling friction, bending, air. Damping stands in for
+them: little at first, then growing, so that what rocks for ever calms down. Friction of a pair is
+the mean of the two coefficients; the engine's cone gives 86 to 100 % of it, by direction. Parts
 fall no faster than 1 m/s, as if let down by hand. Flat faces come to lie 0.2 mm above the bin and
 0.4 mm apart (`SKIN_M`); curved ones, whose hulls were thinned, closer or slightly into each other.
 """
 
+from collections import deque
 from dataclasses import dataclass
 from itertools import product
 
 import numpy as np
 import rapier3d
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Float, Int
 from scipy.spatial.transform import Rotation
 
 from ..frames import rotation_from_quaternion, transform_points
-from ..parts import Mesh, Part
+from ..parts import Mesh
 from ..scene import Bin, Layout
-from .decomposition import Hull
+from .body import Body, motion_m, parts_outside
 from .overlap import overlap_m
 
 SCALE = 20.0
 GRAVITY_M_S2 = 9.81
 STEP_S = 0.002
-STEPS_PER_LOOK = 20
-REST_SPEED_M_S = 0.005
-REST_SPIN_RAD_S = 0.1
-REST_LOOKS = 5  # with 20 steps of 2 ms each: 0.2 s
+LOOK_S = 0.04  # poses are read this often
+# A part that trembles on the spot by less than a scanner sees lies still; one that creeps does not.
+REST_MOTION_M = 0.1e-3
+REST_LOOKS = 10  # 0.4 s
+# Let go for a second, a heap that is in balance moves less than this: contacts find their forces
+# anew, which shakes it a little. It stays below the millimetre that another engine may find.
+LET_GO_S = 0.6
+LET_GO_MOTION_M = 0.5e-3
 LINEAR_DAMPING = 0.2
 ANGULAR_DAMPING = 1.0
+# One bolt of 255 may rock from edge to edge for ever. From 2 s on damping doubles every second, up
+# to 64 times. Even so nothing hangs in the air: parts still fall at 0.77 m/s and topple at once.
+DAMPING_GROWS_AFTER_S = 2.0
+DAMPING_GROWTH = 64.0
 # What falls from the top of the grid would arrive at 5 m/s, pass through the thin wall of another
 # part and stay locked in it. Parts are rather let down, no faster than this.
 SPEED_LIMIT_M_S = 1.0
@@ -46,53 +60,25 @@ WALL_M = 0.15  # thickness outwards of what parts collide with: nothing tunnels 
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Body:
-    """One kind of part as the engine needs it, in the part's frame.
+class _Stage:
+    """On which terms parts move, and when a damped stage ends: where no point of a part was more
 
-    Mass, centre and moments are those of the true mesh filled evenly, not of the hulls.
+    than `motion_m` from where it is, seen every 40 ms for so many looks.
     """
 
-    hulls: tuple[Hull, ...]
-    volume_m3: float
-    mass_kg: float
-    center_m: Float[np.ndarray, "3"]
-    inertia_kg_m2: Float[np.ndarray, "3 3"]  # about the centre, along the part's axes
-    friction: float
-
-    def __post_init__(self) -> None:
-        self.center_m.flags.writeable = False
-        self.inertia_kg_m2.flags.writeable = False
+    guided: bool = False  # between walls that stand on the bin's
+    damped: bool = True
+    clustered: bool = False  # see `_world`
+    friction: float = 1.0  # the share of it that counts
+    motion_m: float = REST_MOTION_M
+    looks: int = REST_LOOKS
 
 
-def body_of(part: Part, hulls: tuple[Hull, ...]) -> Body:
-    """Mass, centre of mass and inertia of a closed mesh, by signed tetrahedra from the origin.
-
-    A tetrahedron (0, a, b, c) of signed volume V has the second moment
-    `V / 20 (s s^T + a a^T + b b^T + c c^T)` with `s = a + b + c`.
-
-    Raises:
-        ValueError: the mesh encloses no volume, or is inside out.
-    """
-    corner = part.mesh.vertices_m[part.mesh.faces]
-    volume = np.linalg.det(corner) / 6
-    if volume.sum() <= 0:
-        raise ValueError(
-            f"part {part.name} encloses {1e9 * volume.sum():.3g} mm^3: is its mesh closed and "
-            "are its faces counter-clockwise seen from outside?"
-        )
-    total = corner.sum(axis=1)
-    center_m = np.einsum("f,fi->i", volume, total) / 4 / volume.sum()
-    second = np.einsum("f,fi,fj->ij", volume, total, total)
-    second = (second + np.einsum("f,fki,fkj->ij", volume, corner, corner)) / 20
-    second -= volume.sum() * np.outer(center_m, center_m)
-    return Body(
-        hulls=hulls,
-        volume_m3=float(volume.sum()),
-        mass_kg=float(part.density_kg_m3 * volume.sum()),
-        center_m=center_m,
-        inertia_kg_m2=part.density_kg_m3 * (np.trace(second) * np.eye(3) - second),
-        friction=part.friction,
-    )
+_FALL = _Stage(guided=True, clustered=True, motion_m=5e-3, looks=3)
+_GUIDED = _Stage(guided=True)
+_OPEN = _Stage()
+# A heap that holds with nine tenths of its friction does not hang on the last of it.
+_LET_GO = _Stage(damped=False, friction=0.9)
 
 
 def simulate(
@@ -106,71 +92,140 @@ def simulate(
 ) -> Layout:
     """Lets parts fall from their start poses until they rest, or for `simulated_s`.
 
-    At rest means: seen every 40 ms for 0.2 s, no part was faster than 5 mm/s or 0.1 rad/s.
-    Walls without friction stand on the bin's walls while parts fall. At the first rest they go
-    and the parts have to rest once more, so what leans over the rim falls off it.
+    At rest means: seen every 40 ms for 0.4 s, no point of a part was more than 0.1 mm from where
+    it is at the end; what leaned over the rim has fallen off; and let go for a second, with
+    finer steps, nine tenths of the friction and no damping, no point moved by 0.75 mm.
 
     Returns:
         The end, judged by nobody: `flaws` does that. `deepest_penetration_m` is the
         deepest overlap of any two hulls of different parts, or of a hull and the bin.
     """
-    world = _world()
-    ceiling_m = float(T_world_part[:, 2, 3].max(initial=0.0)) + 1.0
-    blocks = _add_bin(world, box, ceiling_m)
-    handles = _add_parts(world, bodies, T_world_part, part_index, first_label=len(blocks))
-    time_s, calm, walled, at_rest, speed_m_s, spin_rad_s = 0.0, 0, True, False, 0.0, 0.0
-    while not at_rest and time_s < simulated_s:
-        for _ in range(STEPS_PER_LOOK):
-            world.step()
-        time_s += STEPS_PER_LOOK * STEP_S
-        speed_m_s, spin_rad_s = _fastest(world, handles)
-        still = speed_m_s < REST_SPEED_M_S and spin_rad_s < REST_SPIN_RAD_S
-        calm = calm + 1 if still else 0
-        if calm >= REST_LOOKS and walled:
-            for block in blocks:
-                if block.above_rim:
-                    world.remove_collider(block.handle)
-            walled, calm = False, 0
-        at_rest = calm >= REST_LOOKS
-    end = _poses(world, handles)
-    solids = [list(block.pieces_m) for block in blocks]
+    kinds = [_Kind.of(body) for body in bodies]
+    box_m = np.stack([body.box_m for body in bodies])[part_index]
+    end, time_s, last_m, stages = T_world_part, 0.0, np.inf, [_LET_GO, _GUIDED, _FALL]
+    while stages and time_s < simulated_s:
+        stage = stages.pop()
+        heap = _heap(stage, box, kinds, end, part_index)
+        end, last_m, stage_s, rests = (
+            _until_rest(heap, box_m, stage, simulated_s - time_s)
+            if stage.damped
+            else _let_go(heap, box_m)
+        )
+        time_s += stage_s
+        if not rests:
+            stages += [stage] if stage.damped else [_LET_GO, _OPEN]
+    solids = [list(block.pieces_m) for block in heap.blocks]
     for T, kind in zip(end, part_index, strict=True):
         solids.append([transform_points(T, vertices) for vertices, _ in bodies[kind].hulls])
     return Layout(
         T_world_part=end,
         part_index=part_index,
-        at_rest=at_rest,
-        last_speed_m_s=speed_m_s,
-        last_spin_rad_s=spin_rad_s,
-        deepest_penetration_m=_deepest_penetration_m(world, solids),
+        at_rest=not stages,
+        last_motion_m=last_m,
+        deepest_penetration_m=_deepest_penetration_m(heap.world, solids),
         outside=int(parts_outside(box, bodies, end, part_index).sum()),
         simulated_s=time_s,
         attempt=attempt,
     )
 
 
-def parts_outside(
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Kind:
+    """A kind of part as the engine holds it."""
+
+    shape: rapier3d.SharedShape
+    mass: rapier3d.MassProperties
+    friction: float
+
+    @staticmethod
+    def of(body: Body) -> "_Kind":
+        return _Kind(shape=_shape(body), mass=_mass_properties(body), friction=body.friction)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Block:
+    """What stands still; each piece is the corners [m] of something convex."""
+
+    pieces_m: Float[np.ndarray, "p c 3"]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Heap:
+    """A world with a bin and parts that stand still in it; colliders' labels count both."""
+
+    world: rapier3d.PhysicsWorld
+    blocks: list[_Block]
+    parts: list[rapier3d.RigidBodyHandle]
+
+    def run(self, seconds: float) -> None:
+        for _ in range(round(seconds / self.world.integration_parameters.dt)):
+            self.world.step()
+
+    def damp(self, factor: float) -> None:
+        for handle in self.parts:
+            body = self.world.rigid_bodies[handle]
+            body.linear_damping = LINEAR_DAMPING * factor
+            body.angular_damping = ANGULAR_DAMPING * factor
+
+    def poses(self) -> Float[np.ndarray, "n 4 4"]:
+        T = np.tile(np.eye(4), (len(self.parts), 1, 1))
+        for i, handle in enumerate(self.parts):
+            position = self.world.rigid_bodies[handle].position
+            q = position.rotation
+            T[i, :3, :3] = rotation_from_quaternion(np.array([q.i, q.j, q.k, q.w]))
+            T[i, :3, 3] = np.array(position.translation.to_tuple()) / SCALE
+        return T
+
+
+_End = tuple[Float[np.ndarray, "n 4 4"], float, float, bool]
+"""Poses, how far a point moved last [m], simulated time [s], whether the parts rest."""
+
+
+def _until_rest(
+    heap: _Heap, box_m: Float[np.ndarray, "n 8 3"], stage: _Stage, patience_s: float
+) -> _End:
+    """A damped stage: until it ends as it says, or patience does."""
+    seen = deque([heap.poses()], maxlen=1 + stage.looks)
+    for look in range(1, 1 + max(1, round(patience_s / LOOK_S))):
+        growth = 2.0 ** (look * LOOK_S - DAMPING_GROWS_AFTER_S)
+        heap.damp(min(max(growth, 1.0), DAMPING_GROWTH))
+        heap.run(LOOK_S)
+        seen.append(heap.poses())
+        moved_m = float(motion_m(np.stack(seen), box_m).max())
+        rests = look >= stage.looks and moved_m <= stage.motion_m
+        if rests:
+            break
+    return seen[-1], moved_m, look * LOOK_S, rests
+
+
+def _let_go(heap: _Heap, box_m: Float[np.ndarray, "n 8 3"]) -> _End:
+    """The last stage: for `LET_GO_S`, or until a part is on its way."""
+    start = heap.poses()
+    for look in range(1, 1 + round(LET_GO_S / LOOK_S)):
+        heap.run(LOOK_S)
+        now = heap.poses()
+        moved_m = float(motion_m(np.stack([start, now]), box_m).max())
+        if moved_m > LET_GO_MOTION_M:
+            return now, moved_m, look * LOOK_S, False
+    return now, moved_m, LET_GO_S, True
+
+
+def _heap(
+    stage: _Stage,
     box: Bin,
-    bodies: tuple[Body, ...],
+    kinds: list[_Kind],
     T_world_part: Float[np.ndarray, "n 4 4"],
     part_index: Int[np.ndarray, "n"],
-) -> Bool[np.ndarray, "n"]:
-    """Which parts are not in the bin.
-
-    A part is in the bin if its centre of mass is above the inner floor's rectangle and its lowest
-    point is below the rim. So a part that sticks out of the heap over the rim is inside, one that
-    hangs over the wall with its weight beyond it, or lies on top of an overfull heap, is not.
-    """
-    outside = np.zeros(len(part_index), dtype=bool)
-    for i, (T, kind) in enumerate(zip(T_world_part, part_index, strict=True)):
-        x, y, z = T[:3, :3] @ bodies[kind].center_m + T[:3, 3]
-        lowest = min(float((v @ T[2, :3]).min()) for v, _ in bodies[kind].hulls) + T[2, 3]
-        over_floor = abs(x) < box.inner_m[0] / 2 and abs(y) < box.inner_m[1] / 2 and z > 0
-        outside[i] = not (over_floor and lowest < box.inner_m[2])
-    return outside
+) -> _Heap:
+    """A fresh world: no speed, no force and no contact is remembered from an earlier stage."""
+    world = _world(stage)
+    ceiling_m = float(T_world_part[:, 2, 3].max(initial=0.0)) + 1.0 if stage.guided else None
+    blocks = _add_bin(world, box, ceiling_m, friction=stage.friction)
+    parts = _add_parts(world, kinds, T_world_part, part_index, stage, first_label=len(blocks))
+    return _Heap(world=world, blocks=blocks, parts=parts)
 
 
-def _world() -> rapier3d.PhysicsWorld:
+def _world(stage: _Stage) -> rapier3d.PhysicsWorld:
     world = rapier3d.PhysicsWorld(gravity=(0.0, 0.0, -GRAVITY_M_S2 * SCALE))
     world.set_num_threads(1)
     settings = world.integration_parameters
@@ -179,6 +234,14 @@ def _world() -> rapier3d.PhysicsWorld:
     # Continuous detection against what stands still computes every hull's mass properties anew at
     # every step, two thirds of all time. No part that moves 2 mm a step gets through `WALL_M`.
     settings.max_ccd_substeps = 0
+    # Clustering chooses among the contact points of a compound's hulls anew at every step: four
+    # times as fast, but a part on three points rocks from two of them to another two for ever, as
+    # bolts and tubes did. So parts fall with it and come to rest without it.
+    settings.contact_clustering = stage.clustered
+    settings.normalized_prediction_distance = 0.01
+    # The engine's own, cheaper model of friction also resists turning about a contact, as no point
+    # does: in a heap of bottles it held six of ten that another engine saw roll away.
+    settings.friction_model = rapier3d.FrictionModel.COULOMB
     settings.contact_softness = rapier3d.SpringCoefficients(240.0, 10.0)
     settings.static_contact_softness = rapier3d.SpringCoefficients(480.0, 10.0)
     settings.normalized_allowed_linear_error = 0.001
@@ -187,17 +250,10 @@ def _world() -> rapier3d.PhysicsWorld:
     return world
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class _Block:
-    """What stands still; each piece is the corners [m] of something convex."""
-
-    handle: rapier3d.ColliderHandle
-    pieces_m: Float[np.ndarray, "p c 3"]
-    above_rim: bool
-
-
-def _add_bin(world: rapier3d.PhysicsWorld, box: Bin, ceiling_m: float) -> list[_Block]:
-    """Floor, walls, table, and invisible walls from the rim to the ceiling."""
+def _add_bin(
+    world: rapier3d.PhysicsWorld, box: Bin, ceiling_m: float | None, *, friction: float
+) -> list[_Block]:
+    """Floor, walls, table, and invisible walls without friction from the rim to the ceiling."""
     half_x, half_y, rim_m = box.inner_m[0] / 2, box.inner_m[1] / 2, box.inner_m[2]
     out_x, out_y, below = half_x + WALL_M, half_y + WALL_M, -max(WALL_M, box.wall_m)
     sides = [((-out_x, -half_x), (-out_y, out_y)), ((half_x, out_x), (-out_y, out_y))]
@@ -207,22 +263,20 @@ def _add_bin(world: rapier3d.PhysicsWorld, box: Bin, ceiling_m: float) -> list[_
     table_m = (below - box.floor_m, -box.floor_m)
     spans += [((-TABLE_M, TABLE_M), (-TABLE_M, TABLE_M), table_m)]
     spans += [(x, y, (0.0, rim_m)) for x, y in sides] if is_box else []
-    spans += [(x, y, (rim_m, ceiling_m)) for x, y in sides]
+    guides = [] if ceiling_m is None else [(x, y, (rim_m, ceiling_m)) for x, y in sides]
     blocks = []
-    for span in spans:
+    for span in spans + guides:
         low, high = np.array(span).T
-        above_rim = span[2][0] == rim_m
         collider = (
             rapier3d.Collider.cuboid(*map(float, (high - low) / 2 * SCALE))
             .translation(tuple((high + low) / 2 * SCALE))
-            .friction(0.0 if above_rim else box.friction)
+            .friction(0.0 if span in guides else box.friction * friction)
             .user_data(len(blocks))
         )
-        handle = world.add_collider(collider)
-        pieces_m = np.array([list(product(*span))])
-        blocks.append(_Block(handle=handle, pieces_m=pieces_m, above_rim=above_rim))
+        world.add_collider(collider)
+        blocks.append(_Block(pieces_m=np.array([list(product(*span))])))
     if box.mesh is not None:
-        blocks.append(_add_mesh(world, box.mesh, box.friction, label=len(blocks)))
+        blocks.append(_add_mesh(world, box.mesh, box.friction * friction, label=len(blocks)))
     return blocks
 
 
@@ -234,34 +288,32 @@ def _add_mesh(world: rapier3d.PhysicsWorld, mesh: Mesh, friction: float, *, labe
         # What is in the mesh is pushed out of it, and an edge between coplanar faces is none.
         flags=rapier3d.TriMeshFlags.ORIENTED | rapier3d.TriMeshFlags.FIX_INTERNAL_EDGES,
     )
-    handle = world.add_collider(rapier3d.Collider.new(shape).friction(friction).user_data(label))
-    return _Block(handle=handle, pieces_m=mesh.vertices_m[mesh.faces], above_rim=False)
+    world.add_collider(rapier3d.Collider.new(shape).friction(friction).user_data(label))
+    return _Block(pieces_m=mesh.vertices_m[mesh.faces])
 
 
 def _add_parts(
     world: rapier3d.PhysicsWorld,
-    bodies: tuple[Body, ...],
+    kinds: list[_Kind],
     T_world_part: Float[np.ndarray, "n 4 4"],
     part_index: Int[np.ndarray, "n"],
+    stage: _Stage,
     *,
     first_label: int,
 ) -> list[rapier3d.RigidBodyHandle]:
-    shapes = [_shape(body) for body in bodies]
-    masses = [_mass_properties(body) for body in bodies]
     handles = []
-    for label, (T, kind) in enumerate(zip(T_world_part, part_index, strict=True), first_label):
+    for label, (T, index) in enumerate(zip(T_world_part, part_index, strict=True), first_label):
+        kind = kinds[index]
         builder = (
             rapier3d.RigidBody.dynamic()
             .position((tuple(T[:3, 3] * SCALE), _rotation(T[:3, :3])))
-            .linear_damping(LINEAR_DAMPING)
-            .angular_damping(ANGULAR_DAMPING)
             # Rapier's sleep would freeze parts that still creep.
             .can_sleep(False)
         )
         collider = (
-            rapier3d.Collider.new(shapes[kind])
-            .mass_properties(masses[kind])
-            .friction(bodies[kind].friction)
+            rapier3d.Collider.new(kind.shape)
+            .mass_properties(kind.mass)
+            .friction(kind.friction * stage.friction)
             .contact_skin(SKIN_M * SCALE)
             .user_data(label)
         )
@@ -292,28 +344,6 @@ def _mass_properties(body: Body) -> rapier3d.MassProperties:
 
 def _rotation(matrix: Float[np.ndarray, "3 3"]) -> tuple[float, ...]:
     return tuple(map(float, Rotation.from_matrix(matrix).as_quat()))  # (x, y, z, w)
-
-
-def _fastest(
-    world: rapier3d.PhysicsWorld, handles: list[rapier3d.RigidBodyHandle]
-) -> tuple[float, float]:
-    """Highest speed of a centre of mass [m/s] and highest spin [rad/s]."""
-    moving = [world.rigid_bodies[handle] for handle in handles]
-    speed = max((body.linvel.norm() for body in moving), default=0.0)
-    spin = max((body.angvel.norm() for body in moving), default=0.0)
-    return float(speed / SCALE), float(spin)
-
-
-def _poses(
-    world: rapier3d.PhysicsWorld, handles: list[rapier3d.RigidBodyHandle]
-) -> Float[np.ndarray, "n 4 4"]:
-    T = np.tile(np.eye(4), (len(handles), 1, 1))
-    for i, handle in enumerate(handles):
-        position = world.rigid_bodies[handle].position
-        q = position.rotation
-        T[i, :3, :3] = rotation_from_quaternion(np.array([q.i, q.j, q.k, q.w]))
-        T[i, :3, 3] = np.array(position.translation.to_tuple()) / SCALE
-    return T
 
 
 def _near(one: list[np.ndarray], other: list[np.ndarray]) -> list[list[int]]:

@@ -1,6 +1,6 @@
 """Drops a scene's parts, judges the outcome and tries again with the next sub-seed."""
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -9,13 +9,16 @@ import numpy as np
 from ..errors import DropError
 from ..parts import Part
 from ..scene import Bin, Layout, Scene
+from .body import Body, body_of
 from .decomposition import convex_hulls
 from .grid import start_poses
-from .rapier import Body, body_of, simulate
+from .rapier import simulate
 
 PARTS_MAX = 255  # instance ids of a scene fit eight bits
 PACKING = 0.5  # share of its box that a random heap fills, generously
 HEAP_ABOVE_RIM = 1.5  # no heap holds more than this many bins full
+
+OnStage = Callable[[str], None]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -46,7 +49,7 @@ def flaws(layout: Layout, limits: DropLimits) -> tuple[str, ...]:
     if not layout.at_rest:
         found.append(
             f"not at rest after {layout.simulated_s:.1f} s "
-            f"({1e3 * layout.last_speed_m_s:.1f} mm/s, {layout.last_spin_rad_s:.2f} rad/s)"
+            f"(a part still moved by {1e3 * layout.last_motion_m:.2f} mm)"
         )
     if not layout.deepest_penetration_m <= limits.penetration_m:  # NaN must fail too
         found.append(
@@ -63,6 +66,7 @@ def drop(
     seed: int,
     limits: DropLimits,
     hull_folder: Path | None = None,
+    on_stage: OnStage = lambda stage: None,
 ) -> Layout:
     """Drops `counts[i]` of `scene.parts[i]` into the bin until they lie within the limits.
 
@@ -75,6 +79,7 @@ def drop(
         seed: 0 or more.
         limits: what is asked of the layout.
         hull_folder: cache of `convex_hulls`; the user's cache folder if None.
+        on_stage: called with words for what begins, of which each may take seconds.
 
     Raises:
         ValueError: no bin, wrong counts, a part that does not fit, more than the bin could hold.
@@ -97,6 +102,7 @@ def drop(
 
     tried = []
     for attempt in range(limits.attempts):
+        on_stage(f"parts fall, attempt {attempt + 1} of {limits.attempts}")
         rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(attempt,)))
         start, index = start_poses(scene.bin, corners_m, number, rng)
         layout = simulate(
@@ -105,11 +111,30 @@ def drop(
         if not flaws(layout, limits):
             return replace(layout, part_index=kinds[index])
         tried.append(layout)
+    raise DropError(_failure(scene.bin, sum(counts), tried, limits))
+
+
+def _failure(box: Bin, count: int, tried: list[Layout], limits: DropLimits) -> str:
+    """What happened in all attempts, and what helps against what went wrong in the best of them."""
     best = min(tried, key=_badness)
-    raise DropError(
-        f"{sum(counts)} parts in a bin of {_mm(scene.bin.inner_m)} came to no acceptable rest in "
-        f"{limits.attempts} attempts; the best: {'; '.join(flaws(best, limits))}. "
-        "Take fewer parts or a larger bin, or allow more attempts, time or penetration"
+    what = f"{count} part{'s' if count > 1 else ''} in a bin of {_mm(box.inner_m)}"
+    remedies = []
+    if best.outside:
+        remedies.append("take a larger bin" + (" or fewer parts" if count > 1 else ""))
+    if not best.at_rest:
+        remedies.append(
+            f"give them more time (drop.simulated_s, now {limits.simulated_s:g} s) or more friction"
+        )
+    if not best.deepest_penetration_m <= limits.penetration_m:
+        remedies.append(
+            f"accept more overlap (drop.penetration_m, now {limits.penetration_m:g} m) or look at "
+            "the parts with graycast parts: do they have the right unit?"
+        )
+    if best.at_rest or count > 1:  # another start of one restless part ends as restless
+        remedies.append(f"allow more attempts (drop.attempts, now {limits.attempts})")
+    return (
+        f"{what} came to no acceptable rest in {limits.attempts} attempts; the best: "
+        f"{'; '.join(flaws(best, limits))}. What may help: {'; '.join(remedies)}"
     )
 
 

@@ -149,7 +149,7 @@ def _write_head(figure: Figure, shot: Shot, code: Code) -> None:
         f"{render['samples']} samples, depth {render['depth']}",
         f"exposure {1e3 * float(np.max(shot.capture.exposure_s)):.3g} ms",
         f"{rest} after {layout.simulated_s:.2f} s (try {layout.attempt + 1}): "
-        f"{1e3 * layout.last_speed_m_s:.2g} mm/s, {layout.last_spin_rad_s:.2g} rad/s, "
+        f"last moved {1e3 * layout.last_motion_m:.2g} mm, "
         f"overlap {1e3 * layout.deepest_penetration_m:.2g} mm, {layout.outside} outside",
         f"seed {manifest['dataset_seed']}",
         f"{manifest['backend']} on {manifest['device']}",

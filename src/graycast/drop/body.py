@@ -1,0 +1,102 @@
+"""What falls: a kind of part as a rigid body, and whether it lies in the bin."""
+
+from dataclasses import dataclass
+from itertools import product
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+from ..parts import Part
+from ..scene import Bin
+from .decomposition import Hull
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Body:
+    """One kind of part as the engine needs it, in the part's frame.
+
+    Mass, centre and moments are those of the true mesh filled evenly, not of the hulls.
+    """
+
+    hulls: tuple[Hull, ...]
+    volume_m3: float
+    mass_kg: float
+    center_m: Float[np.ndarray, "3"]
+    inertia_kg_m2: Float[np.ndarray, "3 3"]  # about the centre, along the part's axes
+    friction: float
+
+    def __post_init__(self) -> None:
+        self.center_m.flags.writeable = False
+        self.inertia_kg_m2.flags.writeable = False
+
+    @property
+    def box_m(self) -> Float[np.ndarray, "8 3"]:
+        """Corners of the box about the hulls: where a part moves, one of them moves as far."""
+        vertices = np.vstack([vertices for vertices, _ in self.hulls])
+        spans = zip(vertices.min(axis=0), vertices.max(axis=0), strict=True)
+        return np.array(list(product(*spans)))
+
+
+def body_of(part: Part, hulls: tuple[Hull, ...]) -> Body:
+    """Mass, centre of mass and inertia of a closed mesh, by signed tetrahedra from the origin.
+
+    A tetrahedron (0, a, b, c) of signed volume V has the second moment
+    `V / 20 (s s^T + a a^T + b b^T + c c^T)` with `s = a + b + c`.
+
+    Raises:
+        ValueError: the mesh encloses no volume, or is inside out.
+    """
+    corner = part.mesh.vertices_m[part.mesh.faces]
+    volume = np.linalg.det(corner) / 6
+    if volume.sum() <= 0:
+        raise ValueError(
+            f"part {part.name} encloses {1e9 * volume.sum():.3g} mm^3: is its mesh closed and "
+            "are its faces counter-clockwise seen from outside?"
+        )
+    total = corner.sum(axis=1)
+    center_m = np.einsum("f,fi->i", volume, total) / 4 / volume.sum()
+    second = np.einsum("f,fi,fj->ij", volume, total, total)
+    second = (second + np.einsum("f,fki,fkj->ij", volume, corner, corner)) / 20
+    second -= volume.sum() * np.outer(center_m, center_m)
+    return Body(
+        hulls=hulls,
+        volume_m3=float(volume.sum()),
+        mass_kg=float(part.density_kg_m3 * volume.sum()),
+        center_m=center_m,
+        inertia_kg_m2=part.density_kg_m3 * (np.trace(second) * np.eye(3) - second),
+        friction=part.friction,
+    )
+
+
+def motion_m(
+    T_world_part: Float[np.ndarray, "t n 4 4"], box_m: Float[np.ndarray, "n 8 3"]
+) -> Float[np.ndarray, "n"]:
+    """How far a point of each part was at most from where it is in the last of the poses [m].
+
+    `box_m` are corners of a box about each part, in its frame. Distance from a fixed pose is a
+    convex function of the point, so no point in the box was farther than a corner.
+    """
+    corner_m = np.einsum("tnij,nkj->tnki", T_world_part[..., :3, :3], box_m)
+    corner_m += T_world_part[:, :, None, :3, 3]
+    return np.linalg.norm(corner_m - corner_m[-1], axis=-1).max(axis=(0, 2))
+
+
+def parts_outside(
+    box: Bin,
+    bodies: tuple[Body, ...],
+    T_world_part: Float[np.ndarray, "n 4 4"],
+    part_index: Int[np.ndarray, "n"],
+) -> Bool[np.ndarray, "n"]:
+    """Which parts are not in the bin.
+
+    A part is in the bin if its centre of mass is above the inner floor's rectangle and its lowest
+    point is below the rim. So a part that sticks out of the heap over the rim is inside, one that
+    hangs over the wall with its weight beyond it, or lies on top of an overfull heap, is not.
+    """
+    outside = np.zeros(len(part_index), dtype=bool)
+    for i, (T, kind) in enumerate(zip(T_world_part, part_index, strict=True)):
+        x, y, z = T[:3, :3] @ bodies[kind].center_m + T[:3, 3]
+        lowest = min(float((v @ T[2, :3]).min()) for v, _ in bodies[kind].hulls) + T[2, 3]
+        over_floor = abs(x) < box.inner_m[0] / 2 and abs(y) < box.inner_m[1] / 2 and z > 0
+        outside[i] = not (over_floor and lowest < box.inner_m[2])
+    return outside

@@ -296,7 +296,7 @@ WARNINGS = [
     (
         steps_exchanged,
         PHASE,
-        r"backwards: is step 0, 1, 2, 3 of 4 rather 0, 3, 2, 1\?",
+        r"run backwards. With step 0, 3, 2, 1 of 4 instead of 0, 1, 2, 3",
     ),
     (brighter_pair, GRAY, r"column_bit04 .* together are 0\.(69|70) times as bright"),
 ]

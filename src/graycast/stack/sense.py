@@ -115,22 +115,25 @@ def _judge(
     origin, held = edges.origin(sign)
     if sign > 0 and held >= UNRELATED and abs(origin) <= ORIGIN_PERIODS:
         return
-    whose = (
-        f"the phases of period {period.period_px:g} px do not fit the Gray code of the {axis}s: at "
-        f"the edges of its values they are off by {edges.miss(1, 0.0) * period.period_px:.2g} px "
-        "(median)"
-    )
+    px = period.period_px
+    whose = f"the phases of period {px:g} px do not fit the Gray code of the {axis}s"
     if held < UNRELATED:
-        yield f"{whose}, and no sense or origin is better: is period_px, or the order, right?"
+        yield (
+            f"{whose} in any sense or from any origin (off by {px * edges.miss(1, 0.0):.2g} px at "
+            "the edges of its values): is period_px, or the order of the frames, right?"
+        )
         return
     steps = code.frames[period.frames[0]].steps
     before = [float(code.frames[k].step) for k in period.frames]
     origin = _usual(origin, steps)
     after = [round((sign * step + origin * steps) % steps, 2) % steps for step in before]
-    way = "backwards" if sign < 0 else "from another origin"
+    asked = phase[np.isfinite(place)]
+    moved = (1 - sign) * asked - origin
     yield (
-        f"{whose}, by {edges.miss(sign, origin) * period.period_px:.2g} px if the steps run {way}: "
-        f"is step {_listed(before)} of {steps} rather {_listed(after)}?"
+        f"{whose}: the steps run {'backwards' if sign < 0 else 'from another origin'}. With step "
+        f"{_listed(after)} of {steps} instead of {_listed(before)} they meet the edges of its "
+        f"values within {px * edges.miss(sign, origin):.2g} px, and places move by "
+        f"{px * float(np.median(np.abs(moved - np.rint(moved)))):.2g} px (medians)"
     )
 
 

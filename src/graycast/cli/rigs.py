@@ -95,7 +95,7 @@ def _rig_write(options: argparse.Namespace) -> int:
 
 def _rig_import(options: argparse.Namespace) -> int:
     from ..report import describe_rig
-    from ..rig_file import import_opencv, save_scanner
+    from ..rig_file import import_opencv, missing_distortions, save_scanner
     from ..scanner import Scanner
 
     rig = import_opencv(
@@ -108,6 +108,8 @@ def _rig_import(options: argparse.Namespace) -> int:
     )
     save_scanner(Scanner(rig=rig), options.out)
     print(describe_rig(rig))
+    for missing in missing_distortions(options.calibration):
+        print(f"graycast: warning: {missing}", file=sys.stderr)
     print(options.out)
     return 0
 

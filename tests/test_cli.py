@@ -120,6 +120,25 @@ def test_help_lists_every_command_and_examples(capsys):
     run(capsys, "rig")  # a group alone prints its help, too
 
 
+def test_the_command_alone_prints_its_help(capsys):
+    assert run(capsys) == run_help(capsys)
+
+
+def run_help(capsys):
+    with pytest.raises(SystemExit) as end:
+        main(["--help"])
+    assert end.value.code == 0
+    return capsys.readouterr().out
+
+
+def test_threads_by_the_thousand_are_refused_plainly(capsys, tmp_path):
+    config, out = write_cell(tmp_path), tmp_path / "d"
+    assert main(["generate", str(config), "--out", str(out), "--threads", "100000"]) == 1
+    told = capsys.readouterr().err
+    assert "error: threads is 100000 per worker; give 1 to 1024" in told
+    assert not (tmp_path / "d").exists()
+
+
 def test_help_answers_without_loading_what_is_heavy():
     program = """
 import sys

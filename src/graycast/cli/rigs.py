@@ -70,7 +70,11 @@ def _add_calibrate(rigs) -> None:
     calibrate.add_argument("--near", type=above_zero, help="nearest working distance [m]")
     calibrate.add_argument("--far", type=above_zero, help="farthest (default: as the boards lay)")
     calibrate.add_argument(
-        "--radial-terms", type=int, choices=range(4), default=3, help="of distortion (default 3)"
+        "--radial-terms",
+        type=int,
+        choices=range(4),
+        default=3,
+        help="of distortion, at most (default 3)",
     )
 
 

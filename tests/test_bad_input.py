@@ -435,7 +435,6 @@ def test_a_cut_picture_is_found_and_its_scene_named(capsys, tmp_path, dataset):
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
-        ([], "required: COMMAND"),
         (["nope"], "invalid choice: 'nope'"),
         (["generate"], "required: config, --out"),
         (["generate", "x.yaml", "--out", "x", "--wrokers", "2"], "--wrokers"),

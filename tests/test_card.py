@@ -42,7 +42,7 @@ def test_a_card_has_its_head_its_figures_and_its_pictures(dataset):
     head = yaml.safe_load(text.split("---\n")[1])
     assert head["pretty_name"] == "Simulated scans of box, wedge"
     assert head["license"] == "CC-BY-4.0"
-    assert "| part `wedge` | 4 instances in 1 scene |" in text
+    assert "| part wedge | 4 instances in 1 scene |" in text
     assert "seed: 7" in text and "kept beside" not in text
     for scene in open_dataset(dataset).scenes:
         picture = cv2.imread(str(dataset / f"card/{scene.key}.jpg"))
@@ -75,7 +75,7 @@ def test_of_a_large_dataset_few_scenes_are_read_and_all_are_counted(five, tmp_pa
             (place.folder / "rgb/000000.png").unlink()
     text = write_card(out).read_text()
     assert "| scenes | 5 train |" in text
-    assert "| part `box` | 20 instances in 5 scenes |" in text
+    assert "| part box | 20 instances in 5 scenes |" in text
     assert "from 2 scenes drawn of the 5" in text
     assert "| kept beside | every captured frame, projector columns |" in text
     numbers = json.loads((out / "card/stats.json").read_bytes())
@@ -132,3 +132,12 @@ def test_damaged_labels_are_named(dataset, tmp_path):
     (out / "train/000003/scene_gt.json").write_text("{")
     with pytest.raises(DatasetError, match=r"scene_gt\.json"):
         write_card(out)
+
+
+def test_hostile_names_leave_the_card_s_table_whole(dataset, tmp_path):
+    copy = tmp_path / "d"
+    shutil.copytree(dataset, copy)
+    text = write_card(copy, title="x\n# y | z").read_text()
+    head = yaml.safe_load(text.split("---\n")[1])
+    assert head["pretty_name"] == "x\n# y | z"
+    assert "\n# x \\# y \\| z\n" in text

@@ -120,6 +120,25 @@ def test_help_lists_every_command_and_examples(capsys):
     run(capsys, "rig")  # a group alone prints its help, too
 
 
+def test_the_command_alone_prints_its_help(capsys):
+    assert run(capsys) == run_help(capsys)
+
+
+def run_help(capsys):
+    with pytest.raises(SystemExit) as end:
+        main(["--help"])
+    assert end.value.code == 0
+    return capsys.readouterr().out
+
+
+def test_threads_by_the_thousand_are_refused_plainly(capsys, tmp_path):
+    config, out = write_cell(tmp_path), tmp_path / "d"
+    assert main(["generate", str(config), "--out", str(out), "--threads", "100000"]) == 1
+    told = capsys.readouterr().err
+    assert "error: threads is 100000 per worker; give 1 to 1024" in told
+    assert not (tmp_path / "d").exists()
+
+
 def test_help_answers_without_loading_what_is_heavy():
     program = """
 import sys
@@ -238,6 +257,7 @@ def test_import_takes_unit_range_and_sizes_from_the_command_line(capsys, tmp_pat
         "K1: [[900, 0, 320], [0, 901, 240], [0, 0, 1]]\n"
         "K2: [[800, 0, 400], [0, 801, 300], [0, 0, 1]]\n"
         "R: [[1, 0, 0], [0, 1, 0], [0, 0, 1]]\nT: [-8, 0, 0]\n"
+        "dc: [0.1, 0, 0, 0]\ndp: [0, 0, 0, 0]\n"
     )
     size = ("--camera-size", "640x480", "--projector-size", "800x600")
     run(capsys, "rig", "import", calibration, "--out", path, "--unit", "mm", *size,
@@ -247,6 +267,7 @@ def test_import_takes_unit_range_and_sizes_from_the_command_line(capsys, tmp_pat
     assert (rig.projector.width_px, rig.projector.height_px) == (800, 600)
     assert (rig.near_m, rig.far_m) == (0.3, 0.9)
     assert rig.T_cam_proj[:3, 3] == pytest.approx([0.008, 0, 0], abs=1e-15)
+    assert rig.camera.distortion[0] == 0.1
 
 
 @pytest.mark.parametrize("inverses", [False, True])

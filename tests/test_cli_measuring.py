@@ -77,6 +77,23 @@ def test_decode_writes_what_the_documentation_lists(decoded):
     assert (out / "preview.png").stat().st_size > 1000
 
 
+@pytest.mark.parametrize("command", ["decode", "certify", "realism"])
+def test_a_folder_of_something_else_is_refused_before_any_work(capsys, tmp_path, command):
+    """What is asked for does not exist, so a refusal of the folder came first."""
+    (tmp_path / "letters").mkdir()
+    (tmp_path / "letters" / "dear.txt").write_text("mine")
+    arguments = {
+        "decode": ["decode", "paper", "--rig", "paper"],
+        "certify": ["certify", "paper"],
+        "realism": ["realism", tmp_path / "gone.npy", "--intrinsics", "1,1,0,0"],
+    }
+    told = refused(capsys, *arguments[command], "--out", tmp_path / "letters")
+    assert (
+        "letters: is not empty and holds no earlier result of this command (it has dear.t" in told
+    )
+    assert [path.name for path in (tmp_path / "letters").iterdir()] == ["dear.txt"]
+
+
 def test_decode_averages_to_one_point_per_projector_pixel(decoded, capsys, tmp_path):
     _, folder, out = decoded
     printed = run(capsys, "decode", folder / "STACK.yaml", "--rig", folder / "rig.yaml",
@@ -225,9 +242,7 @@ def test_a_folder_is_filled_wholly_or_not_at_all(tmp_path, fault):
 def test_certify_refuses_its_folder_before_it_works(capsys, tmp_path, monkeypatch):
     (tmp_path / "file").write_text("x")
     monkeypatch.setattr("graycast.metrology.certify", lambda *_, **__: pytest.fail("it worked"))
-    assert "file: cannot be written" in refused(
-        capsys, "certify", "paper", "--out", tmp_path / "file"
-    )
+    assert "file: is a file" in refused(capsys, "certify", "paper", "--out", tmp_path / "file")
 
 
 def test_a_stopped_command_does_not_speak_of_scenes(capsys, monkeypatch):

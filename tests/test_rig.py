@@ -13,6 +13,7 @@ from graycast.rig import (
     Rig,
     best_depth_m,
     depth_per_column_m,
+    depth_per_row_m,
     emission,
     grey_levels,
     place,
@@ -106,6 +107,14 @@ def test_depth_per_column_is_nan_where_the_projector_does_not_reach():
 
 def test_columns_along_the_baseline_tell_nothing_about_depth():
     assert depth_per_column_m(parallel_rig("y"), 1.0) == math.inf
+    assert depth_per_row_m(parallel_rig("x"), 1.0) == math.inf
+
+
+@pytest.mark.parametrize("z_m", [0.7, 1.0, 1.7])
+def test_depth_per_row_of_a_projector_above_follows_similar_triangles(z_m):
+    """row = const - f b / z."""
+    expected_m = z_m**2 / (900.0 * 0.2)
+    assert depth_per_row_m(parallel_rig("y"), z_m) == pytest.approx(expected_m, rel=1e-7)
 
 
 @EVERY

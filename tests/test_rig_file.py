@@ -15,7 +15,14 @@ from graycast.frames import inverse, rigid, transform_points
 from graycast.optics import project
 from graycast.rig import PRESETS
 from graycast.rig import preset as rig_preset
-from graycast.rig_file import import_opencv, load_scanner, resolve_scanner, rig_schema, save_scanner
+from graycast.rig_file import (
+    import_opencv,
+    load_scanner,
+    missing_distortions,
+    resolve_scanner,
+    rig_schema,
+    save_scanner,
+)
 from graycast.scanner import Scanner, preset
 
 SHARED = Path(__file__).resolve().parents[2] / "shared" / "data"
@@ -35,12 +42,22 @@ CALIBRATION = {
     "T": [[-183.0], [-23.0], [-60.0]],
 }
 OTHER_SPELLINGS = {
-    "cam_K": ["K1", "M1", "cameraMatrix1", "camera_matrix", "cam_int", "Kc"],
-    "pro_K": ["K2", "M2", "cameraMatrix2", "proj_K", "proj_int", "Kp"],
-    "cam_kc": ["D1", "dist1", "distCoeffs1", "distortion_coefficients", "cam_dist", "kc"],
-    "pro_kc": ["D2", "dist2", "distCoeffs2", "proj_kc", "proj_dist", "kp"],
-    "R": ["R", "rotation", "R", "R", "rotation", "Rp"],
-    "T": ["T", "translation", "t", "T", "translation", "Tp"],
+    "cam_K": ["K1", "M1", "cameraMatrix1", "camera_matrix", "cam_int", "Kc", "Kc", "M1"],
+    "pro_K": ["K2", "M2", "cameraMatrix2", "proj_K", "proj_int", "Kp", "Kp", "M4"],
+    "cam_kc": [
+        "D1",
+        "dist1",
+        "distCoeffs1",
+        "distortion_coefficients",
+        "cam_dist",
+        "kc",
+        "dc",
+        "D1",
+    ],
+    "pro_kc": ["D2", "dist2", "distCoeffs2", "proj_kc", "proj_dist", "kp", "dp", "D4"],
+    "R": ["R", "rotation", "R", "R", "rotation", "Rp", "R", "Rlp"],
+    "T": ["T", "translation", "t", "T", "translation", "Tp", "T", "Tlp"],
+    "cam_size": ["cam_size", "image_size", *["cam_size"] * 5, "S"],
 }
 
 
@@ -86,7 +103,8 @@ def awkward_rig(seed):
     rng = np.random.default_rng(seed)
     rig = rig_preset("phoxi-s")
     distortion = (-1 / 30, 1e-17 / 7, 1e-3 / 7, -(2**-40) / 3, 5e-324)
-    T_cam_proj = rigid(Rotation.random(rng=rng).as_matrix(), rng.normal(size=3))
+    turn = Rotation.from_euler("yxz", rng.uniform(-0.3, -0.1, 3))  # towards what the camera sees
+    T_cam_proj = rigid(turn.as_matrix(), rng.uniform([0.1, -0.02, -0.02], [0.15, 0.02, 0.02]))
     camera = replace(rig.camera, fx_px=800 + 1 / 3, cx_px=-1e-7 / 3, distortion=distortion)
     return replace(rig, T_cam_proj=T_cam_proj, camera=camera, near_m=1 / 3, picture_level=1 / 7)
 
@@ -112,15 +130,15 @@ def test_saving_leaves_one_file_and_no_other(tmp_path):
 
 
 def test_a_file_says_where_the_projector_stands_in_camera_coordinates(tmp_path):
-    """By hand: the projector 0.2 m to the camera's right, turned by -90 degrees about y."""
+    """By hand: 0.2 m to the camera's right, 0.7 m before it, turned by -90 degrees about y."""
     save_scanner(preset("paper"), tmp_path / "rig.yaml")
     content = yaml.safe_load((tmp_path / "rig.yaml").read_text())
     content["R_cam_proj"] = [[0, 0, -1], [0, 1, 0], [1, 0, 0]]
-    content["t_cam_proj_m"] = [0.2, 0.0, 0.0]
+    content["t_cam_proj_m"] = [0.2, 0.0, 0.7]
     (tmp_path / "rig.yaml").write_text(yaml.safe_dump(content))
     T_cam_proj = load_scanner(tmp_path / "rig.yaml").rig.T_cam_proj
     in_front_of_projector = transform_points(T_cam_proj, np.array([[0.0, 0.0, 1.0]]))
-    assert in_front_of_projector.tolist() == [[-0.8, 0.0, 0.0]]
+    assert in_front_of_projector.tolist() == [[-0.8, 0.0, 0.7]]
 
 
 @pytest.mark.parametrize(
@@ -145,12 +163,68 @@ def test_a_calibration_means_what_opencv_means_by_it(tmp_path, name):
     assert (rig.near_m, rig.far_m) == (0.3, 0.8)
 
 
-@pytest.mark.parametrize("which", range(6))
+@pytest.mark.parametrize("which", range(8))
 def test_the_usual_spellings_mean_the_same(tmp_path, which):
     names = {key: words[which] for key, words in OTHER_SPELLINGS.items()}
     other = {names.get(key, key): value for key, value in CALIBRATION.items()}
     usual = read(write(tmp_path / "c.yaml", CALIBRATION))
     assert same(read(write(tmp_path / "c.xml", other)), usual)
+
+
+def test_a_slstudio_file_brings_its_sizes_as_two_numbers_each(tmp_path):
+    keys = {"cam_K": "Kc", "cam_kc": "kc", "pro_K": "Kp", "pro_kc": "kp", "R": "Rp", "T": "Tp"}
+    content = {keys[key]: value for key, value in CALIBRATION.items() if key in keys}
+    content |= {"frameWidth": 640, "frameHeight": 480, "screenResX": 1280, "screenResY": 720}
+    usual = read(write(tmp_path / "c.yaml", CALIBRATION))
+    for name in ("c.xml", "c.npz", "c.json"):
+        assert same(read(write(tmp_path / name, content)), usual)
+    unset = content | {"screenResX": 0, "screenResY": 0}  # what SLStudio writes by default
+    with pytest.raises(ConfigError, match=r"screenResX and screenResY is .0\.0, 0\.0.: give"):
+        read(write(tmp_path / "c.xml", unset))
+
+
+def test_of_two_cameras_and_a_projector_slmaster_means_the_left_camera_and_the_fourth(tmp_path):
+    keys = {"cam_K": "M1", "cam_kc": "D1", "pro_K": "M4", "pro_kc": "D4", "R": "Rlp", "T": "Tlp"}
+    content = {keys.get(key, key): value for key, value in CALIBRATION.items()}
+    right = {"M2": CALIBRATION["cam_K"], "D2": [0.2, 0.0, 0.0, 0.0, 0.0]}
+    right |= {"Rlr": np.eye(3).tolist(), "Tlr": [[90.0], [0.0], [0.0]]}
+    usual = read(write(tmp_path / "c.yaml", CALIBRATION))
+    assert same(read(write(tmp_path / "c.xml", content | right)), usual)
+
+
+def test_a_calibration_without_distortion_is_told_with_the_names_that_it_has(tmp_path):
+    path = write(tmp_path / "c.yaml", CALIBRATION)
+    assert missing_distortions(path) == ()
+    renamed = {"cam_kc": "lensTermsA", "pro_kc": "lensTermsB"}
+    other = {renamed.get(key, key): value for key, value in CALIBRATION.items()}
+    camera, projector = missing_distortions(write(tmp_path / "c.yaml", other))
+    assert "no distortion of the camera" in camera
+    assert "no distortion of the projector" in projector
+    assert "is it one of lensTermsA, lensTermsB? then name it cam_kc" in camera
+    alone = {key: value for key, value in CALIBRATION.items() if key != "pro_kc"}
+    (projector,) = missing_distortions(write(tmp_path / "c.yaml", alone))
+    assert "projector" in projector
+
+
+def test_a_projector_that_looks_away_is_refused(tmp_path):
+    """By hand: turned by half a turn about y, it shines away from all that the camera sees."""
+    save_scanner(preset("paper"), tmp_path / "rig.yaml")
+    content = yaml.safe_load((tmp_path / "rig.yaml").read_text())
+    content["R_cam_proj"] = [[-1, 0, 0], [0, 1, 0], [0, 0, -1]]
+    (tmp_path / "rig.yaml").write_text(yaml.safe_dump(content))
+    with pytest.raises(
+        ConfigError, match=r"nothing in common from 0\.458 to 1\.118 m: does the pro"
+    ):
+        load_scanner(tmp_path / "rig.yaml")
+
+
+def test_a_camera_of_200_000_pixels_is_refused(tmp_path):
+    save_scanner(preset("paper"), tmp_path / "rig.yaml")
+    content = yaml.safe_load((tmp_path / "rig.yaml").read_text())
+    content["camera"]["width_px"] = 200_000
+    (tmp_path / "rig.yaml").write_text(yaml.safe_dump(content))
+    with pytest.raises(ConfigError, match="camera: image size is 200000 x 772 px; each may be at"):
+        load_scanner(tmp_path / "rig.yaml")
 
 
 @pytest.mark.parametrize(

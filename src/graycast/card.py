@@ -6,6 +6,7 @@ datasets have equal cards, to the byte and wherever they lie: no date, no durati
 
 import json
 import os
+import re
 import shutil
 import tempfile
 from collections.abc import Mapping, Sequence
@@ -17,6 +18,7 @@ import cv2
 import numpy as np
 import yaml
 from jaxtyping import UInt8
+from packaging.licenses import InvalidLicenseExpression, canonicalize_license_expression
 
 from .dataset.bop import plain
 from .dataset.stored import SceneContent, StoredDataset, StoredScene, open_dataset
@@ -64,7 +66,8 @@ def write_card(
     Args:
         statistics: of all scenes (`dataset_statistics`). Left out, only `SAMPLED` scenes are read,
             drawn with a fixed seed, so that it takes seconds for any dataset; the card says so.
-        licence: an SPDX identifier or words; left out, the card says that none is stated.
+        licence: an SPDX expression such as CC-BY-4.0, or LicenseRef- and a name of your own; left
+            out, the card says that none is stated.
         title: left out, it names the parts.
 
     Returns:
@@ -72,8 +75,10 @@ def write_card(
 
     Raises:
         DatasetError: the dataset cannot be read.
-        GraycastError: its folder cannot be written.
+        GraycastError: its folder cannot be written, or the licence is none of SPDX's.
     """
+    if licence is not None:
+        licence = spdx(licence)
     stored = open_dataset(dataset)
     scenes = stored.scenes
     census = take_census(scenes)
@@ -97,6 +102,33 @@ def write_card(
             f"{dataset}: the card cannot be written ({why}): make the folder writable, free space"
         ) from error
     return dataset / CARD
+
+
+def spdx(licence: str) -> str:
+    """A licence as the SPDX list spells it; programs know licences by no other words.
+
+    Raises:
+        GraycastError: it is not on the list.
+    """
+    try:
+        return canonicalize_license_expression(licence)
+    except InvalidLicenseExpression as error:
+        raise GraycastError(
+            f"licence {licence!r} is no SPDX expression: give one of spdx.org/licenses such as "
+            "CC-BY-4.0 or MIT, several with AND or OR, or LicenseRef- and a name for your own terms"
+        ) from error
+
+
+def escaped(text: str) -> str:
+    """Words that a user chose, as Markdown shows them letter by letter and in one line."""
+    return re.sub(r"([\\`*_{}\[\]<>()#|~&!$])", r"\\\1", " ".join(text.split()))
+
+
+def fenced(text: str) -> str:
+    """A YAML block, whose fence is longer than any row of backticks in it."""
+    longest = max((len(row) for row in re.findall("`+", text)), default=0)
+    fence = "`" * max(3, longest + 1)
+    return f"{fence}yaml\n{text}{fence}"
 
 
 def sampled(scenes: Sequence[StoredScene]) -> list[StoredScene]:
@@ -174,7 +206,7 @@ def card_text(
     }
     blocks = [
         "---\n" + yaml.safe_dump(head, sort_keys=False) + "---",
-        f"# {title}",
+        f"# {escaped(title)}",
         _introduction(stored),
         f"Licence: {licence or UNSTATED}.",
         *(f"![colour, white frame, scanner depth, reasons]({name})" for name in pictures[:_SHOWN]),
@@ -233,7 +265,7 @@ def _figures(s: Statistics, census: Census, stored: StoredDataset) -> str:
         scenes = census.scenes(obj_id)
         plural = "" if scenes == 1 else "s"
         told = f"{census.instances(obj_id):,} instances in {scenes:,} scene{plural}"
-        rows.append((f"part `{stored.categories[obj_id]}`", told))
+        rows.append((f"part {escaped(stored.categories[obj_id])}", told))
     if s.depth_bin:
         depth = s.depth_quantiles_mm
         rows.append(("perfect depth (1 to 99 %)", f"{depth['p01']:.0f} to {depth['p99']:.0f} mm"))
@@ -244,7 +276,9 @@ def _figures(s: Statistics, census: Census, stored: StoredDataset) -> str:
         rows.append(("with a scanner depth", shares))
     missing = {n: v for n, v in s.part_reason.items() if n != "decoded" and v >= 5e-4}
     if missing:
-        told = ", ".join(f"{name.replace('_', ' ')} {share:.1%}" for name, share in missing.items())
+        told = ", ".join(
+            f"{escaped(name.replace('_', ' '))} {share:.1%}" for name, share in missing.items()
+        )
         rows.append(("without, on parts", told))
     if s.part_error.pixels:
         error = s.part_error
@@ -265,12 +299,10 @@ def _making(stored: StoredDataset) -> str:
     }
     config = {k: v for k, v in claim.get("config", {}).items() if k not in ("files", "scanner")}
     text = yaml.safe_dump(plain(said), sort_keys=True, default_flow_style=None, width=96)
-    blocks = [f"```yaml\n{text}```"]
+    blocks = [fenced(text)]
     if config:
         text = yaml.safe_dump(plain(config), sort_keys=True, default_flow_style=None, width=96)
-        blocks.append(
-            f"The configuration; `graycast.json` has it with the rig:\n\n```yaml\n{text}```"
-        )
+        blocks.append(f"The configuration; `graycast.json` has it with the rig:\n\n{fenced(text)}")
     return "\n\n".join(blocks)
 
 

@@ -34,6 +34,29 @@ def whole_folder(out: Path) -> Iterator[Path]:
                 folder.rmdir()
 
 
+def refuse_foreign(out: Path, mark: str) -> None:
+    """Results of one kind share no folder with anything else.
+
+    Args:
+        out: where they are to go: not there, empty, or holding an earlier result.
+        mark: the file by which an earlier result is known.
+
+    Raises:
+        GraycastError: `out` is a file, or holds something else.
+    """
+    if out.exists() and not out.is_dir():
+        raise GraycastError(f"{out}: is a file: choose a folder")
+    if not out.exists() or (out / mark).exists():
+        return
+    with _refusals(out):
+        held = sorted(entry.name for entry in out.iterdir() if not entry.name.startswith(".part-"))
+    if held:
+        raise GraycastError(
+            f"{out}: is not empty and holds no earlier result of this command (it has {held[0]}): "
+            "choose another folder"
+        )
+
+
 @contextmanager
 def new_folder(out: Path) -> Iterator[Path]:
     """A folder beside `out` to fill, renamed to `out` in one step when the block ends well.

@@ -34,6 +34,8 @@ from .render import OnFrame, choose_device
 from .rig import PRESETS
 from .scanner import Scanner
 
+MOST_THREADS = 1024  # Blender's own limit; tens of thousands end the process
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Workers:
@@ -43,6 +45,13 @@ class Workers:
     count: int = 1
     threads: int | None = None
     address: str | None = None
+
+    def __post_init__(self) -> None:
+        if self.threads is not None and not 1 <= self.threads <= MOST_THREADS:
+            raise ValueError(
+                f"threads is {self.threads} per worker; give 1 to {MOST_THREADS}: more than the "
+                "machine has processors make nothing faster"
+            )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -11,6 +11,8 @@ from jaxtyping import Float
 
 from .frames import pixel_grid
 
+MAX_SIDE_PX = 32_768  # twice the longest sensors; beyond it a number is no size in pixels
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Optics:
@@ -47,6 +49,9 @@ class Optics:
         if self.width_px < 1 or self.height_px < 1:
             size = f"{self.width_px} x {self.height_px}"
             raise ValueError(f"image size is {size} px; both must be at least 1")
+        if max(self.width_px, self.height_px) > MAX_SIDE_PX:
+            size = f"{self.width_px} x {self.height_px}"
+            raise ValueError(f"image size is {size} px; each may be at most {MAX_SIDE_PX}")
         if not (self.fx_px > 0 and self.fy_px > 0):
             focal = f"({self.fx_px}, {self.fy_px})"
             raise ValueError(f"focal length is {focal} px; both must be positive")

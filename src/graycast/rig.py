@@ -6,7 +6,15 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Float, UInt8
 
-from .frames import axis_rotation, inverse, is_rigid, look_at, rigid, transform_points
+from .frames import (
+    axis_rotation,
+    inverse,
+    is_rigid,
+    look_at,
+    pixel_grid,
+    rigid,
+    transform_points,
+)
 from .optics import Optics, project, rays
 
 
@@ -208,17 +216,47 @@ def depth_per_column_m(rig: Rig, z_m: float) -> float:
     NaN where that point is unlit, inf where columns do not move with depth.
     Derived numerically from the projection, so it holds for any pose and distortion.
     """
+    return _depth_per_line_m(rig, z_m, across=0)
+
+
+def depth_per_row_m(rig: Rig, z_m: float) -> float:
+    """The same per projector row, for a baseline that runs down the projector's picture."""
+    return _depth_per_line_m(rig, z_m, across=1)
+
+
+def _depth_per_line_m(rig: Rig, z_m: float, *, across: int) -> float:
     step_m = 1e-4 * z_m
     centre = np.array([[rig.camera.cx_px, rig.camera.cy_px]])
     ray = rays(rig.camera, centre)[0]
     point = np.stack([ray * (z_m - step_m), ray * (z_m + step_m)])
     T_proj_cam = inverse(rig.T_cam_proj)
-    column = project(rig.projector, transform_points(T_proj_cam, point))[:, 0]
-    lit = -0.5 <= column.mean() <= rig.projector.width_px - 0.5
+    line = project(rig.projector, transform_points(T_proj_cam, point))[:, across]
+    size_px = (rig.projector.width_px, rig.projector.height_px)[across]
+    lit = -0.5 <= line.mean() <= size_px - 0.5
     if not lit:
         return math.nan
-    shift = float(abs(column[1] - column[0]))  # 0 where the baseline runs along the columns
+    shift = float(abs(line[1] - line[0]))  # 0 where the baseline runs along the lines
     return 2 * step_m / shift if shift > 0 else math.inf
+
+
+def common_depths_m(
+    camera: Optics,
+    projector: Optics,
+    T_cam_proj: Float[np.ndarray, "4 4"],
+    depth_m: Float[np.ndarray, "n"],
+) -> Float[np.ndarray, "m"]:
+    """Those of the depths at which the camera sees a place that the projector lights.
+
+    Of the camera's pixels 33 x 33 are asked, so an overlap of less than 3 % may be missed.
+    """
+    grid = pixel_grid(33, 33) / 32 * [camera.width_px - 1, camera.height_px - 1]
+    ray = rays(camera, grid)
+    end = [projector.width_px - 0.5, projector.height_px - 0.5]
+    seen = []
+    for z_m in depth_m:
+        place_px = project(projector, transform_points(inverse(T_cam_proj), z_m * ray))
+        seen.append(((place_px > -0.5) & (place_px < end)).all(axis=-1).any())
+    return depth_m[np.array(seen, dtype=bool)]
 
 
 def place(

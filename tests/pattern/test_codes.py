@@ -163,7 +163,7 @@ WHITE = Frame(kind="white")
         (lambda: Frame(kind="phase", axis="row", period_px=9.0, steps=2), "steps 2; 3 or more"),
         (
             lambda: Frame(kind="phase", axis="row", period_px=9.0, steps=4, step=4),
-            "step 4; 0 to 3",
+            "step 4; from 0 to below 4",
         ),
         (
             lambda: Frame(kind="phase", axis="row", period_px=9.0, steps=4, inverse=True),

@@ -135,7 +135,7 @@ def test_a_folder_is_read_in_the_order_of_names(tmp_path, depth_m):
     assert [s.name[-5:] for s in read_scans([tmp_path], K=K)] == ["a.npy", "b.npy", "c.npy"]
 
 
-@pytest.mark.parametrize("suffix", [".npy", ".txt", ".json", "text", "camera"])
+@pytest.mark.parametrize("suffix", [".npy", ".txt", ".json", "text", "camera", "list"])
 def test_intrinsics_are_read_from_every_form(tmp_path, suffix):
     path = tmp_path / f"K{suffix}"
     match suffix:
@@ -148,6 +148,9 @@ def test_intrinsics_are_read_from_every_form(tmp_path, suffix):
         case "camera":
             path = tmp_path / "camera.json"
             path.write_text('{"fx": 300.0, "fy": 300.0, "cx": 159.5, "cy": 119.5, "width": 320}')
+        case "list":
+            path = tmp_path / "K.json"
+            path.write_text(json.dumps(K.tolist()))
         case "text":
             path = "300,300,159.5,119.5"
     np.testing.assert_allclose(read_intrinsics(str(path)), K)
@@ -157,6 +160,15 @@ def test_intrinsics_are_read_from_every_form(tmp_path, suffix):
 def test_intrinsics_that_are_none_are_refused(text):
     with pytest.raises(DatasetError, match="give fx,fy,cx,cy"):
         read_intrinsics(text)
+
+
+@pytest.mark.parametrize(
+    "text", ["[[1, 2], [3, 4]]", "[1, 2, 3]", "[]", '[["a"]]', "[[1], [2, 3]]"]
+)
+def test_a_list_that_is_no_camera_matrix_is_refused(text, tmp_path):
+    (tmp_path / "K.json").write_text(text)
+    with pytest.raises(DatasetError, match="give fx,fy,cx,cy"):
+        read_intrinsics(str(tmp_path / "K.json"))
 
 
 def refusal(path, **given):

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from graycast.realism.gaps import estimate_baseline, find_gaps
-from graycast.realism.steps import count_steps
+from graycast.realism.steps import count_steps, flying_pixels
 
 from .synthetic import K, plane, plates, scan, scattered_plates
 
@@ -154,3 +154,20 @@ def test_a_spike_before_or_behind_both_surfaces_does_not_fly():
     depth_m[rows, x.min() - 1] = 0.7
     depth_m[rows + 2, x.min() - 1] = 1.1
     assert count_steps(scan(depth_m)).flying == 0
+
+
+@pytest.mark.parametrize("filled", [0.04, 0.1, 0.5])
+def test_a_map_of_scattered_pixels_is_counted_without_a_numerical_warning(filled):
+    """Seven valid pixels may go on in the next row, under one another: they are no run.
+
+    Oracle: each row alone, where no run can leave it.
+    """
+    rng = np.random.default_rng(5)
+    depth_m = np.where(rng.random((60, 24)) < filled, rng.choice([0.8, 0.7], (60, 24)), np.nan)
+    depth_m[20:40, 6:18] = np.where(np.arange(12) < 6, 0.8, 0.7)
+    counts = count_steps(scan(depth_m))
+    rows = [flying_pixels(1 / row[None], scan(depth_m).jump_share) for row in depth_m]
+    whole = flying_pixels(1 / depth_m, scan(depth_m).jump_share)
+    assert counts.step_pixels >= whole[0].sum() > 0
+    for k in (0, 1):
+        assert np.array_equal(whole[k], np.concatenate([row[k] for row in rows]))

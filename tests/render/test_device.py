@@ -237,3 +237,8 @@ def test_opening_after_drjit_came_up_without_llvm_says_so():
 def test_threads_below_one_are_refused():
     with pytest.raises(ValueError, match="threads is 0"):
         open_device("llvm", threads=0)
+
+
+def test_optix_under_mitsuba_is_refused_with_the_choices_that_there_are():
+    with pytest.raises(ValueError, match=r"optix is of Cycles alone .*choose auto, cpu or cuda"):
+        choose_device("optix")

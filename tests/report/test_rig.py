@@ -1,5 +1,7 @@
 """The rig's picture and figures, against similar triangles."""
 
+from dataclasses import replace
+
 import cv2
 import numpy as np
 import pytest
@@ -81,6 +83,21 @@ def test_the_words_give_the_figures_of_similar_triangles():
     assert near.endswith("100 x 200 mm")  # 0.15 to 0.25 m wide
     assert far.split()[:5] == ["far", "1500", "mm", "15.000", "mm"]  # 1.5^2 / 150
     assert far.endswith("900 x 600 mm")
+
+
+def test_of_a_projector_above_the_camera_rows_are_told():
+    """The same rig turned by a quarter: 1.5^2 / 150 m per row, and nothing per column."""
+    rig = parallel_rig()
+    above = replace(
+        rig,
+        T_cam_proj=rigid(np.eye(3), np.array([0.0, 0.3, 0.0])),
+        projector=replace(rig.projector, height_px=300, cy_px=149.5),
+    )
+    text = describe_rig(above)
+    assert "one row" in text
+    assert "column" not in text
+    assert text.splitlines()[-1].split()[:5] == ["far", "1500", "mm", "15.000", "mm"]
+    assert "one column" in describe_rig(rig)
 
 
 def purple_share(rig, path):

@@ -16,6 +16,8 @@ DEVICE = ("fx_px", "fy_px", "cx_px", "cy_px", "k1", "k2", "p1", "p2", "k3")
 POSE = ("rotation_x_rad", "rotation_y_rad", "rotation_z_rad", "x_m", "y_m", "z_m")
 REWEIGHTINGS = 4
 OUTLIER = 6.0  # times the median residual: a corner found wrong, not one found badly
+RADIAL = ("k1", "k2", "k3")
+DETERMINED = 5.0  # standard deviations that a device's last radial term must differ from 0 by
 OUTLIER_FLOOR_PX = 0.05  # of that median: what is that good is not thrown away for being the worst
 
 
@@ -50,7 +52,9 @@ class Adjustment:
     """Outcome of the fit. Residuals are (x, y), measured minus predicted, of every observation.
 
     `kept` says which observations the fit rests on. `deviation` is the standard deviation of each
-    fitted number: "camera.fx_px", "projector.k1", "T_proj_cam.x_m", "baseline_m".
+    fitted number: "camera.fx_px", "projector.k1", "T_proj_cam.x_m", "baseline_m". `undetermined`
+    has the radial terms that are 0 because the corners do not tell them from it: what the fit said
+    of each before, and its standard deviation.
     """
 
     camera: Optics
@@ -61,6 +65,7 @@ class Adjustment:
     projector_residual_px: Float[np.ndarray, "n 2"]
     kept: Bool[np.ndarray, "n"]
     deviation: dict[str, float]
+    undetermined: dict[str, tuple[float, float]]
 
 
 def adjust(
@@ -77,7 +82,9 @@ def adjust(
     of that place stands in both residuals; it is taken out of the projector's first. What
     is left there is the code's own error, often far smaller: it ties the two devices together.
     The start is Zhang's calibration of each device alone (OpenCV). Corners beyond six times
-    the median residual are left out once and the rest is fitted again.
+    the median residual are left out once and the rest is fitted again. Then, as long as a device's
+    last radial term is less than 5 standard deviations from 0, that term is 0 and the rest is
+    fitted once more: a number that noise has made bends the picture where no corner was seen.
 
     Source: Z. Zhang, "A flexible new technique for camera calibration", TPAMI 2000; B. Triggs et
     al., "Bundle adjustment - a modern synthesis", 2000.
@@ -88,6 +95,12 @@ def adjust(
     size = np.linalg.norm(_independent(_residuals(fitted, seen), seen), axis=2)
     kept = (size <= OUTLIER * np.maximum(np.median(size, axis=0), OUTLIER_FLOOR_PX)).all(axis=1)
     fitted, jacobian = _fit(fitted, free, seen.taken(kept))
+    undetermined: dict[str, tuple[float, float]] = {}
+    while loose := _loose_terms(fitted, free, jacobian):
+        undetermined |= {name: (value, sigma) for name, (_, value, sigma) in loose.items()}
+        free = free.copy()
+        free[[place for place, *_ in loose.values()]] = False
+        fitted, jacobian = _fit(np.where(free, fitted, 0.0), free, seen.taken(kept))
     residual = _residuals(fitted, seen)
     camera, projector, T_proj_cam, T_cam_board = _unpack(fitted)
     return Adjustment(
@@ -99,7 +112,24 @@ def adjust(
         projector_residual_px=residual[:, 1],
         kept=kept,
         deviation=_deviations(fitted, free, jacobian),
+        undetermined=undetermined,
     )
+
+
+def _loose_terms(fitted, free, jacobian) -> dict[str, tuple[int, float, float]]:
+    """Place, value and deviation of each device's last radial term, where it may as well be 0."""
+    deviation = _deviations(fitted, free, jacobian)
+    found = {}
+    for first, device in ((0, "camera"), (len(DEVICE), "projector")):
+        places = [first + DEVICE.index(term) for term in RADIAL]
+        last = max((place for place in places if free[place]), default=None, key=places.index)
+        if last is None:
+            continue
+        name = f"{device}.{DEVICE[last - first]}"
+        value, sigma = float(fitted[last]), deviation[name]
+        if abs(value) < DETERMINED * sigma:
+            found[name] = last, value, sigma
+    return found
 
 
 # The vector of unknowns: camera (9), projector (9), T_proj_cam (6), then T_cam_board (6) per view.

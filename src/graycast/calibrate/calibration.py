@@ -66,7 +66,9 @@ class Calibration:
     """The rig, its residuals over all views, and the standard deviation of each fitted number.
 
     `coverage` is the share of the camera's and of the projector's picture within the hull of all
-    corners: outside it the distortion is a guess. `warnings` are for the user to read.
+    corners: outside it the distortion is a guess. `undetermined` has the radial terms that are 0
+    because the corners do not tell them from it, with what was fitted and its standard deviation.
+    `warnings` are for the user to read.
     """
 
     rig: Rig
@@ -75,6 +77,7 @@ class Calibration:
     projector_rms_px: float
     epipolar_rms_px: float
     deviation: dict[str, float]
+    undetermined: dict[str, tuple[float, float]]
     coverage: tuple[float, float]
     warnings: tuple[str, ...]
 
@@ -98,7 +101,8 @@ def calibrate_rig(
         projector_size_px: (width, height).
         near_m: nearest depth of the working range; None takes the nearest corner less 10 %.
         far_m: likewise farthest.
-        radial_terms: how many of k1, k2, k3 are fitted, 0 to 3; the rest are 0.
+        radial_terms: how many of k1, k2, k3 are fitted at most, 0 to 3; the rest are 0, and so are
+            last terms that the corners do not determine.
         tangential: whether p1 and p2 are fitted.
 
     Raises:
@@ -148,6 +152,7 @@ def calibrate_rig(
         projector_rms_px=_rms(fit.projector_residual_px[fit.kept]),
         epipolar_rms_px=_rms(epipolar_px[fit.kept, None]),
         deviation=fit.deviation,
+        undetermined=fit.undetermined,
         coverage=coverage,
         warnings=tuple(_warnings(rig, each, fit, coverage)),
     )

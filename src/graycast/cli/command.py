@@ -64,7 +64,8 @@ def _parser() -> argparse.ArgumentParser:
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     parser.add_argument("--version", action="version", version=f"graycast {__version__}")
-    commands = parser.add_subparsers(required=True, metavar="COMMAND")
+    parser.set_defaults(run=lambda _: parser.print_help(), debug=False, when_stopped="")
+    commands = parser.add_subparsers(metavar="COMMAND")
     generating.add_commands(commands)
     datasets.add_commands(commands)
     looking.add_commands(commands)

@@ -42,6 +42,10 @@ def _stats(options: argparse.Namespace) -> int:
 
     if options.licence is not None and not options.card:
         raise GraycastError("--licence is of the card: give --card too, or leave it out")
+    if options.licence is not None:
+        from ..card import spdx
+
+        spdx(options.licence)  # before the dataset is read
     with progress_bar() as bar:
         task = bar.add_task("scenes", total=len(open_dataset(options.dataset).scenes))
         statistics = dataset_statistics(

@@ -5,7 +5,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from ..errors import GraycastError
-from ..folder import whole_folder
+from ..folder import refuse_foreign, whole_folder
 from .arguments import (
     above_zero,
     add_backend,
@@ -18,6 +18,8 @@ from .arguments import (
     resolve_rig_option,
     size,
 )
+
+TABLE = "table.txt"  # in every folder that `graycast realism` writes
 
 
 def add_commands(commands) -> None:
@@ -70,8 +72,9 @@ def add_commands(commands) -> None:
 
 def _decode(options: argparse.Namespace) -> int:
     from ..rig_file import load_scanner
-    from ..stack import decode_stack, describe_result, read_description, write_result
+    from ..stack import CODE, decode_stack, describe_result, read_description, write_result
 
+    refuse_foreign(options.out, CODE)
     stack = options.stack / "stack.yaml" if options.stack.is_dir() else options.stack
     if options.rig is not None:
         scanner = resolve_rig_option(options)
@@ -90,10 +93,11 @@ def _decode(options: argparse.Namespace) -> int:
 
 
 def _certify(options: argparse.Namespace) -> int:
-    from ..metrology import certify, describe, write_certificate
+    from ..metrology import CERTIFICATE, certify, describe, write_certificate
     from ..render import open_renderer
 
     scanner = resolve_rig_option(options)
+    refuse_foreign(options.out, CERTIFICATE)
     with (
         whole_folder(options.out) as folder,
         open_renderer(options.backend, device=options.device) as renderer,
@@ -135,12 +139,14 @@ def _realism(options: argparse.Namespace) -> int:
         records = [_record(path) for path in options.compare]
         print(table(*records))
         if options.out is not None:
+            refuse_foreign(options.out, TABLE)
             with whole_folder(options.out) as folder:
                 _write_table(records, folder)
             print(options.out)
         return 0
     if options.out is None:
         raise GraycastError("say with --out where the measurement goes")
+    refuse_foreign(options.out, TABLE)
     K = None if options.intrinsics is None else read_intrinsics(options.intrinsics)
     with whole_folder(options.out) as folder:
         scans = read_scans(
@@ -164,7 +170,7 @@ def _realism(options: argparse.Namespace) -> int:
 def _write_table(records: list, folder: Path) -> None:
     from ..realism import draw_realism, table
 
-    (folder / "table.txt").write_text(table(*records) + "\n", encoding="utf-8")
+    (folder / TABLE).write_text(table(*records) + "\n", encoding="utf-8")
     draw_realism(records, folder / "plots.png")
 
 

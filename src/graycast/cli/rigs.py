@@ -70,7 +70,11 @@ def _add_calibrate(rigs) -> None:
     calibrate.add_argument("--near", type=above_zero, help="nearest working distance [m]")
     calibrate.add_argument("--far", type=above_zero, help="farthest (default: as the boards lay)")
     calibrate.add_argument(
-        "--radial-terms", type=int, choices=range(4), default=3, help="of distortion (default 3)"
+        "--radial-terms",
+        type=int,
+        choices=range(4),
+        default=3,
+        help="of distortion, at most (default 3)",
     )
 
 
@@ -95,7 +99,7 @@ def _rig_write(options: argparse.Namespace) -> int:
 
 def _rig_import(options: argparse.Namespace) -> int:
     from ..report import describe_rig
-    from ..rig_file import import_opencv, save_scanner
+    from ..rig_file import import_opencv, missing_distortions, save_scanner
     from ..scanner import Scanner
 
     rig = import_opencv(
@@ -108,6 +112,8 @@ def _rig_import(options: argparse.Namespace) -> int:
     )
     save_scanner(Scanner(rig=rig), options.out)
     print(describe_rig(rig))
+    for missing in missing_distortions(options.calibration):
+        print(f"graycast: warning: {missing}", file=sys.stderr)
     print(options.out)
     return 0
 

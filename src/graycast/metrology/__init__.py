@@ -2,6 +2,6 @@
 
 from .certificate import Certificate, Scope
 from .certify import certify
-from .sheet import describe, write_certificate
+from .sheet import CERTIFICATE, describe, write_certificate
 
-__all__ = ["Certificate", "Scope", "certify", "describe", "write_certificate"]
+__all__ = ["CERTIFICATE", "Certificate", "Scope", "certify", "describe", "write_certificate"]

@@ -9,6 +9,7 @@ from pathlib import Path
 from .certificate import Certificate, PlaneResult
 from .plots import draw_plots
 
+CERTIFICATE = "certificate.json"
 REMARK = (
     "Figures of a simulated camera. The quantities are named after those of VDI/VDE 2634 part 2; "
     "conformity with the guideline is not claimed."
@@ -25,7 +26,7 @@ def write_certificate(certificate: Certificate, out: Path) -> Path:
     """
     out.mkdir(parents=True, exist_ok=True)
     text = json.dumps(certificate.record(), indent=2, allow_nan=False)
-    (out / "certificate.json").write_text(text + "\n", encoding="utf-8")
+    (out / CERTIFICATE).write_text(text + "\n", encoding="utf-8")
     plots = draw_plots(certificate, out)
     page = out / "certificate.html"
     page.write_text(_page(certificate, plots), encoding="utf-8")

@@ -41,6 +41,7 @@ class Code:
         twice = [f.name for f in self.frames if self.frames.count(f) > 1]
         if twice:
             raise ValueError(f"frame {twice[0]} is there twice")
+        _check_even_steps(self.frames)
         if min(self.stride_px) <= 0:
             raise ValueError(f"stride_px is {self.stride_px}; projector pixels per code, above 0")
 
@@ -89,6 +90,22 @@ class Code:
         )
         level = to_levels(share)
         return level[None, :] if frame.axis == "column" else level[:, None]
+
+
+def _check_even_steps(frames: tuple[Frame, ...]) -> None:
+    """Three or more frames of one period give a phase of their own, from evenly spread steps."""
+    groups: dict[tuple, list[Frame]] = {}
+    for frame in frames:
+        if frame.steps:
+            groups.setdefault((frame.axis, frame.period_px, frame.steps), []).append(frame)
+    for (axis, period_px, steps), members in groups.items():
+        parts = sorted({round(frame.step % 1, 6) for frame in members})
+        if len(members) >= 3 and len(parts) > 1:
+            told = ", ".join(f"{frame.step:g}" for frame in members)
+            raise ValueError(
+                f"{axis}: the steps of period {period_px:g} px are {told} of {steps}: they differ "
+                "by whole steps"
+            )
 
 
 def _proportional(share: Float[np.ndarray, "*n"]) -> UInt8[np.ndarray, "*n"]:

@@ -22,7 +22,8 @@ class Frame:
       `xor_bit >= 0` that bit, exclusive-or bit `xor_bit` (M. Gupta et al., CVPR 2011);
     - `complementary`: the bit after the finest of a Gray code that counts periods: it tells the
       halves of a period apart;
-    - `phase`: `(1 + cos 2 pi (u / period_px - step / steps)) / 2`;
+    - `phase`: `(1 + cos 2 pi (u / period_px - step / steps)) / 2`; a foreign scanner's cosine may
+      begin between whole steps;
     - `line`: one lit pixel in every `period_px` pixels, moved on by one pixel per step;
     - `white`, `black`: all or nothing.
 
@@ -35,7 +36,7 @@ class Frame:
     inverse: bool = False
     xor_bit: int = -1
     period_px: float = 0.0
-    step: int = 0
+    step: int | float = 0
     steps: int = 0
 
     def __post_init__(self) -> None:
@@ -54,11 +55,13 @@ class Frame:
                 raise ValueError(f"a {self.kind} frame has steps {self.steps}; 3 or more")
             if not 0 <= self.step < self.steps:
                 raise ValueError(
-                    f"a {self.kind} frame has step {self.step}; 0 to {self.steps - 1} as steps "
-                    f"is {self.steps}"
+                    f"a {self.kind} frame has step {self.step:g}; from 0 to below {self.steps}, "
+                    "which is its steps"
                 )
             if self.inverse:
                 raise ValueError(f"a {self.kind} frame has no inverse: leave it out")
+        if self.kind == "line" and self.step != int(self.step):
+            raise ValueError(f"lines move by a pixel a step: step is {self.step:g}, no whole one")
         if self.kind == "line" and self.steps != self.period_px:
             raise ValueError(
                 f"lines move by a pixel a step: steps is {self.steps}, period_px {self.period_px}"
@@ -75,7 +78,9 @@ class Frame:
         elif self.kind == "complementary":
             text = f"{self.axis}_complementary_{self.period_px:g}px"
         else:
-            text = f"{self.axis}_{self.kind}_{self.period_px:g}px_step{self.step:02d}"
+            whole, part = divmod(self.step, 1)
+            text = f"{self.axis}_{self.kind}_{self.period_px:g}px_step{int(whole):02d}"
+            text += f"{part:.6f}".rstrip("0")[1:] if part else ""  # 1.25 is step01.25
         return text + ("_inverse" if self.inverse else "")
 
 

@@ -74,12 +74,12 @@ def read_scans(
 
 def read_intrinsics(text: str) -> Float[np.ndarray, "3 3"]:
     """K from 'fx,fy,cx,cy' [px] or from a file: NPY or text with 3 x 3 numbers, or JSON with
-    `cam_K` or `fx`, `fy`, `cx`, `cy`, as BOP has them.
+    `cam_K` or `fx`, `fy`, `cx`, `cy`, as BOP has them, or with the 3 x 3 numbers as a list.
 
     Raises:
         DatasetError: it is none of these.
     """
-    wanted = "give fx,fy,cx,cy or a file with 3 x 3 numbers (.npy, .txt) or with BOP's keys (.json)"
+    wanted = "give fx,fy,cx,cy or a file of 3 x 3 numbers (.npy, .txt, .json) or of BOP's keys"
     path = Path(text)
     try:
         if path.suffix == ".npy":
@@ -274,8 +274,10 @@ def load_json(path: Path) -> dict[str, Any]:
     return content
 
 
-def _json_K(content: dict[str, Any]) -> Float[np.ndarray, "3 3"]:
-    """BOP's `camera.json`, an entry of `scene_camera.json`, or the first of all of them."""
+def _json_K(content: dict[str, Any] | list[Any]) -> Float[np.ndarray, "rows columns"]:
+    """BOP's `camera.json`, an entry of `scene_camera.json`, or the first of all; or a list."""
+    if isinstance(content, list):
+        return np.array(content, dtype=np.float64, ndmin=2)
     if "fx" in content:
         fx, fy, cx, cy = (float(content[key]) for key in ("fx", "fy", "cx", "cy"))
         return np.array([[fx, 0.0, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]])

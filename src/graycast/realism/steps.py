@@ -84,8 +84,9 @@ def flying_pixels(
         return at_image, flying_image
     # Of every run of seven valid pixels the middle one, if all are in one row.
     windows = np.lib.stride_tricks.sliding_window_view
-    a, b, before, middle, after, c, d = windows(inverse[row, column], 7).T
-    place, y = windows(column, 7), windows(row, 7)
+    one_row = row[:-6] == row[6:]
+    a, b, before, middle, after, c, d = windows(inverse[row, column], 7)[one_row].T
+    place = windows(column, 7)[one_row]
     # Slopes are noisy: over wide gaps they are not believed.
     reach_left = np.minimum(place[:, 3] - place[:, 1], _REACH_PX)
     reach_right = np.minimum(place[:, 5] - place[:, 3], _REACH_PX)
@@ -94,12 +95,12 @@ def flying_pixels(
         c - reach_right * (d - c) / (place[:, 6] - place[:, 5]),
     )
     # One gap is the rim of a shadow; more of them are a surface full of holes.
-    at = (y[:, 0] == y[:, -1]) & ((np.diff(place, axis=1) > 1).sum(axis=1) <= 1)
+    at = (np.diff(place, axis=1) > 1).sum(axis=1) <= 1
     at &= _smooth(a, b, share) & _smooth(c, d, share)
     at &= _apart(*ends, share) & _apart(b, c, share)
     alone = _off(middle, before, share) & _off(middle, after, share)
     flying = at & alone & _between(middle, *ends, share)
-    here = row[3:-3], column[3:-3]
+    here = row[3:-3][one_row], column[3:-3][one_row]
     at_image[here], flying_image[here] = at, flying
     return at_image, flying_image
 

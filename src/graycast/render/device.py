@@ -124,6 +124,11 @@ def choose_device(name: str) -> str:
         DeviceError: the device is not there; the text ends with the remedy.
         ValueError: no such name.
     """
+    if name == "optix":
+        raise ValueError(
+            "device optix is of Cycles alone (--backend cycles): of Mitsuba choose auto, cpu or "
+            "cuda, which traces its rays by OptiX too"
+        )
     if name not in DEVICES:
         raise ValueError(f"no device {name!r}: choose one of {', '.join(DEVICES)}")
     if name in ("auto", "cuda"):

@@ -28,7 +28,7 @@ from ..parts import Part
 from ..pattern import Axis, Code, Frame
 from ..plotting import save_png
 from ..render import GroundTruth
-from ..rig import depth_per_column_m
+from ..rig import depth_per_column_m, depth_per_row_m
 from ..scene import Scene
 from ..simulate import Shot
 
@@ -269,10 +269,14 @@ def _draw_error(sheet: _Sheet, shot: Shot) -> None:
 
 
 def error_limit_m(scene: Scene, truth: GroundTruth) -> float:
-    """Three projector columns' worth of depth at the middle depth; 5 mm where that says nothing."""
+    """Three projector columns' worth of depth (or rows', by the baseline) at the middle depth.
+
+    5 mm where that says nothing.
+    """
     known = truth.depth_m[np.isfinite(truth.depth_m)]
     z_m = float(np.median(known)) if known.size else scene.rig.near_m
-    limit_m = _ERROR_COLUMNS * depth_per_column_m(scene.rig, z_m)
+    of_axis = {"column": depth_per_column_m, "row": depth_per_row_m}
+    limit_m = _ERROR_COLUMNS * of_axis[triangulation_axis(scene.rig)](scene.rig, z_m)
     return limit_m if math.isfinite(limit_m) else _ERROR_FALLBACK_M
 
 

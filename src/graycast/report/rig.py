@@ -14,9 +14,10 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from shapely import Polygon
 
+from ..decode import triangulation_axis
 from ..optics import Optics, rays
 from ..plotting import save_png
-from ..rig import Rig, depth_per_column_m
+from ..rig import Rig, depth_per_column_m, depth_per_row_m
 
 _CAMERA, _PROJECTOR, _COMMON = "tab:blue", "tab:red", "tab:purple"
 _BORDER_POINTS = 33  # per side; distorted borders are curved
@@ -63,17 +64,26 @@ def describe_rig(rig: Rig) -> str:
         f"  working range     {1e3 * rig.near_m:.0f} to {1e3 * rig.far_m:.0f} mm",
         f"  camera            {_optics_words(rig.camera)}",
         f"  projector         {_optics_words(rig.projector)}",
-        "  depth              one column   common field",
+        f"  depth           {f'one {triangulation_axis(rig)}':>13}   common field",
     ]
     for name, z_m in _stations(rig):
-        column_mm = 1e3 * depth_per_column_m(rig, z_m)
-        step = "not lit on axis" if math.isnan(column_mm) else f"{column_mm:.3f} mm"
+        line_mm = 1e3 * _depth_per_line_m(rig, z_m)
+        step = "not lit on axis" if math.isnan(line_mm) else f"{line_mm:.3f} mm"
         lines.append(f"  {name:6} {1e3 * z_m:6.0f} mm  {step:>12}   {_field_words(rig, z_m)}")
     return "\n".join(lines)
 
 
+def _depth_per_line_m(rig: Rig, z_m: float) -> float:
+    """Per line of the projector's picture that the baseline moves: a column, or a row."""
+    match triangulation_axis(rig):
+        case "column":
+            return depth_per_column_m(rig, z_m)
+        case "row":
+            return depth_per_row_m(rig, z_m)
+
+
 def draw_rig(rig: Rig, path: Path) -> None:
-    """Write a PNG: the rig from above and from the side, depth per column, and the fields.
+    """Write a PNG: the rig from above and from the side, depth per column or row, and the fields.
 
     Raises:
         GraycastError: the file cannot be written.
@@ -83,7 +93,7 @@ def draw_rig(rig: Rig, path: Path) -> None:
     axes = figure.subplots(2, 3, height_ratios=(1.35, 1))
     _draw_view(axes[0, 0], rig, across=0)
     _draw_view(axes[0, 1], rig, across=1)
-    _draw_depth_per_column(axes[0, 2], rig)
+    _draw_depth_per_line(axes[0, 2], rig)
     for ax, (name, z_m) in zip(axes[1], _stations(rig), strict=True):
         _draw_fields(ax, rig, name, z_m)
     _share_limits(axes[1])
@@ -133,20 +143,20 @@ def _draw_view(ax: Axes, rig: Rig, *, across: int) -> None:
     )
 
 
-def _draw_depth_per_column(ax: Axes, rig: Rig) -> None:
+def _draw_depth_per_line(ax: Axes, rig: Rig) -> None:
     z_m = np.linspace(rig.near_m, rig.far_m, _DEPTHS)
-    step_m = np.array([depth_per_column_m(rig, z) for z in z_m])
+    step_m = np.array([_depth_per_line_m(rig, z) for z in z_m])
     ax.plot(1e3 * z_m, 1e3 * step_m, color="black")
     for name, z in _stations(rig):
-        here_mm = 1e3 * depth_per_column_m(rig, z)
+        here_mm = 1e3 * _depth_per_line_m(rig, z)
         if math.isfinite(here_mm):
             ax.plot(1e3 * z, here_mm, "o", color="black")
             text = f"{name}: {here_mm:.3f} mm"
             ax.annotate(text, (1e3 * z, here_mm), (6, -12), textcoords="offset points")
     ax.set(
-        title="depth per projector column, camera's axis",
+        title=f"depth per projector {triangulation_axis(rig)}, camera's axis",
         xlabel="depth z [mm]",
-        ylabel="depth per column [mm]",
+        ylabel=f"depth per {triangulation_axis(rig)} [mm]",
         xlim=(1e3 * rig.near_m, 1e3 * (rig.far_m + 0.4 * (rig.far_m - rig.near_m))),
     )
     ax.set_ylim(bottom=0)
@@ -185,8 +195,8 @@ def _stations(rig: Rig) -> tuple[tuple[str, float], ...]:
 def _optics_words(optics: Optics) -> str:
     horizontal, vertical = (math.degrees(angle) for angle in optics.field_of_view_rad)
     size = f"{optics.width_px} x {optics.height_px} px"
-    lens = ", distorted" if optics.has_distortion else ""
-    return f"{size}, field {horizontal:.2f} x {vertical:.2f} deg{lens}"
+    lens = "distorted" if optics.has_distortion else "no distortion"
+    return f"{size}, field {horizontal:.2f} x {vertical:.2f} deg, {lens}"
 
 
 def _field_words(rig: Rig, z_m: float) -> str:

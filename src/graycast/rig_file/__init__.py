@@ -1,6 +1,6 @@
 """Scanners in files: Graycast's own YAML both ways, and OpenCV stereo calibrations in."""
 
-from .opencv import import_opencv
+from .opencv import import_opencv, missing_distortions
 from .own import load_scanner, resolve_scanner, rig_schema, save_scanner, scanner_text
 from .sections import ScannerSections, with_sections
 
@@ -8,6 +8,7 @@ __all__ = [
     "ScannerSections",
     "import_opencv",
     "load_scanner",
+    "missing_distortions",
     "resolve_scanner",
     "rig_schema",
     "save_scanner",

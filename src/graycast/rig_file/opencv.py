@@ -15,9 +15,9 @@ import numpy as np
 from jaxtyping import Float
 
 from ..errors import ConfigError
-from ..frames import inverse, pixel_grid, rigid, transform_points
-from ..optics import Optics, project, rays
-from ..rig import Rig
+from ..frames import inverse, rigid
+from ..optics import Optics
+from ..rig import Rig, common_depths_m
 from ..settings import parse_yaml, read_text
 from .reading import build_optics, build_rig, check_rotation, is_file_storage
 
@@ -29,20 +29,28 @@ MIN_BASELINE_M = 0.001  # below it a unit is wrong: no rig is that small
 _SPELLINGS = {
     "camera matrix": "camK cameraK Kcam Kcamera K1 M1 Kc cameraMatrix1 cameraMatrix camInt "
     "camIntrinsics cameraIntrinsics mtx1 camMtx cameraMtx camMatrix intrinsicMtx1 intrinsic1",
-    "camera distortion": "camKc camD camDist cameraDist cameraDistortion D1 d1 kc dist1 distCoeffs "
-    "distCoeffs1 distCoeff1 distortionCoefficients1 distortionCoefficients camDistCoeffs",
-    "projector matrix": "proK projK projectorK Kproj Kprojector K2 M2 Kp cameraMatrix2 projInt "
+    "camera distortion": "camKc dc Dc camD camDist cameraDist cameraDistortion D1 d1 kc dist1 "
+    "distCoeffs distCoeffs1 distCoeff1 distortionCoefficients1 distortionCoefficients "
+    "camDistCoeffs",
+    "projector matrix": "proK projK projectorK Kproj Kprojector K2 M2 M4 Kp cameraMatrix2 projInt "
     "projIntrinsics projectorIntrinsics mtx2 projMtx projectorMtx projMatrix projectorMatrix "
     "intrinsicMtx2 intrinsic2",
-    "projector distortion": "proKc projKc projD projDist projectorDist projectorDistortion D2 d2 "
-    "kp dist2 distCoeffs2 distCoeff2 distortionCoefficients2 projDistCoeffs",
-    "R": "R Rp rotation rotationMatrix",
-    "T": "T t Tp translation translationVector",
+    "projector distortion": "proKc projKc projD projDist projectorDist projectorDistortion D2 D4 "
+    "d2 kp dp Dp dist2 distCoeffs2 distCoeff2 distortionCoefficients2 projDistCoeffs",
+    "R": "R Rp Rlp rotation rotationMatrix",
+    "T": "T t Tp Tlp translation translationVector",
     "camera size": "camSize cameraSize camImageSize cameraImageSize imageSize imageSize1 "
-    "cameraResolution",
+    "cameraResolution S",
     "projector size": "proSize projSize projectorSize projectorImageSize projImageSize imageSize2 "
     "projectorResolution",
 }
+# SLStudio writes sizes as two numbers.
+_SIDES = {
+    "camera": (("frameWidth", "frameHeight"), ("cameraWidth", "cameraHeight")),
+    "projector": (("screenResX", "screenResY"), ("projectorWidth", "projectorHeight")),
+}
+# SLMaster numbers its devices 1 left camera, 2 right camera, 3 colour camera, 4 projector.
+_RIGHT_CAMERA = {"M4": "M2", "D4": "D2"}
 _EXAMPLES = {
     "camera matrix": "cam_K, K1, M1 or cameraMatrix1",
     "projector matrix": "pro_K, K2, M2 or cameraMatrix2",
@@ -101,19 +109,34 @@ def import_opencv(
     )
 
 
+def missing_distortions(path: Path) -> tuple[str, ...]:
+    """A sentence for each device whose distortion a calibration file does not state.
+
+    OpenCV means a lens without distortion by that; a file may also have it by another name. So the
+    keys that are not understood are told.
+
+    Raises:
+        ConfigError: the file cannot be read.
+    """
+    content = _read_calibration(path)
+    understood = {_find(content, role, path) for role in _SPELLINGS}
+    understood |= {key for pairs in _SIDES.values() for pair in pairs for key in pair}
+    other = ", ".join(str(key) for key in content if key not in understood)
+    hint = f"; is it one of {other}? then name it" if other else "; else add it as"
+    return tuple(
+        f"{path}: states no distortion of the {device}, whose lens is taken without{hint} {example}"
+        for device, example in (("camera", "cam_kc"), ("projector", "pro_kc"))
+        if _find(content, f"{device} distortion", path) is None
+    )
+
+
 def _common_range_m(
     camera: Optics, projector: Optics, T_cam_proj: Float[np.ndarray, "4 4"], path: Path
 ) -> tuple[float, float]:
     """Nearest and farthest depth at which the camera sees a place that the projector lights."""
-    grid = pixel_grid(17, 17) / 16 * [camera.width_px - 1, camera.height_px - 1]
-    ray = rays(camera, grid)
     baseline_m = float(np.linalg.norm(T_cam_proj[:3, 3]))
-    lit_m = []
-    for depth_m in baseline_m * np.geomspace(0.5, 20, 200):
-        place = project(projector, transform_points(inverse(T_cam_proj), depth_m * ray))
-        inside = (place > -0.5) & (place < [projector.width_px - 0.5, projector.height_px - 0.5])
-        if inside.all(axis=-1).any():
-            lit_m.append(float(depth_m))
+    asked_m = baseline_m * np.geomspace(0.5, 20, 200)
+    lit_m = common_depths_m(camera, projector, T_cam_proj, asked_m).tolist()
     if len(lit_m) < 2:
         raise ConfigError(
             f"{path}: camera and projector see nothing in common between 0.5 and 20 baselines: "
@@ -164,10 +187,13 @@ def _distortion(content: Mapping[str, Any], role: str, path: Path) -> tuple[floa
 def _size(content: Mapping[str, Any], device: str, path: Path) -> tuple[int, int]:
     """(width, height) as the file states it."""
     key = _find(content, f"{device} size", path)
-    if key is not None:
-        size = _numbers(content[key], f"{path}: {key}").ravel()
-        if size.shape != (2,) or (size != np.rint(size)).any():
-            raise ConfigError(f"{path}: {key} is {size.tolist()}: give [width, height] in pixels")
+    sides = next((pair for pair in _SIDES[device] if set(pair) <= set(content)), None)
+    if key is not None or sides is not None:
+        value = content[key] if key is not None else [content[side] for side in sides]
+        where = f"{path}: {key or ' and '.join(sides)}"
+        size = _numbers(value, where).ravel()
+        if size.shape != (2,) or (size != np.rint(size)).any() or (size < 1).any():
+            raise ConfigError(f"{where} is {size.tolist()}: give [width, height] in pixels")
         return int(size[0]), int(size[1])
     example = _EXAMPLES[f"{device} size"]
     raise ConfigError(f"{path}: no {device} image size: add {example}, or give it on import")
@@ -194,6 +220,7 @@ def _find(content: Mapping[str, Any], role: str, path: Path) -> str | None:
     """The one key of the file that plays a role, or None."""
     spellings = {_plain(word) for word in _SPELLINGS[role].split()}
     keys = [key for key in content if isinstance(key, str) and _plain(key) in spellings]
+    keys = [key for key in keys if key not in {_RIGHT_CAMERA.get(other) for other in keys}]
     if len(keys) > 1:
         raise ConfigError(f"{path}: {' and '.join(keys)} both give the {role}: keep one")
     return keys[0] if keys else None

@@ -9,7 +9,9 @@ from jaxtyping import Float
 from ..errors import ConfigError
 from ..frames import is_rigid, rigid
 from ..optics import Optics, rays
-from ..rig import Rig
+from ..rig import Rig, common_depths_m
+
+RANGE_STEPS = 33  # of the working range, at which both devices are asked for a common place
 
 
 def is_file_storage(text: str) -> bool:
@@ -26,11 +28,23 @@ def check_rotation(R: Float[np.ndarray, "3 3"], where: str) -> None:
 
 
 def build_rig(path: Path, **fields: Any) -> Rig:
-    """A `Rig` whose refusals name the file."""
+    """A `Rig` whose refusals name the file, and whose devices look at one place.
+
+    Raises:
+        ConfigError: it is no rig, or camera and projector see nothing in common in its range.
+    """
     try:
-        return Rig(**fields)
+        rig = Rig(**fields)
     except ValueError as error:
         raise ConfigError(f"{path}: {error}") from error
+    range_m = np.linspace(rig.near_m, rig.far_m, RANGE_STEPS)
+    if not len(common_depths_m(rig.camera, rig.projector, rig.T_cam_proj, range_m)):
+        raise ConfigError(
+            f"{path}: camera and projector see nothing in common from {rig.near_m:g} to "
+            f"{rig.far_m:g} m: does the projector look away? R_cam_proj and t_cam_proj_m take its "
+            "coordinates to the camera's; else near_m and far_m are another rig's"
+        )
+    return rig
 
 
 def build_optics(path: Path, device: str, **fields: Any) -> Optics:

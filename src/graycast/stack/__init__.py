@@ -12,9 +12,10 @@ from .description import (
     stack_schema,
 )
 from .levels import MeasuredLevels, measure_levels
-from .products import describe_result, write_ply, write_result
+from .products import CODE, describe_result, write_ply, write_result
 
 __all__ = [
+    "CODE",
     "Cells",
     "Cloud",
     "MeasuredLevels",

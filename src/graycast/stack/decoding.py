@@ -114,7 +114,7 @@ def decode_stack(
     clock.lap("levels")
     codes = decode(pictures.frames, code, spec, levels.levels)
     clock.lap("decode")
-    warnings = [*symptoms(pictures, code, codes)]
+    warnings = [*symptoms(pictures, code, codes, spec=spec, levels=levels.levels)]
     _check_light(pictures, codes, warnings, path)
     picture = _picture(pictures, code)
     clock.lap("diagnosis")

@@ -39,7 +39,9 @@ class FrameSection(Settings):
         None, ge=0, le=23, description="The Gray bit that this one is combined with."
     )
     period_px: float | None = Field(None, ge=2, description="Projector pixels per period.")
-    step: int | None = Field(None, ge=0, description="Phase step, from 0.")
+    step: float | None = Field(
+        None, ge=0, description="Phase step, from 0; a fraction where the cosine begins between."
+    )
     steps: int | None = Field(None, ge=3, description="Phase steps in all.")
 
     @model_validator(mode="after")
@@ -64,9 +66,13 @@ class FrameSection(Settings):
             inverse=self.inverse,
             xor_bit=-1 if self.xor_bit is None else self.xor_bit,
             period_px=0.0 if self.period_px is None else self.period_px,
-            step=0 if self.step is None else self.step,
+            step=_whole(self.step or 0.0),
             steps=0 if self.steps is None else self.steps,
         )
+
+
+def _whole(number: float) -> int | float:
+    return int(number) if number == int(number) else number
 
 
 class ProjectorSection(Settings):

@@ -4,38 +4,46 @@ from collections.abc import Iterator
 from itertools import combinations
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
-from ..decode import CodeMap, Reason
-from ..decode.plan import plan_axes
+from ..decode import CodeMap, DecodeSpec, Levels, Reason
+from ..decode.plan import AxisPlan, plan_axes
 from ..pattern import Code
-from .figures import MAX_SAMPLES, samples
+from .figures import MAX_SAMPLES, samples, well_lit
 from .levels import Stack, inverse_pairs
 from .pictures import Pictures
+from .sense import phase_faults
 
 CLEAR = 0.75  # from the middle, as a share of half the contrast: not blurred to grey
 ALIKE = 0.25  # of the well lit pixels clearly bright, or clearly dark, in pattern and inverse
 DRIFT = 0.15  # of brightness between frames
 OUTSIDE = 0.05  # of what decodes
-CONFLICT = 0.2  # of what is lit
+CONFLICT = 0.2  # of what is well lit
+CLEAR_OF_NOISE = 20.0  # contrast over noise, below which noise alone can make frames contradict
 SATURATED = 0.2
 UNLIT = 0.01
 ROUGH = 0.15  # of neighbours more than FAR_PX apart
 FAR_PX = 8.0
+MENDED_OF = 30_000  # pairs on which changes of the order are tried
 TORN, FEWER = 2e-3, 0.5  # of neighbours far apart; of these when a bit is turned over
 
 
 def symptoms(
-    pictures: Pictures,
-    code: Code,
-    codes: CodeMap,
+    pictures: Pictures, code: Code, codes: CodeMap, *, spec: DecodeSpec, levels: Levels
 ) -> Iterator[str]:
-    """Warnings, the cause before the effect."""
+    """Warnings, the cause before the effect.
+
+    Only the well lit pixels are asked whether frames, order and sizes are right: dark and shaded
+    ones contradict themselves in healthy stacks too.
+    """
+    well = well_lit(codes)
     yield from _twins(pictures)
-    yield from _ends(pictures.frames, code, codes)
-    yield from _pairs(pictures, code, codes)
-    yield from _shares(code, codes)
-    yield from _course(code, codes)
+    yield from _ends(pictures.frames, code, well)
+    yield from _pairs(pictures, code, well)
+    yield from phase_faults(pictures.frames, code, spec, levels, well)
+    yield from _shares(code, codes, well)
+    yield from _contradictions(code, codes, well, levels)
+    yield from _course(code, codes, well)
     if pictures.lossy and any(f.kind in ("phase", "line") for f in code.frames):
         yield "JPEG pictures of a phase code: compression and gamma bend phases; use PNG or TIFF"
 
@@ -48,11 +56,10 @@ def _twins(pictures: Pictures) -> Iterator[str]:
         first.setdefault(digest, file.name)
 
 
-def _ends(frames: Stack, code: Code, codes: CodeMap) -> Iterator[str]:
+def _ends(frames: Stack, code: Code, well: Bool[np.ndarray, "h w"]) -> Iterator[str]:
     """White must be brightest and black darkest."""
     kinds = [frame.kind for frame in code.frames]
-    lit = codes.reason != Reason.SHADOW
-    taken = samples(lit)
+    taken = samples(well)
     if not len(taken):
         return
     flat = frames.reshape(len(frames), -1)[:, taken].astype(np.float32)
@@ -70,18 +77,17 @@ def _ends(frames: Stack, code: Code, codes: CodeMap) -> Iterator[str]:
         if beyond.mean() > OUTSIDE:
             other = "brighter" if sign > 0 else "darker"
             yield (
-                f"{100 * beyond.mean():.0f} % of the lit pixels have a frame much {other} than "
-                f"{kind}: is {kind} another frame, or taken with another exposure?"
+                f"{100 * beyond.mean():.0f} % of the well lit pixels have a frame much {other} "
+                f"than {kind}: is {kind} another frame, or taken with another exposure?"
             )
 
 
-def _pairs(pictures: Pictures, code: Code, codes: CodeMap) -> Iterator[str]:
+def _pairs(pictures: Pictures, code: Code, well: Bool[np.ndarray, "h w"]) -> Iterator[str]:
     """A pattern and its inverse are opposite, and together equally bright for every bit."""
     pairs = inverse_pairs(code)
-    lit = codes.reason != Reason.SHADOW
-    if not pairs or not lit.any():
+    if not pairs or not well.any():
         return
-    taken = samples(lit & (codes.modulation >= np.median(codes.modulation[lit])))
+    taken = samples(well)
     flat = pictures.frames.reshape(len(pictures.frames), -1)[:, taken]
     high, low = flat.max(axis=0).astype(np.float32), flat.min(axis=0).astype(np.float32)
     middle, half = (high + low) / 2, np.maximum((high - low) / 2, 1)
@@ -110,20 +116,17 @@ def _pairs(pictures: Pictures, code: Code, codes: CodeMap) -> Iterator[str]:
             )
 
 
-def _shares(code: Code, codes: CodeMap) -> Iterator[str]:
+def _shares(code: Code, codes: CodeMap, well: Bool[np.ndarray, "h w"]) -> Iterator[str]:
     lit = codes.reason != Reason.SHADOW
-    count = {reason: int((codes.reason == reason).sum()) for reason in Reason}
+    count = {reason: int((codes.reason[well] == reason).sum()) for reason in Reason}
     if lit.mean() < UNLIT:
         yield (
             f"{100 * lit.mean():.2f} % of the pixels are lit: is the projector in view and the "
             "exposure long enough?"
         )
-    total = max(int(lit.sum()), 1)
-    if count[Reason.SATURATED] > SATURATED * total:
-        yield (
-            f"{100 * count[Reason.SATURATED] / total:.0f} % of the lit pixels are saturated: "
-            "shorten the exposure"
-        )
+    saturated = int((codes.reason == Reason.SATURATED).sum()) / max(int(lit.sum()), 1)
+    if saturated > SATURATED:
+        yield f"{100 * saturated:.0f} % of the lit pixels are saturated: shorten the exposure"
     placed = count[Reason.DECODED] + count[Reason.OUTSIDE_PROJECTOR]
     outside = count[Reason.OUTSIDE_PROJECTOR] / max(placed, 1)
     if outside > OUTSIDE:
@@ -132,40 +135,51 @@ def _shares(code: Code, codes: CodeMap) -> Iterator[str]:
             f"{100 * outside:.0f} % of the codes lie outside the projector of {size}: is its size "
             "right, are axes or bits exchanged, or is the coarsest bit's inverse its pattern?"
         )
-    conflict = (count[Reason.CONTRADICTORY] + count[Reason.INTERREFLECTION]) / total
-    if conflict > CONFLICT:
-        phases = any(frame.kind in ("phase", "line") for frame in code.frames)
-        ask = "are period_px, steps and their order right?" if phases else "is a frame misnamed?"
-        yield f"{100 * conflict:.0f} % of the lit pixels have frames that contradict: {ask}"
 
 
-def _course(code: Code, codes: CodeMap) -> Iterator[str]:
+def _contradictions(
+    code: Code, codes: CodeMap, well: Bool[np.ndarray, "h w"], levels: Levels
+) -> Iterator[str]:
+    """Frames that do not belong together contradict where they are best seen."""
+    conflict = np.isin(codes.reason[well], (Reason.CONTRADICTORY, Reason.INTERREFLECTION))
+    if not conflict.any() or conflict.mean() <= CONFLICT:
+        return
+    phases = any(frame.kind in ("phase", "line") for frame in code.frames)
+    ask = "are period_px, steps and their order right?" if phases else "is a frame misnamed?"
+    contrast_dn = float(np.median(codes.modulation[well])) * levels.range_dn
+    noise_dn = float(np.sqrt(levels.floor_dn2 + levels.slope_dn * contrast_dn / 2))
+    if contrast_dn < CLEAR_OF_NOISE * noise_dn:
+        ask = (
+            f"their contrast is {contrast_dn / noise_dn:.0f} times the noise, which may be the "
+            f"reason: lengthen the exposure; else {ask}"
+        )
+    yield f"{100 * conflict.mean():.0f} % of the well lit pixels have frames that contradict: {ask}"
+
+
+def _course(code: Code, codes: CodeMap, well: Bool[np.ndarray, "h w"]) -> Iterator[str]:
     """Neighbours see neighbours; a bit turned over or misplaced tears the map."""
-    maps = {"column": codes.column, "row": codes.row}
+    maps = {
+        axis: np.where(well, place, np.float32(np.nan))
+        for axis, place in (("column", codes.column), ("row", codes.row))
+    }
     for axis, plan in plan_axes(code, 0).items():
         pairs_px = _neighbours(maps[axis])
         if len(pairs_px) < 50:
             continue
         far = _far_share(pairs_px)
-        remedy = None if plan.periods else _mended(pairs_px, plan, far)
+        remedy = None if plan.periods else _mended(pairs_px, code, plan, far)
         if remedy is not None:
-            bits, left = remedy
-            names = " and ".join(code.frames[plan.bits[bit].frame].name for bit in bits)
-            change = (
-                f"{names} were its inverse: are the two swapped?"
-                if len(bits) == 1
-                else f"{names} were exchanged: are they in another order?"
-            )
+            change, left = remedy
             yield (
-                f"{100 * far:.1f} % of neighbouring pixels are over {FAR_PX:g} {axis}s apart, "
-                f"{100 * left:.1f} % if {change}"
+                f"{100 * far:.1f} % of neighbouring well lit pixels are over {FAR_PX:g} {axis}s "
+                f"apart, {100 * left:.1f} % if {change}"
             )
         elif far > ROUGH:
             jump_px = np.median(np.abs(pairs_px[:, 1] - pairs_px[:, 0]))
             yield (
-                f"{axis}s do not run smoothly: {100 * far:.0f} % of neighbouring pixels are over "
-                f"{FAR_PX:g} apart, median jump {jump_px:.3g} px: are frames in another order, "
-                "axes exchanged, or the period wrong?"
+                f"{axis}s do not run smoothly: {100 * far:.0f} % of neighbouring well lit pixels "
+                f"are over {FAR_PX:g} apart, median jump {jump_px:.3g} px: are frames in another "
+                "order, axes exchanged, or the period wrong?"
             )
     if len(code.axes) == 2:
         mirrored = _mirrored_share(codes, step=2 if code.subpixel else 8)
@@ -191,26 +205,44 @@ def _far_share(pairs_px: Float[np.ndarray, "n 2"]) -> float:
     return float((np.abs(pairs_px[:, 1] - pairs_px[:, 0]) > FAR_PX).mean())
 
 
-def _mended(pairs_px, plan, far: float) -> tuple[tuple[int, ...], float] | None:
-    """The one bit turned over, or two exchanged, that make most jumps go; and the jumps left."""
+def _mended(pairs_px, code: Code, plan: AxisPlan, far: float) -> tuple[str, float] | None:
+    """The change of the bits that makes most jumps go, in words; and the jumps left."""
     if far < TORN:
         return None
-    count = len(plan.bits)
+    pairs_px = pairs_px[:: max(1, len(pairs_px) // MENDED_OF)]
     value = np.floor((pairs_px - plan.first_px) / plan.cell_px).astype(np.int64)
     gray = value ^ (value >> 1)
     best = None
-    changes = [(bit,) for bit in range(count)] + [*combinations(range(count), 2)]
-    for bits in changes:
-        masks = [1 << (count - 1 - bit) for bit in bits]
-        if len(bits) == 1:
-            changed = gray ^ masks[0]
-        else:
-            differ = ((gray & masks[0]) > 0) != ((gray & masks[1]) > 0)
-            changed = gray ^ np.where(differ, masks[0] | masks[1], 0)
-        left = _far_share(_binary(changed) * plan.cell_px)
+    for change, order, turned in _changes(code, plan):
+        left = _far_share(_binary(_reordered(gray, order) ^ turned) * plan.cell_px)
         if left < FEWER * far and (best is None or left < best[1]):
-            best = bits, left
+            best = change, left
     return best
+
+
+def _changes(code: Code, plan: AxisPlan) -> Iterator[tuple[str, list[int], int]]:
+    """What bits may have suffered: in words, which bit each one is, and those turned over."""
+    count = len(plan.bits)
+    names = [code.frames[bit.frame].name for bit in plan.bits]
+    as_is = [*range(count)]
+    for k in as_is:
+        yield f"{names[k]} were its inverse: are the two swapped?", as_is, 1 << (count - 1 - k)
+    for k, other in combinations(as_is, 2):
+        order = as_is.copy()
+        order[k], order[other] = other, k
+        yield f"{names[k]} and {names[other]} were exchanged: are they in another order?", order, 0
+    yield "all bits were in the opposite order: is bit 0 the finest?", as_is[::-1], 0
+    for by in range(1, count):
+        moved = f"{by} finer" if 2 * by <= count else f"{count - by} coarser"
+        said = f"each bit were {moved}, in a ring: is a file left out?"
+        yield said, as_is[by:] + as_is[:by], 0
+
+
+def _reordered(gray, order: list[int]):
+    """Gray values whose k-th bit from above is what the `order[k]`-th was."""
+    last = len(order) - 1
+    bits = [((gray >> (last - source)) & 1) << (last - k) for k, source in enumerate(order)]
+    return np.bitwise_or.reduce(bits)
 
 
 def _binary(gray):

@@ -9,6 +9,7 @@ from ..decode import CodeMap, Reason
 from ..pattern import Code
 from .levels import inverse_pairs
 
+WELL = 0.4  # of the contrast that two of a hundred lit pixels exceed
 MAX_SAMPLES = 150_000  # pixels that medians are taken of
 
 
@@ -56,6 +57,19 @@ def figures_of(
         epipolar_95_px=float(np.percentile(off, 95)) if off.size else np.nan,
         epipolar_sure_px=float(np.median(sure)) if sure.size else np.nan,
     )
+
+
+def well_lit(codes: CodeMap) -> Bool[np.ndarray, "h w"]:
+    """The lit pixels of a good contrast beside the others: 40 % of what the best ones have.
+
+    Dark surfaces, shadows with a little light from elsewhere and noise are lit too, and contradict
+    themselves in a stack that is as it should be. A frame that is another one than the stack file
+    says is wrong in the best lit pixels as well.
+    """
+    lit = ~np.isin(codes.reason, (Reason.SHADOW, Reason.SATURATED))
+    if not lit.any():
+        return lit
+    return lit & (codes.modulation >= WELL * np.percentile(codes.modulation[lit], 98))
 
 
 def samples(where: Bool[np.ndarray, "h w"]) -> np.ndarray:

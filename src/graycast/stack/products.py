@@ -12,12 +12,13 @@ from matplotlib.colors import Normalize, to_rgb
 from matplotlib.figure import Figure
 
 from ..decode import REASON_COLOR, Reason
-from ..folder import whole_folder
+from ..folder import refuse_foreign, whole_folder
 from ..plotting import save_png
 from .decoding import Cloud, StackResult
 
+CODE = "code.npz"  # always there
 PREVIEW = "preview.png"
-FILES = ("code.npz", "light.npz", "depth.npy", "sigma_depth.npy", "cloud.ply", PREVIEW)
+FILES = (CODE, "light.npz", "depth.npy", "sigma_depth.npy", "cloud.ply", PREVIEW)
 DPI, TILE_IN = 100, 7.0
 _UNKNOWN = (0.20, 0.20, 0.22)
 
@@ -32,8 +33,9 @@ def write_result(result: StackResult, out: Path) -> tuple[Path, ...]:
         The files written.
 
     Raises:
-        GraycastError: the folder cannot be written.
+        GraycastError: the folder cannot be written, or holds something else.
     """
+    refuse_foreign(out, CODE)
     with whole_folder(out) as aside:
         made = tuple(_write_all(result, aside))
     for name in set(FILES).difference(made):
@@ -44,7 +46,7 @@ def write_result(result: StackResult, out: Path) -> tuple[Path, ...]:
 def _write_all(result: StackResult, folder: Path) -> Iterator[str]:
     codes = result.codes
     _save_npz(
-        folder / "code.npz",
+        folder / CODE,
         column=codes.column,
         row=codes.row,
         sigma_column=codes.sigma_column,
@@ -53,7 +55,7 @@ def _write_all(result: StackResult, folder: Path) -> Iterator[str]:
         reason=codes.reason,
         reasons=np.array([reason.name.lower() for reason in Reason]),
     )
-    yield "code.npz"
+    yield CODE
     if result.light is not None:
         direct, indirect = result.light
         _save_npz(folder / "light.npz", **{"direct": direct, "global": indirect})

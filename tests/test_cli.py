@@ -52,6 +52,7 @@ OPTIONS = {
     "bench drop": "--json --count",
     "bench scene": "--json --scenes --count --device",
     "bench engine": "--json --scenes --count",
+    "bench zoo": "--json --families --counts --seeds",
     "bench agree": "--json --plot --device --scenes --samples --size",
     "bench denoise": "--json --plot --device --samples --size --count",
     "bench renderers": "--json --plot --device --samples --size --count --whole",

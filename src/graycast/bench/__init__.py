@@ -1,4 +1,4 @@
-"""Speed and memory of the stages, and three studies that hold the renderers against each other."""
+"""Speed and memory of the stages, studies of renderers, and of drops."""
 
 from .agree import study_agreement
 from .denoise import study_denoisers
@@ -8,6 +8,7 @@ from .opening import opened
 from .plots import draw
 from .renderers import study_renderers
 from .stages import measure_decode, measure_drop, measure_render, measure_scene
+from .zoo import study_zoo
 
 __all__ = [
     "Figures",
@@ -23,4 +24,5 @@ __all__ = [
     "study_agreement",
     "study_denoisers",
     "study_renderers",
+    "study_zoo",
 ]

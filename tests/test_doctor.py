@@ -21,7 +21,7 @@ PROGRAM = """
 import json, sys
 from graycast.doctor import examine
 found = {finding.name: finding.found for finding in examine().findings}
-heavy = sorted({"mitsuba", "drjit", "numba", "coacd", "rapier3d", "pyoidn"} & set(sys.modules))
+heavy = sorted({"mitsuba", "drjit", "numba", "rapier3d", "pyoidn"} & set(sys.modules))
 llvm = "libLLVM" in open("/proc/self/maps").read()
 import drjit, mitsuba, numba, numpy, platform
 stated = {m.__name__: m.__version__ for m in (drjit, mitsuba, numba, numpy)}

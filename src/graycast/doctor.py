@@ -19,7 +19,7 @@ _PACKAGES = {  # distribution: what it gives
     "drjit": "rendering",
     "numba": "fast decoding",
     "rapier3d": "dropping parts",
-    "coacd": "dropping parts that are not convex",
+    "manifold3d": "cutting parts that are not convex",
     "pyoidn": "a clean colour picture from few samples on a processor",
 }
 

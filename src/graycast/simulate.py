@@ -147,7 +147,7 @@ def _timed(timings: dict[str, float], stage: str) -> Iterator[None]:
 
 
 def _versions(renderer: Renderer) -> dict[str, str]:
-    packages = ("numpy", "rapier3d", "coacd", "numba", "pyoidn")
+    packages = ("numpy", "rapier3d", "manifold3d", "numba", "pyoidn")
     return {
         "graycast": __version__,
         "python": platform.python_version(),

@@ -6,7 +6,7 @@ from crates import Crate
 
 from graycast.drop import DropLimits, drop
 from graycast.drop.body import body_of
-from graycast.drop.decomposition import _hull
+from graycast.drop.decomposition import hull_of
 from graycast.drop.rapier import simulate
 from graycast.frames import axis_rotation, rigid
 from graycast.rig import preset
@@ -21,7 +21,7 @@ AS_MESH = Bin(inner_m=BOX.inner_m, mesh=bin_mesh(BOX))
 
 def body_of_box(size_m, friction=0.4):
     part = box_part(size_m, friction)
-    return body_of(part, (_hull(part.mesh.vertices_m),))
+    return body_of(part, (hull_of(part.mesh.vertices_m),))
 
 
 def at(*xyz_m, turn=None):

@@ -2,9 +2,9 @@ import numpy as np
 import pytest
 import trimesh
 
-from graycast.drop import convex_hulls, rapier
+from graycast.drop import rapier
 from graycast.drop.body import body_of, motion_m, parts_outside
-from graycast.drop.decomposition import _hull
+from graycast.drop.decomposition import hull_of
 from graycast.drop.rapier import simulate
 from graycast.frames import axis_rotation, rigid
 from graycast.scene import Bin
@@ -16,7 +16,7 @@ BIN = Bin(inner_m=(0.4, 0.3, 0.1))
 
 def body_of_box(size_m, friction=0.4):
     part = box_part(size_m, friction)
-    return body_of(part, (_hull(part.mesh.vertices_m),))
+    return body_of(part, (hull_of(part.mesh.vertices_m),))
 
 
 def at(*xyz_m, turn=None):
@@ -41,7 +41,7 @@ def test_the_engine_takes_over_mass_centre_and_principal_moments():
     shape = trimesh.creation.box((0.02, 0.04, 0.06))
     shape.apply_transform(rigid(axis_rotation("x", 0.5), np.array([0.01, 0.02, 0.03])))
     part = as_part(shape, "box")
-    body = body_of(part, (_hull(part.mesh.vertices_m),))
+    body = body_of(part, (hull_of(part.mesh.vertices_m),))
     kinds = [rapier._Kind.of(body)]
     heap = rapier._heap(rapier._FALL, BIN, kinds, at(0, 0, 1), np.zeros(1, int))
     heap.run(rapier.STEP_S)
@@ -114,13 +114,13 @@ def test_sliding_friction_is_never_more_than_stated_and_at_most_a_seventh_less(
 
 
 @pytest.fixture(scope="session")
-def bolt(hull_folder):
+def bolt():
     """An M8x25 hex bolt: a hexagonal head of 13 x 5.3 mm, a shank of 8 mm."""
     head = trimesh.creation.cylinder(radius=0.013 / 3**0.5, height=0.0053, sections=6)
     shank = trimesh.creation.cylinder(radius=0.004, height=0.025, sections=48)
     shank.apply_translation((0, 0, 0.0053 / 2 + 0.0125))
     part = as_part(trimesh.boolean.union([head, shank], engine="manifold"), "bolt")
-    return body_of(part, tuple(_hull(np.array(piece.vertices)) for piece in (head, shank)))
+    return body_of(part, tuple(hull_of(np.array(piece.vertices)) for piece in (head, shank)))
 
 
 @pytest.mark.parametrize("tilt_rad", [0.3, 1.2, 1.9, 2.8])
@@ -169,7 +169,7 @@ def test_a_ring_let_down_over_a_peg_ends_with_the_peg_through_its_hole(ring_part
     pin = trimesh.creation.cylinder(radius=0.010, height=0.05, sections=48)
     pin.apply_translation((0, 0, 0.025))
     peg = as_part(trimesh.boolean.union([base, pin], engine="manifold"), "peg")
-    pieces = tuple(_hull(np.array(piece.vertices)) for piece in (base, pin))
+    pieces = tuple(hull_of(np.array(piece.vertices)) for piece in (base, pin))
     bodies = (body_of(peg, pieces), body_of(ring_part, ring_hulls))
     tilt = axis_rotation("x", 0.15)
     start = np.concatenate([at(0, 0, 0.0032), at(0.003, 0.002, 0.08, turn=tilt)])
@@ -242,9 +242,9 @@ def test_a_pair_that_is_jammed_together_is_measured():
     assert not layout.at_rest
 
 
-def test_an_inside_out_mesh_has_no_mass(hull_folder):
+def test_an_inside_out_mesh_has_no_mass():
     shape = trimesh.creation.box((0.04, 0.04, 0.04))
     shape.invert()
     part = as_part(shape, "inverted")
     with pytest.raises(ValueError, match="inverted encloses"):
-        body_of(part, convex_hulls(part.mesh, folder=hull_folder))
+        body_of(part, (hull_of(np.array(shape.vertices)),))

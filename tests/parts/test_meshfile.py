@@ -1,4 +1,5 @@
 import logging
+import os
 from pathlib import Path
 
 import numpy as np
@@ -7,7 +8,7 @@ import trimesh
 from PIL import Image
 
 from graycast.errors import MeshError
-from graycast.parts import Material, Symmetry, load_part, meshfile
+from graycast.parts import Material, Symmetry, load_part, surface
 
 MESHES = Path(__file__).resolve().parents[2] / "../shared/data/meshes"
 needs_meshes = pytest.mark.skipif(not MESHES.is_dir(), reason="../shared/data/meshes is absent")
@@ -337,9 +338,107 @@ def test_an_impossible_size_is_refused_with_the_unit_that_fits(tmp_path, size, e
 
 
 def test_too_many_faces_are_refused(tmp_path, monkeypatch):
-    monkeypatch.setattr(meshfile, "MAX_FACES", 11)
+    monkeypatch.setattr(surface, "MAX_FACES", 11)
     with pytest.raises(MeshError, match=r"12 faces are more than 11; decimate"):
         load(exported(box(), tmp_path / "part.stl"))
+
+
+def sparse(path, size):
+    with path.open("wb") as file:
+        file.truncate(size)
+    return path
+
+
+@pytest.mark.parametrize("ending", ["stl", "obj", "ply", "glb"])
+def test_a_huge_file_is_refused_before_it_is_read(tmp_path, ending):
+    """A sparse file of 10 GB, which would fill the memory."""
+    with pytest.raises(MeshError, match=r"has 10000 MB, more than the 400 MB.*decimate"):
+        load(sparse(tmp_path / f"part.{ending}", 10_000_000_000))
+
+
+def test_a_binary_stl_of_too_many_faces_is_refused_by_its_head(tmp_path, monkeypatch):
+    import trimesh
+
+    path = sparse(tmp_path / "part.stl", 84 + 50 * 500_001)
+    with path.open("r+b") as file:
+        file.seek(80)
+        file.write((500_001).to_bytes(4, "little"))
+    monkeypatch.setattr(trimesh, "load_scene", lambda *_, **__: pytest.fail("it was read"))
+    with pytest.raises(MeshError, match=r"500001 faces are more than 500000; decimate"):
+        load(path)
+
+
+def test_what_is_no_file_is_refused_and_not_waited_for(tmp_path):
+    (tmp_path / "folder.stl").mkdir()
+    os.mkfifo(tmp_path / "pipe.stl")
+    (tmp_path / "zero.stl").symlink_to("/dev/zero")
+    for name, kind in (("folder", "a folder"), ("pipe", "a pipe"), ("zero", "a device")):
+        with pytest.raises(MeshError, match=rf"{kind}.*give the path of a mesh file"):
+            load(tmp_path / f"{name}.stl")
+
+
+def cubes(folder, corners, name="part.stl"):
+    shapes = [trimesh.creation.box((0.02,) * 3) for _ in corners]
+    for shape, corner in zip(shapes, corners, strict=True):
+        shape.apply_translation(corner)
+    return exported(trimesh.util.concatenate(shapes), folder / name)
+
+
+def test_bodies_that_overlap_are_joined_and_their_common_volume_counts_once(tmp_path):
+    """Two cubes of 8 cm^3 that share an eighth of one."""
+    part, findings = load(cubes(tmp_path, [(0, 0, 0), (0.01, 0.01, 0.01)]), unit="m")
+    assert volume(part) == pytest.approx(15e-6, rel=1e-6)
+    assert findings == (
+        "2 separate bodies are taken as one rigid part.",
+        "2 bodies overlap, 6.25% of their volume would count twice: they were joined into one.",
+    )
+    part, findings = load(cubes(tmp_path, [(0, 0, 0), (0.001, 0, 0), (0.05, 0, 0)]), unit="m")
+    assert volume(part) == pytest.approx((8 + 0.4 + 8) * 1e-6, rel=1e-6)
+
+
+@pytest.mark.parametrize("beside", [(0.02, 0, 0), (0.02, 0.02, 0), (0.02,) * 3, (0.03, 0, 0)])
+def test_bodies_that_touch_or_stand_apart_stay_as_they_are(tmp_path, beside):
+    """By a face, an edge, a corner, or not at all; file vertices are kept."""
+    part, findings = load(cubes(tmp_path, [(0, 0, 0), beside]), unit="m")
+    assert volume(part) == pytest.approx(16e-6, rel=1e-6) and len(part.mesh.faces) == 24
+    assert findings[-1] == "2 separate bodies are taken as one rigid part."
+
+
+def test_a_body_inside_another_is_not_counted_and_one_in_its_cavity_is(tmp_path):
+    outer, hole, inner = (trimesh.creation.box((s,) * 3) for s in (0.04, 0.03, 0.02))
+    hole.invert()
+    nested = trimesh.util.concatenate([outer, inner])
+    part, _ = load(exported(nested, tmp_path / "nested.stl"), unit="m")
+    assert volume(part) == pytest.approx(64e-6, rel=1e-6)
+    rattle = trimesh.util.concatenate([outer, hole, inner])
+    part, findings = load(exported(rattle, tmp_path / "rattle.stl"), unit="m")
+    assert volume(part) == pytest.approx((64 - 27 + 8) * 1e-6, rel=1e-6)
+    assert findings[-1] == "1 of 3 shells face inwards, taken as cavities."
+
+
+def test_a_body_that_is_inside_out_beside_another_is_no_cavity(tmp_path):
+    large, small = trimesh.creation.box((0.04,) * 3), trimesh.creation.box((0.02,) * 3)
+    small.apply_translation((0.05, 0, 0))
+    small.invert()
+    path = exported(trimesh.util.concatenate([large, small]), tmp_path / "part.stl")
+    with pytest.raises(MeshError, match=r"inside out.*lies in no other; flip its normals"):
+        load(path, unit="m")
+
+
+def test_overlapping_bodies_with_a_texture_are_refused(tmp_path):
+    one = textured_box()[0]
+    other = one.copy()
+    other.apply_translation((0.02, 0.01, 0.01))
+    trimesh.Scene([one, other]).export(tmp_path / "two.glb")
+    with pytest.raises(MeshError, match=r"2 bodies overlap.*boolean union"):
+        load(tmp_path / "two.glb")
+
+
+def test_three_thousand_cubes_are_one_part(tmp_path):
+    grid = np.stack(np.meshgrid(*[np.arange(n) for n in (15, 15, 14)]), axis=-1).reshape(-1, 3)
+    part, findings = load(cubes(tmp_path, (0.025 * grid)[:3000]), unit="m")
+    assert volume(part) == pytest.approx(3000 * 8e-6, rel=1e-6)
+    assert findings == ("3000 separate bodies are taken as one rigid part.",)
 
 
 def test_a_texture_needs_texture_coordinates(tmp_path):

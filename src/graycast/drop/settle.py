@@ -1,6 +1,6 @@
 """Drops a scene's parts, judges the outcome and tries again with the next sub-seed."""
 
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -10,15 +10,13 @@ from ..errors import DropError
 from ..parts import Part
 from ..scene import Bin, Layout, Scene
 from .body import Body, body_of
-from .decomposition import convex_hulls
+from .decomposition import OnStage, convex_hulls
 from .grid import start_poses
 from .rapier import simulate
 
 PARTS_MAX = 255  # instance ids of a scene fit eight bits
 PACKING = 0.5  # share of its box that a random heap fills, generously
 HEAP_ABOVE_RIM = 1.5  # no heap holds more than this many bins full
-
-OnStage = Callable[[str], None]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -96,7 +94,17 @@ def drop(
     parts = tuple(scene.parts[kind] for kind in kinds)
     number = tuple(counts[kind] for kind in kinds)
     _check_sizes(scene.bin, parts)
-    bodies = tuple(body_of(part, convex_hulls(part.mesh, folder=hull_folder)) for part in parts)
+    bodies = tuple(
+        body_of(
+            part,
+            convex_hulls(
+                part.mesh,
+                folder=hull_folder,
+                on_stage=lambda stage, name=part.name: on_stage(f"{name}: {stage}"),
+            ),
+        )
+        for part in parts
+    )
     _check_volume(scene.bin, bodies, number)
     corners_m = tuple(np.vstack([vertices for vertices, _ in body.hulls]) for body in bodies)
 

@@ -1,0 +1,28 @@
+"""A part's mesh as a few convex hulls, which is what the physics engine collides.
+
+The hulls follow the part's outer surface within a tolerance (`tolerance_m`): no point of them lies
+farther outside the part, so a hole stays open, and no point of the surface farther outside all of
+them. What cannot be reached from outside, a cavity, is filled.
+
+`solid` reads the mesh, `cutting` takes it apart, `joining` makes hulls of the pieces and joins
+those that may be one, `error` measures; `child` does all that in a process that can be ended, and
+`ready` keeps the result.
+"""
+
+from .cache import cache_folder
+from .error import HullError, hull_error, tolerance_m
+from .hulls import Hull, hull_of
+from .making import OnStage, decompose
+from .ready import convex_hulls
+
+__all__ = [
+    "Hull",
+    "HullError",
+    "OnStage",
+    "cache_folder",
+    "convex_hulls",
+    "decompose",
+    "hull_error",
+    "hull_of",
+    "tolerance_m",
+]

@@ -1,0 +1,60 @@
+"""Hulls kept on disk between runs."""
+
+import hashlib
+import os
+import zipfile
+from importlib.metadata import version
+from pathlib import Path
+from tempfile import NamedTemporaryFile
+
+import numpy as np
+
+from ...parts import Mesh
+from .hulls import Hull
+
+CACHE_VERSION = 2  # raise it where a change in this folder gives other hulls
+
+
+def cache_folder() -> Path:
+    """Where hulls are kept between runs: `$XDG_CACHE_HOME/graycast/hulls`, else `~/.cache/...`."""
+    base = os.environ.get("XDG_CACHE_HOME")
+    return (Path(base) if base else Path.home() / ".cache") / "graycast" / "hulls"
+
+
+def key_of(mesh: Mesh, settings: tuple[object, ...]) -> str:
+    """A name for the result: everything it depends on."""
+    digest = hashlib.sha256(repr((CACHE_VERSION, version("manifold3d"), settings)).encode())
+    for array in (mesh.vertices_m.astype("<f8"), mesh.faces.astype("<i8")):
+        digest.update(repr(array.shape).encode() + np.ascontiguousarray(array).tobytes())
+    return digest.hexdigest()[:32]
+
+
+def read_hulls(file: Path) -> tuple[Hull, ...] | None:
+    """The hulls of a cache file; None if there is none or it is damaged (a zip has checksums)."""
+    try:
+        # NumPy leaves a file open that it opened itself and then could not read.
+        with file.open("rb") as stream, np.load(stream, allow_pickle=False) as data:
+            vertices, faces = data["vertices_m"], data["faces"]
+            splits = data["vertex_split"], data["face_split"]
+    except (OSError, EOFError, KeyError, ValueError, zipfile.BadZipFile):
+        return None
+    pieces = zip(np.split(vertices, splits[0]), np.split(faces, splits[1]), strict=True)
+    return tuple(pieces)
+
+
+def write_hulls(file: Path, hulls: tuple[Hull, ...]) -> None:
+    """The file appears at once or not at all."""
+    file.parent.mkdir(parents=True, exist_ok=True)
+    with NamedTemporaryFile(dir=file.parent, suffix=".part", delete=False) as aside:
+        try:
+            np.savez(
+                aside,
+                vertices_m=np.vstack([vertices for vertices, _ in hulls]),
+                faces=np.vstack([faces for _, faces in hulls]),
+                vertex_split=np.cumsum([len(vertices) for vertices, _ in hulls])[:-1],
+                face_split=np.cumsum([len(faces) for _, faces in hulls])[:-1],
+            )
+        except BaseException:
+            os.unlink(aside.name)
+            raise
+    os.replace(aside.name, file)

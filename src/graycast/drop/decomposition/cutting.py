@@ -1,0 +1,238 @@
+"""A solid taken apart into pieces that are convex within a tolerance.
+
+First along its own flat faces: a head leaves its shank whole, a plate its flange, and the hulls'
+vertices are the mesh's own. Then what is round about an axis, like an orange. What neither does is
+cut by the best of many planes, until every piece's hull follows the body.
+
+Leaves out: looking more than one cut ahead, as the search of CoACD does (Wei et al., "Approximate
+Convex Decomposition for 3D Meshes with Collision-Aware Concavity and Tree Search", SIGGRAPH 2022).
+On the zoo of parts the hulls are as few, exact where parts are made of convex ones, and kept to a
+bound, which CoACD's are not.
+"""
+
+from collections.abc import Iterable, Iterator
+from itertools import chain
+
+import numpy as np
+from jaxtyping import Float
+from manifold3d import Manifold
+
+from .error import filled_m, spread, surface_samples
+from .solid import surface_of
+
+REFLEX_RAD = np.radians(12)  # a bend inwards of less is a facet of something round
+PLANES = 12  # flat faces that are tried, the longest bends first
+WORTH = 0.2  # a cut is worth it if it takes this share of what the hull fills
+WEDGES = (3, 4, 6, 8, 12, 16, 24)  # numbers that divide those of most round facets
+ACROSS = (0.2, 0.35, 0.5, 0.65, 0.8)  # of a piece's extent, where it is tried to be cut
+ROUND = 0.02  # two principal variances that differ less, of the largest, are of something round
+EVEN = 0.03  # of what there is to fill: else thin slices are cut off, one after another
+GUESSES, FIRST_GUESSES = 120, 24  # points of a hull that are looked at
+DEEPEST_CUTS = 40  # in a row; what is left too far from its hull then is taken as it is
+HAIR = 1e-6  # of a piece's size: 50 nm of a part of 50 mm
+
+Points = Float[np.ndarray, "_ 3"]
+Plane = tuple[Float[np.ndarray, "3"], float]
+"""Unit normal n and offset d [m] of the plane n . p = d."""
+
+
+class Cutter:
+    """Cuts one body; `limit_m` is how far a piece's hull may reach out of the body."""
+
+    def __init__(self, body: Manifold, limit_m: float) -> None:
+        self._body, self._limit_m = body, limit_m
+        self._surface = surface_samples(body)
+
+    def harm_m(self, hull: Manifold) -> float:
+        """How far a hull reaches out of the body [m]."""
+        return filled_m(hull, self._body, self._surface)
+
+    def guessed_harm_m(self, points: Points) -> float:
+        """How far the hull of some points reaches out of the body, by a quick look at its faces.
+
+        Too little where no sample is for certain outside: `hold` decides. A first look at a few
+        samples tells most hulls that reach too far.
+        """
+        sample = spread(Manifold.hull_points(points), GUESSES)[0]
+        few = sample[:FIRST_GUESSES]
+        harm_m = self._surface.outside_m(few)
+        return harm_m if harm_m > self._limit_m else max(harm_m, self._surface.outside_m(sample))
+
+    def hold(self, points: Points) -> bool:
+        """Whether the hull of some points reaches out of the body no farther than it may."""
+        return self.harm_m(Manifold.hull_points(points)) <= self._limit_m
+
+    def fits(self, piece: Manifold) -> bool:
+        return self.harm_m(piece.hull()) <= self._limit_m
+
+    def pieces(self) -> Iterator[Manifold]:
+        """Pieces of the body whose hulls fit, one after another."""
+        waiting = [(self._body, 0)]
+        while waiting:
+            piece, cuts = waiting.pop()
+            parts: list[Manifold] = []
+            if cuts < DEEPEST_CUTS and not self.fits(piece):
+                parts = _cut_along_a_face(piece) or self._wedges(piece) or _cut_anywhere(piece)
+            if parts:
+                waiting += [(part, cuts + 1) for part in parts]
+            else:
+                yield piece
+
+    def _wedges(self, piece: Manifold) -> list[Manifold]:
+        """A piece that is round about an axis in as few wedges as fit; none if it is not round."""
+        center, axes, moments = _principal(piece)  # moments rise
+        lower, upper = moments[1] - moments[0], moments[2] - moments[1]
+        if min(lower, upper) > ROUND * moments[2]:
+            return []
+        axis = axes[:, 2] if lower < upper else axes[:, 0]  # a tube's, a washer's
+        for count in WEDGES:
+            wedges = []
+            for wedge in _fan(piece, axis, center, count):
+                wedges.append(wedge)
+                if not self.fits(wedge):
+                    break
+            else:
+                return wedges
+        return []
+
+
+def _filling(piece: Manifold) -> float:
+    """Volume that the piece's hull adds to it [m^3]."""
+    return piece.hull().volume() - piece.volume()
+
+
+def _split(piece: Manifold, plane: Plane) -> list[Manifold]:
+    """The parts on both sides of a plane.
+
+    A plane that a face lies in leaves it as a sheet without thickness on the part beyond, whose
+    hull would hold it. So each side is cut a hair off the plane.
+    """
+    normal, offset = plane
+    hair_m = _hair_m(piece)
+    beyond = piece.trim_by_plane(tuple(normal), float(offset) + hair_m)
+    before = piece.trim_by_plane(tuple(-normal), hair_m - float(offset))
+    return _parts(beyond, hair_m) + _parts(before, hair_m)
+
+
+def _hair_m(piece: Manifold) -> float:
+    box = np.reshape(piece.bounding_box(), (2, 3))
+    return HAIR * float(np.ptp(box, axis=0).max())
+
+
+def _parts(piece: Manifold, hair_m: float) -> list[Manifold]:
+    """What a cut left, without sheets as thin as ten hairs."""
+    thin_m = 10 * hair_m
+    return [part for part in piece.decompose() if 2 * part.volume() > thin_m * part.surface_area()]
+
+
+def _cut_along_a_face(piece: Manifold) -> list[Manifold]:
+    """The parts by the flat face that leaves the least to fill; none if too little is won."""
+    filling = _filling(piece)
+    parts, left = _best_cut(piece, _faces_at_bends(piece), filling, even=0.0)
+    return parts if left < (1 - WORTH) * filling else []
+
+
+def _cut_anywhere(piece: Manifold) -> list[Manifold]:
+    """The parts by the best of many planes, whatever is won; none if none parts it."""
+    planes = chain(_planes_across(piece), _faces_at_bends(piece))
+    parts, _ = _best_cut(piece, planes, _filling(piece), even=EVEN)
+    return parts
+
+
+def _best_cut(
+    piece: Manifold, planes: Iterable[Plane], filling: float, *, even: float
+) -> tuple[list[Manifold], float]:
+    """The parts with the least left to fill, and that volume.
+
+    Each part counts as one hundredth of what there is to fill, and the share of the largest part
+    as `even` of it: of planes that leave as much, the one with fewer parts, which halves evenly.
+    """
+    best, least, left = [], np.inf, np.inf
+    for plane in planes:
+        parts = _split(piece, plane)
+        if len(parts) < 2:
+            continue
+        volume = [part.volume() for part in parts]
+        filled = sum(map(_filling, parts))
+        cost = filled + filling * (0.01 * len(parts) + even * max(volume) / sum(volume))
+        if cost < least:
+            best, least, left = parts, cost, filled
+    return best, left
+
+
+def _planes_across(piece: Manifold) -> Iterator[Plane]:
+    """Planes across the piece's principal axes, the first through its centre of mass."""
+    vertices, _ = surface_of(piece)
+    center, axes, _ = _principal(piece)
+    for axis in axes.T:
+        height = vertices @ axis
+        yield axis, float(axis @ center)
+        for share in ACROSS:
+            yield axis, float(height.min() + share * np.ptp(height))
+
+
+def _faces_at_bends(piece: Manifold) -> Iterator[Plane]:
+    """Planes of faces beside edges that bend inwards; those with the most bend first."""
+    vertices, faces = surface_of(piece)
+    corner = vertices[faces]
+    normal = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
+    normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-300)
+    start, end = faces.ravel(), np.roll(faces, -1, axis=1).ravel()
+    here = np.repeat(np.arange(len(faces)), 3)
+    edge, back = start * len(vertices) + end, end * len(vertices) + start
+    order = np.argsort(edge)
+    twin = order[np.searchsorted(edge[order], back)]  # a manifold's edges are in pairs
+    there = here[twin]
+    apex = vertices[np.roll(faces, -2, axis=1).ravel()][twin]
+    above = np.einsum("ei,ei->e", apex - vertices[start], normal[here])
+    sine = np.linalg.norm(np.cross(normal[here], normal[there]), axis=1)
+    bend = np.arctan2(sine, np.einsum("ei,ei->e", normal[here], normal[there]))
+    length = np.linalg.norm(vertices[end] - vertices[start], axis=1)
+    size = float(np.ptp(vertices, axis=0).max())
+    inward = (above > 1e-6 * size) & (bend > REFLEX_RAD)
+    if not inward.any():
+        return
+    plane = np.column_stack(
+        [normal[here], np.einsum("ei,ei->e", normal[here], vertices[start]) / size]
+    )[inward]
+    largest = np.abs(plane[:, :3]).argmax(axis=1)
+    rounded = (plane * np.sign(plane[np.arange(len(plane)), largest])[:, None]).round(4)
+    _, first, group = np.unique(rounded, axis=0, return_index=True, return_inverse=True)
+    weight = np.bincount(group.ravel(), (length * bend)[inward])
+    for i in first[np.argsort(-weight, kind="stable")[:PLANES]]:
+        yield plane[i, :3], float(plane[i, 3] * size)
+
+
+def _principal(
+    piece: Manifold,
+) -> tuple[Float[np.ndarray, "3"], Float[np.ndarray, "3 3"], Float[np.ndarray, "3"]]:
+    """Centre of mass, the principal axes as columns, the variances along them in rising order."""
+    vertices, faces = surface_of(piece)
+    corner = vertices[faces]
+    volume = np.linalg.det(corner)
+    total = corner.sum(axis=1)
+    center = np.einsum("f,fi->i", volume, total) / 4 / volume.sum()
+    second = np.einsum("f,fi,fj->ij", volume, total, total)
+    second = (second + np.einsum("f,fki,fkj->ij", volume, corner, corner)) / 20
+    second = second / volume.sum() - np.outer(center, center)
+    variance, axes = np.linalg.eigh(second)
+    return center, axes, variance
+
+
+def _fan(
+    piece: Manifold, axis: Float[np.ndarray, "3"], point: Float[np.ndarray, "3"], count: int
+) -> Iterator[Manifold]:
+    """Wedges of one angle about an axis; the first cut goes through the farthest vertex."""
+    hair_m = _hair_m(piece)
+    vertices, _ = surface_of(piece)
+    across = vertices - point
+    across = across - np.outer(across @ axis, axis)
+    far = across[np.linalg.norm(across, axis=1).round(9).argmax()]
+    u = far / np.linalg.norm(far)
+    v = np.cross(axis, u)
+    angle = 2 * np.pi * np.arange(count) / count
+    side = np.outer(-np.sin(angle), u) + np.outer(np.cos(angle), v)  # beyond it angles are larger
+    for after, before in zip(side, -np.roll(side, -1, axis=0), strict=True):
+        wedge = piece.trim_by_plane(tuple(after), float(after @ point))
+        wedge = wedge.trim_by_plane(tuple(before), float(before @ point))
+        yield from _parts(wedge, hair_m)

@@ -1,0 +1,180 @@
+"""How far convex hulls are from the surface that they stand for.
+
+The hulls' union must lie within the part grown by the error (nothing is filled that a thing of
+that size could enter), and must reach to the surface within it (no corner is lost).
+"""
+
+from dataclasses import dataclass
+from typing import no_type_check
+
+import numba
+import numpy as np
+from jaxtyping import Float, Int
+from manifold3d import Manifold, OpType
+from scipy.spatial import cKDTree
+
+from ...parts import Mesh
+from .hulls import Hull, height_m, hull_solid
+from .solid import bodies_of, surface_of
+
+TOLERANCE_M = 0.5e-3
+TOLERANCE_OF_DIAGONAL = 0.005  # a bottle is spared the hulls that a bracket's 0.5 mm would cost
+SAMPLES = 20_000  # of a part's surface
+LID_SAMPLES = 600  # of the surface of what a hull fills
+NEAR = 16  # samples whose triangles are asked for the distance of a point
+AT_A_TIME = 32  # points whose exact distance is asked for
+STEEP = 0.5  # cosine to the normal
+_NOTHING = 1e-4  # of the tolerance: a filling thinner than this on the mean is round-off
+
+
+def tolerance_m(mesh: Mesh) -> float:
+    """How far the hulls' union may be from the surface: 0.5 mm or 0.5 % of the box diagonal."""
+    return max(TOLERANCE_M, TOLERANCE_OF_DIAGONAL * float(np.linalg.norm(mesh.extent_m)))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Surface:
+    """Triangles, and points spread over them by area, for questions on distance."""
+
+    corner: Float[np.ndarray, "f 3 3"]
+    point: Float[np.ndarray, "n 3"]
+    face: Int[np.ndarray, "n"]  # that each point lies on
+    normal: Float[np.ndarray, "f 3"]
+    tree: cKDTree
+
+    def distance_m(self, point: Float[np.ndarray, "m 3"]) -> Float[np.ndarray, "m"]:
+        """Distance to the triangles of the `NEAR` nearest samples: exact, or a little too large."""
+        _, near = self.tree.query(point, k=min(NEAR, len(self.face)))
+        return _nearest_m(point, self.face[near.reshape(len(point), -1)], self.corner)
+
+    def farthest_m(self, point: Float[np.ndarray, "m 3"]) -> float:
+        """The largest of `distance_m`; 0 of no points."""
+        return self._farthest_m(point, self.tree.query(point)[0])
+
+    def outside_m(self, point: Float[np.ndarray, "m 3"]) -> float:
+        """The largest distance of those points that are outside for certain; 0 if none is.
+
+        Certain is what lies before the nearest sample's triangle rather than beside it.
+        """
+        apart, near = self.tree.query(point)
+        before = np.einsum("ni,ni->n", point - self.point[near], self.normal[self.face[near]])
+        steep = before > STEEP * apart
+        return self._farthest_m(point[steep], apart[steep])
+
+    def _farthest_m(self, point: Float[np.ndarray, "m 3"], most_m: Float[np.ndarray, "m"]) -> float:
+        """No distance is larger than that to the nearest sample, so few have to be asked for."""
+        order = np.argsort(-most_m)
+        farthest, done = 0.0, 0
+        while done < len(point) and farthest < most_m[order[done]]:
+            block = order[done : done + AT_A_TIME]
+            farthest = max(farthest, float(self.distance_m(point[block]).max()))
+            done += len(block)
+        return farthest
+
+
+def surface_samples(solid: Manifold) -> Surface:
+    """A surface with samples to find its triangles by."""
+    point, face, corner = spread(solid, SAMPLES)
+    cross = _cross(corner)
+    normal = cross / np.maximum(np.linalg.norm(cross, axis=1, keepdims=True), np.finfo(float).tiny)
+    return Surface(corner=corner, point=point, face=face, normal=normal, tree=cKDTree(point))
+
+
+def spread(
+    solid: Manifold, count: int
+) -> tuple[Float[np.ndarray, "n 3"], Int[np.ndarray, "n"], Float[np.ndarray, "f 3 3"]]:
+    """Points at random by area, and the triangles' middles; their triangles; all triangles.
+
+    The random numbers are fixed: what is made of them is a function of the solid alone.
+    """
+    vertices, faces = surface_of(solid)
+    corner = vertices[faces]
+    rng = np.random.default_rng(0)
+    share = np.linalg.norm(_cross(corner), axis=1).cumsum()
+    face = np.searchsorted(share, share[-1] * rng.random(count)).clip(max=len(corner) - 1)
+    u, v = rng.random((2, count))
+    over = u + v > 1
+    u, v = np.where(over, 1 - u, u)[:, None], np.where(over, 1 - v, v)[:, None]
+    a, b, c = corner[face, 0], corner[face, 1], corner[face, 2]
+    middles = np.arange(len(corner))[:: 1 + len(corner) // count]
+    point = np.vstack([a + u * (b - a) + v * (c - a), corner[middles].mean(axis=1)])
+    return point, np.concatenate([face, middles]), corner
+
+
+def filled_m(hull: Manifold, solid: Manifold, surface: Surface) -> float:
+    """How far a hull reaches out of a solid: the farthest from its surface, outside it [m]."""
+    filling = hull - solid
+    if filling.is_empty():
+        return 0.0
+    area = filling.surface_area()
+    if not area or 2 * filling.volume() / area < _NOTHING * TOLERANCE_M:
+        return 0.0
+    return surface.farthest_m(spread(filling, LID_SAMPLES)[0])
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class HullError:
+    """`filled_m`: how far hulls reach out of the part; `lost_m`: its surface out of all hulls."""
+
+    filled_m: float
+    lost_m: float
+
+    @property
+    def worst_m(self) -> float:
+        return max(self.filled_m, self.lost_m)
+
+
+def hull_error(mesh: Mesh, hulls: tuple[Hull, ...]) -> HullError:
+    """What hulls add to a mesh's bodies and what they lack, measured on the mesh itself."""
+    bodies = bodies_of(mesh)
+    solid = Manifold.batch_boolean(bodies, OpType.Add)
+    surface = surface_samples(solid)
+    filled = max(filled_m(hull_solid(vertices), solid, surface) for vertices, _ in hulls)
+    outside_m = np.full(len(surface.point), np.inf)
+    for vertices, _ in hulls:
+        outside_m = np.minimum(outside_m, height_m(surface.point, vertices))
+    return HullError(filled_m=filled, lost_m=max(0.0, float(outside_m.max())))
+
+
+def _cross(corner: Float[np.ndarray, "f 3 3"]) -> Float[np.ndarray, "f 3"]:
+    return np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
+
+
+@numba.njit(cache=True, error_model="numpy")  # no shape of triangle raises
+@no_type_check  # the tests' type checker would wrap the function, which numba cannot compile
+def _nearest_m(point, faces, corner):
+    """Distance of each point to the nearest of its faces.
+
+    Source: Ericson, "Real-Time Collision Detection", 2005, section 5.1.5 (the regions of a
+    triangle, told apart by barycentric coordinates).
+    """
+    nearest = np.empty(len(point))
+    for i in range(len(point)):
+        least = np.inf
+        for face in faces[i]:
+            a, b, c = corner[face, 0], corner[face, 1], corner[face, 2]
+            ab, ac, ap = b - a, c - a, point[i] - a
+            d1, d2 = np.dot(ab, ap), np.dot(ac, ap)
+            bp, cp = point[i] - b, point[i] - c
+            d3, d4 = np.dot(ab, bp), np.dot(ac, bp)
+            d5, d6 = np.dot(ab, cp), np.dot(ac, cp)
+            va, vb, vc = d3 * d6 - d5 * d4, d5 * d2 - d1 * d6, d1 * d4 - d3 * d2
+            if d1 <= 0 and d2 <= 0:
+                away = ap
+            elif d3 >= 0 and d4 <= d3:
+                away = bp
+            elif d6 >= 0 and d5 <= d6:
+                away = cp
+            elif vc <= 0 and d1 >= 0 and d3 <= 0:
+                away = ap - d1 / (d1 - d3) * ab
+            elif vb <= 0 and d2 >= 0 and d6 <= 0:
+                away = ap - d2 / (d2 - d6) * ac
+            elif va <= 0 and d4 >= d3 and d5 >= d6:
+                away = bp - (d4 - d3) / ((d4 - d3) + (d5 - d6)) * (c - b)
+            else:
+                away = ap - (vb * ab + vc * ac) / (va + vb + vc)
+            square = np.dot(away, away)
+            if square < least:
+                least = square
+        nearest[i] = np.sqrt(least)
+    return nearest

@@ -1,0 +1,62 @@
+"""The hulls of a mesh, made once and kept."""
+
+from pathlib import Path
+
+from ...parts import Mesh
+from . import cutting, error, making, solid
+from .cache import cache_folder, key_of, read_hulls, write_hulls
+from .child import decompose_apart
+from .hulls import Hull
+from .making import OnStage, decompose, silent
+
+FEW_FACES = 20_000  # whether one hull will do is asked here, without a child
+
+# All that hulls depend on beside the mesh and `CACHE_VERSION`.
+_SETTINGS = (
+    error.TOLERANCE_M,
+    error.TOLERANCE_OF_DIAGONAL,
+    error.SAMPLES,
+    error.LID_SAMPLES,
+    making.VERTEX_TOLERANCE_OF_DIAGONAL,
+    making.CUT_SHARE,
+    solid.SIMPLIFIED_BY,
+    solid.ENOUGH_FACES,
+    cutting.REFLEX_RAD,
+    cutting.PLANES,
+    cutting.WORTH,
+    cutting.EVEN,
+    cutting.WEDGES,
+    cutting.ACROSS,
+    cutting.DEEPEST_CUTS,
+)
+
+
+def convex_hulls(
+    mesh: Mesh, *, folder: Path | None = None, on_stage: OnStage = silent
+) -> tuple[Hull, ...]:
+    """Convex hulls whose union is the mesh within `tolerance_m(mesh)`, in the mesh's frame.
+
+    Cavities are filled. The result is a function of the mesh alone.
+
+    Args:
+        mesh: closed, as `parts` delivers it.
+        folder: of the disk cache, `cache_folder()` if None. A file that is damaged or of
+            another mesh, version or setting is made anew, and appears at once or not at all.
+        on_stage: told what is being done, where it is not read from the cache.
+
+    Returns:
+        One hull for a mesh that is convex within the tolerance, else several, found by a child
+        process that ends with this call.
+
+    Raises:
+        ValueError: the mesh is not closed, or inside out.
+        GraycastError: the child was killed.
+    """
+    key = key_of(mesh, _SETTINGS)
+    file = (cache_folder() if folder is None else folder) / f"{key}.npz"
+    hulls = read_hulls(file)
+    if hulls is None:
+        few = len(mesh.faces) <= FEW_FACES and making.is_one_hull(mesh)
+        hulls = decompose(mesh) if few else decompose_apart(mesh, on_stage=on_stage)
+        write_hulls(file, hulls)
+    return hulls

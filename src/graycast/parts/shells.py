@@ -1,0 +1,107 @@
+"""The closed shells of one mesh file, as the one solid that they are meant to be."""
+
+import numpy as np
+from jaxtyping import Float, Int
+from manifold3d import Error, Manifold, Mesh64, OpType
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
+
+# Of the whole volume: what bodies that merely touch may share by the file's rounding.
+TOUCHING = 1e-4
+
+
+class ShellError(Exception):
+    """Why shells are no solid, and the remedy."""
+
+
+def shells_of(
+    vertices: Float[np.ndarray, "v 3"], faces: Int[np.ndarray, "f 3"]
+) -> tuple[tuple[Manifold, ...], tuple[Manifold, ...]]:
+    """A closed mesh's shells that face outwards, and those that face inwards.
+
+    Bodies that share no more than a vertex or an edge are shells of their own.
+
+    Raises:
+        ShellError: the surface is not closed, or crosses itself in a way that has no inside.
+    """
+    whole = Manifold(Mesh64(vert_properties=vertices.copy(), tri_verts=faces.astype(np.uint64)))
+    if whole.status() != Error.NoError:
+        raise ShellError(
+            f"the surface is no boundary of a solid ({whole.status().name}); close its holes and "
+            "turn its faces outward"
+        )
+    shells = separate(whole)
+    outward = tuple(shell for shell in shells if shell.volume() >= 0)
+    return outward, tuple(shell for shell in shells if shell.volume() < 0)
+
+
+def separate(whole: Manifold) -> tuple[Manifold, ...]:
+    """The shells of a solid. (The library's own way takes the square of their number.)"""
+    mesh = whole.to_mesh64()
+    vertices = np.array(mesh.vert_properties[:, :3])
+    faces = np.asarray(mesh.tri_verts).astype(np.int64)
+    links = (np.ones(2 * len(faces)), (faces[:, [0, 1]].ravel(), faces[:, [1, 2]].ravel()))
+    count, label = connected_components(
+        coo_array(links, shape=(len(vertices),) * 2), directed=False
+    )
+    if count == 1:
+        return (whole,)
+    by_shell, of_shell = np.argsort(label, kind="stable"), np.bincount(label, minlength=count)
+    place = np.empty(len(label), dtype=np.int64)  # of each vertex within its shell
+    place[by_shell] = np.arange(len(label)) - np.repeat(of_shell.cumsum() - of_shell, of_shell)
+    order = np.argsort(label[faces[:, 0]], kind="stable")
+    ends = np.bincount(label[faces[:, 0]], minlength=count).cumsum()[:-1]
+    return tuple(
+        Manifold(Mesh64(vert_properties=vertices[rows], tri_verts=place[some].astype(np.uint64)))
+        for rows, some in zip(
+            np.split(by_shell, of_shell.cumsum()[:-1]), np.split(faces[order], ends), strict=True
+        )
+    )
+
+
+def union_if_overlapping(
+    outward: tuple[Manifold, ...], inward: tuple[Manifold, ...]
+) -> tuple[Manifold, float] | None:
+    """The union of bodies where they overlap, and the share of volume that would count twice.
+
+    A shell that faces inwards is a cavity of the smallest body whose box holds its own.
+
+    Returns:
+        None where no two bodies share more than `TOUCHING` of the whole: the mesh is right as
+        it is.
+
+    Raises:
+        ShellError: a shell that faces inwards lies in no other.
+    """
+    order = sorted(range(len(outward)), key=lambda i: outward[i].volume())
+    cavities: list[list[Manifold]] = [[] for _ in outward]
+    boxes = np.array([body.bounding_box() for body in outward])
+    for shell in inward:
+        box = np.array(shell.bounding_box())
+        holds = (boxes[:, :3] <= box[:3]).all(axis=1) & (boxes[:, 3:] >= box[3:]).all(axis=1)
+        around = [i for i in order if holds[i] and outward[i].volume() > -shell.volume()]
+        if not around:
+            raise ShellError(
+                "a part of the surface is inside out: a shell that faces inwards lies in no other; "
+                "flip its normals"
+            )
+        cavities[around[0]].append(shell)
+    if len(outward) == 1:
+        return None
+    bodies = [
+        _hollow(body, holes) if holes else body
+        for body, holes in zip(outward, cavities, strict=True)
+    ]
+    union = Manifold.batch_boolean(bodies, OpType.Add)
+    total = sum(body.volume() for body in bodies)
+    twice = (total - union.volume()) / total
+    return (union, twice) if twice > TOUCHING else None
+
+
+def _hollow(body: Manifold, holes: list[Manifold]) -> Manifold:
+    """A body and its cavities, whose faces look into them, as one solid."""
+    meshes = [shell.to_mesh64() for shell in (body, *holes)]
+    starts = np.cumsum([0] + [len(mesh.vert_properties) for mesh in meshes])[:-1]
+    vertices = np.vstack([mesh.vert_properties[:, :3] for mesh in meshes])
+    faces = np.vstack([mesh.tri_verts + s for mesh, s in zip(meshes, starts, strict=True)])
+    return Manifold(Mesh64(vert_properties=vertices, tri_verts=faces.astype(np.uint64)))

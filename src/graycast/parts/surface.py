@@ -1,0 +1,174 @@
+"""A surface as a file holds it, and what makes it a part: that it is closed, and a solid."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from jaxtyping import Bool, Float, Int, Shaped, UInt8
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
+from scipy.spatial import cKDTree
+
+from .shells import ShellError, shells_of, union_if_overlapping
+
+MAX_FACES = 500_000
+_MERGE = 1e-6  # vertices closer than this share of the longest side are one: float32 round-off
+
+
+class Refusal(Exception):
+    """Why a file cannot be a part, and the remedy; `meshfile` adds the file's name."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Surface:
+    """What a file holds, in its own unit, before anything is judged."""
+
+    vertices: Float[np.ndarray, "v 3"]
+    faces: Int[np.ndarray, "f 3"]
+    corner_uv: Float[np.ndarray, "f 3 2"] | None
+    texture: UInt8[np.ndarray, "h w 3"] | None
+    other_materials: int  # materials that the part cannot have beside this texture
+    shares_vertices: bool
+    findings: tuple[str, ...] = ()
+
+    @property
+    def used(self) -> Bool[np.ndarray, "v"]:
+        """Which vertices any face has."""
+        used = np.zeros(len(self.vertices), dtype=bool)
+        used[self.faces] = True
+        return used
+
+    @property
+    def longest(self) -> float:
+        return float(np.ptp(self.vertices[self.used], axis=0).max())
+
+    def check_numbers(self) -> None:
+        if len(self.faces) > MAX_FACES:
+            raise Refusal(too_many(len(self.faces)))
+        bad = int((~np.isfinite(self.vertices[self.used]).all(axis=1)).sum())
+        if bad:
+            raise Refusal(f"{bad} vertices are NaN or infinite; export the mesh again")
+        if self.longest == 0:
+            raise Refusal("all vertices are in one place; export the mesh again")
+
+
+def too_many(faces: int) -> str:
+    return (
+        f"{faces} faces are more than {MAX_FACES}; decimate the mesh, a camera pixel sees no such "
+        "detail"
+    )
+
+
+def welded(surface: Surface, findings: list[str]) -> Surface:
+    """The same surface with one vertex per position; uv stays with the face corners."""
+    used = surface.used
+    first, of_used = _distinct(surface.vertices[used])
+    position = surface.vertices[used][first]
+    label = of_used[used.cumsum()[surface.faces] - 1].ravel()
+    pair = cKDTree(position).query_pairs(_MERGE * surface.longest, output_type="ndarray")
+    if len(pair):
+        links = coo_array((np.ones(len(pair)), pair.T), shape=(len(position),) * 2)
+        root = connected_components(links, directed=False)[1]
+        first = np.unique(root, return_index=True)[1]
+        findings.append(f"{len(position) - len(first)} nearly equal vertices were merged.")
+        position, label = position[first], root[label]
+    elif surface.shares_vertices and used.sum() > len(position):
+        findings.append(f"{used.sum() - len(position)} duplicate vertices were merged.")
+    faces = label.reshape(-1, 3).astype(np.int64)
+    whole = (faces != np.roll(faces, 1, axis=1)).all(axis=1)
+    if not whole.all():
+        findings.append(f"{(~whole).sum()} degenerate faces were dropped.")
+    keep = np.flatnonzero(whole)
+    # A face written twice the same way round: turn the smallest index to the front, compare.
+    turned = faces[keep]
+    lead = turned.argmin(axis=1)[:, None]
+    turned = np.take_along_axis(turned, (lead + np.arange(3)) % 3, axis=1)
+    once = np.sort(_distinct(turned)[0])
+    if len(once) < len(keep):
+        findings.append(f"{len(keep) - len(once)} repeated faces were dropped.")
+    keep = keep[once]
+    if len(keep) == 0:
+        raise Refusal("all its faces are degenerate; export the mesh again")
+    kept = np.zeros(len(position), dtype=bool)
+    kept[faces[keep]] = True
+    return Surface(
+        vertices=position[kept],
+        faces=kept.cumsum()[faces[keep]] - 1,
+        corner_uv=None if surface.corner_uv is None else surface.corner_uv[keep],
+        texture=surface.texture,
+        other_materials=surface.other_materials,
+        shares_vertices=True,
+    )
+
+
+def _distinct(
+    rows: Shaped[np.ndarray, "n k"],
+) -> tuple[Int[np.ndarray, "m"], Int[np.ndarray, "n"]]:
+    """Where each distinct row stands first, in the rows' order of size; which one each row is.
+
+    As `np.unique` with `axis=0`, in a tenth of its time.
+    """
+    order = np.lexsort(rows.T[::-1])  # the first column decides first; stable
+    new = np.ones(len(rows), dtype=bool)
+    new[1:] = (np.diff(rows[order], axis=0) != 0).any(axis=1)
+    which = np.empty(len(rows), dtype=np.int64)
+    which[order] = new.cumsum() - 1
+    return order[new], which
+
+
+def judge(surface: Surface, findings: list[str]) -> None:
+    """Refuses a surface that is open, wound both ways, inside out or flat."""
+    faces = surface.faces
+    start, end = faces.ravel(), np.roll(faces, -1, axis=1).ravel()
+    edge = np.stack([np.minimum(start, end), np.maximum(start, end)], axis=1)
+    which = _distinct(edge)[1]
+    uses = np.bincount(which)
+    balance = np.bincount(which, np.where(start < end, 1, -1))
+    boundary = int((uses % 2 == 1).sum())
+    if boundary:
+        raise Refusal(
+            f"the surface is open: {boundary} boundary edges; close its holes, or give the "
+            "sheet a thickness"
+        )
+    if (balance != 0).any():
+        count = int((balance != 0).sum())
+        raise Refusal(
+            f"faces are wound both ways round at {count} edges; recalculate the normals to point "
+            "outwards"
+        )
+    if (uses > 2).any():
+        findings.append(f"{(uses > 2).sum()} edges are shared by more than two faces.")
+    corner = (surface.vertices - surface.vertices.mean(axis=0))[faces]
+    volume = np.einsum("fi,fi->", corner[:, 0], np.cross(corner[:, 1], corner[:, 2])) / 6
+    if abs(volume) < 1e-9 * surface.longest**3:
+        raise Refusal("the surface encloses no volume; give the sheet a thickness")
+    if volume < 0:
+        raise Refusal("the surface is inside out (negative volume); flip its normals")
+
+
+def as_solid(surface: Surface, findings: list[str]) -> Surface:
+    """The surface of one solid: of bodies that overlap, that of their union."""
+    try:
+        outward, inward = shells_of(surface.vertices, surface.faces)
+        joined = union_if_overlapping(outward, inward)
+    except ShellError as error:
+        raise Refusal(str(error)) from error
+    if len(outward) > 1:
+        findings.append(f"{len(outward)} separate bodies are taken as one rigid part.")
+    if inward:
+        total = len(outward) + len(inward)
+        findings.append(f"{len(inward)} of {total} shells face inwards, taken as cavities.")
+    if joined is None:
+        return surface
+    union, twice = joined
+    told = f"{len(outward)} bodies overlap, {twice:.2%} of their volume would count twice"
+    if surface.corner_uv is not None:
+        raise Refusal(
+            f"{told}; join them (a boolean union) in a mesh editor, which keeps their texture"
+        )
+    findings.append(f"{told}: they were joined into one.")
+    mesh = union.to_mesh64()
+    return replace(
+        surface,
+        vertices=np.array(mesh.vert_properties[:, :3], dtype=np.float64),
+        faces=np.asarray(mesh.tri_verts).astype(np.int64),
+    )

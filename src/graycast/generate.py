@@ -28,6 +28,7 @@ from .dataset import (
 )
 from .dataset.reading import Unreadable, read_json
 from .dataset.records import Claim
+from .drop import OnStage, prepare
 from .engine import Failed, Made, Pool, SceneMaker, Task, make_all, open_pool
 from .errors import DatasetError, GraycastError
 from .render import OnFrame, choose_device
@@ -77,6 +78,7 @@ def generate(
     on_made: Callable[[Made], None] = lambda made: None,
     on_failed: Callable[[Failed], None] = lambda failed: None,
     on_frame: OnFrame | None = None,
+    on_stage: OnStage = lambda stage: None,
 ) -> Summary:
     """Make the scenes 0 .. scenes-1 that are not in `out` yet, and the split's COCO file.
 
@@ -90,6 +92,8 @@ def generate(
         on_made: called in this process after each scene.
         on_failed: called after each try that did not come out.
         on_frame: as of `open_renderer`, where this process makes all.
+        on_stage: told which part is made ready to fall; and as of `make_scene`, where this process
+            makes all.
 
     Raises:
         DatasetError: the folder is another dataset's, is in use, or the disk refuses.
@@ -111,7 +115,8 @@ def generate(
         run = _Run(store=store, found=len(found), on_made=on_made, on_failed=on_failed)
         try:
             if todo:
-                with closing(_open_pool(task, workers, len(todo), on_frame)) as pool:
+                prepare(cell.scene.parts, on_stage=on_stage)  # once, not by every worker
+                with closing(_open_pool(task, workers, len(todo), on_frame, on_stage)) as pool:
                     left = len(todo)
                     for outcome in make_all(pool, todo):
                         left -= isinstance(outcome, Made) or outcome.final
@@ -218,7 +223,9 @@ def _identity(scanner: Scanner) -> dict[str, Any]:
     return {name: described_values(getattr(scanner, name)) for name in names}
 
 
-def _open_pool(task: Task, workers: Workers, todo: int, on_frame: OnFrame | None) -> Pool:
+def _open_pool(
+    task: Task, workers: Workers, todo: int, on_frame: OnFrame | None, on_stage: OnStage
+) -> Pool:
     return open_pool(
         task,
         engine=workers.engine,
@@ -226,6 +233,7 @@ def _open_pool(task: Task, workers: Workers, todo: int, on_frame: OnFrame | None
         threads=workers.threads,
         address=workers.address,
         on_frame=on_frame,
+        on_stage=on_stage,
     )
 
 

@@ -18,7 +18,7 @@ from .config import resolve_limits, resolve_quality
 from .dataset import Raw, Sample
 from .decode import CodeMap, Reason
 from .domain import Variation, draw, vary
-from .drop import drop
+from .drop import OnStage, drop
 from .picture import color_picture, gray_picture
 from .render import Renderer, Rendering
 from .scanner import measure, take
@@ -35,8 +35,15 @@ class Shot:
     codes: CodeMap
 
 
-def make_scene(cell: Cell, scene_id: int, *, seed: int, renderer: Renderer) -> Shot:
-    """One scene from its seeds to its sample.
+def make_scene(
+    cell: Cell,
+    scene_id: int,
+    *,
+    seed: int,
+    renderer: Renderer,
+    on_stage: OnStage = lambda stage: None,
+) -> Shot:
+    """One scene from its seeds to its sample; `on_stage` is told what begins.
 
     Raises:
         DropError: the parts did not come to an acceptable rest.
@@ -49,7 +56,10 @@ def make_scene(cell: Cell, scene_id: int, *, seed: int, renderer: Renderer) -> S
         counts = _counts(cell, scene_id, np.random.default_rng(seeds["counts"]))
         variation = _varied(cell, counts, seeds)
         scene, counts = variation.scene, variation.counts
-        layout = drop(scene, counts, seed=seeds["drop"], limits=resolve_limits(config))
+        layout = drop(
+            scene, counts, seed=seeds["drop"], limits=resolve_limits(config), on_stage=on_stage
+        )
+    on_stage(f"{renderer.name} renders")
     with _timed(timings, "render"):
         quality = resolve_quality(config)
         rendering = renderer.render(
@@ -57,6 +67,7 @@ def make_scene(cell: Cell, scene_id: int, *, seed: int, renderer: Renderer) -> S
         )
     with _timed(timings, "sensor"):
         capture = take(cell.scanner, rendering.radiance, seed=seeds["noise"])
+    on_stage("the pictures are decoded")
     with _timed(timings, "picture"):
         noisy = config.render.denoise and quality.denoise == "none"
         rgb = color_picture(

@@ -3,6 +3,8 @@
 import argparse
 from pathlib import Path
 
+from rich.markup import escape
+
 from .arguments import (
     add_backend,
     add_command,
@@ -47,14 +49,18 @@ def _preview(options: argparse.Namespace) -> int:
     cell = load_cell(options)
     seed = cell.config.seed if options.seed is None else options.seed
     with progress_bar() as bar:
+        stages = bar.add_task("", total=None, visible=False)
         frames = bar.add_task("renders", total=None, visible=False)
+
+        def on_stage(stage: str) -> None:
+            bar.reset(stages, description=escape(stage), total=None, visible=True)
 
         def on_frame(done: int, total: int) -> None:
             bar.update(frames, completed=done, total=total, visible=True)
 
         with open_cell_renderer(cell, device=options.device, on_frame=on_frame) as renderer:
             bar.console.print(f"scene {options.scene} by {renderer.name} on {renderer.device}")
-            shot = make_scene(cell, options.scene, seed=seed, renderer=renderer)
+            shot = make_scene(cell, options.scene, seed=seed, renderer=renderer, on_stage=on_stage)
     draw_preview(shot, cell.code, options.out)
     for name, share in shot.sample.manifest["reasons"].items():
         print(f"  {name:18} {share:7.2%} of the pixels")

@@ -3,6 +3,8 @@
 import argparse
 from pathlib import Path
 
+from rich.markup import escape
+
 from ..errors import DatasetError
 from .arguments import (
     add_backend,
@@ -104,6 +106,7 @@ def _generate(options: argparse.Namespace) -> int:
             on_made=shown.made,
             on_failed=shown.failed,
             on_frame=shown.frame,
+            on_stage=shown.stage,
         )
     if summary.written or not (options.out / CARD).exists():
         write_card(options.out)  # else one with a licence or all scenes' figures may be there
@@ -130,6 +133,7 @@ class _Shown:
     def __init__(self, bar, scenes: int) -> None:
         self._bar = bar
         self._scenes = bar.add_task("scenes", total=scenes)
+        self._stage = bar.add_task("", total=None, visible=False)
         self._frames = bar.add_task("renders of a scene", total=None, visible=False)
 
     def start(self, found: int) -> None:
@@ -147,6 +151,9 @@ class _Shown:
         told = " ".join(str(failed.error).split()) or type(failed.error).__name__
         then = "set aside" if failed.final else "will be made again"
         self._bar.console.print(f"scene {failed.scene_id:06d}  {then}: {told}", markup=False)
+
+    def stage(self, stage: str) -> None:
+        self._bar.reset(self._stage, description=escape(stage), total=None, visible=True)
 
     def frame(self, done: int, total: int) -> None:
         self._bar.update(self._frames, completed=done, total=total, visible=True)

@@ -10,7 +10,7 @@ from ..errors import DropError
 from ..parts import Part
 from ..scene import Bin, Layout, Scene
 from .body import Body, body_of
-from .decomposition import OnStage, convex_hulls
+from .decomposition import Hull, OnStage, convex_hulls, silent
 from .grid import start_poses
 from .rapier import simulate
 
@@ -64,7 +64,7 @@ def drop(
     seed: int,
     limits: DropLimits,
     hull_folder: Path | None = None,
-    on_stage: OnStage = lambda stage: None,
+    on_stage: OnStage = silent,
 ) -> Layout:
     """Drops `counts[i]` of `scene.parts[i]` into the bin until they lie within the limits.
 
@@ -94,17 +94,8 @@ def drop(
     parts = tuple(scene.parts[kind] for kind in kinds)
     number = tuple(counts[kind] for kind in kinds)
     _check_sizes(scene.bin, parts)
-    bodies = tuple(
-        body_of(
-            part,
-            convex_hulls(
-                part.mesh,
-                folder=hull_folder,
-                on_stage=lambda stage, name=part.name: on_stage(f"{name}: {stage}"),
-            ),
-        )
-        for part in parts
-    )
+    hulls = prepare(parts, hull_folder=hull_folder, on_stage=on_stage)
+    bodies = tuple(body_of(part, pieces) for part, pieces in zip(parts, hulls, strict=True))
     _check_volume(scene.bin, bodies, number)
     corners_m = tuple(np.vstack([vertices for vertices, _ in body.hulls]) for body in bodies)
 
@@ -120,6 +111,25 @@ def drop(
             return replace(layout, part_index=kinds[index])
         tried.append(layout)
     raise DropError(_failure(scene.bin, sum(counts), tried, limits))
+
+
+def prepare(
+    parts: Iterable[Part], *, hull_folder: Path | None = None, on_stage: OnStage = silent
+) -> tuple[tuple[Hull, ...], ...]:
+    """The collision hulls of each part, made now where the cache has none; `drop` finds them there.
+
+    Raises:
+        ValueError, GraycastError: as of `convex_hulls`.
+    """
+
+    def of(part: Part) -> tuple[Hull, ...]:
+        return convex_hulls(
+            part.mesh,
+            folder=hull_folder,
+            on_stage=lambda stage: on_stage(f"{part.name}: {stage}"),
+        )
+
+    return tuple(of(part) for part in parts)
 
 
 def _failure(box: Bin, count: int, tried: list[Layout], limits: DropLimits) -> str:

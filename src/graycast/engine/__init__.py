@@ -1,6 +1,7 @@
 """Who makes the scenes of a run: this process, processes of this machine, or a Ray cluster."""
 
 from ..render import OnFrame
+from ..simulate import OnStage
 from .maker import Made, SceneMaker, Task
 from .pool import TRIES, Failed, Pool, make_all
 
@@ -15,6 +16,7 @@ def open_pool(
     threads: int | None = None,
     address: str | None = None,
     on_frame: OnFrame | None = None,
+    on_stage: OnStage = lambda stage: None,
 ) -> Pool:
     """Workers for the scenes of a task; close them after use.
 
@@ -26,6 +28,7 @@ def open_pool(
             and is one on Ray.
         address: of a Ray cluster's head; None starts Ray on this machine.
         on_frame: as of `open_renderer`, where this process makes all.
+        on_stage: as of `make_scene`, where this process makes all.
 
     Raises:
         GraycastError: Ray is not installed, or does not answer.
@@ -35,7 +38,7 @@ def open_pool(
         case "local" if workers == 1:
             from .here import Here
 
-            return Here(task, threads=threads, on_frame=on_frame)
+            return Here(task, threads=threads, on_frame=on_frame, on_stage=on_stage)
         case "local":
             from .local import LocalPool
 

@@ -1,6 +1,7 @@
 """Scenes in this process, one after the other."""
 
 from ..render import OnFrame
+from ..simulate import OnStage
 from .maker import Made, SceneMaker, Task
 from .pool import Failed
 
@@ -8,8 +9,10 @@ from .pool import Failed
 class Here:
     """A pool of this process alone: what is submitted is made when it is gathered."""
 
-    def __init__(self, task: Task, *, threads: int | None, on_frame: OnFrame | None) -> None:
-        self._maker = SceneMaker(task, threads=threads, on_frame=on_frame)
+    def __init__(
+        self, task: Task, *, threads: int | None, on_frame: OnFrame | None, on_stage: OnStage
+    ) -> None:
+        self._maker = SceneMaker(task, threads=threads, on_frame=on_frame, on_stage=on_stage)
         self._next: int | None = None
 
     @property

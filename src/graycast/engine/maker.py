@@ -11,7 +11,7 @@ from ..cell import Cell, open_cell_renderer
 from ..dataset import scene_files
 from ..errors import DeviceError, GraycastError, WorkerDied
 from ..render import OnFrame, Renderer
-from ..simulate import make_scene
+from ..simulate import OnStage, make_scene
 from ..usage import rss_bytes
 
 GPU_DEVICES = ("cuda", "optix")
@@ -49,11 +49,17 @@ class SceneMaker:
     """Makes scenes of one task; opens its renderer for the first one and keeps it."""
 
     def __init__(
-        self, task: Task, *, threads: int | None = None, on_frame: OnFrame | None = None
+        self,
+        task: Task,
+        *,
+        threads: int | None = None,
+        on_frame: OnFrame | None = None,
+        on_stage: OnStage = lambda stage: None,
     ) -> None:
         self.task = task
         self._threads = threads
         self._on_frame = on_frame
+        self._on_stage = on_stage
         self._renderer: Renderer | None = None
 
     def make(self, scene_id: int) -> Made:
@@ -68,7 +74,13 @@ class SceneMaker:
         try:
             if self._renderer is None:
                 self._renderer = self._open()
-            shot = make_scene(task.cell, scene_id, seed=task.seed, renderer=self._renderer)
+            shot = make_scene(
+                task.cell,
+                scene_id,
+                seed=task.seed,
+                renderer=self._renderer,
+                on_stage=self._on_stage,
+            )
             files = tuple(scene_files(shot.sample, task.depth_scale_mm))
         except BaseException as error:
             if not is_the_scenes_own(error):

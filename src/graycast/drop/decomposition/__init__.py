@@ -12,7 +12,7 @@ those that may be one, `error` measures; `child` does all that in a process that
 from .cache import cache_folder
 from .error import HullError, hull_error, tolerance_m
 from .hulls import Hull, hull_of
-from .making import OnStage, decompose
+from .making import OnStage, decompose, silent
 from .ready import convex_hulls
 
 __all__ = [
@@ -24,5 +24,6 @@ __all__ = [
     "decompose",
     "hull_error",
     "hull_of",
+    "silent",
     "tolerance_m",
 ]

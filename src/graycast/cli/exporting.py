@@ -34,6 +34,12 @@ def add_commands(commands) -> None:
     export.add_argument("--format", choices=_FORMATS, required=True, help="see docs/exports.md")
     export.add_argument("--out", type=Path, required=True, help="a new folder")
     export.add_argument(
+        "--scenes",
+        type=Path,
+        metavar="FILE",
+        help="only the scenes of this file, which the page of `graycast report` saves",
+    )
+    export.add_argument(
         "--split",
         default="1",
         metavar="SHARES",
@@ -97,6 +103,7 @@ def _export(options: argparse.Namespace) -> int:
             options.dataset,
             options.out,
             chosen,
+            selection=options.scenes,
             on_progress=lambda done, total: bar.update(task, completed=done, total=total),
         )
     counts = ", ".join(f"{name} {len(ids)}" for name, ids in record.splits.items())

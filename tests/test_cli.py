@@ -31,8 +31,8 @@ OPTIONS = {
     "parts": "config --out --device",
     "stats": "dataset --workers --out --card --licence",
     "report": "dataset --workers --out --width",
-    "export": "dataset --format --out --split --split-seed --image --depth --polygons --labels "
-    "--cloud --organised --shard-scenes --link --min-visibility",
+    "export": "dataset --format --out --scenes --split --split-seed --image --depth --polygons "
+    "--labels --cloud --organised --shard-scenes --link --min-visibility",
     "import-real": "folder --out --intrinsics --distortion --scale --size --annotations "
     "--unlabelled --like",
     "fit-bin": "real --config --out --rgb --intrinsics --distortion --scale --size --inner --wall "
@@ -108,6 +108,15 @@ def test_help_explains_every_option(capsys, monkeypatch, name):
         line, below, *_ = [*lines[starts[0] :], ""]
         words = line.strip().partition("  ")[2] or (below[:20].isspace() and below.strip())
         assert words, f"{option} is not explained"
+
+
+def test_help_is_whole_sentences():
+    """So that each is understood alone; argparse's own words on --help are not ours."""
+    for name, parser in commands(command._parser()).items():
+        told = {a.dest: a.help for a in parser._actions if a.dest != "help"}
+        for option, text in (told | {"": parser.description}).items():
+            assert text[0].isupper() and text.endswith("."), f"{name} {option}: {text}"
+            assert len(text.split()) >= 3, f"{name} {option}: {text}"
 
 
 def test_help_lists_every_command_and_examples(capsys):

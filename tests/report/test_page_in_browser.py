@@ -5,113 +5,17 @@ import shutil
 import cv2
 import numpy as np
 import pytest
-from pictured import forget, lensed_rig, write_dataset
+from pictured import forget, write_dataset
 
 from graycast.frames import inverse, pixel_grid, transform_points
 from graycast.optics import project, rays
 from graycast.pattern import CodeSpec
 from graycast.report.page import write_report
 
+from .browsing import SCENES, held, opened, place, pressed, readout, ready, shown
+
 pytestmark = pytest.mark.slow
-FLAGS = ["--no-sandbox", "--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"]
-SCENES = (0, 3, 4)
 NONE = "\N{EN DASH}"  # what the page writes where there is no value
-
-
-@pytest.fixture(scope="module")
-def rig():
-    return lensed_rig()
-
-
-@pytest.fixture(scope="module")
-def made(rig, tmp_path_factory):
-    folder = tmp_path_factory.mktemp("browser")
-    samples = write_dataset(folder / "bins", scene_ids=SCENES, rig=rig)
-    return folder / "bins", samples, write_report(folder / "bins", folder / "page").page
-
-
-@pytest.fixture(scope="module")
-def kept(rig, tmp_path_factory):
-    """The same with captured frames and decoded columns."""
-    folder = tmp_path_factory.mktemp("kept")
-    samples = write_dataset(folder / "bins", scene_ids=(0, 3), rig=rig, keeps=True)
-    return folder / "bins", samples, write_report(folder / "bins", folder / "page").page
-
-
-@pytest.fixture(scope="module")
-def browser():
-    """Chromium of the system; nothing is downloaded."""
-    playwright = pytest.importorskip(
-        "playwright.sync_api", reason="needs playwright: pip install 'graycast[test]'"
-    )
-    path = shutil.which("chromium") or shutil.which("google-chrome")
-    if path is None:
-        pytest.skip("needs chromium: apt-get install chromium")
-    with playwright.sync_playwright() as running:
-        yield running.chromium.launch(executable_path=path, args=FLAGS)
-
-
-@pytest.fixture
-def page(browser, made):
-    """The overview; at the end, whatever the browser complained about fails the test."""
-    complaints = []
-    page = browser.new_page(viewport={"width": 1400, "height": 860})
-    page.on("console", lambda message: complaints.append(message.text))
-    page.on("pageerror", lambda error: complaints.append(str(error)))
-    page.on(
-        "request",
-        lambda request: (
-            request.url.startswith(("file:", "data:", "blob:")) or complaints.append(request.url)
-        ),
-    )
-    page.goto(made[2].as_uri())
-    ready(page, "overview")
-    yield page
-    page.close()
-    assert complaints == []
-
-
-def ready(page, name):
-    page.wait_for_selector(f'#main[data-ready="{name}"]')
-
-
-def opened(page, made, scene_id, view=None):
-    page.goto(f"{made[2].as_uri()}#/train-{scene_id:06d}")
-    ready(page, f"train-{scene_id:06d}")
-    if view:
-        page.click(f'[data-view="{view}"]')
-
-
-def held(page, name):
-    return np.array(page.evaluate(f"Array.from(Graycast.opened().scene.{name})")).reshape(120, 160)
-
-
-def shown(page, canvas="picture"):
-    """What a canvas shows; a copy is read, as browsers complain of slow canvases read often."""
-    data = page.evaluate(
-        """(name) => {
-            const copy = document.createElement("canvas");
-            [copy.width, copy.height] = [160, 120];
-            const context = copy.getContext("2d", { willReadFrequently: true });
-            context.drawImage(document.getElementById(name), 0, 0);
-            return Array.from(context.getImageData(0, 0, 160, 120).data);
-        }""",
-        canvas,
-    )
-    return np.array(data, dtype=np.uint8).reshape(120, 160, 4)
-
-
-def place(page, row, column):
-    """Where a pixel of the picture is on the screen."""
-    box = page.locator("#picture").bounding_box()
-    return (
-        box["x"] + (column + 0.5) * box["width"] / 160,
-        box["y"] + (row + 0.5) * box["height"] / 120,
-    )
-
-
-def readout(page, name):
-    return page.locator(f'#readout tr[data-name="{name}"] td').inner_text()
 
 
 def test_the_browser_holds_the_dataset_s_numbers(page, made):
@@ -314,7 +218,7 @@ def test_frames_that_are_gone_are_told(browser, kept, tmp_path):
     page.click('[data-view="pattern"]')
     page.wait_for_selector(".note:has-text('run graycast report again')")
     page.click('[data-view="scanner"]')
-    assert page.locator('[aria-pressed="true"]').first.inner_text().endswith("Scanner depth")
+    assert pressed(page) == "scanner"
     page.close()
 
 
@@ -362,12 +266,12 @@ def test_a_reason_in_the_legend_leaves_its_pixels_bright(page, made):
 def test_views_flip_by_keys_and_the_difference_is_white_where_there_is_none(page, made):
     opened(page, made, 0)
     page.keyboard.press("7")
-    assert page.locator('[aria-pressed="true"]').inner_text().endswith("Difference")
+    assert pressed(page) == "difference"
     same = (held(page, "depth") == held(page, "scanner")) & (held(page, "depth") > 0)
     assert (shown(page)[same][:, :3] > 240).all()
     page.keyboard.press("6")
     page.keyboard.press("Space")
-    assert page.locator('[aria-pressed="true"]').inner_text().endswith("Difference")
+    assert pressed(page) == "difference"
     page.keyboard.press("ArrowRight")
     ready(page, "train-000003")
     page.keyboard.press("ArrowLeft")
@@ -398,6 +302,7 @@ def test_the_grid_filters_sorts_and_opens_scenes(page, made):
     expected = [key for key, *_ in sorted(rows, key=lambda row: -row[1])]
     assert page.evaluate("Graycast.filtered().map((r) => r.key)") == expected
     middle = sorted(row[2] for row in rows)[1]
+    page.click("#more summary")
     page.fill("#visibility-from", str(100 * middle - 1e-4))
     assert cards.count() == sum(row[2] >= middle for row in rows) < 3
     page.click("#reset")
@@ -418,6 +323,8 @@ def test_the_3d_view_draws_what_is_switched_on(page, made):
         return len(np.unique(picture.reshape(-1, 3), axis=0)), picture
 
     opened(page, made, 0, "cloud")
+    page.select_option("#choose-surfacePaint", "colour")
+    page.select_option("#choose-pointPaint", "difference")
     page.click("text=camera")  # the side of the surface that is drawn is the one the camera saw
     both, first = colors()
     page.keyboard.press("s")
@@ -470,7 +377,7 @@ def test_real_pictures_show_what_they_have(page, rig, tmp_path):
     made = write_report(tmp_path / "real", tmp_path / "page").page
     page.goto(f"{made.as_uri()}#/train-000003")
     ready(page, "train-000003")
-    views = page.eval_on_selector_all(".tabs button", "all => all.map((b) => b.dataset.view)")
+    views = page.eval_on_selector_all("[data-view]", "all => all.map((b) => b.dataset.view)")
     assert views == ["color", "scanner", "reasons", "cloud"]
     for view in reversed(views):
         page.click(f'[data-view="{view}"]')

@@ -14,19 +14,26 @@ Run = Callable[[argparse.Namespace], int | None]
 def add_command(into, name: str, run: Run, help: str) -> argparse.ArgumentParser:
     """A parser for one command among others."""
     made = into.add_parser(name, help=help, description=help)
-    made.add_argument("--debug", action="store_true", help="show the traceback of an error")
+    made.add_argument(
+        "--debug", action="store_true", help="Show where in the program an error arose."
+    )
     made.set_defaults(run=run, when_stopped="nothing was written")
     return made
 
 
 def add_config(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("config", type=Path, help="a YAML configuration; see configs/")
+    parser.add_argument(
+        "config", type=Path, help="The configuration, a YAML file; configs/ has examples."
+    )
 
 
 def add_seed(parser: argparse.ArgumentParser, default: int | None = None) -> None:
     told = "as configured" if default is None else default
     parser.add_argument(
-        "--seed", type=seed, default=default, help=f"of everything random (default: {told})"
+        "--seed",
+        type=seed,
+        default=default,
+        help=f"Another seed draws everything random anew (default: {told}).",
     )
 
 
@@ -35,7 +42,8 @@ def add_device(parser: argparse.ArgumentParser) -> None:
         "--device",
         choices=("auto", "cpu", "cuda", "optix"),
         default="auto",
-        help="auto takes the GPU where it works, else the CPU; optix is of Cycles alone",
+        help="Where to render; auto takes the GPU where it works, else the CPU, and only Cycles "
+        "knows optix (default: auto).",
     )
 
 
@@ -45,18 +53,21 @@ def add_backend(parser: argparse.ArgumentParser, default: str | None = None) -> 
         "--backend",
         choices=("mitsuba", "cycles"),
         default=default,
-        help=f"mitsuba renders all patterns in one pass, cycles each by itself (default: {told})",
+        help="The renderer; mitsuba renders all patterns in one pass, cycles each by itself "
+        f"(default: {told}).",
     )
 
 
 def add_rig(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("rig", help=f"a rig file, or one of {', '.join(PRESETS)}")
+    parser.add_argument("rig", help=f"The rig: a rig file, or one of {', '.join(PRESETS)}.")
     add_resolution(parser)
 
 
 def add_resolution(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
-        "--resolution", choices=RESOLUTIONS, help="of a preset (default low); a file has its own"
+        "--resolution",
+        choices=RESOLUTIONS,
+        help="The size of a preset's pictures; a rig file has its own (default: low).",
     )
 
 

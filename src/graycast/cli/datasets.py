@@ -24,20 +24,35 @@ def add_commands(commands) -> None:
         commands, "preview", _preview, "Make one scene and draw it as a contact sheet."
     )
     add_config(preview)
-    preview.add_argument("--out", type=Path, required=True, help="the PNG to write")
-    preview.add_argument("--scene", type=seed, default=0, help="which scene (default 0)")
+    preview.add_argument("--out", type=Path, required=True, help="The PNG to write.")
+    preview.add_argument(
+        "--scene", type=seed, default=0, help="The number of the scene to make (default: 0)."
+    )
     add_seed(preview)
     add_backend(preview)
     add_device(preview)
 
-    validate = add_command(commands, "validate", _validate, "Check a dataset from its files alone.")
-    validate.add_argument("dataset", type=Path, help="the dataset's folder")
+    validate = add_command(
+        commands,
+        "validate",
+        _validate,
+        "Check that a dataset is whole and agrees with itself, from its files alone.",
+    )
+    validate.add_argument("dataset", type=Path, help="The dataset's folder.")
 
     parts = add_command(
-        commands, "parts", _parts, "List parts and picture them: built-in or a configuration's."
+        commands,
+        "parts",
+        _parts,
+        "List the built-in parts, or those of a configuration, and picture them.",
     )
-    parts.add_argument("config", type=Path, nargs="?", help="show this configuration's parts")
-    parts.add_argument("--out", type=Path, help="also draw them into this PNG")
+    parts.add_argument(
+        "config",
+        type=Path,
+        nargs="?",
+        help="Show this configuration's parts instead of the built-in ones.",
+    )
+    parts.add_argument("--out", type=Path, help="Also draw the parts into this PNG.")
     add_device(parts)
 
 

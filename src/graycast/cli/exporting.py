@@ -30,58 +30,127 @@ _OPTIONS = (
 
 def add_commands(commands) -> None:
     export = add_command(commands, "export", _export, "Write a dataset in another format.")
-    export.add_argument("dataset", type=Path, help="the dataset's folder")
-    export.add_argument("--format", choices=_FORMATS, required=True, help="see docs/exports.md")
-    export.add_argument("--out", type=Path, required=True, help="a new folder")
+    export.add_argument("dataset", type=Path, help="The dataset's folder.")
+    export.add_argument(
+        "--format",
+        choices=_FORMATS,
+        required=True,
+        help="The format; docs/exports.md describes each.",
+    )
+    export.add_argument(
+        "--out", type=Path, required=True, help="The folder to write; it is new or empty."
+    )
+    export.add_argument(
+        "--scenes",
+        type=Path,
+        metavar="FILE",
+        help="Export only the scenes of this file, which the page of graycast report saves.",
+    )
     export.add_argument(
         "--split",
         default="1",
         metavar="SHARES",
-        help="of train, val and test, by scene: 0.8,0.1,0.1 (default: all are train)",
-    )
-    export.add_argument("--split-seed", type=seed, default=0, help="another seed, another split")
-    export.add_argument("--image", choices=("rgb", "gray"), help="colour or the white frame")
-    export.add_argument(
-        "--depth", choices=("perfect", "scanner", "both", "none"), help="which depth goes along"
+        help="The shares of scenes that go to train, val and test, such as 0.8,0.1,0.1 "
+        "(default: all are train).",
     )
     export.add_argument(
-        "--polygons", action="store_true", default=None, help="COCO: instead of run lengths"
-    )
-    export.add_argument("--labels", choices=("segments", "boxes"), help="YOLO: what a row is")
-    export.add_argument("--cloud", choices=("ply", "pcd"), help="clouds: the kind of file")
-    export.add_argument(
-        "--organised", action="store_true", default=None, help="clouds: a point for every pixel"
-    )
-    export.add_argument("--shard-scenes", type=positive, metavar="N", help="scenes per file")
-    export.add_argument(
-        "--link", action="store_true", default=None, help="hard links to the pictures, no copies"
+        "--split-seed",
+        type=seed,
+        default=0,
+        help="Another seed puts other scenes into each set (default: 0).",
     )
     export.add_argument(
-        "--min-visibility", type=_share, metavar="SHARE", help="leave out what is hidden more"
+        "--image",
+        choices=("rgb", "gray"),
+        help="Which picture is exported: the colour picture, or the scanner's white frame "
+        "(default: rgb).",
+    )
+    export.add_argument(
+        "--depth",
+        choices=("perfect", "scanner", "both", "none"),
+        help="Which depth is exported (default: what suits the format).",
+    )
+    export.add_argument(
+        "--polygons",
+        action="store_true",
+        default=None,
+        help="COCO only: write masks as polygons, not as run lengths.",
+    )
+    export.add_argument(
+        "--labels",
+        choices=("segments", "boxes"),
+        help="YOLO only: write each part as its outline or as its box (default: segments).",
+    )
+    export.add_argument(
+        "--cloud", choices=("ply", "pcd"), help="Clouds only: the kind of file (default: ply)."
+    )
+    export.add_argument(
+        "--organised",
+        action="store_true",
+        default=None,
+        help="Clouds only: write a point for every pixel, NaN where there is none.",
+    )
+    export.add_argument(
+        "--shard-scenes", type=positive, metavar="N", help="How many scenes one file holds at most."
+    )
+    export.add_argument(
+        "--link",
+        action="store_true",
+        default=None,
+        help="Link to the dataset's pictures (hard links) instead of copying them.",
+    )
+    export.add_argument(
+        "--min-visibility",
+        type=_share,
+        metavar="SHARE",
+        help="Leave out parts of which a smaller share is visible, such as 0.1 (default: 0).",
     )
 
     real = add_command(
         commands, "import-real", _import_real, "Make a dataset of real pictures and their labels."
     )
-    real.add_argument("folder", type=Path, help="has the folders rgb, gray, depth, or some of them")
-    real.add_argument("--out", type=Path, required=True, help="a new folder")
-    real.add_argument("--intrinsics", metavar="K", help="fx,fy,cx,cy or a file with K")
-    real.add_argument("--distortion", metavar="D", help="k1,k2,p1,p2,k3 of OpenCV (default: none)")
+    real.add_argument(
+        "folder",
+        type=Path,
+        help="The folder of the pictures; it holds rgb, gray and depth, or some of them.",
+    )
+    real.add_argument(
+        "--out", type=Path, required=True, help="The folder to write; it is new or empty."
+    )
+    real.add_argument(
+        "--intrinsics",
+        metavar="K",
+        help="The camera's intrinsics: fx,fy,cx,cy or a file that holds K.",
+    )
+    real.add_argument(
+        "--distortion",
+        metavar="D",
+        help="The lens's distortion: k1,k2,p1,p2,k3 as OpenCV has them (default: none).",
+    )
     real.add_argument(
         "--scale",
         type=above_zero,
         metavar="METRES",
-        help="of one unit of depth: 0.001 for millimetres; integers need it, floats are metres",
+        help="How many metres one unit of depth is: 0.001 for millimetres. Files of integers need "
+        "it; floats are metres without it.",
     )
-    real.add_argument("--size", type=size, metavar="WxH", help="of PLYs that do not say it")
+    real.add_argument(
+        "--size",
+        type=size,
+        metavar="WxH",
+        help="The width and height in pixels of PLY clouds that do not state it.",
+    )
     real.add_argument(
         "--annotations",
         type=Path,
-        help="a COCO file, or a folder of LabelMe's (default: FOLDER/annotations)",
+        help="The labels: a COCO file, or a folder of LabelMe files (default: FOLDER/annotations).",
     )
-    real.add_argument("--unlabelled", action="store_true", help="pictures without annotations")
+    real.add_argument("--unlabelled", action="store_true", help="Take the pictures without labels.")
     real.add_argument(
-        "--like", type=Path, metavar="DATASET", help="the same objects under the same numbers"
+        "--like",
+        type=Path,
+        metavar="DATASET",
+        help="Give the objects the names and numbers that they have in this dataset.",
     )
 
 
@@ -97,6 +166,7 @@ def _export(options: argparse.Namespace) -> int:
             options.dataset,
             options.out,
             chosen,
+            selection=options.scenes,
             on_progress=lambda done, total: bar.update(task, completed=done, total=total),
         )
     counts = ", ".join(f"{name} {len(ids)}" for name, ids in record.splits.items())

@@ -10,62 +10,104 @@ from .arguments import above_zero, add_command, add_device, add_seed, size
 
 def add_commands(commands) -> None:
     fit = add_command(
-        commands, "fit-bin", _fit_bin, "Find a real bin's pose and look from views of it empty."
+        commands,
+        "fit-bin",
+        _fit_bin,
+        "Find a real bin's pose and its colours from views of the empty bin.",
     )
     fit.add_argument(
         "real",
         nargs="+",
         type=Path,
-        help="depth or clouds of one camera (PNG, TIFF, NPY, PLY), folders with rgb and depth, or "
-        "scene folders of a dataset",
+        help="The views of one camera: depth files or clouds (PNG, TIFF, NPY, PLY), folders with "
+        "rgb and depth, or scene folders of a dataset.",
     )
     fit.add_argument(
-        "--config", type=Path, required=True, help="the cell's configuration: bin, rig and light"
+        "--config",
+        type=Path,
+        required=True,
+        help="The cell's configuration, which states bin, rig and light.",
     )
     fit.add_argument(
-        "--out", type=Path, required=True, help="a new configuration, in the folder of --config"
+        "--out",
+        type=Path,
+        required=True,
+        help="The new configuration to write, in the folder of --config.",
     )
     _add_files(fit)
     fit.add_argument(
-        "--inner", metavar="L,W,H", help="the bin's inside in metres, if not --config's"
+        "--inner", metavar="L,W,H", help="The inside of the bin in metres (default: as configured)."
     )
-    fit.add_argument("--wall", type=above_zero, metavar="METRES", help="thickness of its walls")
+    fit.add_argument(
+        "--wall",
+        type=above_zero,
+        metavar="METRES",
+        help="The thickness of the bin's walls in metres, if it is known.",
+    )
     fit.add_argument(
         "--azimuth",
         type=float,
         metavar="DEGREES",
-        help="about where the camera's x axis points in the bin: a box looks the same after half a "
-        "turn, the nearest is taken (default: as configured)",
+        help="Where the camera's x axis points in the bin, roughly. A box looks the same after "
+        "half a turn; of the two poses the one nearer to this is taken (default: as configured).",
     )
     fit.add_argument(
         "--floor-reflectance",
         type=above_zero,
         metavar="SHARE",
-        help="mean linear reflectance of the floor, which colours are relative to (default: the "
-        "configuration's)",
+        help="The floor's mean linear reflectance, to which colours are scaled (default: as "
+        "configured).",
     )
-    fit.add_argument("--white", type=Path, help="linear frame with the projector white, and")
-    fit.add_argument("--black", type=Path, help="one with it black, in one exposure: lamps' level")
-    fit.add_argument("--pose-only", action="store_true", help="leave colours and light as they are")
+    fit.add_argument(
+        "--white",
+        type=Path,
+        help="A linear frame with the projector white; with --black it gives the lamps' level.",
+    )
+    fit.add_argument(
+        "--black",
+        type=Path,
+        help="A linear frame with the projector black, of the same exposure as --white.",
+    )
+    fit.add_argument(
+        "--pose-only",
+        action="store_true",
+        help="Find the pose only, and leave colours and light as they are configured.",
+    )
     add_seed(fit, 0)
     add_device(fit)
 
 
 def _add_files(fit: argparse.ArgumentParser) -> None:
     fit.add_argument(
-        "--rgb", type=Path, nargs="+", default=[], help="a colour picture for each depth file"
+        "--rgb",
+        type=Path,
+        nargs="+",
+        default=[],
+        help="The colour pictures, one for each depth file.",
     )
     fit.add_argument(
-        "--intrinsics", metavar="K", help="fx,fy,cx,cy or a file with K (default: the rig's)"
+        "--intrinsics",
+        metavar="K",
+        help="The camera's intrinsics: fx,fy,cx,cy or a file that holds K (default: the rig's).",
     )
-    fit.add_argument("--distortion", metavar="D", help="k1,k2,p1,p2,k3 of OpenCV")
+    fit.add_argument(
+        "--distortion",
+        metavar="D",
+        help="The lens's distortion: k1,k2,p1,p2,k3 as OpenCV has them.",
+    )
     fit.add_argument(
         "--scale",
         type=above_zero,
         metavar="METRES",
-        help="of one unit of depth: 0.001 for millimetres; integers need it, floats are metres",
+        help="How many metres one unit of depth is: 0.001 for millimetres. Files of integers need "
+        "it; floats are metres without it.",
     )
-    fit.add_argument("--size", type=size, metavar="WxH", help="of PLYs that do not say it")
+    fit.add_argument(
+        "--size",
+        type=size,
+        metavar="WxH",
+        help="The width and height in pixels of PLY clouds that do not state it.",
+    )
 
 
 def _fit_bin(options: argparse.Namespace) -> int:

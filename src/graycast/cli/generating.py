@@ -33,40 +33,47 @@ def add_commands(commands) -> None:
     generate.description = GENERATE
     generate.set_defaults(when_stopped="finished scenes are kept")
     add_config(generate)
-    generate.add_argument("--out", type=Path, required=True, help="the dataset's folder")
-    generate.add_argument("--scenes", type=positive, help="how many (default: as configured)")
+    generate.add_argument("--out", type=Path, required=True, help="The dataset's folder.")
+    generate.add_argument(
+        "--scenes",
+        type=positive,
+        help="How many scenes the dataset shall have (default: as configured).",
+    )
     add_seed(generate)
     add_backend(generate)
     add_device(generate)
     generate.add_argument(
         "--workers",
         type=positive,
-        help="scenes made at a time (default 1; of ray: as many as the cluster has room for)",
+        help="How many scenes are made at a time (default: 1; with ray as many as the cluster has "
+        "room for).",
     )
     generate.add_argument(
         "--threads",
         type=positive,
-        help="processor threads per worker (default: this machine's shared out; of ray: 1)",
+        help="How many processor threads each worker uses (default: all of this machine, shared "
+        "out; with ray 1).",
     )
     generate.add_argument(
         "--engine",
         choices=("local", "ray"),
         default="local",
-        help="processes of this machine, or a Ray cluster (pip install 'graycast[ray]')",
+        help="Workers are processes of this machine (local) or of a Ray cluster, which needs "
+        "pip install 'graycast[ray]' (default: local).",
     )
     generate.add_argument(
-        "--address", help="of the Ray cluster, host:port (default: Ray on this machine)"
+        "--address", help="The Ray cluster's address, host:port (default: Ray on this machine)."
     )
 
     rerender = add_command(
         commands, "rerender", _rerender, "Make a scene of a dataset again, and compare the two."
     )
-    rerender.add_argument("dataset", type=Path, help="the dataset's folder")
-    rerender.add_argument("scene_id", type=seed, help="the scene's number")
+    rerender.add_argument("dataset", type=Path, help="The dataset's folder.")
+    rerender.add_argument("scene_id", type=seed, help="The scene's number.")
     rerender.add_argument(
         "--config",
         type=Path,
-        help="the configuration that made it (needed where it names files of its own)",
+        help="The configuration that made the dataset; needed where it names files, as meshes.",
     )
     add_device(rerender)
 

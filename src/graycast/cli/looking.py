@@ -11,26 +11,42 @@ from .arguments import add_command, positive, progress_bar
 def add_commands(commands) -> None:
     stats = add_command(commands, "stats", _stats, "Count what a dataset holds, from its files.")
     _add_dataset(stats)
-    stats.add_argument("--out", type=Path, help="also write stats.json and stats.png here")
     stats.add_argument(
-        "--card", action="store_true", help="also write the dataset's card, README.md in its folder"
+        "--out", type=Path, help="Also write stats.json and stats.png into this folder."
     )
-    stats.add_argument("--licence", help="for the card: an SPDX identifier such as CC-BY-4.0")
+    stats.add_argument(
+        "--card",
+        action="store_true",
+        help="Also write the dataset's card, README.md in its folder.",
+    )
+    stats.add_argument(
+        "--licence", help="The licence that the card states: an SPDX identifier such as CC-BY-4.0."
+    )
 
     report = add_command(
-        commands, "report", _report, "Write a web page to look at a dataset; opens from the disk."
+        commands,
+        "report",
+        _report,
+        "Write a web page to look at a dataset; it opens from the disk.",
     )
     report.set_defaults(when_stopped="finished scenes are kept; the same command goes on")
     _add_dataset(report)
-    report.add_argument("--out", type=Path, required=True, help="the page's folder")
+    report.add_argument("--out", type=Path, required=True, help="The page's folder.")
     report.add_argument(
-        "--width", type=positive, help="thin out maps wider than this many pixels (default 1300)"
+        "--width",
+        type=positive,
+        help="Thin out maps that are wider than this many pixels (default: 1300).",
     )
 
 
 def _add_dataset(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("dataset", type=Path, help="the dataset's folder")
-    parser.add_argument("--workers", type=positive, default=1, help="processes (default 1)")
+    parser.add_argument("dataset", type=Path, help="The dataset's folder.")
+    parser.add_argument(
+        "--workers",
+        type=positive,
+        default=1,
+        help="How many processes read the scenes (default: 1).",
+    )
 
 
 def _stats(options: argparse.Namespace) -> int:

@@ -10,21 +10,22 @@ from typing import Any
 from .arguments import add_command, add_device, counts, positive, progress_bar, size
 
 AGREE = """\
-Render the same scenes with Mitsuba and Cycles and compare: brackets of a Lambertian, a metal and a
-coated plastic in a small wooden box before a PhoXi M. Per class of surface: the ratio of their
-light pixel by pixel (Cycles over Mitsuba); of the decoded depth: differences in projector columns
-and which pixels have it; and the ground truth. About 5 minutes a scene on 2 cores; fewer samples
-are quick and noisy."""
+Render the same scenes with Mitsuba and Cycles and compare the two. The scenes are brackets of a
+Lambertian, a metal and a coated plastic surface in a small wooden box before a PhoXi M. For each
+class of surface it prints the ratio of their light pixel by pixel (Cycles over Mitsuba), how the
+decoded depth differs in projector columns and in which pixels have one, and whether the ground
+truth is the same. A scene takes about 5 minutes on 2 cores; fewer samples are quick, but noisy."""
 DENOISE = """\
-What denoising every picture of a stack does to the depth decoded from it: 4, 8, 16 .. samples with
-each denoiser of this machine, by Cycles and by Mitsuba, against their own converged pictures (four
-times the most samples). Metal brackets in a wooden box, Gray code, white light and no sensor noise
-but in the tables that say so. About 40 minutes on 2 cores, a quarter of that up to 64 samples."""
+Measure what denoising every picture of a stack does to the depth that is decoded from it. Cycles
+and Mitsuba render 4, 8, 16 ... samples, with each denoiser of this machine and without, and are
+compared with their own converged pictures (four times the most samples). The scene is metal
+brackets in a wooden box under Gray code and white light; only the tables that say so have sensor
+noise. It takes about 40 minutes on 2 cores, a quarter of that up to 64 samples."""
 RENDERERS = """\
-Time of a stack of 24 patterns by Mitsuba in one pass, by Cycles one and three patterns per render,
-in turn; then how many samples each needs for the same error of decoded depth (13 patterns on a
-crop of 172 x 130). Cycles renders a few patterns and the rest is counted, but with --whole. About
-40 minutes on 2 cores."""
+Measure how long a stack of 24 patterns takes, by Mitsuba in one pass and by Cycles with one and
+with three patterns per render, in turn. Then measure how many samples each needs for the same error
+of decoded depth (13 patterns on a crop of 172 x 130 pixels). Cycles renders a few patterns, and the
+time of the others is calculated, unless --whole is given. It takes about 40 minutes on 2 cores."""
 
 ZOO = """\
 Drop parts of each family of the trade (bolts, nuts, tubes, springs, ...) into a bin of 400 x 300 x
@@ -39,12 +40,15 @@ def add_commands(commands) -> None:
         commands,
         "doctor",
         _doctor,
-        "Print what this machine has, lacks, and what that would give.",
+        "Print what this machine has, what it lacks, and what the missing pieces would give.",
     )
     schema = add_command(
-        commands, "schema", _schema, "Print the JSON Schema of a file, for editors."
+        commands,
+        "schema",
+        _schema,
+        "Print the JSON Schema of a kind of file, for editors that complete and check.",
     )
-    schema.add_argument("kind", choices=("config", "rig", "stack"), help="which file")
+    schema.add_argument("kind", choices=("config", "rig", "stack"), help="The kind of file.")
     _add_bench(commands)
 
 
@@ -52,18 +56,39 @@ def _add_bench(commands) -> None:
     told = "Measure speed and memory on this machine, and hold the renderers against each other."
     group = commands.add_parser("bench", help=told, description=told)
     kinds = group.add_subparsers(required=True, metavar="WHAT")
-    render = _add_kind(kinds, "render", _render, "Time a stack against one white frame.")
+    render = _add_kind(
+        kinds,
+        "render",
+        _render,
+        "Measure how long a whole stack takes to render, against one white frame.",
+    )
     _add_count(render)
     add_device(render)
-    _add_kind(kinds, "decode", _decode, "Time decoding, OpenCV's too where it is installed.")
-    _add_count(_add_kind(kinds, "drop", _drop, "Time the parts' fall into the bin."))
-    scene = _add_kind(kinds, "scene", _scene, "Time and memory of whole scenes, stage by stage.")
-    scene.add_argument("--scenes", type=positive, default=3, help="how many (default 3)")
+    _add_kind(
+        kinds,
+        "decode",
+        _decode,
+        "Measure how long decoding takes, OpenCV's too where it is installed.",
+    )
+    _add_count(
+        _add_kind(kinds, "drop", _drop, "Measure how long the parts' fall into the bin takes.")
+    )
+    scene = _add_kind(
+        kinds, "scene", _scene, "Measure the time and memory of whole scenes, stage by stage."
+    )
+    scene.add_argument(
+        "--scenes", type=positive, default=3, help="How many scenes are made (default: 3)."
+    )
     _add_count(scene)
     add_device(scene)
-    engine = _add_kind(kinds, "engine", _engine, "What workers cost and bring, of Ray too.")
+    engine = _add_kind(
+        kinds, "engine", _engine, "Measure what more workers cost and bring, those of Ray too."
+    )
     engine.add_argument(
-        "--scenes", type=positive, default=6, help="of each round of three (default 6)"
+        "--scenes",
+        type=positive,
+        default=6,
+        help="How many scenes each of the three rounds makes (default: 6).",
     )
     _add_count(engine)
     _add_zoo(kinds)
@@ -76,67 +101,81 @@ def _add_zoo(kinds) -> None:
     )
     zoo.description = ZOO
     zoo.add_argument(
-        "--families", metavar="A,B,...", help="which families are dropped (default: all of them)"
+        "--families",
+        metavar="A,B,...",
+        help="The families that are dropped (default: all of them).",
     )
     zoo.add_argument(
         "--counts",
         type=counts,
         default=(1, 10, 60),
         metavar="N,N,...",
-        help="parts per drop; a family of large parts is dropped in smaller numbers "
-        "(default 1,10,60)",
+        help="How many parts a drop has; a family of large parts is dropped in smaller numbers "
+        "(default: 1,10,60).",
     )
-    zoo.add_argument("--seeds", type=positive, default=20, help="drops of each kind (default 20)")
+    zoo.add_argument(
+        "--seeds", type=positive, default=20, help="The number of drops of each kind (default: 20)."
+    )
 
 
 def _add_studies(kinds) -> None:
-    agree = _add_study(kinds, "agree", _agree, "Whether Cycles and Mitsuba agree.", AGREE)
-    agree.add_argument("--scenes", type=positive, default=5, help="how many (default 5)")
-    _add_samples(agree, 128, "of Cycles; Mitsuba takes eight times as many")
+    agree = _add_study(kinds, "agree", _agree, "Measure how well Cycles and Mitsuba agree.", AGREE)
+    agree.add_argument(
+        "--scenes", type=positive, default=5, help="How many scenes are rendered (default: 5)."
+    )
+    _add_samples(agree, 128, "The samples a pixel of Cycles; Mitsuba takes eight times as many")
     _add_size(agree, (258, 194))
 
-    denoise = _add_study(kinds, "denoise", _denoise, "What denoisers do to depth.", DENOISE)
-    _add_samples(denoise, 256, "the most of the series")
+    denoise = _add_study(kinds, "denoise", _denoise, "Measure what denoisers do to depth.", DENOISE)
+    _add_samples(denoise, 256, "The most samples a pixel of the series")
     _add_size(denoise, (206, 154))
     _add_count(denoise)
 
-    told = "How much faster one pass is than Cycles."
+    told = "Measure how much faster one pass of Mitsuba is than Cycles."
     renderers = _add_study(kinds, "renderers", _renderers, told, RENDERERS)
-    _add_samples(renderers, 16, "while time is taken")
+    _add_samples(renderers, 16, "The samples a pixel while time is taken")
     _add_size(renderers, (1032, 772))
     _add_count(renderers)
     renderers.add_argument(
-        "--whole", action="store_true", help="let Cycles render all patterns, once"
+        "--whole", action="store_true", help="Let Cycles render all patterns once instead of a few."
     )
 
 
 def _add_kind(kinds, name: str, run, told: str) -> argparse.ArgumentParser:
     made = add_command(kinds, name, run, told)
-    made.add_argument("--json", type=Path, metavar="FILE", help="also write the figures there")
+    made.add_argument(
+        "--json", type=Path, metavar="FILE", help="Also write the figures into this JSON file."
+    )
     return made
 
 
 def _add_study(kinds, name: str, run, told: str, description: str) -> argparse.ArgumentParser:
     made = _add_kind(kinds, name, run, told)
     made.description = description
-    made.add_argument("--plot", type=Path, metavar="FILE", help="also draw them into this PNG")
+    made.add_argument(
+        "--plot", type=Path, metavar="FILE", help="Also draw the figures into this PNG."
+    )
     add_device(made)
     return made
 
 
 def _add_count(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("--count", type=positive, default=30, help="parts per scene (default 30)")
+    parser.add_argument(
+        "--count", type=positive, default=30, help="How many parts a scene has (default: 30)."
+    )
 
 
 def _add_samples(parser: argparse.ArgumentParser, default: int, told: str) -> None:
     parser.add_argument(
-        "--samples", type=positive, default=default, help=f"{told} (default {default})"
+        "--samples", type=positive, default=default, help=f"{told} (default: {default})."
     )
 
 
 def _add_size(parser: argparse.ArgumentParser, default: tuple[int, int]) -> None:
     words = f"{default[0]}x{default[1]}"
-    told = f"crop of the camera's 1032x772 pixels, its middle (default {words})"
+    told = (
+        f"The size of the crop from the middle of the camera's 1032x772 pixels (default: {words})."
+    )
     parser.add_argument("--size", type=size, default=default, metavar="WxH", help=told)
 
 

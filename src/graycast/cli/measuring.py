@@ -24,26 +24,34 @@ TABLE = "table.txt"  # in every folder that `graycast realism` writes
 
 def add_commands(commands) -> None:
     decode = add_command(
-        commands, "decode", _decode, "Decode a scanner's pictures; with its rig, to depth."
+        commands,
+        "decode",
+        _decode,
+        "Decode a scanner's pictures to projector positions and, if its rig is known, to depth.",
     )
     decode.add_argument(
-        "stack", type=Path, help="YAML that says what each picture is, or a folder's stack.yaml"
+        "stack",
+        type=Path,
+        help="The stack file, which says what each picture is, or a folder that holds stack.yaml.",
     )
     decode.add_argument(
         "--rig",
-        help="a rig file (or a preset): depth and a cloud as well (default: the stack file's own)",
+        help="The rig, a rig file or a preset: with it depth and a point cloud are written as well "
+        "(default: the rig that the stack file names, if any).",
     )
     add_resolution(decode)
     decode.add_argument(
-        "--average", action="store_true", help="one point per projector pixel, not per camera pixel"
+        "--average",
+        action="store_true",
+        help="Write one point for each projector pixel instead of each camera pixel.",
     )
-    decode.add_argument("--out", type=Path, required=True, help="the folder to write")
+    decode.add_argument("--out", type=Path, required=True, help="The folder to write.")
 
     certify = add_command(
         commands, "certify", _certify, "Measure a virtual scanner as a metrology lab would."
     )
     add_rig(certify)
-    certify.add_argument("--out", type=Path, required=True, help="the folder to write")
+    certify.add_argument("--out", type=Path, required=True, help="The folder to write.")
     add_seed(certify, default=0)
     add_backend(certify, default="mitsuba")
     add_device(certify)
@@ -52,21 +60,54 @@ def add_commands(commands) -> None:
         commands, "realism", _realism, "Measure depth maps, real or simulated; compare two sets."
     )
     realism.add_argument(
-        "depth", type=Path, nargs="*", help="NPY, PNG, PLY, folders of them, or our datasets"
+        "depth",
+        type=Path,
+        nargs="*",
+        help="The depth maps: NPY, PNG or PLY files, folders of them, or datasets of Graycast.",
     )
-    realism.add_argument("--intrinsics", metavar="K", help="fx,fy,cx,cy or a file with K")
+    realism.add_argument(
+        "--intrinsics",
+        metavar="K",
+        help="The camera's intrinsics: fx,fy,cx,cy or a file that holds K.",
+    )
     realism.add_argument(
         "--scale",
         type=above_zero,
         metavar="METRES",
-        help="of one unit of depth: 0.001 for millimetres; integers need it, floats are metres",
+        help="How many metres one unit of depth is: 0.001 for millimetres. Files of integers need "
+        "it; floats are metres without it.",
     )
-    realism.add_argument("--size", type=size, metavar="WxH", help="of PLYs that do not say it")
-    realism.add_argument("--gray", type=Path, nargs="+", default=(), help="a picture per map")
-    realism.add_argument("--reason", type=Path, nargs="+", default=(), help="reasons per map")
-    realism.add_argument("--out", type=Path, help="the folder to write: table, JSON, plots")
     realism.add_argument(
-        "--compare", type=Path, nargs=2, metavar=("A", "B"), help="two folders made before"
+        "--size",
+        type=size,
+        metavar="WxH",
+        help="The width and height in pixels of PLY clouds that do not state it.",
+    )
+    realism.add_argument(
+        "--gray",
+        type=Path,
+        nargs="+",
+        default=(),
+        help="The grey pictures of the depth maps, one for each.",
+    )
+    realism.add_argument(
+        "--reason",
+        type=Path,
+        nargs="+",
+        default=(),
+        help="The maps of reasons of the depth maps, one for each.",
+    )
+    realism.add_argument(
+        "--out",
+        type=Path,
+        help="Also write the table, the figures as JSON and the plots into this folder.",
+    )
+    realism.add_argument(
+        "--compare",
+        type=Path,
+        nargs=2,
+        metavar=("A", "B"),
+        help="Compare two folders that this command has written before.",
     )
 
 

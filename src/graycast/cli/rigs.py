@@ -17,10 +17,10 @@ def add_commands(commands) -> None:
     rigs = rig.add_subparsers(metavar="COMMAND")
     show = add_command(rigs, "show", _rig_show, "Print a rig's figures and draw it.")
     add_rig(show)
-    show.add_argument("--out", type=Path, help="also draw it into this PNG")
+    show.add_argument("--out", type=Path, help="Also draw the rig into this PNG.")
     write = add_command(rigs, "write", _rig_write, "Write a preset as a rig file to start from.")
     add_rig(write)
-    write.add_argument("--out", type=Path, required=True, help="the YAML to write")
+    write.add_argument("--out", type=Path, required=True, help="The YAML file to write.")
     _add_import(rigs)
     _add_calibrate(rigs)
 
@@ -28,26 +28,49 @@ def add_commands(commands) -> None:
         commands,
         "patterns",
         _patterns,
-        "Write a rig's patterns as PNGs for a projector, with a stack file.",
+        "Write a rig's patterns as PNGs for a projector, and the stack file to decode with.",
     )
     add_rig(patterns)
-    patterns.add_argument("--out", type=Path, required=True, help="the folder to write")
-    patterns.add_argument("--codec", choices=CODECS, help="default: the rig's own")
-    patterns.add_argument("--inverses", action="store_true", help="each bit and its inverse")
+    patterns.add_argument("--out", type=Path, required=True, help="The folder to write.")
+    patterns.add_argument(
+        "--codec", choices=CODECS, help="The code that the patterns carry (default: the rig's own)."
+    )
+    patterns.add_argument(
+        "--inverses", action="store_true", help="Write each bit's inverse pattern as well."
+    )
 
 
 def _add_import(rigs) -> None:
     load = add_command(rigs, "import", _rig_import, "Make a rig file from an OpenCV calibration.")
-    load.add_argument("calibration", type=Path, help="YAML, XML, JSON or NPZ with K, D, R, T")
-    load.add_argument("--out", type=Path, required=True, help="the YAML to write")
-    load.add_argument("--unit", choices=("m", "mm"), help="of T; asked for where it is unclear")
-    load.add_argument("--near", type=above_zero, help="nearest working distance [m]")
     load.add_argument(
-        "--far", type=above_zero, help="farthest (default: where both fields overlap)"
+        "calibration",
+        type=Path,
+        help="The calibration: a YAML, XML, JSON or NPZ file with K, D, R and T.",
+    )
+    load.add_argument("--out", type=Path, required=True, help="The YAML file to write.")
+    load.add_argument(
+        "--unit",
+        choices=("m", "mm"),
+        help="The unit of T; needed only where the numbers leave it open.",
+    )
+    load.add_argument(
+        "--near",
+        type=above_zero,
+        help="The nearest working distance in metres (default: where the fields of camera and "
+        "projector begin to overlap).",
+    )
+    load.add_argument(
+        "--far",
+        type=above_zero,
+        help="The farthest working distance in metres (default: where the fields of camera and "
+        "projector part again).",
     )
     for device in ("camera", "projector"):
         load.add_argument(
-            f"--{device}-size", type=size, metavar="WxH", help="where the file states none"
+            f"--{device}-size",
+            type=size,
+            metavar="WxH",
+            help=f"The {device}'s width and height in pixels, where the file does not state them.",
         )
 
 
@@ -59,22 +82,35 @@ def _add_calibrate(rigs) -> None:
         "Make a rig file from stacks of one flat board in three or more poses.",
     )
     calibrate.add_argument(
-        "stacks", type=Path, nargs="+", help="a stack file per pose; both axes coded"
+        "stacks",
+        type=Path,
+        nargs="+",
+        help="The stack files, one for each pose of the board; each codes columns and rows.",
     )
     calibrate.add_argument(
         "--board",
         required=True,
-        help="chessboard:9x6:0.025 (squares, side [m]) or charuco:8x5:0.03:0.022:DICT_5X5_100",
+        help="The board: chessboard:9x6:0.025 (number of squares, their side in metres) or "
+        "charuco:8x5:0.03:0.022:DICT_5X5_100.",
     )
-    calibrate.add_argument("--out", type=Path, required=True, help="the YAML to write")
-    calibrate.add_argument("--near", type=above_zero, help="nearest working distance [m]")
-    calibrate.add_argument("--far", type=above_zero, help="farthest (default: as the boards lay)")
+    calibrate.add_argument("--out", type=Path, required=True, help="The YAML file to write.")
+    calibrate.add_argument(
+        "--near",
+        type=above_zero,
+        help="The nearest working distance in metres (default: a tenth before the nearest corner).",
+    )
+    calibrate.add_argument(
+        "--far",
+        type=above_zero,
+        help="The farthest working distance in metres (default: a tenth past the farthest corner).",
+    )
     calibrate.add_argument(
         "--radial-terms",
         type=int,
         choices=range(4),
         default=3,
-        help="of distortion, at most (default 3)",
+        help="How many radial terms the lenses' distortion may have; those that the corners do not "
+        "determine are left out (default: 3).",
     )
 
 

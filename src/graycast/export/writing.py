@@ -8,6 +8,7 @@ from ..errors import GraycastError
 from ..folder import new_folder
 from .options import Options
 from .record import ExportRecord, write_record
+from .selection import chosen_scenes
 
 WriteSplit = Callable[[Path, str, Iterable[StoredScene], StoredDataset, Options], None]
 WriteRest = Callable[[Path, Iterable[str], StoredDataset, Options], None]
@@ -18,6 +19,7 @@ def export(
     out: Path,
     options: Options,
     *,
+    selection: Path | None = None,
     on_progress: Callable[[int, int], None] = lambda done, total: None,
 ) -> ExportRecord:
     """Write a finished dataset in another format, whole or not at all.
@@ -26,6 +28,7 @@ def export(
         dataset: the folder of a dataset, of simulated or of real pictures.
         out: a folder that does not exist or is empty.
         options: the format and what it may be told.
+        selection: a file of scenes saved on the report's page; only they are exported.
         on_progress: called with the scenes done and their number.
 
     Returns:
@@ -33,11 +36,13 @@ def export(
 
     Raises:
         GraycastError: `out` is in use or cannot be written, the dataset lacks what was asked for,
-            is damaged, or a set of the split would be empty.
+            is damaged, `selection` is not of its scenes, or a set of the split would be empty.
     """
     write_split, write_rest = _writers(options.format)
     stored = open_dataset(dataset)
     scene_ids = stored.scene_ids["train"]
+    if selection is not None:
+        scene_ids = chosen_scenes(selection, stored)
     chosen = options.resolved(stored)
     splits = chosen.split.assign(scene_ids)
     if out.absolute().is_relative_to(dataset.absolute()):

@@ -33,6 +33,7 @@ def index_script(stored: StoredDataset, figures: Iterable[SceneFigures]) -> tupl
     statistics = tally(passing(), stored.categories)
     content = {
         "name": stored.folder.resolve().name,
+        "fingerprint": stored.claim.get("fingerprint", ""),
         "graycast": __version__,
         "claim": _claim(stored.claim),
         "classes": {str(one.obj_id): one.name for one in statistics.classes},

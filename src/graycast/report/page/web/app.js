@@ -5,25 +5,49 @@
   const { el } = Graycast;
   const main = document.getElementById("main"),
     help = document.getElementById("help");
-  const KEYS = [
-    ["← →", "previous, next scene of the filtered list"],
-    ["1 … 9", "views"],
-    ["space", "back to the last view: flip between two"],
-    ["↑ ↓ or [ ]", "previous, next pattern frame"],
-    ["p", "pattern frames: play, stop"],
-    ["m b", "masks, boxes"],
-    ["s p", "3D: perfect surface, scanner points"],
-    ["+ − 0", "zoom in, out, whole picture"],
-    ["t", "light or dark"],
-    ["Esc", "back to all scenes"],
-    ["?", "these keys"],
-  ];
-  help.append(
+  const KEYS = {
+    "All scenes": [
+      ["← → ↑ ↓", "from scene to scene; Enter opens it"],
+      ["/", "find scenes by number, part or tag"],
+      ["x", "tick the scene; with shift, all from the last one"],
+      ["g", "tag the ticked scenes"],
+      ["Esc", "untick all"],
+    ],
+    "One scene": [
+      ["1 … 9", "its views"],
+      ["space", "back to the last view: flips between two"],
+      ["c", "compare two views"],
+      ["shift 1 … 8", "compare with that view"],
+      ["v", "compare by swipe or side by side"],
+      ["← →", "previous, next scene of the list"],
+      ["m b", "masks, boxes"],
+      ["+ − 0", "zoom in, out, whole picture"],
+      ["↑ ↓ or [ ]", "previous, next pattern frame"],
+      ["p", "pattern frames: play, stop"],
+      ["s p", "3D: perfect surface, scanner points"],
+      ["x", "tick the scene"],
+      ["g", "tag the scene"],
+      ["Esc", "back to all scenes"],
+    ],
+    "Everywhere": [
+      ["t", "light or dark"],
+      ["?", "these keys"],
+    ],
+  };
+  const table = ([title, keys]) =>
     el(
-      "table",
+      "section",
       {},
-      KEYS.map(([key, text]) => el("tr", {}, el("th", {}, el("kbd", {}, key)), el("td", {}, text))),
-    ),
+      el("h2", {}, title),
+      el(
+        "table",
+        {},
+        keys.map(([key, text]) => el("tr", {}, el("th", {}, el("kbd", {}, key)), el("td", {}, text))),
+      ),
+    );
+  const [first, ...rest] = Object.entries(KEYS).map(table);
+  help.append(
+    el("div", { class: "key-lists" }, el("div", {}, first, rest.pop()), rest),
     el("form", { method: "dialog" }, el("button", {}, "close")),
   );
 
@@ -39,6 +63,7 @@
       else {
         Graycast.closeScene();
         Graycast.showOverview(main);
+        Graycast.focusCard();
       }
     } catch (error) {
       main.replaceChildren(el("p", { class: "sorry" }, error.message));
@@ -76,20 +101,23 @@
   document.getElementById("theme").onclick = change;
   document.getElementById("keys").onclick = () => help.showModal();
   addEventListener("hashchange", route);
+  const TYPED = "select, input:not([type=range]):not([type=checkbox])";
   addEventListener("keydown", (event) => {
-    if (
-      event.ctrlKey ||
-      event.metaKey ||
-      event.altKey ||
-      help.open ||
-      event.target.matches("select, input:not([type=range])") ||
-      (event.target.matches("input") && event.key.startsWith("Arrow"))
-    )
+    const { target } = event;
+    if (event.ctrlKey || event.metaKey || event.altKey || help.open) return;
+    if (target.matches(TYPED)) {
+      if (event.key === "Escape") target.blur();
       return;
+    }
+    if (target.matches("input") && event.key.startsWith("Arrow")) return;
+    if (event.key === " " && target.matches("button, summary")) return; // presses it
     if (event.key === "t") change();
     else if (event.key === "?") help.showModal();
+    else if (event.key === "Escape" && document.querySelector("#more[open]"))
+      document.getElementById("more").open = false;
     else if (event.key === "Escape" && location.hash.length > 2) location.hash = "#/";
-    else if (!Graycast.sceneKey(event)) return;
+    else if (event.key === "Enter" && target.matches("button, summary, a")) return;
+    else if (!Graycast.sceneKey(event) && !Graycast.gridKey(event)) return;
     event.preventDefault();
   });
   route();

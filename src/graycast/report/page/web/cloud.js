@@ -4,32 +4,35 @@
 
 {
   const { el } = Graycast;
-  const FIELD_RAD = 0.55,
-    SURFACE_VERTICES = 450000;
+  const FIELD_RAD = 0.55;
+  const LIT = ["instance", "plain"]; // points of these paints are shaded as the surface is
   const VERTEX = `#version 300 es
     uniform mat4 uClip;
     uniform float uSize;
     in vec3 aPlace;
     in vec4 aColor;
+    in vec3 aNormal;
     out vec3 vPlace;
+    out vec3 vNormal;
     out vec4 vColor;
     void main() {
       vPlace = aPlace;
+      vNormal = aNormal;
       vColor = aColor;
       gl_Position = uClip * vec4(aPlace, 1.0);
       gl_PointSize = uSize;
     }`;
-  // Points and lines have no normal: their derivatives are nothing, and NaN times 0 is NaN.
+  // Lines have no normal: NaN times 0 is NaN, so they are told apart.
   const FRAGMENT = `#version 300 es
     precision highp float;
     uniform vec3 uEye;
     uniform float uShade;
     in vec3 vPlace;
+    in vec3 vNormal;
     in vec4 vColor;
     out vec4 color;
     void main() {
-      vec3 n = normalize(cross(dFdx(vPlace), dFdy(vPlace)));
-      float facing = abs(dot(n, normalize(uEye - vPlace)));
+      float facing = abs(dot(normalize(vNormal), normalize(uEye - vPlace)));
       color = vec4(vColor.rgb * (uShade > 0.5 ? 0.45 + 0.55 * facing : 1.0), 1.0);
     }`;
 
@@ -45,16 +48,17 @@
       return { stage, draw() {}, look() {}, close() {} };
     }
     const program = link(gl),
-      space = makeSpace(scene);
+      shapes = Graycast.shapes,
+      space = shapes.space(scene);
     const where = Object.fromEntries(
       ["uClip", "uSize", "uEye", "uShade"].map((name) => [
         name,
         gl.getUniformLocation(program, name),
       ]),
     );
-    const surface = scene.has.depth ? mesh(gl, program, scene, space) : null;
-    const points = scene.has.scanner ? cloud(gl, program, scene, space) : null;
-    const boxes = scene.instances[0]?.box3d ? edges(gl, program, scene, space) : null;
+    const surface = scene.has.depth ? shapes.mesh(gl, scene, space) : null;
+    const points = scene.has.scanner ? shapes.cloud(gl, scene, space) : null;
+    const boxes = scene.instances[0]?.box3d ? shapes.edges(gl, scene, space) : null;
     const eye = { ...space.start, pan: [0, 0, 0] };
     let prefs = {},
       queued = false;
@@ -83,7 +87,7 @@
       gl.enable(gl.CULL_FACE); // only the side that the camera saw: one looks in through a wall
       if (surface && prefs.surface !== false) put(surface, gl.TRIANGLES, 1);
       gl.disable(gl.CULL_FACE);
-      if (points && prefs.points !== false) put(points, gl.POINTS, 0);
+      if (points && prefs.points !== false) put(points, gl.POINTS, LIT.includes(prefs.pointPaint) ? 1 : 0);
       if (boxes && prefs.boxes) put(boxes, gl.LINES, 0);
     };
     const ask = () => {
@@ -102,10 +106,10 @@
       stage,
       draw(next) {
         if (surface && next.surfacePaint !== surface.paint)
-          recolor(gl, scene, surface, next.surfacePaint, next);
+          shapes.recolor(gl, scene, surface, next.surfacePaint, next);
         const key = `${next.pointPaint} ${Graycast.errorLimit(next)}`;
         if (points && key !== points.paint) {
-          recolor(gl, scene, points, next.pointPaint, next);
+          shapes.recolor(gl, scene, points, next.pointPaint, next);
           points.paint = key;
         }
         prefs = next;
@@ -127,159 +131,6 @@
     return [1, 3, 5].map((k) => parseInt(found.slice(k, k + 2), 16) / 255);
   };
 
-  // --- what is drawn ----------------------------------------------------------------------------
-
-  function makeSpace(scene) {
-    const rays = Graycast.rays(scene),
-      steps = scene.has.depth ? scene.depth : scene.scanner,
-      some = [[], [], []];
-    const point = (i, step) => {
-      const z = step * scene.depth_scale_mm;
-      return Graycast.toWorld(scene, rays[2 * i] * z, rays[2 * i + 1] * z, z);
-    };
-    const anyPart = scene.instance.some((k) => k > 0);
-    for (let i = 0; i < scene.n; i += 23)
-      if (steps[i] && (!anyPart || scene.instance[i]))
-        point(i, steps[i]).forEach((v, k) => some[k].push(v));
-    const middle = some.map((list) => list.sort((a, b) => a - b)[list.length >> 1] ?? 0);
-    const spread = some.map((list, k) =>
-      list.length
-        ? Math.max(
-            list[Math.floor(0.98 * list.length)] - middle[k],
-            middle[k] - list[Math.floor(0.02 * list.length)],
-          )
-        : 100,
-    );
-    const reach = Math.max(Math.hypot(...spread), 20);
-    const camera = Graycast.toWorld(scene, 0, 0, 0).map((v, k) => v - middle[k]),
-      far = Math.hypot(...camera);
-    const below = Graycast.toWorld(scene, 0, 1, 0).map((v, k) => v - middle[k] - camera[k]); // the image's down
-    const level = Math.hypot(camera[0], camera[1]) > 0.3 * far;
-    const yaw = level ? Math.atan2(camera[1], camera[0]) : Math.atan2(below[1], below[0]);
-    const distance = 3.9 * reach,
-      pitch = Math.asin(camera[2] / far);
-    const views = {
-      camera: { yaw, pitch: Math.min(pitch, 1.55), distance: far },
-      oblique: { yaw: yaw + 0.45, pitch: 0.95, distance },
-      side: { yaw, pitch: 0.12, distance },
-      top: { yaw, pitch: 1.55, distance },
-    };
-    return {
-      point: (i, step) => point(i, step).map((v, k) => v - middle[k]),
-      middle,
-      reach,
-      views,
-      start: views.oblique,
-    };
-  }
-
-  /** The depth map as triangles; none where a step is steeper than about 80 degrees. */
-  function mesh(gl, program, scene, space) {
-    const skip = Math.max(Math.ceil(Math.sqrt(scene.n / SURFACE_VERTICES)), 1);
-    const w = Math.floor((scene.width - 1) / skip) + 1,
-      h = Math.floor((scene.height - 1) / skip) + 1;
-    const place = new Float32Array(3 * w * h),
-      from = new Uint32Array(w * h),
-      index = [];
-    const pixelRad = (skip * scene.stride) / scene.view.cam_K[0];
-    for (let r = 0, k = 0; r < h; r++)
-      for (let c = 0; c < w; c++, k++) {
-        const i = r * skip * scene.width + c * skip;
-        from[k] = i;
-        if (scene.depth[i]) place.set(space.point(i, scene.depth[i]), 3 * k);
-      }
-    const joined = (...corner) => {
-      const z = corner.map((k) => scene.depth[from[k]]),
-        low = Math.min(...z),
-        high = Math.max(...z);
-      return low > 0 && high - low < 6 * pixelRad * high;
-    };
-    for (let r = 0; r + 1 < h; r++)
-      for (let c = 0; c + 1 < w; c++) {
-        const a = r * w + c,
-          b = a + 1,
-          d = a + w,
-          e = d + 1;
-        if (joined(a, b, d)) index.push(a, d, b);
-        if (joined(b, d, e)) index.push(b, d, e);
-      }
-    return { ...arrays(gl, program, place, Uint32Array.from(index)), from, count: index.length };
-  }
-
-  function cloud(gl, program, scene, space) {
-    const from = [];
-    for (let i = 0; i < scene.n; i++) if (scene.scanner[i]) from.push(i);
-    const place = new Float32Array(3 * from.length);
-    from.forEach((i, k) => place.set(space.point(i, scene.scanner[i]), 3 * k));
-    return { ...arrays(gl, program, place, null), from, count: from.length };
-  }
-
-  function edges(gl, program, scene, space) {
-    const place = [],
-      color = [];
-    scene.instances.forEach((one, k) => {
-      if (one.box[2] < 0) return;
-      for (const p of Graycast.boxEdges(one.box3d)) {
-        place.push(...Graycast.toWorld(scene, ...p).map((v, axis) => v - space.middle[axis]));
-        color.push(...Graycast.instanceColor(k), 255);
-      }
-    });
-    const made = arrays(gl, program, Float32Array.from(place), null);
-    upload(gl, made, Uint8Array.from(color));
-    return { ...made, count: place.length / 3 };
-  }
-
-  function recolor(gl, scene, thing, paint, prefs) {
-    const color = new Uint8Array(4 * thing.from.length),
-      reasons = Graycast.reasonColors();
-    const table = Graycast.colormap("RdBu_r"),
-      limit = Graycast.errorLimit(prefs),
-      scale = (127.5 * scene.depth_scale_mm) / limit;
-    const heat = Graycast.colormap("viridis_r"),
-      [low, high] = Graycast.depthRange(scene);
-    for (let k = 0; k < thing.from.length; k++) {
-      const i = thing.from[k];
-      let r = 176,
-        g = 178,
-        b = 182;
-      if (paint === "colour")
-        [r, g, b] = [scene.rgb[4 * i], scene.rgb[4 * i + 1], scene.rgb[4 * i + 2]];
-      else if (paint === "reason")
-        [r, g, b] = reasons.subarray(3 * scene.reason[i], 3 * scene.reason[i] + 3);
-      else if (paint === "instance" && scene.instance[i])
-        [r, g, b] = Graycast.instanceColor(scene.instance[i] - 1);
-      else if (paint === "difference" && scene.depth[i]) {
-        const at =
-          3 *
-          Math.max(
-            0,
-            Math.min(255, Math.round(127.5 + (scene.scanner[i] - scene.depth[i]) * scale)),
-          );
-        [r, g, b] = table.subarray(at, at + 3);
-      } else if (paint === "depth") {
-        const at =
-          3 *
-          Math.max(
-            0,
-            Math.min(
-              255,
-              Math.round(
-                (255 * ((scene.scanner[i] || scene.depth[i]) * scene.depth_scale_mm - low)) /
-                  (high - low),
-              ),
-            ),
-          );
-        [r, g, b] = heat.subarray(at, at + 3);
-      }
-      color[4 * k] = r;
-      color[4 * k + 1] = g;
-      color[4 * k + 2] = b;
-      color[4 * k + 3] = 255;
-    }
-    upload(gl, thing, color);
-    thing.paint = paint;
-  }
-
   // --- WebGL ------------------------------------------------------------------------------------
 
   function link(gl) {
@@ -297,32 +148,9 @@
     }
     gl.bindAttribLocation(program, 0, "aPlace");
     gl.bindAttribLocation(program, 1, "aColor");
+    gl.bindAttribLocation(program, 2, "aNormal");
     gl.linkProgram(program);
     return program;
-  }
-
-  function arrays(gl, program, place, index) {
-    const array = gl.createVertexArray(),
-      color = gl.createBuffer();
-    gl.bindVertexArray(array);
-    gl.bindBuffer(gl.ARRAY_BUFFER, gl.createBuffer());
-    gl.bufferData(gl.ARRAY_BUFFER, place, gl.STATIC_DRAW);
-    gl.enableVertexAttribArray(0);
-    gl.vertexAttribPointer(0, 3, gl.FLOAT, false, 0, 0);
-    gl.bindBuffer(gl.ARRAY_BUFFER, color);
-    gl.enableVertexAttribArray(1);
-    gl.vertexAttribPointer(1, 4, gl.UNSIGNED_BYTE, true, 0, 0);
-    if (index) {
-      gl.bindBuffer(gl.ELEMENT_ARRAY_BUFFER, gl.createBuffer());
-      gl.bufferData(gl.ELEMENT_ARRAY_BUFFER, index, gl.STATIC_DRAW);
-    }
-    gl.bindVertexArray(null);
-    return { array, color, index: !!index };
-  }
-
-  function upload(gl, thing, color) {
-    gl.bindBuffer(gl.ARRAY_BUFFER, thing.color);
-    gl.bufferData(gl.ARRAY_BUFFER, color, gl.STATIC_DRAW);
   }
 
   // --- the eye ----------------------------------------------------------------------------------

@@ -1,243 +1,284 @@
 "use strict";
-// The grid of scenes: filtered, sorted, and only what is in view is in the page.
+// The grid of scenes: only what is in view is in the page; cards are reached, ticked and tagged.
 
 {
-  const { el, percent } = Graycast;
+  const { el, percent, tags } = Graycast;
   const GAP = 10,
     CARD_PX = 208,
-    BELOW_PX = 46;
-  const SORTS = [
-    ["id", "number"],
-    ["decoded", "decoded, all pixels"],
-    ["part_decoded", "decoded, on parts"],
-    ["visibility", "mean visibility"],
-    ["instances", "instances"],
-    ["depth_mm", "median depth"],
-    ["sigma_mm", "scanner noise on parts"],
-    ["bias_mm", "scanner bias on parts"],
-    ["brightness", "white frame's brightness"],
-  ];
-  const blank = () => ({
-    split: "",
-    object: "",
-    visibility: [0, 100],
-    decoded: [0, 100],
-    reason: "shadow",
-    share: [0, 100],
-    sort: "id",
-    down: false,
-    thumb: "thumb.jpg",
-  });
-  let filter = blank(),
-    top = 0,
-    drawn = null;
-
-  Graycast.filtered = () => {
-    const within = (value, [low, high]) =>
-      (low <= 0 && high >= 100) ||
-      (value !== null && 100 * value >= low - 1e-9 && 100 * value <= high + 1e-9);
-    const rows = Graycast.rows().filter(
-      (row) =>
-        (!filter.split || row.split === filter.split) &&
-        (!filter.object || row.objects[filter.object]) &&
-        within(row.visibility, filter.visibility) &&
-        within(row.decoded, filter.decoded) &&
-        within(row.reasons[filter.reason] ?? 0, filter.share),
-    );
-    const sign = filter.down ? -1 : 1,
-      at = filter.sort;
-    return rows.sort((a, b) =>
-      a[at] === null ? 1 : b[at] === null ? -1 : sign * (a[at] - b[at]) || a.id - b.id,
-    );
-  };
+    MOST_NAMES = 4;
+  let top = 0,
+    open = null, // what is shown now
+    at = null, // the key of the card that the keys are on
+    from = null, // where a tick with shift begins
+    longest = null; // the rows that need most room below their picture
 
   Graycast.showGrid = (section) => {
     const list = el("div", { class: "cards" }),
-      told = el("span", { class: "told" });
-    section.replaceChildren(
-      el(
-        "div",
-        { class: "filters" },
-        controls(() => refill(true)),
-        told,
-      ),
-      list,
-    );
-    let rows = [],
-      shown = new Map(),
-      last = "";
-    const refill = (fresh) => {
-      rows = Graycast.filtered();
-      told.textContent = `${Graycast.count(rows.length)} of ${Graycast.count(Graycast.rows().length)} scenes`;
-      shown.forEach((card) => card.remove());
-      shown = new Map();
-      if (fresh) top = 0;
-      last = "";
-      place();
-    };
-    const place = () => {
-      if (!list.isConnected) return;
-      const width = list.clientWidth,
-        columns = Math.max(Math.floor((width + GAP) / (CARD_PX + GAP)), 1);
-      const [w, h] = Graycast.report.statistics.image_sizes_px[0],
-        card = (width - (columns - 1) * GAP) / columns;
-      const height = (card * h) / w + BELOW_PX + GAP,
-        start = list.getBoundingClientRect().top;
-      list.style.height = `${Math.ceil(rows.length / columns) * height}px`;
-      const first = Math.max(Math.floor(-start / height) - 1, 0) * columns;
-      const end = Math.min((Math.ceil((innerHeight - start) / height) + 1) * columns, rows.length);
-      const state = `${first} ${end} ${width}`;
-      if (state === last) return;
-      last = state;
-      const kept = new Map();
-      for (let k = first; k < end; k++) {
-        const node = shown.get(rows[k].key) ?? makeCard(rows[k]);
-        node.style.cssText = `width:${card}px;height:${height - GAP}px;transform:translate(${(k % columns) * (card + GAP)}px,${Math.floor(k / columns) * height}px)`;
-        kept.set(rows[k].key, node);
-        if (!node.isConnected) list.append(node);
-      }
-      shown.forEach((node, key) => {
-        if (!kept.has(key)) node.remove();
-      });
-      shown = kept;
-    };
-    drawn = place;
+      nothing = el("div", { class: "nothing", hidden: true });
+    const bar = Graycast.filterBar(() => refill(true));
+    open = { list, nothing, bar, rows: [], shown: new Map(), last: "", columns: 1, height: 1 };
+    section.replaceChildren(bar.element, nothing, list, el("div", { id: "ticked", hidden: true }));
     refill(false);
     if (top) scrollTo(0, top);
     place();
   };
+
+  /** The cards anew, after a filter, a tick or a tag has changed. */
+  function refill(fresh) {
+    open.rows = Graycast.filtered();
+    open.bar.tell(open.rows);
+    open.shown.forEach((card) => card.remove());
+    open.shown = new Map();
+    if (fresh) top = 0;
+    open.last = "";
+    open.nothing.hidden = open.rows.length > 0;
+    if (!open.rows.length) open.nothing.replaceChildren(...nothingFits());
+    place();
+    tickedBar();
+  }
+
+  const nothingFits = () => [
+    el("p", {}, "No scene fits all of these filters."),
+    el("button", { id: "lift-all", onclick: () => open.bar.lift(Graycast.liftAll()) }, "lift them all"),
+  ];
+
+  function place() {
+    const { list, rows } = open;
+    if (!list.isConnected) return;
+    const width = list.clientWidth,
+      columns = Math.max(Math.floor((width + GAP) / (CARD_PX + GAP)), 1);
+    const [w, h] = Graycast.report.statistics.image_sizes_px[0],
+      card = (width - (columns - 1) * GAP) / columns;
+    if (open.width !== width) Object.assign(open, { width, text: textHeight(list, card) });
+    const height = (card * h) / w + open.text + GAP,
+      start = list.getBoundingClientRect().top;
+    Object.assign(open, { columns, height });
+    list.style.height = `${Math.ceil(rows.length / columns) * height}px`;
+    const first = Math.max(Math.floor(-start / height) - 1, 0) * columns;
+    const end = Math.min((Math.ceil((innerHeight - start) / height) + 1) * columns, rows.length);
+    const state = `${first} ${end} ${width}`;
+    if (state === open.last) return;
+    open.last = state;
+    const kept = new Map();
+    for (let k = first; k < end; k++) {
+      const node = open.shown.get(rows[k].key) ?? makeCard(rows[k]);
+      node.style.cssText = `width:${card}px;height:${height - GAP}px;transform:translate(${(k % columns) * (card + GAP)}px,${Math.floor(k / columns) * height}px)`;
+      kept.set(rows[k].key, node);
+      if (!node.isConnected) list.append(node);
+    }
+    open.shown.forEach((node, key) => {
+      if (!kept.has(key)) node.remove();
+    });
+    open.shown = kept;
+  }
   addEventListener(
     "scroll",
     () => {
-      if (drawn && document.getElementById("grid")) {
+      if (open && document.getElementById("grid")) {
         top = scrollY;
-        drawn();
+        place();
       }
     },
     { passive: true },
   );
-  addEventListener("resize", () => drawn?.());
+  addEventListener("resize", () => open && place());
 
-  function makeCard(row) {
-    const parts = Graycast.report.reasons.map((r) => ({
-      name: Graycast.words(r.name),
-      color: r.color,
-      share: row.reasons[r.name] ?? 0,
-    }));
-    const image = el("img", {
-      loading: "lazy",
-      decoding: "async",
-      alt: "",
-      src: `scenes/${row.key}/${filter.thumb}`,
-    });
-    return el(
-      "a",
-      { class: "card", href: `#/${row.key}`, "data-key": row.key },
-      image,
-      Graycast.stack(parts, "card-bar"),
+  /** The height of the highest text under a picture: of the rows with most and longest names. */
+  function textHeight(list, card) {
+    longest ??= Graycast.rows()
+      .map((row) => [partLines(row).reduce((sum, line) => sum + 20 + line.length, 0), row])
+      .sort(([a], [b]) => b - a)
+      .slice(0, 3)
+      .map(([, row]) => row);
+    const probes = longest.map((row) =>
+      el("div", { class: "card", style: `width:${card}px` }, text(row)),
+    );
+    list.append(...probes);
+    const height = Math.max(...probes.map((probe) => probe.offsetHeight));
+    probes.forEach((probe) => probe.remove());
+    return height;
+  }
+
+  // --- a card -------------------------------------------------------------------------------------
+
+  const title = (row) => `${row.split === "train" ? "scene" : row.split} ${row.id}`;
+
+  /** How many of which part, the most frequent first. */
+  function partLines(row) {
+    const names = Graycast.report.classes,
+      counts = Object.entries(row.objects).sort(([, a], [, b]) => b - a);
+    const lines = counts.slice(0, MOST_NAMES).map(([id, n]) => `${n} × ${names[id] ?? `object ${id}`}`);
+    if (counts.length > MOST_NAMES) lines.push(`and ${counts.length - MOST_NAMES} more kinds`);
+    return lines.length ? lines : ["no parts"];
+  }
+
+  const text = (row) => [
+    Graycast.stack(
+      Graycast.report.reasons.map((r) => ({
+        name: Graycast.words(r.name),
+        color: r.color,
+        share: row.reasons[r.name] ?? 0,
+      })),
+      "card-bar",
+    ),
+    el(
+      "div",
+      { class: "card-text" },
       el(
         "div",
-        { class: "card-line" },
-        el("b", {}, row.split === "train" ? String(row.id) : `${row.split} ${row.id}`),
-        el("span", {}, `${row.instances} parts`),
-        el("span", { title: "decoded share of all pixels" }, percent(row.decoded)),
+        { class: "card-head" },
+        el("b", {}, title(row)),
+        el("span", { title: "decoded share of all pixels" }, `${percent(row.decoded)} decoded`),
+      ),
+      partLines(row).map((line) => el("div", { class: "part" }, line)),
+      row.sigma_mm === null
+        ? null
+        : el("div", { class: "noise" }, `noise on parts σ ${row.sigma_mm.toFixed(2)} mm`),
+    ),
+  ];
+
+  function makeCard(row) {
+    const { key } = row,
+      ticked = tags.ticked.has(key);
+    const card = el(
+      "div",
+      { class: "card", "data-key": key, "data-ticked": ticked },
+      el(
+        "a",
+        { href: `#/${key}`, tabindex: at === key ? 0 : -1, onfocus: () => (at = key) },
+        el("img", {
+          loading: "lazy",
+          decoding: "async",
+          alt: title(row),
+          src: `scenes/${key}/${Graycast.thumbName()}`,
+        }),
+        text(row),
+      ),
+      el("button", {
+        class: "tick-box",
+        title: "tick this scene (x); with shift, all from the last one",
+        "aria-label": `tick ${title(row)}`,
+        "aria-pressed": String(ticked),
+        onclick: (event) => tick(key, event.shiftKey),
+      }),
+      el("div", { class: "chips" }, tags.chips(tags.of(key).map((tag) => [tag]))),
+    );
+    return card;
+  }
+
+  // --- ticks and tags -------------------------------------------------------------------------------
+
+  function tick(key, span) {
+    const keys = open.rows.map((row) => row.key),
+      [a, b] = [keys.indexOf(from), keys.indexOf(key)],
+      on = !tags.ticked.has(key);
+    const some = span && a >= 0 ? keys.slice(Math.min(a, b), Math.max(a, b) + 1) : [key];
+    for (const one of some) tags.tick(one, on);
+    from = key;
+    renew();
+  }
+
+  /** All that shows ticks and tags, the scroll left as it is. */
+  function renew() {
+    const focused = document.activeElement?.closest(".card")?.dataset.key;
+    open.bar.renew();
+    refill(false);
+    if (focused) open.shown.get(focused)?.querySelector("a").focus({ preventScroll: true });
+  }
+
+  /** The bar at the bottom for what is ticked. */
+  function tickedBar() {
+    const bar = document.getElementById("ticked"),
+      keys = [...tags.ticked];
+    bar.hidden = !keys.length;
+    if (!keys.length) return bar.replaceChildren();
+    const shown = new Set(open.rows.map((row) => row.key)),
+      hidden = keys.filter((key) => !shown.has(key)).length;
+    const held = tags.among(keys).map(([tag, n]) => [tag, `${tag} (${n})`]);
+    const rest = open.rows.length + hidden > keys.length;
+    bar.replaceChildren(
+      ...[
+        el("b", {}, `${keys.length} ticked`),
+        hidden ? el("span", {}, `${hidden} of them are not shown`) : null,
         el(
           "span",
-          { title: "scanner noise on parts" },
-          row.sigma_mm === null ? "" : `σ ${row.sigma_mm.toFixed(2)} mm`,
+          { class: "chips" },
+          tags.chips(held, (tag) => {
+            tags.remove(keys, tag);
+            renew();
+          }),
         ),
-      ),
+        tags.field("tag-ticked", (list) => {
+          tags.add(keys, list);
+          renew();
+        }),
+        rest
+          ? el("button", { id: "tick-all", onclick: () => {
+              for (const row of open.rows) tags.tick(row.key, true);
+              renew();
+            } }, "tick all shown")
+          : null,
+        el("button", { id: "untick", onclick: () => {
+            tags.ticked.clear();
+            renew();
+          } }, "untick all"),
+        tags.forgetful
+          ? el("span", {}, "This browser keeps no tags for pages from the disk: save them as a file.")
+          : null,
+      ].filter(Boolean),
     );
   }
 
-  function controls(changed) {
-    const { statistics, classes, reasons } = Graycast.report;
-    const set = (name) => (event) => {
-      filter[name] = event.target.value;
-      changed();
-    };
-    const range = (name, label) =>
-      el(
-        "label",
-        {},
-        label,
-        ...[0, 1].map((end) =>
-          el("input", {
-            type: "number",
-            min: 0,
-            max: 100,
-            step: 1,
-            value: filter[name][end],
-            id: `${name}-${end ? "to" : "from"}`,
-            "aria-label": `${label} ${end ? "to" : "from"} %`,
-            oninput: (event) => {
-              const value = event.target.valueAsNumber;
-              filter[name][end] = Number.isNaN(value) ? 100 * end : value;
-              changed();
-            },
-          }),
-        ),
-        "%",
-      );
-    const select = (name, label, options) =>
-      el(
-        "label",
-        {},
-        label,
-        el(
-          "select",
-          { id: `pick-${name}`, onchange: set(name) },
-          options.map(([value, text]) =>
-            el("option", { value, selected: filter[name] === value }, text),
-          ),
-        ),
-      );
-    const splits = Object.keys(statistics.scenes);
-    return [
-      splits.length > 1
-        ? select("split", "split", [["", "all"], ...splits.map((s) => [s, s])])
-        : null,
-      Object.keys(classes).length > 1
-        ? select("object", "class", [["", "all"], ...Object.entries(classes)])
-        : null,
-      range("visibility", "visibility"),
-      range("decoded", "decoded"),
-      select(
-        "reason",
-        "reason",
-        reasons.slice(1).map((r) => [r.name, Graycast.words(r.name)]),
-      ),
-      range("share", ""),
-      select("sort", "sort by", SORTS),
-      el(
-        "button",
-        {
-          id: "direction",
-          title: "up or down",
-          onclick: (event) => {
-            filter.down = !filter.down;
-            event.target.textContent = filter.down ? "↓" : "↑";
-            changed();
-          },
-        },
-        filter.down ? "↓" : "↑",
-      ),
-      select("thumb", "show", [
-        ["thumb.jpg", "colour"],
-        ["white.jpg", "white frame"],
-        ["reason.png", "reasons"],
-      ]),
-      el(
-        "button",
-        {
-          id: "reset",
-          onclick: () => {
-            filter = blank();
-            Graycast.showGrid(document.getElementById("grid"));
-          },
-        },
-        "reset",
-      ),
-    ];
+  // --- keys -----------------------------------------------------------------------------------------
+
+  /** True where the key was the grid's. */
+  Graycast.gridKey = (event) => {
+    if (!open?.list.isConnected) return false;
+    const { columns, rows } = open,
+      now = rows.findIndex((row) => row.key === at);
+    const step = {
+      ArrowLeft: -1,
+      ArrowRight: 1,
+      ArrowUp: -columns,
+      ArrowDown: columns,
+      Home: -Infinity,
+      End: Infinity,
+    }[event.key];
+    if (event.key === "/") document.getElementById("find").focus();
+    else if (event.key === "g" && tags.ticked.size) document.getElementById("tag-ticked").focus();
+    else if (event.key === "x" && now >= 0) tick(at, event.shiftKey);
+    else if (event.key === "X" && now >= 0) tick(at, true);
+    else if (event.key === "Escape" && tags.ticked.size) document.getElementById("untick").click();
+    else if (step && rows.length) go(now, step);
+    else return false;
+    return true;
+  };
+
+  /** To the first card that is in view, or on from where the keys are. */
+  function go(now, step) {
+    const { rows, list, columns, height } = open,
+      start = list.getBoundingClientRect().top,
+      bars = document.querySelector(".filters").getBoundingClientRect().bottom;
+    const seen = Math.max(Math.ceil((bars - start) / height - 0.5), 0) * columns;
+    let next = now < 0 && Number.isFinite(step) ? seen : now + step;
+    const last = Math.floor(now / columns) === Math.floor((rows.length - 1) / columns);
+    if (now >= 0 && ((step === -columns && next < 0) || (step === columns && last))) next = now;
+    next = Math.max(0, Math.min(rows.length - 1, next));
+    at = rows[next].key;
+    const above = start + Math.floor(next / columns) * height,
+      head = document.querySelector(".filters").offsetHeight + 60;
+    if (above < head) scrollBy(0, above - head);
+    else if (above + height > innerHeight - 50) scrollBy(0, above + height - innerHeight + 50);
+    place();
+    for (const [key, card] of open.shown) card.querySelector("a").tabIndex = key === at ? 0 : -1;
+    open.shown.get(at)?.querySelector("a").focus({ preventScroll: true });
   }
+
+  /** The card that the keys go on from: of the scene that was looked at last. */
+  Graycast.cameFrom = (key) => {
+    at = key;
+  };
+  Graycast.focusCard = () => {
+    if (at && open.rows.some((row) => row.key === at)) go(open.rows.findIndex((r) => r.key === at), 0);
+  };
 }

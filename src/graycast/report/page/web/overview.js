@@ -19,18 +19,76 @@
   Graycast.showOverview = (main) => {
     const { statistics, name } = Graycast.report;
     document.title = `${name} · graycast`;
-    document.getElementById("where").textContent = name;
+    const version = Graycast.report.claim.versions?.graycast;
+    document.getElementById("where").textContent = version
+      ? `${name}, made by graycast ${version}`
+      : name;
     main.replaceChildren(
       el(
         "section",
         { class: "facts" },
         facts().map(([term, value]) => el("div", {}, el("dt", {}, term), el("dd", {}, value))),
       ),
-      el("section", { class: "plots" }, plots(statistics)),
+      figures(statistics),
       el("section", { id: "grid" }),
     );
+    drawPlots();
     Graycast.showGrid(document.getElementById("grid"));
   };
+
+  /** Plots of what varies, and one line of text for what has one value only. */
+  function figures(statistics) {
+    const all = plots(statistics),
+      constant = all.map((one) => Graycast.onlyValue(one)).filter(Boolean);
+    varying = all.filter((one) => !Graycast.onlyValue(one));
+    const said = constant.length
+      ? el("p", { id: "constant" }, `One value only, so no plot: ${constant.join(" · ")}`)
+      : null;
+    return el(
+      "details",
+      { class: "figures", open: shut() ? null : true, ontoggle: (event) => keepShut(event.target) },
+      el("summary", {}, "figures"),
+      el("section", { class: "plots" }),
+      said,
+    );
+  }
+
+  const SHUT = "graycast-figures-shut";
+  function shut() {
+    try {
+      return localStorage.getItem(SHUT) === "yes";
+    } catch {
+      return false;
+    }
+  }
+  function keepShut(details) {
+    try {
+      localStorage.setItem(SHUT, details.open ? "no" : "yes");
+    } catch {
+      /* a browser that keeps nothing */
+    }
+    dispatchEvent(new Event("resize")); // there is room for plots, and the grid has moved
+  }
+
+  const TILE_PX = 290,
+    GAP_PX = 10,
+    INSIDE_PX = 22;
+  let varying = []; // the plots to be
+
+  /** As many tiles in each row, and each plot as wide as its tile. */
+  function drawPlots() {
+    const section = document.querySelector(".plots"),
+      room = section?.clientWidth;
+    if (!room || section.dataset.room === String(room)) return;
+    const most = Math.max(Math.floor((room + GAP_PX) / (TILE_PX + GAP_PX)), 1),
+      rows = Math.ceil(varying.length / most),
+      columns = Math.max(Math.ceil(varying.length / Math.max(rows, 1)), 1);
+    section.dataset.room = String(room);
+    section.style.setProperty("--columns", columns);
+    const width = Math.floor((room + GAP_PX) / columns) - GAP_PX - INSIDE_PX;
+    section.replaceChildren(...varying.map((one) => one.draw(width)));
+  }
+  addEventListener("resize", drawPlots);
 
   function facts() {
     const { statistics: s, claim, code } = Graycast.report;
@@ -62,10 +120,9 @@
     if (s.part_error.pixels)
       list.push([
         "scanner error on parts",
-        `σ ${s.part_error.sigma_mm.toFixed(3)} mm, median ${Graycast.signed(s.part_error.median_mm, 3)} mm`,
+        `σ ${s.part_error.sigma_mm.toFixed(3)}, median ${Graycast.signed(s.part_error.median_mm, 3)} mm`,
       ]);
     if (claim.seed !== undefined) list.push(["seed", String(claim.seed)]);
-    if (claim.versions) list.push(["made by", `graycast ${claim.versions.graycast}`]);
     return list;
   }
 
@@ -78,6 +135,10 @@
     return out;
   }
 
+  /** A plot to be: {bins, series, say, title, unit} for its words, draw() for its picture. */
+  const histogram = (what) => ({ ...what, draw: (width) => Graycast.plot({ ...what, width }) });
+  const shares = (what) => ({ ...what, draw: () => Graycast.shares(what) });
+
   const reasonPlot = (s) => {
     const parts = (shares) =>
       Graycast.report.reasons.map((r) => ({
@@ -85,7 +146,7 @@
         color: r.color,
         share: shares[r.name] ?? 0,
       }));
-    return Graycast.shares({
+    return shares({
       title: "Why there is no depth",
       note: "parts · all pixels",
       rows: [
@@ -103,7 +164,7 @@
     }));
 
   const visibilityPlot = (s) =>
-    Graycast.plot({
+    histogram({
       title: "Visibility",
       note: "visible share of the silhouette",
       unit: "%",
@@ -140,7 +201,7 @@
       ...one,
       values: one.values.slice(first, last + 1),
     }));
-    return Graycast.plot({
+    return histogram({
       title: "Mask size",
       note: "root of the visible area",
       unit: "px",
@@ -170,7 +231,7 @@
           .reduce((sum, n) => sum + s.instances_per_scene[n], 0),
       );
     }
-    return Graycast.plot({
+    return histogram({
       title: "Instances per scene",
       unit: "instances",
       y: "scenes",
@@ -194,7 +255,7 @@
       for (let j = k * step; j < (k + 1) * step; j++) sum += s.depth_counts[j] ?? 0;
       values.push(sum / s.pixels);
     }
-    return Graycast.plot({
+    return histogram({
       title: "Perfect depth",
       unit: "mm",
       y: "pixels",
@@ -226,7 +287,7 @@
       }
       return values;
     };
-    return Graycast.plot({
+    return histogram({
       title: "Scanner error",
       note: `${percent(s.part_error.beyond_1mm)} > 1 mm, ${percent(s.part_error.beyond_5mm)} > 5 mm`,
       unit: "mm",
@@ -242,7 +303,7 @@
   }
 
   const decodedPlot = (s) =>
-    Graycast.plot({
+    histogram({
       title: "Decoded share per scene",
       unit: "% of pixels",
       y: "scenes",
@@ -262,7 +323,7 @@
         for (const [level, c] of Object.entries(counts)) values[level >> 2] += c / total;
         return { name, color, values };
       });
-    return Graycast.plot({
+    return histogram({
       title: "Brightness",
       unit: "of 255",
       y: "pixels",

@@ -35,9 +35,8 @@
     return Graycast.VIEWS.filter((view) => has[view.id]);
   };
 
-  /** Paint a view into RGBA bytes; returns {bar: {map, low, high, unit}, note}. */
+  /** Paint a view into RGBA bytes; returns {bar: {map, low, high, unit}, note, shown: a frame}. */
   Graycast.paint = (scene, view, prefs, out) => {
-    scene.shown = null;
     switch (view) {
       case "color":
         out.set(scene.rgb);
@@ -166,7 +165,6 @@
       blank(scene, out);
       return { note: "bringing the captured frames …" };
     }
-    scene.shown = levels;
     for (let i = 0; i < scene.n; i++) {
       out[4 * i] = out[4 * i + 1] = out[4 * i + 2] = levels[i];
       out[4 * i + 3] = 255;
@@ -174,6 +172,7 @@
     const { bits, low_dn, high_dn, merged } = scene.frames.content;
     const kind = merged ? ", each pixel from the exposure that suits it" : "";
     return {
+      shown: levels,
       bar: { map: "gray", low: low_dn, high: high_dn, unit: "DN", digits: 0, whole: true },
       note: `captured, ${bits} bit${kind}; here 8 bit, black at the sensor's offset, white where it saturates`,
     };

@@ -3,8 +3,7 @@
 
 {
   const { el } = Graycast;
-  const W = 276,
-    H = 150,
+  const H = 150,
     LEFT = 34,
     BOTTOM = 30,
     TOP = 18,
@@ -27,10 +26,28 @@
         ? `${+(value / 1e3).toPrecision(3)}k`
         : `${+value.toPrecision(4)}`;
 
+  const binWords = (bin, unit) =>
+    `${bin.label ?? `${short(bin.from)} to ${short(bin.to)}`} ${unit}`;
+
+  /** In words, what has one value only and so gives no plot; else null. */
+  Graycast.onlyValue = ({ title, unit, bins, series, rows }) => {
+    if (rows) {
+      const names = rows.map((row) => row.parts.filter((p) => p.share > 0).map((p) => p.name));
+      const all = new Set(names.flat());
+      return all.size === 1 ? `every pixel is ${[...all][0]}` : null;
+    }
+    const filled = bins.filter((_, k) => series.some((s) => s.values[k] > 0));
+    if (filled.length > 1) return null;
+    const words = title[0].toLowerCase() + title.slice(1),
+      value = filled.length ? binWords(filled[0], words.startsWith(unit) ? "" : unit) : "not known";
+    return `${words}: ${value.trim()}`;
+  };
+
   /**
    * Series over shared bins.
    * bins: [{from, to, label}], series: [{name, color, values}], stacked bars or lines;
-   * log: bins are spread evenly, whatever their width. say(value) words a value.
+   * even: bins are spread evenly, whatever their width. say(value) words a value. width [px] is
+   * the picture's.
    */
   Graycast.plot = ({
     title,
@@ -42,6 +59,7 @@
     lines = false,
     even = false,
     say = short,
+    width: W,
   }) => {
     const svg = el("svg", { viewBox: `0 0 ${W} ${H}`, role: "img", "aria-label": title });
     const total = bins.map((_, k) =>
@@ -130,7 +148,7 @@
         event,
         k < 0
           ? ""
-          : `${bins[k].label ?? `${short(bins[k].from)} to ${short(bins[k].to)}`} ${unit}: ${names.join(", ") || say(0)}`,
+          : `${binWords(bins[k], unit)}: ${names.join(", ") || say(0)}`,
       );
     });
     svg.addEventListener("pointerleave", (event) => Graycast.tip(event, ""));

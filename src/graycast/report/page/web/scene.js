@@ -1,11 +1,14 @@
 "use strict";
-// One scene: a picture or the 3D view, the values under the pointer, what is in it.
+// One scene: its pictures or the 3D view, the values under the pointer, what is in it.
 
 {
-  const { el, side, words } = Graycast;
+  const { el, side, tags, toolbar } = Graycast;
   const prefs = Object.assign(Graycast.prefs, {
     view: "color",
     last: "perfect",
+    compare: false,
+    second: "scanner",
+    how: "swipe",
     masks: false,
     boxes: false,
     frame: 2,
@@ -15,8 +18,8 @@
     limit: 0,
     surface: true,
     points: true,
-    surfacePaint: "colour",
-    pointPaint: "difference",
+    surfacePaint: "instance",
+    pointPaint: "instance",
     pointSize: 1,
   });
   let open = null; // what is shown now
@@ -26,30 +29,31 @@
     if (!row) throw new Error(`there is no scene ${key} in this report`);
     document.title = `${Graycast.report.name} ${row.id} · graycast`;
     document.getElementById("where").textContent =
-      `${Graycast.report.name} / ${row.split} / ${row.id}`;
+      `${Graycast.report.name} / ${row.split} / scene ${row.id}`;
     const scene = await Graycast.load(key);
     if (!isCurrent()) return;
     Graycast.closeScene();
+    Graycast.cameFrom(key);
     const views = Graycast.viewsOf(scene);
     if (!views.some((view) => view.id === prefs.view)) prefs.view = views[0].id;
     open = { scene, row, views, lit: {}, viewer: null, cloud: null };
     pointed = -1;
+    document.getElementById("steps").replaceChildren(...steps(key));
     main.replaceChildren(
       el(
         "section",
         { class: "scene" },
         el(
           "div",
-          { class: "left" },
+          { class: "toolbars" },
           el("nav", { class: "tabs" }),
           el("div", { class: "options" }),
-          el("div", { class: "hold" }),
-          el("div", { class: "under" }),
         ),
+        el("div", { class: "left" }, el("div", { class: "hold" }), el("div", { class: "under" })),
         el(
           "aside",
           {},
-          steps(key),
+          el("div", { id: "tags" }),
           el("table", { id: "readout" }),
           side.legend(row, { light, pick }),
           side.instances(scene, { light }),
@@ -57,6 +61,7 @@
         ),
       ),
     );
+    showTags();
     open.viewer = Graycast.makeViewer(scene, point);
     show(main);
     side.readout(scene, -1);
@@ -69,85 +74,110 @@
     open?.viewer?.close();
     open?.cloud?.close();
     open = null;
+    document.getElementById("steps").replaceChildren();
     Graycast.tip(null, "");
   };
 
+  /** The filtered scenes, or all where this one is none of them. */
+  function around(key) {
+    const rows = Graycast.filtered();
+    return rows.some((row) => row.key === key) ? rows : Graycast.rows();
+  }
+
   function neighbours(key) {
-    let rows = Graycast.filtered();
-    if (!rows.some((row) => row.key === key)) rows = Graycast.rows();
-    const at = rows.findIndex((row) => row.key === key);
+    const rows = around(key),
+      at = rows.findIndex((row) => row.key === key);
     return [rows[at - 1]?.key, rows[at + 1]?.key];
   }
 
   function steps(key) {
-    const [before, after] = neighbours(key);
-    return el(
-      "div",
-      { class: "steps" },
-      el(
-        "a",
-        before ? { href: `#/${before}`, id: "before", title: "←" } : { class: "off" },
-        "← previous",
-      ),
-      el("a", after ? { href: `#/${after}`, id: "after", title: "→" } : { class: "off" }, "next →"),
-    );
+    const [before, after] = neighbours(key),
+      rows = around(key),
+      at = rows.findIndex((row) => row.key === key);
+    const narrowed = rows.length < Graycast.rows().length ? " filtered" : "";
+    const link = (to, id, title, text) =>
+      el("a", to ? { href: `#/${to}`, id, title } : { class: "off" }, text);
+    return [
+      link(before, "before", "previous scene (←)", "← previous"),
+      el("span", {}, `${at + 1} of ${rows.length}${narrowed}`),
+      link(after, "after", "next scene (→)", "next →"),
+    ];
   }
 
   // --- the picture --------------------------------------------------------------------------------
+
+  const views = () => (prefs.compare ? [prefs.view, prefs.second] : [prefs.view]);
 
   function show(main = document.getElementById("main")) {
     if (prefs.view === "cloud" || (!prefs.masks && !prefs.boxes)) {
       open.lit.instance = -1;
       Graycast.tip(null, "");
     }
-    if (prefs.view !== "pattern") play(false);
-    const { scene, views, viewer } = open,
+    settleSecond();
+    if (!views().includes("pattern") || prefs.view === "cloud") play(false);
+    const { scene, viewer } = open,
       at = (name) => main.querySelector(name);
     at(".tabs").replaceChildren(
-      ...views.map((view) =>
-        el(
-          "button",
-          {
-            "data-view": view.id,
-            "aria-pressed": String(view.id === prefs.view),
-            onclick: () => pick(view.id),
-          },
-          el("kbd", {}, String(Graycast.VIEWS.findIndex((v) => v.id === view.id) + 1)),
-          view.label,
-        ),
-      ),
+      ...toolbar.views(open.views, prefs, pick),
+      el("span", { class: "spring" }),
+      ...toolbar.compare(open.views, prefs, set),
     );
-    at(".options").replaceChildren(...options().filter(Boolean));
+    at(".options").replaceChildren(
+      ...toolbar.options(scene, prefs, {
+        set,
+        flip,
+        play: () => play(!playing),
+        playing: !!playing,
+        look: (name) => open.cloud.look(name),
+      }),
+    );
     const three = prefs.view === "cloud";
+    at("#readout").hidden = three; // no pixel is pointed at there
     if (three) open.cloud ??= Graycast.makeCloud(scene);
     const stage = three ? open.cloud.stage : viewer.stage;
     if (at(".hold").firstChild !== stage) at(".hold").replaceChildren(stage);
     if (three) {
       open.cloud.draw(prefs);
-      const bar =
-        prefs.points && prefs.pointPaint === "difference"
-          ? {
-              map: "RdBu_r",
-              low: -Graycast.errorLimit(prefs),
-              high: Graycast.errorLimit(prefs),
-              unit: "mm, scanner less perfect",
-              digits: 1,
-            }
-          : null;
-      at(".under").replaceChildren(
-        ...under({ bar, note: "drag turns, shift-drag moves, wheel zooms, double click resets" }),
-      );
+      at(".under").replaceChildren(...toolbar.under([cloudWords()], []));
     } else {
       repaint();
       viewer.cover(prefs, open.lit);
     }
   }
 
-  /** The picture anew, its controls left as they are: a slider that is being moved stays. */
+  /** The second view is one of this scene's, and another than the first. */
+  function settleSecond() {
+    const others = open.views.map((view) => view.id).filter((id) => id !== "cloud" && id !== prefs.view);
+    if (!others.length) prefs.compare = false;
+    else if (!others.includes(prefs.second))
+      prefs.second = others.includes(prefs.last) ? prefs.last : others[0];
+  }
+
+  function cloudWords() {
+    const limit = Graycast.errorLimit(prefs),
+      difference = prefs.points && prefs.pointPaint === "difference";
+    return {
+      bar: difference
+        ? {
+            map: "RdBu_r",
+            low: -limit,
+            high: limit,
+            unit: "mm, scanner less perfect",
+            digits: 1,
+            whole: true,
+          }
+        : null,
+      note: "drag turns, shift-drag moves, the wheel zooms, a double click goes back to the start",
+    };
+  }
+
+  /** The pictures anew, their controls left as they are: a slider that is being moved stays. */
   function repaint() {
     if (!open || prefs.view === "cloud") return;
-    const said = open.viewer.paint(prefs.view, prefs);
-    document.querySelector("#main .under").replaceChildren(...under(said));
+    const said = open.viewer.paint(views(), prefs);
+    open.scene.shown = said.find((one) => one.shown)?.shown ?? null;
+    const names = views().map((id) => Graycast.VIEWS.find((view) => view.id === id).label);
+    document.querySelector("#main .under").replaceChildren(...toolbar.under(said, names));
     side.readout(open.scene, pointed);
     for (const id of ["frame-slider", "choose-frame"]) {
       const control = document.getElementById(id);
@@ -156,149 +186,16 @@
   }
   Graycast.repaint = repaint;
 
+  function set(name, value) {
+    if (name === "second" && value === prefs.view) prefs.view = prefs.second; // they change places
+    prefs[name] = value;
+    show();
+  }
+
   function pick(view) {
     if (view !== prefs.view) prefs.last = prefs.view;
     prefs.view = view;
     show();
-  }
-
-  const STORED = { pattern: "the camera", column: "the decoder" };
-  const SOURCES = { scanner: "scanner's depth", depth: "perfect depth" };
-
-  function options() {
-    const { scene } = open,
-      set = (name, value) => {
-        prefs[name] = value;
-        show();
-      };
-    const toggle = (name, label, key) =>
-      el(
-        "button",
-        {
-          id: `toggle-${name}`,
-          "aria-pressed": String(!!prefs[name]),
-          onclick: () => set(name, !prefs[name]),
-        },
-        key ? el("kbd", {}, key) : null,
-        label,
-      );
-    const choose = (name, label, list) =>
-      el(
-        "label",
-        {},
-        label,
-        el(
-          "select",
-          {
-            id: `choose-${name}`,
-            onchange: (event) => set(name, list.find(([v]) => String(v) === event.target.value)[0]),
-          },
-          list.map(([value, text]) =>
-            el("option", { value, selected: prefs[name] === value }, text),
-          ),
-        ),
-      );
-    const view = prefs.view,
-      both = scene.has.depth && scene.has.scanner;
-    const sources = Graycast.sourcesOf(scene, view, prefs);
-    const source =
-      sources.length > 1
-        ? choose(
-            "source",
-            "from",
-            sources.map((one) => [one, one === "stored" ? STORED[view] : SOURCES[one]]),
-          )
-        : null;
-    const limit = choose("limit", "±", [
-      [0, `auto (${Graycast.errorLimit({})} mm)`],
-      ...Graycast.ERROR_LIMITS_MM.map((mm) => [mm, `${mm} mm`]),
-    ]);
-    if (view === "cloud") {
-      const look = (name) => el("button", { onclick: () => open.cloud.look(name) }, name);
-      return [
-        scene.has.depth ? toggle("surface", "perfect surface", "s") : null,
-        scene.has.depth
-          ? choose(
-              "surfacePaint",
-              "",
-              ["colour", "reason", "instance", "shaded"].map((v) => [v, v]),
-            )
-          : null,
-        scene.has.scanner ? toggle("points", "scanner points", "p") : null,
-        scene.has.scanner
-          ? choose(
-              "pointPaint",
-              "",
-              ["difference", "colour", "instance", "depth", "plain"].map((v) => [v, v]),
-            )
-          : null,
-        both && prefs.pointPaint === "difference" ? limit : null,
-        choose(
-          "pointSize",
-          "size",
-          [1, 2, 3, 4].map((v) => [v, `${v} px`]),
-        ),
-        scene.instances[0]?.box3d ? toggle("boxes", "boxes", "b") : null,
-        el("span", { class: "spring" }),
-        ...["camera", "oblique", "side", "top"].map(look),
-      ];
-    }
-    const frames = Graycast.frameNames(scene);
-    prefs.frame = Math.min(prefs.frame, Math.max(frames.length - 1, 0));
-    return [
-      toggle("masks", "masks", "m"),
-      toggle("boxes", "boxes", "b"),
-      view === "difference" ? limit : null,
-      view === "column" ? choose("axis", "of", axes(scene)) : null,
-      view === "column" || view === "pattern" ? source : null,
-      ...(view === "pattern"
-        ? [
-            el("button", { id: "frame-back", title: "↑ or [", onclick: () => flip(-1) }, "‹"),
-            el("input", {
-              id: "frame-slider",
-              type: "range",
-              "aria-label": "frame",
-              min: 0,
-              max: frames.length - 1,
-              value: prefs.frame,
-              oninput: (event) => flip(Number(event.target.value) - prefs.frame),
-            }),
-            el("button", { id: "frame-on", title: "↓ or ]", onclick: () => flip(1) }, "›"),
-            choose(
-              "frame",
-              "frame",
-              frames.map((name, k) => [k, `${k} ${words(name)}`]),
-            ),
-            el(
-              "button",
-              {
-                id: "frame-play",
-                "aria-pressed": String(!!playing),
-                onclick: () => play(!playing),
-              },
-              el("kbd", {}, "p"),
-              "play",
-            ),
-            scene.white && Graycast.sourceOf(scene, view, prefs) !== "stored"
-              ? toggle("shade", "over the white frame")
-              : null,
-          ]
-        : []),
-    ];
-  }
-
-  function axes(scene) {
-    const all = [
-      ["column", "column"],
-      ["row", "row"],
-      ["sigma_column", "σ of column"],
-      ["sigma_row", "σ of row"],
-    ];
-    const there = all.filter(
-      ([axis]) => scene.kept.columns.includes(axis) || !axis.startsWith("sigma_"),
-    );
-    if (!there.some(([axis]) => axis === prefs.axis)) prefs.axis = "column";
-    return there;
   }
 
   function flip(by) {
@@ -317,25 +214,20 @@
     document.getElementById("frame-play")?.setAttribute("aria-pressed", String(!!playing));
   }
 
-  function under({ bar, note }) {
-    const out = [];
-    if (bar) {
-      const canvas = el("canvas", { width: 256, height: 1 }),
-        image = new ImageData(256, 1),
-        table = Graycast.colormap(bar.map);
-      for (let k = 0; k < 256; k++)
-        image.data.set([table[3 * k], table[3 * k + 1], table[3 * k + 2], 255], 4 * k);
-      canvas.getContext("2d").putImageData(image, 0, 0);
-      const say = (value) => value.toFixed(bar.digits).replace("-", "−");
-      out.push(el("span", { class: "bar" }, say(bar.low), canvas, `${say(bar.high)} ${bar.unit}`));
-      if (prefs.view !== "cloud" && !bar.whole)
-        out.push(el("span", { class: "bar" }, el("i", { class: "none" }), "no value"));
-    }
-    if (note) out.push(el("span", { class: "note" }, note));
-    return out;
-  }
-
   // --- beside it --------------------------------------------------------------------------------
+
+  function showTags() {
+    const { key } = open.row,
+      done = (act) => (value) => {
+        act([key], value);
+        showTags();
+      };
+    document.getElementById("tags").replaceChildren(...side.tags(key, {
+      add: done(tags.add),
+      remove: done(tags.remove),
+      tick: done(() => tags.tick(key)),
+    }));
+  }
 
   function light(lit) {
     Object.assign(open.lit, lit);
@@ -362,25 +254,39 @@
 
   // --- keys -------------------------------------------------------------------------------------
 
+  /** The view of a digit's key; with shift the digit itself is another sign. */
+  function digit(event) {
+    const view = Graycast.VIEWS[Number(event.code.match(/^(?:Digit|Numpad)(\d)$/)?.[1]) - 1];
+    return open.views.includes(view) ? view.id : null;
+  }
+
   Graycast.sceneKey = (event) => {
     if (!open) return false;
     const press = (id) => document.getElementById(id)?.click();
-    const view = Graycast.VIEWS[Number(event.key) - 1];
-    if (view && open.views.includes(view)) pick(view.id);
+    const view = digit(event);
+    if (view && event.shiftKey && view !== "cloud" && prefs.view !== "cloud") {
+      prefs.compare = true;
+      set("second", view);
+    } else if (view && !event.shiftKey) pick(view);
     else if (event.key === "ArrowLeft") press("before");
     else if (event.key === "ArrowRight") press("after");
     else if (event.key === " ") {
       if (open.views.some((v) => v.id === prefs.last)) pick(prefs.last);
     } else if ("[]".includes(event.key) && open.views.some((v) => v.id === "pattern")) {
-      if (prefs.view === "pattern") flip(event.key === "]" ? 1 : -1);
+      if (views().includes("pattern")) flip(event.key === "]" ? 1 : -1);
       else pick("pattern");
-    } else if (prefs.view === "pattern" && event.key.startsWith("Arrow"))
+    } else if (views().includes("pattern") && event.key.startsWith("Arrow"))
       flip(event.key === "ArrowDown" ? 1 : -1);
-    else if (event.key === "p" && prefs.view === "pattern") play(!playing);
+    else if (event.key === "p" && prefs.view === "cloud") press("toggle-points");
+    else if (event.key === "p") press("frame-play");
+    else if (event.key === "c") press("toggle-compare");
+    else if (event.key === "v" && prefs.compare && prefs.view !== "cloud")
+      set("how", prefs.how === "swipe" ? "side" : "swipe");
     else if (event.key === "m") press("toggle-masks");
     else if (event.key === "b") press("toggle-boxes");
     else if (event.key === "s") press("toggle-surface");
-    else if (event.key === "p") press("toggle-points");
+    else if (event.key === "x") press("tick-scene");
+    else if (event.key === "g") document.getElementById("tag-scene").focus();
     else if (event.key === "+" || event.key === "=") open.viewer.zoomAt(1.4);
     else if (event.key === "-") open.viewer.zoomAt(1 / 1.4);
     else if (event.key === "0") open.viewer.home();

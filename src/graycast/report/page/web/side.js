@@ -59,7 +59,7 @@
   function decoded(scene, axis, i) {
     const maps = scene.columns?.maps,
       value = maps?.[axis][i];
-    if (!maps) return "in its map";
+    if (!maps) return "open Column map";
     return i >= 0 && value === value
       ? `${value.toFixed(2)} ± ${maps[`sigma_${axis}`][i].toFixed(2)} px`
       : "–";
@@ -70,6 +70,30 @@
     const { low_dn, high_dn } = scene.frames.content;
     return `≈ ${Math.round(low_dn + ((high_dn - low_dn) * scene.shown[i]) / 255)} DN`;
   }
+
+  /** The scene's tags and its tick; actions: add(tags), remove(tag), tick(). */
+  side.tags = (key, { add, remove, tick }) => {
+    const { tags } = Graycast,
+      ticked = tags.ticked.has(key);
+    return [
+      el(
+        "button",
+        {
+          id: "tick-scene",
+          title: "tick this scene, to save or tag it with others",
+          "aria-pressed": String(ticked),
+          onclick: tick,
+        },
+        el("kbd", {}, "x"),
+        ticked ? "ticked" : "tick",
+      ),
+      tags.field("tag-scene", add),
+      ...tags.chips(
+        tags.of(key).map((tag) => [tag]),
+        remove,
+      ),
+    ];
+  };
 
   /** The reasons in this scene; actions.light marks one, actions.pick opens their view. */
   side.legend = (row, { light, pick }) => {
@@ -129,7 +153,13 @@
           el(
             "tr",
             {},
-            ["", "part", "visible", "px", "z mm"].map((name) => el("th", {}, name)),
+            [
+              ["", ""],
+              ["part", ""],
+              ["visible", "visible share of its silhouette"],
+              ["pixels", "visible pixels"],
+              ["z mm", "its distance from the camera's plane"],
+            ].map(([name, title]) => el("th", { title }, name)),
           ),
         ),
         el("tbody", {}, rows),

@@ -1,42 +1,55 @@
 "use strict";
-// A picture that can be zoomed and moved, with masks and boxes over it.
+// Pictures that can be zoomed and moved, with masks and boxes over them: one, or two to compare,
+// side by side or on top of each other with a bar to swipe.
 
 {
   const { el } = Graycast;
+  const HOLD_PX = 12; // of the bar that swipes, on either side
 
   /** Makes a viewer for one scene. onPointer(pixel index or -1, event). */
   Graycast.makeViewer = (scene, onPointer) => {
     const { width, height } = scene;
-    const base = el("canvas", { width, height, id: "picture" }),
-      over = el("canvas", { width, height, id: "overlay" });
-    const boxes = el("svg", { viewBox: `0 0 ${width} ${height}`, id: "boxes" });
-    const sheet = el("div", { class: "sheet" }, base, over, boxes),
-      stage = el("div", { class: "stage", tabindex: 0 }, sheet);
-    const image = new ImageData(width, height),
-      veil = new ImageData(width, height);
+    const panes = [makePane(scene, ""), makePane(scene, "-2")];
+    const swipe = el("div", {
+      id: "swipe",
+      role: "slider",
+      tabindex: 0,
+      "aria-label": "where the two pictures meet",
+      "aria-valuemin": 0,
+      "aria-valuemax": 100,
+    });
+    const stage = el("div", { class: "stage" }, ...panes.map((pane) => pane.element), swipe);
     let zoom = 1,
       x = 0,
       y = 0,
       fit = 1,
       drag = null,
-      moved = false;
+      cut = 0.5,
+      how = "single";
 
+    const wide = () => stage.clientWidth / (how === "side" ? 2 : 1);
     const place = () => {
       const scale = fit * zoom;
-      sheet.style.width = `${width}px`;
-      sheet.style.height = `${height}px`;
-      sheet.style.transform = `translate(${x}px,${y}px) scale(${scale})`;
-      sheet.classList.toggle("crisp", scale * devicePixelRatio >= 2);
-      boxes.style.setProperty("--thin", `${1.3 / scale}px`);
+      for (const { sheet, boxes } of panes) {
+        sheet.style.width = `${width}px`;
+        sheet.style.height = `${height}px`;
+        sheet.style.transform = `translate(${x}px,${y}px) scale(${scale})`;
+        sheet.classList.toggle("crisp", scale * devicePixelRatio >= 2);
+        boxes.style.setProperty("--thin", `${1.3 / scale}px`);
+      }
+      const at = how === "swipe" ? cut * stage.clientWidth : 0;
+      panes[1].element.style.clipPath = how === "swipe" ? `inset(0 0 0 ${at}px)` : "";
+      swipe.style.left = `${at}px`;
+      swipe.setAttribute("aria-valuenow", String(Math.round(100 * cut)));
     };
     const home = () => {
-      fit = Math.min(stage.clientWidth / width, stage.clientHeight / height) || 1;
+      fit = Math.min(wide() / width, stage.clientHeight / height) || 1;
       zoom = 1;
-      x = (stage.clientWidth - width * fit) / 2;
+      x = (wide() - width * fit) / 2;
       y = (stage.clientHeight - height * fit) / 2;
       place();
     };
-    const zoomAt = (factor, px = stage.clientWidth / 2, py = stage.clientHeight / 2) => {
+    const zoomAt = (factor, px = wide() / 2, py = stage.clientHeight / 2) => {
       const next = Math.min(Math.max(zoom * factor, 1), 60),
         k = next / zoom;
       if (next === 1) return home();
@@ -45,45 +58,61 @@
       zoom = next;
       place();
     };
-    const at = (event) => {
+    /** Where in its pane an event is, and in which. */
+    const spot = (event) => {
       const box = stage.getBoundingClientRect(),
+        right = how === "side" && event.clientX - box.left >= wide();
+      return {
+        px: event.clientX - box.left - (right ? wide() : 0),
+        py: event.clientY - box.top,
+        right,
+      };
+    };
+    const point = (event) => {
+      const { px, py, right } = spot(event),
         scale = fit * zoom;
-      const c = Math.floor((event.clientX - box.left - x) / scale),
-        r = Math.floor((event.clientY - box.top - y) / scale);
-      return c >= 0 && r >= 0 && c < width && r < height ? r * width + c : -1;
+      const c = Math.floor((px - x) / scale),
+        r = Math.floor((py - y) / scale);
+      const on = c >= 0 && r >= 0 && c < width && r < height;
+      panes.forEach(({ cross }, k) => {
+        cross.hidden = how !== "side" || !on || right === (k === 1);
+        cross.style.transform = `translate(${px}px,${py}px)`;
+      });
+      onPointer(on ? r * width + c : -1, event);
     };
     stage.addEventListener(
       "wheel",
       (event) => {
         event.preventDefault();
-        const box = stage.getBoundingClientRect();
-        zoomAt(
-          Math.exp(-event.deltaY * (event.deltaMode ? 0.05 : 0.0016)),
-          event.clientX - box.left,
-          event.clientY - box.top,
-        );
-        onPointer(at(event), event);
+        const { px, py } = spot(event);
+        zoomAt(Math.exp(-event.deltaY * (event.deltaMode ? 0.05 : 0.0016)), px, py);
+        point(event);
       },
       { passive: false },
     );
     stage.addEventListener("pointerdown", (event) => {
       drag = [event.clientX - x, event.clientY - y];
-      moved = false;
       stage.setPointerCapture(event.pointerId);
     });
     stage.addEventListener("pointermove", (event) => {
       if (drag && event.buttons) {
         [x, y] = [event.clientX - drag[0], event.clientY - drag[1]];
-        moved = true;
         place();
       }
-      onPointer(at(event), event);
+      point(event);
     });
     stage.addEventListener("pointerup", () => {
       drag = null;
     });
-    stage.addEventListener("pointerleave", (event) => onPointer(-1, event));
+    stage.addEventListener("pointerleave", (event) => {
+      for (const { cross } of panes) cross.hidden = true;
+      onPointer(-1, event);
+    });
     stage.addEventListener("dblclick", home);
+    holdSwipe(stage, swipe, (share) => {
+      cut = Math.min(Math.max(share(cut), 0), 1);
+      place();
+    });
     const watch = new ResizeObserver(home);
     watch.observe(stage);
 
@@ -92,9 +121,42 @@
       home,
       zoomAt,
       close: () => watch.disconnect(),
-      paint(view, prefs) {
+      /** Show `views`, one or two of them; returns what `Graycast.paint` says of each. */
+      paint(views, prefs) {
+        const next = views.length > 1 ? prefs.how : "single",
+          other = (next === "side") !== (how === "side");
+        how = next;
+        stage.dataset.how = how;
+        if (other) home();
+        else place();
+        return views.map((view, k) => panes[k].paint(view, prefs, views.length > 1));
+      },
+      cover(prefs, lit) {
+        for (const pane of panes.slice(0, how === "single" ? 1 : 2)) pane.cover(prefs, lit);
+      },
+    };
+  };
+
+  /** One picture with what lies over it; `end` is the end of its elements' ids. */
+  function makePane(scene, end) {
+    const { width, height } = scene;
+    const base = el("canvas", { width, height, id: `picture${end}` }),
+      over = el("canvas", { width, height, id: `overlay${end}` });
+    const boxes = el("svg", { viewBox: `0 0 ${width} ${height}`, id: `boxes${end}`, class: "boxes" });
+    const sheet = el("div", { class: "sheet" }, base, over, boxes),
+      name = el("span", { class: "pane-name" }),
+      cross = el("i", { class: "cross", hidden: true });
+    const image = new ImageData(width, height),
+      veil = new ImageData(width, height);
+    return {
+      element: el("div", { class: "pane" }, sheet, cross, name),
+      sheet,
+      boxes,
+      cross,
+      paint(view, prefs, named) {
         const said = Graycast.paint(scene, view, prefs, image.data);
         base.getContext("2d").putImageData(image, 0, 0);
+        name.textContent = named ? Graycast.VIEWS.find((one) => one.id === view).label : "";
         return said;
       },
       cover(prefs, lit) {
@@ -103,7 +165,33 @@
         drawBoxes(scene, boxes, prefs, lit.instance ?? -1);
       },
     };
-  };
+  }
+
+  /** The bar follows the pointer that holds it, and the arrows while it has the focus. */
+  function holdSwipe(stage, swipe, move) {
+    const to = (event) => {
+      const box = stage.getBoundingClientRect();
+      move(() => (event.clientX - box.left) / box.width);
+    };
+    swipe.style.width = `${2 * HOLD_PX}px`;
+    swipe.addEventListener("pointerdown", (event) => {
+      event.stopPropagation();
+      swipe.setPointerCapture(event.pointerId);
+      to(event);
+    });
+    swipe.addEventListener("pointermove", (event) => {
+      if (!swipe.hasPointerCapture(event.pointerId)) return;
+      event.stopPropagation();
+      to(event);
+    });
+    swipe.addEventListener("keydown", (event) => {
+      const step = { ArrowLeft: -0.02, ArrowRight: 0.02 }[event.key];
+      if (!step) return;
+      event.preventDefault();
+      event.stopPropagation();
+      move((share) => share + step);
+    });
+  }
 
   /** BOP's boxes span pixel centres: [x, y, last - first, ...]; drawn around whole pixels. */
   function drawBoxes(scene, svg, prefs, instance) {

@@ -1,0 +1,51 @@
+"""Scenes that somebody chose on the report's page and saved as a file."""
+
+from pathlib import Path
+from typing import Literal
+
+from ..dataset import records
+from ..dataset.reading import Unreadable, read_json
+from ..dataset.stored import StoredDataset
+from ..errors import DatasetError, GraycastError
+
+_SOME = 3  # keys that an error names
+
+
+class Selection(records.Record):
+    """The file: every chosen scene (`train-000003`) with its tags, and whose scenes they are."""
+
+    kind: Literal["graycast-scenes"]
+    dataset: str
+    fingerprint: str
+    scenes: dict[str, list[str]]
+
+
+def chosen_scenes(path: Path, stored: StoredDataset) -> tuple[int, ...]:
+    """The ids of a file's scenes, all of them scenes that an export can take.
+
+    Raises:
+        GraycastError: the file cannot be read, names no scene, is of another dataset, or names
+            scenes that are not in the dataset's `train`.
+    """
+    try:
+        selection = read_json(path, Selection)
+    except Unreadable as error:
+        raise GraycastError(
+            f"{path} is no selection of scenes ({error}): save one on the page of graycast report"
+        ) from error
+    if not selection.scenes:
+        raise GraycastError(f"{path} names no scene: tick some on the page of graycast report")
+    if selection.fingerprint != stored.claim.get("fingerprint", ""):
+        raise DatasetError(
+            f"{path} names scenes of another dataset ({selection.dataset}), not of {stored.folder}:"
+            " give the dataset that the page was made of"
+        )
+    known = {stored.scene(scene_id).key: scene_id for scene_id in stored.scene_ids["train"]}
+    foreign = sorted(set(selection.scenes) - set(known))
+    if foreign:
+        more = f" and {len(foreign) - _SOME} more" if len(foreign) > _SOME else ""
+        raise DatasetError(
+            f"{path} names {', '.join(foreign[:_SOME])}{more}, which {stored.folder}/train lacks: "
+            "make the page anew and save the selection again"
+        )
+    return tuple(sorted(known[key] for key in selection.scenes))

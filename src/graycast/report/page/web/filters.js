@@ -1,0 +1,311 @@
+"use strict";
+// Which scenes the grid shows, and in which order: the filters and their controls.
+
+{
+  const { el, words } = Graycast;
+  const SORTS = [
+    ["id", "number"],
+    ["decoded", "decoded, all pixels"],
+    ["part_decoded", "decoded, on parts"],
+    ["visibility", "mean visibility"],
+    ["instances", "parts in the scene"],
+    ["depth_mm", "median depth"],
+    ["sigma_mm", "scanner noise on parts"],
+    ["bias_mm", "scanner bias on parts"],
+    ["brightness", "white frame's brightness"],
+  ];
+  const THUMBS = [
+    ["thumb.jpg", "colour"],
+    ["white.jpg", "white frame"],
+    ["reason.png", "reasons"],
+  ];
+  const KEPT = ["sort", "down", "thumb"]; // when filters are lifted
+  const blank = () => ({
+    find: "",
+    split: "",
+    object: "",
+    tag: "",
+    visibility: [0, 100],
+    decoded: [0, 100],
+    reason: "shadow",
+    share: [0, 100],
+    sort: "id",
+    down: false,
+    thumb: "thumb.jpg",
+  });
+  let filter = blank();
+  const whole = ([low, high]) => low <= 0 && high >= 100;
+
+  Graycast.thumbName = () => filter.thumb;
+
+  Graycast.filtered = () => {
+    const within = (value, [low, high]) =>
+      whole([low, high]) ||
+      (value !== null && 100 * value >= low - 1e-9 && 100 * value <= high + 1e-9);
+    const asked = filter.find.toLowerCase().split(/\s+/).filter(Boolean);
+    const rows = Graycast.rows().filter(
+      (row) =>
+        (!filter.split || row.split === filter.split) &&
+        (!filter.object || row.objects[filter.object]) &&
+        tagged(row.key) &&
+        asked.every((word) => found(row, word)) &&
+        within(row.visibility, filter.visibility) &&
+        within(row.decoded, filter.decoded) &&
+        within(row.reasons[filter.reason] ?? 0, filter.share),
+    );
+    const sign = filter.down ? -1 : 1,
+      at = filter.sort;
+    return rows.sort((a, b) =>
+      a[at] === null ? 1 : b[at] === null ? -1 : sign * (a[at] - b[at]) || a.id - b.id,
+    );
+  };
+
+  /** A number is a scene's, 5-12 is a span of them; any word may stand in a part's name or a tag. */
+  function found(row, word) {
+    const [, low, high] = word.match(/^(\d+)(?:-(\d+))?$/) ?? [];
+    if (low !== undefined && row.id >= Number(low) && row.id <= Number(high ?? low)) return true;
+    const names = Object.keys(row.objects).map((id) => Graycast.report.classes[id] ?? "");
+    const texts = [...names, ...Graycast.tags.of(row.key), row.split];
+    return row.key === word || texts.some((text) => text.toLowerCase().includes(word));
+  }
+
+  /** "" is all, "*" any tag, "-" none, "=name" that one, "!name" all but that one. */
+  function tagged(key) {
+    const held = Graycast.tags.of(key),
+      tag = filter.tag.slice(1);
+    switch (filter.tag[0]) {
+      case "*":
+        return held.length > 0;
+      case "-":
+        return held.length === 0;
+      case "=":
+        return held.includes(tag);
+      case "!":
+        return !held.includes(tag);
+      default:
+        return true;
+    }
+  }
+
+  /** What narrows the list now: [what it is called, the filters that lift it]. */
+  function narrowing() {
+    const span = ([low, high]) => `${low} to ${high} %`,
+      list = [];
+    if (filter.find.trim()) list.push([`“${filter.find.trim()}”`, ["find"]]);
+    if (filter.split) list.push([filter.split, ["split"]]);
+    if (filter.object) list.push([Graycast.report.classes[filter.object], ["object"]]);
+    if (filter.tag) list.push([tagWords(filter.tag), ["tag"]]);
+    return [...list, ...spans().map((name) => [spanWords(name, span(filter[name])), [name]])];
+  }
+
+  const spans = () => ["visibility", "decoded", "share"].filter((name) => !whole(filter[name]));
+  const spanWords = (name, text) =>
+    `${{ visibility: "mean visibility", decoded: "decoded", share: words(filter.reason) }[name]} ${text}`;
+
+  function tagWords(value) {
+    const tag = value.slice(1);
+    return { "*": "with a tag", "-": "without a tag", "=": `tag ${tag}`, "!": `not ${tag}` }[
+      value[0]
+    ];
+  }
+
+  // --- the controls -------------------------------------------------------------------------------
+
+  /**
+   * The two rows above the grid: {element, renew(), tell(rows)}; changed() is called when a filter
+   * is. `renew` draws the controls anew, `tell` says what is left of the scenes.
+   */
+  Graycast.filterBar = (changed) => {
+    const row = el("div", { class: "filter-row" }),
+      told = el("span", { id: "told", role: "status" }),
+      chips = el("span", { class: "chips" }),
+      saving = el("button", { id: "save", onclick: () => Graycast.tags.save(savable()) }),
+      message = el("span", { id: "message", role: "status" });
+    const savable = () =>
+      Graycast.tags.ticked.size ? Graycast.tags.ticked : Graycast.filtered().map((r) => r.key);
+    const renew = () => row.replaceChildren(...controls(changed, lift).filter(Boolean));
+    const lift = (names) => {
+      const base = blank();
+      for (const name of names) filter[name] = base[name];
+      renew();
+      changed();
+    };
+    const say = (text) => {
+      message.textContent = text;
+      renew();
+      changed();
+    };
+    renew();
+    const below = el(
+      "div",
+      { class: "told-row" },
+      told,
+      chips,
+      message,
+      el("span", { class: "spring" }),
+      saving,
+      loader(say),
+    );
+    const tell = (rows) => {
+      const n = Graycast.tags.ticked.size || rows.length;
+      told.textContent = `${Graycast.count(rows.length)} of ${Graycast.count(Graycast.rows().length)} scenes`;
+      saving.textContent = `save ${Graycast.count(n)} ${Graycast.tags.ticked.size ? "ticked" : "shown"}`;
+      saving.disabled = n === 0;
+      saving.title =
+        "Save these scenes and their tags as a file. graycast export --scenes FILE takes it.";
+      chips.replaceChildren(
+        ...narrowing().map(([text, names]) =>
+          el(
+            "span",
+            { class: "chip" },
+            text,
+            el(
+              "button",
+              {
+                title: "lift this filter",
+                "aria-label": `lift the filter ${text}`,
+                onclick: () => lift(names),
+              },
+              "×",
+            ),
+          ),
+        ),
+      );
+      const count = spans().length;
+      row.querySelector("summary").textContent = count ? `filters (${count})` : "filters";
+    };
+    return { element: el("div", { class: "filters" }, row, below), renew, tell, lift };
+  };
+
+  Graycast.liftAll = () => Object.keys(blank()).filter((name) => !KEPT.includes(name));
+
+  function loader(say) {
+    const file = el("input", {
+      id: "load-file",
+      type: "file",
+      accept: ".json",
+      hidden: true,
+      onchange: async () => {
+        const [one] = file.files;
+        if (one) say(Graycast.tags.take(one.name, await one.text()));
+        file.value = "";
+      },
+    });
+    const title = "Load a file of scenes that was saved here: its tags are added.";
+    return [file, el("button", { id: "load", title, onclick: () => file.click() }, "load")];
+  }
+
+  function controls(changed, lift) {
+    const { statistics, classes } = Graycast.report;
+    const set = (name) => (event) => {
+      filter[name] = event.target.value;
+      changed();
+    };
+    const select = (name, label, options) =>
+      el(
+        "select",
+        { id: `pick-${name}`, "aria-label": label, title: label, onchange: set(name) },
+        options.map(([value, text]) =>
+          el("option", { value, selected: filter[name] === value }, text),
+        ),
+      );
+    const splits = Object.keys(statistics.scenes);
+    return [
+      el("input", {
+        id: "find",
+        type: "search",
+        value: filter.find,
+        placeholder: "find: number, part, tag  ( / )",
+        title: "A scene's number, a span such as 5-12, a part's name or a tag; every word must fit.",
+        "aria-label": "find scenes",
+        oninput: set("find"),
+      }),
+      splits.length > 1
+        ? select("split", "split", [["", "all splits"], ...splits.map((s) => [s, s])])
+        : null,
+      Object.keys(classes).length > 1
+        ? select("object", "part", [["", "all parts"], ...Object.entries(classes)])
+        : null,
+      select("tag", "tag", tagChoices()),
+      panel(changed, set, select),
+      el("button", { id: "reset", onclick: () => lift(Object.keys(blank())) }, "reset"),
+      el("span", { class: "spring" }),
+      el("label", {}, "sort", select("sort", "sort by", SORTS)),
+      el(
+        "button",
+        {
+          id: "direction",
+          title: "smallest or largest first",
+          "aria-label": "smallest or largest first",
+          onclick: (event) => {
+            filter.down = !filter.down;
+            event.target.textContent = filter.down ? "↓" : "↑";
+            changed();
+          },
+        },
+        filter.down ? "↓" : "↑",
+      ),
+      el("label", {}, el("span", { class: "long" }, "show"), select("thumb", "show", THUMBS)),
+    ];
+  }
+
+  function tagChoices() {
+    const known = Graycast.tags.all();
+    const none = [
+      ["", known.length ? "all tags" : "no tags yet"],
+      ["*", "with a tag"],
+      ["-", "without a tag"],
+    ];
+    const choices = [
+      ...none.slice(0, known.length || filter.tag ? 3 : 1),
+      ...known.map(([tag, n]) => [`=${tag}`, `${tag} (${n})`]),
+      ...known.map(([tag]) => [`!${tag}`, `not ${tag}`]),
+    ];
+    if (!choices.some(([value]) => value === filter.tag)) filter.tag = ""; // its last scene left it
+    return choices;
+  }
+
+  /** Shares from and to, behind one button. */
+  function panel(changed, set, select) {
+    const range = (name, label) =>
+      el(
+        "div",
+        { class: "range" },
+        label,
+        ...[0, 1].map((end) =>
+          el("input", {
+            type: "number",
+            min: 0,
+            max: 100,
+            step: 1,
+            value: filter[name][end],
+            id: `${name}-${end ? "to" : "from"}`,
+            "aria-label": `${name} ${end ? "to" : "from"} %`,
+            oninput: (event) => {
+              const value = event.target.valueAsNumber;
+              filter[name][end] = Number.isNaN(value) ? 100 * end : value;
+              changed();
+            },
+          }),
+        ),
+        "%",
+      );
+    const reasons = Graycast.report.reasons.slice(1).map((r) => [r.name, `reason: ${words(r.name)}`]);
+    return el(
+      "details",
+      { id: "more" },
+      el("summary", { title: "filter by shares of pixels" }, "filters"),
+      el(
+        "div",
+        { class: "panel" },
+        range("visibility", el("span", {}, "mean visibility of the parts")),
+        range("decoded", el("span", {}, "decoded pixels")),
+        range("share", select("reason", "pixels lost for this reason", reasons)),
+      ),
+    );
+  }
+  addEventListener("pointerdown", (event) => {
+    const open = document.querySelector("#more[open]");
+    if (open && !open.contains(event.target)) open.open = false;
+  });
+}

@@ -1,0 +1,225 @@
+"use strict";
+// The rows above a scene's picture: its views, what to compare with, and what each view can do.
+
+{
+  const { el, words } = Graycast;
+  const STORED = { pattern: "the camera", column: "the decoder" };
+  const SOURCES = { scanner: "scanner's depth", depth: "perfect depth" };
+  const SURFACE = [
+    ["instance", "parts"],
+    ["colour", "picture"],
+    ["reason", "reasons"],
+    ["shaded", "grey"],
+  ];
+  const POINTS = [
+    ["instance", "parts"],
+    ["difference", "difference"],
+    ["colour", "picture"],
+    ["depth", "depth"],
+    ["plain", "grey"],
+  ];
+  const AXES = [
+    ["column", "column"],
+    ["row", "row"],
+    ["sigma_column", "σ of column"],
+    ["sigma_row", "σ of row"],
+  ];
+  const bar = (Graycast.toolbar = {});
+
+  /** A button per view; a part of its name that narrow windows leave out is in brackets. */
+  bar.views = (views, prefs, pick) =>
+    views.map((view) =>
+      el(
+        "button",
+        {
+          "data-view": view.id,
+          title: view.label,
+          "aria-pressed": String(view.id === prefs.view),
+          onclick: () => pick(view.id),
+        },
+        el("kbd", {}, String(Graycast.VIEWS.indexOf(view) + 1)),
+        view.label.split(" ")[0],
+        view.label.includes(" ")
+          ? el("span", { class: "long" }, view.label.slice(view.label.indexOf(" ")))
+          : null,
+      ),
+    );
+
+  /** What stands beside: off, or another view with a swipe or side by side. */
+  bar.compare = (views, prefs, set) => {
+    const flat = views.filter((view) => view.id !== "cloud");
+    if (prefs.view === "cloud" || flat.length < 2) return [];
+    return [
+      toggle(prefs, set, "compare", "compare", "c", "two views of this scene, pixel by pixel"),
+      ...(prefs.compare
+        ? [
+            choose(
+              prefs,
+              set,
+              "second",
+              "",
+              flat.map((view) => [view.id, view.label]),
+            ),
+            choose(prefs, set, "how", "", [
+              ["swipe", "swipe"],
+              ["side", "side by side"],
+            ]),
+          ]
+        : []),
+    ];
+  };
+
+  /** What the view can do. actions: set(name, value), flip(by), play(), look(name). */
+  bar.options = (scene, prefs, actions) =>
+    (prefs.view === "cloud" ? cloudOptions : pictureOptions)(scene, prefs, actions).filter(Boolean);
+
+  function toggle(prefs, set, name, label, key, title) {
+    return el(
+      "button",
+      {
+        id: `toggle-${name}`,
+        title,
+        "aria-pressed": String(!!prefs[name]),
+        onclick: () => set(name, !prefs[name]),
+      },
+      key ? el("kbd", {}, key) : null,
+      label,
+    );
+  }
+
+  function choose(prefs, set, name, label, list) {
+    return el(
+      "label",
+      {},
+      label,
+      el(
+        "select",
+        {
+          id: `choose-${name}`,
+          "aria-label": label || name,
+          onchange: (event) => set(name, list.find(([v]) => String(v) === event.target.value)[0]),
+        },
+        list.map(([value, text]) => el("option", { value, selected: prefs[name] === value }, text)),
+      ),
+    );
+  }
+
+  const limit = (prefs, set) =>
+    choose(prefs, set, "limit", "±", [
+      [0, `auto (${Graycast.errorLimit({})} mm)`],
+      ...Graycast.ERROR_LIMITS_MM.map((mm) => [mm, `${mm} mm`]),
+    ]);
+
+  function cloudOptions(scene, prefs, { set, look }) {
+    const { depth, scanner } = scene.has,
+      sizes = [1, 2, 3, 4].map((v) => [v, `${v} px`]);
+    return [
+      depth ? toggle(prefs, set, "surface", "perfect surface", "s") : null,
+      depth ? choose(prefs, set, "surfacePaint", "", SURFACE) : null,
+      scanner ? toggle(prefs, set, "points", "scanner points", "p") : null,
+      scanner ? choose(prefs, set, "pointPaint", "", POINTS) : null,
+      scanner ? choose(prefs, set, "pointSize", "", sizes) : null,
+      depth && scanner && prefs.pointPaint === "difference" ? limit(prefs, set) : null,
+      scene.instances[0]?.box3d ? toggle(prefs, set, "boxes", "boxes", "b") : null,
+      el("span", { class: "spring" }),
+      ...["camera", "oblique", "side", "top"].map((name) =>
+        el("button", { title: `look from: ${name}`, onclick: () => look(name) }, name),
+      ),
+    ];
+  }
+
+  function pictureOptions(scene, prefs, actions) {
+    const { set } = actions,
+      shows = (view) => prefs.view === view || (prefs.compare && prefs.second === view);
+    return [
+      toggle(prefs, set, "masks", "masks", "m"),
+      toggle(prefs, set, "boxes", "boxes", "b"),
+      shows("difference") ? limit(prefs, set) : null,
+      shows("column") ? choose(prefs, set, "axis", "of", axes(scene, prefs)) : null,
+      shows("column") ? source(scene, prefs, set, "column") : null,
+      ...(shows("pattern") ? patternOptions(scene, prefs, actions) : []),
+    ];
+  }
+
+  function source(scene, prefs, set, view) {
+    const all = Graycast.sourcesOf(scene, view, prefs);
+    if (all.length < 2) return null;
+    return choose(
+      prefs,
+      set,
+      "source",
+      "from",
+      all.map((one) => [one, one === "stored" ? STORED[view] : SOURCES[one]]),
+    );
+  }
+
+  function patternOptions(scene, prefs, { set, flip, play, playing }) {
+    const frames = Graycast.frameNames(scene);
+    prefs.frame = Math.min(prefs.frame, Math.max(frames.length - 1, 0));
+    return [
+      prefs.view === "column" || prefs.second === "column"
+        ? null
+        : source(scene, prefs, set, "pattern"),
+      el("button", { id: "frame-back", title: "frame before (↑ or [)", onclick: () => flip(-1) }, "‹"),
+      el("input", {
+        id: "frame-slider",
+        type: "range",
+        "aria-label": "frame",
+        min: 0,
+        max: frames.length - 1,
+        value: prefs.frame,
+        oninput: (event) => flip(Number(event.target.value) - prefs.frame),
+      }),
+      el("button", { id: "frame-on", title: "next frame (↓ or ])", onclick: () => flip(1) }, "›"),
+      choose(
+        prefs,
+        set,
+        "frame",
+        "",
+        frames.map((name, k) => [k, `${k} ${words(name)}`]),
+      ),
+      el(
+        "button",
+        { id: "frame-play", "aria-pressed": String(playing), onclick: play },
+        el("kbd", {}, "p"),
+        "play",
+      ),
+      scene.white && Graycast.sourceOf(scene, "pattern", prefs) !== "stored"
+        ? toggle(prefs, set, "shade", "over the white frame")
+        : null,
+    ];
+  }
+
+  function axes(scene, prefs) {
+    const there = AXES.filter(
+      ([axis]) => scene.kept.columns.includes(axis) || !axis.startsWith("sigma_"),
+    );
+    if (!there.some(([axis]) => axis === prefs.axis)) prefs.axis = "column";
+    return there;
+  }
+
+  /** What the colours mean: one line for each picture that is shown. */
+  bar.under = (said, names) =>
+    said.flatMap(({ bar: scale, note }, k) => {
+      if (!scale && !note) return [];
+      const out = said.length > 1 ? [el("b", {}, names[k])] : [];
+      if (scale) {
+        out.push(el("span", { class: "bar" }, ...scaleBar(scale)));
+        if (!scale.whole)
+          out.push(el("span", { class: "bar" }, el("i", { class: "none" }), "no value"));
+      }
+      if (note) out.push(el("span", { class: "note" }, note));
+      return el("div", {}, out);
+    });
+
+  function scaleBar({ map, low, high, unit, digits }) {
+    const canvas = el("canvas", { width: 256, height: 1 }),
+      image = new ImageData(256, 1),
+      table = Graycast.colormap(map);
+    for (let k = 0; k < 256; k++)
+      image.data.set([table[3 * k], table[3 * k + 1], table[3 * k + 2], 255], 4 * k);
+    canvas.getContext("2d").putImageData(image, 0, 0);
+    const say = (value) => value.toFixed(digits).replace("-", "−");
+    return [say(low), canvas, `${say(high)} ${unit}`];
+  }
+}

@@ -1,0 +1,53 @@
+"""What a user of the page does and sees, for the tests that drive a browser."""
+
+import numpy as np
+
+SCENES = (0, 3, 4)
+
+
+def ready(page, name):
+    page.wait_for_selector(f'#main[data-ready="{name}"]')
+
+
+def opened(page, made, scene_id, view=None):
+    page.goto(f"{made[2].as_uri()}#/train-{scene_id:06d}")
+    ready(page, f"train-{scene_id:06d}")
+    if view:
+        page.click(f'[data-view="{view}"]')
+
+
+def pressed(page):
+    """The view that is shown."""
+    return page.get_attribute('[data-view][aria-pressed="true"]', "data-view")
+
+
+def held(page, name):
+    return np.array(page.evaluate(f"Array.from(Graycast.opened().scene.{name})")).reshape(120, 160)
+
+
+def shown(page, canvas="picture"):
+    """What a canvas shows; a copy is read, as browsers complain of slow canvases read often."""
+    data = page.evaluate(
+        """(name) => {
+            const copy = document.createElement("canvas");
+            [copy.width, copy.height] = [160, 120];
+            const context = copy.getContext("2d", { willReadFrequently: true });
+            context.drawImage(document.getElementById(name), 0, 0);
+            return Array.from(context.getImageData(0, 0, 160, 120).data);
+        }""",
+        canvas,
+    )
+    return np.array(data, dtype=np.uint8).reshape(120, 160, 4)
+
+
+def place(page, row, column):
+    """Where a pixel of the picture is on the screen."""
+    box = page.locator("#picture").bounding_box()
+    return (
+        box["x"] + (column + 0.5) * box["width"] / 160,
+        box["y"] + (row + 0.5) * box["height"] / 120,
+    )
+
+
+def readout(page, name):
+    return page.locator(f'#readout tr[data-name="{name}"] td').inner_text()

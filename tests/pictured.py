@@ -5,12 +5,11 @@ from dataclasses import replace
 from pathlib import Path
 
 from dataset.captured import scanned, toed_in
-from dataset.prisms import box_part, build_sample, make_rig, wedge_part
+from dataset.prisms import SCALE_MM, box_part, build_sample, make_rig, wedge_part
 
 from graycast.dataset.store import open_store
 from graycast.scanner import Scanner
 
-SCALE_MM = 0.1
 LENS = (-0.12, 0.05, 0.001, -0.0007, 0.0)
 CODE = {
     "codec": "gray",

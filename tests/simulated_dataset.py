@@ -9,9 +9,7 @@ from graycast.dataset.store import open_store
 from graycast.export import Options, Split, export
 
 sys.path.append(str(Path(__file__).parent / "dataset"))
-from prisms import box_part, build_sample, make_rig, wedge_part
-
-SCALE_MM = 0.1
+from prisms import SCALE_MM, box_part, build_sample, make_rig, wedge_part
 
 
 def write_dataset(out, scene_ids=(0, 3, 4, 5)):

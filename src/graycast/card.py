@@ -18,7 +18,7 @@ import numpy as np
 import yaml
 from jaxtyping import UInt8
 
-from .dataset.bop import plain
+from .dataset.json_text import plain
 from .dataset.stored import SceneContent, StoredDataset, StoredScene, open_dataset
 from .decode import REASON_COLOR, Reason
 from .errors import GraycastError

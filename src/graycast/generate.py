@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from pydantic import ValidationError
 
-from .cell import Cell
+from .cell import Cell, reach_m
 from .config import Config
 from .dataset import (
     SetAside,
@@ -92,7 +92,7 @@ def generate(
         cell=cell,
         seed=seed,
         device=_device(cell, device, workers.engine),
-        depth_scale_mm=depth_scale_mm(cell.scene.rig.far_m),
+        depth_scale_mm=depth_step_mm(cell),
     )
     with open_store(out, **_claimed(task)) as store:
         found = store.finished()
@@ -124,6 +124,15 @@ def generate(
     )
 
 
+def depth_step_mm(cell: Cell) -> float:
+    """What one step of the cell's depth pictures stands for: as configured, or what reaches far.
+
+    Raises:
+        ValueError: the cell lies deeper than 16 bits reach in any step.
+    """
+    return cell.config.store.depth_step_mm or depth_scale_mm(reach_m(cell))
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Origin:
     """What a dataset says it was made from; `files` are the paths in its configuration."""
@@ -142,7 +151,8 @@ def read_origin(out: Path) -> Origin:
     try:
         claim = read_json(out / "graycast.json", Claim)
         held = {key: claim.config[key] for key in claim.config if key not in _BESIDE_CONFIG}
-        config = Config.model_validate(held)
+        stored = held.get("store", {}) | {"depth_step_mm": claim.depth_scale_mm}
+        config = Config.model_validate(held | {"store": stored})
         rig = () if config.rig in PRESETS else (config.rig,)
         return Origin(config=config, seed=claim.seed, files=(*claim.config["files"], *rig))
     except (Unreadable, ValidationError, KeyError) as error:
@@ -169,7 +179,7 @@ def rerender(
         cell=cell,
         seed=seed,
         device=_device(cell, device, "local"),
-        depth_scale_mm=depth_scale_mm(cell.scene.rig.far_m),
+        depth_scale_mm=depth_step_mm(cell),
     )
     refuse_other_dataset(out, **_claimed(task))
     scene = out / "train" / f"{scene_id:06d}"

@@ -3,11 +3,9 @@
 from dataclasses import replace
 
 import pytest
-from prisms import box_part, build_sample, make_rig, wedge_part
+from prisms import SCALE_MM, box_part, build_sample, make_rig, wedge_part
 
 from graycast.dataset.store import open_store
-
-SCALE_MM = 0.1
 
 
 @pytest.fixture(scope="session")

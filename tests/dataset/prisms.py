@@ -12,6 +12,7 @@ from graycast.rig import Rig
 from graycast.scene import Layout, Scene
 
 WIDTH, HEIGHT = 160, 120
+SCALE_MM = 0.02  # of the datasets' depth pictures
 K = np.array([[212.0, 0.0, 78.3], [0.0, 214.0, 61.7], [0.0, 0.0, 1.0]])
 WALL = (np.array([0.1, -0.2, 1.0]), 0.62)  # n . p = d, camera frame
 

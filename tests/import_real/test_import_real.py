@@ -227,7 +227,7 @@ def test_depth_of_every_kind_comes_in_to_half_a_step(made, real, samples, kind):
         step_m = done.depth_scale_mm / 1e3
         off_m = 0.5 * SCALE_M + 0.51 * step_m
         np.testing.assert_allclose(example.scanner_depth_m, sample.scanner.depth_m, atol=off_m)
-    assert done.depth_scale_mm == (0.1 if kind == "png" else 0.02)
+    assert done.depth_scale_mm == (SCALE_MM if kind == "png" else 0.02)
     assert validate(out) == ()
 
 

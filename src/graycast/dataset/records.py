@@ -43,6 +43,7 @@ class Claim(Record):
     distractors: list[DistractorClaim] = []
     sources: list[str]
     versions: dict[str, str]
+    sha256: dict[str, str] = {}  # of the files beside the scenes; format 1 had none
 
 
 class Camera(Record):

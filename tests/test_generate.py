@@ -396,5 +396,5 @@ def test_a_step_of_depth_that_is_configured_is_that_of_files_and_no_key_of_the_d
     assert read_origin(tmp_path / "out").config.store.depth_step_mm == 0.5
     assert rerender(cell, tmp_path / "out", 0, seed=0, device="cpu") == {}
     finer = resolve_cell(load_config(config_file), config_file.parent)
-    with pytest.raises(DatasetError, match="depth_scale_mm .0.5 there, 0.02 here"):
+    with pytest.raises(DatasetError, match=r"depth_scale_mm \(0.5 there, 0.02 here"):
         run(finer, tmp_path / "out", scenes=1)

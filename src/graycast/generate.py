@@ -26,10 +26,11 @@ from .dataset import (
     open_store,
     refuse_other_dataset,
 )
+from .dataset.claim import BESIDE_CONFIG
 from .dataset.reading import Unreadable, read_json
 from .dataset.records import Claim
 from .engine import Failed, Made, Pool, SceneMaker, Task, make_all, open_pool
-from .errors import DatasetError, GraycastError
+from .errors import ConfigError, DatasetError, GraycastError
 from .render import OnFrame, choose_device
 from .rig import PRESETS
 from .scanner import Scanner
@@ -128,9 +129,17 @@ def depth_step_mm(cell: Cell) -> float:
     """What one step of the cell's depth pictures stands for: as configured, or what reaches far.
 
     Raises:
-        ValueError: the cell lies deeper than 16 bits reach in any step.
+        ConfigError: the cell lies deeper than 16 bits reach in any step.
     """
-    return cell.config.store.depth_step_mm or depth_scale_mm(reach_m(cell))
+    if cell.config.store.depth_step_mm is not None:
+        return cell.config.store.depth_step_mm
+    try:
+        return depth_scale_mm(reach_m(cell))
+    except ValueError as error:
+        raise ConfigError(
+            f"the bin lies up to {reach_m(cell):.4g} m before the camera, depth pictures end at "
+            "65.535 m: give a smaller view.distance_m, or another store.depth_step_mm"
+        ) from error
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -150,7 +159,7 @@ def read_origin(out: Path) -> Origin:
     """
     try:
         claim = read_json(out / "graycast.json", Claim)
-        held = {key: claim.config[key] for key in claim.config if key not in _BESIDE_CONFIG}
+        held = {key: claim.config[key] for key in claim.config if key not in BESIDE_CONFIG}
         stored = held.get("store", {}) | {"depth_step_mm": claim.depth_scale_mm}
         config = Config.model_validate(held | {"store": stored})
         rig = () if config.rig in PRESETS else (config.rig,)
@@ -196,16 +205,13 @@ def _device(cell: Cell, device: str, engine: str) -> str:
     return choose_device(cell.config.render.backend, device)
 
 
-_BESIDE_CONFIG = ("files", "scanner")  # in a claim's configuration, but no keys of it
-
-
 def _claimed(task: Task) -> dict[str, Any]:
     """What a dataset's folder is claimed for."""
     cell = task.cell
     config = cell.config.model_dump(mode="json", exclude={"scenes", "seed"})
     beside = (cell.file_digests, _identity(cell.scanner))
     return {
-        "config": config | dict(zip(_BESIDE_CONFIG, beside, strict=True)),
+        "config": config | dict(zip(BESIDE_CONFIG, beside, strict=True)),
         "seed": task.seed,
         "parts": cell.kinds,
         "rig": cell.scene.rig,

@@ -12,14 +12,18 @@ from typing import Any
 import numpy as np
 
 from .. import __version__
+from ..decode import DecodeSpec
 from ..errors import DatasetError
+from ..optics import Optics
 from ..parts import Part
 from ..rig import Rig
+from ..sensor import SensorSpec
 from .json_text import plain
 from .seal import SUMS
 
 CLAIM = "graycast.json"
-FORMAT_VERSION = 2  # 1 had no SHA-256 of files
+BESIDE_CONFIG = ("files", "scanner")  # in a claim's configuration, but no keys of it
+FORMAT_VERSION, SEALED_SINCE = 2, 2  # 1 had no SHA-256 of files
 _BESIDE = ("fingerprint", "sources", "versions", SUMS)  # what the fingerprint does not cover
 _CLAIMED = ("format_version", "seed", "depth_scale_mm", "rig", "parts", "distractors", "config")
 
@@ -75,6 +79,36 @@ def described_values(value: Any) -> dict[str, Any]:
         return "inf" if isinstance(item, float) and math.isinf(item) else item
 
     return worded(asdict(value))
+
+
+def rig_of(described: Mapping[str, Any]) -> Rig:
+    """The rig that `described_values` wrote.
+
+    Raises:
+        KeyError, TypeError, ValueError: it is none.
+    """
+    told = _unworded(described)
+    lenses = {name: Optics(**told.pop(name)) for name in ("camera", "projector")}
+    return Rig(**told | lenses | {"T_cam_proj": np.array(told["T_cam_proj"], dtype=np.float64)})
+
+
+def read_scanning(described: Mapping[str, Any]) -> tuple[SensorSpec, DecodeSpec]:
+    """The sensor and the decoder of a claim's `config.scanner`.
+
+    Raises:
+        KeyError, TypeError, ValueError: they are none.
+    """
+    told = _unworded(described)
+    return SensorSpec(**told["sensor"]), DecodeSpec(**told["decode"])
+
+
+def _unworded(item: Any) -> Any:
+    """Lists are tuples, the word 'inf' is the number."""
+    if isinstance(item, Mapping):
+        return {key: _unworded(inner) for key, inner in item.items()}
+    if isinstance(item, list):
+        return tuple(map(_unworded, item))
+    return math.inf if item == "inf" else item
 
 
 def _digest(part: Part) -> str:

@@ -203,8 +203,8 @@ def test_parquet_is_read_by_pyarrow(exported, samples):
         seen, masks, boxes = visible(sample)
         assert row["scene_id"] == scene_id
         assert row["rgb"] is None
-        assert np.array_equal(decoded(row["gray"]), sample.gray)
-        assert np.array_equal(decoded(row["depth_sl"]), steps_of(sample.scanner.depth_m))
+        assert np.array_equal(decoded(row["gray"]["bytes"]), sample.gray)
+        assert np.array_equal(decoded(row["depth_sl"]["bytes"]), steps_of(sample.scanner.depth_m))
         assert row["boxes"] == boxes
         poses = np.reshape(row["poses"], (-1, 4, 4))
         np.testing.assert_allclose(poses, poses_of(sample)[seen], atol=1e-12)
@@ -279,3 +279,28 @@ def test_an_organised_cloud_is_depth_and_camera_again(exported, samples):
     camera = samples[3].scene.rig.camera
     np.testing.assert_allclose(scan.K, camera.K, atol=1e-3)
     np.testing.assert_allclose(scan.depth_m, samples[3].scanner.depth_m, atol=0.6e-3 * SCALE_MM)
+
+
+def test_parquet_says_which_columns_are_pictures(exported):
+    """Hugging Face reads a struct of bytes and path as an Image where the metadata calls it one."""
+    pq = pytest.importorskip("pyarrow.parquet", reason="pip install 'graycast[parquet]'")
+    schema = pq.read_schema(exported("parquet") / "train" / "part-000000.parquet")
+    told = json.loads(schema.metadata[b"huggingface"])["info"]["features"]
+    assert told == {name: {"_type": "Image"} for name in ("rgb", "gray", "depth", "depth_sl")}
+    for name in told:
+        fields = {field.name: str(field.type) for field in schema.field(name).type}
+        assert fields == {"bytes": "binary", "path": "string"}
+
+
+def test_parquet_is_loaded_by_hugging_face_as_pictures(exported, samples, tmp_path):
+    datasets = pytest.importorskip("datasets", reason="pip install datasets")
+    out = exported("parquet")
+    files = [str(path) for path in sorted((out / "train").glob("*.parquet"))]
+    read = datasets.load_dataset(
+        "parquet", data_files={"train": files}, cache_dir=str(tmp_path / "cache")
+    )["train"]
+    assert isinstance(read.features["rgb"], datasets.Image)
+    for row, sample in zip(read, samples.values(), strict=True):
+        assert np.array_equal(np.array(row["rgb"]), sample.rgb)
+        assert np.array_equal(np.array(row["depth_sl"]), steps_of(sample.scanner.depth_m))
+        assert row["gray"] is None

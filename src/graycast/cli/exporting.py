@@ -24,6 +24,7 @@ _OPTIONS = (
     "organised",
     "shard_scenes",
     "link",
+    "pixel_origin",
     "min_visibility",
 )
 
@@ -51,6 +52,11 @@ def add_commands(commands) -> None:
     export.add_argument("--cloud", choices=("ply", "pcd"), help="clouds: the kind of file")
     export.add_argument(
         "--organised", action="store_true", default=None, help="clouds: a point for every pixel"
+    )
+    export.add_argument(
+        "--pixel-origin",
+        choices=("centre", "corner"),
+        help="BOP: what of the top-left pixel is (0, 0); bop_toolkit's renderers want its corner",
     )
     export.add_argument("--shard-scenes", type=positive, metavar="N", help="scenes per file")
     export.add_argument(

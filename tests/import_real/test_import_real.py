@@ -410,3 +410,14 @@ def test_a_lens_with_distortion_is_kept_as_it_was_stated(real, samples):
     assert open_examples(out)[0].distortion == distortion
     with pytest.raises(GraycastError, match="give five numbers k1,k2,p1,p2,k3"):
         run("import-real", real, "--out", out, "--distortion", "0.1,0.2")
+
+
+def test_a_picture_that_was_changed_after_the_import_is_found(real, samples):
+    """It is whole and nobody can say what it should show: only its SHA-256 tells."""
+    out, _ = imported(real, samples)
+    path = out / "train" / "000000" / "rgb" / "000000.png"
+    cv2.imwrite(str(path), cv2.imread(str(path)) // 2)
+    for fast in (False, True):
+        (problem,) = validate(out, fast=fast)
+        assert problem.scene == 0
+        assert "rgb/000000.png is not as it was written" in problem.what

@@ -1,8 +1,9 @@
 """Modulation, white frame and reasons against each other: what the decoder's own rules allow.
 
-Leaves out: modulation that is too small by a factor where ambient light is strong and no pixel
-lies near the decoder's threshold; reasons exchanged among those that judge the code (contradictory,
-interreflection, outside the projector, out of range, outlier), but for what code maps say.
+Leaves out: of scenes by Cycles what compares frames with the white one; modulation that is too
+small by a factor where ambient light is strong and no pixel lies near the decoder's threshold;
+reasons exchanged among those that judge the code (contradictory, interreflection, outside the
+projector, out of range, outlier), but for what code maps say.
 """
 
 from collections.abc import Iterator
@@ -70,6 +71,8 @@ def _rules(
     contrast_dn = modulation * levels.range_dn
     lit = "modulation_sl is over the noise where reason_sl says shadow"
     yield lit, (reason == Reason.SHADOW) & (contrast_dn > DIM_SIGMAS * noise_dn + _step_dn(levels))
+    if scene.manifest.get("backend") == "cycles":
+        return  # every frame is rendered by itself: a pattern's noise may outshine the white frame
     bright_dn = STRIPES_SHOW * white_dn + NOISE_SIGMAS * noise_dn + _step_dn(levels)
     outshone = "modulation_sl is more than all the light that gray_sl shows"
     yield outshone, (contrast_dn > bright_dn) & (scene.gray < 255)

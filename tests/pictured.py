@@ -5,12 +5,11 @@ from dataclasses import replace
 from pathlib import Path
 
 from dataset.captured import scanned, toed_in
-from dataset.prisms import box_part, build_sample, make_rig, wedge_part
+from dataset.prisms import CONFIG, SCALE_MM, SEED, box_part, build_sample, make_rig, wedge_part
 
 from graycast.dataset.store import open_store
 from graycast.scanner import Scanner
 
-SCALE_MM = 0.1
 LENS = (-0.12, 0.05, 0.001, -0.0007, 0.0)
 CODE = {
     "codec": "gray",
@@ -36,7 +35,7 @@ def write_dataset(out: Path, scene_ids=(0, 3), rig=None, *, keeps=False):
     """Returns the samples by scene. `keeps` frames and code maps of a scanner with that code."""
     rig, parts = rig or make_rig(), (box_part(), wedge_part())
     samples = {k: build_sample(k, parts=parts, rig=rig) for k in scene_ids}
-    config = {"rig": "test", "scanner": {"code": CODE}}
+    config = CONFIG | {"scanner": {"code": CODE}}
     if keeps:
         scanner = Scanner(rig=toed_in(rig))
         rig = scanner.rig
@@ -45,7 +44,7 @@ def write_dataset(out: Path, scene_ids=(0, 3), rig=None, *, keeps=False):
     with open_store(
         out,
         config=config,
-        seed=7,
+        seed=SEED,
         parts=parts,
         rig=rig,
         depth_scale_mm=SCALE_MM,

@@ -9,18 +9,15 @@ from graycast.dataset.store import open_store
 from graycast.export import Options, Split, export
 
 sys.path.append(str(Path(__file__).parent / "dataset"))
-from prisms import box_part, build_sample, make_rig, wedge_part
-
-SCALE_MM = 0.1
+from prisms import CONFIG, SCALE_MM, SEED, box_part, build_sample, make_rig, wedge_part
 
 
 def write_dataset(out, scene_ids=(0, 3, 4, 5)):
     """Writes it and returns the samples by scene."""
     parts, rig = (box_part(), wedge_part()), make_rig()
     samples = {i: build_sample(i, parts=parts, rig=rig) for i in scene_ids}
-    config = {"rig": "test"}
     with open_store(
-        out, config=config, seed=7, parts=parts, rig=rig, depth_scale_mm=SCALE_MM
+        out, config=CONFIG, seed=SEED, parts=parts, rig=rig, depth_scale_mm=SCALE_MM
     ) as store:
         for scene_id, sample in samples.items():
             store.write(scene_id, sample)

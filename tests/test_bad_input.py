@@ -425,7 +425,7 @@ def test_a_cut_picture_is_found_and_its_scene_named(capsys, tmp_path, dataset):
     assert main(["validate", str(tmp_path / "out")]) == 1
     printed, complaint = capsys.readouterr()
     assert "scene 000000: rgb/000000.png is cut off or damaged\n" in printed
-    assert "1 problem(s)" in printed
+    assert "2 problem(s)" in printed
     assert complaint == ""
 
 

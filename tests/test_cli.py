@@ -27,12 +27,12 @@ OPTIONS = {
     ),
     "rerender": "dataset scene_id --config --device",
     "preview": "config --out --scene --seed --backend --device",
-    "validate": "dataset",
+    "validate": "dataset --fast",
     "parts": "config --out --device",
     "stats": "dataset --workers --out --card --licence",
     "report": "dataset --workers --out --width",
     "export": "dataset --format --out --scenes --split --split-seed --image --depth --polygons "
-    "--labels --cloud --organised --shard-scenes --link --min-visibility",
+    "--labels --cloud --organised --pixel-origin --shard-scenes --link --min-visibility",
     "import-real": "folder --out --intrinsics --distortion --scale --size --annotations "
     "--unlabelled --like",
     "fit-bin": "real --config --out --rgb --intrinsics --distortion --scale --size --inner --wall "

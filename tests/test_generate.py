@@ -377,3 +377,24 @@ def test_after_a_full_disk_the_same_command_goes_on(config_file, many, tmp_path)
         assert content(disk / "out") == content(many[0])
     finally:
         subprocess.run(["umount", str(disk)], check=True)
+
+
+@pytest.mark.slow
+def test_a_step_of_depth_that_is_configured_is_that_of_files_and_no_key_of_the_dataset(
+    config_file, tmp_path
+):
+    """A dataset says its step once, so rerender and resuming take it from there."""
+    wide = write_cell(tmp_path, store={"depth_step_mm": 0.5})
+    cell = resolve_cell(load_config(wide), tmp_path)
+    run(cell, tmp_path / "out", scenes=1)
+    claim = json.loads((tmp_path / "out/graycast.json").read_bytes())
+    assert claim["depth_scale_mm"] == 0.5
+    assert "store" not in claim["config"]
+    view = json.loads((tmp_path / "out/train/000000/scene_camera.json").read_bytes())["0"]
+    assert view["depth_scale"] == 0.5
+    assert validate(tmp_path / "out") == ()
+    assert read_origin(tmp_path / "out").config.store.depth_step_mm == 0.5
+    assert rerender(cell, tmp_path / "out", 0, seed=0, device="cpu") == {}
+    finer = resolve_cell(load_config(config_file), config_file.parent)
+    with pytest.raises(DatasetError, match=r"depth_scale_mm \(0.5 there, 0.02 here"):
+        run(finer, tmp_path / "out", scenes=1)

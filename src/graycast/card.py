@@ -20,7 +20,7 @@ import yaml
 from jaxtyping import UInt8
 from packaging.licenses import InvalidLicenseExpression, canonicalize_license_expression
 
-from .dataset.bop import plain
+from .dataset.json_text import plain
 from .dataset.stored import SceneContent, StoredDataset, StoredScene, open_dataset
 from .decode import REASON_COLOR, Reason
 from .errors import GraycastError

@@ -17,7 +17,7 @@ from .config import (
     resolve_parts,
     resolve_scanner,
 )
-from .domain import Domain, resolve_domain
+from .domain import Domain, deepest_m, resolve_domain
 from .parts import Part
 from .pattern import Code
 from .render import OnFrame, Renderer, open_renderer
@@ -84,6 +84,15 @@ def resolve_cell(config: Config, folder: Path) -> Cell:
         file_digests=file_digests(config, folder),
         domain=domain,
     )
+
+
+def reach_m(cell: Cell) -> float:
+    """How deep a cell's depth pictures must reach [m], as z of the camera.
+
+    To the end of the rig's working range, and to the deepest corner of the bin wherever the domain
+    may hang the rig. What lies deeper is the table, which has no end.
+    """
+    return max(cell.scene.rig.far_m, deepest_m(cell.config.domain, cell.scene))
 
 
 def _pose(view: ViewSection, rig: Rig, box: Bin) -> Float[np.ndarray, "4 4"]:

@@ -181,6 +181,13 @@ class StoreSection(Settings):
     columns: bool = Field(
         False, description="decoded projector columns and rows with their standard deviations"
     )
+    depth_step_mm: float | None = Field(
+        None,
+        gt=0,
+        le=1000,
+        exclude=True,  # a dataset says it as its depth_scale, chosen or not
+        description="of depth pictures; left out: 16 bits over the working range",
+    )
 
 
 class Config(ScannerSections):
@@ -215,7 +222,7 @@ class Config(ScannerSections):
     drop: DropSection = DropSection()
     store: StoreSection = Field(
         StoreSection(),
-        exclude_if=lambda store: store == StoreSection(),  # so that older datasets can go on
+        exclude_if=lambda store: not (store.frames or store.columns),  # as of older datasets
     )
 
     @field_validator("count", mode="wrap")

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from pydantic import ValidationError
 
-from .cell import Cell
+from .cell import Cell, reach_m
 from .config import Config
 from .dataset import (
     SetAside,
@@ -26,11 +26,12 @@ from .dataset import (
     open_store,
     refuse_other_dataset,
 )
+from .dataset.claim import BESIDE_CONFIG
 from .dataset.reading import Unreadable, read_json
 from .dataset.records import Claim
 from .drop import OnStage, prepare
 from .engine import Failed, Made, Pool, SceneMaker, Task, make_all, open_pool
-from .errors import DatasetError, GraycastError
+from .errors import ConfigError, DatasetError, GraycastError
 from .render import OnFrame, choose_device
 from .rig import PRESETS
 from .scanner import Scanner
@@ -105,7 +106,7 @@ def generate(
         cell=cell,
         seed=seed,
         device=_device(cell, device, workers.engine),
-        depth_scale_mm=depth_scale_mm(cell.scene.rig.far_m),
+        depth_scale_mm=depth_step_mm(cell),
     )
     with open_store(out, **_claimed(task)) as store:
         found = store.finished()
@@ -138,6 +139,23 @@ def generate(
     )
 
 
+def depth_step_mm(cell: Cell) -> float:
+    """What one step of the cell's depth pictures stands for: as configured, or what reaches far.
+
+    Raises:
+        ConfigError: the cell lies deeper than 16 bits reach in any step.
+    """
+    if cell.config.store.depth_step_mm is not None:
+        return cell.config.store.depth_step_mm
+    try:
+        return depth_scale_mm(reach_m(cell))
+    except ValueError as error:
+        raise ConfigError(
+            f"the bin lies up to {reach_m(cell):.4g} m before the camera, depth pictures end at "
+            "65.535 m: give a smaller view.distance_m, or another store.depth_step_mm"
+        ) from error
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Origin:
     """What a dataset says it was made from; `files` are the paths in its configuration."""
@@ -155,8 +173,9 @@ def read_origin(out: Path) -> Origin:
     """
     try:
         claim = read_json(out / "graycast.json", Claim)
-        held = {key: claim.config[key] for key in claim.config if key not in _BESIDE_CONFIG}
-        config = Config.model_validate(held)
+        held = {key: claim.config[key] for key in claim.config if key not in BESIDE_CONFIG}
+        stored = held.get("store", {}) | {"depth_step_mm": claim.depth_scale_mm}
+        config = Config.model_validate(held | {"store": stored})
         rig = () if config.rig in PRESETS else (config.rig,)
         return Origin(config=config, seed=claim.seed, files=(*claim.config["files"], *rig))
     except (Unreadable, ValidationError, KeyError) as error:
@@ -183,7 +202,7 @@ def rerender(
         cell=cell,
         seed=seed,
         device=_device(cell, device, "local"),
-        depth_scale_mm=depth_scale_mm(cell.scene.rig.far_m),
+        depth_scale_mm=depth_step_mm(cell),
     )
     refuse_other_dataset(out, **_claimed(task))
     scene = out / "train" / f"{scene_id:06d}"
@@ -200,16 +219,13 @@ def _device(cell: Cell, device: str, engine: str) -> str:
     return choose_device(cell.config.render.backend, device)
 
 
-_BESIDE_CONFIG = ("files", "scanner")  # in a claim's configuration, but no keys of it
-
-
 def _claimed(task: Task) -> dict[str, Any]:
     """What a dataset's folder is claimed for."""
     cell = task.cell
     config = cell.config.model_dump(mode="json", exclude={"scenes", "seed"})
     beside = (cell.file_digests, _identity(cell.scanner))
     return {
-        "config": config | dict(zip(_BESIDE_CONFIG, beside, strict=True)),
+        "config": config | dict(zip(BESIDE_CONFIG, beside, strict=True)),
         "seed": task.seed,
         "parts": cell.kinds,
         "rig": cell.scene.rig,

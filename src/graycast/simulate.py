@@ -16,6 +16,7 @@ from . import __version__
 from .cell import Cell
 from .config import resolve_limits, resolve_quality
 from .dataset import Raw, Sample
+from .dataset.seeds import scene_seeds
 from .decode import CodeMap, Reason
 from .domain import Variation, draw, vary
 from .drop import OnStage, drop
@@ -50,7 +51,7 @@ def make_scene(
         ValueError: the picture is dark, or a value is out of its range.
     """
     config = cell.config
-    seeds = _seeds(cell, scene_id, seed)
+    seeds = scene_seeds(seed, scene_id, domain=config.domain is not None)
     timings: dict[str, float] = {}
     with _timed(timings, "drop"):
         counts = _counts(cell, scene_id, np.random.default_rng(seeds["counts"]))
@@ -114,21 +115,6 @@ def make_scene(
         ),
     )
     return Shot(sample=sample, rendering=rendering, capture=capture, codes=codes)
-
-
-# One independent stream per stage, so that a change in one leaves the others as they were: they
-# are known by their places, so new ones go last.
-_STREAMS = ("counts", "drop", "render", "noise", "picture", "domain")
-
-
-def _seeds(cell: Cell, scene_id: int, seed: int) -> dict[str, int]:
-    """The seed of each stage."""
-    sequence = np.random.SeedSequence(seed, spawn_key=(scene_id,))
-    state = sequence.generate_state(len(_STREAMS), np.uint64)
-    seeds = dict(zip(_STREAMS, map(int, state), strict=True))
-    if cell.config.domain is None:
-        del seeds["domain"]  # manifests stay as they were before there were domains
-    return seeds
 
 
 def _varied(cell: Cell, counts: tuple[int, ...], seeds: dict[str, int]) -> Variation:

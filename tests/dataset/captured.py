@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 
 from graycast.dataset import Raw
+from graycast.decode import Reason
 from graycast.frames import axis_rotation, inverse, pixel_grid, rigid, transform_points
 from graycast.optics import Optics, project, rays
 from graycast.pattern import level_share
@@ -68,11 +69,13 @@ def scanned(sample, scanner: Scanner, *, seed: int, roll_rad: float = 0.0):
         ]
     )
     found, depth = measure(scanner, capture)
+    shares = {r.name.lower(): float((depth.reason == r).mean()) for r in Reason}
     return replace(
         sample,
         scene=replace(sample.scene, rig=scanner.rig),
         gray=gray_picture(capture),
         scanner=depth,
         modulation=found.modulation,
+        manifest={**sample.manifest, "reasons": shares},
         raw=Raw(scanner=scanner, capture=capture, codes=found),
     )

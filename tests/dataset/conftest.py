@@ -3,11 +3,9 @@
 from dataclasses import replace
 
 import pytest
-from prisms import box_part, build_sample, make_rig, wedge_part
+from prisms import CONFIG, SCALE_MM, SEED, box_part, build_sample, make_rig, wedge_part
 
 from graycast.dataset.store import open_store
-
-SCALE_MM = 0.1
 
 
 @pytest.fixture(scope="session")
@@ -39,8 +37,8 @@ def opened(parts, rig):
 
     def open_folder(out, **changed):
         given = {
-            "config": {"rig": "test", "bin": {"size_m": [0.4, 0.3]}},
-            "seed": 7,
+            "config": CONFIG,
+            "seed": SEED,
             "parts": parts,
             "rig": rig,
             "depth_scale_mm": SCALE_MM,

@@ -1,8 +1,11 @@
 """Small scenes in closed form: convex prisms before a tilted wall, ray-traced by half-spaces."""
 
+from collections import Counter
+
 import numpy as np
 
 from graycast.dataset.sample import Sample
+from graycast.dataset.seeds import scene_seeds
 from graycast.decode import DepthMap, Reason
 from graycast.frames import random_quaternions, rigid, rotation_from_quaternion
 from graycast.optics import Optics
@@ -12,6 +15,8 @@ from graycast.rig import Rig
 from graycast.scene import Layout, Scene
 
 WIDTH, HEIGHT = 160, 120
+SEED, CONFIG = 7, {"rig": "test", "bin": {"size_m": [0.4, 0.3]}}  # of the dataset
+SCALE_MM = 0.02  # of the datasets' depth pictures
 K = np.array([[212.0, 0.0, 78.3], [0.0, 214.0, 61.7], [0.0, 0.0, 1.0]])
 WALL = (np.array([0.1, -0.2, 1.0]), 0.62)  # n . p = d, camera frame
 
@@ -122,6 +127,8 @@ def build_sample(seed, *, parts, rig):
     reason[40:55, 60:90] = Reason.SHADOW
     reason[rng.random((HEIGHT, WIDTH)) < 0.02] = Reason.CONTRADICTORY
     measured = depth_m + rng.normal(0, 2e-4, depth_m.shape)
+    instance = nearest - 1
+    rgb, gray, modulation = pictures(instance, reason == Reason.SHADOW, rng)
     pose = T_world_cam @ T_cam_part
     return Sample(
         scene=Scene(rig=rig, T_world_cam=T_world_cam, parts=parts),
@@ -129,19 +136,36 @@ def build_sample(seed, *, parts, rig):
         truth=GroundTruth(
             depth_m=depth_m,
             normal=np.full((HEIGHT, WIDTH, 3), np.nan),
-            instance=nearest - 1,
+            instance=instance,
             amodal=tuple(crop(~np.isnan(z)) for z in wide),
         ),
-        rgb=rng.integers(0, 256, (HEIGHT, WIDTH, 3), dtype=np.uint8),
-        gray=rng.integers(0, 256, (HEIGHT, WIDTH), dtype=np.uint8),
+        rgb=rgb,
+        gray=gray,
         scanner=DepthMap(
             depth_m=np.where(reason == 0, measured, np.nan),
             sigma_m=np.where(reason == 0, 2e-4, np.nan),
             reason=reason,
         ),
-        modulation=rng.uniform(0, 0.9, (HEIGHT, WIDTH)),
-        manifest={"seed": seed, "config": "abc", "timings": {"render_s": 1.5}},
+        modulation=modulation,
+        manifest={
+            "scene_id": seed,
+            "dataset_seed": SEED,
+            "seeds": scene_seeds(SEED, seed, domain=False),
+            "counts": dict(Counter(parts[p].name for p in part_index if parts[p].labelled)),
+            "reasons": {r.name.lower(): float((reason == r).mean()) for r in Reason},
+            "config": CONFIG,
+            "timings": {"render_s": 1.5},
+        },
     )
+
+
+def pictures(instance, shadow, rng):
+    """Colour, white frame and modulation of parts that differ in what they reflect."""
+    albedo = 0.25 + 0.08 * (np.arange(-1, 8) * 5 % 9)
+    light = np.where(shadow, 0.04, albedo[instance + 1]) * rng.uniform(0.97, 1, instance.shape)
+    tint = rng.uniform(0.6, 1, (9, 3))[instance + 1]
+    rgb = 255 * np.clip(light[..., None] * tint, 0, 1)
+    return rgb.astype(np.uint8), (255 * light).astype(np.uint8), np.where(shadow, 0, 0.9) * light
 
 
 def crop(wide):

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 import trimesh
 from PIL import Image
+from prisms import SCALE_MM
 
 from graycast.dataset.bop import depth_scale_mm, scene_files
 from graycast.dataset.models import diameter
@@ -231,15 +232,21 @@ def test_camera_file_says_what_the_camera_is(dataset, rig):
     c = json.loads((dataset / "camera.json").read_text())
     K = [[c["fx"], 0, c["cx"]], [0, c["fy"], c["cy"]], [0, 0, 1]]
     assert np.array_equal(K, rig.camera.K)
-    assert (c["width"], c["height"], c["depth_scale"]) == (160, 120, 0.1)
+    assert (c["width"], c["height"], c["depth_scale"]) == (160, 120, SCALE_MM)
 
 
 @pytest.mark.parametrize(
-    ("far_m", "scale_mm"), [(0.52, 0.1), (6.5535, 0.1), (6.56, 0.2), (20.0, 0.5), (65.0, 1.0)]
+    ("reach_m", "scale_mm"),
+    [(0.05, 0.001), (0.52, 0.01), (1.118, 0.02), (1.3107, 0.02), (1.311, 0.05), (65.0, 1.0)],
 )
-def test_depth_scale_is_a_tenth_unless_the_range_is_too_long(far_m, scale_mm):
-    assert depth_scale_mm(far_m) == scale_mm
-    assert far_m * 1000 / scale_mm <= 65535
+def test_depth_scale_spreads_16_bits_over_the_range(reach_m, scale_mm):
+    assert depth_scale_mm(reach_m) == scale_mm
+
+
+def test_depth_scale_wastes_at_most_a_factor_of_two_and_a_half():
+    for reach_m in np.geomspace(0.03, 65.5, 200):
+        steps = reach_m * 1e3 / depth_scale_mm(float(reach_m))
+        assert 65535 / 2.5 - 1 < steps <= 65535
 
 
 def test_depth_scale_refuses_what_no_scale_holds():
@@ -265,7 +272,7 @@ def test_a_part_too_deep_for_the_scale_is_refused_and_a_far_wall_is_unknown(samp
     steps = np.array(Image.open(io.BytesIO(files["depth/000000.png"])))
     assert np.array_equal(steps > 0, part)
     far_part = replace(truth, depth_m=np.where(part, 7.0, truth.depth_m))
-    with pytest.raises(DatasetError, match=r"7 m does not fit .* coarser depth_scale_mm"):
+    with pytest.raises(DatasetError, match=r"7 m does not fit .* {depth_step_mm: 0.2}"):
         dict(scene_files(replace(samples[0], truth=far_part), 0.1))
 
 
@@ -287,7 +294,7 @@ def test_images_of_another_size_than_the_camera_s_are_refused(samples, rig):
 def test_a_manifest_without_json_form_is_refused_and_nan_is_null(samples):
     sample = replace(samples[0], manifest={"noise": np.float32("nan"), "at": Path("a/b")})
     manifest = json.loads(dict(scene_files(sample, 0.1))["manifest.json"])
-    assert manifest == {"noise": None, "at": "a/b"}
+    assert {key: manifest[key] for key in sample.manifest} == {"noise": None, "at": "a/b"}
     with pytest.raises(ValueError, match="no JSON form"):
         dict(scene_files(replace(samples[0], manifest={"rig": object()}), 0.1))
 
@@ -297,6 +304,6 @@ def test_depth_pixels_back_projected_lie_on_the_wall(scene, samples):
     _, steps = load_image(scene / "depth" / "000000.png")
     wall = samples[0].truth.instance == -1
     ray = rays(samples[0].scene.rig.camera, pixel_grid(*steps.shape))
-    point_m = (ray * (steps * 1e-4)[..., None])[wall]
+    point_m = (ray * (steps * SCALE_MM / 1e3)[..., None])[wall]
     off_m = point_m @ [0.1, -0.2, 1.0] - 0.62
-    assert np.abs(off_m).max() < 0.5e-4 * 1.2
+    assert np.abs(off_m).max() < 0.5 * SCALE_MM / 1e3 * 1.2

@@ -6,7 +6,7 @@ from dataclasses import replace
 import cv2
 import numpy as np
 import pytest
-from prisms import box_part, build_sample, make_rig, wedge_part
+from prisms import CONFIG, SEED, box_part, build_sample, make_rig, wedge_part
 
 from graycast.dataset import open_store, validate
 from graycast.dataset.bop import scene_files
@@ -25,15 +25,15 @@ def sample(parts):
 
 def store(out, parts):
     rig = make_rig()
-    return open_store(out, config={}, seed=0, parts=parts, rig=rig, depth_scale_mm=0.02)
+    return open_store(out, config=CONFIG, seed=SEED, parts=parts, rig=rig, depth_scale_mm=0.02)
 
 
 @pytest.fixture
 def dataset(tmp_path):
     """One scene whose wedges are distractors."""
     with store(tmp_path / "out", (BOX, FOREIGN)) as opened:
-        opened.write(0, sample((BOX, FOREIGN)))
-        opened.finish([0])
+        opened.write(3, sample((BOX, FOREIGN)))
+        opened.finish([3])
     return tmp_path / "out"
 
 
@@ -86,7 +86,7 @@ def test_a_dataset_with_distractors_is_sound_and_has_no_model_of_them(dataset):
 
 def test_a_label_that_lies_is_found_among_distractors(dataset):
     """What a distractor hides, said to be seen; and a box moved by a millimetre."""
-    scene = dataset / "train" / "000000"
+    scene = dataset / "train" / "000003"
     for suffix in ("", "_sl"):
         path = scene / f"scene_gt{suffix}.json"
         poses = json.loads(path.read_text())
@@ -98,7 +98,7 @@ def test_a_label_that_lies_is_found_among_distractors(dataset):
 
 
 def test_a_visible_mask_that_covers_a_distractor_is_found(dataset):
-    scene = dataset / "train" / "000000"
+    scene = dataset / "train" / "000003"
     amodal = cv2.imread(str(scene / "mask" / "000000_000000.png"), cv2.IMREAD_UNCHANGED)
     visible = cv2.imread(str(scene / "mask_visib" / "000000_000000.png"), cv2.IMREAD_UNCHANGED)
     assert (amodal != visible).any()

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 import yaml
 from captured import scanned, toed_in
-from prisms import build_sample
+from prisms import SCALE_MM, build_sample
 from small_cell import content, write_cell
 
 from graycast.cli import main
@@ -104,7 +104,7 @@ def test_stored_frames_decode_to_the_stored_depth_to_the_last_bit(kept, case):
     np.testing.assert_array_equal(result.depth.reason, sample.scanner.reason)
     step = cv2.imread(str(scene / "depth_sl/000000.png"), cv2.IMREAD_UNCHANGED)
     depth_m = np.nan_to_num(result.depth.depth_m.astype(np.float64))
-    np.testing.assert_array_equal(np.rint(depth_m * 1e4), step)
+    np.testing.assert_array_equal(np.rint(depth_m * (1e3 / SCALE_MM)), step)
     assert (step > 0).mean() > 0.4
     assert (sample.scanner.reason == Reason.OUTLIER).any() == ("outliers" in case or "filt" in case)
 

@@ -217,7 +217,7 @@ samples = {0: build_sample(0, parts=parts, rig=rig), 3: build_sample(3, parts=pa
 print("ready", flush=True)
 config = {"rig": "test", "bin": {"size_m": [0.4, 0.3]}}
 with open_store(
-    Path(sys.argv[1]), config=config, seed=7, parts=parts, rig=rig, depth_scale_mm=0.1
+    Path(sys.argv[1]), config=config, seed=7, parts=parts, rig=rig, depth_scale_mm=0.02
 ) as store:
     for scene_id in set(samples) - store.finished():
         store.write(scene_id, samples[scene_id])

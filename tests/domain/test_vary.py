@@ -11,7 +11,7 @@ from crates import Crate
 from PIL import Image
 from scipy import integrate
 
-from graycast.dataset.bop import json_bytes
+from graycast.dataset.json_text import json_bytes
 from graycast.domain import draw, resolve_domain, vary
 from graycast.domain.vary import lamp_of
 from graycast.errors import ConfigError

@@ -227,7 +227,7 @@ def test_depth_of_every_kind_comes_in_to_half_a_step(made, real, samples, kind):
         step_m = done.depth_scale_mm / 1e3
         off_m = 0.5 * SCALE_M + 0.51 * step_m
         np.testing.assert_allclose(example.scanner_depth_m, sample.scanner.depth_m, atol=off_m)
-    assert done.depth_scale_mm == (0.1 if kind == "png" else 0.02)
+    assert done.depth_scale_mm == (SCALE_MM if kind == "png" else 0.02)
     assert validate(out) == ()
 
 
@@ -410,3 +410,14 @@ def test_a_lens_with_distortion_is_kept_as_it_was_stated(real, samples):
     assert open_examples(out)[0].distortion == distortion
     with pytest.raises(GraycastError, match="give five numbers k1,k2,p1,p2,k3"):
         run("import-real", real, "--out", out, "--distortion", "0.1,0.2")
+
+
+def test_a_picture_that_was_changed_after_the_import_is_found(real, samples):
+    """It is whole and nobody can say what it should show: only its SHA-256 tells."""
+    out, _ = imported(real, samples)
+    path = out / "train" / "000000" / "rgb" / "000000.png"
+    cv2.imwrite(str(path), cv2.imread(str(path)) // 2)
+    for fast in (False, True):
+        (problem,) = validate(out, fast=fast)
+        assert problem.scene == 0
+        assert "rgb/000000.png is not as it was written" in problem.what

@@ -9,6 +9,7 @@ from importlib.util import find_spec
 from statistics import median
 
 from ..engine import Failed, Made, Pool, SceneMaker, Task, make_all, open_pool
+from ..generate import depth_step_mm
 from .cells import paper_cell
 from .figures import Figures
 from .work import OnWork
@@ -34,7 +35,8 @@ def measure_engines(count: int, scenes: int, *, on_work: OnWork) -> Figures:
     Raises:
         DropError, GraycastError: a scene could not be made.
     """
-    task = Task(cell=paper_cell(count), seed=0, device="cpu", depth_scale_mm=0.1)
+    cell = paper_cell(count)
+    task = Task(cell=cell, seed=0, device="cpu", depth_scale_mm=depth_step_mm(cell))
     with ExitStack() as open_now:
         contenders = dict(_contenders(task, open_now))
         for number, (name, contender) in enumerate(contenders.items()):

@@ -12,9 +12,10 @@ import numpy as np
 from jaxtyping import UInt8
 
 from ..config import resolve_quality
-from ..dataset import depth_scale_mm, open_store
+from ..dataset import open_store
 from ..decode import DecodeSpec, Levels, decode, decode_plain
 from ..drop import DropLimits, drop
+from ..generate import depth_step_mm
 from ..pattern import Code, gray, gray_phase, multi_frequency
 from ..render import open_renderer
 from ..simulate import make_scene
@@ -161,7 +162,7 @@ def measure_drop(count: int) -> Figures:
 def measure_scene(device: str, count: int, scenes: int) -> Figures:
     cell = paper_cell(count)
     renderer = open_renderer("mitsuba", device=device)
-    scale_mm = depth_scale_mm(cell.scene.rig.far_m)
+    scale_mm = depth_step_mm(cell)
     stages: dict[str, list[float]] = {}
     seconds, rss = [], []
     with tempfile.TemporaryDirectory() as folder:

@@ -24,6 +24,7 @@ _OPTIONS = (
     "organised",
     "shard_scenes",
     "link",
+    "pixel_origin",
     "min_visibility",
 )
 
@@ -89,6 +90,12 @@ def add_commands(commands) -> None:
         action="store_true",
         default=None,
         help="Clouds only: write a point for every pixel, NaN where there is none.",
+    )
+    export.add_argument(
+        "--pixel-origin",
+        choices=("centre", "corner"),
+        help="BOP only: what of the top-left pixel is (0, 0). The renderers of bop_toolkit want "
+        "its corner (default: centre).",
     )
     export.add_argument(
         "--shard-scenes", type=positive, metavar="N", help="How many scenes one file holds at most."

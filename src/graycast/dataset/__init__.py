@@ -6,7 +6,7 @@ from .compare import differing_files
 from .raw import read_capture, read_code_maps
 from .sample import Raw, Sample, labelled
 from .store import SetAside, Store, open_store, refuse_other_dataset
-from .validate import Problem, validate
+from .validate import Problem, has_sums, validate
 
 __all__ = [
     "Problem",
@@ -17,6 +17,7 @@ __all__ = [
     "depth_scale_mm",
     "described_values",
     "differing_files",
+    "has_sums",
     "labelled",
     "open_store",
     "read_capture",

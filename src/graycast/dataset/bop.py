@@ -8,13 +8,11 @@ Lengths are millimetres. A depth picture times `depth_scale` is z of the camera 
 Pixel (0, 0) is the centre of the top-left pixel in BOP as it is here.
 """
 
-import json
 import math
 import struct
 import zlib
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 import cv2
@@ -28,31 +26,34 @@ from ..frames import inverse
 from ..optics import Optics
 from ..render.radiance import Silhouette
 from .coco import run_lengths, scene_annotation, scene_coco
+from .json_text import json_bytes
 from .models import MM_PER_M
 from .raw import raw_facts, raw_files
 from .sample import Sample, labelled
+from .seal import sealed
 
 _PNG_LEVEL = 2  # higher ones take twice the time for a hundredth of the size
-_DEPTH_MAX = 65535  # of 16 bits
+DEPTH_MAX = 65535  # of 16 bits
+_SCALES_MM = (0.001, 0.002, 0.005, 0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1.0)
 _NOTHING = [-1, -1, -1, -1]  # BOP's box of what cannot be seen
 
 
-def depth_scale_mm(far_m: float) -> float:
-    """The millimetres that one step of a depth picture stands for, for depths up to `far_m`.
+def depth_scale_mm(reach_m: float) -> float:
+    """The millimetres that one step of a depth picture stands for, for depths up to `reach_m`.
 
-    0.1 mm reaches 6.5 m, beyond that the finest of 0.2, 0.5 and 1 mm that reaches `far_m`. A
-    writer may be given a finer one where no part lies deeper than 65535 steps: 0.02 mm reaches
-    1.3 m. It is one number per dataset.
+    The finest of 0.001, 0.002, 0.005, 0.01, ... 1 mm whose 65535 steps reach so far: 0.02 mm up to
+    1.31 m. So a step is a part in 65535 to 26214 of the depth, well under a scanner's noise, and
+    what it multiplies stays short in decimals. It is one number per dataset.
 
     Raises:
-        ValueError: `far_m` is not positive, or beyond 65 m.
+        ValueError: `reach_m` is not positive, or beyond 65 m.
     """
-    if not far_m > 0:
-        raise ValueError(f"far_m is {far_m}; a depth in metres above 0")
-    for scale_mm in (0.1, 0.2, 0.5, 1.0):
-        if far_m * MM_PER_M <= scale_mm * _DEPTH_MAX:
+    if not reach_m > 0:
+        raise ValueError(f"reach_m is {reach_m}; a depth in metres above 0")
+    for scale_mm in _SCALES_MM:
+        if reach_m * MM_PER_M <= scale_mm * DEPTH_MAX:
             return scale_mm
-    raise ValueError(f"far_m is {far_m}; 16-bit depth in millimetres ends at 65.535 m")
+    raise ValueError(f"reach_m is {reach_m}; 16-bit depth in millimetres ends at 65.535 m")
 
 
 def camera_json(camera: Optics, scale_mm: float) -> dict[str, Any]:
@@ -71,6 +72,8 @@ def camera_json(camera: Optics, scale_mm: float) -> dict[str, Any]:
 def scene_files(sample: Sample, scale_mm: float) -> Iterator[tuple[str, bytes]]:
     """Every file of a scene folder as (path inside the folder, content), equal for equal samples.
 
+    The last one is the manifest, which holds the others' SHA-256.
+
     Raises:
         ValueError: images of the sample have other sizes than its camera, or its silhouettes
             are not one per instance.
@@ -78,8 +81,13 @@ def scene_files(sample: Sample, scale_mm: float) -> Iterator[tuple[str, bytes]]:
     """
     camera = sample.scene.rig.camera
     _check_shapes(sample, (camera.height_px, camera.width_px))
-    sample = labelled(sample)
-    seen = _instances(sample)
+    facts = {} if sample.raw is None else raw_facts(sample.raw)
+    return sealed(_unsealed_files(labelled(sample), scale_mm), {**sample.manifest, **facts})
+
+
+def _unsealed_files(sample: Sample, scale_mm: float) -> Iterator[tuple[str, bytes]]:
+    """All but the manifest."""
+    camera, seen = sample.scene.rig.camera, _instances(sample)
     truth = _depth_steps(sample.truth.depth_m, scale_mm, needed=sample.truth.instance >= 0)
     known = sample.scanner.reason == Reason.DECODED
     scanned = _depth_steps(sample.scanner.depth_m, scale_mm, needed=known)
@@ -109,47 +117,6 @@ def scene_files(sample: Sample, scale_mm: float) -> Iterator[tuple[str, bytes]]:
     yield "scene_sl.json", json_bytes({"0": scanner})
     if sample.raw is not None:
         yield from raw_files(sample.raw)
-    facts = {} if sample.raw is None else raw_facts(sample.raw)
-    yield "manifest.json", json_bytes({**sample.manifest, **facts})
-
-
-def json_bytes(content: Mapping[str, Any]) -> bytes:
-    """JSON with sorted keys, one line per key of the outermost object, as bop_toolkit writes it.
-
-    Raises:
-        ValueError: something in it has no JSON form.
-    """
-    tree = plain(content)
-    lines = [f"  {json.dumps(key)}: {_compact(tree[key])}" for key in sorted(tree)]
-    return ("{\n" + ",\n".join(lines) + "\n}\n").encode()
-
-
-def plain(value: Any) -> Any:
-    """Values of NumPy, paths, tuples and mappings as JSON has them; NaN is null.
-
-    Raises:
-        ValueError: a value of another type, or an infinite number.
-    """
-    match value:
-        case None | bool() | str() | int():
-            return value
-        case np.ndarray() | np.generic():
-            return plain(value.tolist())
-        case float():
-            if math.isinf(value):
-                raise ValueError("infinity has no JSON form")
-            return None if math.isnan(value) else value
-        case Path():
-            return str(value)
-        case Mapping():
-            return {str(key): plain(item) for key, item in value.items()}
-        case list() | tuple():
-            return [plain(item) for item in value]
-    raise ValueError(f"{value!r} has no JSON form")
-
-
-def _compact(tree: Any) -> str:
-    return json.dumps(tree, sort_keys=True, allow_nan=False)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -204,14 +171,20 @@ def _depth_steps(
     A table without end has no largest depth, so only parts and measurements must fit.
     """
     steps = np.rint(depth_m.astype(np.float64) * (MM_PER_M / scale_mm))
-    fits = (steps >= 1) & (steps <= _DEPTH_MAX)  # False for NaN
+    fits = (steps >= 1) & (steps <= DEPTH_MAX)  # False for NaN
     if (needed & ~fits).any():
         worst_m = depth_m[needed & ~fits][0]
         raise DatasetError(
             f"a depth of {worst_m:.6g} m does not fit 16 bits in steps of {scale_mm} mm "
-            f"(up to {scale_mm * _DEPTH_MAX / MM_PER_M:.3f} m): give a coarser depth_scale_mm"
+            f"(up to {scale_mm * DEPTH_MAX / MM_PER_M:.3f} m): give a coarser step, such as "
+            f"store: {{depth_step_mm: {_coarser_mm(worst_m)}}}"
         )
     return np.where(fits, steps, 0).astype(np.uint16)
+
+
+def _coarser_mm(depth_m: float) -> float:
+    """A step that reaches a depth, or the coarsest."""
+    return next((mm for mm in _SCALES_MM if depth_m * MM_PER_M <= mm * DEPTH_MAX), _SCALES_MM[-1])
 
 
 def _modulation_steps(
@@ -222,7 +195,7 @@ def _modulation_steps(
     NaN and what noise has made negative are stored as 0: no modulation.
     """
     value = np.nan_to_num(modulation.astype(np.float64), nan=0.0).clip(min=0.0)
-    scale = 2.0 ** math.ceil(math.log2(max(value.max(initial=0.0), 2.0**-16) / _DEPTH_MAX))
+    scale = 2.0 ** math.ceil(math.log2(max(value.max(initial=0.0), 2.0**-16) / DEPTH_MAX))
     return np.rint(value / scale).astype(np.uint16), scale
 
 

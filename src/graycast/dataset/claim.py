@@ -12,20 +12,26 @@ from typing import Any
 import numpy as np
 
 from .. import __version__
+from ..decode import DecodeSpec
 from ..errors import DatasetError
+from ..optics import Optics
 from ..parts import Part
 from ..rig import Rig
-from .bop import plain
+from ..sensor import SensorSpec
+from .json_text import plain
+from .seal import SUMS
 
 CLAIM = "graycast.json"
-FORMAT_VERSION = 1
+BESIDE_CONFIG = ("files", "scanner")  # in a claim's configuration, but no keys of it
+FORMAT_VERSION, SEALED_SINCE = 2, 2  # 1 had no SHA-256 of files
+_BESIDE = ("fingerprint", "sources", "versions", SUMS)  # what the fingerprint does not cover
 _CLAIMED = ("format_version", "seed", "depth_scale_mm", "rig", "parts", "distractors", "config")
 
 
 def make_claim(
     config: Mapping[str, Any], seed: int, parts: tuple[Part, ...], rig: Rig, depth_scale_mm: float
 ) -> dict[str, Any]:
-    """What `graycast.json` says; the fingerprint covers all but versions and the parts' sources."""
+    """What `graycast.json` says of a run; the fingerprint covers all but versions and sources."""
     known = [part for part in parts if part.labelled]
     described = [
         {"obj_id": obj_id, "name": part.name, "content": _digest(part)}
@@ -45,17 +51,23 @@ def make_claim(
         }
         | ({"distractors": distractors} if distractors else {})
     )
-    text = json.dumps(claim, sort_keys=True, allow_nan=False)
     versions = {
         "graycast": __version__,
         "numpy": np.__version__,
         "python": platform.python_version(),
     }
     return claim | {
-        "fingerprint": hashlib.sha256(text.encode()).hexdigest(),
+        "fingerprint": fingerprint(claim),
         "sources": [part.source for part in known],
         "versions": versions,
     }
+
+
+def fingerprint(claim: Mapping[str, Any]) -> str:
+    """SHA-256 over what makes a dataset this one and no other."""
+    told = {key: value for key, value in claim.items() if key not in _BESIDE}
+    text = json.dumps(told, sort_keys=True, allow_nan=False)
+    return hashlib.sha256(text.encode()).hexdigest()
 
 
 def described_values(value: Any) -> dict[str, Any]:
@@ -67,6 +79,36 @@ def described_values(value: Any) -> dict[str, Any]:
         return "inf" if isinstance(item, float) and math.isinf(item) else item
 
     return worded(asdict(value))
+
+
+def rig_of(described: Mapping[str, Any]) -> Rig:
+    """The rig that `described_values` wrote.
+
+    Raises:
+        KeyError, TypeError, ValueError: it is none.
+    """
+    told = _unworded(described)
+    lenses = {name: Optics(**told.pop(name)) for name in ("camera", "projector")}
+    return Rig(**told | lenses | {"T_cam_proj": np.array(told["T_cam_proj"], dtype=np.float64)})
+
+
+def read_scanning(described: Mapping[str, Any]) -> tuple[SensorSpec, DecodeSpec]:
+    """The sensor and the decoder of a claim's `config.scanner`.
+
+    Raises:
+        KeyError, TypeError, ValueError: they are none.
+    """
+    told = _unworded(described)
+    return SensorSpec(**told["sensor"]), DecodeSpec(**told["decode"])
+
+
+def _unworded(item: Any) -> Any:
+    """Lists are tuples, the word 'inf' is the number."""
+    if isinstance(item, Mapping):
+        return {key: _unworded(inner) for key, inner in item.items()}
+    if isinstance(item, list):
+        return tuple(map(_unworded, item))
+    return math.inf if item == "inf" else item
 
 
 def _digest(part: Part) -> str:
@@ -98,10 +140,10 @@ def refuse_other(path: Path, claim: Mapping[str, Any]) -> None:
     """
     try:
         held = json.loads(path.read_bytes())
-        fingerprint = held["fingerprint"]
+        known = held["fingerprint"]
     except (ValueError, KeyError, TypeError) as error:
         raise DatasetError(f"{path} cannot be read ({error}): choose another folder") from error
-    if fingerprint != claim["fingerprint"]:
+    if known != claim["fingerprint"]:
         where = next(
             (
                 found

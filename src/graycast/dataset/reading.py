@@ -2,7 +2,7 @@
 
 import zlib
 from pathlib import Path
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import cv2
 import numpy as np
@@ -33,6 +33,20 @@ def read_json(path: Path, form: type[R]) -> R:
         raise Unreadable(f"{path.name}: {where}: {first['msg']}") from error
 
 
+def held(content: Any, form: type[R], where: str) -> R:
+    """What a file or a part of it holds as the record it must be.
+
+    Raises:
+        Unreadable: it is of another form.
+    """
+    try:
+        return form.model_validate(content)
+    except pydantic.ValidationError as error:
+        first = error.errors()[0]
+        key = ".".join(str(key) for key in first["loc"])
+        raise Unreadable(f"{where}: {key}: {first['msg']}") from error
+
+
 def read_png(path: Path) -> np.ndarray:
     """A PNG's pixels, every chunk's checksum verified: decoders forgive a file that ends early.
 
@@ -45,6 +59,13 @@ def read_png(path: Path) -> np.ndarray:
     except OSError as error:
         raise Unreadable(f"{name} is missing") from error
     return png_pixels(data, name)
+
+
+def png_kind(path: Path) -> str:
+    """How a PNG that is whole holds its pixels: decoders turn all kinds into arrays alike."""
+    with open(path, "rb") as file:
+        kind = file.read(26)[25]
+    return {0: "grey", 2: "colour", 3: "palette"}.get(kind, "with opacity")
 
 
 def png_pixels(data: bytes, name: str) -> np.ndarray:

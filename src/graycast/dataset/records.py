@@ -43,6 +43,15 @@ class Claim(Record):
     distractors: list[DistractorClaim] = []
     sources: list[str]
     versions: dict[str, str]
+    sha256: dict[str, str] = {}  # of the files beside the scenes; format 1 had none
+
+
+class Versioned(BaseModel):
+    """Of any `graycast.json`, of simulated and of real pictures."""
+
+    model_config = ConfigDict(frozen=True, extra="ignore", strict=True)
+
+    format_version: int
 
 
 class Camera(Record):
@@ -244,6 +253,28 @@ class RawFacts(BaseModel):
 
     frames: FramesTold | None = None
     code_maps: list[str] = []
+
+
+class Physics(BaseModel):
+    """Of how the parts came to rest, what says where they may lie."""
+
+    model_config = ConfigDict(frozen=True, extra="ignore", strict=True)
+
+    outside: Count
+
+
+class SceneManifest(BaseModel):
+    """Of `manifest.json` what other files know too."""
+
+    model_config = ConfigDict(frozen=True, extra="ignore", strict=True)
+
+    scene_id: Count
+    dataset_seed: Count
+    seeds: dict[str, Count]
+    counts: dict[str, Count]
+    physics: Physics | None = None
+    reasons: dict[str, float]
+    config: dict[str, Any]
 
 
 class Manifest(RootModel[dict[str, Any]]):

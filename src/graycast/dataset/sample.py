@@ -13,6 +13,9 @@ from ..scanner import Scanner
 from ..scene import Layout, Scene
 from ..sensor import Capture
 
+# Share of a picture's pixels; in fewer, a wrong code happens to give a depth where there is none.
+LEAST_DECODED = 1e-3
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Raw:

@@ -23,11 +23,13 @@ from typing import IO, Any, final
 from ..errors import DatasetError
 from ..parts import Part
 from ..rig import Rig
-from .bop import camera_json, json_bytes, scene_files
+from .bop import camera_json, scene_files
 from .claim import CLAIM, make_claim, refuse_other
 from .coco import split_coco
+from .json_text import json_bytes
 from .models import model_files, models_info
 from .sample import Sample
+from .seal import SUMS, sha256
 
 _ASIDE = ".tmp-"
 _LOCK = ".lock"
@@ -186,14 +188,14 @@ def open_store(
             _sweep(out)
             if (out / CLAIM).exists():
                 refuse_other(out / CLAIM, claim)
+                if not (out / "models").exists() or not (out / "camera.json").exists():
+                    _write_common(out, _common_files(parts, rig, depth_scale_mm))
             else:
-                _replace(out / CLAIM, [json_bytes(claim)])
+                files = _common_files(parts, rig, depth_scale_mm)
+                sums = {name: sha256(content) for name, content in files.items()}
+                _replace(out / CLAIM, [json_bytes(claim | {SUMS: sums})])
+                _write_common(out, files)
             (out / "train").mkdir(exist_ok=True)
-            if not (out / "models").exists():
-                _write_models(out, parts)
-            if not (out / "camera.json").exists():
-                camera = camera_json(rig.camera, depth_scale_mm)
-                _replace(out / "camera.json", [json_bytes(camera)])
     except BaseException:
         lock.close()
         raise
@@ -298,13 +300,25 @@ def _sweep(out: Path) -> None:
             left.unlink()
 
 
-def _write_models(out: Path, parts: tuple[Part, ...]) -> None:
+def _common_files(parts: tuple[Part, ...], rig: Rig, depth_scale_mm: float) -> dict[str, bytes]:
+    """What all scenes share: the models, and the camera."""
+    models = model_files(parts) | {"models_info.json": json_bytes(models_info(parts))}
+    common = {f"models/{name}": content for name, content in models.items()}
+    return common | {"camera.json": json_bytes(camera_json(rig.camera, depth_scale_mm))}
+
+
+def _write_common(out: Path, files: Mapping[str, bytes]) -> None:
+    """Write what is not there yet: the folder of models as a whole."""
+    if not (out / "camera.json").exists():
+        _replace(out / "camera.json", [files["camera.json"]])
+    if (out / "models").exists():
+        return
     aside = out / f"{_ASIDE}models-{secrets.token_hex(4)}"
     try:
         aside.mkdir()
-        for name, content in model_files(parts).items():
-            _write(aside / name, [content], to_disk=True)
-        _write(aside / "models_info.json", [json_bytes(models_info(parts))], to_disk=True)
+        for name, content in files.items():
+            if name.startswith("models/"):
+                _write(aside / Path(name).name, [content], to_disk=True)
         aside.rename(out / "models")
     finally:
         shutil.rmtree(aside, ignore_errors=True)

@@ -1,6 +1,7 @@
 """Checks a dataset from its files alone: no renderer, no configuration, no trust."""
 
-from collections.abc import Iterator
+import json
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -11,10 +12,14 @@ from pycocotools import mask as coco_mask
 from ..errors import DatasetError
 from ..frames import is_rigid
 from . import records
+from .bop import camera_json
+from .claim import CLAIM, FORMAT_VERSION, SEALED_SINCE, fingerprint, rig_of
 from .models import diameter
+from .plain_scene import Model
 from .reading import Unreadable, read_json
 from .real import is_real, real_problems
-from .scene_check import Model, scene_problems
+from .scene_check import scene_problems
+from .seal import MANIFEST, seal_problems, sum_problems
 from .store import finished_scenes
 
 _MODEL_MM = 1e-3  # nine digits in a PLY, read back in single precision
@@ -31,8 +36,11 @@ class Problem:
         return f"scene {self.scene:06d}: {self.what}" if self.scene is not None else self.what
 
 
-def validate(out: Path) -> tuple[Problem, ...]:
+def validate(out: Path, *, fast: bool = False) -> tuple[Problem, ...]:
     """All problems of a dataset folder; an empty tuple if it is sound.
+
+    Each file must have the SHA-256 that it was written with. `fast` ends there: it tells of all
+    that happened to the files since, in a hundredth of the time.
 
     Poses are checked against masks and depth by rendering every model at its pose with a
     rasteriser of this package's own; masks must be a partition, and every count, box and run
@@ -40,27 +48,33 @@ def validate(out: Path) -> tuple[Problem, ...]:
 
     Of real pictures only what they hold is checked: pictures, masks, counts and run lengths.
 
-    Leaves out: whether the colour and the white-frame picture show the scene, and whether the
-    scanner's depth is right: it is a measurement.
+    Beside the sums, what the files say must be possible together; see `sense/`, which also tells
+    what it leaves out.
 
     Raises:
-        DatasetError: the folder holds no dataset at all.
+        DatasetError: the folder holds no dataset at all, one of a later format, or one without
+            sums where nothing but these is wanted.
     """
     if is_real(out):
-        return tuple(Problem(scene=scene, what=what) for scene, what in real_problems(out))
+        found = () if fast else real_problems(out)
+        sums = _sum_problems(out, _version(out, fast=fast), finished_scenes(out))
+        return (*sums, *(Problem(scene=scene, what=what) for scene, what in found))
     try:
         claim = read_json(out / "graycast.json", records.Claim)
     except Unreadable as error:
         raise DatasetError(f"{out} is not a Graycast dataset: {error}") from error
+    version, finished = _version(out, fast=fast), sorted(finished_scenes(out))
     problems = [Problem(scene=None, what=what) for what in _leftovers(out)]
+    problems += [Problem(scene=None, what=what) for what in _claim_problems(out, claim)]
+    problems += _sum_problems(out, version, finished)
+    if fast:
+        return tuple(problems)
     try:
         camera = read_json(out / "camera.json", records.Camera)
         infos = read_json(out / "models" / "models_info.json", records.ModelsInfo).root
     except Unreadable as error:
         return (*problems, Problem(scene=None, what=str(error)))
-    if camera.depth_scale != claim.depth_scale_mm:
-        scales = f"{camera.depth_scale}, graycast.json has {claim.depth_scale_mm}"
-        problems.append(Problem(scene=None, what=f"camera.json: depth_scale is {scales}"))
+    problems += [Problem(scene=None, what=what) for what in _camera_problems(camera, claim)]
     expected = {str(part.obj_id) for part in claim.parts}
     if set(infos) != expected:
         what = f"models_info.json has objects {sorted(infos)}, graycast.json {sorted(expected)}"
@@ -73,15 +87,93 @@ def validate(out: Path) -> tuple[Problem, ...]:
             problems.append(Problem(scene=None, what=str(error)))
             continue
         problems += [Problem(scene=None, what=w) for w in _model_problems(int(obj_id), model)]
-    finished = sorted(finished_scenes(out))
     for scene_id in finished:
         folder = out / "train" / f"{scene_id:06d}"
-        found = scene_problems(folder, camera=camera, models=models)
+        found = scene_problems(folder, claim=claim, camera=camera, models=models)
         problems += [Problem(scene=scene_id, what=what) for what in found]
     problems += [
         Problem(scene=None, what=what) for what in _split_problems(out, camera, finished, claim)
     ]
     return tuple(problems)
+
+
+def _version(out: Path, *, fast: bool) -> int:
+    """The format of a dataset.
+
+    Raises:
+        DatasetError: it is a later one, or it has no sums and nothing but these is wanted.
+    """
+    try:
+        version = read_json(out / CLAIM, records.Versioned).format_version
+    except Unreadable as error:
+        raise DatasetError(f"{out} is not a Graycast dataset: {error}") from error
+    if not 1 <= version <= FORMAT_VERSION:
+        raise DatasetError(
+            f"{out}: has format_version {version}, this Graycast reads 1 to {FORMAT_VERSION}: "
+            "install the version that made it"
+        )
+    if fast and version < SEALED_SINCE:
+        raise DatasetError(
+            f"{out}: has format_version {version}, which holds no SHA-256 of its files: check it "
+            "without --fast"
+        )
+    return version
+
+
+def has_sums(out: Path) -> bool:
+    """Whether the SHA-256 of a dataset's files is known.
+
+    Raises:
+        DatasetError: as of `validate`.
+    """
+    return _version(out, fast=False) >= SEALED_SINCE
+
+
+def _sum_problems(out: Path, version: int, finished: Iterable[int]) -> list[Problem]:
+    """Files that are not what was written."""
+    if version < SEALED_SINCE:
+        return []
+    problems = []
+    for scene_id in sorted(finished):
+        folder = out / "train" / f"{scene_id:06d}"
+        try:
+            manifest = read_json(folder / MANIFEST, records.Manifest).root
+        except Unreadable as error:
+            problems.append(Problem(scene=scene_id, what=str(error)))
+            continue
+        problems += [Problem(scene=scene_id, what=w) for w in seal_problems(folder, manifest)]
+        if manifest.get("scene_id", scene_id) != scene_id:  # of real pictures it tells of none
+            what = f"{MANIFEST}: scene_id is {manifest['scene_id']}: a copy of another scene?"
+            problems.append(Problem(scene=scene_id, what=what))
+    return problems
+
+
+def _claim_problems(out: Path, claim: records.Claim) -> Iterator[str]:
+    """What `graycast.json` says of itself, of the models and of the camera."""
+    held = json.loads((out / CLAIM).read_bytes())
+    if fingerprint(held) != claim.fingerprint:
+        yield f"{CLAIM} is not as it was written: its fingerprint is another"
+    if claim.format_version >= SEALED_SINCE:
+        if not claim.sha256:
+            yield f"{CLAIM}: sha256 is missing, which every dataset of this format has"
+        yield from sum_problems(out, claim.sha256, told_in=CLAIM)
+
+
+def _camera_problems(camera: records.Camera, claim: records.Claim) -> Iterator[str]:
+    """`camera.json` against the rig that `graycast.json` says."""
+    if camera.depth_scale != claim.depth_scale_mm:
+        scales = f"{camera.depth_scale}, graycast.json has {claim.depth_scale_mm}"
+        yield f"camera.json: depth_scale is {scales}"
+    try:
+        lens = rig_of(claim.rig).camera
+    except (KeyError, TypeError, ValueError) as error:
+        yield f"{CLAIM}: rig is none: {error}"
+        return
+    must = camera_json(lens, claim.depth_scale_mm) | {"distortion": list(lens.distortion)}
+    is_ = camera.model_dump()
+    for key in sorted(set(must) - {"depth_scale"}):
+        if is_[key] != must[key]:
+            yield f"camera.json: {key} is {is_[key]}, the rig of {CLAIM} has {must[key]}"
 
 
 def _leftovers(out: Path) -> Iterator[str]:

@@ -6,6 +6,7 @@ record alone gives the scene that is dropped and rendered.
 
 from .draw import draw
 from .files import Domain, domain_files, resolve_domain
+from .reach import deepest_m
 from .sections import AdaptedSection, DomainSection, RandomizedSection
 from .vary import Variation, vary
 
@@ -15,6 +16,7 @@ __all__ = [
     "DomainSection",
     "RandomizedSection",
     "Variation",
+    "deepest_m",
     "domain_files",
     "draw",
     "resolve_domain",

@@ -156,7 +156,7 @@ def with_rig_and_bin(domain: Domain, scene: Scene, record: Record) -> Scene:
     """
     box, T_world_cam = scene.bin, scene.T_world_cam
     if "camera" in record:
-        T_world_cam = _moved_rig(scene, record["camera"])
+        T_world_cam = moved_rig(scene, record["camera"])
     if "bin" in record:
         box = _changed_bin(box, record["bin"], _texture(domain.bin_textures, record["bin"]))
     varied = replace(scene, T_world_cam=T_world_cam, bin=box)
@@ -170,7 +170,7 @@ def with_rig_and_bin(domain: Domain, scene: Scene, record: Record) -> Scene:
     return varied
 
 
-def _moved_rig(scene: Scene, drawn: Record) -> Float[np.ndarray, "4 4"]:
+def moved_rig(scene: Scene, drawn: Record) -> Float[np.ndarray, "4 4"]:
     """The rig about the point that it looks at: tilt and azimuth add to those of `rig.place`."""
     T_cam_rig = frame_in_camera(scene.rig)
     T_world_rig = scene.T_world_cam @ T_cam_rig

@@ -1,6 +1,7 @@
 """What a worker does, wherever it runs: scenes of one task, from seeds to the bytes of files."""
 
 import time
+from collections.abc import Mapping
 from dataclasses import dataclass
 from types import TracebackType
 
@@ -9,7 +10,8 @@ import numba
 from .. import __version__
 from ..cell import Cell, open_cell_renderer
 from ..dataset import scene_files
-from ..errors import DeviceError, GraycastError, WorkerDied
+from ..dataset.sample import LEAST_DECODED
+from ..errors import DecodeError, DeviceError, GraycastError, WorkerDied
 from ..render import OnFrame, Renderer
 from ..simulate import OnStage, make_scene
 from ..usage import rss_bytes
@@ -66,7 +68,7 @@ class SceneMaker:
         """One scene.
 
         Raises:
-            DropError, ValueError: this scene cannot be made; the next one may be.
+            DropError, DecodeError, ValueError: this scene cannot be made; the next one may be.
             Exception: what nobody foresaw; the renderer is opened anew for the next scene.
         """
         start = time.perf_counter()
@@ -81,6 +83,7 @@ class SceneMaker:
                 renderer=self._renderer,
                 on_stage=self._on_stage,
             )
+            _refuse_undecoded(shot.sample.manifest["reasons"])
             files = tuple(scene_files(shot.sample, task.depth_scale_mm))
         except BaseException as error:
             if not is_the_scenes_own(error):
@@ -119,6 +122,32 @@ class SceneMaker:
         trace: TracebackType | None,
     ) -> None:
         self.close()
+
+
+def _refuse_undecoded(reasons: Mapping[str, float]) -> None:
+    """A scene without scanner depth is none, and `validate` would say so.
+
+    Raises:
+        DecodeError: hardly a pixel was decoded; says why most were not, and what helps.
+    """
+    if reasons["decoded"] >= LEAST_DECODED:
+        return
+    most = max(reasons, key=lambda name: reasons[name])
+    raise DecodeError(
+        f"the scanner finds a depth in {reasons['decoded']:.2%} of the pixels, that is in none: "
+        f"{reasons[most]:.0%} are {most}: "
+        f"{_REMEDIES.get(most, 'see graycast preview')}"
+    )
+
+
+_LIGHT = "give a longer exposure.exposure_s, or leave it out, or a nearer view.distance_m"
+_REMEDIES = {
+    "shadow": _LIGHT,
+    "low_modulation": _LIGHT,
+    "saturated": "give a shorter exposure.exposure_s, or leave it out",
+    "out_of_range": "bring the bin into the rig's near_m to far_m (view.distance_m)",
+    "outside_projector": "bring the bin to where the projector shines (view.distance_m)",
+}
 
 
 def is_the_scenes_own(error: BaseException) -> bool:

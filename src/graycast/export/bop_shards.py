@@ -5,6 +5,10 @@ KEY.gt_info.json, KEY.mask.json and KEY.mask_visib.json. Masks are run lengths b
 place in `gt`. Shards keep the order of the scenes, which are independent draws, so that reading
 them one after another is random enough.
 
+BOP's pixel (0, 0) is the centre of the top-left pixel. bop_toolkit's renderers put it at that
+pixel's corner: their projection sends a point to x = fx X/Z + cx of a window in which the centre of
+pixel k lies at k + 1/2. For who uses them `pixel_origin="corner"` adds half a pixel to cx and cy.
+
 Source: the documented layout of bop_toolkit's `dataset/bop_imagewise.py` and `bop_webdataset.py`.
 """
 
@@ -15,6 +19,7 @@ from pathlib import Path
 import cv2
 
 from ..dataset.coco import run_lengths
+from ..dataset.json_text import json_bytes
 from ..dataset.stored import StoredDataset, StoredScene
 from ..errors import DatasetError
 from ..render.radiance import Silhouette
@@ -51,7 +56,9 @@ def write_rest(
     folder: Path, splits: Iterable[str], stored: StoredDataset, options: Options
 ) -> None:
     """What belongs to the dataset as a whole: `camera.json` and the models."""
-    place(stored.folder / "camera.json", folder / "camera.json", link=False)
+    camera = json.loads((stored.folder / "camera.json").read_bytes())
+    camera |= {key: camera[key] + options.shift_px for key in ("cx", "cy")}
+    (folder / "camera.json").write_bytes(json_bytes(camera))
     for source in sorted((stored.folder / "models").glob("*")):
         place(source, folder / "models" / source.name, link=False)
 
@@ -72,7 +79,10 @@ def _files(scene: StoredScene, options: Options) -> Iterator[tuple[str, bytes | 
         yield "gray.tiff", cv2.imencode(".tiff", scene.gray())[1].tobytes()
     for depth in options.depths:
         yield "depth.png", scene.png(depth)
-    yield "camera.json", _image(scene, "scene_camera.json")
+    camera = json.loads(_image(scene, "scene_camera.json"))
+    for k in (2, 5):
+        camera["cam_K"][k] += options.shift_px
+    yield "camera.json", json.dumps(camera).encode()
     if "masks" not in scene.holds:
         return
     scanner = options.depths == ("depth_sl",) and not scene.real

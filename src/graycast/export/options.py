@@ -14,6 +14,7 @@ _CHOICES = {
     "depth": (*_ONE_DEPTH[:2], "both", "none"),
     "labels": ("segments", "boxes"),
     "cloud": ("ply", "pcd"),
+    "pixel_origin": ("centre", "corner"),
 }
 # The options of each format and what they are where nothing is said.
 FORMATS: Mapping[str, Mapping[str, Any]] = {
@@ -21,8 +22,12 @@ FORMATS: Mapping[str, Mapping[str, Any]] = {
         "image": "rgb", "depth": "none", "polygons": False, "link": False, "min_visibility": 0.0
     },
     "yolo": {"image": "rgb", "labels": "segments", "link": False, "min_visibility": 0.0},
-    "bop-imagewise": {"image": "rgb", "depth": "perfect", "link": False},
-    "bop-webdataset": {"image": "rgb", "depth": "perfect", "shard_scenes": 1000},
+    "bop-imagewise": {
+        "image": "rgb", "depth": "perfect", "link": False, "pixel_origin": "centre"
+    },
+    "bop-webdataset": {
+        "image": "rgb", "depth": "perfect", "shard_scenes": 1000, "pixel_origin": "centre"
+    },
     "webdataset": {"image": "rgb", "depth": "both", "shard_scenes": 500, "min_visibility": 0.0},
     "parquet": {"image": "rgb", "depth": "both", "shard_scenes": 500, "min_visibility": 0.0},
     "clouds": {"image": "rgb", "depth": "both", "cloud": "ply", "organised": False},
@@ -47,6 +52,8 @@ class Options:
         cloud: `ply` or `pcd`.
         organised: clouds with a point for every pixel, NaN where there is none.
         shard_scenes: scenes in one file, at most.
+        pixel_origin: what of the top-left pixel is (0, 0) in BOP's cameras: its `centre`, as BOP
+            says, or its `corner`, as bop_toolkit's own renderers take it.
         link: hard links to the dataset's pictures instead of copies.
         min_visibility: leave out instances of which less is visible, as a share.
     """
@@ -61,6 +68,7 @@ class Options:
     organised: bool | None = None
     shard_scenes: int | None = None
     link: bool | None = None
+    pixel_origin: str | None = None
     min_visibility: float | None = None
 
     def __post_init__(self) -> None:
@@ -113,6 +121,11 @@ class Options:
         if getattr(self, name) is not None:
             held = ", ".join(sorted(stored.holds))
             raise GraycastError(f"{stored.folder}: has no {value} {name}; it holds {held}")
+
+    @property
+    def shift_px(self) -> float:
+        """What is added to the principal point of the dataset, which counts from centres."""
+        return 0.5 if self.pixel_origin == "corner" else 0.0
 
     @property
     def picture(self) -> str | None:

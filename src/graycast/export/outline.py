@@ -2,23 +2,35 @@
 
 Pixel (0, 0) covers [0, 1] x [0, 1], as in COCO and YOLO: coordinates count from the image's corner,
 half a pixel before those of the rest of this package.
+
+Outlines lie a sixteenth of a pixel inside the borders. Programs that count what lies inside
+(pycocotools) read the same mask from there. Those that cut coordinates to whole numbers and paint
+the outline with the rest (OpenCV's `fillPoly`, so Ultralytics) would else make a mask a pixel wider
+on its right and lower side, half of a part of 2 x 2 pixels: now they, too, paint the pixels of the
+mask. What rounds instead of cutting, or scales before, is still wider.
 """
 
 import numpy as np
-from jaxtyping import Bool, Int
+from jaxtyping import Bool, Float, Int
 from scipy import ndimage
 
 _ALONG = np.array([[1, 0], [0, 1], [-1, 0], [0, -1]])  # right, down, left, up: inside on the right
 
 
-def rings(mask: Bool[np.ndarray, "h w"]) -> list[Int[np.ndarray, "_ 2"]]:
+# A binary fraction; pycocotools rounds fifths of a pixel, so it may be up to a tenth.
+INSET_PX = 1 / 16
+_INWARD = np.array([[0, 1], [-1, 0], [0, -1], [1, 0]])  # of a border in each direction
+
+
+def rings(mask: Bool[np.ndarray, "h w"]) -> list[Float[np.ndarray, "_ 2"]]:
     """The corners (x, y) of every border of a mask: clockwise on the screen, holes the other way.
 
-    Pixels that touch at a corner only are apart.
+    They lie inside the mask by `INSET_PX`. Pixels that touch at a corner only are apart.
     """
     start, direction, following = _edges(mask)
     turns = direction != direction[following]
-    following, seen, found = following.tolist(), [False] * len(start), []
+    after, following = following, following.tolist()
+    seen, found = [False] * len(start), []
     for first in range(len(start)):
         ring, edge = [], first
         while not seen[edge]:
@@ -28,7 +40,9 @@ def rings(mask: Bool[np.ndarray, "h w"]) -> list[Int[np.ndarray, "_ 2"]]:
         if ring:
             kept = np.array(ring)
             corner = kept[turns[kept]]
-            found.append(start[corner] + _ALONG[direction[corner]])
+            first_side, second = direction[corner], direction[after[corner]]
+            inward = _INWARD[first_side] + _INWARD[second]
+            found.append(start[corner] + _ALONG[first_side] + INSET_PX * inward)
     return found
 
 
@@ -60,11 +74,11 @@ def _edges(
     return start, direction, following
 
 
-def path(mask: Bool[np.ndarray, "h w"]) -> Int[np.ndarray, "_ 2"]:
+def path(mask: Bool[np.ndarray, "h w"]) -> Float[np.ndarray, "_ 2"]:
     """One closed path around a mask, its pieces and holes joined by cuts that are walked twice.
 
     A cut has no area, so a reader that counts crossings gets the mask back; a reader that paints
-    outlines (OpenCV's `fillPoly`) sees it as a line of one pixel.
+    outlines (OpenCV's `fillPoly`) sees it as a line of one pixel, which matters between pieces.
     """
     around = sorted(rings(mask), key=len, reverse=True)
     joined = around[0]
@@ -76,7 +90,7 @@ def path(mask: Bool[np.ndarray, "h w"]) -> Int[np.ndarray, "_ 2"]:
     return joined
 
 
-def polygons(mask: Bool[np.ndarray, "h w"]) -> list[Int[np.ndarray, "_ 2"]]:
+def polygons(mask: Bool[np.ndarray, "h w"]) -> list[Float[np.ndarray, "_ 2"]]:
     """A path for each connected piece of a mask."""
     pieces, _ = ndimage.label(mask)
     found = []

@@ -1,5 +1,11 @@
-"""Parquet: a row per scene, pictures as PNG bytes, labels as lists."""
+"""Parquet: a row per scene, pictures as PNG bytes, labels as lists.
 
+A picture is a struct of `bytes` and `path`, and the schema's metadata says that it is one, so that
+Hugging Face's `datasets` opens it as an `Image`.
+Source: huggingface.co/docs/datasets, "Image" and "Features".
+"""
+
+import json
 from collections.abc import Iterable
 from itertools import chain, islice
 from pathlib import Path
@@ -24,10 +30,12 @@ _IMAGES = {"rgb": "rgb", "gray_sl": "gray", "depth": "depth", "depth_sl": "depth
 def schema() -> "pa.Schema":
     """One row; columns that a dataset does not hold are null."""
     masks = pa.struct([("size", pa.list_(pa.int32(), 2)), ("counts", pa.string())])
+    image = pa.struct([("bytes", pa.binary()), ("path", pa.string())])
+    features = {name: {"_type": "Image"} for name in _IMAGES.values()}
     return pa.schema(
         [
             ("scene_id", pa.int64()),
-            *((name, pa.binary()) for name in _IMAGES.values()),
+            *((name, image) for name in _IMAGES.values()),
             ("depth_scale", pa.float64()),
             ("cam_K", pa.list_(pa.float64(), 9)),
             ("distortion", pa.list_(pa.float64(), 5)),
@@ -37,7 +45,9 @@ def schema() -> "pa.Schema":
             ("masks", pa.list_(masks)),
             ("poses", pa.list_(pa.list_(pa.float64(), 16))),
             ("visib_fract", pa.list_(pa.float64())),
-        ]
+        ],
+        # What is not named has the type that its column has.
+        metadata={"huggingface": json.dumps({"info": {"features": features}})},
     )
 
 
@@ -59,7 +69,10 @@ def write_split(
 def _row(scene: StoredScene, options: Options) -> dict[str, Any]:
     view = scene.view()
     names = (*options.depths, *([options.picture] if options.picture else ()))
-    row: dict[str, Any] = {_IMAGES[name]: scene.png(name).read_bytes() for name in names}
+    row: dict[str, Any] = {
+        _IMAGES[name]: {"bytes": scene.png(name).read_bytes(), "path": f"{scene.scene_id:06d}.png"}
+        for name in names
+    }
     row |= {"scene_id": scene.scene_id, "depth_scale": view.depth_scale}
     row |= {"cam_K": view.cam_K, "distortion": view.distortion}
     if "masks" not in scene.holds:

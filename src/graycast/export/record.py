@@ -5,7 +5,7 @@ from typing import Any
 
 from .. import __version__
 from ..dataset import records
-from ..dataset.bop import json_bytes
+from ..dataset.json_text import json_bytes
 from ..dataset.reading import Unreadable, read_json
 from ..dataset.stored import StoredDataset
 from ..errors import DatasetError

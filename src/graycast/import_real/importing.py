@@ -13,10 +13,11 @@ import numpy as np
 from jaxtyping import Float
 
 from .. import __version__
-from ..dataset.bop import json_bytes
 from ..dataset.claim import CLAIM, FORMAT_VERSION
 from ..dataset.coco import run_lengths, scene_annotation, scene_coco
+from ..dataset.json_text import json_bytes
 from ..dataset.real import pixel_box, split_entry
+from ..dataset.seal import sealed
 from ..errors import DatasetError
 from ..folder import new_folder
 from ..render.radiance import Silhouette
@@ -180,7 +181,7 @@ class _Writer:
         return size | {"fx": fx, "fy": fy, "cx": cx, "cy": cy} | self._distortion()
 
     def scene(self, place: Path, shot: Shot, seen: Seen, drawn: Drawn | None) -> None:
-        files = {"manifest.json": json_bytes({"stem": shot.stem, "files": _digests(shot)})}
+        files: dict[str, bytes] = {}
         view = {"cam_K": seen.K.ravel(), "depth_scale": self.step_mm} | self._distortion()
         suffixes = _suffixes(self.holds)
         for suffix in suffixes:
@@ -193,7 +194,8 @@ class _Writer:
             files["depth_sl/000000.png"] = _png(depth_steps(seen.depth_m, self.step_mm))
         if drawn is not None:
             files |= self._label_files(shot, seen, drawn, suffixes)
-        for name, content in files.items():
+        manifest = {"stem": shot.stem, "files": _digests(shot)}
+        for name, content in sealed(files.items(), manifest):
             (place / name).parent.mkdir(parents=True, exist_ok=True)
             (place / name).write_bytes(content)
 

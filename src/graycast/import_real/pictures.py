@@ -9,6 +9,7 @@ import numpy as np
 from jaxtyping import Float, UInt8, UInt16
 from PIL import Image, UnidentifiedImageError
 
+from ..dataset.bop import DEPTH_MAX, depth_scale_mm
 from ..dataset.reading import Unreadable, read_png
 from ..errors import DatasetError
 from ..realism.ply import read_ply
@@ -23,8 +24,6 @@ from ..realism.reading import (
 
 FOLDERS = {"rgb": PICTURES, "gray": (*PICTURES, ".npy"), "depth": DEPTH_FILES}
 _NEAREST_M = 0.01  # no scanner measures from nearer
-_STEPS_MM = (0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1.0)
-_DEPTH_MAX = 65535  # of 16 bits
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -134,20 +133,20 @@ def read_shot(
 def depth_step_mm(shots: Sequence[Shot], deepest_m: float, scale_m: float | None) -> float:
     """The millimetres of one step of the stored depth.
 
-    Whole numbers keep their own scale, so that nothing is rounded; floats get the finest of
-    0.01 to 1 mm that reaches the deepest.
+    Whole numbers keep their own scale, so that nothing is rounded; floats get the finest step that
+    reaches the deepest, as simulated depth does.
     """
     depths = [shot.depth for shot in shots if shot.depth is not None]
     whole = all(_is_whole(path) for path in depths)
-    if depths and whole and scale_m is not None and deepest_m / scale_m <= _DEPTH_MAX + 0.5:
+    if depths and whole and scale_m is not None and deepest_m / scale_m <= DEPTH_MAX + 0.5:
         return float(f"{scale_m * 1e3:.12g}")
-    for step_mm in _STEPS_MM:
-        if deepest_m * 1e3 <= step_mm * _DEPTH_MAX:
-            return step_mm
-    raise DatasetError(
-        f"the deepest point lies at {deepest_m:.4g} m, 16-bit depth ends at 65.535 m: is the scale "
-        "right? else remove such points"
-    )
+    try:
+        return depth_scale_mm(deepest_m or _NEAREST_M)  # without any depth the step means nothing
+    except ValueError as error:
+        raise DatasetError(
+            f"the deepest point lies at {deepest_m:.4g} m, 16-bit depth ends at 65.535 m: is the "
+            "scale right? else remove such points"
+        ) from error
 
 
 def depth_steps(depth_m: Float[np.ndarray, "h w"], step_mm: float) -> UInt16[np.ndarray, "h w"]:

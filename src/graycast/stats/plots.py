@@ -13,6 +13,7 @@ from .scene import DEPTH_BIN_MM
 
 _CLASS_COLORS = (ACCENT, SECOND, "#4f9d69", "#7d5ba6", "#c8385a", "#8a7a2b")
 _ERROR_SIGMAS = 5.0
+_ERROR_BARS = 100  # at most, about: finer ones would show noise
 
 
 def draw_statistics(statistics: Statistics, path: Path) -> None:
@@ -98,6 +99,10 @@ def _errors(ax: Axes, s: Statistics) -> None:
     if not s.error.pixels:
         return
     reach = max(_ERROR_SIGMAS * s.error.sigma_mm, 3 * s.depth_scale_mm)
+    # Whole steps to a bar, centred on none at all.
+    width_mm = max(1, round(2 * reach / s.depth_scale_mm / _ERROR_BARS)) * s.depth_scale_mm
+    half = int(reach / width_mm) + 1
+    edges_mm = (np.arange(-half, half + 2) - 0.5) * width_mm
     for counts, color, name in (
         (s.error_step, SOFT, "all"),
         (s.part_error_step, ACCENT, "parts"),
@@ -106,7 +111,8 @@ def _errors(ax: Axes, s: Statistics) -> None:
         weight = np.array(list(counts.values()), dtype=float)
         if len(step):
             share = 100 * weight / weight.sum()
-            ax.step(step * s.depth_scale_mm, share, where="mid", color=color, lw=1.2, label=name)
+            held, _ = np.histogram(step * s.depth_scale_mm, edges_mm, weights=share)
+            ax.stairs(held, edges_mm, color=color, lw=1.2, label=name)
     ax.set_xlim(-reach, reach)
     ax.legend(fontsize=7, frameon=False)
 

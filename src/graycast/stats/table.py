@@ -6,7 +6,7 @@ from typing import Any
 
 from rich.table import Table
 
-from ..dataset.bop import plain
+from ..dataset.json_text import plain
 from ..folder import whole_folder
 from .gather import SIDE_EDGES_PX, VISIBILITY_BINS, ErrorFigures, Statistics
 from .plots import draw_statistics

@@ -82,9 +82,12 @@ def _bop_example(files: Files, record: ExportRecord, scene_id: int, name: str) -
     if "depth.png" in files:
         field = _DEPTH_FIELDS["depth_sl" if record.options["depth"] == "scanner" else "depth"]
         fields[field] = depth_m(files["depth.png"], camera["depth_scale"], name)
+    K = np.array(camera["cam_K"], float).reshape(3, 3)
+    if record.options.get("pixel_origin") == "corner":
+        K[:2, 2] -= 0.5
     return Example(
         scene_id=scene_id,
-        K=np.array(camera["cam_K"], float).reshape(3, 3),
+        K=K,
         distortion=tuple(camera.get("distortion", (0.0,) * 5)),
         **fields,
         **(_bop_labels(files, record, name) if "gt.json" in files else {}),

@@ -9,7 +9,7 @@ import numpy as np
 
 from ..dataset.example import Example
 from ..errors import DatasetError
-from ..export.parquet import pa, pq  # says what to install where pyarrow is missing
+from ..export.parquet import pa, pq, schema  # says what to install where pyarrow is missing
 from ..export.record import ExportRecord
 from .decoding import depth_m, image_fields, masks
 
@@ -31,6 +31,8 @@ def open_parquet(
     for path in sorted((folder / split).glob("part-*.parquet")):
         try:
             file = pq.ParquetFile(path)
+            if not file.schema_arrow.equals(schema()):
+                raise DatasetError(f"{path}: is of an older Graycast's form: export again")
             for group in range(file.num_row_groups):
                 rows = file.read_row_group(group, columns=["scene_id"])["scene_id"].to_pylist()
                 place |= {scene_id: (path, group, row) for row, scene_id in enumerate(rows)}
@@ -53,10 +55,10 @@ def _example(
     fields: dict[str, Any] = {}
     for kind in ("rgb", "gray"):
         if held[kind] is not None:
-            fields |= image_fields(kind, held[kind], name)
+            fields |= image_fields(kind, held[kind]["bytes"], name)
     for column, field in _DEPTH_FIELDS.items():
         if held[column] is not None:
-            fields[field] = depth_m(held[column], held["depth_scale"], name)
+            fields[field] = depth_m(held[column]["bytes"], held["depth_scale"], name)
     for column, (field, kind, shape) in _LABELS.items():
         if held[column] is not None:
             fields[field] = np.array(held[column], kind).reshape(shape)

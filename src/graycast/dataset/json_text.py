@@ -1,0 +1,48 @@
+"""How this package writes JSON: sorted keys, one line per outermost key."""
+
+import json
+import math
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+
+def json_bytes(content: Mapping[str, Any]) -> bytes:
+    """JSON with sorted keys, one line per key of the outermost object, as bop_toolkit writes it.
+
+    Raises:
+        ValueError: something in it has no JSON form.
+    """
+    tree = plain(content)
+    lines = [f"  {json.dumps(key)}: {_compact(tree[key])}" for key in sorted(tree)]
+    return ("{\n" + ",\n".join(lines) + "\n}\n").encode()
+
+
+def plain(value: Any) -> Any:
+    """Values of NumPy, paths, tuples and mappings as JSON has them; NaN is null.
+
+    Raises:
+        ValueError: a value of another type, or an infinite number.
+    """
+    match value:
+        case None | bool() | str() | int():
+            return value
+        case np.ndarray() | np.generic():
+            return plain(value.tolist())
+        case float():
+            if math.isinf(value):
+                raise ValueError("infinity has no JSON form")
+            return None if math.isnan(value) else value
+        case Path():
+            return str(value)
+        case Mapping():
+            return {str(key): plain(item) for key, item in value.items()}
+        case list() | tuple():
+            return [plain(item) for item in value]
+    raise ValueError(f"{value!r} has no JSON form")
+
+
+def _compact(tree: Any) -> str:
+    return json.dumps(tree, sort_keys=True, allow_nan=False)

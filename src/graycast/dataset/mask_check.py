@@ -1,0 +1,243 @@
+"""Masks, counts and boxes of a scene against each other and against the models at their poses."""
+
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Bool, Float, Int, UInt16
+from pycocotools import mask as coco_mask
+
+from ..raster import Raster, rasterize
+from . import records
+from .plain_scene import Model, Plain, optics_of, transform_of
+from .reading import Unreadable, read_png
+
+# A pixel whose centre lies very near an edge may fall to either side in a renderer of single
+# precision: in none or one of a mask's pixels when Mitsuba drew 40 built-in parts. One in fifty of
+# the pixels along an outline and two more are allowed; a shift by a twentieth of a pixel is more.
+EDGE_SHARE, EDGE_PX = 0.02, 2
+# Off edges, depths differ by rounding to the scale and by single precision at grazing incidence.
+DEPTH_TOLERANCE_MM = 0.02
+DEPTH_SHARE, DEPTH_PX = 0.01, 2
+
+
+def mask_problems(
+    folder: Path,
+    scene: Plain,
+    camera: records.Camera,
+    models: Mapping[int, Model],
+    instance: Int[np.ndarray, "h w"],
+) -> Iterator[str]:
+    """Masks against each other, counts, boxes and models; writes who is seen into `instance`."""
+    count = len(scene.poses)
+    names = [f"000000_{i:06d}.png" for i in range(count)]
+    for kind in ("mask", "mask_visib", "mask_sl", "mask_visib_sl"):
+        there = sorted(path.name for path in (folder / kind).glob("*"))
+        if there != names:
+            odd = min(set(there) ^ set(names))
+            yield f"{kind}/ has {len(there)} files for {count} instances: see {odd}"
+            return
+    size = (camera.height, camera.width)
+    taken = np.zeros(size, dtype=bool)
+    seen: list[tuple[int, dict[str, object]]] = []
+    for i, (name, pose) in enumerate(zip(names, scene.poses, strict=True)):
+        mask, visible = (_read_mask(folder / kind / name, size) for kind in ("mask", "mask_visib"))
+        if any(
+            (folder / kind / name).read_bytes() != (folder / f"{kind}_sl" / name).read_bytes()
+            for kind in ("mask", "mask_visib")
+        ):
+            yield f"instance {i}: the masks of sl differ from the others"
+        if (visible & ~mask).any():
+            yield f"instance {i}: mask_visib reaches beyond mask"
+        if (visible & taken).any():
+            yield f"instance {i}: mask_visib overlaps that of another instance"
+        taken |= visible
+        instance[visible] = i
+        for suffix, infos in scene.info.items():
+            if i < len(infos):
+                depth = scene.image[f"depth{suffix}"]
+                for what in _info_problems(infos[i], mask, visible, depth):
+                    yield f"instance {i}: scene_gt_info{suffix}.json: {what}"
+        if pose.obj_id in models and i < len(scene.info[""]):
+            for what in _surface_problems(scene, i, mask, visible, models[pose.obj_id], camera):
+                yield f"instance {i}: {what}"
+        if visible.any():
+            runs = coco_mask.encode(np.asfortranarray(visible, dtype=np.uint8))
+            seen.append((i, {"runs": runs["counts"], "box": _pixel_box(mask)}))
+    for suffix, coco in scene.coco.items():
+        image = f"{'gray_sl' if suffix else 'rgb'}/000000.png"
+        for what in _coco_problems(scene, coco, seen, image, size):
+            yield f"scene_gt_coco{suffix}.json: {what}"
+
+
+def _read_mask(path: Path, size: tuple[int, int]) -> Bool[np.ndarray, "h w"]:
+    image = read_png(path)
+    name = f"{path.parent.name}/{path.name}"
+    if image.shape != size or image.dtype != np.uint8:
+        raise Unreadable(f"{name} is {image.shape} {image.dtype}, it must be {size} uint8")
+    mask = image == 255
+    if (image[~mask] != 0).any():
+        raise Unreadable(f"{name} has values other than 0 and 255")
+    return mask
+
+
+def _info_problems(
+    info: records.Info,
+    mask: Bool[np.ndarray, "h w"],
+    visible: Bool[np.ndarray, "h w"],
+    depth: UInt16[np.ndarray, "h w"],
+) -> Iterator[str]:
+    mask_px, visible_px = int(mask.sum()), int(visible.sum())
+    valid_px = int((depth[mask] > 0).sum())
+    if info.px_count_visib != visible_px:
+        yield f"px_count_visib is {info.px_count_visib}, the mask has {visible_px}"
+    if info.px_count_valid != valid_px:
+        yield f"px_count_valid is {info.px_count_valid}, mask and depth have {valid_px}"
+    fraction = info.px_count_visib / info.px_count_all if info.px_count_all else 0.0
+    if abs(info.visib_fract - fraction) > 1e-9:
+        yield f"visib_fract is {info.visib_fract}, the counts make it {fraction}"
+    if info.bbox_visib != _bop_box(visible):
+        yield f"bbox_visib is {info.bbox_visib}, the mask's is {_bop_box(visible)}"
+    if visible_px == 0:
+        if info.bbox_obj != [-1, -1, -1, -1]:
+            yield f"bbox_obj is {info.bbox_obj} though nothing is visible"
+        return
+    x, y, w, h = info.bbox_obj
+    height_px, width_px = mask.shape
+    left, top = max(x, 0), max(y, 0)
+    right, bottom = min(x + w, width_px - 1), min(y + h, height_px - 1)
+    whole = (x, y, x + w, y + h) == (left, top, right, bottom)
+    # A silhouette that leaves the image has its box confirmed by the model; see below.
+    if whole and (info.bbox_obj != _bop_box(mask) or info.px_count_all != mask_px):
+        here = f"{info.bbox_obj} with {info.px_count_all} pixels"
+        yield f"bbox_obj is {here}, the mask's is {_bop_box(mask)} with {mask_px}"
+    if not whole and info.px_count_all < mask_px:
+        yield f"px_count_all is {info.px_count_all}, the image alone has {mask_px}"
+
+
+def _surface_problems(
+    scene: Plain,
+    i: int,
+    mask: Bool[np.ndarray, "h w"],
+    visible: Bool[np.ndarray, "h w"],
+    model: Model,
+    camera: records.Camera,
+) -> Iterator[str]:
+    """The model, rendered at its pose by an independent rasteriser, against masks and depth."""
+    pose = scene.poses[i]
+    T = transform_of(pose.cam_R_m2c, pose.cam_t_m2c)
+    raster = rasterize(
+        model.vertices @ T[:3, :3].T + T[:3, 3], model.faces, optics_of(scene, camera)
+    )
+    window, z_mm = _in_image(raster, mask.shape)
+    drawn, mask_px = ~np.isnan(z_mm), int(mask.sum())
+    allowed = EDGE_PX + EDGE_SHARE * _outline_px(drawn)
+    mask, visible = mask[window], visible[window]
+    wrong = int((drawn != mask).sum()) + mask_px - int(mask.sum())
+    if wrong > allowed:
+        yield (
+            f"mask differs from the model at its pose in {wrong} of {int(drawn.sum())} pixels; "
+            f"edges may cost {int(allowed)}"
+        )
+    if not any(camera.distortion):
+        yield from _outside_problems(scene.info[""][i], raster)
+    depth_mm = scene.image["depth"][window] * camera.depth_scale
+    tolerance_mm = camera.depth_scale / 2 + DEPTH_TOLERANCE_MM
+    checked = drawn & visible
+    off = np.abs(depth_mm[checked] - z_mm[checked])
+    bad = int((off > tolerance_mm).sum())
+    if bad > DEPTH_PX + DEPTH_SHARE * checked.sum():
+        yield (
+            f"depth is off the model at its pose in {bad} of {int(checked.sum())} visible "
+            f"pixels, by {np.median(off):.3g} mm in the middle"
+        )
+    hidden = drawn & mask & ~visible
+    # Where parts touch, what hides is as deep as what is hidden: along a line, as edges are.
+    covered = (depth_mm > 0) & (depth_mm < z_mm - tolerance_mm)
+    bare = int((hidden & ~covered).sum())
+    if bare > DEPTH_PX + DEPTH_SHARE * hidden.sum() + allowed:
+        yield f"{bare} pixels count as hidden though nothing lies in front of the model"
+
+
+def _outside_problems(info: records.Info, raster: Raster) -> Iterator[str]:
+    """Counts and box of the whole silhouette, of which the image may show only a part."""
+    drawn = ~np.isnan(raster.z)
+    allowed = EDGE_PX + EDGE_SHARE * _outline_px(drawn)
+    if abs(info.px_count_all - int(drawn.sum())) > allowed:
+        yield f"px_count_all is {info.px_count_all}, the model covers {int(drawn.sum())} pixels"
+    if drawn.any() and info.px_count_visib > 0:
+        x, y, w, h = _bop_box(drawn)
+        box = [x + raster.left_px, y + raster.top_px, w, h]
+        if np.abs(np.subtract(info.bbox_obj, box)).max() > 2:
+            yield f"bbox_obj is {info.bbox_obj}, the model covers {box}"
+
+
+def _coco_problems(
+    scene: Plain,
+    coco: records.SceneCoco,
+    seen: list[tuple[int, dict[str, object]]],
+    file_name: str,
+    size: tuple[int, int],
+) -> Iterator[str]:
+    image = records.CocoImage(id=0, file_name=file_name, width=size[1], height=size[0])
+    if coco.images != [image]:
+        yield f"images must be one entry, {image}"
+    if len(coco.annotations) != len(seen):
+        yield f"{len(coco.annotations)} annotations for {len(seen)} visible instances"
+        return
+    for k, ((i, must), entry) in enumerate(zip(seen, coco.annotations, strict=True), start=1):
+        info = scene.info[""][i] if i < len(scene.info[""]) else None
+        if (entry.id, entry.image_id, entry.iscrowd) != (k, 0, 0):
+            yield f"annotation {k} has id {entry.id}, image_id {entry.image_id}"
+        if entry.category_id != scene.poses[i].obj_id:
+            yield f"annotation {k} is of category {entry.category_id}, the pose of another"
+        if entry.segmentation.size != list(size) or _counts(entry.segmentation) != must["runs"]:
+            yield f"annotation {k}: its segmentation is not the mask_visib of instance {i}"
+        if entry.bbox != must["box"]:
+            yield f"annotation {k}: bbox is {entry.bbox}, the mask's is {must['box']}"
+        if info is not None and entry.area != info.px_count_visib:
+            yield f"annotation {k}: area is {entry.area}, the mask has {info.px_count_visib}"
+        if info is not None and entry.ignore != (info.visib_fract < 0.1):
+            yield f"annotation {k}: ignore is {entry.ignore} at visib_fract {info.visib_fract}"
+
+
+def _counts(runs: records.RunLengths) -> bytes:
+    """Compressed as pycocotools encodes; run lengths that do not fill the image give b''."""
+    height_px, width_px = runs.size
+    if sum(runs.counts) != height_px * width_px:
+        return b""
+    return coco_mask.frPyObjects(runs.model_dump(), height_px, width_px)["counts"]
+
+
+def _in_image(
+    raster: Raster, size: tuple[int, ...]
+) -> tuple[tuple[slice, slice], Float[np.ndarray, "bh bw"]]:
+    """The window of the image that a raster covers, perhaps an empty one, and z inside it."""
+    h, w = raster.z.shape
+    top, left = max(raster.top_px, 0), max(raster.left_px, 0)
+    bottom = max(min(raster.top_px + h, size[0]), top)
+    right = max(min(raster.left_px + w, size[1]), left)
+    rows = slice(top - raster.top_px, bottom - raster.top_px)
+    columns = slice(left - raster.left_px, right - raster.left_px)
+    return (slice(top, bottom), slice(left, right)), raster.z[rows, columns]
+
+
+def _outline_px(mask: Bool[np.ndarray, "h w"]) -> int:
+    """How many neighbouring pixels a mask's border separates."""
+    mask = np.pad(mask, 1)
+    across, down = mask[:, 1:] != mask[:, :-1], mask[1:] != mask[:-1]
+    return int(across.sum()) + int(down.sum())
+
+
+def _bop_box(mask: Bool[np.ndarray, "h w"]) -> list[int]:
+    """BOP's [x, y, last column - first, last row - first]; -1 for an empty mask."""
+    rows, columns = np.flatnonzero(mask.any(axis=1)), np.flatnonzero(mask.any(axis=0))
+    if len(rows) == 0:
+        return [-1, -1, -1, -1]
+    return [int(columns[0]), int(rows[0]), int(np.ptp(columns)), int(np.ptp(rows))]
+
+
+def _pixel_box(mask: Bool[np.ndarray, "h w"]) -> list[int]:
+    """COCO's [x, y, columns, rows]."""
+    x, y, w, h = _bop_box(mask)
+    return [x, y, w + 1, h + 1]

@@ -1,0 +1,75 @@
+"""What shows a change of a stored file: SHA-256 of each, in its scene's manifest and in the claim.
+
+A manifest also holds the SHA-256 of itself, over all but its timings, which differ between equal
+runs. These guard against accidents; who changes a file and computes the sums anew is found by the
+checks of sense in `sense/`, as far as the files know better.
+"""
+
+import hashlib
+from collections.abc import Iterable, Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+from .json_text import json_bytes
+
+MANIFEST = "manifest.json"
+SUMS, OWN = "sha256", "manifest_sha256"  # keys of a manifest; the first also of `graycast.json`
+_UNSEALED = ("timings", OWN)
+
+
+def sealed(
+    files: Iterable[tuple[str, bytes]], manifest: Mapping[str, Any]
+) -> Iterator[tuple[str, bytes]]:
+    """The files of a scene, and last its manifest with their sums."""
+    sums = {}
+    for name, content in files:
+        sums[name] = sha256(content)
+        yield name, content
+    listed = {**manifest, SUMS: sums}
+    yield MANIFEST, json_bytes({**listed, OWN: _own(listed)})
+
+
+def sha256(content: bytes) -> str:
+    return hashlib.sha256(content).hexdigest()
+
+
+def _own(manifest: Mapping[str, Any]) -> str:
+    return sha256(json_bytes({k: v for k, v in manifest.items() if k not in _UNSEALED}))
+
+
+def seal_problems(folder: Path, manifest: Mapping[str, Any]) -> Iterator[str]:
+    """All that differs from what a scene's manifest says, in one line for each kind."""
+    if SUMS not in manifest or OWN not in manifest:
+        yield f"{MANIFEST}: {SUMS} or {OWN} is missing, which every scene of this format has"
+        return
+    if manifest[OWN] != _own(manifest):
+        yield f"{MANIFEST} is not as it was written: its own SHA-256 is another"
+    there = (str(path.relative_to(folder)) for path in folder.rglob("*") if path.is_file())
+    # What a file browser leaves (.DS_Store) is nobody's data.
+    visible = {name for name in there if not Path(name).name.startswith(".")} - {MANIFEST}
+    yield from sum_problems(folder, manifest[SUMS], told_in=MANIFEST)
+    if odd := sorted(visible - set(manifest[SUMS])):
+        yield f"{_named(odd)} was not written with the scene: {MANIFEST} does not tell of it"
+
+
+def sum_problems(folder: Path, sums: Mapping[str, str], *, told_in: str) -> Iterator[str]:
+    """Files that are missing or have another SHA-256."""
+    if missing := sorted(name for name in sums if not (folder / name).is_file()):
+        yield f"{_named(missing)} is missing, {told_in} tells of it"
+    changed = [n for n in sorted(set(sums) - set(missing)) if _sum_of(folder / n) != sums[n]]
+    if changed:
+        yield f"{_named(changed)} is not as it was written: its SHA-256 is another"
+
+
+def _sum_of(path: Path) -> str | None:
+    """None where the disk refuses: then it is told where the file is read."""
+    try:
+        with open(path, "rb") as file:
+            return hashlib.file_digest(file, "sha256").hexdigest()
+    except OSError:
+        return None
+
+
+def _named(names: list[str]) -> str:
+    more = f" (and {len(names) - 1} more)" if len(names) > 1 else ""
+    return f"{names[0]}{more}"

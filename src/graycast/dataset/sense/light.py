@@ -1,0 +1,85 @@
+"""Modulation, white frame and reasons against each other: what the decoder's own rules allow.
+
+Leaves out: of scenes by Cycles what compares frames with the white one; modulation that is too
+small by a factor where ambient light is strong and no pixel lies near the decoder's threshold;
+reasons exchanged among those that judge the code (contradictory, interreflection, outside the
+projector, out of range, outlier), but for what code maps say.
+"""
+
+from collections.abc import Iterator
+
+import numpy as np
+from jaxtyping import Bool
+
+from ...decode import DecodeSpec, Levels, Reason, levels_of
+from ...sensor import SensorSpec
+from ..sample import LEAST_DECODED
+from .evidence import Evidence
+
+# Sound pictures of all codecs break none of these rules in any pixel; a fault breaks them in
+# thousands. What another processor's rounding could do stays far below.
+WRONG_SHARE, WRONG_PX = 1e-4, 10
+NOISE_SIGMAS = 10.0  # the extremes of some fifty frames and of the white one, against each other
+STRIPES_SHOW = 1.02  # patterns may outshine white by what a lens's veil leaves of it
+STEP_MAX = 65535
+TOP = 0.75  # of the range: a pixel at its top is that bright in the white frame, with 8 bits too
+DIM_SIGMAS = 8.0  # the decoder's own limit for shadow is 6
+
+
+def light_problems(scene: Evidence) -> Iterator[str]:
+    """All that the decoder cannot have seen."""
+    decoded = float((scene.reason == Reason.DECODED).mean())
+    if decoded < LEAST_DECODED:
+        yield (
+            f"{decoded:.2%} of the pixels have a scanner depth, that is none: is the scene in the "
+            "rig's working range, and is it lit?"
+        )
+    yield from _scale_problems(scene)
+    if scene.scanning is None:
+        return
+    sensor, spec = scene.scanning
+    for what, wrong in _rules(scene, sensor, spec):
+        count = int(wrong.sum())
+        if count > WRONG_PX + WRONG_SHARE * wrong.size:
+            yield f"{what} in {count} pixels"
+
+
+def _scale_problems(scene: Evidence) -> Iterator[str]:
+    """The writer's scale is the finest power of two that holds the strongest modulation."""
+    strongest, scale = int(scene.modulation_step.max()), scene.scanner.modulation_scale
+    whole = np.log2(scale) % 1 == 0
+    if not whole or (strongest <= STEP_MAX // 2 and scale > 2.0**-32):
+        yield (
+            f"modulation_sl: its strongest value is {strongest} steps of {scale:g}; a finer step "
+            "would hold it, so values or modulation_scale were changed"
+        )
+
+
+def _rules(
+    scene: Evidence, sensor: SensorSpec, spec: DecodeSpec
+) -> Iterator[tuple[str, Bool[np.ndarray, "h w"]]]:
+    reason, modulation, levels = scene.reason, scene.modulation, levels_of(sensor)
+    least, half = spec.min_contrast, scene.scanner.modulation_scale / 2
+    unlit = (reason == Reason.SHADOW) | (reason == Reason.LOW_MODULATION)
+    judged = ~unlit & (reason != Reason.SATURATED)
+    weak = "modulation_sl is under the decoder's min_contrast where reason_sl says that it suffices"
+    yield weak, judged & (modulation < least - half)
+    strong = "modulation_sl is over min_contrast where reason_sl says low_modulation"
+    yield strong, (reason == Reason.LOW_MODULATION) & (modulation > least + half)
+    white_dn = scene.gray / 255 * (sensor.saturation_dn - levels.offset_dn)
+    noise_dn = np.sqrt(levels.floor_dn2 + levels.slope_dn * white_dn)
+    contrast_dn = modulation * levels.range_dn
+    lit = "modulation_sl is over the noise where reason_sl says shadow"
+    yield lit, (reason == Reason.SHADOW) & (contrast_dn > DIM_SIGMAS * noise_dn + _step_dn(levels))
+    if scene.manifest.get("backend") == "cycles":
+        return  # every frame is rendered by itself: a pattern's noise may outshine the white frame
+    bright_dn = STRIPES_SHOW * white_dn + NOISE_SIGMAS * noise_dn + _step_dn(levels)
+    outshone = "modulation_sl is more than all the light that gray_sl shows"
+    yield outshone, (contrast_dn > bright_dn) & (scene.gray < 255)
+    dark = "gray_sl is dark where reason_sl says saturated"
+    yield dark, (reason == Reason.SATURATED) & (scene.gray < TOP * 255)
+
+
+def _step_dn(levels: Levels) -> float:
+    """What rounding to 8 bits may cost."""
+    return levels.range_dn / 255

@@ -1,0 +1,207 @@
+"""Every silent fault is noticed: by the sums, and by sense where the files themselves know better.
+
+`corruptions.py` has the faults by name. The dataset is simulated, so that pictures, light and code
+are what a scanner makes of a scene.
+"""
+
+import re
+import shutil
+from dataclasses import replace
+
+import pytest
+import yaml
+from backends import slow
+from corruptions import OF_SUMS, SENSED, SUMS_ALONE, claim, manifest, reseal
+from small_cell import shrunk, write_cell
+
+from graycast.cell import resolve_cell
+from graycast.cli import main
+from graycast.config import load_config
+from graycast.dataset import validate
+from graycast.generate import generate
+from graycast.rig import preset
+from graycast.rig_file import save_scanner
+from graycast.scanner import Scanner
+
+
+@pytest.fixture(scope="module")
+def sound(tmp_path_factory):
+    """Two scenes of six boxes, 320 x 240 pixels; a projector column is 4 mm of depth there."""
+    work = tmp_path_factory.mktemp("cell")
+    path = write_cell(work, count=6)
+    rig = preset("paper")
+    camera, projector = shrunk(rig.camera, 320, 240), shrunk(rig.projector, 512, 384)
+    rig = replace(rig, name="fine", camera=camera, projector=projector)
+    save_scanner(Scanner(rig=rig), work / "rig.yaml")
+    generate(resolve_cell(load_config(path), work), work / "out", scenes=2, seed=0, device="cpu")
+    assert validate(work / "out") == ()
+    return work / "out"
+
+
+@pytest.fixture
+def copy(sound, tmp_path):
+    return shutil.copytree(sound, tmp_path / "out")
+
+
+def some(names, every):
+    """All of them slowly, some in each run."""
+    return [name if k % every == 0 else slow(name) for k, name in enumerate(names)]
+
+
+def test_there_are_more_faults_than_were_once_tried():
+    assert len({*SENSED, *SUMS_ALONE, *OF_SUMS}) >= 80
+
+
+@pytest.mark.parametrize("fault", some([*SENSED, *SUMS_ALONE], 10))
+def test_a_changed_file_has_another_sum(copy, fault):
+    """In the moment that hashing takes: neither pictures nor models are read."""
+    do = SUMS_ALONE[fault] if fault in SUMS_ALONE else SENSED[fault][0]
+    do(copy)
+    found = [problem.what for problem in validate(copy, fast=True)]
+    signs = ("not as it was written", "missing", "a copy of another")
+    assert any(sign in what for sign in signs for what in found), found
+
+
+@pytest.mark.parametrize("fault", some(SENSED, 8))
+def test_a_fault_whose_sums_were_made_anew_makes_no_sense(copy, fault):
+    do, words = SENSED[fault]
+    do(copy)
+    reseal(copy)
+    found = [problem.what for problem in validate(copy)]
+    assert any(re.search(words, what) for what in found), found
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("fault", SUMS_ALONE)
+def test_what_no_check_of_sense_can_know_is_only_in_the_sums(copy, fault):
+    """So that the list of what is left out stays true."""
+    SUMS_ALONE[fault](copy)
+    assert validate(copy) != ()
+    reseal(copy)
+    assert validate(copy) == ()
+
+
+@pytest.mark.parametrize("fault", OF_SUMS)
+def test_sums_must_be_there_and_of_all_files(copy, fault):
+    do, words = OF_SUMS[fault]
+    do(copy)
+    found = [problem.what for problem in validate(copy, fast=True)]
+    assert any(re.search(words, what) for what in found), found
+
+
+def test_a_dataset_without_sums_is_sound_and_says_that_they_are_missing(copy, capsys):
+    """Format 1 had none; nothing else was otherwise."""
+    claim(lambda c: (c.pop("sha256"), c.update(format_version=1)))(copy)
+    reseal_claim_alone(copy)
+    for scene in ("000000", "000001"):
+        for key in ("sha256", "manifest_sha256"):
+            manifest_of(copy, scene, key)
+    assert validate(copy) == ()
+    assert main(["validate", str(copy)]) == 0
+    told = capsys.readouterr().out
+    assert "valid" in told
+    assert "not known: whether a file was changed" in told
+    assert main(["validate", str(copy), "--fast"]) == 1
+    assert "without --fast" in capsys.readouterr().err
+
+
+def reseal_claim_alone(out):
+    import json
+
+    from graycast.dataset.claim import fingerprint
+
+    path = out / "graycast.json"
+    told = json.loads(path.read_text())
+    path.write_text(json.dumps(told | {"fingerprint": fingerprint(told)}))
+
+
+def manifest_of(out, scene, key):
+    import json
+
+    path = out / "train" / scene / "manifest.json"
+    told = json.loads(path.read_text())
+    told.pop(key)
+    path.write_text(json.dumps(told))
+
+
+def test_a_later_format_is_refused(copy, capsys):
+    claim(lambda c: c.update(format_version=3))(copy)
+    assert main(["validate", str(copy)]) == 1
+    assert "has format_version 3, this Graycast reads 1 to 2" in capsys.readouterr().err
+
+
+def test_times_may_differ_and_files_of_a_browser_may_lie_there(copy):
+    manifest(lambda m: m["timings"].update(render=1e3))(copy)
+    (copy / "train/000000/.DS_Store").write_bytes(b"seen")
+    assert validate(copy) == ()
+
+
+DARK = {
+    "far": ({"view": {"distance_m": 1e9}}, "65.535 m: give a smaller view.distance_m"),
+    "farther than its range": (
+        {"view": {"distance_m": 5.0}},
+        "that is in none: .* near_m to far_m",
+    ),
+    "unlit": ({"exposure": {"exposure_s": 1e-300}}, "100% are shadow: give a longer exposure"),
+}
+
+
+@pytest.mark.parametrize("case", DARK)
+def test_a_run_in_which_nothing_is_decoded_ends_with_the_reason(tmp_path, capsys, case):
+    changes, words = DARK[case]
+    path = write_cell(tmp_path, **changes)
+    assert main(["generate", str(path), "--out", str(tmp_path / "out"), "--device", "cpu"]) == 1
+    assert re.search(words, capsys.readouterr().err)
+    assert not (tmp_path / "out" / "graycast.json").exists()
+
+
+def test_a_stored_scene_without_any_scanner_depth_is_a_problem(copy):
+    import cv2
+    import numpy as np
+
+    for name, value in (("depth_sl", 0), ("reason_sl", 7)):
+        path = copy / "train/000000" / name / "000000.png"
+        image = cv2.imread(str(path), -1)
+        cv2.imwrite(str(path), np.full_like(image, value))
+    assert any("have a scanner depth, that is none" in p.what for p in validate(copy))
+
+
+CELLS = {
+    "phases": {"code": {"codec": "gray_phase"}},
+    "many periods": {"code": {"codec": "multi_frequency"}},
+    "micro phases": {"code": {"codec": "micro_phase"}},
+    "exclusive-or": {"code": {"codec": "xor_gray"}},
+    "lines": {"code": {"codec": "gray_line_shift"}},
+    "both axes and inverses": {"code": {"axes": ["column", "row"], "inverses": True}},
+    "hardly any light": {"exposure": {"target": 0.02}},
+    "far too much light": {"exposure": {"percentile": 40.0, "target": 1.0}},
+    "merged exposures": {"exposure": {"factors": [0.1, 1.0, 6.0]}},
+    "8 bits": {"sensor": {"bit_depth": 8}},
+    "in the sun": {"light": {"environment": {"radiance": [20.0, 20.0, 20.0]}}},
+    "no lamp": {"light": {"environment": {"radiance": [0.02, 0.02, 0.02]}, "lamps": []}},
+    "tilted": {"view": {"tilt_deg": 35.0, "azimuth_deg": 70.0}},
+    "white on white": {
+        "parts": [{"mesh": "box.stl", "unit": "mm", "material": {"base_color": [0.9, 0.9, 0.9]}}],
+        "bin": {"inner_m": [0.25, 0.2, 0.1], "material": {"base_color": [0.9, 0.9, 0.9]}},
+    },
+    "polished metal": {
+        "parts": [{
+            "mesh": "box.stl", "unit": "mm",
+            "material": {"base_color": [0.8, 0.8, 0.8], "metallic": 1.0, "roughness": 0.15},
+        }]
+    },
+    "one sample per pixel": {"render": {"samples": 1, "denoise": False}},
+    "randomized with distractors": {"domain": "randomized", "count": 8},
+    "adapted": {"domain": "adapted"},
+    "frames and code maps": {"store": {"frames": True, "columns": True}},
+}  # fmt: skip
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("case", CELLS)
+def test_no_sound_dataset_raises_an_alarm(tmp_path, case):
+    path = write_cell(tmp_path, **CELLS[case])
+    cell = resolve_cell(load_config(path), tmp_path)
+    generate(cell, tmp_path / "out", scenes=3, seed=0, device="cpu")
+    assert validate(tmp_path / "out") == ()
+    assert yaml.safe_load(path.read_text())["count"] in (3, 8)

@@ -73,7 +73,7 @@ def _spec(box: Bin, bodies: tuple[Body, ...], layout: Layout):
             mesh = spec.add_mesh(name=f"{kind} {piece}", uservert=vertices.ravel().tolist())
             mesh.maxhullvert = -1
     for i, (T, kind) in enumerate(zip(layout.T_world_part, layout.part_index, strict=True)):
-        _add_part(spec, f"part {i}", bodies[kind], T, kind)
+        _add_part(spec, f"part {i}", bodies[kind], T, int(kind))
     return spec
 
 

@@ -58,7 +58,7 @@ def _phase(sums, count, law, turn, noise2):
     The least-squares phase of N even steps has the variance 4 / (N A)^2 times the sum of
     var_j sin^2(phase - delta_j), and var_j is linear in the level j.
     """
-    offset_dn, floor_dn2, slope_dn, _ = law
+    offset_dn, floor_dn2, slope_dn, _, _ = law
     total, c, s, c2, s2 = sums[0], sums[1], sums[2], sums[3], sums[4]
     two = np.float32(2)
     for x in range(len(turn)):
@@ -75,7 +75,7 @@ def _phase(sums, count, law, turn, noise2):
 @no_type_check  # the tests' type checker wraps functions, which numba cannot compile
 def _amplitude(sums, count, law, first, strength):
     """Mean, amplitude [DN], a frame's variance [DN^2]; strength is twice the amplitude at most."""
-    offset_dn, floor_dn2, slope_dn, _ = law
+    offset_dn, floor_dn2, slope_dn, _, _ = law
     total, c, s = sums[0], sums[1], sums[2]
     mean, amplitude, variance = first[0], first[1], first[2]
     two = np.float32(2)
@@ -95,6 +95,20 @@ def _lone_frame(frame, first, cosine, noise2):
         cosine[x] = (np.float32(frame[x]) - mean[x]) / amplitude[x]
         # Twice a frame's variance: mean, amplitude and phase of the three steps have as much.
         noise2[x] = two * variance[x] / (amplitude[x] * amplitude[x]) + model2
+
+
+@numba.njit(parallel=True, cache=True)
+@no_type_check  # the tests' type checker wraps functions, which numba cannot compile
+def lose_phases(stack, index, top, saturation_dn, why):
+    """Say where a phase is lost: one of its own frames is at the top."""
+    for y in numba.prange(len(why)):
+        if not top[y].any():
+            continue
+        for k in index:
+            frame = stack[k, y]
+            for x in range(len(frame)):
+                lost = np.float32(frame[x]) >= saturation_dn
+                why[y, x] = np.uint8(3) if lost & (why[y, x] == 0) else why[y, x]
 
 
 @numba.njit(parallel=True, cache=True, error_model="numpy")

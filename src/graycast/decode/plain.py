@@ -4,10 +4,10 @@ import numpy as np
 from jaxtyping import UInt8, UInt16
 
 from ..pattern import AXES, Code
-from .bits import XOR_SIGMAS
-from .maps import CodeMap, DecodeSpec, Levels, Reason
+from .bits import BLURRED, SHARP, XOR_SIGMAS
+from .maps import CodeMap, DecodeSpec, Levels, Mark, Reason
 from .phases import MAX_MISFIT, MIN_LEAD, MODEL_RAD, OFF_CELL_PERIODS, SLACK_PERIODS
-from .plan import AxisPlan, Period, plan_axes
+from .plan import AxisPlan, Period, plan_axes, read_frames
 from .reading import SHADOW_SIGMAS
 
 
@@ -23,9 +23,13 @@ def decode_plain(
     strength = high - low
     why = np.zeros(high.shape, dtype=np.uint8)
     found = {}
-    for axis, plan in plan_axes(code, spec.fine_bits).items():
+    plans = plan_axes(code, spec.fine_bits)
+    full = stack >= levels.saturation_dn
+    top = full[read_frames(plans, len(frames))].any(axis=0)
+    for axis, plan in plans.items():
         place, sigma = np.full(high.shape, np.nan), np.full(high.shape, np.nan)
         coarse = variance = rival = None
+        _say(why, _lost(stack, full, plan, high + low, levels), Reason.SATURATED)
         if plan.bits:
             coarse, variance, rival, doubts = _gray(stack, plan, spec, levels, high, low)
             contradiction = np.where(doubts[1] == 0, Reason.INTERREFLECTION, Reason.CONTRADICTORY)
@@ -40,13 +44,13 @@ def decode_plain(
     noise_dn2 = levels.floor_dn2 + levels.slope_dn * np.maximum(low - levels.offset_dn, 0)
     reason = np.select(
         [
-            high >= levels.saturation_dn,
             high - low < SHADOW_SIGMAS * np.sqrt(noise_dn2),
             strength < spec.min_contrast * levels.range_dn,
         ],
-        [Reason.SATURATED, Reason.SHADOW, Reason.LOW_MODULATION],
+        [Reason.SHADOW, Reason.LOW_MODULATION],
         why,
     ).astype(np.uint8)
+    reason[top & (reason != Reason.DECODED)] = Reason.SATURATED
     maps = []
     for axis in AXES:
         for values in found.get(axis, (np.full(high.shape, np.nan),) * 2):
@@ -58,6 +62,7 @@ def decode_plain(
         sigma_row=maps[3],
         modulation=(strength / levels.range_dn).astype(np.float32),
         reason=reason,
+        mark=np.where(top, Mark.CLIPPED, 0).astype(np.uint8),
     )
 
 
@@ -65,6 +70,23 @@ def _say(why, where, reason) -> None:
     """The first thing that is wrong with a pixel is what is said of it."""
     first = where & (why == 0)
     why[first] = np.broadcast_to(reason, why.shape)[first]
+
+
+def _lost(stack, full, plan: AxisPlan, twice_threshold, levels: Levels):
+    """Where a bit and its inverse, or a bit and its threshold, or a phase's frame is at the top."""
+    lost = np.zeros(twice_threshold.shape, dtype=bool)
+    alone = [bit for bit in plan.bits if bit.inverse < 0]
+    glare = full[[bit.frame for bit in alone]].any(axis=0)
+    for bit in plan.bits:
+        if bit.inverse >= 0:
+            lost |= full[bit.frame] & full[bit.inverse]
+        else:
+            lost |= full[bit.frame] & (twice_threshold >= 2 * levels.saturation_dn)
+            narrow = not bit.counts or bit.xor >= 0
+            lost |= narrow & glare & (2 * stack[bit.frame] > twice_threshold)
+    for period in plan.periods:
+        lost |= full[list(period.frames)].any(axis=0)
+    return lost
 
 
 def _gray(stack, plan: AxisPlan, spec: DecodeSpec, levels: Levels, high, low):
@@ -94,8 +116,17 @@ def _gray(stack, plan: AxisPlan, spec: DecodeSpec, levels: Levels, high, low):
     counted = [b for b, bit in enumerate(plan.bits) if bit.counts]
     for b, bit in enumerate(plan.bits):
         flipped = value ^ (2 ** (len(bits) - b) - 1)
-        probability = 0.5 * np.maximum(1 - np.abs(margins[b]) / noises[b] / 3, 0) ** 3
-        variance += probability * (flipped - value) ** 2
+        error, square = noises[b], (flipped - value) ** 2
+        if spec.fine_error > 0 and not bit.counts and bit.xor < 0:
+            error = np.hypot(error, spec.fine_error * (high - low))
+            sharp = 1.0
+            if b > 0 and plan.bits[b - 1].xor < 0:
+                with np.errstate(divide="ignore", invalid="ignore"):
+                    beside = np.abs(margins[b - 1]) / (high - low)
+                sharp = np.clip((beside - BLURRED) / (SHARP - BLURRED), 0, 1)
+            square = square - sharp * (square / 2 + 1 / 6)
+        probability = 0.5 * np.maximum(1 - np.abs(margins[b]) / error / 3, 0) ** 3
+        variance += probability * square
         if bit.counts:
             # In float32, as the fast decoder says it: a signal may lie on the limit itself.
             share, of = (XOR_SIGMAS, noises[b]) if bit.xor >= 0 else (spec.doubt, high - low)

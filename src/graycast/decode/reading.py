@@ -6,18 +6,19 @@ step is a kernel of its own, compiled when a code first needs it.
 """
 
 import math
+from dataclasses import dataclass
 from typing import no_type_check
 
 import numba
 import numpy as np
-from jaxtyping import UInt8, UInt16
+from jaxtyping import Bool, Float32, UInt8, UInt16
 
 from ..errors import DecodeError
-from ..pattern import AXES, Code
-from .bits import read_gray
-from .maps import CodeMap, DecodeSpec, Levels
-from .phases import count_by_gray, count_by_phases, fuse, read_phases
-from .plan import AxisPlan, plan_axes
+from ..pattern import AXES, Axis, Code
+from .bits import lose_bits, read_gray
+from .maps import CodeMap, DecodeSpec, Levels, Mark
+from .phases import count_by_gray, count_by_phases, fuse, lose_phases, read_phases
+from .plan import AxisPlan, plan_axes, read_frames
 
 SHADOW_SIGMAS = 6.0  # the range of some twenty noisy frames of equal light seldom exceeds it
 
@@ -52,20 +53,10 @@ def decode(
             "another projector size, or inverses missing?"
         )
     plans = plan_axes(code, spec.fine_bits)
-    frames = np.ascontiguousarray(frames)  # the kernels are compiled for no other order
-    shape = frames.shape[1:]
-    law = tuple(
-        np.float32(number)
-        for number in (levels.offset_dn, levels.floor_dn2, levels.slope_dn, spec.doubt)
-    )
-    high, low, strength = (np.empty(shape, dtype=np.float32) for _ in range(3))
-    why = np.zeros(shape, dtype=np.uint8)
-    _range(frames, high, low, strength)
-    found = {
-        axis: _read(frames, plan, law, high, low, strength, why) for axis, plan in plans.items()
-    }
-    dark_dn = np.float32(spec.min_contrast * levels.range_dn)
-    _judge(high, low, strength, why, law, dark_dn, np.float32(levels.saturation_dn))
+    seen = _look(np.ascontiguousarray(frames), plans, spec, levels)
+    found = {axis: _read(seen, plan) for axis, plan in plans.items()}
+    why, strength, shape = seen.why, seen.strength, seen.why.shape
+    _judge(seen.high, seen.low, strength, seen.top, why, seen.law, seen.dark_dn)
     for place, sigma in found.values():
         _forget(why, place, sigma)
     strength /= np.float32(levels.range_dn)
@@ -78,76 +69,136 @@ def decode(
         sigma_row=row[1],
         modulation=strength,
         reason=why,
+        mark=seen.mark,
     )
 
 
-def _read(frames, plan: AxisPlan, law, high, low, strength, why) -> tuple:
-    """Places and their standard deviations along one axis; what is wrong is said in `why`."""
-    place = np.empty(high.shape, dtype=np.float32)
-    sigma = np.zeros(high.shape, dtype=np.float32)
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Seen:
+    """A stack, and what is known of each pixel; `strength`, `why` and `mark` are written to."""
+
+    frames: UInt8[np.ndarray, "n h w"] | UInt16[np.ndarray, "n h w"]
+    law: tuple[np.float32, ...]  # offset_dn, floor_dn2, slope_dn, doubt, fine_error
+    dark_dn: np.float32
+    saturation_dn: np.float32
+    high: Float32[np.ndarray, "h w"]
+    low: Float32[np.ndarray, "h w"]
+    top: Bool[np.ndarray, "h w"]  # a frame that is read is at the top
+    strength: Float32[np.ndarray, "h w"]
+    why: UInt8[np.ndarray, "h w"]
+    mark: UInt8[np.ndarray, "h w"]
+
+
+def _look(frames, plans: dict[Axis, AxisPlan], spec: DecodeSpec, levels: Levels) -> _Seen:
+    """Brightest and darkest value of each pixel, and where the top is reached."""
+    shape = frames.shape[1:]
+    high, low, strength = (np.empty(shape, dtype=np.float32) for _ in range(3))
+    top = np.empty(shape, dtype=np.bool_)
+    numbers = (levels.offset_dn, levels.floor_dn2, levels.slope_dn, spec.doubt, spec.fine_error)
+    saturation_dn = np.float32(levels.saturation_dn)
+    read = read_frames(plans, len(frames))
+    order = np.argsort(~read, kind="stable")  # those that are read come first
+    _range(frames, order, int(read.sum()), saturation_dn, high, low, top, strength)
+    return _Seen(
+        frames=frames,
+        law=tuple(np.float32(number) for number in numbers),
+        dark_dn=np.float32(spec.min_contrast * levels.range_dn),
+        saturation_dn=saturation_dn,
+        high=high,
+        low=low,
+        top=top,
+        strength=strength,
+        why=np.zeros(shape, dtype=np.uint8),
+        mark=top.view(np.uint8) * np.uint8(Mark.CLIPPED),
+    )
+
+
+def _read(seen: _Seen, plan: AxisPlan) -> tuple:
+    """Places and their standard deviations along one axis; what is wrong is said in `seen.why`."""
+    shape = seen.why.shape
+    place = np.empty(shape, dtype=np.float32)
+    sigma = np.zeros(shape, dtype=np.float32)
     # Only a phase asks for rivals; without one they may go where the place will be written.
-    rival = np.zeros(high.shape, dtype=np.float32) if plan.periods else place
+    rival = np.zeros(shape, dtype=np.float32) if plan.periods else place
+    clipped = bool(seen.top.any())
     if plan.bits:
         bits = np.array([(b.frame, b.inverse, b.xor, b.counts) for b in plan.bits])
         grid = np.array([plan.first_px, plan.cell_px, plan.reach], dtype=np.float32)
-        read_gray(frames, bits, grid, law, high, low, place, sigma, rival, why)
+        light = seen.high, seen.low
+        if clipped:
+            lose_bits(seen.frames, bits, *light, seen.top, seen.saturation_dn, seen.why)
+        read_gray(seen.frames, bits, grid, seen.law, *light, place, sigma, rival, seen.why)
     if plan.periods:
-        counts = [len(p.frames) for p in plan.periods]
-        starts = np.cumsum([0, *counts[:-1]])
-        periods = np.float64([[p.period_px for p in plan.periods], starts, counts]).T
-        index = np.array([k for p in plan.periods for k in p.frames])
-        delta = np.array([d for p in plan.periods for d in p.delta_rad])
-        waves = [f(m * delta) for m in (1, 2) for f in (np.cos, np.sin)]
-        h, w = high.shape
-        turn, noise2 = np.empty((2, h, len(counts), w), dtype=np.float32)
-        read_phases(frames, periods, index, np.float32(waves).T, law, strength, turn, noise2)
-        if plan.bits:
-            count_by_gray(periods, np.float32(plan.cell_px), turn, place, sigma, rival, why)
-        else:
-            count_by_phases(periods, delta, plan.size_px, turn, noise2, place, why)
-        fuse(periods, turn, noise2, place, sigma)
+        _read_phases(seen, plan, clipped, place, sigma, rival)
     else:
         _within_cell(np.float32(plan.cell_px**2 / 12), sigma)
-    _outside(np.float32(plan.size_px), place, why)
+    _outside(np.float32(plan.size_px), place, seen.why)
     return place, sigma
+
+
+def _read_phases(seen: _Seen, plan: AxisPlan, clipped: bool, place, sigma, rival) -> None:
+    counts = [len(p.frames) for p in plan.periods]
+    starts = np.cumsum([0, *counts[:-1]])
+    periods = np.float64([[p.period_px for p in plan.periods], starts, counts]).T
+    index = np.array([k for p in plan.periods for k in p.frames])
+    delta = np.array([d for p in plan.periods for d in p.delta_rad])
+    waves = np.float32([f(m * delta) for m in (1, 2) for f in (np.cos, np.sin)]).T
+    h, w = seen.why.shape
+    turn, noise2 = np.empty((2, h, len(counts), w), dtype=np.float32)
+    if clipped:
+        lose_phases(seen.frames, index, seen.top, seen.saturation_dn, seen.why)
+    read_phases(seen.frames, periods, index, waves, seen.law, seen.strength, turn, noise2)
+    if plan.bits:
+        count_by_gray(periods, np.float32(plan.cell_px), turn, place, sigma, rival, seen.why)
+    else:
+        count_by_phases(periods, delta, plan.size_px, turn, noise2, place, seen.why)
+    fuse(periods, turn, noise2, place, sigma)
 
 
 @numba.njit(parallel=True, cache=True, error_model="numpy")
 @no_type_check  # the tests' type checker wraps functions, which numba cannot compile
-def _range(stack, high, low, strength):
-    """Brightest and darkest value of each pixel [DN], and their difference."""
+def _range(stack, order, read, saturation_dn, high, low, top, strength):
+    """Brightest and darkest value of each pixel [DN], and their difference.
+
+    `top`: one of the first `read` frames of `order` reaches saturation.
+    """
     for y in numba.prange(stack.shape[1]):
-        _range_row(stack, y, high[y], low[y], strength[y])
+        most, least = stack[order[0], y].copy(), stack[order[0], y].copy()
+        _widen(stack, y, order[1:read], most, least)
+        for x in range(len(most)):
+            top[y, x] = np.float32(most[x]) >= saturation_dn
+        _widen(stack, y, order[read:], most, least)
+        for x in range(len(most)):
+            high[y, x] = most[x]
+            low[y, x] = least[x]
+            strength[y, x] = np.float32(most[x]) - np.float32(least[x])
 
 
 @numba.njit(cache=True)
 @no_type_check  # the tests' type checker wraps functions, which numba cannot compile
-def _range_row(stack, y, high, low, strength):
-    most = stack[0, y].copy()
-    least = stack[0, y].copy()
-    for k in range(1, len(stack)):
+def _widen(stack, y, order, most, least):
+    for k in order:
         frame = stack[k, y]
         for x in range(len(most)):
             most[x] = max(most[x], frame[x])
             least[x] = min(least[x], frame[x])
-    for x in range(len(most)):
-        high[x] = most[x]
-        low[x] = least[x]
-        strength[x] = np.float32(most[x]) - np.float32(least[x])
 
 
 @numba.njit(parallel=True, cache=True, error_model="numpy")
 @no_type_check  # the tests' type checker wraps functions, which numba cannot compile
-def _judge(high, low, strength, why, law, dark_dn, saturation_dn):
-    """What is wrong with a pixel's light goes before what is wrong with its code."""
+def _judge(high, low, strength, top, why, law, dark_dn):
+    """What is wrong with a pixel's light goes before what is wrong with its code.
+
+    Whatever it is, it was found in frames that do not say all where one is at the top.
+    """
     for y in numba.prange(len(high)):
-        _judge_row(high[y], low[y], strength[y], why[y], law, dark_dn, saturation_dn)
+        _judge_row(high[y], low[y], strength[y], top[y], why[y], law, dark_dn)
 
 
 @numba.njit(cache=True, error_model="numpy")
 @no_type_check  # the tests' type checker wraps functions, which numba cannot compile
-def _judge_row(high, low, strength, why, law, dark_dn, saturation_dn):
-    offset_dn, floor_dn2, slope_dn, _ = law
+def _judge_row(high, low, strength, top, why, law, dark_dn):
+    offset_dn, floor_dn2, slope_dn, _, _ = law
     shadow2, zero = np.float32(SHADOW_SIGMAS**2), np.float32(0)
     said = why.astype(np.int32)
     for x in range(len(why)):
@@ -157,7 +208,7 @@ def _judge_row(high, low, strength, why, law, dark_dn, saturation_dn):
         contrast = high[x] - low[x]
         said[x] = 1 if contrast * contrast < shadow2 * noise2 else said[x]
     for x in range(len(why)):
-        said[x] = 3 if high[x] >= saturation_dn else said[x]
+        said[x] = 3 if top[x] & (said[x] != 0) else said[x]
     for x in range(len(why)):
         why[x] = said[x]
 

@@ -1,0 +1,117 @@
+"""Where the decoder's limits lie: too much light, too little, periods hardly told apart.
+
+cd tests && python -m decode.limits saturation     pixels with a frame at the top of the range
+cd tests && python -m decode.limits noise          of stacks of phases alone, measured in the stack
+cd tests && python -m decode.limits periods        error rate against coverage where light is weak
+cd tests && python -m decode.limits sigma          error over sigma, over modulation
+
+The figures of docs/stacks.md. The scene is a map of projector places in closed form: a leaning
+wall, a ball, a box and bars of a few pixels before it, each a step of some periods.
+"""
+
+import argparse
+import sys
+from pathlib import Path
+
+import numpy as np
+
+sys.path.insert(0, str(Path(__file__).resolve().parent))  # as pytest does
+
+from projected import LEVELS, frames_of, share_of_white
+
+from graycast.decode import DecodeSpec, Reason, decode
+from graycast.pattern import gray, gray_phase, multi_frequency
+
+SHAPE = (192, 256)
+WIDTH_PX = 512
+WRONG_PX = 1.0  # a place that lies further off is wrong; half a cell of a Gray code is 0.5
+USUAL = DecodeSpec()
+
+
+def surface():
+    """Projector columns (h, w) of the scene, and which pixels lie 3 px off all steps."""
+    y, x = np.mgrid[0 : SHAPE[0], 0 : SHAPE[1]].astype(float)
+    wall = 60 + 1.5 * x + 0.2 * y
+    inside = np.maximum(1 - ((x - 80) / 45) ** 2 - ((y - 70) / 45) ** 2, 0)
+    place = wall - 40 * np.sqrt(inside)
+    place = np.where((np.abs(x - 190) < 30) & (np.abs(y - 60) < 35), wall - 37.3, place)
+    for n, at in enumerate((30, 70, 110, 150, 190, 230)):  # 1 to 6 px wide
+        place = np.where((x >= at) & (x <= at + n) & (y > 130) & (y < 180), wall - 52.9, place)
+    step = np.zeros(SHAPE, dtype=bool)
+    step[:, 1:] |= np.abs(np.diff(place, axis=1)) > 8
+    step[1:] |= np.abs(np.diff(place, axis=0)) > 8
+    return place, step
+
+
+def stack(code, *, white_dn, dark_dn=60.0, disc_px=1.0, seed=1, levels=LEVELS, share=None):
+    """Frames of the scene in noise, clipped at the top, as a camera would."""
+    place, _ = surface()
+    if share is None:
+        share = share_of_white(code, place, disc_px=disc_px)
+    light = dark_dn + white_dn * share
+    frames = frames_of(light, np.random.default_rng(seed), levels=levels)
+    return np.minimum(frames, int(levels.saturation_dn)).astype(np.uint16)
+
+
+def judged(code, frames, *, levels=LEVELS):
+    """Shares of all pixels that decode, and of these that are wrong; and the codes."""
+    place, _ = surface()
+    codes = decode(frames, code, USUAL, levels)
+    known = codes.reason == Reason.DECODED
+    limit_px = WRONG_PX if code.subpixel else 2.5
+    wrong = np.abs(codes.column - place)[known] > limit_px
+    return float(known.mean()), float(wrong.mean()) if known.any() else 0.0, codes
+
+
+# --- saturation --------------------------------------------------------------------------------
+
+SHINY_CODES = {
+    "gray": gray(WIDTH_PX, 384, axes=("column",)),
+    "gray, inverses": gray(WIDTH_PX, 384, axes=("column",), inverses=True),
+    "gray and phase": gray_phase(WIDTH_PX, 384, steps=12),
+    "gray and phase, inverses": gray_phase(WIDTH_PX, 384, steps=12, inverses=True),
+    "three frequencies": multi_frequency(WIDTH_PX, 384),
+}
+
+
+def shiny(*, strength):
+    """White light [DN] of brushed metal: streaks and highlights, lognormal, `strength` at 3 sigma
+    times the range.
+    """
+    rng = np.random.default_rng(5)
+    from scipy.ndimage import gaussian_filter
+
+    texture = gaussian_filter(rng.normal(size=SHAPE), (1.0, 12.0)) + gaussian_filter(
+        rng.normal(size=SHAPE), 9.0
+    )
+    texture /= texture.std()
+    return LEVELS.range_dn * 0.35 * np.exp(texture * np.log(strength / 0.35) / 3)
+
+
+def saturation(args) -> None:
+    print("code, white light at 3 sigma / range: clipped %, decoded %, wrong % of these")
+    for name, code in SHINY_CODES.items():
+        for strength in (1.5, 4.0, 12.0):
+            # Phases through a projector out of focus: their peak stays under the white level.
+            frames = stack(code, white_dn=shiny(strength=strength), disc_px=3.0)
+            top = (frames >= LEVELS.saturation_dn).any(axis=0).mean()
+            decoded, wrong, codes = judged(code, frames)
+            lost = (codes.reason == Reason.SATURATED).mean()
+            print(
+                f"{name:26} {strength:5.1f}: {100 * top:5.1f} {100 * decoded:6.2f} "
+                f"{100 * wrong:6.3f}   saturated {100 * lost:5.2f}"
+            )
+
+
+def main() -> None:
+    jobs = {"saturation": saturation}
+    parser = argparse.ArgumentParser()
+    parser.add_argument("job", choices=[*jobs, "all"])
+    args = parser.parse_args()
+    for name, job in jobs.items():
+        if args.job in (name, "all"):
+            job(args)
+
+
+if __name__ == "__main__":
+    main()

@@ -11,16 +11,20 @@ wall, a ball, a box and bars of a few pixels before it, each a step of some peri
 
 import argparse
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+from scipy.ndimage import gaussian_filter
 
 sys.path.insert(0, str(Path(__file__).resolve().parent))  # as pytest does
 
 from projected import LEVELS, frames_of, share_of_white
 
 from graycast.decode import DecodeSpec, Reason, decode
-from graycast.pattern import gray, gray_phase, multi_frequency
+from graycast.pattern import Code, Frame, gray, gray_phase, micro_phase, multi_frequency
+from graycast.stack.description import LevelsSection
+from graycast.stack.levels import measure_levels
 
 SHAPE = (192, 256)
 WIDTH_PX = 512
@@ -79,8 +83,6 @@ def shiny(*, strength):
     times the range.
     """
     rng = np.random.default_rng(5)
-    from scipy.ndimage import gaussian_filter
-
     texture = gaussian_filter(rng.normal(size=SHAPE), (1.0, 12.0)) + gaussian_filter(
         rng.normal(size=SHAPE), 9.0
     )
@@ -103,8 +105,57 @@ def saturation(args) -> None:
             )
 
 
+# --- noise of phases alone -----------------------------------------------------------------------
+
+
+def without(code, *kinds):
+    return replace(code, frames=tuple(f for f in code.frames if f.kind not in kinds))
+
+
+def two_periods(steps, *, periods_px=(16.0, 17.0), width_px=256):
+    """Two cosines whose beat is `width_px` long, at least: 272 px of 16 and 17 px."""
+    frames = [
+        Frame(kind="phase", axis="column", period_px=p, step=k, steps=steps)
+        for p in periods_px
+        for k in range(steps)
+    ]
+    return Code(width_px=width_px, height_px=192, frames=tuple(frames))
+
+
+PHASES_ALONE = {
+    "3 x 3 steps": without(multi_frequency(WIDTH_PX, 384, steps=3), "white", "black"),
+    "3 x 4 steps": without(multi_frequency(WIDTH_PX, 384), "white", "black"),
+    "3 x 8 steps": without(multi_frequency(WIDTH_PX, 384, steps=8), "white", "black"),
+    "2 x 12 steps": two_periods(12, periods_px=(16.0, 16.5), width_px=WIDTH_PX),
+    "micro, 3 + 5": without(micro_phase(WIDTH_PX, 384), "white", "black"),
+    "gray and 8 steps": without(gray_phase(WIDTH_PX, 384), "white", "black"),
+}
+
+
+def textured(code, *, gamma, levels=LEVELS, white_dn=1500.0):
+    """A stack of the scene with a printed texture, by a projector whose response is not linear."""
+    rng = np.random.default_rng(8)
+    albedo = 0.25 + 0.75 * gaussian_filter(rng.random(SHAPE) > 0.5, 1.0, output=float)
+    share = share_of_white(code, surface()[0]) ** gamma
+    return stack(code, white_dn=white_dn * albedo, share=share, levels=levels)
+
+
+def sigma_at(levels, light_dn):
+    return np.sqrt(levels.floor_dn2 + levels.slope_dn * light_dn)
+
+
+def noise(args) -> None:
+    print("code, response: measured over true noise at 100 and 1000 DN, where from")
+    for name, code in PHASES_ALONE.items():
+        for gamma in (1.0, 1.3):
+            found = measure_levels(textured(code, gamma=gamma), code, LevelsSection())
+            ratio = [sigma_at(found.levels, dn) / sigma_at(LEVELS, dn) for dn in (100, 1000)]
+            why = found.source.split("(")[-1].rstrip(")")
+            print(f"{name:18} {gamma:3.1f}: {ratio[0]:5.2f} {ratio[1]:5.2f}   {why}")
+
+
 def main() -> None:
-    jobs = {"saturation": saturation}
+    jobs = {"saturation": saturation, "noise": noise}
     parser = argparse.ArgumentParser()
     parser.add_argument("job", choices=[*jobs, "all"])
     args = parser.parse_args()

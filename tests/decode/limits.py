@@ -29,11 +29,11 @@ from graycast.stack.levels import measure_levels
 SHAPE = (192, 256)
 WIDTH_PX = 512
 WRONG_PX = 1.0  # a place that lies further off is wrong; half a cell of a Gray code is 0.5
-USUAL = DecodeSpec()
+USUAL = DecodeSpec(min_contrast=0.005)
 
 
 def surface():
-    """Projector columns (h, w) of the scene, and which pixels lie 3 px off all steps."""
+    """Projector columns (h, w) of the scene."""
     y, x = np.mgrid[0 : SHAPE[0], 0 : SHAPE[1]].astype(float)
     wall = 60 + 1.5 * x + 0.2 * y
     inside = np.maximum(1 - ((x - 80) / 45) ** 2 - ((y - 70) / 45) ** 2, 0)
@@ -41,15 +41,12 @@ def surface():
     place = np.where((np.abs(x - 190) < 30) & (np.abs(y - 60) < 35), wall - 37.3, place)
     for n, at in enumerate((30, 70, 110, 150, 190, 230)):  # 1 to 6 px wide
         place = np.where((x >= at) & (x <= at + n) & (y > 130) & (y < 180), wall - 52.9, place)
-    step = np.zeros(SHAPE, dtype=bool)
-    step[:, 1:] |= np.abs(np.diff(place, axis=1)) > 8
-    step[1:] |= np.abs(np.diff(place, axis=0)) > 8
-    return place, step
+    return place
 
 
 def stack(code, *, white_dn, dark_dn=60.0, disc_px=1.0, seed=1, levels=LEVELS, share=None):
     """Frames of the scene in noise, clipped at the top, as a camera would."""
-    place, _ = surface()
+    place = surface()
     if share is None:
         share = share_of_white(code, place, disc_px=disc_px)
     light = dark_dn + white_dn * share
@@ -59,7 +56,7 @@ def stack(code, *, white_dn, dark_dn=60.0, disc_px=1.0, seed=1, levels=LEVELS, s
 
 def judged(code, frames, *, levels=LEVELS):
     """Shares of all pixels that decode, and of these that are wrong; and the codes."""
-    place, _ = surface()
+    place = surface()
     codes = decode(frames, code, USUAL, levels)
     known = codes.reason == Reason.DECODED
     limit_px = WRONG_PX if code.subpixel else 2.5
@@ -136,7 +133,7 @@ def textured(code, *, gamma, levels=LEVELS, white_dn=1500.0):
     """A stack of the scene with a printed texture, by a projector whose response is not linear."""
     rng = np.random.default_rng(8)
     albedo = 0.25 + 0.75 * gaussian_filter(rng.random(SHAPE) > 0.5, 1.0, output=float)
-    share = share_of_white(code, surface()[0]) ** gamma
+    share = share_of_white(code, surface()) ** gamma
     return stack(code, white_dn=white_dn * albedo, share=share, levels=levels)
 
 
@@ -154,10 +151,42 @@ def noise(args) -> None:
             print(f"{name:18} {gamma:3.1f}: {ratio[0]:5.2f} {ratio[1]:5.2f}   {why}")
 
 
+# --- counting periods --------------------------------------------------------------------------
+
+WEAK_CODES = {
+    "three frequencies": multi_frequency(WIDTH_PX, 384),
+    "two frequencies": two_periods(6, periods_px=(32.0, 34.0), width_px=WIDTH_PX),
+    "micro phase": micro_phase(WIDTH_PX, 384),
+    "micro phase, 8 px": micro_phase(WIDTH_PX, 384, period_px=8.0),
+}
+WEAK_DN = (60.0, 120.0, 240.0, 480.0)
+
+
+def periods(args) -> None:
+    """A place half a period off is wrong. `--power`: of the projector's response."""
+    place = surface()
+    print("code, white light: modulation, decoded %, wrong % of these, settled %, wrong % of these")
+    for name, code in WEAK_CODES.items():
+        for white_dn in WEAK_DN:
+            share = share_of_white(code, place) ** args.power
+            decoded, _, codes = judged(code, stack(code, white_dn=white_dn, share=share))
+            known = codes.reason == Reason.DECODED
+            off_px = np.abs(codes.column - place)
+            limit_px = 0.5 * min(f.period_px for f in code.frames if f.period_px)
+            wrong = (off_px[known] > limit_px).mean() if known.any() else 0.0
+            mark = getattr(codes, "mark", None)
+            settled = known & (mark & 2 > 0) if mark is not None else np.zeros(SHAPE, dtype=bool)
+            bad = (off_px[settled] > limit_px).mean() if settled.any() else 0.0
+            shares = [100 * share for share in (decoded, wrong, settled.mean(), bad)]
+            words = "{:6.2f} {:6.3f}   {:6.2f} {:6.3f}".format(*shares)
+            print(f"{name:18} {white_dn:4.0f}: {np.median(codes.modulation):6.3f} {words}")
+
+
 def main() -> None:
-    jobs = {"saturation": saturation, "noise": noise}
+    jobs = {"saturation": saturation, "noise": noise, "periods": periods}
     parser = argparse.ArgumentParser()
     parser.add_argument("job", choices=[*jobs, "all"])
+    parser.add_argument("--power", type=float, default=1.0)
     args = parser.parse_args()
     for name, job in jobs.items():
         if args.job in (name, "all"):

@@ -16,9 +16,18 @@ from jaxtyping import Bool, Float32, UInt8, UInt16
 from ..errors import DecodeError
 from ..pattern import AXES, Axis, Code
 from .bits import lose_bits, read_gray
-from .maps import CodeMap, DecodeSpec, Levels, Mark
-from .phases import count_by_gray, count_by_phases, fuse, lose_phases, read_phases
+from .maps import CodeMap, DecodeSpec, Levels, Mark, Reason
+from .phases import (
+    MIN_LEAD,
+    count_by_gray,
+    count_by_phases,
+    fuse,
+    lose_phases,
+    open_choices,
+    read_phases,
+)
 from .plan import AxisPlan, plan_axes, read_frames
+from .settling import CHOICES, CLEAR, OPEN, settle
 
 SHADOW_SIGMAS = 6.0  # the range of some twenty noisy frames of equal light seldom exceeds it
 
@@ -151,8 +160,26 @@ def _read_phases(seen: _Seen, plan: AxisPlan, clipped: bool, place, sigma, rival
     if plan.bits:
         count_by_gray(periods, np.float32(plan.cell_px), turn, place, sigma, rival, seen.why)
     else:
-        count_by_phases(periods, delta, plan.size_px, turn, noise2, place, seen.why)
+        _count(seen, (periods, delta, plan.size_px, turn, noise2), place)
     fuse(periods, turn, noise2, place, sigma)
+
+
+def _count(seen: _Seen, measured: tuple, place) -> None:
+    """Count periods by the phases themselves; what they leave open is the neighbours' to settle."""
+    periods, _, _, turn, _ = measured
+    state = np.empty(place.shape, dtype=np.uint8)
+    count_by_phases(*measured, place, state)
+    said = seen.why.copy()
+    _judge(seen.high, seen.low, seen.strength, seen.top, said, seen.law, seen.dark_dn)
+    lit = said == Reason.DECODED
+    if (lit & (state == OPEN)).any():
+        h, w = place.shape
+        choice = np.empty((h, CHOICES, w), dtype=np.int32)
+        cost = np.empty(choice.shape, dtype=np.float32)
+        open_choices(*measured, state, choice, cost)
+        settled = settle(periods, turn, choice, cost, place, state, lit, min_lead=MIN_LEAD)
+        seen.mark[settled] |= np.uint8(Mark.SETTLED)
+    seen.why[(state != CLEAR) & (seen.why == 0)] = Reason.CONTRADICTORY
 
 
 @numba.njit(parallel=True, cache=True, error_model="numpy")

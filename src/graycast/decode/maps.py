@@ -80,12 +80,6 @@ def levels_of(sensor: SensorSpec) -> Levels:
     )
 
 
-# Of a real scan (the sea shell) a bit whose signal is 0.03, 0.08, 0.12 and 0.20 of the contrast is
-# wrong in 37, 20, 6 and 2 of 100 pixels of its columns, in 25, 8, 3 and 1 of its rows, whichever of
-# the finest four it is: a normal error of this share.
-FINE_ERROR = 0.06
-
-
 @dataclass(frozen=True, slots=True, kw_only=True)
 class DecodeSpec:
     """What a pixel must show to be believed.
@@ -96,9 +90,7 @@ class DecodeSpec:
     contradict each other; its `fine_bits` finest bits do not count: there a pixel may see several
     stripes and still be right, and doubt only widens `sigma`. A single doubtful bit contradicts
     where misreading it would cost more than 2^fine_bits values; under a phase code, half a period,
-    and `fine_bits` is not used. A fine bit's signal is off by `fine_error` of the contrast, beyond
-    its noise: light from elsewhere that differs between pattern and inverse, texture, compression;
-    it widens `sigma` alone, and 0 leaves noise, as if each bit were wrong by itself.
+    and `fine_bits` is not used.
     Where both axes are coded, a point farther from its epipolar line than `max_epipolar_px` and
     three standard deviations is an outlier; 0 lets all pass.
     """
@@ -106,7 +98,6 @@ class DecodeSpec:
     min_contrast: float = 0.02
     doubt: float = 0.15
     fine_bits: int = 3
-    fine_error: float = FINE_ERROR
     max_epipolar_px: float = 2.0
 
     def __post_init__(self) -> None:
@@ -116,8 +107,6 @@ class DecodeSpec:
             raise ValueError(f"doubt is {self.doubt}; a share from 0 to 1")
         if self.fine_bits < 0:
             raise ValueError(f"fine_bits is {self.fine_bits}; 0 or more")
-        if not 0 <= self.fine_error < 1:
-            raise ValueError(f"fine_error is {self.fine_error}; a share from 0 to 1")
         if not self.max_epipolar_px >= 0:
             raise ValueError(f"max_epipolar_px is {self.max_epipolar_px}; 0 (off) or more")
 

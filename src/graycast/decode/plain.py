@@ -6,7 +6,7 @@ import numpy as np
 from jaxtyping import UInt8, UInt16
 
 from ..pattern import AXES, Code
-from .bits import BLURRED, SHARP, XOR_SIGMAS
+from .bits import BLURRED, FINE_ERROR, SHARP, XOR_SIGMAS
 from .maps import CodeMap, DecodeSpec, Levels, Mark, Reason
 from .phases import MAX_MISFIT, MIN_LEAD, MODEL_RAD, OFF_CELL_PERIODS, SLACK_PERIODS
 from .plan import AxisPlan, Period, plan_axes, read_frames
@@ -30,6 +30,8 @@ def decode_plain(
     code: Code,
     spec: DecodeSpec,
     levels: Levels,
+    *,
+    fine_error: float = FINE_ERROR,
 ) -> CodeMap:
     """See `decode`."""
     stack = frames.astype(np.float64)
@@ -46,7 +48,9 @@ def decode_plain(
         coarse = variance = rival = None
         _say(why, _lost(stack, full, plan, high + low, levels), Reason.SATURATED)
         if plan.bits:
-            coarse, variance, rival, doubts = _gray(stack, plan, spec, levels, high, low)
+            coarse, variance, rival, doubts = _gray(
+                stack, plan, spec, levels, high, low, fine_error
+            )
             contradiction = np.where(doubts[1] == 0, Reason.INTERREFLECTION, Reason.CONTRADICTORY)
             _say(why, doubts.sum(axis=0) >= 2, contradiction)
             place, sigma = coarse, np.sqrt(variance + plan.cell_px**2 / 12)
@@ -118,7 +122,7 @@ def _lost(stack, full, plan: AxisPlan, twice_threshold, levels: Levels):
     return lost
 
 
-def _gray(stack, plan: AxisPlan, spec: DecodeSpec, levels: Levels, high, low):
+def _gray(stack, plan: AxisPlan, spec: DecodeSpec, levels: Levels, high, low, fine_error):
     middle = high + low
     noise_dn2 = 2 * levels.floor_dn2 + levels.slope_dn * np.maximum(
         middle - 2 * levels.offset_dn, 0
@@ -146,8 +150,8 @@ def _gray(stack, plan: AxisPlan, spec: DecodeSpec, levels: Levels, high, low):
     for b, bit in enumerate(plan.bits):
         flipped = value ^ (2 ** (len(bits) - b) - 1)
         error, square = noises[b], (flipped - value) ** 2
-        if spec.fine_error > 0 and not bit.counts and bit.xor < 0:
-            error = np.hypot(error, spec.fine_error * (high - low))
+        if fine_error > 0 and not bit.counts and bit.xor < 0:
+            error = np.hypot(error, fine_error * (high - low))
             sharp = 1.0
             if b > 0 and plan.bits[b - 1].xor < 0:
                 with np.errstate(divide="ignore", invalid="ignore"):

@@ -15,7 +15,7 @@ from jaxtyping import Bool, Float32, UInt8, UInt16
 
 from ..errors import DecodeError
 from ..pattern import AXES, Axis, Code
-from .bits import lose_bits, read_gray
+from .bits import FINE_ERROR, lose_bits, read_gray
 from .maps import CodeMap, DecodeSpec, Levels, Mark, Reason
 from .phases import (
     MIN_LEAD,
@@ -37,6 +37,8 @@ def decode(
     code: Code,
     spec: DecodeSpec,
     levels: Levels,
+    *,
+    fine_error: float = FINE_ERROR,
 ) -> CodeMap:
     """Read a stack.
 
@@ -53,6 +55,11 @@ def decode(
         period 8 px   sharp 0.010, 0.075   0.5 px  0.007, 0.014   1 px  0.004, 0.005
         period 16 px  sharp 0.003, 0.081   0.5 px  0.002, 0.013   1 px  0.001, 0.005
 
+    Args:
+        fine_error: by how much a fine bit's signal is off beyond its noise, as a share of the
+            pixel's contrast; it widens `sigma` alone. 0 leaves noise, as if each bit were wrong by
+            itself.
+
     Raises:
         DecodeError: the stack has another number of frames than the code, or frames are missing.
     """
@@ -62,7 +69,7 @@ def decode(
             "another projector size, or inverses missing?"
         )
     plans = plan_axes(code, spec.fine_bits)
-    seen = _look(np.ascontiguousarray(frames), plans, spec, levels)
+    seen = _look(np.ascontiguousarray(frames), plans, spec, levels, fine_error)
     found = {axis: _read(seen, plan) for axis, plan in plans.items()}
     why, strength, shape = seen.why, seen.strength, seen.why.shape
     _judge(seen.high, seen.low, strength, seen.top, why, seen.law, seen.dark_dn)
@@ -98,12 +105,14 @@ class _Seen:
     mark: UInt8[np.ndarray, "h w"]
 
 
-def _look(frames, plans: dict[Axis, AxisPlan], spec: DecodeSpec, levels: Levels) -> _Seen:
+def _look(
+    frames, plans: dict[Axis, AxisPlan], spec: DecodeSpec, levels: Levels, fine_error: float
+) -> _Seen:
     """Brightest and darkest value of each pixel, and where the top is reached."""
     shape = frames.shape[1:]
     high, low, strength = (np.empty(shape, dtype=np.float32) for _ in range(3))
     top = np.empty(shape, dtype=np.bool_)
-    numbers = (levels.offset_dn, levels.floor_dn2, levels.slope_dn, spec.doubt, spec.fine_error)
+    numbers = (levels.offset_dn, levels.floor_dn2, levels.slope_dn, spec.doubt, fine_error)
     saturation_dn = np.float32(levels.saturation_dn)
     read = read_frames(plans, len(frames))
     order = np.argsort(~read, kind="stable")  # those that are read come first

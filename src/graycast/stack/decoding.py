@@ -172,7 +172,7 @@ def _by_noise(
     """
     if code.subpixel:
         return codes
-    return decode(pictures.frames, code, replace(spec, fine_error=0.0), levels)
+    return decode(pictures.frames, code, spec, levels, fine_error=0.0)
 
 
 def _separated(

@@ -112,7 +112,7 @@ def _weigh_doubts(bits, grid, law, high, low, margin, value, variance, rival, wh
     offset_dn, floor_dn2, slope_dn, doubt, fine_error = law
     cell_px, reach = grid[1], grid[2]
     count, w = margin.shape
-    zero, one, two = np.float32(0), np.float32(1), np.float32(2)
+    zero, half, one, two = np.float32(0), np.float32(0.5), np.float32(1), np.float32(2)
     noise = np.empty(w, dtype=np.float32)  # of pattern minus inverse [DN]
     third = np.empty(w, dtype=np.float32)
     contrast = np.empty(w, dtype=np.float32)
@@ -139,12 +139,11 @@ def _weigh_doubts(bits, grid, law, high, low, margin, value, variance, rival, wh
             coarser = margin[b - 1] if b > 0 and bits[b - 1, 2] < 0 else of_bit[:0]
             _weigh_fine(of_bit, coarser, sure, flip, value, cell_px, variance)
             continue
-        for x in range(w):
-            size = abs(np.float32(of_bit[x]))
-            wrong = max(one - size * (third[x] * scale), zero)
-            apart_px = cell_px * (np.float32(np.int32(value[x] ^ flip)) - np.float32(value[x]))
-            variance[x] += np.float32(0.5) * (wrong * wrong * wrong) * (apart_px * apart_px)
         if bits[b, 3] == 0:
+            for x in range(w):
+                wrong = max(one - abs(np.float32(of_bit[x])) * (third[x] * scale), zero)
+                apart_px = cell_px * (np.float32(np.int32(value[x] ^ flip)) - np.float32(value[x]))
+                variance[x] += half * (wrong * wrong * wrong) * (apart_px * apart_px)
             continue
         of_half = doubts[0 if 2 * seen < counted else 1]
         seen += 1
@@ -154,6 +153,8 @@ def _weigh_doubts(bits, grid, law, high, low, margin, value, variance, rival, wh
         for x in range(w):
             size = abs(np.float32(of_bit[x]))
             apart = np.float32(np.int32(value[x] ^ flip)) - np.float32(value[x])
+            wrong = max(one - size * (third[x] * scale), zero)
+            variance[x] += half * (wrong * wrong * wrong) * ((cell_px * apart) * (cell_px * apart))
             grave = np.int32(1) + np.int32(abs(apart) > reach)
             of_half[x] += grave if size < share * limit[x] else np.int32(0)
             rival[x] = cell_px * apart if size < share * limit[x] else rival[x]
@@ -186,12 +187,17 @@ def _weigh_fine(of_bit, coarser, sure, flip, value, cell_px, variance):
     cell2 = half * cell_px * cell_px
     start = np.float32(BLURRED / (SHARP - BLURRED))
     third, per_span = sure[0], sure[1]
+    if len(coarser) == 0:
+        for x in range(len(of_bit)):
+            wrong = max(one - abs(np.float32(of_bit[x])) * third[x], zero)
+            apart = np.float32(np.int32(value[x] ^ flip) - value[x])
+            square = half * apart * apart - np.float32(1 / 6)
+            variance[x] += cell2 * (wrong * wrong * wrong) * square
+        return
     for x in range(len(of_bit)):
         wrong = max(one - abs(np.float32(of_bit[x])) * third[x], zero)
-        apart = np.float32(np.int32(value[x] ^ flip)) - np.float32(value[x])
+        apart = np.float32(np.int32(value[x] ^ flip) - value[x])
         square = apart * apart
-        less = half * square + np.float32(1 / 6)
-        if len(coarser) > 0:
-            beside = abs(np.float32(coarser[x])) * per_span[x] - start
-            less *= min(max(beside, zero), one)
-        variance[x] += cell2 * (wrong * wrong * wrong) * (square - less)
+        beside = abs(np.float32(coarser[x])) * per_span[x] - start
+        square -= min(max(beside, zero), one) * (half * square + np.float32(1 / 6))
+        variance[x] += cell2 * (wrong * wrong * wrong) * square

@@ -111,12 +111,14 @@ def _look(
     """Brightest and darkest value of each pixel, and where the top is reached."""
     shape = frames.shape[1:]
     high, low, strength = (np.empty(shape, dtype=np.float32) for _ in range(3))
-    top = np.empty(shape, dtype=np.bool_)
     numbers = (levels.offset_dn, levels.floor_dn2, levels.slope_dn, spec.doubt, fine_error)
     saturation_dn = np.float32(levels.saturation_dn)
-    read = read_frames(plans, len(frames))
-    order = np.argsort(~read, kind="stable")  # those that are read come first
-    _range(frames, order, int(read.sum()), saturation_dn, high, low, top, strength)
+    peak = np.empty(shape[0], dtype=np.float32)
+    _range(frames, high, low, strength, peak)
+    top = np.zeros(shape, dtype=np.bool_)
+    if peak.max(initial=0) >= saturation_dn:
+        read = np.flatnonzero(read_frames(plans, len(frames)))
+        _reach(frames, read, peak, saturation_dn, top)
     return _Seen(
         frames=frames,
         law=tuple(np.float32(number) for number in numbers),
@@ -193,31 +195,43 @@ def _count(seen: _Seen, measured: tuple, place) -> None:
 
 @numba.njit(parallel=True, cache=True, error_model="numpy")
 @no_type_check  # the tests' type checker wraps functions, which numba cannot compile
-def _range(stack, order, read, saturation_dn, high, low, top, strength):
-    """Brightest and darkest value of each pixel [DN], and their difference.
-
-    `top`: one of the first `read` frames of `order` reaches saturation.
-    """
+def _range(stack, high, low, strength, peak):
+    """Brightest and darkest value of each pixel [DN], and their difference; each row's highest."""
     for y in numba.prange(stack.shape[1]):
-        most, least = stack[order[0], y].copy(), stack[order[0], y].copy()
-        _widen(stack, y, order[1:read], most, least)
-        for x in range(len(most)):
-            top[y, x] = np.float32(most[x]) >= saturation_dn
-        _widen(stack, y, order[read:], most, least)
-        for x in range(len(most)):
-            high[y, x] = most[x]
-            low[y, x] = least[x]
-            strength[y, x] = np.float32(most[x]) - np.float32(least[x])
+        peak[y] = _range_row(stack, y, high[y], low[y], strength[y])
 
 
 @numba.njit(cache=True)
 @no_type_check  # the tests' type checker wraps functions, which numba cannot compile
-def _widen(stack, y, order, most, least):
-    for k in order:
+def _range_row(stack, y, high, low, strength):
+    most = stack[0, y].copy()
+    least = stack[0, y].copy()
+    for k in range(1, len(stack)):
         frame = stack[k, y]
         for x in range(len(most)):
             most[x] = max(most[x], frame[x])
             least[x] = min(least[x], frame[x])
+    for x in range(len(most)):
+        high[x] = most[x]
+        low[x] = least[x]
+        strength[x] = np.float32(most[x]) - np.float32(least[x])
+    highest = most[0]
+    for x in range(len(most)):
+        highest = max(highest, most[x])
+    return highest
+
+
+@numba.njit(parallel=True, cache=True)
+@no_type_check  # the tests' type checker wraps functions, which numba cannot compile
+def _reach(stack, read, peak, saturation_dn, top):
+    """Where one of the frames that are read is at the top."""
+    for y in numba.prange(len(top)):
+        if peak[y] < saturation_dn:
+            continue
+        for k in read:
+            frame = stack[k, y]
+            for x in range(len(frame)):
+                top[y, x] |= np.float32(frame[x]) >= saturation_dn
 
 
 @numba.njit(parallel=True, cache=True, error_model="numpy")

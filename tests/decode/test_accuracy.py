@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from projected import LEVELS, crisp, frames_of, share_of_white
+from scipy.special import j1
 
 from graycast.decode import DecodeSpec, Reason, decode, levels_of
 from graycast.errors import DecodeError
@@ -89,6 +90,49 @@ def test_plain_gray_lies_within_half_a_column_where_no_edge_is_near():
     assert off_px[known].max() < 1.5
     z, _ = deviations(u, codes)
     assert (np.abs(z) < 2).mean() > 0.99
+
+
+def scatter_over_sigma(code, *, white_dn, disc_px, camera_px, frame_error=0.0):
+    """Root mean square of error over sigma; and the finest bit's modulation, in closed form."""
+    rng = np.random.default_rng(6)
+    u = np.linspace(8, 500, 400)[None] + rng.uniform(0, 1, (60, 1))
+    light = share_of_white(code, u, camera_px=camera_px, disc_px=disc_px)
+    light = light + frame_error * rng.normal(size=light.shape)
+    codes = decode(frames_of(60 + white_dn * light, rng), code, USUAL, LEVELS)
+    x = 2 * np.pi * disc_px / 4
+    left = np.sinc(camera_px / 4) * (2 * j1(x) / x if x else 1.0)
+    z, decoded = deviations(u, codes)
+    assert decoded > 0.98
+    return np.sqrt(np.mean(z**2)), left
+
+
+@pytest.mark.parametrize("inverses", [False, True])
+@pytest.mark.parametrize("white_dn", [300.0, 3000.0])
+@pytest.mark.parametrize(
+    ("disc_px", "camera_px", "left"),
+    [(0.0, 0.7, 0.95), (1.0, 0.7, 0.69), (1.0, 1.5, 0.57), (1.5, 1.5, 0.35), (4.0, 3.0, -0.02)],
+)
+def test_gray_bits_are_off_by_sigma_whatever_blur_leaves_of_them(
+    inverses, white_dn, disc_px, camera_px, left
+):
+    """Without the error of fine bits this is 1.7 to 3.3 where blur has taken the finest bit. That
+    error, which these frames do not have, makes it 0.8 where the bit is there.
+    """
+    code = gray(512, 384, axes=("column",), inverses=inverses)
+    ratio, found = scatter_over_sigma(code, white_dn=white_dn, disc_px=disc_px, camera_px=camera_px)
+    assert found == pytest.approx(left, abs=0.01)
+    assert 0.78 < ratio < 1.55
+
+
+@pytest.mark.parametrize(("disc_px", "left"), [(0.0, 0.78), (1.5, 0.35), (2.1, 0.11), (2.4, 0.01)])
+def test_gray_bits_whose_frames_differ_by_6_percent_are_off_by_sigma(disc_px, left):
+    """Each frame has 4 % of light of its own, so that pattern and inverse differ by 6 %."""
+    code = gray(512, 384, axes=("column",), inverses=True)
+    error = 0.06 / np.sqrt(2)
+    words = {"white_dn": 1500.0, "disc_px": disc_px, "camera_px": 1.5}
+    ratio, found = scatter_over_sigma(code, frame_error=error, **words)
+    assert found == pytest.approx(left, abs=0.01)
+    assert 0.8 < ratio < 1.3
 
 
 def test_phases_are_ten_times_finer_than_plain_gray_in_the_same_light():

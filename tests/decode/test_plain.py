@@ -60,10 +60,10 @@ def test_a_gray_code_is_read_bit_for_bit_as_the_plain_decoder_reads_it(name, lev
     for spec in SPECS:
         fast, plain = (f(stack.copy(), code, spec, levels) for f in (decode, decode_plain))
         assert len(np.unique(plain.reason)) >= 3
-        for field in ("column", "row", "modulation", "reason"):
+        for field in ("column", "row", "modulation", "reason", "mark"):
             a, b = getattr(fast, field), getattr(plain, field)
             assert a.dtype == b.dtype
-            assert np.array_equal(a, b, equal_nan=field != "reason")
+            assert np.array_equal(a, b, equal_nan=field not in ("reason", "mark"))
         for field in ("sigma_column", "sigma_row"):
             a, b = getattr(fast, field), getattr(plain, field)
             np.testing.assert_allclose(a, b, rtol=1e-5)
@@ -79,6 +79,7 @@ def test_phases_are_read_as_the_plain_decoder_reads_them_to_single_precision(nam
         fast, plain = (f(stack.copy(), code, spec, levels) for f in (decode, decode_plain))
         assert len(np.unique(plain.reason)) >= 3
         assert np.array_equal(fast.reason, plain.reason)
+        assert np.array_equal(fast.mark, plain.mark)
         np.testing.assert_allclose(fast.modulation, plain.modulation, rtol=1e-4, atol=1e-6)
         for field in ("column", "row"):
             a, b = getattr(fast, field), getattr(plain, field)

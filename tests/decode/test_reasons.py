@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from projected import LEVELS, crisp, frames_of, share_of_white
 
-from graycast.decode import DecodeSpec, Reason, decode, decode_plain, levels_of
+from graycast.decode import DecodeSpec, Mark, Reason, decode, decode_plain, levels_of
 from graycast.pattern import gray, gray_line_shift, gray_phase, multi_frequency, xor_gray
 from graycast.sensor import SensorSpec
 
@@ -68,19 +68,117 @@ def test_a_phase_without_amplitude_has_low_modulation_though_its_gray_bits_are_b
     assert one_pixel(code, change=flatten) is Reason.LOW_MODULATION
 
 
-def test_a_pixel_is_saturated_when_one_frame_reaches_the_top():
-    code = gray(32, 16)
-    assert one_pixel(code, bright=255) is Reason.SATURATED
-    assert one_pixel(code, bright=254) is Reason.DECODED
-    well = SensorSpec(
-        offset_dn=10.0,
-        gain_dn_per_e=0.1003,
-        full_well_e=1000.0,
-        read_noise_e=0.1,
-        bit_depth=8,
-    )  # full at 110.26 DN, which the sensor stores as 110
-    assert one_pixel(code, bright=110, sensor=well) is Reason.SATURATED
-    assert one_pixel(code, bright=109, sensor=well) is Reason.DECODED
+WELL = SensorSpec(
+    offset_dn=10.0, gain_dn_per_e=0.1003, full_well_e=1000.0, read_noise_e=0.1, bit_depth=8
+)  # full at 110.26 DN, which the sensor stores as 110
+
+
+@pytest.mark.parametrize(("sensor", "full"), [(SENSOR, 255), (WELL, 110)])
+@pytest.mark.parametrize("inverses", [False, True])
+def test_frames_at_the_top_are_information_and_no_verdict(sensor, full, inverses):
+    """White frame, coarse bit, phase-free: each bit still says on which side of its middle it is.
+
+    Pixel 96 is 1010000 in Gray code: its narrow stripes are dark.
+    """
+    code = gray(128, 16, axes=("column",), inverses=inverses)
+    assert one_pixel(code, at=96, bright=full, sensor=sensor) is Reason.DECODED
+    assert one_pixel(code, at=96, bright=full - 1, sensor=sensor) is Reason.DECODED
+    for bright, mark in ((full, Mark.CLIPPED), (full - 1, Mark(0))):
+        stack = crisp(code, np.array([[96]]), bright=bright)
+        codes = decode(stack, code, USUAL, levels_of(sensor))
+        assert Mark(codes.mark[0, 0]) == mark and codes.column[0, 0] == 96
+
+
+@pytest.mark.parametrize("bit", range(7))
+def test_a_bit_is_lost_where_it_and_its_inverse_are_at_the_top(bit):
+    code = gray(128, 16, axes=("column",), inverses=True)
+    pair = [frame_index(code, "column", bit, inverse) for inverse in (False, True)]
+
+    def both(stack):
+        stack[pair] = 255
+
+    def the_lit_one(stack):
+        stack[pair[int(stack[pair[1]] > stack[pair[0]])]] = 255
+
+    assert one_pixel(code, change=both) is Reason.SATURATED
+    assert one_pixel(code, change=the_lit_one) is Reason.DECODED
+
+
+def test_without_inverse_a_narrow_stripe_over_a_threshold_that_is_at_the_top_is_lost():
+    """Lit stripes at the top hide how bright white is, and blur brings narrow ones near its middle.
+
+    White alone does not: the lit stripes show it.
+    """
+    code = gray(128, 16, axes=("column",))
+    assert one_pixel(code, at=97, bright=255) is Reason.SATURATED  # 1010001: its finest bit is lit
+
+    def white(stack):
+        stack[0] = 255
+
+    assert one_pixel(code, at=97, change=white) is Reason.DECODED
+
+
+def test_a_phase_is_lost_where_one_of_its_own_frames_is_at_the_top():
+    code = gray_phase(256, 64, steps=8, inverses=True)
+
+    def glare(kinds):
+        def change(stack):
+            lit = [k for k, f in enumerate(code.frames) if f.kind in kinds and stack[k] > 150]
+            stack[lit] = 255
+
+        return change
+
+    assert one_pixel(code, change=glare(("white", "gray", "complementary"))) is Reason.DECODED
+    for k, frame in enumerate(code.frames):
+        if frame.kind == "phase":
+
+            def one(stack, k=k):
+                stack[k] = 255
+
+            assert one_pixel(code, change=one) is Reason.SATURATED
+
+
+def test_what_does_not_decode_is_saturated_where_a_frame_that_is_read_is_at_the_top():
+    """A white frame beside inverses and phases is not read, and is no reason."""
+    code = gray_phase(256, 64, steps=8, inverses=True)
+    phases = [k for k, f in enumerate(code.frames) if f.kind == "phase"]
+
+    def flat(stack):
+        stack[phases] = 110
+
+    def bright(stack):
+        flat(stack)
+        stack[0] = 255
+
+    def glare(stack):
+        flat(stack)
+        stack[frame_index(code, "column", 0)] = 255
+
+    assert one_pixel(code, change=flat) is Reason.LOW_MODULATION
+    assert one_pixel(code, change=bright) is Reason.LOW_MODULATION
+    assert one_pixel(code, change=glare) is Reason.SATURATED
+
+
+@pytest.mark.parametrize("inverses", [False, True])
+def test_bright_metal_decodes_where_only_its_gray_bits_are_at_the_top(inverses):
+    """White light from 0.5 to 1.6 of the range; phases through a lens out of focus, so that their
+    peak is at 0.93 of white. Where no phase is at the top all decodes, and all is right.
+    """
+    code = gray_phase(512, 384, inverses=inverses)
+    u = np.linspace(8, 500, 400)[None].repeat(120, axis=0)
+    white = LEVELS.range_dn * np.linspace(0.5, 1.6, 120)[:, None]
+    light = 60 + white * share_of_white(code, u, disc_px=3.0)
+    frames = np.minimum(frames_of(light, np.random.default_rng(2)), 4000)
+    codes = decode(frames, code, USUAL, LEVELS)
+    full = frames >= 4000
+    phases = [k for k, f in enumerate(code.frames) if f.kind == "phase"]
+    lost = full[phases].any(axis=0)
+    shiny = full.any(axis=0) & ~lost
+    assert shiny.mean() > 0.05  # once refused, all of them
+    assert (codes.reason[shiny] == Reason.DECODED).mean() > 0.999
+    assert (codes.reason[lost] == Reason.SATURATED).all()
+    off_px = np.abs(codes.column - u)[codes.reason == Reason.DECODED]
+    assert off_px.max() < 1.0
 
 
 @pytest.mark.parametrize("inverses", [False, True])
@@ -147,7 +245,7 @@ def test_a_code_that_the_projector_does_not_have_is_outside_of_it():
     assert one_pixel(code, change=change) is Reason.OUTSIDE_PROJECTOR
 
 
-def test_saturated_comes_before_all():
+def test_of_what_does_not_decode_saturated_comes_before_all():
     """A pixel that is full in all frames shows no contrast, and is no shadow for it."""
     code = gray(256, 16)
 

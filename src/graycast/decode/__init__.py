@@ -1,7 +1,7 @@
 """From a stack of pictures to projector positions to depth, with a reason where there is none."""
 
 from .filters import FilterSpec, filter_depth
-from .maps import REASON_COLOR, CodeMap, DecodeSpec, DepthMap, Levels, Reason, levels_of
+from .maps import REASON_COLOR, CodeMap, DecodeSpec, DepthMap, Levels, Mark, Reason, levels_of
 from .plain import decode_plain
 from .reading import decode
 from .separation import separate
@@ -14,6 +14,7 @@ __all__ = [
     "DepthMap",
     "FilterSpec",
     "Levels",
+    "Mark",
     "Reason",
     "decode",
     "decode_plain",

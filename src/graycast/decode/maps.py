@@ -1,7 +1,7 @@
 """What decoding takes and gives: what digital numbers mean, what is believed, maps and reasons."""
 
 from dataclasses import dataclass
-from enum import IntEnum
+from enum import IntEnum, IntFlag
 
 import numpy as np
 from jaxtyping import Float, UInt8
@@ -15,12 +15,19 @@ class Reason(IntEnum):
     DECODED = 0
     SHADOW = 1  # the frames differ by no more than their noise: the projector does not reach it
     LOW_MODULATION = 2  # it does, but too weakly to be believed
-    SATURATED = 3
+    SATURATED = 3  # bits or phases are lost at the top of the range, or in doubt below it
     CONTRADICTORY = 4  # bits or phases that no single place of the projector shows
     INTERREFLECTION = 5  # a coarse bit in doubt far from its edges, or against the fine code
     OUTSIDE_PROJECTOR = 6
     OUT_OF_RANGE = 7  # no depth within the rig's working range
     OUTLIER = 8  # taken out by a filter, or off the epipolar line
+
+
+class Mark(IntFlag):
+    """What is known of a pixel beside its reason, decoded or not."""
+
+    CLIPPED = 1  # a frame that its place is read from is at the top of the range
+    SETTLED = 2  # its own phases allow several places; its neighbours chose among them
 
 
 # Of maps of reasons in pictures, so that a reason looks alike in all of them.
@@ -83,8 +90,9 @@ class DecodeSpec:
     contradict each other; its `fine_bits` finest bits do not count: there a pixel may see several
     stripes and still be right, and doubt only widens `sigma`. A single doubtful bit contradicts
     where misreading it would cost more than 2^fine_bits values; under a phase code, half a period,
-    and `fine_bits` is not used. Where both axes are coded, a point farther from its epipolar line
-    than `max_epipolar_px` and three standard deviations is an outlier; 0 lets all pass.
+    and `fine_bits` is not used.
+    Where both axes are coded, a point farther from its epipolar line than `max_epipolar_px` and
+    three standard deviations is an outlier; 0 lets all pass.
     """
 
     min_contrast: float = 0.02
@@ -109,7 +117,8 @@ class CodeMap:
 
     `column`, `row` and their standard deviations [projector px] are NaN where `reason` is not
     DECODED and where the code has no such axis. `modulation` is brightest minus darkest frame, of
-    a phase code twice its amplitude, as a share of the sensor's range.
+    a phase code twice its amplitude, as a share of the sensor's range. `mark` are bits of `Mark`;
+    None where they were not kept.
     """
 
     column: Float[np.ndarray, "h w"]
@@ -118,10 +127,12 @@ class CodeMap:
     sigma_row: Float[np.ndarray, "h w"]
     modulation: Float[np.ndarray, "h w"]
     reason: UInt8[np.ndarray, "h w"]
+    mark: UInt8[np.ndarray, "h w"] | None = None
 
     def __post_init__(self) -> None:
         for name in self.__dataclass_fields__:
-            getattr(self, name).flags.writeable = False
+            if getattr(self, name) is not None:
+                getattr(self, name).flags.writeable = False
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

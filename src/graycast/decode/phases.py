@@ -6,9 +6,12 @@ from typing import no_type_check
 import numba
 import numpy as np
 
+from .settling import CLEAR, OPEN, REFUSED
+
 MODEL_RAD = 0.05  # by which phases of one place may differ beyond their noise
 MAX_MISFIT = 9.0  # mean square of residuals in their own standard deviations
-MIN_LEAD = 16.0  # sum of squares by which the best place must lead the next: 4 sigma of noise
+# Sum of squares by which the best place must lead the next, 4 sigma of noise: else it is open.
+MIN_LEAD = 16.0
 OFF_CELL_PERIODS = 0.125  # by which a phase may lie outside of the Gray code's cell, in periods
 SLACK_PERIODS = 0.25  # by which a place may lie outside of the picture while periods are counted
 NOWHERE = 1e30  # the cost of a place outside of the picture
@@ -58,7 +61,7 @@ def _phase(sums, count, law, turn, noise2):
     The least-squares phase of N even steps has the variance 4 / (N A)^2 times the sum of
     var_j sin^2(phase - delta_j), and var_j is linear in the level j.
     """
-    offset_dn, floor_dn2, slope_dn, _ = law
+    offset_dn, floor_dn2, slope_dn, _, _ = law
     total, c, s, c2, s2 = sums[0], sums[1], sums[2], sums[3], sums[4]
     two = np.float32(2)
     for x in range(len(turn)):
@@ -75,7 +78,7 @@ def _phase(sums, count, law, turn, noise2):
 @no_type_check  # the tests' type checker wraps functions, which numba cannot compile
 def _amplitude(sums, count, law, first, strength):
     """Mean, amplitude [DN], a frame's variance [DN^2]; strength is twice the amplitude at most."""
-    offset_dn, floor_dn2, slope_dn, _ = law
+    offset_dn, floor_dn2, slope_dn, _, _ = law
     total, c, s = sums[0], sums[1], sums[2]
     mean, amplitude, variance = first[0], first[1], first[2]
     two = np.float32(2)
@@ -95,6 +98,20 @@ def _lone_frame(frame, first, cosine, noise2):
         cosine[x] = (np.float32(frame[x]) - mean[x]) / amplitude[x]
         # Twice a frame's variance: mean, amplitude and phase of the three steps have as much.
         noise2[x] = two * variance[x] / (amplitude[x] * amplitude[x]) + model2
+
+
+@numba.njit(parallel=True, cache=True)
+@no_type_check  # the tests' type checker wraps functions, which numba cannot compile
+def lose_phases(stack, index, top, saturation_dn, why):
+    """Say where a phase is lost: one of its own frames is at the top."""
+    for y in numba.prange(len(why)):
+        if not top[y].any():
+            continue
+        for k in index:
+            frame = stack[k, y]
+            for x in range(len(frame)):
+                lost = np.float32(frame[x]) >= saturation_dn
+                why[y, x] = np.uint8(3) if lost & (why[y, x] == 0) else why[y, x]
 
 
 @numba.njit(parallel=True, cache=True, error_model="numpy")
@@ -119,22 +136,20 @@ def count_by_gray(periods, cell_px, turn, place, variance, rival, why):
 
 @numba.njit(parallel=True, cache=True, error_model="numpy")
 @no_type_check  # the tests' type checker wraps functions, which numba cannot compile
-def count_by_phases(periods, delta, size_px, turn, noise2, place, why):
+def count_by_phases(periods, delta, size_px, turn, noise2, place, state):
     """The period of the first group that all others agree with: a search over all of them.
 
-    Contradictory where none agrees, or two do.
+    Refused where none agrees, open where two do.
     """
     for y in numba.prange(len(place)):
-        _search_row(periods, delta, size_px, turn[y], noise2[y], place[y], why[y])
+        _search_row(periods, delta, size_px, turn[y], noise2[y], place[y], state[y])
 
 
 @numba.njit(cache=True, error_model="numpy")
 @no_type_check  # the tests' type checker wraps functions, which numba cannot compile
-def _search_row(periods, delta, size_px, turn, noise2, place, why):
+def _search_row(periods, delta, size_px, turn, noise2, place, state):
     groups, w = turn.shape
     period, first = np.float32(periods[0, 0]), turn[0]
-    slack = np.float32(0.5) + np.float32(SLACK_PERIODS) * period
-    end = np.float32(size_px - 1) + slack
     costs = np.empty(w, dtype=np.float32)
     best = np.full(w, np.float32(NOWHERE))
     second = np.full(w, np.float32(NOWHERE))
@@ -142,17 +157,8 @@ def _search_row(periods, delta, size_px, turn, noise2, place, why):
     for g in range(1, groups):
         _expect(periods, delta, g, turn, noise2, seen[g])
     for k in range(math.ceil(size_px / periods[0, 0]) + 1):
+        _cost(k, periods, size_px, turn, seen, costs)
         at = np.float32(k)
-        for x in range(w):
-            u = (at + first[x]) * period
-            costs[x] = np.float32(NOWHERE) if (u < -slack) | (u > end) else np.float32(0)
-        for g in range(1, groups):
-            turns = k * periods[0, 0] / periods[g, 0]
-            if periods[g, 2] < 3:
-                c, s = math.cos(2 * math.pi * turns), math.sin(2 * math.pi * turns)
-                _add_cosine_cost(turn[g], np.float32(c), np.float32(s), seen[g], costs)
-            else:
-                _add_phase_cost(np.float32(turns - math.floor(turns)), seen[g], costs)
         for x in range(w):
             better = costs[x] < best[x]
             second[x] = best[x] if better else min(second[x], costs[x])
@@ -160,8 +166,69 @@ def _search_row(periods, delta, size_px, turn, noise2, place, why):
             best[x] = min(best[x], costs[x])
     limit = np.float32(MAX_MISFIT * (groups - 1))
     for x in range(w):
-        sure = (best[x] <= limit) & (second[x] - best[x] >= np.float32(MIN_LEAD))
-        why[x] = why[x] if sure | (why[x] != 0) else np.uint8(4)
+        count = np.uint8(CLEAR if second[x] - best[x] >= np.float32(MIN_LEAD) else OPEN)
+        state[x] = count if best[x] <= limit else np.uint8(REFUSED)
+
+
+@numba.njit(parallel=True, cache=True, error_model="numpy")
+@no_type_check  # the tests' type checker wraps functions, which numba cannot compile
+def open_choices(periods, delta, size_px, turn, noise2, state, choice, cost):
+    """The best periods of counts that are open, and what they cost; best first."""
+    for y in numba.prange(len(state)):
+        where = np.nonzero(state[y] == OPEN)[0]
+        if len(where) == 0:
+            continue
+        count = choice.shape[1]
+        chosen = np.full((count, len(where)), -1, dtype=np.int32)
+        costs = np.full((count, len(where)), np.float32(NOWHERE))
+        _search_all(periods, delta, size_px, turn[y][:, where], noise2[y][:, where], chosen, costs)
+        for n in range(count):
+            for i in range(len(where)):
+                choice[y, n, where[i]] = chosen[n, i]
+                cost[y, n, where[i]] = costs[n, i]
+
+
+@numba.njit(cache=True, error_model="numpy")
+@no_type_check  # the tests' type checker wraps functions, which numba cannot compile
+def _search_all(periods, delta, size_px, turn, noise2, choice, cost):
+    """The cheapest periods of each pixel in order, as many as `choice` has rows."""
+    groups, w = turn.shape
+    costs = np.empty(w, dtype=np.float32)
+    number = np.empty(w, dtype=np.int32)
+    seen = np.empty((groups, 3, w), dtype=np.float32)
+    for g in range(1, groups):
+        _expect(periods, delta, g, turn, noise2, seen[g])
+    for k in range(math.ceil(size_px / periods[0, 0]) + 1):
+        _cost(k, periods, size_px, turn, seen, costs)
+        number[:] = k
+        for n in range(len(choice)):  # what it displaces goes on to the next row
+            kept, price = choice[n], cost[n]
+            for x in range(w):
+                better = costs[x] < price[x]
+                other, dear = kept[x], price[x]
+                kept[x] = number[x] if better else other
+                price[x] = costs[x] if better else dear
+                number[x] = other if better else number[x]
+                costs[x] = dear if better else costs[x]
+
+
+@numba.njit(cache=True, error_model="numpy")
+@no_type_check  # the tests' type checker wraps functions, which numba cannot compile
+def _cost(k, periods, size_px, turn, seen, costs):
+    """What the place in period `k` costs; outside of the picture it is nowhere."""
+    period, first, at = np.float32(periods[0, 0]), turn[0], np.float32(k)
+    slack = np.float32(0.5) + np.float32(SLACK_PERIODS) * period
+    end = np.float32(size_px - 1) + slack
+    for x in range(len(costs)):
+        u = (at + first[x]) * period
+        costs[x] = np.float32(NOWHERE) if (u < -slack) | (u > end) else np.float32(0)
+    for g in range(1, len(periods)):
+        turns = k * periods[0, 0] / periods[g, 0]
+        if periods[g, 2] < 3:
+            c, s = math.cos(2 * math.pi * turns), math.sin(2 * math.pi * turns)
+            _add_cosine_cost(turn[g], np.float32(c), np.float32(s), seen[g], costs)
+        else:
+            _add_phase_cost(np.float32(turns - math.floor(turns)), seen[g], costs)
 
 
 @numba.njit(cache=True, error_model="numpy")

@@ -1,14 +1,28 @@
 """`decode` said in NumPy, frame by frame and slowly: what tests hold the fast one against."""
 
+from itertools import product
+
 import numpy as np
 from jaxtyping import UInt8, UInt16
 
 from ..pattern import AXES, Code
-from .bits import XOR_SIGMAS
-from .maps import CodeMap, DecodeSpec, Levels, Reason
+from .bits import BLURRED, FINE_ERROR, SHARP, XOR_SIGMAS
+from .maps import CodeMap, DecodeSpec, Levels, Mark, Reason
 from .phases import MAX_MISFIT, MIN_LEAD, MODEL_RAD, OFF_CELL_PERIODS, SLACK_PERIODS
-from .plan import AxisPlan, Period, plan_axes
+from .plan import AxisPlan, Period, plan_axes, read_frames
 from .reading import SHADOW_SIGMAS
+from .settling import (
+    CHOICES,
+    CLEAR,
+    MAX_AGAINST,
+    MIN_NEIGHBOURS,
+    MOST_SAID,
+    OPEN,
+    PASSES,
+    REACH_PX,
+    REFUSED,
+    STEP_PERIODS,
+)
 
 
 def decode_plain(
@@ -16,6 +30,8 @@ def decode_plain(
     code: Code,
     spec: DecodeSpec,
     levels: Levels,
+    *,
+    fine_error: float = FINE_ERROR,
 ) -> CodeMap:
     """See `decode`."""
     stack = frames.astype(np.float64)
@@ -23,30 +39,36 @@ def decode_plain(
     strength = high - low
     why = np.zeros(high.shape, dtype=np.uint8)
     found = {}
-    for axis, plan in plan_axes(code, spec.fine_bits).items():
+    plans = plan_axes(code, spec.fine_bits)
+    full = stack >= levels.saturation_dn
+    top = full[read_frames(plans, len(frames))].any(axis=0)
+    mark = np.where(top, int(Mark.CLIPPED), 0)
+    for axis, plan in plans.items():
         place, sigma = np.full(high.shape, np.nan), np.full(high.shape, np.nan)
         coarse = variance = rival = None
+        _say(why, _lost(stack, full, plan, high + low, levels), Reason.SATURATED)
         if plan.bits:
-            coarse, variance, rival, doubts = _gray(stack, plan, spec, levels, high, low)
+            coarse, variance, rival, doubts = _gray(
+                stack, plan, spec, levels, high, low, fine_error
+            )
             contradiction = np.where(doubts[1] == 0, Reason.INTERREFLECTION, Reason.CONTRADICTORY)
             _say(why, doubts.sum(axis=0) >= 2, contradiction)
             place, sigma = coarse, np.sqrt(variance + plan.cell_px**2 / 12)
         if plan.periods:
-            place, sigma, amplitude, wrong = _phase(stack, plan, levels, coarse, variance, rival)
+
+            def lit(amplitude, strength=strength):
+                weakest = np.minimum(strength, 2 * amplitude)
+                return _judge(why, high, low, weakest, top, spec, levels) == Reason.DECODED
+
+            place, sigma, amplitude, wrong, by_others = _phase(
+                stack, plan, levels, coarse, variance, rival, lit
+            )
             strength = np.minimum(strength, 2 * amplitude)
+            mark[by_others] |= Mark.SETTLED
             _say(why, wrong, Reason.CONTRADICTORY if coarse is None else Reason.INTERREFLECTION)
         _say(why, (place < -0.5) | (place > plan.size_px - 0.5), Reason.OUTSIDE_PROJECTOR)
         found[axis] = place, sigma
-    noise_dn2 = levels.floor_dn2 + levels.slope_dn * np.maximum(low - levels.offset_dn, 0)
-    reason = np.select(
-        [
-            high >= levels.saturation_dn,
-            high - low < SHADOW_SIGMAS * np.sqrt(noise_dn2),
-            strength < spec.min_contrast * levels.range_dn,
-        ],
-        [Reason.SATURATED, Reason.SHADOW, Reason.LOW_MODULATION],
-        why,
-    ).astype(np.uint8)
+    reason = _judge(why, high, low, strength, top, spec, levels)
     maps = []
     for axis in AXES:
         for values in found.get(axis, (np.full(high.shape, np.nan),) * 2):
@@ -58,6 +80,7 @@ def decode_plain(
         sigma_row=maps[3],
         modulation=(strength / levels.range_dn).astype(np.float32),
         reason=reason,
+        mark=mark.astype(np.uint8),
     )
 
 
@@ -67,7 +90,39 @@ def _say(why, where, reason) -> None:
     why[first] = np.broadcast_to(reason, why.shape)[first]
 
 
-def _gray(stack, plan: AxisPlan, spec: DecodeSpec, levels: Levels, high, low):
+def _judge(why, high, low, strength, top, spec: DecodeSpec, levels: Levels):
+    """What is wrong with a pixel's light goes before what is wrong with its code."""
+    noise_dn2 = levels.floor_dn2 + levels.slope_dn * np.maximum(low - levels.offset_dn, 0)
+    reason = np.select(
+        [
+            high - low < SHADOW_SIGMAS * np.sqrt(noise_dn2),
+            strength < spec.min_contrast * levels.range_dn,
+        ],
+        [Reason.SHADOW, Reason.LOW_MODULATION],
+        why,
+    ).astype(np.uint8)
+    reason[top & (reason != Reason.DECODED)] = Reason.SATURATED
+    return reason
+
+
+def _lost(stack, full, plan: AxisPlan, twice_threshold, levels: Levels):
+    """Where a bit and its inverse, or a bit and its threshold, or a phase's frame is at the top."""
+    lost = np.zeros(twice_threshold.shape, dtype=bool)
+    alone = [bit for bit in plan.bits if bit.inverse < 0]
+    glare = full[[bit.frame for bit in alone]].any(axis=0)
+    for bit in plan.bits:
+        if bit.inverse >= 0:
+            lost |= full[bit.frame] & full[bit.inverse]
+        else:
+            lost |= full[bit.frame] & (twice_threshold >= 2 * levels.saturation_dn)
+            narrow = not bit.counts or bit.xor >= 0
+            lost |= narrow & glare & (2 * stack[bit.frame] > twice_threshold)
+    for period in plan.periods:
+        lost |= full[list(period.frames)].any(axis=0)
+    return lost
+
+
+def _gray(stack, plan: AxisPlan, spec: DecodeSpec, levels: Levels, high, low, fine_error):
     middle = high + low
     noise_dn2 = 2 * levels.floor_dn2 + levels.slope_dn * np.maximum(
         middle - 2 * levels.offset_dn, 0
@@ -94,8 +149,17 @@ def _gray(stack, plan: AxisPlan, spec: DecodeSpec, levels: Levels, high, low):
     counted = [b for b, bit in enumerate(plan.bits) if bit.counts]
     for b, bit in enumerate(plan.bits):
         flipped = value ^ (2 ** (len(bits) - b) - 1)
-        probability = 0.5 * np.maximum(1 - np.abs(margins[b]) / noises[b] / 3, 0) ** 3
-        variance += probability * (flipped - value) ** 2
+        error, square = noises[b], (flipped - value) ** 2
+        if fine_error > 0 and not bit.counts and bit.xor < 0:
+            error = np.hypot(error, fine_error * (high - low))
+            sharp = 1.0
+            if b > 0 and plan.bits[b - 1].xor < 0:
+                with np.errstate(divide="ignore", invalid="ignore"):
+                    beside = np.abs(margins[b - 1]) / (high - low)
+                sharp = np.clip((beside - BLURRED) / (SHARP - BLURRED), 0, 1)
+            square = square - sharp * (square / 2 + 1 / 6)
+        probability = 0.5 * np.maximum(1 - np.abs(margins[b]) / error / 3, 0) ** 3
+        variance += probability * square
         if bit.counts:
             # In float32, as the fast decoder says it: a signal may lie on the limit itself.
             share, of = (XOR_SIGMAS, noises[b]) if bit.xor >= 0 else (spec.doubt, high - low)
@@ -108,12 +172,13 @@ def _gray(stack, plan: AxisPlan, spec: DecodeSpec, levels: Levels, high, low):
 
 
 @np.errstate(divide="ignore", invalid="ignore")
-def _phase(stack, plan: AxisPlan, levels: Levels, coarse, variance, rival):
+def _phase(stack, plan: AxisPlan, levels: Levels, coarse, variance, rival, lit):
     mean, amplitude, turn, noise2, light = _first_phase(stack, plan.periods[0], levels)
-    first = plan.periods[0].period_px
+    first, settled = plan.periods[0].period_px, np.zeros(turn.shape, dtype=bool)
     others = [_first_phase(stack, p, levels) if p.full else None for p in plan.periods[1:]]
     if coarse is None:
-        k, wrong = _count(stack, plan, turn, noise2, others, mean, amplitude, light)
+        counted = _count(stack, plan, turn, noise2, others, mean, amplitude, light)
+        k, settled, wrong = _settle(turn, *counted, lit(amplitude))
     else:
         k = np.floor(coarse / first - turn + 0.5)
         far = 0.5 * plan.cell_px + OFF_CELL_PERIODS * first + 2 * np.sqrt(variance)
@@ -129,7 +194,7 @@ def _phase(stack, plan: AxisPlan, levels: Levels, coarse, variance, rival):
         w = (2 * np.pi / period.period_px) ** 2 / other[3]
         weight = weight + w
         summed = summed + w * (u - (apart - np.floor(apart + 0.5)) * period.period_px)
-    return summed / weight, np.sqrt(1 / weight), amplitude, wrong
+    return summed / weight, np.sqrt(1 / weight), amplitude, wrong, settled
 
 
 @np.errstate(divide="ignore", invalid="ignore")
@@ -167,5 +232,52 @@ def _count(stack, plan: AxisPlan, turn, noise2, others, mean, amplitude, light):
         costs.append(cost)
     costs = np.array(costs)
     ordered = np.sort(costs, axis=0)
-    wrong = (ordered[0] > MAX_MISFIT * len(others)) | (ordered[1] - ordered[0] < MIN_LEAD)
-    return costs.argmin(axis=0), wrong
+    state = np.full(ordered[0].shape, CLEAR)
+    state[~(ordered[1] - ordered[0] >= MIN_LEAD)] = OPEN
+    state[~(ordered[0] <= MAX_MISFIT * len(others))] = REFUSED
+    choice = costs.argsort(axis=0, kind="stable")[:CHOICES]
+    return choice, np.take_along_axis(costs, choice, axis=0), state
+
+
+def _settle(turn, choice, cost, state, lit):
+    """`settling.settle`, over whole pictures: the period of each pixel, and which were settled."""
+    was_open = state == OPEN
+    state, k = state.copy(), choice[0].copy()
+    for _ in range(PASSES):
+        against, said = np.zeros(choice.shape), np.zeros(state.shape, dtype=int)
+        for dy, dx in product(range(-REACH_PX, REACH_PX + 1), repeat=2):
+            if dy or dx:
+                there, (its_turn, its_k, its_state, its_lit, its_choice, its_cost) = _beside(
+                    dy, dx, turn, k, state, lit, choice, cost
+                )
+                apart = turn - its_turn
+                step = np.rint(apart)
+                speaks = there & its_lit & (its_state != REFUSED)
+                speaks &= np.abs(apart - step) <= STEP_PERIODS
+                said += speaks
+                for n in range(len(choice)):
+                    wanted = choice[n] + step
+                    clear = np.where(wanted == its_k, 0.0, MOST_SAID)
+                    extra = np.where(its_choice == wanted, its_cost - its_cost[0], MOST_SAID)
+                    says = np.where(its_state == CLEAR, clear, np.minimum(extra, MOST_SAID).min(0))
+                    against[n] += np.where(speaks, says, 0.0)
+        own = cost - cost[0]
+        total = np.where(own < MIN_LEAD, own + against, np.inf)
+        ordered = np.sort(total, axis=0)
+        best = total.argmin(axis=0)[None]
+        agreed = (state == OPEN) & lit & (said >= MIN_NEIGHBOURS)
+        agreed &= ordered[1] - ordered[0] >= MIN_LEAD
+        agreed &= np.take_along_axis(against, best, 0)[0] <= MAX_AGAINST * MOST_SAID * said
+        if not agreed.any():
+            break
+        k = np.where(agreed, np.take_along_axis(choice, best, 0)[0], k)
+        state[agreed] = CLEAR
+    return k, was_open & (state == CLEAR), state != CLEAR
+
+
+def _beside(dy, dx, *maps):
+    """Maps as a neighbour sees them, and where it lies in the picture."""
+    h, w = maps[0].shape
+    y, x = np.mgrid[0:h, 0:w]
+    there = (y + dy >= 0) & (y + dy < h) & (x + dx >= 0) & (x + dx < w)
+    return there, [np.roll(m, (-dy, -dx), axis=(-2, -1)) for m in maps]

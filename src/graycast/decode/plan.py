@@ -7,6 +7,7 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
+from jaxtyping import Bool
 
 from ..errors import DecodeError
 from ..pattern import AXES, Axis, Code, Frame
@@ -55,6 +56,19 @@ class AxisPlan:
     cell_px: float
     reach: int
     periods: tuple[Period, ...]  # the shortest full one first
+
+
+def read_frames(plans: dict[Axis, AxisPlan], count: int) -> Bool[np.ndarray, "n"]:
+    """Which of `count` frames places are read from: a bit without inverse is held against all."""
+    read = np.zeros(count, dtype=bool)
+    for plan in plans.values():
+        for bit in plan.bits:
+            read[[bit.frame, bit.inverse]] = True
+            if bit.inverse == NO_FRAME:
+                read[:] = True
+        for period in plan.periods:
+            read[list(period.frames)] = True
+    return read
 
 
 def plan_axes(code: Code, fine_bits: int) -> dict[Axis, AxisPlan]:

@@ -6,18 +6,28 @@ step is a kernel of its own, compiled when a code first needs it.
 """
 
 import math
+from dataclasses import dataclass
 from typing import no_type_check
 
 import numba
 import numpy as np
-from jaxtyping import UInt8, UInt16
+from jaxtyping import Bool, Float32, UInt8, UInt16
 
 from ..errors import DecodeError
-from ..pattern import AXES, Code
-from .bits import read_gray
-from .maps import CodeMap, DecodeSpec, Levels
-from .phases import count_by_gray, count_by_phases, fuse, read_phases
-from .plan import AxisPlan, plan_axes
+from ..pattern import AXES, Axis, Code
+from .bits import FINE_ERROR, lose_bits, read_gray
+from .maps import CodeMap, DecodeSpec, Levels, Mark, Reason
+from .phases import (
+    MIN_LEAD,
+    count_by_gray,
+    count_by_phases,
+    fuse,
+    lose_phases,
+    open_choices,
+    read_phases,
+)
+from .plan import AxisPlan, plan_axes, read_frames
+from .settling import CHOICES, CLEAR, OPEN, settle
 
 SHADOW_SIGMAS = 6.0  # the range of some twenty noisy frames of equal light seldom exceeds it
 
@@ -27,6 +37,8 @@ def decode(
     code: Code,
     spec: DecodeSpec,
     levels: Levels,
+    *,
+    fine_error: float = FINE_ERROR,
 ) -> CodeMap:
     """Read a stack.
 
@@ -43,6 +55,11 @@ def decode(
         period 8 px   sharp 0.010, 0.075   0.5 px  0.007, 0.014   1 px  0.004, 0.005
         period 16 px  sharp 0.003, 0.081   0.5 px  0.002, 0.013   1 px  0.001, 0.005
 
+    Args:
+        fine_error: by how much a fine bit's signal is off beyond its noise, as a share of the
+            pixel's contrast; it widens `sigma` alone. 0 leaves noise, as if each bit were wrong by
+            itself.
+
     Raises:
         DecodeError: the stack has another number of frames than the code, or frames are missing.
     """
@@ -52,20 +69,10 @@ def decode(
             "another projector size, or inverses missing?"
         )
     plans = plan_axes(code, spec.fine_bits)
-    frames = np.ascontiguousarray(frames)  # the kernels are compiled for no other order
-    shape = frames.shape[1:]
-    law = tuple(
-        np.float32(number)
-        for number in (levels.offset_dn, levels.floor_dn2, levels.slope_dn, spec.doubt)
-    )
-    high, low, strength = (np.empty(shape, dtype=np.float32) for _ in range(3))
-    why = np.zeros(shape, dtype=np.uint8)
-    _range(frames, high, low, strength)
-    found = {
-        axis: _read(frames, plan, law, high, low, strength, why) for axis, plan in plans.items()
-    }
-    dark_dn = np.float32(spec.min_contrast * levels.range_dn)
-    _judge(high, low, strength, why, law, dark_dn, np.float32(levels.saturation_dn))
+    seen = _look(np.ascontiguousarray(frames), plans, spec, levels, fine_error)
+    found = {axis: _read(seen, plan) for axis, plan in plans.items()}
+    why, strength, shape = seen.why, seen.strength, seen.why.shape
+    _judge(seen.high, seen.low, strength, seen.top, why, seen.law, seen.dark_dn)
     for place, sigma in found.values():
         _forget(why, place, sigma)
     strength /= np.float32(levels.range_dn)
@@ -78,46 +85,120 @@ def decode(
         sigma_row=row[1],
         modulation=strength,
         reason=why,
+        mark=seen.mark,
     )
 
 
-def _read(frames, plan: AxisPlan, law, high, low, strength, why) -> tuple:
-    """Places and their standard deviations along one axis; what is wrong is said in `why`."""
-    place = np.empty(high.shape, dtype=np.float32)
-    sigma = np.zeros(high.shape, dtype=np.float32)
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Seen:
+    """A stack, and what is known of each pixel; `strength`, `why` and `mark` are written to."""
+
+    frames: UInt8[np.ndarray, "n h w"] | UInt16[np.ndarray, "n h w"]
+    law: tuple[np.float32, ...]  # offset_dn, floor_dn2, slope_dn, doubt, fine_error
+    dark_dn: np.float32
+    saturation_dn: np.float32
+    high: Float32[np.ndarray, "h w"]
+    low: Float32[np.ndarray, "h w"]
+    top: Bool[np.ndarray, "h w"]  # a frame that is read is at the top
+    strength: Float32[np.ndarray, "h w"]
+    why: UInt8[np.ndarray, "h w"]
+    mark: UInt8[np.ndarray, "h w"]
+
+
+def _look(
+    frames, plans: dict[Axis, AxisPlan], spec: DecodeSpec, levels: Levels, fine_error: float
+) -> _Seen:
+    """Brightest and darkest value of each pixel, and where the top is reached."""
+    shape = frames.shape[1:]
+    high, low, strength = (np.empty(shape, dtype=np.float32) for _ in range(3))
+    numbers = (levels.offset_dn, levels.floor_dn2, levels.slope_dn, spec.doubt, fine_error)
+    saturation_dn = np.float32(levels.saturation_dn)
+    peak = np.empty(shape[0], dtype=np.float32)
+    _range(frames, high, low, strength, peak)
+    top = np.zeros(shape, dtype=np.bool_)
+    if peak.max(initial=0) >= saturation_dn:
+        read = np.flatnonzero(read_frames(plans, len(frames)))
+        _reach(frames, read, peak, saturation_dn, top)
+    return _Seen(
+        frames=frames,
+        law=tuple(np.float32(number) for number in numbers),
+        dark_dn=np.float32(spec.min_contrast * levels.range_dn),
+        saturation_dn=saturation_dn,
+        high=high,
+        low=low,
+        top=top,
+        strength=strength,
+        why=np.zeros(shape, dtype=np.uint8),
+        mark=top.view(np.uint8) * np.uint8(Mark.CLIPPED),
+    )
+
+
+def _read(seen: _Seen, plan: AxisPlan) -> tuple:
+    """Places and their standard deviations along one axis; what is wrong is said in `seen.why`."""
+    shape = seen.why.shape
+    place = np.empty(shape, dtype=np.float32)
+    sigma = np.zeros(shape, dtype=np.float32)
     # Only a phase asks for rivals; without one they may go where the place will be written.
-    rival = np.zeros(high.shape, dtype=np.float32) if plan.periods else place
+    rival = np.zeros(shape, dtype=np.float32) if plan.periods else place
+    clipped = bool(seen.top.any())
     if plan.bits:
         bits = np.array([(b.frame, b.inverse, b.xor, b.counts) for b in plan.bits])
         grid = np.array([plan.first_px, plan.cell_px, plan.reach], dtype=np.float32)
-        read_gray(frames, bits, grid, law, high, low, place, sigma, rival, why)
+        light = seen.high, seen.low
+        if clipped:
+            lose_bits(seen.frames, bits, *light, seen.top, seen.saturation_dn, seen.why)
+        read_gray(seen.frames, bits, grid, seen.law, *light, place, sigma, rival, seen.why)
     if plan.periods:
-        counts = [len(p.frames) for p in plan.periods]
-        starts = np.cumsum([0, *counts[:-1]])
-        periods = np.float64([[p.period_px for p in plan.periods], starts, counts]).T
-        index = np.array([k for p in plan.periods for k in p.frames])
-        delta = np.array([d for p in plan.periods for d in p.delta_rad])
-        waves = [f(m * delta) for m in (1, 2) for f in (np.cos, np.sin)]
-        h, w = high.shape
-        turn, noise2 = np.empty((2, h, len(counts), w), dtype=np.float32)
-        read_phases(frames, periods, index, np.float32(waves).T, law, strength, turn, noise2)
-        if plan.bits:
-            count_by_gray(periods, np.float32(plan.cell_px), turn, place, sigma, rival, why)
-        else:
-            count_by_phases(periods, delta, plan.size_px, turn, noise2, place, why)
-        fuse(periods, turn, noise2, place, sigma)
+        _read_phases(seen, plan, clipped, place, sigma, rival)
     else:
         _within_cell(np.float32(plan.cell_px**2 / 12), sigma)
-    _outside(np.float32(plan.size_px), place, why)
+    _outside(np.float32(plan.size_px), place, seen.why)
     return place, sigma
+
+
+def _read_phases(seen: _Seen, plan: AxisPlan, clipped: bool, place, sigma, rival) -> None:
+    counts = [len(p.frames) for p in plan.periods]
+    starts = np.cumsum([0, *counts[:-1]])
+    periods = np.float64([[p.period_px for p in plan.periods], starts, counts]).T
+    index = np.array([k for p in plan.periods for k in p.frames])
+    delta = np.array([d for p in plan.periods for d in p.delta_rad])
+    waves = np.float32([f(m * delta) for m in (1, 2) for f in (np.cos, np.sin)]).T
+    h, w = seen.why.shape
+    turn, noise2 = np.empty((2, h, len(counts), w), dtype=np.float32)
+    if clipped:
+        lose_phases(seen.frames, index, seen.top, seen.saturation_dn, seen.why)
+    read_phases(seen.frames, periods, index, waves, seen.law, seen.strength, turn, noise2)
+    if plan.bits:
+        count_by_gray(periods, np.float32(plan.cell_px), turn, place, sigma, rival, seen.why)
+    else:
+        _count(seen, (periods, delta, plan.size_px, turn, noise2), place)
+    fuse(periods, turn, noise2, place, sigma)
+
+
+def _count(seen: _Seen, measured: tuple, place) -> None:
+    """Count periods by the phases themselves; what they leave open is the neighbours' to settle."""
+    periods, _, _, turn, _ = measured
+    state = np.empty(place.shape, dtype=np.uint8)
+    count_by_phases(*measured, place, state)
+    said = seen.why.copy()
+    _judge(seen.high, seen.low, seen.strength, seen.top, said, seen.law, seen.dark_dn)
+    lit = said == Reason.DECODED
+    if (lit & (state == OPEN)).any():
+        h, w = place.shape
+        choice = np.empty((h, CHOICES, w), dtype=np.int32)
+        cost = np.empty(choice.shape, dtype=np.float32)
+        open_choices(*measured, state, choice, cost)
+        settled = settle(periods, turn, choice, cost, place, state, lit, min_lead=MIN_LEAD)
+        seen.mark[settled] |= np.uint8(Mark.SETTLED)
+    seen.why[(state != CLEAR) & (seen.why == 0)] = Reason.CONTRADICTORY
 
 
 @numba.njit(parallel=True, cache=True, error_model="numpy")
 @no_type_check  # the tests' type checker wraps functions, which numba cannot compile
-def _range(stack, high, low, strength):
-    """Brightest and darkest value of each pixel [DN], and their difference."""
+def _range(stack, high, low, strength, peak):
+    """Brightest and darkest value of each pixel [DN], and their difference; each row's highest."""
     for y in numba.prange(stack.shape[1]):
-        _range_row(stack, y, high[y], low[y], strength[y])
+        peak[y] = _range_row(stack, y, high[y], low[y], strength[y])
 
 
 @numba.njit(cache=True)
@@ -134,20 +215,40 @@ def _range_row(stack, y, high, low, strength):
         high[x] = most[x]
         low[x] = least[x]
         strength[x] = np.float32(most[x]) - np.float32(least[x])
+    highest = most[0]
+    for x in range(len(most)):
+        highest = max(highest, most[x])
+    return highest
+
+
+@numba.njit(parallel=True, cache=True)
+@no_type_check  # the tests' type checker wraps functions, which numba cannot compile
+def _reach(stack, read, peak, saturation_dn, top):
+    """Where one of the frames that are read is at the top."""
+    for y in numba.prange(len(top)):
+        if peak[y] < saturation_dn:
+            continue
+        for k in read:
+            frame = stack[k, y]
+            for x in range(len(frame)):
+                top[y, x] |= np.float32(frame[x]) >= saturation_dn
 
 
 @numba.njit(parallel=True, cache=True, error_model="numpy")
 @no_type_check  # the tests' type checker wraps functions, which numba cannot compile
-def _judge(high, low, strength, why, law, dark_dn, saturation_dn):
-    """What is wrong with a pixel's light goes before what is wrong with its code."""
+def _judge(high, low, strength, top, why, law, dark_dn):
+    """What is wrong with a pixel's light goes before what is wrong with its code.
+
+    Whatever it is, it was found in frames that do not say all where one is at the top.
+    """
     for y in numba.prange(len(high)):
-        _judge_row(high[y], low[y], strength[y], why[y], law, dark_dn, saturation_dn)
+        _judge_row(high[y], low[y], strength[y], top[y], why[y], law, dark_dn)
 
 
 @numba.njit(cache=True, error_model="numpy")
 @no_type_check  # the tests' type checker wraps functions, which numba cannot compile
-def _judge_row(high, low, strength, why, law, dark_dn, saturation_dn):
-    offset_dn, floor_dn2, slope_dn, _ = law
+def _judge_row(high, low, strength, top, why, law, dark_dn):
+    offset_dn, floor_dn2, slope_dn, _, _ = law
     shadow2, zero = np.float32(SHADOW_SIGMAS**2), np.float32(0)
     said = why.astype(np.int32)
     for x in range(len(why)):
@@ -157,7 +258,7 @@ def _judge_row(high, low, strength, why, law, dark_dn, saturation_dn):
         contrast = high[x] - low[x]
         said[x] = 1 if contrast * contrast < shadow2 * noise2 else said[x]
     for x in range(len(why)):
-        said[x] = 3 if high[x] >= saturation_dn else said[x]
+        said[x] = 3 if top[x] & (said[x] != 0) else said[x]
     for x in range(len(why)):
         why[x] = said[x]
 

@@ -119,10 +119,13 @@ def decode_stack(
     picture = _picture(pictures, code)
     clock.lap("diagnosis")
     depth = cloud = residual_px = None
+    by_noise = codes
     if rig is not None:
         warnings += _rig_size(code, rig)
         first = triangulate(codes, rig)
-        residual_px = epipolar_residual_px(codes, first, rig) if len(code.axes) == 2 else None
+        if len(code.axes) == 2:
+            residual_px = epipolar_residual_px(codes, first, rig)
+            by_noise = _by_noise(pictures, code, spec, levels.levels, codes)
         stated_px = description.decode.max_epipolar_px
         limit_px = _epipolar_limit_px(stated_px, residual_px)
         if stated_px is None:
@@ -134,11 +137,11 @@ def decode_stack(
         warnings += _rig_symptoms(first, residual_px)
         clock.lap("triangulate")
         if average:
-            cloud = _joined_cloud(codes, code, rig, picture, spec.fine_bits, limit_px)
+            cloud = _joined_cloud(by_noise, code, rig, picture, spec.fine_bits, limit_px)
         else:
             cloud = _pixel_cloud(depth, rig, picture)
         clock.lap("cloud")
-    figures = figures_of(pictures.frames, code, codes, residual_px)
+    figures = figures_of(pictures.frames, code, by_noise, residual_px)
     if depth is not None:  # out of range and outliers are known only now
         shares = {r.name.lower(): float((depth.reason == r).mean()) for r in Reason}
         figures = replace(figures, reasons=shares)
@@ -156,6 +159,20 @@ def decode_stack(
         cloud=cloud,
         light=light,
     )
+
+
+def _by_noise(
+    pictures: Pictures, code: Code, spec: DecodeSpec, levels: Levels, codes: CodeMap
+) -> CodeMap:
+    """The codes with what noise alone makes doubtful.
+
+    Of the pixels of a cell those are sure whose bits noise does not turn over: all over the cell,
+    where a bound on the finest bit's signal would leave out those next to its edge and so move the
+    cell's mean by a fifth of a column.
+    """
+    if code.subpixel:
+        return codes
+    return decode(pictures.frames, code, spec, levels, fine_error=0.0)
 
 
 def _separated(

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Float, UInt8, UInt16
 
-from ..decode import CodeMap, Reason
+from ..decode import CodeMap, Mark, Reason
 from ..pattern import Code
 from .levels import inverse_pairs
 
@@ -18,17 +18,21 @@ class Figures:
     """Shares of pixels, and medians over the better lit half of the decoded ones.
 
     `lit_share` is that of pixels whose frames differ by more than their noise; `decoded_share` is
-    of those. `modulation` is |pattern - inverse| over white minus black, by frame name; without an
-    inverse twice the distance from the middle of white and black; without these two, of the
-    pixel's brightest and darkest frame. Of a phase code, twice its amplitude. The epipolar
-    residual [projector px] is NaN without a rig or without both axes; `epipolar_sure_px` is its
-    median over the pixels in no doubt about any bit.
+    of those. Of the pixels that decode, `clipped_share` have a frame at the top of the range, and
+    of `settled_share` the neighbours said which period they see. `modulation` is
+    |pattern - inverse| over white minus black, by frame name; without an inverse twice the distance
+    from the middle of white and black; without these two, of the pixel's brightest and darkest
+    frame. Of a phase code, twice its amplitude. The epipolar residual [projector px] is NaN without
+    a rig or without both axes; `epipolar_sure_px` is its median over the pixels in no doubt about
+    any bit.
     """
 
     lit_share: float
     decoded_share: float
     reasons: dict[str, float]
     modulation: dict[str, float]
+    clipped_share: float = 0.0
+    settled_share: float = 0.0
     epipolar_median_px: float = np.nan
     epipolar_95_px: float = np.nan
     epipolar_sure_px: float = np.nan
@@ -53,6 +57,8 @@ def figures_of(
         decoded_share=float(decoded[lit].mean()) if lit.any() else 0.0,
         reasons={r.name.lower(): float((codes.reason == r).mean()) for r in Reason},
         modulation=_modulation(frames, code, decoded, codes.modulation) if decoded.any() else {},
+        clipped_share=_marked(codes, decoded, Mark.CLIPPED),
+        settled_share=_marked(codes, decoded, Mark.SETTLED),
         epipolar_median_px=float(np.median(off)) if off.size else np.nan,
         epipolar_95_px=float(np.percentile(off, 95)) if off.size else np.nan,
         epipolar_sure_px=float(np.median(sure)) if sure.size else np.nan,
@@ -70,6 +76,10 @@ def well_lit(codes: CodeMap) -> Bool[np.ndarray, "h w"]:
     if not lit.any():
         return lit
     return lit & (codes.modulation >= WELL * np.percentile(codes.modulation[lit], 98))
+
+
+def _marked(codes: CodeMap, decoded: Bool[np.ndarray, "h w"], mark: Mark) -> float:
+    return float((codes.mark[decoded] & mark > 0).mean()) if decoded.any() else 0.0
 
 
 def samples(where: Bool[np.ndarray, "h w"]) -> np.ndarray:

@@ -3,28 +3,22 @@
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float, Num, UInt8, UInt16
+from jaxtyping import Num, UInt8, UInt16
 from scipy.ndimage import convolve, uniform_filter
 
 from ..decode import Levels
 from ..errors import DecodeError
 from ..pattern import Code
 from .description import LevelsSection
+from .scatter import QUANTISATION_DN2, bands, less_local_mean, line
+from .steps import from_means, from_steps, full_periods
 
 Stack = UInt8[np.ndarray, "n h w"] | UInt16[np.ndarray, "n h w"]
 
 FULL_SCALES = (1023, 4095, 16383, 65535)  # of 10 to 16 bits, stored in 16
 PILE_SHARE = 1e-3  # of the lit pixels that share the highest value, where it is the top
-BAND_PX, MAX_BANDS = 32, 12  # of rows on which the noise is measured
 MAX_PAIRS = 8  # coarse ones: the finest have edges everywhere
-WINDOW_PX = 15  # over which light is smooth; noise that a camera's own filters blurred is not
-# Squares are averaged below their 90 % quantile, which outliers do not reach; for a normal law that
-# mean is this share of the variance. (Medians of whole numbers are coarse.)
-TRIM, TRIMMED_SHARE = 0.9, 0.6235
 FIRM = 0.8  # |pattern - inverse| as a share of the pixel's contrast: an edge of a stripe has less
-BINS = 12  # of brightness
-MIN_IN_BIN = 200
-QUANTISATION_DN2 = 1 / 12
 # Of a camera that nothing is known of: dark noise of 1/250 of the range, full well 10,000 e.
 DEFAULT_NOISE, DEFAULT_WELL_E = 1 / 250, 10_000.0
 
@@ -47,9 +41,11 @@ def measure_levels(frames: Stack, code: Code, known: LevelsSection) -> MeasuredL
     - Noise: pattern plus inverse is the same light for every bit, so two such sums differ by the
       noise of four frames; less its mean over 15 x 15 pixels, which takes off drift and what a
       camera's gamma makes of light from elsewhere. Only lit pixels well inside a stripe count.
-      Against brightness it gives floor and slope. Without inverses: what a 3 x 3 mask blind to
-      planes finds in the white frame (Immerkaer), in the smoother half of it; without white, a
-      stated default.
+      Against brightness it gives floor and slope. Without inverses, of phases: what steps of one
+      period leave beside mean, cosine and low harmonics, if they are four or more; or by what the
+      means of two periods differ. Else what a 3 x 3 mask blind to planes finds in the white frame,
+      or in the mean of a period's steps (Immerkaer), in the smoother half of it; else a stated
+      default. docs/derivations.md, "Real stacks".
 
     What is stated in the stack file is taken instead.
 
@@ -107,18 +103,20 @@ def _noise(
     frames: Stack, code: Code, high, low, offset_dn: float, saturation_dn: float
 ) -> tuple[float, float, str]:
     """Floor [DN^2], slope [DN], and how they were found."""
-    pairs = inverse_pairs(code)
-    law = None
-    if len(pairs) >= 2:
-        law, why = _from_pairs(frames, pairs, high, low, offset_dn, saturation_dn), "inverses"
-    whites = [k for k, frame in enumerate(code.frames) if frame.kind == "white"]
-    if law is None and whites:
-        law, why = _from_texture(frames[whites[0]], offset_dn, saturation_dn), "white frame"
-    if law is not None:
-        return *law, f"measured: {why}"
+    bounds = offset_dn, saturation_dn
+    for measure, why in (
+        (lambda: _from_pairs(frames, inverse_pairs(code), high, low, *bounds), "inverses"),
+        (lambda: from_steps(frames, code, *bounds), "what phase steps leave"),
+        (lambda: from_means(frames, code, *bounds), "means of periods"),
+        (lambda: _from_white(frames, code, *bounds), "white frame"),
+        (lambda: _from_one_mean(frames, code, *bounds), "texture of a period's mean"),
+    ):
+        law = measure()
+        if law is not None:
+            return *law, f"measured: {why}"
     range_dn = saturation_dn - offset_dn
     floor_dn2 = (DEFAULT_NOISE * range_dn) ** 2 + QUANTISATION_DN2
-    return floor_dn2, range_dn / DEFAULT_WELL_E, "assumed: no inverses and no white frame"
+    return floor_dn2, range_dn / DEFAULT_WELL_E, "assumed: no inverses, phases or white frame"
 
 
 def inverse_pairs(code: Code) -> list[tuple[int, int]]:
@@ -135,11 +133,10 @@ def inverse_pairs(code: Code) -> list[tuple[int, int]]:
 
 def _from_pairs(frames, pairs, high, low, offset_dn, saturation_dn):
     """Sums of neighbouring pairs differ by the noise of four frames, once smooth light is off."""
-    height = high.shape[0]
-    bands = max(1, min(MAX_BANDS, height // BAND_PX))
+    if len(pairs) < 2:
+        return None
     light, squares = [], []
-    for y in np.linspace(0, max(height - BAND_PX, 0), bands).astype(int):
-        rows = slice(y, min(y + BAND_PX, height))
+    for rows in bands(high.shape[0]):
         contrast = high[rows].astype(np.float32) - low[rows]
         before = None
         for pair in pairs[:MAX_PAIRS]:
@@ -148,22 +145,29 @@ def _from_pairs(frames, pairs, high, low, offset_dn, saturation_dn):
             firm &= (contrast > 0.02 * saturation_dn) & (high[rows] < saturation_dn)
             whole = first + second
             if before is not None:
-                off, there = _less_local_mean(whole - before[0], firm & before[1])
+                off, there = less_local_mean(whole - before[0], firm & before[1])
                 light.append((whole + before[0])[there] / 4 - offset_dn)
                 squares.append(off[there] ** 2 / 4)
             before = whole, firm
-    light_dn, square_dn2 = np.concatenate(light), np.concatenate(squares)
-    return _line(light_dn, square_dn2)
-
-
-def _less_local_mean(value, valid):
-    """Values less the mean of the valid ones around; and where most around are valid."""
-    share = uniform_filter(valid.astype(np.float32), WINDOW_PX)
-    mean = uniform_filter(np.where(valid, value, 0), WINDOW_PX) / np.maximum(share, 0.1)
-    return value - mean, valid & (share > 0.9)
+    return line(np.concatenate(light), np.concatenate(squares))
 
 
 _MASK = np.array([[1, -2, 1], [-2, 4, -2], [1, -2, 1]], dtype=np.float32)
+
+
+def _from_white(frames, code: Code, offset_dn, saturation_dn):
+    whites = [k for k, frame in enumerate(code.frames) if frame.kind == "white"]
+    return _from_texture(frames[whites[0]], offset_dn, saturation_dn) if whites else None
+
+
+def _from_one_mean(frames, code: Code, offset_dn, saturation_dn):
+    """The mean of N steps shows no stripes, and an N-th of a frame's variance."""
+    steps = full_periods(code)
+    if not steps:
+        return None
+    mean = frames[steps[0]].mean(axis=0, dtype=np.float32)
+    law = _from_texture(mean, offset_dn, saturation_dn)
+    return None if law is None else tuple(len(steps[0]) * term for term in law)
 
 
 def _from_texture(white: Num[np.ndarray, "h w"], offset_dn, saturation_dn):
@@ -173,34 +177,4 @@ def _from_texture(white: Num[np.ndarray, "h w"], offset_dn, saturation_dn):
     mean = uniform_filter(value, 7)[1:-1, 1:-1]
     rough = uniform_filter(square_dn2, 7)
     keep = (mean < 0.95 * saturation_dn) & (rough <= np.median(rough))
-    return _line(mean[keep] - offset_dn, square_dn2[keep])
-
-
-def _line(
-    light_dn: Float[np.ndarray, "*n"],
-    square_dn2: Float[np.ndarray, "*n"],
-) -> tuple[float, float] | None:
-    """Floor and slope of variance against light: a line through the mean of each brightness."""
-    if len(light_dn) < MIN_IN_BIN:
-        return None
-    brightest = max(float(np.quantile(light_dn, 0.999)), 1.0)
-    place = np.clip(light_dn * (BINS / brightest), 0, BINS - 1).astype(np.int64)
-    x, y = [], []
-    for b in range(BINS):
-        inside = place == b
-        if inside.sum() >= MIN_IN_BIN:
-            x.append(max(float(np.median(light_dn[inside])), 0.0))
-            y.append(_trimmed_mean(square_dn2[inside]) / TRIMMED_SHARE)
-    if not x:
-        return None
-    x, y = np.array(x), np.array(y)
-    slope = 0.0
-    if np.ptp(x) > 0:
-        slope = max(float(np.polyfit(x, y, 1, w=1 / (y + y.mean() + QUANTISATION_DN2))[0]), 0.0)
-    floor = float(np.median(y - slope * x))
-    return max(floor, QUANTISATION_DN2), slope
-
-
-def _trimmed_mean(value: Float[np.ndarray, "n"]) -> float:
-    kept = np.sort(value)[: max(1, round(TRIM * len(value)))]
-    return float(kept.mean())
+    return line(mean[keep] - offset_dn, square_dn2[keep])

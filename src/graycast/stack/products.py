@@ -53,6 +53,7 @@ def _write_all(result: StackResult, folder: Path) -> Iterator[str]:
         sigma_row=codes.sigma_row,
         modulation=codes.modulation,
         reason=codes.reason,
+        mark=codes.mark,
         reasons=np.array([reason.name.lower() for reason in Reason]),
     )
     yield CODE
@@ -120,6 +121,12 @@ def describe_result(result: StackResult) -> str:
         for name, share in figures.reasons.items()
         if share
     ]
+    for share, words in (
+        (figures.clipped_share, "have a frame at the top of the range"),
+        (figures.settled_share, "see a period that their neighbours settled"),
+    ):
+        if share:
+            lines.append(f"{100 * share:.2f} % of the decoded pixels {words}")
     lines.append("modulation (median over the better lit half of the decoded pixels):")
     lines += [f"  {name:28} {value:.3f}" for name, value in figures.modulation.items()]
     if np.isfinite(figures.epipolar_median_px):

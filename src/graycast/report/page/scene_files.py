@@ -148,7 +148,7 @@ REASON_MEANING = {
     Reason.DECODED: "there is a depth",
     Reason.SHADOW: "the projector does not reach the pixel",
     Reason.LOW_MODULATION: "it does, but too weakly to be believed",
-    Reason.SATURATED: "a frame is at the top of the sensor's range",
+    Reason.SATURATED: "bits or phases are lost at the top of the sensor's range",
     Reason.CONTRADICTORY: "bits or phases that no single place of the projector shows",
     Reason.INTERREFLECTION: "the coarse code contradicts the fine: light from elsewhere",
     Reason.OUTSIDE_PROJECTOR: "a code that is none of the projector's pixels",

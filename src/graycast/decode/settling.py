@@ -1,0 +1,130 @@
+"""Periods that a pixel's own phases leave open, settled by its neighbours on the same surface."""
+
+from typing import no_type_check
+
+import numba
+import numpy as np
+
+CLEAR, OPEN, REFUSED = 0, 1, 2  # of a count of periods: what its own phases say
+CHOICES = 4  # places that are kept of a pixel in doubt, the best ones
+REACH_PX = 2  # neighbours are those of a window of 5 x 5 pixels
+# By how much of a period neighbours on one surface may differ: beyond it the step between them may
+# be either way, so they say nothing.
+STEP_PERIODS = 0.3
+MOST_SAID = 6.0  # what a neighbour may say against a place, a sum of squares as MIN_LEAD is
+MIN_NEIGHBOURS = 8  # that say something
+# Of the most that they could say against a place, what they may for it to be taken: a third of
+# them, say, that see no such surface.
+MAX_AGAINST = 0.34
+PASSES = 8  # what one pass settles speaks in the next
+
+
+def settle(periods, turn, choice, cost, place, state, lit, *, min_lead):
+    """Places for counts that are `OPEN`; what no agreement is found on stays so.
+
+    A neighbour on the same surface sees the period that the step between both phases leads to, for
+    each of a pixel's places another one. Against a place speaks its own cost and, of each
+    neighbour, what that period costs there beyond its best; where one of them leads the others by
+    `min_lead` and enough of the neighbours agree, it is taken. A clear pixel is never changed.
+
+    Args:
+        turn: phase of each period [periods], (h, periods, w).
+        choice, cost: of pixels in doubt the best periods, and their sums of squares, (h, 4, w).
+        place: place of clear pixels [px]; those of settled ones are written.
+        state: CLEAR, OPEN or REFUSED; settled ones are written as CLEAR.
+        lit: pixels whose light is believed; others say nothing.
+
+    Returns:
+        which were settled.
+    """
+    first = np.ascontiguousarray(turn[:, 0])
+    period = np.float32(periods[0, 0])
+    count = np.full(place.shape, -1, dtype=np.int32)
+    _counts(period, first, place, state, lit, count)
+    before = state == OPEN
+    for _ in range(PASSES):
+        pick = np.full(place.shape, -1, dtype=np.int32)
+        _agree(first, choice, cost, state, lit, count, np.float32(min_lead), pick)
+        if not _take(period, first, pick, place, state, count).any():
+            break
+    return before & (state == CLEAR)
+
+
+@numba.njit(parallel=True, cache=True)
+@no_type_check  # the tests' type checker wraps functions, which numba cannot compile
+def _counts(period, first, place, state, lit, count):
+    for y in numba.prange(len(place)):
+        for x in range(place.shape[1]):
+            if state[y, x] == CLEAR and lit[y, x]:
+                count[y, x] = np.int32(np.rint(place[y, x] / period - first[y, x]))
+
+
+@numba.njit(parallel=True, cache=True)
+@no_type_check  # the tests' type checker wraps functions, which numba cannot compile
+def _take(period, first, pick, place, state, count):
+    """Write what was agreed on; which rows have any."""
+    any_taken = np.zeros(len(pick), dtype=np.bool_)
+    for y in numba.prange(len(pick)):
+        for x in range(pick.shape[1]):
+            if pick[y, x] >= 0:
+                any_taken[y] = True
+                state[y, x] = CLEAR
+                count[y, x] = pick[y, x]
+                place[y, x] = (np.float32(pick[y, x]) + first[y, x]) * period
+    return any_taken
+
+
+@numba.njit(parallel=True, cache=True)
+@no_type_check  # the tests' type checker wraps functions, which numba cannot compile
+def _agree(first, choice, cost, state, lit, count, min_lead, pick):
+    for y in numba.prange(len(pick)):
+        against = np.empty(CHOICES, dtype=np.float32)
+        for x in range(pick.shape[1]):
+            if state[y, x] == OPEN and lit[y, x]:
+                pick[y, x] = _chosen(
+                    first, choice, cost, state, lit, count, y, x, against, min_lead
+                )
+
+
+@numba.njit(cache=True)
+@no_type_check  # the tests' type checker wraps functions, which numba cannot compile
+def _chosen(first, choice, cost, state, lit, count, y, x, against, min_lead):
+    """The period that this pixel and its neighbours agree on; -1 where they do not."""
+    h, w = first.shape
+    against[:] = 0
+    said = 0
+    for j in range(max(y - REACH_PX, 0), min(y + REACH_PX + 1, h)):
+        for i in range(max(x - REACH_PX, 0), min(x + REACH_PX + 1, w)):
+            if (j == y and i == x) or not lit[j, i] or state[j, i] == REFUSED:
+                continue
+            apart = first[y, x] - first[j, i]
+            step = np.rint(apart)
+            if abs(apart - step) > np.float32(STEP_PERIODS):
+                continue
+            said += 1
+            for n in range(CHOICES):
+                period = choice[y, n, x] + np.int32(step)
+                if state[j, i] == CLEAR:
+                    most = np.float32(0 if period == count[j, i] else MOST_SAID)
+                else:
+                    most = np.float32(MOST_SAID)
+                    for m in range(CHOICES):
+                        if choice[j, m, i] == period:
+                            most = min(most, cost[j, m, i] - cost[j, 0, i])
+                against[n] += most
+    if said < MIN_NEIGHBOURS:
+        return -1
+    best, lead = -1, np.float32(np.inf)
+    for n in range(CHOICES):
+        if cost[y, n, x] - cost[y, 0, x] >= min_lead:
+            continue
+        total = against[n] + cost[y, n, x] - cost[y, 0, x]
+        if best < 0:
+            best, least = n, total
+        elif total < least:
+            best, lead, least = n, least - total, total
+        else:
+            lead = min(lead, total - least)
+    if lead < min_lead or against[best] > np.float32(MAX_AGAINST * MOST_SAID) * said:
+        return -1
+    return choice[y, best, x]

@@ -59,6 +59,7 @@ def _add_bench(commands) -> None:
         "--scenes", type=positive, default=6, help="of each round of three (default 6)"
     )
     _add_count(engine)
+    _add_kind(kinds, "hulls", _hulls, "How near convex hulls are to a zoo of parts.")
     _add_studies(kinds)
 
 
@@ -149,6 +150,14 @@ def _drop(options: argparse.Namespace) -> int:
     from .. import bench
 
     return _report(options, "drop", bench.measure_drop(options.count))
+
+
+def _hulls(options: argparse.Namespace) -> int:
+    from .. import bench
+
+    with _following() as on_work:
+        figures = bench.measure_hulls(on_work)
+    return _report(options, "hulls", figures)
 
 
 def _scene(options: argparse.Namespace) -> int:

@@ -50,6 +50,7 @@ OPTIONS = {
     "bench render": "--json --count --device",
     "bench decode": "--json",
     "bench drop": "--json --count",
+    "bench hulls": "--json",
     "bench scene": "--json --scenes --count --device",
     "bench engine": "--json --scenes --count",
     "bench zoo": "--json --families --counts --seeds",

@@ -4,6 +4,7 @@ from .agree import study_agreement
 from .denoise import study_denoisers
 from .engines import measure_engines
 from .figures import Figures, describe, stamped
+from .hulls import measure_hulls
 from .opening import opened
 from .plots import draw
 from .renderers import study_renderers
@@ -17,6 +18,7 @@ __all__ = [
     "measure_decode",
     "measure_drop",
     "measure_engines",
+    "measure_hulls",
     "measure_render",
     "measure_scene",
     "opened",

@@ -92,6 +92,12 @@ def _add_bench(commands) -> None:
     )
     _add_count(engine)
     _add_zoo(kinds)
+    _add_kind(
+        kinds,
+        "hulls",
+        _hulls,
+        "Measure how near the collision hulls of a zoo of parts are to the parts' surfaces.",
+    )
     _add_studies(kinds)
 
 
@@ -215,6 +221,14 @@ def _drop(options: argparse.Namespace) -> int:
     from .. import bench
 
     return _report(options, "drop", bench.measure_drop(options.count))
+
+
+def _hulls(options: argparse.Namespace) -> int:
+    from .. import bench
+
+    with _following() as on_work:
+        figures = bench.measure_hulls(on_work)
+    return _report(options, "hulls", figures)
 
 
 def _scene(options: argparse.Namespace) -> int:

@@ -17,8 +17,9 @@ def full_periods(code: Code, *, kinds: tuple[str, ...] = ("phase", "line")) -> l
     groups: dict[tuple, dict[int, int]] = {}
     for k, frame in enumerate(code.frames):
         if frame.kind in kinds:
-            key = frame.axis, frame.kind, frame.period_px, frame.steps
-            groups.setdefault(key, {})[frame.step] = k
+            whole, start = int(frame.step), frame.step % 1  # a cosine may begin between steps
+            key = frame.axis, frame.kind, frame.period_px, frame.steps, start
+            groups.setdefault(key, {})[whole] = k
     return [
         [steps[i] for i in range(key[3])] for key, steps in groups.items() if len(steps) == key[3]
     ]

@@ -17,7 +17,7 @@ import numpy as np
 from jaxtyping import Float
 from manifold3d import Manifold
 
-from .error import filled_m, spread, surface_samples
+from .error import LID_SAMPLES, filled_m, spread, surface_samples
 from .solid import surface_of
 
 REFLEX_RAD = np.radians(12)  # a bend inwards of less is a facet of something round
@@ -26,7 +26,9 @@ WORTH = 0.2  # a cut is worth it if it takes this share of what the hull fills
 WEDGES = (3, 4, 6, 8, 12, 16, 24)  # numbers that divide those of most round facets
 ACROSS = (0.2, 0.35, 0.5, 0.65, 0.8)  # of a piece's extent, where it is tried to be cut
 ROUND = 0.02  # two principal variances that differ less, of the largest, are of something round
-EVEN = 0.03  # of what there is to fill: else thin slices are cut off, one after another
+# What a part more, the share of the largest part, and the cut's share of the surface count for, as
+# shares of what there is to fill. Without them thin slices are cut off, one after another.
+EACH, EVEN, CUT = 0.01, 0.02, 0.2
 GUESSES, FIRST_GUESSES = 120, 24  # points of a hull that are looked at
 DEEPEST_CUTS = 40  # in a row; what is left too far from its hull then is taken as it is
 HAIR = 1e-6  # of a piece's size: 50 nm of a part of 50 mm
@@ -72,11 +74,20 @@ class Cutter:
             piece, cuts = waiting.pop()
             parts: list[Manifold] = []
             if cuts < DEEPEST_CUTS and not self.fits(piece):
-                parts = _cut_along_a_face(piece) or self._wedges(piece) or _cut_anywhere(piece)
+                parts = (
+                    _cut_along_a_face(piece)
+                    or self._wedges(piece)
+                    or _cut_anywhere(piece, self._deepest(piece))
+                )
             if parts:
                 waiting += [(part, cuts + 1) for part in parts]
             else:
                 yield piece
+
+    def _deepest(self, piece: Manifold) -> Float[np.ndarray, "3"]:
+        """The point of the piece's hull that is about the farthest out of the body."""
+        point = spread(piece.hull() - self._body, LID_SAMPLES)[0]
+        return point[self._surface.tree.query(point)[0].argmax()]
 
     def _wedges(self, piece: Manifold) -> list[Manifold]:
         """A piece that is round about an axis in as few wedges as fit; none if it is not round."""
@@ -132,9 +143,9 @@ def _cut_along_a_face(piece: Manifold) -> list[Manifold]:
     return parts if left < (1 - WORTH) * filling else []
 
 
-def _cut_anywhere(piece: Manifold) -> list[Manifold]:
+def _cut_anywhere(piece: Manifold, deepest: Float[np.ndarray, "3"]) -> list[Manifold]:
     """The parts by the best of many planes, whatever is won; none if none parts it."""
-    planes = chain(_planes_across(piece), _faces_at_bends(piece))
+    planes = chain(_planes_across(piece, deepest), _faces_at_bends(piece))
     parts, _ = _best_cut(piece, planes, _filling(piece), even=EVEN)
     return parts
 
@@ -144,8 +155,8 @@ def _best_cut(
 ) -> tuple[list[Manifold], float]:
     """The parts with the least left to fill, and that volume.
 
-    Each part counts as one hundredth of what there is to fill, and the share of the largest part
-    as `even` of it: of planes that leave as much, the one with fewer parts, which halves evenly.
+    Of planes that leave about as much: one that makes few parts, of even size, by a small cut. So
+    a plate is not split into two thinner ones with the same holes.
     """
     best, least, left = [], np.inf, np.inf
     for plane in planes:
@@ -154,19 +165,21 @@ def _best_cut(
             continue
         volume = [part.volume() for part in parts]
         filled = sum(map(_filling, parts))
-        cost = filled + filling * (0.01 * len(parts) + even * max(volume) / sum(volume))
-        if cost < least:
-            best, least, left = parts, cost, filled
+        cut = sum(part.surface_area() for part in parts) / piece.surface_area() - 1
+        ugly = EACH * len(parts) + even * max(volume) / sum(volume) + CUT * cut
+        if filled + ugly * filling < least:
+            best, least, left = parts, filled + ugly * filling, filled
     return best, left
 
 
-def _planes_across(piece: Manifold) -> Iterator[Plane]:
-    """Planes across the piece's principal axes, the first through its centre of mass."""
+def _planes_across(piece: Manifold, deepest: Float[np.ndarray, "3"]) -> Iterator[Plane]:
+    """Planes across the piece's principal axes: through its middle, the deepest point, others."""
     vertices, _ = surface_of(piece)
     center, axes, _ = _principal(piece)
     for axis in axes.T:
         height = vertices @ axis
         yield axis, float(axis @ center)
+        yield axis, float(axis @ deepest)
         for share in ACROSS:
             yield axis, float(height.min() + share * np.ptp(height))
 

@@ -18,9 +18,10 @@ OnStage = Callable[[str], None]
 # How far a hull may shrink when it loses vertices, of the box diagonal. A scanned box whose nearly
 # flat sides kept 129 vertices (0.03 %) rocked on them for ever; with 51 (0.3 %) it comes to rest.
 VERTEX_TOLERANCE_OF_DIAGONAL = 0.003
-# What cutting and joining may fill; simplifying, and the samples that look for the worst place,
-# take the rest of the tolerance.
+# What cutting and joining may fill, less what simplifying moved; the rest of the tolerance is for
+# what lies between the samples that look for the worst place.
 CUT_SHARE = 0.9
+LOST_SHARE = 0.5  # of the tolerance, what hulls that are left out may have reached to
 _TOLD_EACH = 25  # pieces
 
 
@@ -55,8 +56,9 @@ def is_one_hull(mesh: Mesh) -> bool:
 
 
 def _hulls_of(whole: Manifold, tolerance: float, of: str, on_stage: OnStage) -> list[Points]:
-    body = simplified(whole, tolerance)
-    cutter = Cutter(body, CUT_SHARE * tolerance)
+    body, moved_m = simplified(whole, tolerance)
+    limit_m = CUT_SHARE * tolerance - moved_m
+    cutter = Cutter(body, limit_m)
     pieces: list[Manifold] = []
     for number, piece in enumerate(cutter.pieces()):
         if number % _TOLD_EACH == 0:
@@ -66,5 +68,4 @@ def _hulls_of(whole: Manifold, tolerance: float, of: str, on_stage: OnStage) -> 
     if len(points) == 1:
         return points
     on_stage(f"joining {len(points)} hulls{of}")
-    limit_m = CUT_SHARE * tolerance
     return joined(points, limit_m, guess_m=cutter.guessed_harm_m, holds=cutter.hold)

@@ -15,6 +15,7 @@ FEW_FACES = 20_000  # whether one hull will do is asked here, without a child
 _SETTINGS = (
     error.TOLERANCE_M,
     error.TOLERANCE_OF_DIAGONAL,
+    error.MIDDLE_TOLERANCE,
     error.SAMPLES,
     error.LID_SAMPLES,
     making.VERTEX_TOLERANCE_OF_DIAGONAL,
@@ -24,7 +25,9 @@ _SETTINGS = (
     cutting.REFLEX_RAD,
     cutting.PLANES,
     cutting.WORTH,
+    cutting.EACH,
     cutting.EVEN,
+    cutting.CUT,
     cutting.WEDGES,
     cutting.ACROSS,
     cutting.DEEPEST_CUTS,

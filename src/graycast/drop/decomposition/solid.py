@@ -8,8 +8,8 @@ from ...parts import Mesh
 from ...parts.shells import ShellError, separate, shells_of
 
 # Of the tolerance, in this order, until so few faces are left: cutting takes time with each.
-SIMPLIFIED_BY = (0.1, 0.2, 0.4)
-ENOUGH_FACES = 4000
+SIMPLIFIED_BY = (0.1, 0.2, 0.3)
+ENOUGH_FACES = 12_500
 
 
 def bodies_of(mesh: Mesh) -> tuple[Manifold, ...]:
@@ -31,17 +31,18 @@ def bodies_of(mesh: Mesh) -> tuple[Manifold, ...]:
     return tuple(sorted(bodies, key=lambda body: -body.volume()))
 
 
-def simplified(body: Manifold, tolerance_m: float) -> Manifold:
-    """The body with fewer faces: a subset of its vertices, no surface moved beyond a bound.
+def simplified(body: Manifold, tolerance_m: float) -> tuple[Manifold, float]:
+    """The body with fewer faces, a subset of its vertices; how far its surface may have moved [m].
 
-    The bound is 0.1 of the tolerance, or up to 0.4 where more than `ENOUGH_FACES` would be left.
+    That is 0.1 of the tolerance, up to 0.3 where more than `ENOUGH_FACES` would be left.
     """
-    fewer = body
+    fewer, moved_m = body, 0.0
     for share in SIMPLIFIED_BY:
         if fewer.num_tri() <= ENOUGH_FACES:
             break
-        fewer = body.simplify(share * tolerance_m)
-    return fewer
+        moved_m = share * tolerance_m
+        fewer = body.simplify(moved_m)
+    return fewer, moved_m
 
 
 def surface_of(

@@ -1,5 +1,9 @@
 import logging
 import os
+import signal
+import subprocess
+import sys
+import time
 from pathlib import Path
 
 import numpy as np
@@ -7,6 +11,7 @@ import pytest
 import trimesh
 from PIL import Image
 
+from graycast.bench.hulls import wavy_ring
 from graycast.errors import MeshError
 from graycast.parts import Material, Symmetry, load_part, surface
 
@@ -462,6 +467,33 @@ def test_two_textures_are_refused_unless_a_material_is_given(tmp_path):
 def test_an_unknown_unit_is_the_callers_mistake(tmp_path):
     with pytest.raises(ValueError, match="'inches'; one of m, cm, mm, inch"):
         load(exported(box(), tmp_path / "part.stl"), unit="inches")
+
+
+READ = """
+import signal, sys
+from pathlib import Path
+from graycast.parts import load_mesh
+signal.signal(signal.SIGTERM, lambda *_: sys.exit(7))
+print("start", flush=True)
+load_mesh(Path({path!r}), unit="m")
+"""
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("delay_s", [0.1, 0.3, 1.0, 2.0])
+def test_a_batch_systems_stop_is_heard_while_a_large_mesh_is_read(tmp_path, delay_s):
+    """Also while the reader itself is loaded, which swallows what is raised then."""
+    mesh = wavy_ring(490_000)
+    shape = trimesh.Trimesh(mesh.vertices_m, mesh.faces, process=False)
+    program = READ.format(path=str(exported(shape, tmp_path / "part.stl")))
+    process = subprocess.Popen([sys.executable, "-c", program], stdout=subprocess.PIPE, text=True)
+    with process:
+        process.stdout.readline()
+        time.sleep(delay_s)
+        stopped = time.perf_counter()
+        process.send_signal(signal.SIGTERM)
+        assert process.wait(timeout=60) == 7
+        assert time.perf_counter() - stopped < 2
 
 
 # --- Real files ------------------------------------------------------------------------------

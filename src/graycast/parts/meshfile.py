@@ -5,6 +5,8 @@ merged, repeated faces dropped) is reported. The mesh keeps the file's own frame
 normals are made anew.
 """
 
+import importlib
+import threading
 import warnings
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
@@ -107,6 +109,17 @@ def load_mesh(
     return mesh, material, tuple(findings)
 
 
+def _load_reader() -> None:
+    """Load trimesh in a thread, while this one hears Ctrl-C and SIGTERM.
+
+    It swallows what a signal's handler raises as it is loaded, and Python runs handlers in the
+    main thread alone.
+    """
+    loader = threading.Thread(target=importlib.import_module, args=("trimesh",), daemon=True)
+    loader.start()
+    loader.join()
+
+
 @contextmanager
 def _quiet() -> Iterator[None]:
     """Keeps a dependency's log lines and warnings off the user's terminal."""
@@ -122,6 +135,7 @@ def _quiet() -> Iterator[None]:
 
 
 def _read(path: Path) -> Surface:
+    _load_reader()
     import trimesh
 
     suffix = path.suffix.lower()

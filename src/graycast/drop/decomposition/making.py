@@ -22,6 +22,7 @@ VERTEX_TOLERANCE_OF_DIAGONAL = 0.003
 # what lies between the samples that look for the worst place.
 CUT_SHARE = 0.9
 LOST_SHARE = 0.5  # of the tolerance, what hulls that are left out may have reached to
+_CONVEX = 1e-9  # of the hull's volume: what a body may lack by round-off alone
 _TOLD_EACH = 25  # pieces
 
 
@@ -56,6 +57,9 @@ def is_one_hull(mesh: Mesh) -> bool:
 
 
 def _hulls_of(whole: Manifold, tolerance: float, of: str, on_stage: OnStage) -> list[Points]:
+    hull = whole.hull()
+    if hull.volume() - whole.volume() < _CONVEX * hull.volume():
+        return [surface_of(hull)[0]]
     body, moved_m = simplified(whole, tolerance)
     limit_m = CUT_SHARE * tolerance - moved_m
     cutter = Cutter(body, limit_m)

@@ -5,6 +5,7 @@ import shutil
 import cv2
 import numpy as np
 import pytest
+from dataset.prisms import SCALE_MM
 from pictured import forget, write_dataset
 
 from graycast.frames import inverse, pixel_grid, transform_points
@@ -36,7 +37,7 @@ def test_projector_positions_are_those_of_the_optics(page, made, rig, which):
     opened(page, made, 0)
     step = held(page, which)
     ray = rays(rig.camera, pixel_grid(120, 160))
-    point = ray * np.where(step > 0, step * 1e-4, np.nan)[..., None]
+    point = ray * np.where(step > 0, step * SCALE_MM * 1e-3, np.nan)[..., None]
     expected = project(rig.projector, transform_points(inverse(rig.T_cam_proj), point))
     inside = ((expected > -0.49) & (expected < [159.49, 119.49])).all(axis=-1)
     assert inside.sum() > 3000
@@ -229,8 +230,8 @@ def test_values_under_the_pointer_are_the_files_(page, made):
     for row, column in ((47, 75), (10, 12), *np.argwhere((instance >= 0) & (scanner > 0))[::700]):
         page.mouse.move(*place(page, row, column))
         assert readout(page, "pixel") == f"{column}, {row}"
-        assert readout(page, "perfect") == f"{step[row, column] / 10:.1f} mm"
-        expected = f"{scanner[row, column] / 10:.1f} mm" if scanner[row, column] else NONE
+        assert readout(page, "perfect") == f"{SCALE_MM * step[row, column]:.2f} mm"
+        expected = f"{SCALE_MM * scanner[row, column]:.2f} mm" if scanner[row, column] else NONE
         assert readout(page, "scanner") == expected
         k = instance[row, column]
         name = f"{k} {('box', 'wedge')[k % 2]}" if k >= 0 else NONE

@@ -12,7 +12,7 @@ from scipy.spatial import ConvexHull
 from graycast.bench.hulls import wavy_ring
 from graycast.bench.zoo_parts import ZOO, zoo_part
 from graycast.drop import cache_folder, convex_hulls, decomposition
-from graycast.drop.decomposition import child, decompose, hull_error, ready, tolerance_m
+from graycast.drop.decomposition import child, decompose, hull_error, making, ready, tolerance_m
 from graycast.drop.decomposition.cache import read_hulls
 from graycast.errors import GraycastError
 from graycast.parts import Mesh
@@ -293,6 +293,14 @@ def test_a_part_of_half_a_million_faces_keeps_to_its_bound_and_its_hole():
     for radius_m in (0.0, 0.005, 0.01):  # the hole is 11.5 mm wide or more
         circle = [radius_m * np.cos(turn), radius_m * np.sin(turn), 0 * turn]
         assert not held(hulls, np.stack(circle, axis=1)).any()
+
+
+def test_a_part_of_too_much_detail_is_cut_more_coarsely_and_says_so(monkeypatch):
+    told = []
+    monkeypatch.setattr(making, "MOST_PIECES", 4)
+    hulls = decompose(zoo_part("nut").mesh, on_stage=told.append)
+    assert 1 <= len(hulls) <= 4
+    assert any(stage.startswith("too detailed for that: cutting within 1.00 mm") for stage in told)
 
 
 @pytest.mark.slow

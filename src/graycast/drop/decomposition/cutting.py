@@ -31,7 +31,8 @@ ROUND = 0.02  # two principal variances that differ less, of the largest, are of
 EACH, EVEN, CUT = 0.01, 0.02, 0.2
 GUESSES, FIRST_GUESSES = 120, 24  # points of a hull that are looked at
 DEEPEST_CUTS = 40  # in a row; what is left too far from its hull then is taken as it is
-HAIR = 1e-6  # of a piece's size: 50 nm of a part of 50 mm
+THIN = 0.02  # of the limit: sheets and slivers thinner than this, 9 um, are left out
+HAIR = 0.01  # of that: how far off a face it is cut
 
 Points = Float[np.ndarray, "_ 3"]
 Plane = tuple[Float[np.ndarray, "3"], float]
@@ -42,7 +43,8 @@ class Cutter:
     """Cuts one body; `limit_m` is how far a piece's hull may reach out of the body."""
 
     def __init__(self, body: Manifold, limit_m: float) -> None:
-        self._body, self._limit_m = body, limit_m
+        self._body, self._limit_m, self._thin_m = body, limit_m, THIN * limit_m
+        self.worked = 0  # faces of all pieces that were cut up to now: time grows with them
         self._surface = surface_samples(body)
 
     def harm_m(self, hull: Manifold) -> float:
@@ -74,10 +76,11 @@ class Cutter:
             piece, cuts = waiting.pop()
             parts: list[Manifold] = []
             if cuts < DEEPEST_CUTS and not self.fits(piece):
+                self.worked += piece.num_tri()
                 parts = (
-                    _cut_along_a_face(piece)
+                    _cut_along_a_face(piece, self._thin_m)
                     or self._wedges(piece)
-                    or _cut_anywhere(piece, self._deepest(piece))
+                    or _cut_anywhere(piece, self._deepest(piece), self._thin_m)
                 )
             if parts:
                 waiting += [(part, cuts + 1) for part in parts]
@@ -98,7 +101,7 @@ class Cutter:
         axis = axes[:, 2] if lower < upper else axes[:, 0]  # a tube's, a washer's
         for count in WEDGES:
             wedges = []
-            for wedge in _fan(piece, axis, center, count):
+            for wedge in _fan(piece, axis, center, count, self._thin_m):
                 wedges.append(wedge)
                 if not self.fits(wedge):
                     break
@@ -112,46 +115,42 @@ def _filling(piece: Manifold) -> float:
     return piece.hull().volume() - piece.volume()
 
 
-def _split(piece: Manifold, plane: Plane) -> list[Manifold]:
+def _split(piece: Manifold, plane: Plane, thin_m: float) -> list[Manifold]:
     """The parts on both sides of a plane.
 
     A plane that a face lies in leaves it as a sheet without thickness on the part beyond, whose
     hull would hold it. So each side is cut a hair off the plane.
     """
     normal, offset = plane
-    hair_m = _hair_m(piece)
+    hair_m = HAIR * thin_m
     beyond = piece.trim_by_plane(tuple(normal), float(offset) + hair_m)
     before = piece.trim_by_plane(tuple(-normal), hair_m - float(offset))
-    return _parts(beyond, hair_m) + _parts(before, hair_m)
+    return _parts(beyond, thin_m) + _parts(before, thin_m)
 
 
-def _hair_m(piece: Manifold) -> float:
-    box = np.reshape(piece.bounding_box(), (2, 3))
-    return HAIR * float(np.ptp(box, axis=0).max())
-
-
-def _parts(piece: Manifold, hair_m: float) -> list[Manifold]:
-    """What a cut left, without sheets as thin as ten hairs."""
-    thin_m = 10 * hair_m
+def _parts(piece: Manifold, thin_m: float) -> list[Manifold]:
+    """What a cut left, without what is thinner on the mean."""
     return [part for part in piece.decompose() if 2 * part.volume() > thin_m * part.surface_area()]
 
 
-def _cut_along_a_face(piece: Manifold) -> list[Manifold]:
+def _cut_along_a_face(piece: Manifold, thin_m: float) -> list[Manifold]:
     """The parts by the flat face that leaves the least to fill; none if too little is won."""
     filling = _filling(piece)
-    parts, left = _best_cut(piece, _faces_at_bends(piece), filling, even=0.0)
+    parts, left = _best_cut(piece, _faces_at_bends(piece), filling, even=0.0, thin_m=thin_m)
     return parts if left < (1 - WORTH) * filling else []
 
 
-def _cut_anywhere(piece: Manifold, deepest: Float[np.ndarray, "3"]) -> list[Manifold]:
+def _cut_anywhere(
+    piece: Manifold, deepest: Float[np.ndarray, "3"], thin_m: float
+) -> list[Manifold]:
     """The parts by the best of many planes, whatever is won; none if none parts it."""
     planes = chain(_planes_across(piece, deepest), _faces_at_bends(piece))
-    parts, _ = _best_cut(piece, planes, _filling(piece), even=EVEN)
+    parts, _ = _best_cut(piece, planes, _filling(piece), even=EVEN, thin_m=thin_m)
     return parts
 
 
 def _best_cut(
-    piece: Manifold, planes: Iterable[Plane], filling: float, *, even: float
+    piece: Manifold, planes: Iterable[Plane], filling: float, *, even: float, thin_m: float
 ) -> tuple[list[Manifold], float]:
     """The parts with the least left to fill, and that volume.
 
@@ -160,7 +159,7 @@ def _best_cut(
     """
     best, least, left = [], np.inf, np.inf
     for plane in planes:
-        parts = _split(piece, plane)
+        parts = _split(piece, plane, thin_m)
         if len(parts) < 2:
             continue
         volume = [part.volume() for part in parts]
@@ -233,10 +232,13 @@ def _principal(
 
 
 def _fan(
-    piece: Manifold, axis: Float[np.ndarray, "3"], point: Float[np.ndarray, "3"], count: int
+    piece: Manifold,
+    axis: Float[np.ndarray, "3"],
+    point: Float[np.ndarray, "3"],
+    count: int,
+    thin_m: float,
 ) -> Iterator[Manifold]:
     """Wedges of one angle about an axis; the first cut goes through the farthest vertex."""
-    hair_m = _hair_m(piece)
     vertices, _ = surface_of(piece)
     across = vertices - point
     across = across - np.outer(across @ axis, axis)
@@ -248,4 +250,4 @@ def _fan(
     for after, before in zip(side, -np.roll(side, -1, axis=0), strict=True):
         wedge = piece.trim_by_plane(tuple(after), float(after @ point))
         wedge = wedge.trim_by_plane(tuple(before), float(before @ point))
-        yield from _parts(wedge, hair_m)
+        yield from _parts(wedge, thin_m)

@@ -22,6 +22,9 @@ VERTEX_TOLERANCE_OF_DIAGONAL = 0.003
 # what lies between the samples that look for the worst place.
 CUT_SHARE = 0.9
 LOST_SHARE = 0.5  # of the tolerance, what hulls that are left out may have reached to
+# No drop has time for more pieces, and no user for more cuts, counted by the faces of what is cut
+# (most in the zoo: 43,000, of a turned ring). Then the tolerance grows by this.
+MOST_PIECES, MOST_FACES_CUT, COARSER = 200, 120_000, 2.0
 _CONVEX = 1e-9  # of the hull's volume: what a body may lack by round-off alone
 _TOLD_EACH = 25  # pieces
 
@@ -49,6 +52,19 @@ def decompose(mesh: Mesh, *, on_stage: OnStage = silent) -> tuple[Hull, ...]:
     return tuple(hull_of(thinned(vertices, thin_m)) for vertices in corners)
 
 
+def _pieces(cutter: Cutter, body: Manifold, of: str, on_stage: OnStage) -> list[Manifold]:
+    """Hulls of the pieces; none if there are too many, or it takes too long."""
+    pieces: list[Manifold] = []
+    for piece in cutter.pieces():
+        if len(pieces) == MOST_PIECES or cutter.worked > MOST_FACES_CUT:
+            return []
+        if len(pieces) % _TOLD_EACH == 0:
+            done = f"{len(pieces)} so far{of}"
+            on_stage(f"cutting {body.num_tri()} faces into convex pieces, {done}")
+        pieces.append(piece.hull())
+    return pieces
+
+
 def is_one_hull(mesh: Mesh) -> bool:
     """Whether a mesh is convex within the tolerance."""
     bodies = bodies_of(mesh)
@@ -60,14 +76,15 @@ def _hulls_of(whole: Manifold, tolerance: float, of: str, on_stage: OnStage) -> 
     hull = whole.hull()
     if hull.volume() - whole.volume() < _CONVEX * hull.volume():
         return [surface_of(hull)[0]]
-    body, moved_m = simplified(whole, tolerance)
-    limit_m = CUT_SHARE * tolerance - moved_m
-    cutter = Cutter(body, limit_m)
-    pieces: list[Manifold] = []
-    for number, piece in enumerate(cutter.pieces()):
-        if number % _TOLD_EACH == 0:
-            on_stage(f"cutting {body.num_tri()} faces into convex pieces, {number} so far{of}")
-        pieces.append(piece.hull())
+    while True:
+        body, moved_m = simplified(whole, tolerance)
+        limit_m = CUT_SHARE * tolerance - moved_m
+        cutter = Cutter(body, limit_m)
+        pieces = _pieces(cutter, body, of, on_stage)
+        if pieces:
+            break
+        tolerance *= COARSER
+        on_stage(f"too detailed for that: cutting within {1e3 * tolerance:.2f} mm{of}")
     points = [surface_of(piece)[0] for piece in pieces]
     if len(points) == 1:
         return points

@@ -20,6 +20,9 @@ _SETTINGS = (
     error.LID_SAMPLES,
     making.VERTEX_TOLERANCE_OF_DIAGONAL,
     making.CUT_SHARE,
+    making.MOST_PIECES,
+    making.MOST_FACES_CUT,
+    making.COARSER,
     solid.SIMPLIFIED_BY,
     solid.ENOUGH_FACES,
     cutting.REFLEX_RAD,
@@ -28,6 +31,8 @@ _SETTINGS = (
     cutting.EACH,
     cutting.EVEN,
     cutting.CUT,
+    cutting.THIN,
+    cutting.HAIR,
     cutting.WEDGES,
     cutting.ACROSS,
     cutting.DEEPEST_CUTS,
@@ -39,7 +44,9 @@ def convex_hulls(
 ) -> tuple[Hull, ...]:
     """Convex hulls whose union is the mesh within `tolerance_m(mesh)`, in the mesh's frame.
 
-    Cavities are filled. The result is a function of the mesh alone.
+    Cavities are filled. A body of so much detail that it would take too many pieces or too long
+    (`making.MOST_PIECES`, `MOST_FACES_CUT`) is cut more coarsely, as `on_stage` tells; `hull_error`
+    measures it. The result is a function of the mesh alone.
 
     Args:
         mesh: closed, as `parts` delivers it.

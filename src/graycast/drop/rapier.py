@@ -5,9 +5,9 @@ of a metre; times and masses are not. Rapier's defaults leave 1 mm of overlap or
 thread, so that one start gives one end, bit for bit, on one type of machine.
 
 Rest is a statement on where parts are, not on an instant's speed: see `REST_MOTION_M`. Parts come
-to it in three stages. They fall between walls that stand on the bin's and guide them; then the
-walls go; and at last all that is not physics is taken away (`_LET_GO`), and the heap has to hold by
-itself. Where it does not, it settles on from there and is let go once more.
+to it in stages. They fall and settle between walls that stand on the bin's and guide them. Then all
+that is not physics is taken away (`_LET_GO`), and the heap has to hold by itself. Where it does
+not, it settles on from there without the walls and is let go once more.
 
 Leaves out: bouncing (restitution is 0), rolling friction, bending, air. Damping stands in for
 them: little at first, then growing, so that what rocks for ever calms down. Friction of a pair is
@@ -38,8 +38,8 @@ LOOK_S = 0.04  # poses are read this often
 # A part that trembles on the spot by less than a scanner sees lies still; one that creeps does not.
 REST_MOTION_M = 0.1e-3
 REST_LOOKS = 10  # 0.4 s
-# Let go for a second, a heap that is in balance moves less than this: contacts find their forces
-# anew, which shakes it a little. It stays below the millimetre that another engine may find.
+# Let go for so long, a heap that is in balance moves less than this: contacts find their forces
+# anew, which shakes it a little.
 LET_GO_S = 0.6
 LET_GO_MOTION_M = 0.5e-3
 LINEAR_DAMPING = 0.2
@@ -61,9 +61,9 @@ WALL_M = 0.15  # thickness outwards of what parts collide with: nothing tunnels 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _Stage:
-    """On which terms parts move, and when a damped stage ends: where no point of a part was more
+    """On which terms parts move, and when a damped stage ends.
 
-    than `motion_m` from where it is, seen every 40 ms for so many looks.
+    It ends where no point of a part was more than `motion_m` from where it is, for `looks` looks.
     """
 
     guided: bool = False  # between walls that stand on the bin's
@@ -93,8 +93,8 @@ def simulate(
     """Lets parts fall from their start poses until they rest, or for `simulated_s`.
 
     At rest means: seen every 40 ms for 0.4 s, no point of a part was more than 0.1 mm from where
-    it is at the end; what leaned over the rim has fallen off; and let go for a second, with
-    finer steps, nine tenths of the friction and no damping, no point moved by 0.75 mm.
+    it is at the end; and let go for 0.6 s, without the guiding walls, without damping and with
+    nine tenths of the friction, no point moved by 0.5 mm. So what leans over the rim falls off.
 
     Returns:
         The end, judged by nobody: `flaws` does that. `deepest_penetration_m` is the

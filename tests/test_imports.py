@@ -36,6 +36,7 @@ ORDER = (
     "rig_file",
     "stack",
     "dataset",
+    "detections",
     "domain",
     "config",
     "cell",
@@ -49,6 +50,8 @@ ORDER = (
     "export",
     "import_real",
     "training",
+    "evaluate",
+    "detect",
     "fit_bin",
     "calibrate",
     "report",
@@ -62,6 +65,8 @@ FORBIDDEN = {
     "decode": {"drop", "render"},
     "dataset": {"drop"},
     "metrology": {"drop", "dataset", "config", "cell", "simulate", "generate"},
+    "evaluate": {"drop", "render", "sensor", "decode", "simulate", "generate"},
+    "detect": {"drop", "render", "sensor", "decode", "simulate", "generate"},
     "doctor": {"drop", "dataset", "decode", "sensor", "simulate", "generate", "report"},
 }
 WHOLE_LINE = {"simulate", "generate", "report", "bench", "cli"}

@@ -177,7 +177,7 @@ def test_a_baseline_in_millimetres_is_noticed():
 def test_an_unknown_preset_lists_those_there_are():
     with pytest.raises(ValueError, match="paper, phoxi-s, phoxi-m, phoxi-l"):
         preset("phoxi-z")
-    with pytest.raises(ValueError, match="low or full"):
+    with pytest.raises(ValueError, match="small, low, full"):
         preset("paper", "medium")
 
 

@@ -483,7 +483,7 @@ def test_a_configuration_names_a_preset_or_a_file_beside_it(tmp_path):
     [
         ("phoxi-z", "low", "no rig 'phoxi-z': choose one of paper, phoxi-s, phoxi-m, phoxi-l, or"),
         ("gone.yaml", "low", "gone.yaml: no such file"),
-        ("paper", "medium", "no resolution 'medium': choose low or full"),
+        ("paper", "medium", "no resolution 'medium': choose one of small, low, full"),
     ],
 )
 def test_an_unknown_rig_word_lists_what_there_is(tmp_path, text, resolution, message):

@@ -210,7 +210,9 @@ class Config(ScannerSections):
         exclude_if=lambda table: table is None,  # so that older datasets can go on
     )
     rig: str = Field("paper", description="a preset's name or a rig file")
-    resolution: Literal["low", "full"] = Field("low", description="of a preset's camera")
+    resolution: Literal["small", "low", "full"] = Field(
+        "low", description="of a preset's camera: 516 x 386, 1032 x 772 or 2064 x 1544 pixels"
+    )
     view: ViewSection = ViewSection()
     light: LightSection = LightSection()
     domain: DomainSection | None = Field(

@@ -21,7 +21,7 @@ from .decode import (
 )
 from .pattern import Code, CodeSpec
 from .render import Radiance
-from .rig import PRESETS, Rig
+from .rig import BINNING, PRESETS, Rig
 from .rig import preset as rig_preset
 from .sensor import Capture, SensorSpec, auto_exposure_s, expose, merge_exposures
 
@@ -136,7 +136,7 @@ def preset(name: str, resolution: str = "low") -> Scanner:
 
     Args:
         name: one of `rig.PRESETS`.
-        resolution: 'low' is 1032 x 772, 'full' is 2064 x 1544 camera pixels.
+        resolution: 'small' is 516 x 386, 'low' 1032 x 772, 'full' 2064 x 1544 camera pixels.
 
     Raises:
         ValueError: no such preset or resolution.
@@ -144,7 +144,7 @@ def preset(name: str, resolution: str = "low") -> Scanner:
     rig = rig_preset(name, resolution)
     if name == "paper":
         return Scanner(rig=rig, decode=DecodeSpec(max_epipolar_px=0.0))
-    pitch_m = _PHOXI_PITCH_M * {"low": 2, "full": 1}[resolution]  # 2 x 2 pixels are binned
+    pitch_m = _PHOXI_PITCH_M * BINNING[resolution]
     focus_m = 2 / (1 / rig.near_m + 1 / rig.far_m)  # equal blur at both ends of the range
     camera = replace(
         rig.camera,

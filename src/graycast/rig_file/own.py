@@ -155,8 +155,8 @@ def resolve_scanner(text: str, *, folder: Path, resolution: str = "low") -> Scan
         ConfigError: neither a preset nor a readable rig file, or no such resolution.
     """
     if resolution not in RESOLUTIONS:
-        choices = " or ".join(RESOLUTIONS)
-        raise ConfigError(f"resolution: no resolution {resolution!r}: choose {choices}")
+        choices = ", ".join(RESOLUTIONS)
+        raise ConfigError(f"resolution: no resolution {resolution!r}: choose one of {choices}")
     if text in PRESETS:
         return preset(text, resolution)
     path = folder / text

@@ -1,0 +1,1 @@
+"""Detectors trained on datasets, and what they find in pictures; needs `graycast[detect]`."""

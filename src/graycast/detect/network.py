@@ -1,0 +1,81 @@
+"""What every network can do: learn from labels, and find parts. One file for each behind it."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Protocol, runtime_checkable
+
+from jaxtyping import Bool, Float, Int64, UInt8
+from torch import Tensor
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Target:
+    """Labels of one picture, in pixels of the network's input.
+
+    Attributes:
+        box: x0, y0, x1, y1: outer edges, from the outer corner of the top-left pixel on.
+        label: classes, from 0.
+        mask: what is visible of each; None where the network does not ask for masks.
+        ignored: an instance too hidden to count: the network need not find it, and a detection
+            there is no mistake.
+    """
+
+    box: Float[Tensor, "n 4"]
+    label: Int64[Tensor, " n"]
+    mask: Bool[Tensor, "n h w"] | None
+    ignored: Bool[Tensor, " n"]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Found:
+    """What a network finds in one picture, best first, in pixels of its input.
+
+    `mask` is a probability, 0 to 255; its edge is where it crosses 127.5. None from a network that
+    has boxes alone.
+    """
+
+    box: Float[Tensor, "n 4"]
+    label: Int64[Tensor, " n"]
+    score: Float[Tensor, " n"]
+    mask: UInt8[Tensor, "n h w"] | None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Recipe:
+    """How a network is trained where nobody says otherwise.
+
+    Attributes:
+        optimizer: `sgd` (momentum 0.9) or `adamw`.
+        learning_rate: at its highest, for a batch of `batch` pictures.
+        batch: pictures in a step.
+        weight_decay: of matrices; biases and norms have none.
+    """
+
+    optimizer: str
+    learning_rate: float
+    batch: int
+    weight_decay: float
+
+
+@runtime_checkable
+class Network(Protocol):
+    """A `torch.nn.Module` that answers these questions too.
+
+    Input is `(b, channels, h, w)` float, h and w multiples of 32, encoded by `inputs`. All random
+    choices use torch's global generator, which the training loop owns.
+    """
+
+    finds_masks: bool
+    recipe: Recipe
+
+    def losses(
+        self, image: Float[Tensor, "b c h w"], targets: Sequence[Target]
+    ) -> dict[str, Tensor]:
+        """Terms of the loss by name; their sum is what training makes small."""
+        ...
+
+    def find(
+        self, image: Float[Tensor, "b c h w"], *, most: int, least_score: float
+    ) -> list[Found]:
+        """Detections of each picture: at most so many, of at least that score."""
+        ...

@@ -220,7 +220,7 @@ def test_the_schema_accepts_every_configuration(path):
         ({"render": {"samples": 0}}, "file.render.samples: minimum"),
         ({"light": {"lamps": [{"cener_m": [0, 0, 1]}]}}, "file.light.lamps.0.center_m is missing"),
         ({"bin": {"inner_m": [0.3, 0.2]}}, "file.bin.inner_m has 2 items"),
-        ({"resolution": "high"}, "file.resolution is none of ['low', 'full']"),
+        ({"resolution": "high"}, "file.resolution is none of ['small', 'low', 'full']"),
         ({"seed": "many"}, "file.seed is no integer"),
         ({"parts": [{"builtin": "x", "unit": "yard"}]}, "file.parts.0.unit is none of"),
         ({"parts": []}, "file.parts has 0 items"),

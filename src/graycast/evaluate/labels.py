@@ -1,0 +1,103 @@
+"""What there is to find in a picture."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from jaxtyping import Bool, Float, Float32, Int
+from pycocotools import mask as coco_mask
+
+from ..dataset.coco import IGNORED_BELOW
+from ..dataset.example import Example
+from ..errors import GraycastError
+
+MIN_VISIBILITY = IGNORED_BELOW
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Labels:
+    """The instances of one picture of which something is visible.
+
+    Attributes:
+        scene_id: of the dataset that the picture is of.
+        size_px: height and width of the picture; None where the example held no picture.
+        obj_id: what each instance is.
+        box_px: [x, y, columns, rows] of the visible masks, as detections have them.
+        mask: what is visible of each, as compressed run lengths; None where nobody drew masks.
+        ignored: too hidden to count: it need not be found, and a detection there is no mistake.
+        visib_fract: visible share of each silhouette; None where nobody knows it.
+        missing: share of each visible mask where the scanner has no depth; None where nobody knows.
+    """
+
+    scene_id: int
+    size_px: tuple[int, int] | None
+    obj_id: Int[np.ndarray, " n"]
+    box_px: Float32[np.ndarray, "n 4"]
+    mask: tuple[Mapping[str, Any], ...] | None
+    ignored: Bool[np.ndarray, " n"]
+    visib_fract: Float[np.ndarray, " n"] | None
+    missing: Float[np.ndarray, " n"] | None = None
+
+    def __post_init__(self) -> None:
+        for name in ("obj_id", "box_px", "ignored", "visib_fract", "missing"):
+            if (value := getattr(self, name)) is not None:
+                value.flags.writeable = False
+
+    def __len__(self) -> int:
+        return len(self.obj_id)
+
+
+def labels_of(example: Example, *, min_visibility: float) -> Labels:
+    """The labels of an example; instances visible for less than that share are ignored.
+
+    Where nobody knows what share is visible, none is ignored.
+
+    Raises:
+        GraycastError: the example has no labels.
+    """
+    if example.obj_id is None or example.box_px is None:
+        raise GraycastError(
+            f"scene {example.scene_id}: has no labels to compare detections with: choose a dataset "
+            "with labels"
+        )
+    visible = example.visib_fract
+    return Labels(
+        scene_id=example.scene_id,
+        size_px=_size_px(example),
+        obj_id=example.obj_id,
+        box_px=example.box_px,
+        mask=None if example.mask is None else run_lengths_of(example.mask),
+        ignored=np.zeros(len(example.obj_id), bool)
+        if visible is None
+        else visible < min_visibility,
+        visib_fract=visible,
+        missing=_missing(example),
+    )
+
+
+def run_lengths_of(mask: Bool[np.ndarray, "n h w"]) -> tuple[dict[str, Any], ...]:
+    """Masks as COCO's compressed run lengths."""
+    if not len(mask):
+        return ()
+    columns = np.asfortranarray(mask.transpose(1, 2, 0).astype(np.uint8))
+    return tuple(
+        {"size": [int(edge) for edge in runs["size"]], "counts": runs["counts"].decode()}
+        for runs in coco_mask.encode(columns)
+    )
+
+
+def _size_px(example: Example) -> tuple[int, int] | None:
+    for name in ("mask", "rgb", "gray", "depth_m", "scanner_depth_m"):
+        picture = getattr(example, name)
+        if picture is not None:
+            height_px, width_px = picture.shape[1:] if name == "mask" else picture.shape[:2]
+            return height_px, width_px
+    return None
+
+
+def _missing(example: Example) -> Float[np.ndarray, " n"] | None:
+    if example.mask is None or example.scanner_depth_m is None:
+        return None
+    hole = np.isnan(example.scanner_depth_m)
+    return np.array([hole[mask].mean() for mask in example.mask], dtype=np.float64)

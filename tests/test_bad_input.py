@@ -381,7 +381,7 @@ def test_a_picture_or_table_without_a_folder_says_what_to_check(capsys, tmp_path
     assert str(nowhere) in text
     assert "give a path in a folder" in text
     text = refusal(capsys, "rig", "write", "paper", "--out", nowhere)
-    assert f"{nowhere}: the rig cannot be written" in text
+    assert f"the rig {nowhere}: cannot be written" in text
     assert not nowhere.parent.exists()
 
 

@@ -1,14 +1,45 @@
-"""A folder of results: all of its files appear, or none."""
+"""Results that appear whole or not at all: a file, or all files of a folder."""
 
 import fcntl
 import os
 import secrets
 import shutil
-from collections.abc import Iterator
+import tempfile
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
+from typing import IO
 
 from .errors import GraycastError
+
+
+def write_whole(path: Path, write: Callable[[IO[bytes]], object]) -> None:
+    """A file made beside its place and renamed, so that nobody ever finds half of it.
+
+    Args:
+        path: in a folder that is there.
+        write: fills the open file.
+
+    Raises:
+        GraycastError: the folder is missing or the disk refuses; what was there is as it was.
+    """
+    aside = None
+    try:
+        with tempfile.NamedTemporaryFile(
+            dir=path.parent, prefix=f".{path.name}.", suffix=".tmp", delete=False
+        ) as file:
+            aside = Path(file.name)
+            write(file)
+        aside.chmod(0o644)  # temporary files are for their owner alone
+        os.replace(aside, path)
+    except OSError as error:
+        why = error.strerror or str(error)
+        raise GraycastError(
+            f"{path}: cannot be written ({why}): give a path in a folder with space"
+        ) from error
+    finally:
+        if aside is not None:
+            aside.unlink(missing_ok=True)
 
 
 @contextmanager

@@ -1,7 +1,5 @@
 """How plots look and how they are written: the one style of sheets, studies and certificates."""
 
-import os
-import tempfile
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Literal
@@ -10,7 +8,7 @@ from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
-from .errors import GraycastError
+from .folder import write_whole
 
 INK, ACCENT, SECOND, SOFT, PALE = "#1f2933", "#0b6e99", "#c4622d", "#9aa5b1", "#e4e7eb"
 
@@ -57,20 +55,7 @@ def save_png(figure: Figure, path: Path, *, dpi: int) -> None:
     Raises:
         GraycastError: the folder is missing or the disk refuses.
     """
-    aside = None
-    try:
-        with tempfile.NamedTemporaryFile(
-            dir=path.parent, prefix=f".{path.name}.", suffix=".tmp", delete=False
-        ) as file:
-            aside = Path(file.name)
-            figure.savefig(file, dpi=dpi, format="png", metadata={"Software": None})
-        aside.chmod(0o644)  # temporary files are for their owner alone
-        os.replace(aside, path)
-    except OSError as error:
-        why = error.strerror or str(error)
-        raise GraycastError(
-            f"picture {path} cannot be written: {why}; give a path in a folder with space"
-        ) from error
-    finally:
-        if aside is not None:
-            aside.unlink(missing_ok=True)
+    write_whole(
+        path,
+        lambda file: figure.savefig(file, dpi=dpi, format="png", metadata={"Software": None}),
+    )

@@ -4,6 +4,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Protocol, runtime_checkable
 
+import torch
 from jaxtyping import Bool, Float, Int64, UInt8
 from torch import Tensor
 
@@ -24,6 +25,15 @@ class Target:
     label: Int64[Tensor, " n"]
     mask: Bool[Tensor, "n h w"] | None
     ignored: Bool[Tensor, " n"]
+
+    def to(self, device: torch.device) -> "Target":
+        """The same on a device."""
+        return Target(
+            box=self.box.to(device),
+            label=self.label.to(device),
+            mask=None if self.mask is None else self.mask.to(device),
+            ignored=self.ignored.to(device),
+        )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

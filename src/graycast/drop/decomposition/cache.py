@@ -5,10 +5,10 @@ import os
 import zipfile
 from importlib.metadata import version
 from pathlib import Path
-from tempfile import NamedTemporaryFile
 
 import numpy as np
 
+from ...folder import write_whole
 from ...parts import Mesh
 from .hulls import Hull
 
@@ -45,16 +45,10 @@ def read_hulls(file: Path) -> tuple[Hull, ...] | None:
 def write_hulls(file: Path, hulls: tuple[Hull, ...]) -> None:
     """The file appears at once or not at all."""
     file.parent.mkdir(parents=True, exist_ok=True)
-    with NamedTemporaryFile(dir=file.parent, suffix=".part", delete=False) as aside:
-        try:
-            np.savez(
-                aside,
-                vertices_m=np.vstack([vertices for vertices, _ in hulls]),
-                faces=np.vstack([faces for _, faces in hulls]),
-                vertex_split=np.cumsum([len(vertices) for vertices, _ in hulls])[:-1],
-                face_split=np.cumsum([len(faces) for _, faces in hulls])[:-1],
-            )
-        except BaseException:
-            os.unlink(aside.name)
-            raise
-    os.replace(aside.name, file)
+    held = {
+        "vertices_m": np.vstack([vertices for vertices, _ in hulls]),
+        "faces": np.vstack([faces for _, faces in hulls]),
+        "vertex_split": np.cumsum([len(vertices) for vertices, _ in hulls])[:-1],
+        "face_split": np.cumsum([len(faces) for _, faces in hulls])[:-1],
+    }
+    write_whole(file, lambda aside: np.savez(aside, **held))

@@ -1,0 +1,10 @@
+"""What tests of networks share: one thread, which beside other processes is the fastest."""
+
+import pytest
+
+
+@pytest.fixture(scope="session", autouse=True)
+def one_thread_of_torch():
+    torch = pytest.importorskip("torch", reason="needs torch: pip install 'graycast[detect]'")
+    torch.set_num_threads(1)
+    torch.set_flush_denormal(True)

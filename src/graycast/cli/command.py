@@ -7,7 +7,7 @@ from collections.abc import Sequence
 
 from .. import __version__
 from ..errors import GraycastError
-from . import datasets, exporting, fitting, generating, looking, machine, measuring, rigs
+from . import datasets, detecting, exporting, fitting, generating, looking, machine, measuring, rigs
 
 EXAMPLES = """\
 examples:
@@ -70,6 +70,7 @@ def _parser() -> argparse.ArgumentParser:
     datasets.add_commands(commands)
     looking.add_commands(commands)
     exporting.add_commands(commands)
+    detecting.add_commands(commands)
     fitting.add_commands(commands)
     rigs.add_commands(commands)
     measuring.add_commands(commands)

@@ -1,0 +1,265 @@
+"""Commands about detectors: train, detect."""
+
+import argparse
+from pathlib import Path
+
+from ..errors import GraycastError
+from .arguments import above_zero, add_command, positive, progress_bar, seed, share
+
+# torch takes seconds to import and may be missing, so names are repeated here; a test compares.
+MODELS = ("mask-rcnn", "yolov3", "solov2", "yolov7", "rf-detr")
+INPUTS = ("rgb", "depth", "depth_sl", "depth_noisy", "rgbd")
+HOLES = ("channel", "zero", "far")
+
+TRAIN = """\
+Train a detector on datasets of Graycast, on exports of them, or on datasets of real pictures. It
+learns from the scenes of train and keeps the weights that are best on those of val. The folder
+--out gets detector.pt (weights and how pictures are encoded), history.csv, curves.png and files
+for TensorBoard. A training that was stopped or killed goes on with the same command."""
+
+
+def add_commands(commands) -> None:
+    train = add_command(commands, "train", _train, "Train a detector on datasets.")
+    train.description = TRAIN
+    train.set_defaults(when_stopped="the same command goes on from here")
+    train.add_argument("datasets", type=Path, nargs="+", help="The datasets' folders.")
+    train.add_argument("--out", type=Path, required=True, help="The folder of this training.")
+    train.add_argument(
+        "--model", choices=MODELS, default="mask-rcnn", help="The network (default: mask-rcnn)."
+    )
+    train.add_argument(
+        "--input",
+        choices=INPUTS,
+        default="depth_sl",
+        help="What it sees: colour, perfect depth, the scanner's depth, perfect depth with "
+        "Gaussian noise and random holes, or colour with the scanner's depth (default: depth_sl).",
+    )
+    train.add_argument("--backbone", help="The network's trunk (default: the model's own).")
+    train.add_argument(
+        "--weights",
+        type=Path,
+        metavar="FILE",
+        help="Start from these weights, another run's or published ones, not from random numbers.",
+    )
+    train.add_argument(
+        "--size",
+        type=positive,
+        default=384,
+        metavar="PX",
+        help="The longer side of the picture that the network sees (default: 384).",
+    )
+    train.add_argument(
+        "--epochs", type=positive, default=40, help="How often it sees each picture (default: 40)."
+    )
+    train.add_argument(
+        "--patience",
+        type=positive,
+        default=10,
+        help="Stop after so many validations without a better score (default: 10).",
+    )
+    train.add_argument("--batch", type=positive, help="Pictures in a step (default: the model's).")
+    train.add_argument(
+        "--learning-rate", type=above_zero, help="At its highest (default: the model's)."
+    )
+    train.add_argument(
+        "--split",
+        default="0.8,0.1,0.1",
+        metavar="SHARES",
+        help="The shares of scenes that go to train, val and test; an export has its own "
+        "(default: 0.8,0.1,0.1).",
+    )
+    train.add_argument(
+        "--split-seed", type=seed, default=0, help="Another seed shares the scenes out anew."
+    )
+    train.add_argument(
+        "--min-visibility",
+        type=share,
+        default=0.1,
+        metavar="SHARE",
+        help="Parts of which a smaller share is visible are ignored: finding one is neither right "
+        "nor wrong (default: 0.1).",
+    )
+    train.add_argument(
+        "--holes",
+        choices=HOLES,
+        default="channel",
+        help="What missing depth is to the network: a channel of its own, zero, or far away "
+        "(default: channel).",
+    )
+    train.add_argument(
+        "--no-relief",
+        action="store_true",
+        help="Leave the channel out that holds the height over the neighbourhood.",
+    )
+    train.add_argument(
+        "--range",
+        type=_range,
+        metavar="NEAR,FAR",
+        help="The working volume in metres from the camera (default: what the datasets span).",
+    )
+    train.add_argument(
+        "--no-flips", action="store_true", help="Do not mirror pictures while training."
+    )
+    train.add_argument(
+        "--seed",
+        type=seed,
+        default=0,
+        help="Another seed draws weights, order and augmentation anew (default: 0).",
+    )
+    _add_device(train)
+    train.add_argument(
+        "--workers",
+        type=seed,
+        default=0,
+        help="How many processes read pictures beside the training (default: 0).",
+    )
+
+    detect = add_command(commands, "detect", _detect, "Find parts in a dataset or in pictures.")
+    detect.add_argument("detector", type=Path, help="The folder of a training, or its detector.pt.")
+    detect.add_argument(
+        "pictures",
+        type=Path,
+        help="A dataset, an export, or a folder with pictures in rgb, gray and depth.",
+    )
+    detect.add_argument(
+        "--out", type=Path, required=True, help="The folder to write; it is new or an earlier one."
+    )
+    detect.add_argument(
+        "--split",
+        choices=("train", "val", "test", "all"),
+        default="all",
+        help="Which scenes: those that the training left for test, for instance (default: all).",
+    )
+    detect.add_argument(
+        "--scale",
+        type=above_zero,
+        metavar="METRES",
+        help="Metres per unit of depth files that are no dataset; floats need none.",
+    )
+    detect.add_argument(
+        "--most", type=positive, default=300, help="Detections in a picture at most (default: 300)."
+    )
+    detect.add_argument(
+        "--least-score",
+        type=share,
+        default=0.05,
+        help="The least score of a detection (default: 0.05).",
+    )
+    detect.add_argument(
+        "--drawings", type=seed, default=12, help="How many pictures to draw (default: 12)."
+    )
+    _add_device(detect)
+
+
+def _add_device(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument(
+        "--device",
+        choices=("auto", "cpu", "cuda"),
+        default="auto",
+        help="Where the network runs; auto takes the GPU where there is one (default: auto).",
+    )
+    parser.add_argument(
+        "--threads", type=positive, help="Processor threads of the network (default: torch's own)."
+    )
+
+
+def _range(text: str) -> tuple[float, float]:
+    try:
+        near_m, far_m = (float(word) for word in text.split(","))
+    except ValueError:
+        near_m, far_m = 0.0, 0.0
+    if not 0 < near_m < far_m:
+        raise argparse.ArgumentTypeError(
+            f"{text!r} is no range: give two distances in metres such as 0.6,1.2"
+        )
+    return near_m, far_m
+
+
+def _torch(options: argparse.Namespace) -> None:
+    """See that torch is there, and how many threads it takes."""
+    try:
+        import torch
+    except ImportError as error:
+        raise GraycastError(
+            "detectors need PyTorch, which is not installed: pip install 'graycast[detect]'"
+        ) from error
+    if options.threads is not None:
+        torch.set_num_threads(options.threads)
+
+
+def _train(options: argparse.Namespace) -> None:
+    _torch(options)
+    from ..detect import Augmentation, TrainSpec, train
+    from ..export.split import Split, parse_shares
+
+    spec = TrainSpec(
+        model=options.model,
+        input=options.input,
+        backbone=options.backbone,
+        longest_px=options.size,
+        holes=options.holes,
+        relief=not options.no_relief,
+        range_m=options.range,
+        epochs=options.epochs,
+        batch=options.batch,
+        learning_rate=options.learning_rate,
+        seed=options.seed,
+        min_visibility=options.min_visibility,
+        patience=options.patience,
+        split=Split(shares=parse_shares(options.split), seed=options.split_seed),
+        augmentation=Augmentation(flip=not options.no_flips),
+        weights=options.weights,
+        device=options.device,
+        workers=options.workers,
+    )
+    with progress_bar() as bar:
+        tasks = {}
+
+        def on_told(told) -> None:
+            if told.row is not None:
+                bar.console.print(_line(told.row))
+                return
+            if told.stage not in tasks:
+                tasks[told.stage] = bar.add_task(told.stage, total=told.total)
+            bar.update(tasks[told.stage], completed=told.done, total=told.total)
+
+        train(options.datasets, options.out, spec, on_told=on_told)
+    print(f"{options.out}: trained; detector.pt has the weights of the best validation")
+
+
+def _line(row: dict[str, float]) -> str:
+    text = f"epoch {row['epoch']:.0f}: loss {row['loss']:.3f}"
+    for name in ("box_ap50", "mask_ap50", "box_ap", "mask_ap"):
+        if name in row:
+            text += f", {name.replace('_', ' ').replace('ap', 'AP')} {row[name]:.3f}"
+    return text
+
+
+def _detect(options: argparse.Namespace) -> None:
+    _torch(options)
+    from statistics import median
+
+    from ..detect import detect, load_detector, pictures_of
+
+    detector = load_detector(options.detector, device=options.device)
+    pictures = pictures_of(
+        options.pictures, detector.about, split=options.split, scale_m=options.scale
+    )
+    with progress_bar() as bar:
+        task = bar.add_task("pictures", total=pictures.count)
+        looked = detect(
+            detector,
+            pictures.examples,
+            options.out,
+            class_ids=pictures.class_ids,
+            said=pictures.said,
+            most=options.most,
+            least_score=options.least_score,
+            drawings=options.drawings,
+            on_picture=lambda done: bar.update(task, completed=done),
+        )
+    count = sum(map(len, looked.found))
+    print(
+        f"{options.out}: {count} detections in {len(looked.found)} pictures, "
+        f"{median(looked.ms_per_picture):.0f} ms a picture"
+    )

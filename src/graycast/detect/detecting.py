@@ -1,0 +1,213 @@
+"""A detector let loose on a dataset or on pictures: COCO's results, drawings, and times."""
+
+import json
+import shutil
+import time
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from itertools import chain
+from pathlib import Path
+from typing import Any, final
+
+import cv2
+import numpy as np
+from jaxtyping import UInt8
+from pycocotools import mask as coco_mask
+
+from ..dataset.claim import CLAIM
+from ..dataset.example import Example
+from ..dataset.json_text import json_bytes
+from ..detections import Detections, results_bytes
+from ..errors import GraycastError
+from ..export.record import RECORD, read_record
+from ..export.split import Split
+from ..folder import refuse_foreign, whole_folder
+from ..import_real.pictures import Shot, find_shots, read_shot
+from ..training import Examples, open_examples
+from .detector import About, Detector, obj_ids
+
+RESULTS, MARK, DRAWINGS = "results.json", "detect.json", "drawings"
+_INKS = ((233, 110, 11), (45, 98, 196), (63, 158, 47), (149, 81, 122), (20, 20, 20))  # BGR
+_DRAWN_SCORE = 0.5
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Looked:
+    """What a detector found in some pictures, and how long it took for each [ms]."""
+
+    found: tuple[Detections, ...]
+    ms_per_picture: tuple[float, ...]
+
+
+def detect(
+    detector: Detector,
+    pictures: Iterable[Example],
+    out: Path,
+    *,
+    class_ids: Mapping[str, int],
+    said: Mapping[str, Any],
+    most: int = 300,
+    least_score: float = 0.05,
+    drawings: int = 12,
+    on_picture: Callable[[int], None] = lambda done: None,
+) -> Looked:
+    """Look at pictures and write `results.json`, `detect.json` and the first drawings to `out`.
+
+    Args:
+        class_ids: the id that each class has in the results.
+        said: where the pictures come from, for `detect.json`.
+        drawings: how many pictures are drawn with what was found in them.
+
+    Raises:
+        GraycastError: a picture is not of the kind that the detector sees, or `out` holds
+            something else or cannot be written.
+    """
+    refuse_foreign(out, MARK)
+    found, times_ms = [], []
+    with whole_folder(out) as folder:
+        (folder / DRAWINGS).mkdir()
+        for example in pictures:
+            begun = time.perf_counter()
+            found.append(
+                detector.detect(example, obj_ids=class_ids, most=most, least_score=least_score)
+            )
+            times_ms.append(1e3 * (time.perf_counter() - begun))
+            if len(found) <= drawings:
+                path = folder / DRAWINGS / f"{example.scene_id:06d}.jpg"
+                cv2.imwrite(str(path), drawn(example, found[-1]))
+            on_picture(len(found))
+        about = detector.about
+        content = {
+            "model": about.model,
+            "backbone": about.backbone,
+            "input": about.encoding.input,
+            "names": list(about.names),
+            "scene_ids": [each.scene_id for each in found],
+            "ms_per_picture": [round(ms, 3) for ms in times_ms],
+            "most": most,
+            "least_score": least_score,
+            **said,
+        }
+        (folder / MARK).write_bytes(json_bytes(content))
+        (folder / RESULTS).write_bytes(results_bytes(found))
+        _replace_drawings(out)
+    return Looked(found=tuple(found), ms_per_picture=tuple(times_ms))
+
+
+def shots(found: Sequence[Shot], *, scale_m: float | None) -> Iterator[Example]:
+    """Pictures as `import-real` reads them, without labels; numbered in the order of their names.
+
+    Raises:
+        DatasetError: one is damaged.
+    """
+    for i, shot in enumerate(found):
+        # The detector works in pixels and along the axis: it asks for no intrinsics.
+        seen = read_shot(shot, K=np.eye(3), scale_m=scale_m, size_px=None)
+        depth_m = None if seen.depth_m is None else seen.depth_m.astype(np.float32)
+        yield Example(scene_id=i, rgb=seen.rgb, gray=seen.gray, scanner_depth_m=depth_m)
+
+
+def read_mark(folder: Path) -> dict[str, Any]:
+    """`detect.json` of a folder that `detect` wrote.
+
+    Raises:
+        GraycastError: it is missing or damaged.
+    """
+    try:
+        return json.loads((folder / MARK).read_bytes())
+    except (OSError, ValueError) as error:
+        raise GraycastError(f"{folder}: has no readable {MARK}: run graycast detect") from error
+
+
+def drawn(example: Example, found: Detections) -> UInt8[np.ndarray, "h w 3"]:
+    """The picture (BGR) with boxes, outlines and scores of what is found with at least 0.5."""
+    image = _ground(example)
+    sure = [i for i in range(len(found)) if found.score[i] >= _DRAWN_SCORE]
+    for i in sure:
+        ink = _INKS[int(found.obj_id[i]) % len(_INKS)]
+        x, y, columns, rows = (round(float(edge)) for edge in found.box_px[i])
+        if found.mask is None:
+            cv2.rectangle(image, (x, y), (x + columns - 1, y + rows - 1), ink, 1, cv2.LINE_AA)
+        else:
+            mask = coco_mask.decode(dict(found.mask[i]))
+            lines, _ = cv2.findContours(mask, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
+            cv2.drawContours(image, lines, -1, ink, 1, cv2.LINE_AA)
+        place = (x + 2, max(10, y + 10))
+        text = f"{found.score[i]:.2f}"
+        cv2.putText(image, text, place, cv2.FONT_HERSHEY_SIMPLEX, 0.32, (255, 255, 255), 2)
+        cv2.putText(image, text, place, cv2.FONT_HERSHEY_SIMPLEX, 0.32, ink, 1, cv2.LINE_AA)
+    return image
+
+
+def _ground(example: Example) -> UInt8[np.ndarray, "h w 3"]:
+    """What is drawn upon: colour, else grey, else depth from near (light) to far."""
+    if example.rgb is not None:
+        return np.ascontiguousarray(example.rgb[..., ::-1])
+    if example.gray is not None:
+        return cv2.cvtColor(example.gray, cv2.COLOR_GRAY2BGR)
+    depth_m = example.scanner_depth_m if example.depth_m is None else example.depth_m
+    if depth_m is None:
+        raise GraycastError(f"scene {example.scene_id}: has no picture to look at")
+    near_m, far_m = np.nanquantile(depth_m, [0.01, 0.99])
+    light = np.clip((far_m - depth_m) / max(far_m - near_m, 1e-6), 0, 1)
+    grey = np.where(np.isfinite(light), 55 + 200 * light, 0).astype(np.uint8)
+    return cv2.cvtColor(grey, cv2.COLOR_GRAY2BGR)
+
+
+def _replace_drawings(out: Path) -> None:
+    """An earlier result's drawings go first: a folder is not replaced by renaming."""
+    if (out / DRAWINGS).is_dir():
+        shutil.rmtree(out / DRAWINGS)
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Chosen:
+    """Pictures to look at, read one by one, and what `detect` writes of where they come from."""
+
+    examples: Iterable[Example]
+    count: int
+    class_ids: Mapping[str, int]
+    said: Mapping[str, Any]
+
+
+def pictures_of(folder: Path, about: About, *, split: str, scale_m: float | None) -> Chosen:
+    """The pictures of a dataset, of an export, or of a folder that `import-real` could read.
+
+    Args:
+        split: a set, or `all`. The scenes of a dataset are divided as the training divided them.
+        scale_m: metres in a unit of whole-numbered depth files.
+
+    Raises:
+        GraycastError: the folder holds none of these, or knows none of the detector's parts.
+    """
+    if not any((folder / name).is_file() for name in (CLAIM, RECORD)):
+        if split != "all":
+            raise GraycastError(f"{folder}: is no dataset, so it has no set {split}: take all")
+        found = find_shots(folder)
+        return Chosen(
+            examples=shots(found, scale_m=scale_m),
+            count=len(found),
+            class_ids={name: i for i, name in enumerate(about.names, start=1)},
+            said={"pictures": [shot.stem for shot in found], "split": None, "division": None},
+        )
+    sets, said = _sets(folder, about, split)
+    return Chosen(
+        examples=chain.from_iterable(sets),
+        count=sum(map(len, sets)),
+        class_ids=obj_ids(sets[0].categories, about.names, folder),
+        said={"dataset": str(folder), **said},
+    )
+
+
+def _sets(folder: Path, about: About, split: str) -> tuple[list[Examples], dict[str, Any]]:
+    if (folder / RECORD).is_file():
+        splits = read_record(folder).splits if split == "all" else (split,)
+        said = {"split": None if split == "all" else split, "division": None}
+        return [open_examples(folder, split=name) for name in splits], said
+    if split == "all":
+        return [open_examples(folder)], {"split": "train", "division": None}
+    division = Split(**about.trained["settings"]["split"])
+    said = {"split": split, "division": {"shares": division.shares, "seed": division.seed}}
+    return [open_examples(folder, split=split, division=division)], said

@@ -78,7 +78,7 @@ def test_grey_in_any_number_of_channels_is_answered_as_grey_in_three(name, chann
 def test_weights_of_another_backbone_are_refused_and_change_nothing():
     body = open_backbone("resnet18", channels=3)
     before = {key: value.clone() for key, value in body.state_dict().items()}
-    with pytest.raises(GraycastError, match=r"not of resnet18: the file has 'layer1\.0\.bn3\.bias'"):
+    with pytest.raises(GraycastError, match=r"resnet18: the file has 'layer1\.0\.bn3\.bias'"):
         load_backbone(body, classifier("resnet50").state_dict())
     lacks = classifier("resnet18").state_dict()
     del lacks["layer4.1.conv2.weight"]

@@ -1,0 +1,311 @@
+"""SOLOv2: masks without boxes; each cell of a grid makes the kernel that paints its instance.
+
+Source: Wang, Zhang, Kong, Li & Shen, "SOLOv2: Dynamic and Fast Instance Segmentation", NeurIPS
+2020. What the paper leaves open is as in mmdetection 3.3: equal weights give equal losses and
+masks, which a slow test shows. One thing differs on purpose: the ranges of sizes are shares of the
+picture (mmdetection's in pixels, divided by the size of its training pictures).
+"""
+
+from collections import OrderedDict
+from collections.abc import Sequence
+from dataclasses import dataclass
+from math import inf
+from typing import final
+
+import torch
+from jaxtyping import Bool, Float, Float32, Int64
+from torch import Tensor, nn
+from torch.nn.functional import (
+    binary_cross_entropy_with_logits,
+    interpolate,
+    max_pool2d,
+    one_hot,
+)
+from torchvision.ops import FeaturePyramidNetwork, masks_to_boxes
+from torchvision.ops.feature_pyramid_network import LastLevelMaxPool
+
+from .backbones import open_backbone
+from .network import Found, Recipe, Target
+
+# One entry a level. An instance belongs to the levels whose range holds the root of its box's
+# area, as a share of the root of the picture's: two levels, as the ranges overlap.
+GRIDS = (40, 36, 24, 16, 12)
+RANGES = ((0, 3 / 32), (3 / 64, 3 / 16), (3 / 32, 3 / 8), (3 / 16, 3 / 4), (3 / 8, inf))
+LEAST_SIDE_PX = 1.0
+# A mask of fewer map pixels than this is noise, level by level.
+LEAST_AREA = (8, 8, 16, 32, 32)
+MASK_STRIDE = 4
+PYRAMID_WIDTH = 256
+# Cells whose centre lies within this share of the box around the centre of mass are positives.
+CENTRE_SHARE = 0.2
+MASK_WEIGHT = 3.0
+FOCAL_ALPHA, FOCAL_GAMMA = 0.25, 2.0
+DICE_EPS = 1e-3
+NMS_SIGMA = 2.0
+
+
+@dataclass(frozen=True, slots=True)
+class _Size:
+    """How much head: `width` and `depth` of its towers, `kernel` channels of the masks' map."""
+
+    width: int
+    depth: int
+    kernel: int
+
+
+@final
+class Solov2(nn.Module):
+    """Finds masks, and boxes as what encloses them.
+
+    With `resnet50` it is the paper's SOLOv2, with `resnet18` its SOLOv2-light; the small backbones
+    carry a head of half that width.
+    """
+
+    finds_masks = True
+    recipe = Recipe(optimizer="adamw", learning_rate=5e-4, batch=4, weight_decay=0.01)
+
+    def __init__(
+        self, *, channels: int, classes: int, backbone: str | None, size_px: tuple[int, int]
+    ) -> None:
+        super().__init__()
+        self.body = open_backbone(backbone or "resnet18", channels=channels)
+        match self.body.name:
+            case "resnet50" | "darknet53":
+                size = _Size(512, 4, 256)
+            case "resnet18":
+                size = _Size(256, 2, 128)
+            case _:
+                size = _Size(128, 2, 64)
+        self.classes = classes
+        self.pyramid = FeaturePyramidNetwork(
+            list(self.body.channels), PYRAMID_WIDTH, extra_blocks=LastLevelMaxPool()
+        )
+        self.painter = _Painter(size.kernel)
+        self.kernels = _tower(PYRAMID_WIDTH + 2, size, size.kernel)
+        self.judges = _tower(PYRAMID_WIDTH, size, classes)
+        nn.init.constant_(
+            self.judges[-1].bias, -4.6
+        )  # one in a hundred: nearly all cells are empty
+
+    def forward(
+        self, image: Float[Tensor, "b c h w"]
+    ) -> tuple[
+        Float[Tensor, "b cells classes"],
+        Float[Tensor, "b cells kernel"],
+        Float[Tensor, "b kernel h4 w4"],
+    ]:
+        """Scores (logits) and kernels of every cell of every level, and the map they read."""
+        maps = OrderedDict((str(i), m) for i, m in enumerate(self.body(image)))
+        levels = list(self.pyramid(maps).values())
+        painted = self.painter(levels[:4])
+        half = interpolate(levels[0], scale_factor=0.5, mode="bilinear")
+        last = interpolate(levels[4], size=levels[3].shape[-2:], mode="bilinear")
+        scores, kernels = [], []
+        for level, grid in zip((half, *levels[1:4], last), GRIDS, strict=True):
+            where = interpolate(_with_place(level), size=(grid, grid), mode="bilinear")
+            kernels.append(self.kernels(where).flatten(2))
+            scores.append(self.judges(where[:, :-2]).flatten(2))
+        score, kernel = (torch.cat(parts, dim=2).transpose(1, 2) for parts in (scores, kernels))
+        return score.float(), kernel.float(), painted.float()
+
+    def losses(
+        self, image: Float[Tensor, "b c h w"], targets: Sequence[Target]
+    ) -> dict[str, Tensor]:
+        """Focal loss over all cells, Dice loss over the cells that instances claim."""
+        score, kernel, painted = self(image)
+        labels = torch.full(score.shape[:2], self.classes, device=score.device)
+        judged = torch.ones_like(labels, dtype=torch.bool)
+        dice = painted.sum() * 0
+        for index, target in enumerate(targets):
+            owner, cell = _claims(target)
+            ignored = target.ignored[owner]
+            judged[index, cell[ignored]] = False
+            owner, cell = owner[~ignored], cell[~ignored]
+            judged[index, cell] = True
+            for instance, place in zip(owner.tolist(), cell.tolist(), strict=True):
+                labels[index, place] = target.label[instance]
+            logit = torch.einsum("nk,khw->nhw", kernel[index, cell], painted[index])
+            dice = dice + _dice(logit.sigmoid(), _quarter(target.mask)[owner]).sum()
+        claimed = int((labels < self.classes).sum())
+        truth = one_hot(labels, self.classes + 1)[..., :-1].float()
+        focal = _focal(score[judged], truth[judged]) / (claimed + 1)
+        return {"mask": MASK_WEIGHT * dice / max(claimed, 1), "class": focal}
+
+    @torch.no_grad()
+    def find(
+        self, image: Float[Tensor, "b c h w"], *, most: int, least_score: float
+    ) -> list[Found]:
+        """Masks that Matrix NMS leaves with enough score."""
+        answers = zip(*self(image), strict=True)
+        return [self._find(*answer, most=most, least_score=least_score) for answer in answers]
+
+    def _find(
+        self,
+        score: Float[Tensor, "cells classes"],
+        kernel: Float[Tensor, "cells kernel"],
+        painted: Float[Tensor, "kernel h w"],
+        *,
+        most: int,
+        least_score: float,
+    ) -> Found:
+        # Neither the fill of a mask nor a rival raises a score, so what is below may go at once.
+        score = _peaks(score.sigmoid())
+        best, place = score.flatten().topk(min(max(500, 2 * most), score.numel()))
+        place, best = place[best >= max(least_score, 1e-6)], best[best >= max(least_score, 1e-6)]
+        cell, label = place // self.classes, place % self.classes
+        mask = torch.einsum("nk,khw->nhw", kernel[cell], painted).sigmoid()
+        inside = mask > 0.5
+        area = inside.sum(dim=(1, 2))
+        fill = (mask * inside).sum(dim=(1, 2)) / area.clamp(min=1)
+        kept = (area > _least_area(score.device)[cell]).nonzero()[:, 0]
+        kept = kept[(best * fill)[kept].argsort(descending=True, stable=True)]
+        best, label = (best * fill)[kept], label[kept]
+        best = best * _decay(inside[kept].flatten(1).float(), label)
+        order = best.argsort(descending=True, stable=True)[:most]
+        order = order[best[order] >= least_score]
+        return _found(mask[kept][order], label[order], best[order])
+
+
+@final
+class _Painter(nn.Module):
+    """The map that kernels read: all levels at a quarter of the picture, added up."""
+
+    def __init__(self, outside: int, width: int = 128) -> None:
+        super().__init__()
+        self.levels = nn.ModuleList()
+        for level in range(4):
+            place = 2 if level == 3 else 0  # the coarsest level knows where it is
+            steps = []
+            for step in range(max(level, 1)):
+                inside = PYRAMID_WIDTH + place if step == 0 else width
+                steps.append(_convolution(inside, width, 3))
+                if level:
+                    steps.append(nn.Upsample(scale_factor=2, mode="bilinear"))
+            self.levels.append(nn.Sequential(*steps))
+        self.last = _convolution(width, outside, 1)
+
+    def forward(self, maps: Sequence[Tensor]) -> Float[Tensor, "b kernel h w"]:
+        maps = [*maps[:3], _with_place(maps[3])]
+        return self.last(sum(level(m) for level, m in zip(self.levels, maps, strict=True)))
+
+
+def _convolution(inside: int, outside: int, size: int) -> nn.Sequential:
+    convolution = nn.Conv2d(inside, outside, size, padding=size // 2, bias=False)
+    nn.init.normal_(convolution.weight, std=0.01)
+    return nn.Sequential(convolution, nn.GroupNorm(32, outside), nn.ReLU())
+
+
+def _tower(inside: int, size: _Size, outside: int) -> nn.Sequential:
+    widths = [inside, *[size.width] * (size.depth - 1)]
+    last = nn.Conv2d(size.width, outside, 3, padding=1)
+    nn.init.normal_(last.weight, std=0.01)
+    nn.init.zeros_(last.bias)
+    return nn.Sequential(*(_convolution(w, size.width, 3) for w in widths), last)
+
+
+def _with_place(maps: Float[Tensor, "b c h w"]) -> Float[Tensor, "b c2 h w"]:
+    """Two more channels: x and y, from -1 at the first pixel to 1 at the last (CoordConv)."""
+    y, x = (torch.linspace(-1, 1, side, device=maps.device) for side in maps.shape[-2:])
+    place = torch.stack(torch.meshgrid(x, y, indexing="xy")).to(maps.dtype)
+    return torch.cat([maps, place.expand(len(maps), -1, -1, -1)], dim=1)
+
+
+def _quarter(mask: Bool[Tensor, "n h w"]) -> Float[Tensor, "n h4 w4"]:
+    """Masks at the stride of the map: where the middle four of 4 x 4 pixels are half full."""
+    middle = [slice(first, None, MASK_STRIDE) for first in (1, 2)]
+    return (sum(mask[:, row, column].int() for row in middle for column in middle) >= 2).float()
+
+
+def _claims(target: Target) -> tuple[Int64[Tensor, " m"], Int64[Tensor, " m"]]:
+    """Pairs of an instance and a cell that it claims, level by level, in the instances' order."""
+    mask = target.mask
+    size = torch.tensor([mask.shape[2], mask.shape[1]], device=mask.device)
+    sides = target.box[:, 2:] - target.box[:, :2]
+    side = sides.prod(dim=1).sqrt()
+    share = side / size.prod().float().sqrt()
+    centre = _centre_of_mass(mask)
+    reach = sides / 2 * CENTRE_SHARE
+    real = mask.flatten(1).any(dim=1) & (side >= LEAST_SIDE_PX)
+    owners, cells, first = [], [], 0
+    for grid, (least, largest) in zip(GRIDS, RANGES, strict=True):
+        middle = (centre / size * grid).long()
+        low = ((centre - reach) / size * grid).long().clamp(min=0).maximum(middle - 1)
+        high = ((centre + reach) / size * grid).long().clamp(max=grid - 1).minimum(middle + 1)
+        here = (share >= least) & (share <= largest) & real
+        for instance in here.nonzero()[:, 0].tolist():
+            (left, top), (right, bottom) = low[instance].tolist(), high[instance].tolist()
+            for row in range(top, bottom + 1):
+                cells += range(first + row * grid + left, first + row * grid + right + 1)
+            owners += [instance] * (len(cells) - len(owners))
+        first += grid * grid
+    owner, cell = (torch.tensor(v, dtype=torch.int64, device=mask.device) for v in (owners, cells))
+    return owner, cell
+
+
+def _centre_of_mass(mask: Bool[Tensor, "n h w"]) -> Float[Tensor, "n 2"]:
+    """Mean column and row of the pixels; 0, 0 of an empty mask."""
+    column, row = (torch.arange(n, device=mask.device) for n in (mask.shape[2], mask.shape[1]))
+    total = torch.stack([(mask.sum(1) * column).sum(1), (mask.sum(2) * row).sum(1)], dim=1)
+    return total / mask.sum(dim=(1, 2)).clamp(min=1)[:, None]
+
+
+def _dice(mask: Float[Tensor, "n h w"], truth: Float[Tensor, "n h w"]) -> Float[Tensor, " n"]:
+    """One minus twice the overlap over the sum of squares (Milletari et al., V-Net, 2016)."""
+    both = (mask * truth).sum(dim=(1, 2))
+    return 1 - 2 * both / (
+        mask.square().sum(dim=(1, 2)) + truth.square().sum(dim=(1, 2)) + 2 * DICE_EPS
+    )
+
+
+def _focal(logit: Float[Tensor, "n k"], truth: Float[Tensor, "n k"]) -> Float[Tensor, ""]:
+    """Cross-entropy, small where the answer is right already (Lin et al., 2017)."""
+    score = logit.sigmoid()
+    wrong = (truth - score).abs()
+    weight = FOCAL_ALPHA * truth + (1 - FOCAL_ALPHA) * (1 - truth)
+    loss = binary_cross_entropy_with_logits(logit, truth, reduction="none")
+    return (weight * wrong**FOCAL_GAMMA * loss).sum()
+
+
+def _peaks(score: Float[Tensor, "cells classes"]) -> Float[Tensor, "cells classes"]:
+    """Zero where the cell above, to the left, or both, has a higher score of the class."""
+    out = []
+    for level in score.split([grid * grid for grid in GRIDS]):
+        grid = round(len(level) ** 0.5)
+        square = level.T.reshape(-1, grid, grid)
+        highest = max_pool2d(square[None], 2, stride=1, padding=1)[0, :, :-1, :-1]
+        out.append((square * (highest == square)).flatten(1).T)
+    return torch.cat(out)
+
+
+def _least_area(device: torch.device) -> Int64[Tensor, " cells"]:
+    cells = torch.tensor([grid * grid for grid in GRIDS])
+    return torch.tensor(LEAST_AREA).repeat_interleave(cells).to(device)
+
+
+def _decay(mask: Float[Tensor, "n pixels"], label: Int64[Tensor, " n"]) -> Float[Tensor, " n"]:
+    """Matrix NMS: how much of its score each mask keeps beside better ones of its class.
+
+    The paper's equation 5, Gaussian: the least of exp(-s iou_ij^2) / exp(-s worst_i^2) over the
+    better masks i, where worst_i is the overlap of i with what is better still.
+    """
+    if not len(mask):
+        return mask.new_zeros(0)
+    both, area = mask @ mask.T, mask.sum(dim=1)
+    overlap = both / (area + area[:, None] - both)
+    overlap = (overlap * (label == label[:, None])).triu(diagonal=1)
+    worst = overlap.amax(dim=0)
+    return torch.exp(NMS_SIGMA * (worst[:, None] ** 2 - overlap**2)).amin(dim=0)
+
+
+def _found(
+    mask: Float[Tensor, "n h w"], label: Int64[Tensor, " n"], score: Float32[Tensor, " n"]
+) -> Found:
+    """Masks at the scale of the input, and the boxes around them."""
+    if len(mask):
+        mask = interpolate(mask[None], scale_factor=MASK_STRIDE, mode="bilinear")[0]
+    painted = (mask * 255).round().to(torch.uint8)
+    kept = (painted > 127).flatten(1).any(dim=1)
+    painted = painted[kept]
+    box = masks_to_boxes(painted > 127) if len(painted) else mask.new_zeros(0, 4)
+    box = box + box.new_tensor([0, 0, 1, 1])  # its last pixels are inside
+    return Found(box=box, label=label[kept], score=score[kept], mask=painted)

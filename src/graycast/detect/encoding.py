@@ -6,7 +6,7 @@ The encoding is stored with the weights and applied by whoever runs them, so the
 import math
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
-from typing import Any, Literal, final, get_args
+from typing import Any, final
 
 import cv2
 import numpy as np
@@ -15,10 +15,8 @@ from jaxtyping import Float32, UInt8
 from ..dataset.example import Example
 from ..errors import GraycastError
 
-Input = Literal["rgb", "depth", "depth_sl", "depth_noisy", "rgbd"]
-Holes = Literal["channel", "zero", "far"]
-INPUTS: tuple[Input, ...] = get_args(Input)
-HOLES: tuple[Holes, ...] = get_args(Holes)
+INPUTS = ("rgb", "depth", "depth_sl", "depth_noisy", "rgbd")
+HOLES = ("channel", "zero", "far")
 
 # Means and deviations of photographs, as the published backbones were trained with.
 _RGB_MEAN = np.array([0.485, 0.456, 0.406], np.float32)
@@ -51,11 +49,11 @@ class Encoding:
         near_m, far_m: of the working volume, z of the camera; None for `rgb`.
     """
 
-    input: Input
+    input: str
     size_px: tuple[int, int]
     near_m: float | None = None
     far_m: float | None = None
-    holes: Holes = "channel"
+    holes: str = "channel"
     relief: bool = True
 
     def __post_init__(self) -> None:
@@ -115,11 +113,11 @@ class Encoding:
             return _needed(example.depth_m, "perfect depth", example)
         return _needed(example.scanner_depth_m, "scanner depth", example)
 
-    def _colour(self, rgb: UInt8[np.ndarray, "h w 3"]) -> list[Float32[np.ndarray, "h w"]]:
+    def _colour(self, rgb: UInt8[np.ndarray, "h w 3"]) -> list[np.ndarray]:
         small = self._fitted(rgb.astype(np.float32) / 255)
         return [self._placed((small[..., i] - _RGB_MEAN[i]) / _RGB_DEVIATION[i]) for i in range(3)]
 
-    def _depth(self, depth_m: Float32[np.ndarray, "h w"]) -> list[Float32[np.ndarray, "h w"]]:
+    def _depth(self, depth_m: Float32[np.ndarray, "h w"]) -> list[np.ndarray]:
         valid = np.isfinite(depth_m)
         middle_m, half_m = (self.far_m + self.near_m) / 2, (self.far_m - self.near_m) / 2
         height = np.clip(np.where(valid, (depth_m - middle_m) / half_m, 0.0), -1, 1)

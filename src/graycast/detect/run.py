@@ -21,7 +21,7 @@ CHECKPOINT = "checkpoint.pt"
 CACHE = "cache"
 _HISTORY, _CURVES, _EVENTS = "history.csv", "curves.png", "tensorboard"
 
-Row = dict[str, float]
+Row = dict[str, float | int]
 
 
 @final

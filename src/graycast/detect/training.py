@@ -18,7 +18,7 @@ from ..export.record import RECORD
 from ..export.split import Split
 from ..training import Examples, open_examples
 from .detector import WEIGHTS, About, Detector, autocast, choose_device, save_detector
-from .encoding import Encoding, Holes, Input, fitting_size
+from .encoding import Encoding, fitting_size
 from .network import Network, Recipe
 from .pictures import Augmentation, Pictures, collate
 from .run import Progress, Row, RunFolder
@@ -55,10 +55,10 @@ class TrainSpec:
     """
 
     model: str = "mask-rcnn"
-    input: Input = "depth_sl"
+    input: str = "depth_sl"
     backbone: str | None = None
     longest_px: int = 384
-    holes: Holes = "channel"
+    holes: str = "channel"
     relief: bool = True
     range_m: tuple[float, float] | None = None
     epochs: int = 40

@@ -1,0 +1,163 @@
+"""The cell of five real scans, simulated: its scanner, its bin, and parts that are not the real ones.
+
+cd tests && python -m detect.phoxi_twin --out ../out/phoxi
+
+writes `twin.yaml`, `rig.yaml` and meshes for `graycast generate`, and `real/` for `graycast detect` and
+`graycast evaluate`. Bin, household meshes and scans are in ../shared/data, which is no part of the
+project.
+"""
+
+import argparse
+import json
+from pathlib import Path
+
+import cv2
+import numpy as np
+import trimesh
+import yaml
+
+from graycast.bench.zoo_parts import zoo_part
+from graycast.frames import axis_rotation, inverse, rigid
+from graycast.import_real import import_real
+from graycast.optics import Optics
+from graycast.rig import preset as rig_preset
+from graycast.rig_file import save_scanner
+from graycast.scanner import preset
+
+DATA = Path(__file__).resolve().parents[3] / "shared" / "data"
+REAL = DATA / "phoxi"
+# What was measured of the device (README.md beside the scans): projector on the camera's left.
+BASELINE_M, TOE_IN_DEG, NEAR_M, FAR_M = 0.235, 8.4, 0.6, 1.0
+FX_PX, CX_PX, CY_PX, SIZE_PX = 552.5, 255.5, 191.75, (516, 386)
+T_BIN_CAM = [
+    [-0.989165430, 0.00623583812, 0.146672650, -0.120568007],
+    [0.00614760043, 0.999980547, -0.00105488641, 0.000705997615],
+    [-0.146676374, -0.000141772325, -0.989184523, 0.818108786],
+    [0.0, 0.0, 0.0, 1.0],
+]
+# Of the trade's families those that are as long as a hand, for clutter that is no carton. The
+# factor makes small ones as large as household things are.
+FAMILIES = {
+    "hook": 1.5,
+    "tee": 1.5,
+    "elbow": 1.5,
+    "gear": 1.2,
+    "o_ring": 2.0,
+    "tube": 2.0,
+    "cable_clip": 4.0,
+    "sheet_bracket": 2.0,
+    "hex_bolt": 4.0,
+    "shaft": 0.5,
+    "bottle": 1.0,
+    "spring": 3.0,
+    "socket_screw": 8.0,
+    "washer": 4.0,
+}
+
+
+def scanner():
+    """The PhoXi's twin: its geometry as measured, all else as the preset has it."""
+    known = preset("phoxi-m", "small")
+    toe_in_rad = np.radians(TOE_IN_DEG)
+    T_rig_cam = rigid(axis_rotation("y", -toe_in_rad), np.array([BASELINE_M / 2, 0.0, 0.0]))
+    T_rig_proj = rigid(axis_rotation("y", toe_in_rad), np.array([-BASELINE_M / 2, 0.0, 0.0]))
+    from dataclasses import replace
+
+    camera = replace(
+        known.rig.camera, fx_px=FX_PX, fy_px=FX_PX, cx_px=CX_PX, cy_px=CY_PX, focus_m=0.78
+    )
+    rig = replace(
+        known.rig,
+        name="phoxi-twin",
+        camera=camera,
+        T_cam_proj=inverse(T_rig_cam) @ T_rig_proj,
+        near_m=NEAR_M,
+        far_m=FAR_M,
+        picture_level=0.0,
+    )
+    return replace(known, rig=rig)
+
+
+def configuration(meshes: Path) -> dict:
+    """Mixed parts in the real bin, each kind repainted in most scenes."""
+    rng = np.random.default_rng(0)
+    parts = []
+    for file in sorted((DATA / "meshes" / "kit").glob("*.stl")):
+        parts.append(_part(file, "m", rng))
+    for name, factor in FAMILIES.items():
+        mesh = zoo_part(name).mesh
+        file = meshes / f"{name}.stl"
+        trimesh.Trimesh(mesh.vertices_m * factor, mesh.faces, process=False).export(file)
+        parts.append(_part(file, "m", rng))
+    for name in ("hygiene_spray", "toothpaste", "metal_workpiece_1", "metal_workpiece_2"):
+        parts.append({"builtin": name})
+    return {
+        "parts": parts,
+        "mix": True,
+        "count": [12, 30],
+        "scenes": 400,
+        "rig": "rig.yaml",
+        "bin": {
+            "mesh": str(REAL / "bin.obj"),
+            "unit": "m",
+            "material": {"base_color": [0.03, 0.03, 0.035], "roughness": 0.45},
+        },
+        "exposure": {"factors": [1.0, 6.0]},
+        "decode": {"min_contrast": 0.05},
+        "view": {"T_world_cam": [float(value) for row in T_BIN_CAM for value in row]},
+        "light": {"environment": {"radiance": [0.05, 0.05, 0.05]}},
+        "domain": {
+            "kind": "randomized",
+            "camera": None,
+            "bin": None,
+            "table": None,
+            "parts": {
+                "brightness": [0.4, 1.6],
+                "roughness": [-0.2, 0.3],
+                "repainted_share": 0.7,
+                "color": {"saturation": [0.0, 1.0], "value": [0.05, 0.95]},
+            },
+            "count_share": [0.5, 1.0],
+            "distractors": None,
+        },
+    }
+
+
+def _part(file: Path, unit: str, rng: np.random.Generator) -> dict:
+    color = [round(float(c), 3) for c in rng.uniform(0.02, 0.8, 3)]
+    return {
+        "mesh": str(file),
+        "unit": unit,
+        "material": {"base_color": color, "roughness": round(float(rng.uniform(0.2, 0.8)), 2)},
+        "density_kg_m3": 500,
+    }
+
+
+def write_real(out: Path) -> None:
+    """The five real scans as a dataset: one class, masks of the draft labels at the depth's size."""
+    folder = out / "real_pictures"
+    for name in ("rgb", "depth", "annotations"):
+        (folder / name).mkdir(parents=True, exist_ok=True)
+    for i in range(5):
+        color = cv2.imread(str(REAL / f"color_{i}.png"))
+        small = cv2.resize(color, SIZE_PX, interpolation=cv2.INTER_AREA)
+        cv2.imwrite(str(folder / "rgb" / f"{i}.png"), small)
+        depth_m = np.load(REAL / f"depth_{i}.npy")[..., 0].astype(np.float32)
+        np.save(folder / "depth" / f"{i}.npy", np.where(depth_m > 0, depth_m, np.nan))
+    drafts = json.loads((REAL / "instances_draft.json").read_text())
+    return drafts
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--out", type=Path, required=True)
+    out = parser.parse_args().out
+    (out / "meshes").mkdir(parents=True, exist_ok=True)
+    save_scanner(scanner(), out / "rig.yaml")
+    text = yaml.safe_dump(configuration((out / "meshes").absolute()), sort_keys=False)
+    (out / "twin.yaml").write_text(text, encoding="utf-8")
+    write_real(out)
+
+
+if __name__ == "__main__":
+    main()

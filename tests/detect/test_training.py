@@ -1,0 +1,244 @@
+"""Training: it learns, it goes on as if nothing had been, and it says what is wrong."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+torch = pytest.importorskip("torch", reason="needs torch: pip install 'graycast[detect]'")
+
+from detect.drawn import write_drawn
+from graycast.cli import main
+from graycast.detect import TrainSpec, detect, load_detector, pictures_of, train
+from graycast.detect.training import _shape
+from graycast.detections import read_results
+from graycast.errors import GraycastError
+from graycast.evaluate import labels_of, score
+from graycast.export.split import Split
+from graycast.training import open_examples
+
+# pycocotools 2.0.11 has an array type from before NumPy 2, which NumPy asks it to mend.
+pytestmark = pytest.mark.filterwarnings("ignore:__array__ implementation:DeprecationWarning")
+
+SMALL = TrainSpec(
+    model="yolov3",
+    backbone="mobilenet-v3-small",
+    longest_px=128,
+    epochs=2,
+    batch=2,
+    split=Split(shares=(0.7, 0.3, 0.0)),
+)
+
+
+@pytest.fixture(scope="module")
+def dataset(tmp_path_factory) -> Path:
+    return write_drawn(tmp_path_factory.mktemp("drawn"), 10)
+
+
+def weights(run: Path) -> dict:
+    return torch.load(run / "detector.pt", weights_only=True)["state"]
+
+
+def same(a: dict, b: dict) -> bool:
+    return a.keys() == b.keys() and all(torch.equal(a[key], b[key]) for key in a)
+
+
+def test_one_seed_gives_one_detector_and_another_gives_another(dataset, tmp_path):
+    for name, seed in (("a", 0), ("b", 0), ("c", 1)):
+        train([dataset], tmp_path / name, replace(SMALL, seed=seed))
+    assert same(weights(tmp_path / "a"), weights(tmp_path / "b"))
+    assert not same(weights(tmp_path / "a"), weights(tmp_path / "c"))
+
+
+def test_a_run_holds_what_its_readers_need(dataset, tmp_path):
+    train([dataset], tmp_path / "run", SMALL)
+    rows = (tmp_path / "run" / "history.csv").read_text().splitlines()
+    assert rows[0].startswith("epoch,step,loss") and len(rows) == 1 + SMALL.epochs
+    assert (tmp_path / "run" / "curves.png").read_bytes().startswith(b"\x89PNG")
+    assert len(list((tmp_path / "run" / "tensorboard").glob("events.out.*"))) == 1
+    detector = load_detector(tmp_path / "run")
+    encoding = detector.about.encoding
+    assert detector.about.names == ("disc", "box")
+    assert encoding.near_m < 0.9 < 1.0 < encoding.far_m  # the drawn floor and tops
+    said = json.loads((tmp_path / "run" / "run.json").read_text())
+    train_ids, val_ids = (said["trained"]["datasets"][0][name] for name in ("train", "val"))
+    assert sorted(train_ids + val_ids) == list(range(10)) and len(val_ids) == 3
+
+
+def test_a_finished_run_is_not_trained_again(dataset, tmp_path):
+    train([dataset], tmp_path / "run", SMALL)
+    before = (tmp_path / "run" / "checkpoint.pt").stat().st_mtime_ns
+    train([dataset], tmp_path / "run", SMALL)
+    assert (tmp_path / "run" / "checkpoint.pt").stat().st_mtime_ns == before
+
+
+def test_the_learning_rate_rises_straight_and_falls_as_a_cosine():
+    """Oracle: its values at the ends, at the top and half way down."""
+    assert _shape(0.05) == pytest.approx(1.0)
+    assert _shape(0.025) == pytest.approx(0.5)
+    assert _shape(0.525) == pytest.approx(0.505)
+    assert _shape(1.0) == pytest.approx(0.01)
+
+
+@pytest.mark.parametrize("model", ["yolov3", pytest.param("mask-rcnn", marks=pytest.mark.slow)])
+def test_detections_of_a_run_come_back_from_files(dataset, tmp_path, model):
+    """What lies in the files is what the detector found, in the pixels of the pictures."""
+    detector = train([dataset], tmp_path / "run", replace(SMALL, model=model, epochs=1))
+    chosen = pictures_of(dataset, detector.about, split="all", scale_m=None)
+    looked = detect(
+        detector, chosen.examples, tmp_path / "found", class_ids=chosen.class_ids, said=chosen.said
+    )
+    held = read_results(tmp_path / "found" / "results.json", range(10))
+    assert [len(each) for each in held] == [len(each) for each in looked.found]
+    assert (held[0].mask is None) == (model == "yolov3")
+    box = np.concatenate([each.box_px for each in held])
+    assert (box[:, :2] >= 0).all() and (box[:, 0] + box[:, 2] <= 128.001).all()
+    assert len(list((tmp_path / "found" / "drawings").iterdir())) == 10
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("model", "least"), [("mask-rcnn", 0.9), ("yolov3", 0.9)])
+def test_it_learns_what_is_drawn(tmp_path, model, least):
+    """AP50 on pictures that it has not seen, at the pictures' own size and at another."""
+    dataset = write_drawn(tmp_path, 60, seed=3)
+    spec = replace(
+        SMALL,
+        model=model,
+        epochs=30,
+        batch=4,
+        split=Split(shares=(0.6, 0.1, 0.3)),
+        longest_px=160,
+    )
+    detector = train([dataset], tmp_path / "run", spec)
+    examples = open_examples(dataset, split="test", division=spec.split)
+    ids = {"disc": 1, "box": 2}
+    found = [detector.detect(example, obj_ids=ids) for example in examples]
+    labels = [labels_of(example, min_visibility=0.1) for example in examples]
+    for kind in ("box", "mask") if model == "mask-rcnn" else ("box",):
+        assert score(labels, found, kind=kind).ap50 >= least, kind
+
+
+COMMAND = [sys.executable, "-W", "ignore", "-m", "graycast.cli", "train"]
+
+
+def command(dataset, out, *, epochs=6):
+    said = "--model yolov3 --backbone mobilenet-v3-small --size 128 --batch 2 --split 0.7,0.3,0"
+    return [
+        *COMMAND, str(dataset), "--out", str(out), *said.split(), "--epochs", str(epochs),
+        "--device", "cpu", "--threads", "1",
+    ]  # fmt: skip
+
+
+@pytest.mark.slow
+def test_a_killed_training_ends_with_the_same_weights(dataset, tmp_path, monkeypatch):
+    """kill -9 at five moments of the run, each at another place, then the same command again."""
+    subprocess.run(command(dataset, tmp_path / "whole"), check=True, capture_output=True)
+    run, killed = tmp_path / "killed", 0
+    for share in (0.1, 0.3, 0.5, 0.7, 0.9):
+        process = subprocess.Popen(
+            command(dataset, run), stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL
+        )
+        deadline = time.monotonic() + 120
+        goal = round(6 * share)
+        while process.poll() is None and time.monotonic() < deadline:
+            if _epochs(run) >= goal and (goal or (run / "cache" / "val.npy").exists()):
+                time.sleep(0.15 * killed)
+                os.kill(process.pid, signal.SIGKILL)
+                killed += process.wait() == -signal.SIGKILL
+                break
+            time.sleep(0.01)
+    assert killed == 5
+    subprocess.run(command(dataset, run), check=True, capture_output=True)
+    assert same(weights(run), weights(tmp_path / "whole"))
+    histories = [
+        (folder / "history.csv").read_text().splitlines() for folder in (run, tmp_path / "whole")
+    ]
+    assert histories[0] == histories[1]
+
+
+def _epochs(run: Path) -> int:
+    file = run / "history.csv"
+    return len(file.read_text().splitlines()) - 1 if file.is_file() else 0
+
+
+def refusal(capsys, *arguments) -> str:
+    assert main([str(each) for each in arguments]) == 1
+    told = capsys.readouterr().err.strip().splitlines()
+    assert len(told) == 1 and told[0].startswith("graycast: error: "), told
+    return told[0]
+
+
+def test_what_cannot_be_trained_is_said_in_one_line(dataset, tmp_path, capsys):
+    """Each mistake names the thing and the remedy."""
+    said = "--model yolov3 --backbone mobilenet-v3-small --size 128 --epochs 1 --batch 2".split()
+    out = tmp_path / "run"
+
+    def told(*arguments, given=dataset, to=out):
+        return refusal(capsys, "train", given, "--out", to, *said, *arguments)
+
+    assert "is not a Graycast dataset" in told(given=tmp_path / "nowhere")
+    assert "has no perfect depth: choose an --input" in told("--input", "depth")
+    assert "no backbone 'vgg'" in told("--backbone", "vgg", to=tmp_path / "v")
+    assert "split: val gets none" in told("--split", "0.99,0.01,0", to=tmp_path / "s")
+    assert "is not there: give a file of weights" in told(
+        "--weights", tmp_path / "no.pth", to=tmp_path / "w"
+    )
+    (tmp_path / "text.pth").write_text("no weights")
+    assert "is damaged or no file of weights" in told(
+        "--weights", tmp_path / "text.pth", to=tmp_path / "w2"
+    )
+    (tmp_path / "full").mkdir()
+    (tmp_path / "full" / "letter.txt").write_text("mine")
+    assert "is not empty and holds no run" in told(to=tmp_path / "full")
+    (tmp_path / "file").write_text("")
+    assert "is a file: choose a folder" in told(to=tmp_path / "file")
+
+
+def test_a_run_of_other_settings_is_not_gone_on_with(dataset, tmp_path, capsys):
+    train([dataset], tmp_path / "run", SMALL)
+    with pytest.raises(GraycastError, match=r"is a run with .*choose another --out"):
+        train([dataset], tmp_path / "run", replace(SMALL, seed=1))
+    with pytest.raises(GraycastError, match=r"is a run with model .yolov3., and now it is"):
+        train([dataset], tmp_path / "run", replace(SMALL, model="mask-rcnn"))
+
+
+def test_weights_of_another_model_are_refused(dataset, tmp_path):
+    train([dataset], tmp_path / "run", SMALL)
+    with pytest.raises(GraycastError, match=r"detector\.pt: these weights are not of"):
+        train(
+            [dataset],
+            tmp_path / "other",
+            replace(SMALL, model="mask-rcnn", weights=tmp_path / "run" / "detector.pt"),
+        )
+    again = train(
+        [dataset],
+        tmp_path / "again",
+        replace(SMALL, weights=tmp_path / "run" / "detector.pt", epochs=1),
+    )
+    assert again.about.names == ("disc", "box")
+
+
+def test_a_loss_that_is_no_number_stops_the_training(dataset, tmp_path):
+    with pytest.raises(GraycastError, match=r"the loss is no number after \d+ steps: lower"):
+        train([dataset], tmp_path / "run", replace(SMALL, learning_rate=1e30, epochs=20))
+
+
+def test_a_damaged_checkpoint_or_detector_is_named(dataset, tmp_path):
+    run = tmp_path / "run"
+    train([dataset], run, SMALL)
+    content = (run / "detector.pt").read_bytes()
+    (run / "detector.pt").write_bytes(content[: len(content) // 2])
+    with pytest.raises(GraycastError, match=r"detector\.pt: is damaged or no detector"):
+        load_detector(run)
+    (run / "checkpoint.pt").write_bytes(b"")
+    with pytest.raises(GraycastError, match=r"checkpoint\.pt: is damaged: remove it"):
+        train([dataset], run, SMALL)
+    with pytest.raises(GraycastError, match="is not there: give a folder that graycast train"):
+        load_detector(tmp_path / "nowhere")

@@ -1,26 +1,26 @@
-"""The cell of five real scans, simulated: its scanner, its bin, and parts that are not the real ones.
+"""The cell of five real scans, simulated: its scanner, its bin, and parts that are other ones.
 
 cd tests && python -m detect.phoxi_twin --out ../out/phoxi
 
-writes `twin.yaml`, `rig.yaml` and meshes for `graycast generate`, and `real/` for `graycast detect` and
-`graycast evaluate`. Bin, household meshes and scans are in ../shared/data, which is no part of the
-project.
+writes `twin.yaml`, `rig.yaml` and meshes for `graycast generate`, and the scans as a dataset in
+`real` for `graycast detect` and `graycast evaluate`. Bin, household meshes and scans are in
+../shared/data, which is no part of the project.
 """
 
 import argparse
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
 import numpy as np
 import trimesh
 import yaml
+from pycocotools import mask as coco_mask
 
 from graycast.bench.zoo_parts import zoo_part
 from graycast.frames import axis_rotation, inverse, rigid
 from graycast.import_real import import_real
-from graycast.optics import Optics
-from graycast.rig import preset as rig_preset
 from graycast.rig_file import save_scanner
 from graycast.scanner import preset
 
@@ -61,8 +61,6 @@ def scanner():
     toe_in_rad = np.radians(TOE_IN_DEG)
     T_rig_cam = rigid(axis_rotation("y", -toe_in_rad), np.array([BASELINE_M / 2, 0.0, 0.0]))
     T_rig_proj = rigid(axis_rotation("y", toe_in_rad), np.array([-BASELINE_M / 2, 0.0, 0.0]))
-    from dataclasses import replace
-
     camera = replace(
         known.rig.camera, fx_px=FX_PX, fy_px=FX_PX, cx_px=CX_PX, cy_px=CY_PX, focus_m=0.78
     )
@@ -134,18 +132,32 @@ def _part(file: Path, unit: str, rng: np.random.Generator) -> dict:
 
 
 def write_real(out: Path) -> None:
-    """The five real scans as a dataset: one class, masks of the draft labels at the depth's size."""
-    folder = out / "real_pictures"
+    """The real scans as a dataset of one class, at the size of their depth.
+
+    The device's depth is every second pixel of its picture, so colour and masks are halved.
+    """
+    source = out / "real_pictures"
     for name in ("rgb", "depth", "annotations"):
-        (folder / name).mkdir(parents=True, exist_ok=True)
+        (source / name).mkdir(parents=True, exist_ok=True)
     for i in range(5):
         color = cv2.imread(str(REAL / f"color_{i}.png"))
         small = cv2.resize(color, SIZE_PX, interpolation=cv2.INTER_AREA)
-        cv2.imwrite(str(folder / "rgb" / f"{i}.png"), small)
+        cv2.imwrite(str(source / "rgb" / f"{i}.png"), small)
         depth_m = np.load(REAL / f"depth_{i}.npy")[..., 0].astype(np.float32)
-        np.save(folder / "depth" / f"{i}.npy", np.where(depth_m > 0, depth_m, np.nan))
+        np.save(source / "depth" / f"{i}.npy", np.where(depth_m > 0, depth_m, np.nan))
     drafts = json.loads((REAL / "instances_draft.json").read_text())
-    return drafts
+    for image in drafts["images"]:
+        image |= {"file_name": f"{image['id']}.png", "width": SIZE_PX[0], "height": SIZE_PX[1]}
+    for entry in drafts["annotations"]:
+        mask = coco_mask.decode(entry["segmentation"])
+        small = cv2.resize(mask.astype(np.float32), SIZE_PX, interpolation=cv2.INTER_AREA) > 0.5
+        run = coco_mask.encode(np.asfortranarray(small.astype(np.uint8)))
+        run = {"size": run["size"], "counts": run["counts"].decode()}
+        entry |= {"segmentation": run, "bbox": coco_mask.toBbox(run).tolist()}
+        entry["area"] = int(small.sum())
+    (source / "annotations" / "draft.json").write_text(json.dumps(drafts), encoding="utf-8")
+    K = np.array([[FX_PX, 0, CX_PX], [0, FX_PX, CY_PX], [0, 0, 1]])
+    import_real(source, out / "real", K=K)
 
 
 def main() -> None:

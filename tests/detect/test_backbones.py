@@ -4,11 +4,11 @@ import pytest
 
 torch = pytest.importorskip("torch", reason="needs torch: pip install 'graycast[detect]'")
 
-import torchvision  # noqa: E402
-from torchvision.models.feature_extraction import create_feature_extractor  # noqa: E402
+import torchvision
+from torchvision.models.feature_extraction import create_feature_extractor
 
-from graycast.detect.backbones import BACKBONES, load_backbone, open_backbone  # noqa: E402
-from graycast.errors import GraycastError  # noqa: E402
+from graycast.detect.backbones import BACKBONES, load_backbone, open_backbone
+from graycast.errors import GraycastError
 
 PUBLISHED = {
     "mobilenet-v3-small": torchvision.models.mobilenet_v3_small,

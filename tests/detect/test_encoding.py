@@ -33,7 +33,7 @@ def test_depth_is_metric_whatever_else_is_in_the_picture():
 
 
 def test_a_smaller_picture_has_the_mean_of_what_is_known_and_its_share():
-    """Oracle: of four pixels, three at z and one hole, the share is 3/4 and the weighted height too."""
+    """Oracle: of four pixels three are at z and one is a hole, so the share is 3/4."""
     depth_m = np.full((128, 192), 0.75 + 0.125)  # encoded 0.5
     depth_m[0::2, 0::2] = np.nan
     height, share = deep().encode(scan(depth_m), seed=0)

@@ -10,11 +10,11 @@ import pytest
 
 torch = pytest.importorskip("torch", reason="needs torch: pip install 'graycast[detect]'")
 
-from graycast.detect.network import Target  # noqa: E402
-from graycast.detect.solov2 import Solov2  # noqa: E402
-from graycast.detect.yolov3 import Yolov3  # noqa: E402
+from graycast.detect.network import Target
+from graycast.detect.solov2 import Solov2
+from graycast.detect.yolov3 import Yolov3
 
-from . import mmdet_models  # noqa: E402
+from . import mmdet_models
 
 HERE = Path(__file__).parent
 ENVIRONMENT = HERE.parents[1] / "out" / "mmdet-3.3.0"

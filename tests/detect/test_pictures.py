@@ -143,5 +143,5 @@ def test_a_dataset_without_masks_is_refused_by_a_model_of_masks(tmp_path):
         scene_id=7, scanner_depth_m=np.ones(SIZE, np.float32), obj_id=np.array([1]),
         box_px=np.array([[1, 1, 5, 5]], np.float32),
     )  # fmt: skip
-    with pytest.raises(GraycastError, match="scene 7 has no masks.*--model yolov3"):
+    with pytest.raises(GraycastError, match=r"scene 7 has no masks.*--model yolov3"):
         one(bare, tmp_path)

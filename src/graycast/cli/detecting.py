@@ -34,6 +34,11 @@ def add_commands(commands) -> None:
         help="What it sees: colour, perfect depth, the scanner's depth, perfect depth with "
         "Gaussian noise and random holes, or colour with the scanner's depth (default: depth_sl).",
     )
+    train.add_argument(
+        "--one-class",
+        action="store_true",
+        help="Take all parts for one class: learn where something is, not what it is.",
+    )
     train.add_argument("--backbone", help="The network's trunk (default: the model's own).")
     train.add_argument(
         "--weights",
@@ -204,6 +209,7 @@ def _train(options: argparse.Namespace) -> None:
         batch=options.batch,
         learning_rate=options.learning_rate,
         seed=options.seed,
+        one_class=options.one_class,
         min_visibility=options.min_visibility,
         patience=options.patience,
         split=Split(shares=parse_shares(options.split), seed=options.split_seed),

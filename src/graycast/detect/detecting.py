@@ -24,7 +24,7 @@ from ..export.split import Split
 from ..folder import refuse_foreign, whole_folder
 from ..import_real.pictures import Shot, find_shots, read_shot
 from ..training import Examples, open_examples
-from .detector import About, Detector, obj_ids
+from .detector import About, Detector
 
 RESULTS, MARK, DRAWINGS = "results.json", "detect.json", "drawings"
 _INKS = ((233, 110, 11), (45, 98, 196), (63, 158, 47), (149, 81, 122), (20, 20, 20))  # BGR
@@ -196,7 +196,7 @@ def pictures_of(folder: Path, about: About, *, split: str, scale_m: float | None
     return Chosen(
         examples=chain.from_iterable(sets),
         count=sum(map(len, sets)),
-        class_ids=obj_ids(sets[0].categories, about.names, folder),
+        class_ids=about.obj_ids(sets[0].categories, folder),
         said={"dataset": str(folder), **said},
     )
 

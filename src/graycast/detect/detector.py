@@ -1,7 +1,7 @@
 """A trained detector: a network, how it sees, and what its classes are, in one file."""
 
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, final
@@ -22,6 +22,7 @@ from .network import Found, Network
 from .networks import open_network
 
 WEIGHTS = "detector.pt"
+ONE_CLASS = "part"  # what all parts are to a detector that does not tell them apart
 _FORM = 1
 
 
@@ -43,6 +44,34 @@ class About:
     encoding: Encoding
     names: tuple[str, ...]
     trained: Mapping[str, Any]
+
+    @property
+    def tells_apart(self) -> bool:
+        """Whether it has a class for each part, not one for all."""
+        return self.names != (ONE_CLASS,)
+
+    def classes(self, categories: Mapping[int, str]) -> dict[int, int]:
+        """The class of each object id of a dataset; -1 of parts that it does not know."""
+        if not self.tells_apart:
+            return dict.fromkeys(categories, 0)
+        place = {name: i for i, name in enumerate(self.names)}
+        return {obj_id: place.get(name, -1) for obj_id, name in categories.items()}
+
+    def obj_ids(self, categories: Mapping[int, str], folder: Path) -> dict[str, int]:
+        """A dataset's id of each class; of the one class, the dataset's first.
+
+        Raises:
+            GraycastError: the dataset has none of the classes.
+        """
+        if not self.tells_apart:
+            return {ONE_CLASS: min(categories)}
+        held = {name: obj_id for obj_id, name in categories.items() if name in self.names}
+        if not held:
+            raise GraycastError(
+                f"{folder}: has {', '.join(categories.values())}, and the detector knows "
+                f"{', '.join(self.names)}: give a dataset of the same parts"
+            )
+        return held
 
     def open_network(self) -> Network:
         """The network with random weights, from torch's global generator."""
@@ -231,18 +260,3 @@ def choose_device(name: str) -> torch.device:
 def autocast(device: torch.device):
     """Mixed precision on a GPU, where it is faster; plain numbers on a processor."""
     return torch.autocast(device.type, torch.bfloat16, enabled=device.type == "cuda")
-
-
-def obj_ids(categories: Mapping[int, str], names: Sequence[str], folder: Path) -> dict[str, int]:
-    """A dataset's id of each class.
-
-    Raises:
-        GraycastError: the dataset has none of the classes.
-    """
-    held = {name: obj_id for obj_id, name in categories.items() if name in names}
-    if not held:
-        raise GraycastError(
-            f"{folder}: has {', '.join(categories.values())}, and the detector knows "
-            f"{', '.join(names)}: give a dataset of the same parts"
-        )
-    return held

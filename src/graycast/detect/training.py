@@ -17,7 +17,16 @@ from ..evaluate.labels import MIN_VISIBILITY
 from ..export.record import RECORD
 from ..export.split import Split
 from ..training import Examples, open_examples
-from .detector import WEIGHTS, About, Detector, autocast, choose_device, save_detector
+from .detector import (
+    ONE_CLASS,
+    WEIGHTS,
+    About,
+    Detector,
+    autocast,
+    choose_device,
+    load_detector,
+    save_detector,
+)
 from .encoding import Encoding, fitting_size
 from .network import Network, Recipe
 from .pictures import Augmentation, Pictures, collate
@@ -45,6 +54,7 @@ class TrainSpec:
         epochs: how often each picture is seen.
         batch, learning_rate: of a step.
         seed: of weights, order and augmentation.
+        one_class: all parts are one class, `part`: where is something, not what is it.
         min_visibility: an instance of which a smaller share is visible is ignored.
         patience: validations without a better score after which training stops.
         split: which scenes train, validate and test; exports have their own.
@@ -65,6 +75,7 @@ class TrainSpec:
     batch: int | None = None
     learning_rate: float | None = None
     seed: int = 0
+    one_class: bool = False
     min_visibility: float = MIN_VISIBILITY
     patience: int = 10
     split: Split = field(default_factory=lambda: Split(shares=SHARES))
@@ -121,7 +132,8 @@ def train(
     """
     device = choose_device(spec.device)
     sets = [_Sets.of(folder, spec.split) for folder in datasets]
-    names = tuple(dict.fromkeys(name for each in sets for name in each.train.categories.values()))
+    parts = dict.fromkeys(name for each in sets for name in each.train.categories.values())
+    names = (ONE_CLASS,) if spec.one_class else tuple(parts)
     about = About(
         model=spec.model,
         backbone=spec.backbone,
@@ -306,12 +318,8 @@ class _Training:
     def _pictures(self) -> Pictures:
         total = sum(len(each.train) for each in self.sets)
         done = iter(range(1, total + 1))
-        classes = {name: i for i, name in enumerate(self.about.names)}
         return Pictures(
-            [
-                (each.train, {k: classes[name] for k, name in each.train.categories.items()})
-                for each in self.sets
-            ],
+            [(each.train, self.about.classes(each.train.categories)) for each in self.sets],
             self.about.encoding,
             self.run.cache / "train.npy",
             masks=self.network.finds_masks,
@@ -332,8 +340,6 @@ class _Training:
         return row
 
     def _best(self) -> Detector:
-        from .detector import load_detector
-
         return load_detector(self.run.path, device=self.spec.device)
 
 
@@ -349,15 +355,14 @@ class _Judge:
 
     @staticmethod
     def of(training: _Training) -> "_Judge":
-        about, classes = training.about, {n: i for i, n in enumerate(training.about.names)}
-        encoding = about.encoding
+        about, encoding = training.about, training.about.encoding
         count = sum(len(each.val) for each in training.sets)
         shape = (count, encoding.channels, *encoding.size_px)
         file = training.run.cache / "val.npy"
         encoded = np.lib.format.open_memmap(file, mode="w+", dtype=np.float16, shape=shape)
         labels: list[Labels] = []
         for each in training.sets:
-            class_of = {k: classes.get(name, -1) for k, name in each.val.categories.items()}
+            class_of = about.classes(each.val.categories)
             for example in each.val:
                 encoded[len(labels)] = encoding.encode(example, seed=example.scene_id)
                 labels.append(_renumbered(example, len(labels), class_of, training.spec))

@@ -1,5 +1,5 @@
 # The two commands of the README: `make demo` and `make test`. Set-up goes into .venv.
-.PHONY: demo test test-slow setup cycles clean
+.PHONY: demo test test-slow setup cycles extras clean
 
 GRAYCAST = .venv/bin/graycast
 
@@ -22,6 +22,10 @@ setup:
 # Optional: the second back end, Blender Cycles, in an environment of its own.
 cycles:
 	@scripts/setup-cycles
+
+# Optional: detectors. PyTorch comes with CUDA's libraries, 5 GB on disk.
+extras: setup
+	@scripts/setup-extras
 
 clean:
 	rm -rf .venv .venv-cycles out build

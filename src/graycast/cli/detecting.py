@@ -124,10 +124,19 @@ def add_commands(commands) -> None:
     detect.add_argument(
         "pictures",
         type=Path,
+        nargs="?",
         help="A dataset, an export, or a folder with pictures in rgb, gray and depth.",
     )
     detect.add_argument(
-        "--out", type=Path, required=True, help="The folder to write; it is new or an earlier one."
+        "--out",
+        type=Path,
+        required=True,
+        help="The folder to write, which is new or an earlier one; with --export the file.",
+    )
+    detect.add_argument(
+        "--export",
+        choices=("onnx",),
+        help="Look at no pictures: write the detector as an ONNX file, checked against torch.",
     )
     detect.add_argument(
         "--split",
@@ -248,6 +257,11 @@ def _detect(options: argparse.Namespace) -> None:
     from ..detect import detect, load_detector, pictures_of
 
     detector = load_detector(options.detector, device=options.device)
+    if options.export is not None:
+        _export(detector, options)
+        return
+    if options.pictures is None:
+        raise GraycastError("there is nothing to look at: give a dataset or a folder of pictures")
     pictures = pictures_of(
         options.pictures, detector.about, split=options.split, scale_m=options.scale
     )
@@ -269,3 +283,12 @@ def _detect(options: argparse.Namespace) -> None:
         f"{options.out}: {count} detections in {len(looked.found)} pictures, "
         f"{median(looked.ms_per_picture):.0f} ms a picture"
     )
+
+
+def _export(detector, options: argparse.Namespace) -> None:
+    from ..detect.onnx_file import write_onnx
+
+    if options.pictures is not None:
+        raise GraycastError("--export looks at no pictures: leave them out")
+    write_onnx(detector, options.out, most=options.most, least_score=options.least_score)
+    print(f"{options.out}: written; onnxruntime finds in it what torch finds")

@@ -2,15 +2,15 @@
 
 import json
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float32, Int
+from jaxtyping import Float, Int
+from pycocotools import mask as coco_mask
 
-from .dataset.json_text import json_bytes
 from .errors import GraycastError
 
 
@@ -20,7 +20,7 @@ class Detections:
 
     Attributes:
         scene_id: of the dataset that the picture is of; COCO's `image_id`.
-        score: 0 to 1, falling.
+        score: falling; 0 to 1 from our detectors.
         obj_id: what each is; COCO's `category_id`.
         box_px: [x, y, columns, rows] as COCO has them: (0, 0) is the outer corner of the top-left
             pixel, so a box from the first column on has x = 0.
@@ -28,9 +28,9 @@ class Detections:
     """
 
     scene_id: int
-    score: Float32[np.ndarray, " n"]
+    score: Float[np.ndarray, " n"]
     obj_id: Int[np.ndarray, " n"]
-    box_px: Float32[np.ndarray, "n 4"]
+    box_px: Float[np.ndarray, "n 4"]
     mask: tuple[Mapping[str, Any], ...] | None = None
 
     def __post_init__(self) -> None:
@@ -42,8 +42,12 @@ class Detections:
 
 
 def results_bytes(found: Sequence[Detections]) -> bytes:
-    """COCO's results: a list with an entry for each detection, its box and, if any, its mask."""
-    return json_bytes([entry for each in found for entry in _entries(each)])
+    """COCO's results: a list with an entry for each detection, its box and, if any, its mask.
+
+    Numbers have as many digits as it takes to read the same ones back.
+    """
+    lines = [json.dumps(entry, allow_nan=False) for each in found for entry in _entries(each)]
+    return ("[\n" + ",\n".join(lines) + "\n]\n").encode()
 
 
 def _entries(found: Detections) -> list[dict[str, Any]]:
@@ -51,23 +55,36 @@ def _entries(found: Detections) -> list[dict[str, Any]]:
         {
             "image_id": found.scene_id,
             "category_id": int(obj_id),
-            "bbox": [round(float(edge), 3) for edge in box],
-            "score": round(float(score), 6),
+            "bbox": [_shortest(edge) for edge in box],
+            "score": _shortest(score),
         }
         for obj_id, box, score in zip(found.obj_id, found.box_px, found.score, strict=True)
     ]
     if found.mask is not None:
         for entry, mask in zip(entries, found.mask, strict=True):
-            entry["segmentation"] = {"size": list(mask["size"]), "counts": mask["counts"]}
+            size = [int(edge) for edge in mask["size"]]
+            entry["segmentation"] = {"size": size, "counts": mask["counts"]}
     return entries
 
 
-def read_results(path: Path, scene_ids: Sequence[int]) -> list[Detections]:
+def _shortest(value: np.floating) -> float:
+    """The decimal with the fewest digits that is this number in its own precision."""
+    return float(str(value))
+
+
+def read_results(
+    path: Path, scene_ids: Sequence[int], *, obj_ids: Collection[int] | None = None
+) -> list[Detections]:
     """Detections of each scene from COCO's results, whoever wrote them; none where it has none.
 
+    An entry with a mask need not have a box: it is the mask's.
+
+    Args:
+        obj_ids: the objects that the scenes' dataset knows; left out, any are.
+
     Raises:
-        GraycastError: the file is missing or damaged, or has a scene that is not among
-            `scene_ids`, or masks for some of its detections alone.
+        GraycastError: the file is missing or damaged, has a scene or an object that is not among
+            those, or masks for some of its detections alone.
     """
     try:
         entries = json.loads(path.read_bytes())
@@ -79,11 +96,17 @@ def read_results(path: Path, scene_ids: Sequence[int]) -> list[Detections]:
         raise GraycastError(f"{path}: is no list: give a file of COCO results")
     of_scene: dict[int, list[dict[str, Any]]] = {scene_id: [] for scene_id in scene_ids}
     for i, entry in enumerate(entries):
-        _check(entry, f"{path}: entry {i}")
+        where = f"{path}: entry {i}"
+        _check(entry, where)
         if entry["image_id"] not in of_scene:
             raise GraycastError(
-                f"{path}: entry {i} is of image {entry['image_id']}, which the dataset's set does "
+                f"{where} is of image {entry['image_id']}, which the dataset's set does "
                 "not have: are these results of another dataset or another split?"
+            )
+        if obj_ids is not None and entry["category_id"] not in obj_ids:
+            raise GraycastError(
+                f"{where} is of category {entry['category_id']}, the dataset has "
+                f"{', '.join(map(str, sorted(obj_ids)))}: are these results of another dataset?"
             )
         of_scene[entry["image_id"]].append(entry)
     masked = {"segmentation" in entry for entry in entries}
@@ -93,26 +116,94 @@ def read_results(path: Path, scene_ids: Sequence[int]) -> list[Detections]:
 
 
 def _check(entry: Any, where: str) -> None:
-    keys = ("image_id", "category_id", "score", "bbox")
+    keys = ("image_id", "category_id", "score")
     if not isinstance(entry, dict) or not all(key in entry for key in keys):
         raise GraycastError(f"{where} lacks one of {', '.join(keys)}: give COCO results")
-    box = entry["bbox"]
-    numbers = [*(box if isinstance(box, list) else []), entry["score"]]
-    if len(numbers) != 5 or not all(
-        isinstance(number, int | float) and math.isfinite(number) for number in numbers
-    ):
-        raise GraycastError(f"{where}: bbox is four finite numbers and score is one")
-    runs = entry.get("segmentation")
-    if runs is not None and not (isinstance(runs, dict) and isinstance(runs.get("counts"), str)):
-        raise GraycastError(f"{where}: segmentation is no compressed run lengths (size, counts)")
+    if not ("bbox" in entry or "segmentation" in entry):
+        raise GraycastError(f"{where} has neither bbox nor segmentation: give COCO results")
+    for key in ("image_id", "category_id"):
+        if type(entry[key]) is not int:
+            raise GraycastError(f"{where}: {key} is {entry[key]!r}; it must be a whole number")
+    if not _finite(entry["score"]):
+        raise GraycastError(f"{where}: score is {entry['score']!r}; it must be a finite number")
+    if "bbox" in entry:
+        box = entry["bbox"]
+        if not (isinstance(box, list) and len(box) == 4 and all(map(_finite, box))):
+            raise GraycastError(f"{where}: bbox is {box!r}; it must be four finite numbers")
+        if min(box[2:]) < 0:
+            raise GraycastError(
+                f"{where}: bbox is {box!r}; columns and rows, its last two numbers, must not be "
+                "negative: is it x0, y0, x1, y1?"
+            )
+    if "segmentation" in entry:
+        _check_runs(entry["segmentation"], f"{where}: segmentation")
+
+
+def _finite(value: Any) -> bool:
+    return type(value) in (int, float) and math.isfinite(value)
+
+
+def _check_runs(runs: Any, where: str) -> None:
+    """Run lengths, compressed or not, that fill their picture: pycocotools reads any without."""
+    if not isinstance(runs, dict) or not isinstance(runs.get("counts"), str | list):
+        raise GraycastError(
+            f"{where} is no run lengths (size, counts): give masks as COCO's results have them"
+        )
+    size, counts = runs.get("size"), runs["counts"]
+    if not (isinstance(size, list) and len(size) == 2 and all(type(edge) is int for edge in size)):
+        raise GraycastError(f"{where}: size is {size!r}; it must be rows and columns")
+    lengths = _lengths(counts) if isinstance(counts, str) else counts
+    whole = lengths is not None and all(type(n) is int and n >= 0 for n in lengths)
+    if not whole or sum(lengths) != size[0] * size[1]:
+        raise GraycastError(
+            f"{where}: its run lengths do not fill {size[1]} x {size[0]} pixels: the file is "
+            "damaged, or its masks are of another size than they say"
+        )
+
+
+def _lengths(counts: str) -> list[int] | None:
+    """COCO's compressed run lengths; None if they are damaged.
+
+    Each number is in characters of six bits from '0' on, low bits first: five of the number and
+    one that says whether more come; from the third number on the one before the last is taken off.
+    """
+    code = np.frombuffer(counts.encode("utf-8", "replace"), np.uint8).astype(np.int64) - 48
+    more = (code & 32) > 0
+    if not len(code) or more[-1] or code.min() < 0 or code.max() > 63:
+        return None
+    start = np.append(0, np.flatnonzero(~more)[:-1] + 1)
+    place = np.arange(len(code)) - np.repeat(start, np.diff(np.append(start, len(code))))
+    if place.max() > 6:
+        return None
+    value = np.add.reduceat((code & 31) << (5 * place), start)
+    end = np.flatnonzero(~more)
+    value -= np.where(code[end] & 16, 1 << (5 * (place[end] + 1)), 0)
+    value[1::2] = np.cumsum(value[1::2])
+    if len(value) > 2:
+        value[2::2] = np.cumsum(value[2::2])
+    return value.tolist()
 
 
 def _detections(scene_id: int, entries: list[dict[str, Any]], masked: bool) -> Detections:
     entries = sorted(entries, key=lambda entry: -entry["score"])  # stable: equal scores as stored
+    masks = tuple(_compressed(entry["segmentation"]) for entry in entries) if masked else None
+    boxes = [
+        entry["bbox"] if "bbox" in entry else coco_mask.toBbox(masks[i]).tolist()
+        for i, entry in enumerate(entries)
+    ]
     return Detections(
         scene_id=scene_id,
-        score=np.array([entry["score"] for entry in entries], np.float32),
+        score=np.array([entry["score"] for entry in entries], np.float64),
         obj_id=np.array([entry["category_id"] for entry in entries], np.int64),
-        box_px=np.array([entry["bbox"] for entry in entries], np.float32).reshape(-1, 4),
-        mask=tuple(entry["segmentation"] for entry in entries) if masked else None,
+        box_px=np.array(boxes, np.float64).reshape(-1, 4),
+        mask=masks,
     )
+
+
+def _compressed(runs: dict[str, Any]) -> dict[str, Any]:
+    if isinstance(runs["counts"], str):
+        return runs
+    return {
+        "size": runs["size"],
+        "counts": coco_mask.frPyObjects(runs, *runs["size"])["counts"].decode(),
+    }

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 
 from .. import __version__
 from ..errors import GraycastError
-from . import datasets, exporting, fitting, generating, looking, machine, measuring, rigs
+from . import datasets, exporting, fitting, generating, judging, looking, machine, measuring, rigs
 
 EXAMPLES = """\
 examples:
@@ -16,6 +16,7 @@ examples:
   graycast validate out/demo                             check a dataset from its files
   graycast report out/demo --out out/page                a web page to look at it
   graycast export out/demo --format coco --out out/coco  the same for a trainer, in its format
+  graycast evaluate run --on out/demo --out out/scores   how good detections are
   graycast decode stack.yaml --rig rig.yaml --out cloud  depth from a real scanner's pictures
   graycast certify phoxi-l --out sheet                   what a virtual scanner is worth
   graycast realism real/ --intrinsics K.json --out r     how real depth maps look, in figures
@@ -70,6 +71,7 @@ def _parser() -> argparse.ArgumentParser:
     datasets.add_commands(commands)
     looking.add_commands(commands)
     exporting.add_commands(commands)
+    judging.add_commands(commands)
     fitting.add_commands(commands)
     rigs.add_commands(commands)
     measuring.add_commands(commands)

@@ -4,7 +4,7 @@ import argparse
 from pathlib import Path
 
 from ..errors import GraycastError
-from .arguments import above_zero, add_command, positive, progress_bar, seed, size
+from .arguments import above_zero, add_command, positive, progress_bar, seed, share, size
 
 _FORMATS = (
     "coco",
@@ -108,7 +108,7 @@ def add_commands(commands) -> None:
     )
     export.add_argument(
         "--min-visibility",
-        type=_share,
+        type=share,
         metavar="SHARE",
         help="Leave out parts of which a smaller share is visible, such as 0.1 (default: 0).",
     )
@@ -218,13 +218,3 @@ def _distortion(text: str | None) -> tuple[float, float, float, float, float]:
     except ValueError as error:
         raise GraycastError(f"distortion is {text!r}: give five numbers k1,k2,p1,p2,k3") from error
     return k1, k2, p1, p2, k3
-
-
-def _share(text: str) -> float:
-    try:
-        value = float(text)
-    except ValueError:
-        value = -1.0
-    if not 0 <= value <= 1:
-        raise argparse.ArgumentTypeError(f"{text!r} is not a share from 0 to 1")
-    return value

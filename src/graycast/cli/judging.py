@@ -19,6 +19,7 @@ def add_commands(commands) -> None:
     evaluate.add_argument(
         "results",
         type=Path,
+        nargs="?",
         help="The detections: a folder that graycast detect wrote, or a file of COCO results.",
     )
     evaluate.add_argument(
@@ -86,10 +87,20 @@ def add_commands(commands) -> None:
     evaluate.add_argument(
         "--seed", type=seed, default=0, help="The seed of those draws (default: 0)."
     )
+    evaluate.add_argument(
+        "--depth",
+        action="store_true",
+        help="Judge the scanner's depth in all scenes by perfect depth instead of detections: "
+        "bias, noise, spikes and holes by angle of incidence.",
+    )
     evaluate.add_argument("--out", type=Path, required=True, help="The folder to write.")
 
 
 def _evaluate(options: argparse.Namespace) -> int:
+    if options.depth:
+        return _depth(options)
+    if options.results is None:
+        raise GraycastError("give the results to judge, or --depth to judge the scanner's depth")
     from ..evaluate import EVALUATION, Protocol, Task, evaluate, summary, write_evaluation
     from ..export import Split, parse_shares
     from ..folder import refuse_foreign, whole_folder
@@ -122,5 +133,28 @@ def _evaluate(options: argparse.Namespace) -> int:
         )
         write_evaluation(evaluation, picture, folder)
     print(summary(evaluation))
+    print(options.out)
+    return 0
+
+
+def _depth(options: argparse.Namespace) -> int:
+    from ..evaluate import DEPTH, evaluate_depth, write_depth
+    from ..folder import refuse_foreign, whole_folder
+
+    for name in ("results", "against", "split", "shares", "kind"):
+        if getattr(options, name) is not None:
+            told = name if name == "results" else f"--{name}"
+            raise GraycastError(
+                f"{told} is of detections, --depth of the scanner: give one of both"
+            )
+    refuse_foreign(options.out, DEPTH)
+    with whole_folder(options.out) as folder, progress_bar() as bar:
+        going = bar.add_task("scenes", total=None)
+        tables = evaluate_depth(
+            options.on,
+            on_scene=lambda done, total: bar.update(going, completed=done, total=total),
+        )
+        write_depth(tables, folder)
+    print((options.out / "depth.md").read_text(encoding="utf-8"), end="")
     print(options.out)
     return 0

@@ -1,5 +1,6 @@
 """How good detections are: the judge, which imports nothing of what it judges."""
 
+from .depth_files import DEPTH, evaluate_depth, write_depth
 from .judging import Judgement, Protocol, Row, judge
 from .labels import Labels, labels_of
 from .scores import Scores, score
@@ -7,6 +8,7 @@ from .task import Task, evaluate
 from .writing import EVALUATION, Evaluation, evaluation_json, summary, write_evaluation
 
 __all__ = [
+    "DEPTH",
     "EVALUATION",
     "Evaluation",
     "Judgement",
@@ -16,10 +18,12 @@ __all__ = [
     "Scores",
     "Task",
     "evaluate",
+    "evaluate_depth",
     "evaluation_json",
     "judge",
     "labels_of",
     "score",
     "summary",
+    "write_depth",
     "write_evaluation",
 ]

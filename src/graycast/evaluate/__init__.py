@@ -3,11 +3,13 @@
 from .depth_files import DEPTH, evaluate_depth, write_depth
 from .judging import Judgement, Protocol, Row, judge
 from .labels import Labels, labels_of
+from .mistakes import AT_HALF, false_alarms
 from .scores import Scores, score
 from .task import Task, evaluate
 from .writing import EVALUATION, Evaluation, evaluation_json, summary, write_evaluation
 
 __all__ = [
+    "AT_HALF",
     "DEPTH",
     "EVALUATION",
     "Evaluation",
@@ -20,6 +22,7 @@ __all__ = [
     "evaluate",
     "evaluate_depth",
     "evaluation_json",
+    "false_alarms",
     "judge",
     "labels_of",
     "score",

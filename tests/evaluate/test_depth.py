@@ -124,7 +124,7 @@ def test_a_dataset_is_read_and_its_tables_written(master, tmp_path):
     seen = []
     tables = evaluate_depth(master, on_scene=lambda done, total: seen.append((done, total)))
     assert seen[-1] == (8, 8)
-    write_depth(tables, tmp_path)
+    write_depth(tables, tmp_path, colors={"shadow": "#123456"})
     assert {file.name for file in tmp_path.iterdir()} == {
         "depth.json", "depth.csv", "depth.md", "depth.png"
     }  # fmt: skip

@@ -138,6 +138,7 @@ def _evaluate(options: argparse.Namespace) -> int:
 
 
 def _depth(options: argparse.Namespace) -> int:
+    from ..decode import REASON_COLOR
     from ..evaluate import DEPTH, evaluate_depth, write_depth
     from ..folder import refuse_foreign, whole_folder
 
@@ -154,7 +155,8 @@ def _depth(options: argparse.Namespace) -> int:
             options.on,
             on_scene=lambda done, total: bar.update(going, completed=done, total=total),
         )
-        write_depth(tables, folder)
+        colors = {reason.name.lower(): color for reason, color in REASON_COLOR.items()}
+        write_depth(tables, folder, colors=colors)
     print((options.out / "depth.md").read_text(encoding="utf-8"), end="")
     print(options.out)
     return 0

@@ -12,7 +12,6 @@ from matplotlib.axes import Axes
 
 from ..dataset.json_text import plain
 from ..dataset.stored import SceneContent, open_dataset
-from ..decode import REASON_COLOR, Reason
 from ..errors import GraycastError
 from ..plotting import ACCENT, INK, SECOND, SOFT, caption, plain_figure, save_png
 from .depth import ANGLE_EDGES_DEG, EDGE, DepthRow, depth_rows
@@ -50,8 +49,11 @@ def evaluate_depth(
     return {"all": depth_rows(read(0)), "parts": depth_rows(read(1), parts_only=True)}
 
 
-def write_depth(tables: Tables, folder: Path) -> None:
+def write_depth(tables: Tables, folder: Path, *, colors: Mapping[str, str]) -> None:
     """Fill a folder with `depth.json`, `depth.csv`, `depth.md` and `depth.png`.
+
+    Args:
+        colors: of the reasons, in the order in which they are listed.
 
     Raises:
         GraycastError: the folder cannot be written.
@@ -59,7 +61,7 @@ def write_depth(tables: Tables, folder: Path) -> None:
     content = plain({name: [asdict(row) for row in rows] for name, rows in tables.items()})
     text = json.dumps(content, indent=1, allow_nan=False)
     (folder / DEPTH).write_text(text + "\n", encoding="utf-8")
-    reasons = _reasons(tables)
+    reasons = _reasons(tables, colors)
     table = io.StringIO()
     writer = csv.writer(table, lineterminator="\n")
     writer.writerow([*_COLUMNS, *reasons])
@@ -68,7 +70,7 @@ def write_depth(tables: Tables, folder: Path) -> None:
             writer.writerow([name, row.name, row.pixels, *_figures(row, reasons)])
     (folder / "depth.csv").write_text(table.getvalue(), encoding="utf-8")
     (folder / "depth.md").write_text(depth_markdown(tables), encoding="utf-8")
-    _draw(tables, folder / "depth.png")
+    _draw(tables, {name: colors.get(name, SOFT) for name in reasons}, folder / "depth.png")
 
 
 def depth_markdown(tables: Tables) -> str:
@@ -106,14 +108,14 @@ def _figures(row: DepthRow, reasons: Sequence[str]) -> list[str]:
     return ["" if np.isnan(value) else f"{value:.6f}" for value in (decoded, *error, *holes)]
 
 
-def _reasons(tables: Tables) -> list[str]:
-    """What there is of them, in the decoder's order."""
+def _reasons(tables: Tables, order: Iterable[str]) -> list[str]:
+    """What there is of them, in that order; those that it lacks come last."""
     held = {name for rows in tables.values() for row in rows for name in row.reason}
-    order = [reason.name.lower() for reason in Reason if reason is not Reason.DECODED]
-    return [name for name in order if name in held] + sorted(held - {"decoded", *order})
+    first = [name for name in order if name in held and name != "decoded"]
+    return first + sorted(held - {"decoded", *first})
 
 
-def _draw(tables: Tables, path: Path) -> None:
+def _draw(tables: Tables, colors: Mapping[str, str], path: Path) -> None:
     figure, axes = plain_figure(13.2, 3.8, (1, 1, 1, 1))
     for (name, rows), color in zip(tables.items(), (ACCENT, SECOND), strict=True):
         known = [k for k in range(EDGE) if rows[k].error.pixels]
@@ -130,18 +132,16 @@ def _draw(tables: Tables, path: Path) -> None:
     for ax in axes[:2]:
         ax.legend(fontsize=7, frameon=False)
     for ax, (name, rows) in zip(axes[2:], tables.items(), strict=True):
-        _holes(ax, rows, _reasons(tables))
+        _holes(ax, rows, colors)
         caption(ax, f"Holes, {name}", "angle of incidence [deg]", "of the pixels [%]")
     save_png(figure, path, dpi=120)
 
 
-def _holes(ax: Axes, rows: Sequence[DepthRow], reasons: Sequence[str]) -> None:
+def _holes(ax: Axes, rows: Sequence[DepthRow], colors: Mapping[str, str]) -> None:
     at = np.arange(len(rows))
     base = np.zeros(len(rows))
-    for name in reasons:
+    for name, color in colors.items():
         share = 100 * np.array([row.reason.get(name, 0.0) for row in rows])
-        known = name.upper() in Reason.__members__
-        color = REASON_COLOR[Reason[name.upper()]] if known else SOFT
         ax.bar(at, share, 0.9, bottom=base, color=color, label=name.replace("_", " "))
         base = base + share
     names = [row.name.removesuffix(" deg").replace(" to ", "-") for row in rows]

@@ -7,7 +7,18 @@ from collections.abc import Sequence
 
 from .. import __version__
 from ..errors import GraycastError
-from . import datasets, detecting, exporting, fitting, generating, looking, machine, measuring, rigs
+from . import (
+    datasets,
+    detecting,
+    exporting,
+    fitting,
+    generating,
+    judging,
+    looking,
+    machine,
+    measuring,
+    rigs,
+)
 
 EXAMPLES = """\
 examples:
@@ -15,7 +26,10 @@ examples:
   graycast preview configs/own_part.yaml --out p.png     one scene of your own part as a picture
   graycast validate out/demo                             check a dataset from its files
   graycast report out/demo --out out/page                a web page to look at it
+  graycast train out/demo --out out/detector             a detector of the dataset's parts
+  graycast detect out/detector out/demo --out out/found  what it finds in pictures
   graycast export out/demo --format coco --out out/coco  the same for a trainer, in its format
+  graycast evaluate run --on out/demo --out out/scores   how good detections are
   graycast decode stack.yaml --rig rig.yaml --out cloud  depth from a real scanner's pictures
   graycast certify phoxi-l --out sheet                   what a virtual scanner is worth
   graycast realism real/ --intrinsics K.json --out r     how real depth maps look, in figures
@@ -71,6 +85,7 @@ def _parser() -> argparse.ArgumentParser:
     looking.add_commands(commands)
     exporting.add_commands(commands)
     detecting.add_commands(commands)
+    judging.add_commands(commands)
     fitting.add_commands(commands)
     rigs.add_commands(commands)
     measuring.add_commands(commands)

@@ -33,6 +33,13 @@ def add_commands(commands) -> None:
     _add_dataset(report)
     report.add_argument("--out", type=Path, required=True, help="The page's folder.")
     report.add_argument(
+        "--detections",
+        type=Path,
+        metavar="RESULTS",
+        help="Also show what a detector found: a folder that graycast detect wrote, or a file of "
+        "COCO results.",
+    )
+    report.add_argument(
         "--width",
         type=positive,
         help="Thin out maps that are wider than this many pixels (default: 1300).",
@@ -90,6 +97,7 @@ def _report(options: argparse.Namespace) -> int:
             options.out,
             workers=options.workers,
             width_px=options.width or WIDTH_PX,
+            detections=options.detections,
             on_start=lambda total, found: bar.update(task, total=total, completed=found),
             on_scene=lambda _: bar.update(task, advance=1),
         )

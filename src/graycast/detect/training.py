@@ -56,7 +56,8 @@ class TrainSpec:
         seed: of weights, order and augmentation.
         one_class: all parts are one class, `part`: where is something, not what is it.
         min_visibility: an instance of which a smaller share is visible is ignored.
-        patience: validations without a better score after which training stops.
+        patience: validations without a better score after which training stops; those before the
+            first score above 0 do not count.
         split: which scenes train, validate and test; exports have their own.
         augmentation: what is drawn anew in every epoch.
         weights: a file of published weights to start from.
@@ -332,8 +333,8 @@ class _Training:
     def _validated(self, judge: "_Judge", detector: Detector, progress: Progress) -> Row:
         row = judge.judged(detector, self.on_told)
         figure = np.mean([value for name, value in row.items() if name.endswith("_ap")])
-        if figure > progress.best:
-            progress.best, progress.since = float(figure), 0
+        if figure > progress.best or progress.best <= 0:  # the latest, while none finds a thing
+            progress.best, progress.since = max(float(np.nan_to_num(figure)), 0.0), 0
             save_detector(self.run.path / WEIGHTS, self.about, self.network.state_dict())
         else:
             progress.since += 1

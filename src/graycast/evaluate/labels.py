@@ -28,6 +28,7 @@ class Labels:
         ignored: too hidden to count: it need not be found, and a detection there is no mistake.
         visib_fract: visible share of each silhouette; None where nobody knows it.
         missing: share of each visible mask where the scanner has no depth; None where nobody knows.
+        instance: places in the dataset's `scene_gt.json`; None where there is no such file.
     """
 
     scene_id: int
@@ -38,9 +39,10 @@ class Labels:
     ignored: Bool[np.ndarray, " n"]
     visib_fract: Float[np.ndarray, " n"] | None
     missing: Float[np.ndarray, " n"] | None = None
+    instance: Int[np.ndarray, " n"] | None = None
 
     def __post_init__(self) -> None:
-        for name in ("obj_id", "box_px", "ignored", "visib_fract", "missing"):
+        for name in ("obj_id", "box_px", "ignored", "visib_fract", "missing", "instance"):
             if (value := getattr(self, name)) is not None:
                 value.flags.writeable = False
 
@@ -73,6 +75,7 @@ def labels_of(example: Example, *, min_visibility: float) -> Labels:
         else visible < min_visibility,
         visib_fract=visible,
         missing=_missing(example),
+        instance=example.instance,
     )
 
 

@@ -152,19 +152,19 @@ def _shapes(there: Labels, seen: Detections, kind: Kind) -> tuple[list[Any], lis
         raise GraycastError(
             f"scene {there.scene_id}: its labels have no masks: compare boxes, or draw masks"
         )
-    if seen.mask is None:
+    if seen.mask is None and len(seen):
         raise GraycastError(
             f"scene {there.scene_id}: its detections have no masks: compare boxes, or take a "
             "detector that finds masks"
         )
-    for mask in seen.mask:
+    for mask in seen.mask or ():
         if there.size_px is not None and tuple(mask["size"]) != there.size_px:
             raise GraycastError(
                 f"scene {there.scene_id}: a detection's mask is of {mask['size'][1]} x "
                 f"{mask['size'][0]} pixels, the picture has {there.size_px[1]} x "
                 f"{there.size_px[0]}: are these results of another dataset?"
             )
-    return list(there.mask), list(seen.mask)
+    return list(there.mask), list(seen.mask or ())
 
 
 def _pair(

@@ -14,7 +14,9 @@ from pathlib import Path
 
 from ...dataset.stored import StoredDataset, StoredScene, open_dataset
 from ...errors import GraycastError
+from ...evaluate import Evaluation
 from ...stats import SceneFigures, scene_figures
+from .found import FOUND, found_index, found_scripts, judged
 from .index import index_script
 from .scene_files import scene_page_files
 
@@ -49,6 +51,7 @@ def write_report(
     *,
     workers: int = 1,
     width_px: int = WIDTH_PX,
+    detections: Path | None = None,
     on_start: Callable[[int, int], None] | None = None,
     on_scene: Callable[[str], None] | None = None,
 ) -> ReportSummary:
@@ -61,14 +64,18 @@ def write_report(
         out: folder of the page; new, empty or that of an earlier report.
         workers: processes that make scenes' pages.
         width_px: maps wider than this are thinned; see `scene_page_files`.
+        detections: results to show over the scenes: a file of COCO results, or a folder that
+            `graycast detect` wrote. Without them those of an earlier build are taken away.
         on_start: called with (scenes in all, scenes already there).
         on_scene: called with the key of every scene made.
 
     Raises:
         DatasetError: no scene, or one that cannot be read.
-        GraycastError: `out` holds something else, or cannot be written.
+        GraycastError: `out` holds something else, or cannot be written; the results are of
+            another dataset.
     """
     stored = open_dataset(dataset)
+    evaluation = None if detections is None else judged(dataset, detections)
     held = stored.scenes
     _open_folder(out, dataset)
     try:
@@ -85,7 +92,8 @@ def write_report(
         gone = {entry.name for entry in scenes.iterdir()} - {one.key for one in held}
         for key in gone:
             shutil.rmtree(scenes / key)
-        _write_page(stored, out)
+        _write_detections(scenes, evaluation)
+        _write_page(stored, out, evaluation)
     except OSError as error:
         why = error.strerror or str(error)
         raise GraycastError(
@@ -155,14 +163,25 @@ def _make(scene: StoredScene, *, scenes: Path, width_px: int) -> str:
     return scene.key
 
 
-def _write_page(stored: StoredDataset, out: Path) -> None:
+def _write_detections(scenes: Path, evaluation: Evaluation | None) -> None:
+    """A script of every scene that was looked at; none of an earlier build stays."""
+    held = {} if evaluation is None else dict(found_scripts(evaluation))
+    for scene in scenes.iterdir():
+        if scene.name in held:
+            _replace(scene / FOUND, held[scene.name])
+        else:
+            (scene / FOUND).unlink(missing_ok=True)
+
+
+def _write_page(stored: StoredDataset, out: Path, evaluation: Evaluation | None) -> None:
     def figures() -> Iterator[SceneFigures]:
         for scene in stored.scenes:
             yield SceneFigures.model_validate_json(
                 (out / "scenes" / scene.key / "figures.json").read_bytes()
             )
 
-    script, _ = index_script(stored, figures())
+    found = None if evaluation is None else found_index(evaluation)
+    script, _ = index_script(stored, figures(), found)
     _replace(out / "index.js", script.encode())
     for source in sorted(resources.files(__package__).joinpath("web").iterdir(), key=_name):
         _replace(out / source.name, source.read_bytes())

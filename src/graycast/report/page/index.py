@@ -21,8 +21,16 @@ from .scene_files import MISSING_COLOR, REASON_MEANING
 _COLORMAPS = ("viridis_r", "viridis", "RdBu_r", "gray")
 
 
-def index_script(stored: StoredDataset, figures: Iterable[SceneFigures]) -> tuple[str, Statistics]:
-    """`data/index.js`, and the statistics that it holds; figures may come from a generator."""
+def index_script(
+    stored: StoredDataset,
+    figures: Iterable[SceneFigures],
+    detections: Mapping[str, Any] | None = None,
+) -> tuple[str, Statistics]:
+    """`index.js`, and the statistics that it holds; figures may come from a generator.
+
+    Args:
+        detections: what `found_index` gives; None where no results were judged.
+    """
     rows: list[list[Any]] = []
 
     def passing() -> Iterator[SceneFigures]:
@@ -43,6 +51,7 @@ def index_script(stored: StoredDataset, figures: Iterable[SceneFigures]) -> tupl
         "statistics": statistics_json(statistics),
         "columns": _COLUMNS,
         "scenes": rows,
+        "detections": detections,
     }
     text = json.dumps(content, allow_nan=False, separators=(",", ":"))
     return f"Graycast.report = {text};\n", statistics

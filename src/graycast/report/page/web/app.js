@@ -21,6 +21,7 @@
       ["v", "compare by swipe or side by side"],
       ["← →", "previous, next scene of the list"],
       ["m b", "masks, boxes"],
+      ["d", "detections, where the page has any"],
       ["+ − 0", "zoom in, out, whole picture"],
       ["↑ ↓ or [ ]", "previous, next pattern frame"],
       ["p", "pattern frames: play, stop"],

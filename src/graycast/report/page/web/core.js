@@ -116,6 +116,12 @@ function bring(file, name) {
   });
 }
 
+/** What a run found in a scene; null where nobody looked. */
+Graycast.bringFound = (key) => {
+  const name = `${key}/detections.js`;
+  return Graycast.report.detections?.scenes[key] ? bring(name, name) : Promise.resolve(null);
+};
+
 /** A scene with its maps as arrays. */
 Graycast.load = (key) => {
   if (cache.has(key)) {

@@ -13,6 +13,7 @@
     ["sigma_mm", "scanner noise on parts"],
     ["bias_mm", "scanner bias on parts"],
     ["brightness", "white frame's brightness"],
+    ...Graycast.found.SORTS,
   ];
   const THUMBS = [
     ["thumb.jpg", "colour"],
@@ -29,6 +30,7 @@
     decoded: [0, 100],
     reason: "shadow",
     share: [0, 100],
+    found: "",
     sort: "id",
     down: false,
     thumb: "thumb.jpg",
@@ -48,15 +50,21 @@
         (!filter.split || row.split === filter.split) &&
         (!filter.object || row.objects[filter.object]) &&
         tagged(row.key) &&
+        Graycast.found.fits(row, filter.found) &&
         asked.every((word) => found(row, word)) &&
         within(row.visibility, filter.visibility) &&
         within(row.decoded, filter.decoded) &&
         within(row.reasons[filter.reason] ?? 0, filter.share),
     );
     const sign = filter.down ? -1 : 1,
-      at = filter.sort;
+      at = filter.sort,
+      value = (row) => (at in row ? row[at] : Graycast.found.count(row, at));
     return rows.sort((a, b) =>
-      a[at] === null ? 1 : b[at] === null ? -1 : sign * (a[at] - b[at]) || a.id - b.id,
+      value(a) === null
+        ? 1
+        : value(b) === null
+          ? -1
+          : sign * (value(a) - value(b)) || a.id - b.id,
     );
   };
 
@@ -95,6 +103,7 @@
     if (filter.split) list.push([filter.split, ["split"]]);
     if (filter.object) list.push([Graycast.report.classes[filter.object], ["object"]]);
     if (filter.tag) list.push([tagWords(filter.tag), ["tag"]]);
+    if (filter.found) list.push([Graycast.found.words(filter.found), ["found"]]);
     return [...list, ...spans().map((name) => [spanWords(name, span(filter[name])), [name]])];
   }
 
@@ -227,6 +236,7 @@
         ? select("object", "part", [["", "all parts"], ...Object.entries(classes)])
         : null,
       select("tag", "tag", tagChoices()),
+      ...foundControls(changed, set, select),
       panel(changed, set, select),
       el("button", { id: "reset", onclick: () => lift(Object.keys(blank())) }, "reset"),
       el("span", { class: "spring" }),
@@ -247,6 +257,17 @@
       ),
       el("label", {}, el("span", { class: "long" }, "show"), select("thumb", "show", THUMBS)),
     ];
+  }
+
+  /** Scenes with what is missed or false; scenes opened from there show just that. */
+  function foundControls(changed, set, select) {
+    if (!Graycast.report.detections) return [];
+    const pick = select("found", "what the detector missed or found wrongly", Graycast.found.FILTERS);
+    pick.addEventListener("change", () => Graycast.found.follow(filter.found));
+    return [pick, Graycast.found.slider("least-score", Graycast.prefs, (value) => {
+      Graycast.prefs.score = value;
+      changed();
+    })];
   }
 
   function tagChoices() {

@@ -131,6 +131,7 @@
         el("span", { title: "decoded share of all pixels" }, `${percent(row.decoded)} decoded`),
       ),
       partLines(row).map((line) => el("div", { class: "part" }, line)),
+      Graycast.found.line(row),
       row.sigma_mm === null
         ? null
         : el("div", { class: "noise" }, `noise on parts σ ${row.sigma_mm.toFixed(2)} mm`),

@@ -29,6 +29,7 @@
         { class: "facts" },
         facts().map(([term, value]) => el("div", {}, el("dt", {}, term), el("dd", {}, value))),
       ),
+      ...[Graycast.found.told()].filter(Boolean),
       figures(statistics),
       el("section", { id: "grid" }),
     );

@@ -21,6 +21,9 @@
     surfacePaint: "instance",
     pointPaint: "instance",
     pointSize: 1,
+    found: true,
+    foundKind: "all",
+    score: Graycast.report?.detections?.score ?? 0.5,
   });
   let open = null; // what is shown now
 
@@ -30,10 +33,11 @@
     document.title = `${Graycast.report.name} ${row.id} · graycast`;
     document.getElementById("where").textContent =
       `${Graycast.report.name} / ${row.split} / scene ${row.id}`;
-    const scene = await Graycast.load(key);
+    const [scene, found] = await Promise.all([Graycast.load(key), Graycast.bringFound(key)]);
     if (!isCurrent()) return;
     Graycast.closeScene();
     Graycast.cameFrom(key);
+    scene.found = found;
     const views = Graycast.viewsOf(scene);
     if (!views.some((view) => view.id === prefs.view)) prefs.view = views[0].id;
     open = { scene, row, views, lit: {}, viewer: null, cloud: null };
@@ -56,6 +60,7 @@
           el("div", { id: "tags" }),
           el("table", { id: "readout" }),
           side.legend(row, { light, pick }),
+          el("div", { id: "found-list" }),
           side.instances(scene, { light }),
           side.facts(scene, row),
         ),
@@ -129,8 +134,11 @@
         play: () => play(!playing),
         playing: !!playing,
         look: (name) => open.cloud.look(name),
+        rescore,
       }),
     );
+    const list = Graycast.found.list(scene, prefs, { light });
+    at("#found-list").replaceChildren(...list);
     const three = prefs.view === "cloud";
     at("#readout").hidden = three; // no pixel is pointed at there
     if (three) open.cloud ??= Graycast.makeCloud(scene);
@@ -196,6 +204,14 @@
     if (view !== prefs.view) prefs.last = prefs.view;
     prefs.view = view;
     show();
+  }
+
+  /** Another score to count from; its slider, which is being moved, stays. */
+  function rescore(value) {
+    prefs.score = value;
+    open.viewer.cover(prefs, open.lit);
+    const list = Graycast.found.list(open.scene, prefs, { light });
+    document.getElementById("found-list").replaceChildren(...list);
   }
 
   function flip(by) {
@@ -284,6 +300,7 @@
       set("how", prefs.how === "swipe" ? "side" : "swipe");
     else if (event.key === "m") press("toggle-masks");
     else if (event.key === "b") press("toggle-boxes");
+    else if (event.key === "d") press("toggle-found");
     else if (event.key === "s") press("toggle-surface");
     else if (event.key === "x") press("tick-scene");
     else if (event.key === "g") document.getElementById("tag-scene").focus();

@@ -134,10 +134,21 @@
     return [
       toggle(prefs, set, "masks", "masks", "m"),
       toggle(prefs, set, "boxes", "boxes", "b"),
+      ...foundOptions(scene, prefs, actions),
       shows("difference") ? limit(prefs, set) : null,
       shows("column") ? choose(prefs, set, "axis", "of", axes(scene, prefs)) : null,
       shows("column") ? source(scene, prefs, set, "column") : null,
       ...(shows("pattern") ? patternOptions(scene, prefs, actions) : []),
+    ];
+  }
+
+  function foundOptions(scene, prefs, { set, rescore }) {
+    if (!scene.found) return [];
+    const title = "what the detector found, and what it missed";
+    return [
+      toggle(prefs, set, "found", "detections", "d", title),
+      prefs.found ? choose(prefs, set, "foundKind", "", Graycast.found.KINDS) : null,
+      prefs.found ? Graycast.found.slider("score-slider", prefs, rescore) : null,
     ];
   }
 

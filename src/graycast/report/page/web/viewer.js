@@ -30,12 +30,12 @@
     const wide = () => stage.clientWidth / (how === "side" ? 2 : 1);
     const place = () => {
       const scale = fit * zoom;
-      for (const { sheet, boxes } of panes) {
+      for (const { sheet } of panes) {
         sheet.style.width = `${width}px`;
         sheet.style.height = `${height}px`;
         sheet.style.transform = `translate(${x}px,${y}px) scale(${scale})`;
         sheet.classList.toggle("crisp", scale * devicePixelRatio >= 2);
-        boxes.style.setProperty("--thin", `${1.3 / scale}px`);
+        sheet.style.setProperty("--thin", `${1.3 / scale}px`);
       }
       const at = how === "swipe" ? cut * stage.clientWidth : 0;
       panes[1].element.style.clipPath = how === "swipe" ? `inset(0 0 0 ${at}px)` : "";
@@ -143,7 +143,8 @@
     const base = el("canvas", { width, height, id: `picture${end}` }),
       over = el("canvas", { width, height, id: `overlay${end}` });
     const boxes = el("svg", { viewBox: `0 0 ${width} ${height}`, id: `boxes${end}`, class: "boxes" });
-    const sheet = el("div", { class: "sheet" }, base, over, boxes),
+    const found = el("svg", { viewBox: `0 0 ${width} ${height}`, id: `found${end}`, class: "found" });
+    const sheet = el("div", { class: "sheet" }, base, over, boxes, found),
       name = el("span", { class: "pane-name" }),
       cross = el("i", { class: "cross", hidden: true });
     const image = new ImageData(width, height),
@@ -151,7 +152,6 @@
     return {
       element: el("div", { class: "pane" }, sheet, cross, name),
       sheet,
-      boxes,
       cross,
       paint(view, prefs, named) {
         const said = Graycast.paint(scene, view, prefs, image.data);
@@ -163,6 +163,7 @@
         Graycast.paintOverlay(scene, prefs, lit, veil.data);
         over.getContext("2d").putImageData(veil, 0, 0);
         drawBoxes(scene, boxes, prefs, lit.instance ?? -1);
+        Graycast.found.draw(scene, found, prefs, lit);
       },
     };
   }

@@ -1,0 +1,171 @@
+"""Where detections fail: at a working point, which instances are missed and which alarms are false.
+
+The working point is the score from which detections count. The one that is chosen here has the best
+F1 (harmonic mean of precision and recall at an overlap of 0.5) over all classes of the scenes that
+are judged, so it is a little better there than elsewhere.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from jaxtyping import Float, Int
+from pycocotools import mask as coco_mask
+
+from .matching import ClassMatches, Overlaps
+
+AT_HALF = 0  # the threshold of 0.5 among THRESHOLDS
+NEAR = 0.1  # overlapping less, a detection is of nothing
+
+Why = Literal["found twice", "badly placed", "another class", "nothing there"]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class WorkingPoint:
+    """What detections from a score on are worth, at an overlap of 0.5."""
+
+    score: float
+    precision: float
+    recall: float
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Miss:
+    """An instance that was to be found and was not.
+
+    `scene` and `instance` are places among the scenes and in its `Labels`. `overlap` and `score`
+    are of the detection that overlaps it most, of whatever score and class; 0 and NaN for none.
+    """
+
+    scene: int
+    instance: int
+    overlap: float
+    score: float
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class FalseAlarm:
+    """A detection of nothing that was to be found; `overlap` is with what is nearest."""
+
+    scene: int
+    detection: int
+    score: float
+    why: Why
+    overlap: float
+
+
+def working_point(matches: Mapping[int, ClassMatches]) -> WorkingPoint:
+    """The score with the best F1; NaN where there is nothing to find, or nothing was found."""
+    wanted = sum(int(one.to_find.sum()) for one in matches.values())
+    score = np.concatenate([np.empty(0), *(one.score for one in matches.values())])
+    if not wanted or not len(score):
+        nan = float("nan")
+        return WorkingPoint(score=nan, precision=nan, recall=0.0 if wanted else nan)
+    order = np.argsort(-score, kind="stable")
+    hit = np.concatenate([one.hit[AT_HALF] for one in matches.values()])[order]
+    counted = np.concatenate([one.counted[AT_HALF] for one in matches.values()])[order]
+    last = np.append(np.diff(score[order]) < 0, True)  # equal scores count together
+    hits, counts = np.cumsum(hit)[last], np.cumsum(counted)[last]
+    best = int(np.argmax(2 * hits / (counts + wanted)))
+    return WorkingPoint(
+        score=float(score[order][last][best]),
+        precision=float(hits[best] / counts[best]) if counts[best] else float("nan"),
+        recall=float(hits[best] / wanted),
+    )
+
+
+def misses(known: Overlaps, matches: Mapping[int, ClassMatches], least: float) -> list[Miss]:
+    """Instances that no detection of that score or more finds; the most visible first."""
+    found = {
+        (int(scene), int(instance))
+        for one in matches.values()
+        for scene, instance in zip(
+            one.scene[one.score >= least], one.instance[AT_HALF, one.score >= least], strict=True
+        )
+    }
+    missed = [
+        _miss(known, scene, i)
+        for scene, labels in enumerate(known.labels)
+        for i in np.flatnonzero(~labels.ignored).tolist()
+        if (scene, i) not in found
+    ]
+    return sorted(missed, key=lambda one: (-_visible(known, one), one.scene, one.instance))
+
+
+def false_alarms(
+    known: Overlaps, matches: Mapping[int, ClassMatches], least: float
+) -> list[FalseAlarm]:
+    """Mistakes of that score or more, the surest first."""
+    alarms = []
+    for one in matches.values():
+        wrong = one.counted[AT_HALF] & ~one.hit[AT_HALF] & (one.score >= least)
+        for i in np.flatnonzero(wrong).tolist():
+            scene, detection = int(one.scene[i]), int(one.detection[i])
+            why, overlap = _why(known, scene, detection)
+            alarms.append(
+                FalseAlarm(
+                    scene=scene,
+                    detection=detection,
+                    score=float(one.score[i]),
+                    why=why,
+                    overlap=overlap,
+                )
+            )
+    return sorted(alarms, key=lambda one: (-one.score, one.scene, one.detection))
+
+
+def _miss(known: Overlaps, scene: int, instance: int) -> Miss:
+    found = known.found[scene]
+    overlap = _overlaps(known, scene, np.arange(len(found)), np.array([instance]))[:, 0]
+    nearest = int(overlap.argmax()) if overlap.any() else -1
+    return Miss(
+        scene=scene,
+        instance=instance,
+        overlap=0.0 if nearest < 0 else float(overlap[nearest]),
+        score=float("nan") if nearest < 0 else float(found.score[nearest]),
+    )
+
+
+def _visible(known: Overlaps, miss: Miss) -> float:
+    """The share that is visible or, where nobody knows it, the box's area."""
+    labels = known.labels[miss.scene]
+    if labels.visib_fract is not None:
+        return float(labels.visib_fract[miss.instance])
+    return float(labels.box_px[miss.instance, 2:].prod())
+
+
+def _why(known: Overlaps, scene: int, detection: int) -> tuple[Why, float]:
+    labels, found = known.labels[scene], known.found[scene]
+    every = np.arange(len(labels))
+    overlap = _overlaps(known, scene, np.array([detection]), every)[0]
+    same = labels.obj_id == found.obj_id[detection]
+    own = float(overlap[same].max(initial=0.0))
+    other = float(overlap[~same].max(initial=0.0))
+    if own >= 0.5:
+        return "found twice", own
+    if other >= 0.5:
+        return "another class", other
+    if own >= NEAR:
+        return "badly placed", own
+    return "nothing there", max(own, other)
+
+
+def _overlaps(
+    known: Overlaps,
+    scene: int,
+    detection: Int[np.ndarray, " d"],
+    instance: Int[np.ndarray, " g"],
+) -> Float[np.ndarray, "d g"]:
+    """Intersection over union, whatever the classes."""
+    labels, found = known.labels[scene], known.found[scene]
+    if not (len(detection) and len(instance)):
+        return np.zeros((len(detection), len(instance)))
+    plain = [0] * len(instance)
+    if known.kind == "mask" and labels.mask is not None and found.mask is not None:
+        masks = [found.mask[i] for i in detection], [labels.mask[i] for i in instance]
+        return coco_mask.iou(*masks, plain)
+    boxes = (
+        side.astype(float).tolist() for side in (found.box_px[detection], labels.box_px[instance])
+    )
+    return coco_mask.iou(*boxes, plain)

@@ -1,0 +1,150 @@
+"""From a results' path and a dataset's to an evaluation."""
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from functools import lru_cache
+from pathlib import Path
+from typing import TypeVar
+
+import numpy as np
+from jaxtyping import UInt8
+
+from ..dataset.example import Example
+from ..detections import Detections
+from ..errors import GraycastError
+from ..export.record import RECORD
+from ..export.split import Split
+from ..training import Examples, open_examples
+from .judging import Protocol, judge, kinds_of
+from .labels import Labels, labels_of
+from .matching import Kind
+from .results import Run, open_run, read_found
+from .sheets import Picture
+from .writing import Evaluation
+
+_Either = TypeVar("_Either", Labels, Detections)
+_ONE_CLASS = 1  # the object id of everything where classes do not matter
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Task:
+    """What to judge by what; None of `split` and `division` is what the results say of themselves.
+
+    `one_class` takes all parts for one.
+    """
+
+    results: Path
+    dataset: Path
+    split: str | None = None
+    division: Split | None = None
+    against: Path | None = None
+    kind: Kind | None = None
+    one_class: bool = False
+    protocol: Protocol
+
+
+def evaluate(
+    task: Task, *, on_scene: Callable[[int, int], None] | None = None
+) -> tuple[Evaluation, Picture]:
+    """All figures of results, and a function that reads the pictures they are of.
+
+    Args:
+        on_scene: called with (scenes read, scenes in all).
+
+    Raises:
+        GraycastError: the dataset or the results are missing, damaged, or do not fit together.
+    """
+    run = open_run(task.results)
+    against = None if task.against is None else open_run(task.against)
+    examples = _examples(task, run)
+    scene_ids = _scene_ids(task, run, examples)
+    found = read_found(run, scene_ids, examples.categories)
+    other = None if against is None else read_found(against, scene_ids, examples.categories)
+    labels = list(_labels(task, examples, scene_ids, on_scene))
+    categories = dict(examples.categories)
+    if task.one_class:
+        labels, found = [_merged(one) for one in labels], [_merged(one) for one in found]
+        other = None if other is None else [_merged(one) for one in other]
+        categories = {_ONE_CLASS: "any part"}
+    kinds = kinds_of(labels, [*found, *(other or [])]) if task.kind is None else (task.kind,)
+    judgements = tuple(
+        judge(
+            labels,
+            found,
+            kind=kind,
+            categories=categories,
+            protocol=task.protocol,
+            against=other,
+        )
+        for kind in kinds
+    )
+    evaluation = Evaluation(
+        dataset=task.dataset.resolve().name,
+        split=examples.split,
+        run=run,
+        against=against,
+        categories=categories,
+        protocol=task.protocol,
+        judgements=judgements,
+    )
+    return evaluation, _pictures(examples)
+
+
+def _examples(task: Task, run: Run) -> Examples:
+    split = task.split or run.split or "train"
+    division = task.division
+    exported = (task.dataset / RECORD).is_file()
+    if division is None and not exported:
+        division = run.division
+    return open_examples(task.dataset, split=split, division=division)
+
+
+def _scene_ids(task: Task, run: Run, examples: Examples) -> tuple[int, ...]:
+    """Those that were looked at or, where the set is named, all of the set."""
+    if run.scene_ids is None or task.split is not None:
+        return examples.scene_ids
+    if odd := set(run.scene_ids) - set(examples.scene_ids):
+        raise GraycastError(
+            f"{run.path}: looked at scene {min(odd)}, which the set {examples.split} of "
+            f"{task.dataset} does not have: give --on the dataset that it looked at"
+        )
+    return run.scene_ids
+
+
+def _labels(
+    task: Task,
+    examples: Examples,
+    scene_ids: Sequence[int],
+    on_scene: Callable[[int, int], None] | None,
+) -> Iterator[Labels]:
+    for done, scene_id in enumerate(scene_ids, start=1):
+        example = examples.read(scene_id)
+        yield labels_of(example, min_visibility=task.protocol.min_visibility)
+        if on_scene is not None:
+            on_scene(done, len(scene_ids))
+
+
+def _merged(one: _Either) -> _Either:
+    return replace(one, obj_id=np.full(len(one), _ONE_CLASS))
+
+
+def _pictures(examples: Examples) -> Picture:
+    @lru_cache(maxsize=64)
+    def picture(scene_id: int) -> UInt8[np.ndarray, "h w 3"]:
+        return _shown(examples.read(scene_id))
+
+    return picture
+
+
+def _shown(example: Example) -> UInt8[np.ndarray, "h w 3"]:
+    """The colour picture, or the white frame, or depth as shades of grey."""
+    if example.rgb is not None:
+        return example.rgb
+    if example.gray is not None:
+        return np.repeat(example.gray[..., None], 3, axis=2)
+    depth_m = example.depth_m if example.depth_m is not None else example.scanner_depth_m
+    if depth_m is None:
+        raise GraycastError(f"scene {example.scene_id}: has no picture to show mistakes on")
+    near, far = np.nanquantile(depth_m, [0.01, 0.99])
+    shade = np.nan_to_num(np.clip((far - depth_m) / max(far - near, 1e-6), 0, 1))
+    return np.repeat((255 * shade).astype(np.uint8)[..., None], 3, axis=2)

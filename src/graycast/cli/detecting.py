@@ -13,9 +13,9 @@ HOLES = ("channel", "zero", "far")
 
 TRAIN = """\
 Train a detector on datasets of Graycast, on exports of them, or on datasets of real pictures. It
-learns from the scenes of train and keeps the weights that are best on those of val. The folder
---out gets detector.pt (weights and how pictures are encoded), history.csv, curves.png and files
-for TensorBoard. A training that was stopped or killed goes on with the same command."""
+learns from the scenes of train and keeps the weights that are best on those of val. The folder of
+the training gets detector.pt (the weights, and how pictures are encoded), history.csv, curves.png
+and files for TensorBoard. A training that was stopped or killed goes on with the same command."""
 
 
 def add_commands(commands) -> None:

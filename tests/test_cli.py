@@ -38,6 +38,7 @@ OPTIONS = {
     "--range --no-flips --seed --device --threads --workers",
     "detect": "detector pictures --out --export --split --scale --most --least-score --drawings "
     "--device --threads",
+    "study": "study --out --list --device --threads",
     "evaluate": "results --on --split --shares --split-seed --against --kind --one-class "
     "--min-visibility --most --draws --seed --depth --out",
     "import-real": "folder --out --intrinsics --distortion --scale --size --annotations "

@@ -52,6 +52,7 @@ ORDER = (
     "training",
     "evaluate",
     "detect",
+    "study",
     "fit_bin",
     "calibrate",
     "report",

@@ -2,9 +2,12 @@
 
 cd tests && python -m detect.phoxi_twin --out ../out/phoxi
 
-writes `twin.yaml`, `rig.yaml` and meshes for `graycast generate`, and the scans as a dataset in
-`real` for `graycast detect` and `graycast evaluate`. Bin, household meshes and scans are in
-../shared/data, which is no part of the project.
+graycast generate ../out/phoxi/twin.yaml --out ../out/phoxi/twin
+graycast study ../out/phoxi/study.yaml --out ../out/phoxi/study
+
+The first command writes the twin's configuration and the scans as a dataset; the last one trains in
+the twin on four inputs and scores on the twin and on the scans. Bin, household meshes and scans are
+in ../shared/data, which is no part of the project.
 """
 
 import argparse
@@ -160,6 +163,22 @@ def write_real(out: Path) -> None:
     import_real(source, out / "real", K=K)
 
 
+STUDY = {
+    "title": "Five real scans: detectors trained in the twin",
+    "models": [{"model": "mask-rcnn", "backbone": "resnet18"}],
+    "inputs": ["depth_sl", "depth", "depth_noisy", "rgb"],
+    "training": {"twin": ["twin"]},
+    "tests": {
+        "own": {"datasets": ["twin"], "split": "test"},
+        "real": {"datasets": ["real"]},
+    },
+    "gap": ["own", "real"],
+    "one_class": True,
+    "epochs": 20,
+    "longest_px": 384,
+}
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--out", type=Path, required=True)
@@ -168,6 +187,8 @@ def main() -> None:
     save_scanner(scanner(), out / "rig.yaml")
     text = yaml.safe_dump(configuration((out / "meshes").absolute()), sort_keys=False)
     (out / "twin.yaml").write_text(text, encoding="utf-8")
+    study = yaml.safe_dump(STUDY, sort_keys=False)
+    (out / "study.yaml").write_text(study, encoding="utf-8")
     write_real(out)
 
 

@@ -164,6 +164,22 @@ def add_commands(commands) -> None:
     )
     _add_device(detect)
 
+    study = add_command(
+        commands,
+        "study",
+        _study,
+        "Train and score every combination of a study, and write one table.",
+    )
+    study.set_defaults(when_stopped="the same command goes on from here")
+    study.add_argument(
+        "study", type=Path, help="The study, a YAML file; configs/paper/study.yaml is one."
+    )
+    study.add_argument("--out", type=Path, required=True, help="The folder of the study.")
+    study.add_argument(
+        "--list", action="store_true", help="Only list the combinations; train nothing."
+    )
+    _add_device(study)
+
 
 def _add_device(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
@@ -266,7 +282,7 @@ def _detect(options: argparse.Namespace) -> None:
         options.pictures, detector.about, split=options.split, scale_m=options.scale
     )
     with progress_bar() as bar:
-        task = bar.add_task("pictures", total=pictures.count)
+        task = bar.add_task("pictures", total=len(pictures.scene_ids))
         looked = detect(
             detector,
             pictures.examples,
@@ -292,3 +308,28 @@ def _export(detector, options: argparse.Namespace) -> None:
         raise GraycastError("--export looks at no pictures: leave them out")
     write_onnx(detector, options.out, most=options.most, least_score=options.least_score)
     print(f"{options.out}: written; onnxruntime finds in it what torch finds")
+
+
+def _study(options: argparse.Namespace) -> None:
+    _torch(options)
+    from ..study import read_study, run_study, runs_of, write_study
+
+    spec = read_study(options.study)
+    runs = list(runs_of(spec))
+    if options.list:
+        print("\n".join(run.name for run in runs))
+        return
+    with progress_bar() as bar:
+        whole = bar.add_task("runs", total=len(runs))
+        stage = bar.add_task("", total=None)
+        place = {run.name: i for i, run in enumerate(runs)}
+
+        def on_told(run, what: str, done: int, total: int) -> None:
+            bar.update(whole, completed=place[run.name])
+            bar.update(
+                stage, description=f"{run.name}: {what}", completed=done, total=total or None
+            )
+
+        results = run_study(spec, options.out, device=options.device, on_told=on_told)
+    write_study(spec, results, options.out)
+    print((options.out / "table.md").read_text(encoding="utf-8"))

@@ -167,7 +167,7 @@ class Chosen:
     """Pictures to look at, read one by one, and what `detect` writes of where they come from."""
 
     examples: Iterable[Example]
-    count: int
+    scene_ids: tuple[int, ...]
     class_ids: Mapping[str, int]
     said: Mapping[str, Any]
 
@@ -188,26 +188,28 @@ def pictures_of(folder: Path, about: About, *, split: str, scale_m: float | None
         found = find_shots(folder)
         return Chosen(
             examples=shots(found, scale_m=scale_m),
-            count=len(found),
+            scene_ids=tuple(range(len(found))),
             class_ids={name: i for i, name in enumerate(about.names, start=1)},
             said={"pictures": [shot.stem for shot in found], "split": None, "division": None},
         )
-    sets, said = _sets(folder, about, split)
+    held = about.trained["settings"]["split"]
+    division = Split(shares=tuple(held["shares"]), seed=held["seed"])
+    sets, said = sets_of(folder, split, division)
     return Chosen(
         examples=chain.from_iterable(sets),
-        count=sum(map(len, sets)),
+        scene_ids=tuple(scene_id for each in sets for scene_id in each.scene_ids),
         class_ids=about.obj_ids(sets[0].categories, folder),
         said={"dataset": str(folder), **said},
     )
 
 
-def _sets(folder: Path, about: About, split: str) -> tuple[list[Examples], dict[str, Any]]:
+def sets_of(folder: Path, split: str, division: Split) -> tuple[list[Examples], dict[str, Any]]:
+    """The scenes of a dataset's or an export's set, or all; and what `detect.json` says of them."""
     if (folder / RECORD).is_file():
         splits = read_record(folder).splits if split == "all" else (split,)
         said = {"split": None if split == "all" else split, "division": None}
         return [open_examples(folder, split=name) for name in splits], said
     if split == "all":
         return [open_examples(folder)], {"split": "train", "division": None}
-    division = Split(**about.trained["settings"]["split"])
     said = {"split": split, "division": {"shares": division.shares, "seed": division.seed}}
     return [open_examples(folder, split=split, division=division)], said

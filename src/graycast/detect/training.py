@@ -242,12 +242,15 @@ class _Training:
         recipe = self.spec.recipe(self.network)
         optimizer = _optimizer(self.network, recipe)
         progress = self.run.resume(self.network, optimizer)
-        pictures, judge = self._pictures(), _Judge.of(self)
-        batch = min(recipe.batch, len(pictures))
-        steps = len(pictures) // batch
+        count = sum(len(each.train) for each in self.sets)
+        batch = min(recipe.batch, count)
+        steps = count // batch
         every = max(1, self.spec.epochs // 25)
+        if self._ended(progress, steps):
+            return self._best()
+        pictures, judge = self._pictures(), _Judge.of(self)
         detector = Detector(about=self.about, network=self.network, device=self.device)
-        while progress.step < self.spec.epochs * steps and progress.since < self.spec.patience:
+        while not self._ended(progress, steps):
             epoch = progress.step // steps
             self._epoch(pictures.at(epoch), epoch, steps, batch, recipe, optimizer, progress)
             row = {"epoch": epoch + 1, "step": progress.step}
@@ -260,6 +263,9 @@ class _Training:
             self.run.tell(progress.rows)
             self.on_told(Told(stage="train", done=progress.step, total=0, row=row))
         return self._best()
+
+    def _ended(self, progress: Progress, steps: int) -> bool:
+        return progress.step >= self.spec.epochs * steps or progress.since >= self.spec.patience
 
     def _epoch(
         self,

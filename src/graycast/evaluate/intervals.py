@@ -11,6 +11,7 @@ Source: Hesterberg, "What Teachers Should Know About the Bootstrap", The America
 69(4), 2015 (section 5.3, expanded percentile interval).
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -69,6 +70,52 @@ def differences(
         )
         for name in mine
     }
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Drawn:
+    """A figure and what it is in each draw of scenes, so that sums of figures get intervals too.
+
+    Figures of the same scenes from the same seed are paired: their difference has the interval of
+    the paired difference. Figures of different sets of scenes come from different seeds.
+    """
+
+    value: float
+    draws: Float[np.ndarray, " draws"]
+    scenes: int
+
+    def __post_init__(self) -> None:
+        self.draws.flags.writeable = False
+
+    def __sub__(self, other: "Drawn") -> "Drawn":
+        return Drawn(
+            value=self.value - other.value,
+            draws=self.draws - other.draws,
+            scenes=min(self.scenes, other.scenes),
+        )
+
+    @property
+    def interval(self) -> Interval:
+        return _interval(self.value, self.draws, self.scenes)
+
+
+def drawn(scores: Scores, figure: str, *, seed: int, draws: int = DRAWS) -> Drawn:
+    """One of `FIGURES` of the scores with its draws."""
+    times = draw_scenes(len(scores.scene_ids), seed=seed, draws=draws)
+    return Drawn(
+        value=getattr(scores, figure),
+        draws=figures_of_draws(scores.matches, times)[figure],
+        scenes=len(scores.scene_ids),
+    )
+
+
+def mean(figures: Sequence[Drawn]) -> Drawn:
+    """The mean of figures of different sets of scenes."""
+    return Drawn(
+        value=float(np.mean([each.value for each in figures])),
+        draws=np.mean([each.draws for each in figures], axis=0),
+        scenes=min(each.scenes for each in figures),
+    )
 
 
 def _interval(value: float, drawn: Float[np.ndarray, " draws"], scenes: int) -> Interval:

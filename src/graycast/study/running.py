@@ -1,0 +1,175 @@
+"""Runs of a study: each trained once, scored in every world, and kept on disk."""
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from itertools import product
+from pathlib import Path
+from typing import final
+
+import numpy as np
+
+from ..detect import Detector, TrainSpec, detect, pictures_of, train
+from ..detect.detecting import MARK, RESULTS, sets_of
+from ..detections import Detections, read_results
+from ..errors import GraycastError
+from ..evaluate import Labels, Scores, labels_of, score
+from ..evaluate.intervals import Drawn, drawn, mean
+from .spec import EncodingSection, ModelSection, StudySpec, TestSection
+
+FIGURE = "ap50"  # the paper's
+ONE_CLASS_ID = 1
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Run:
+    """One combination of a study."""
+
+    model: ModelSection
+    input: str
+    encoding: EncodingSection
+    training: str
+    seed: int
+
+    @property
+    def name(self) -> str:
+        """Of its folder."""
+        words = [self.model.model, self.model.backbone, self.input, self.encoding.name]
+        words += [self.training, f"seed{self.seed}"]
+        return "_".join(word for word in words if word)
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Result:
+    """A run's figures: of each world and kind, one for each of the world's datasets."""
+
+    run: Run
+    figures: dict[tuple[str, str], tuple[Drawn, ...]]
+
+    def of(self, world: str, kind: str) -> Drawn | None:
+        """The mean over the world's datasets; None where the run has no masks to compare."""
+        held = self.figures.get((world, kind))
+        return None if held is None else mean(held)
+
+
+def runs_of(spec: StudySpec) -> Iterator[Run]:
+    """All combinations; colour has no encodings to choose from, so it comes once."""
+    for training, model, input_name, encoding, seed in product(
+        spec.training, spec.models, spec.inputs, spec.encodings, spec.seeds
+    ):
+        if input_name == "rgb" and encoding is not spec.encodings[0]:
+            continue
+        yield Run(model=model, input=input_name, encoding=encoding, training=training, seed=seed)
+
+
+def run_study(
+    spec: StudySpec,
+    out: Path,
+    *,
+    device: str = "auto",
+    on_told: Callable[[Run, str, int, int], None] = lambda run, stage, done, total: None,
+) -> list[Result]:
+    """Train and score what is not done yet.
+
+    Args:
+        out: each run has a folder in `out/runs`; the same study goes on in it.
+        on_told: called with the run, what is going on, how much of it is done and of how much.
+
+    Raises:
+        GraycastError: a dataset is missing, or a run cannot be trained.
+    """
+    worlds = {name: _labels(spec, world) for name, world in spec.tests.items()}
+    results = []
+    for run in runs_of(spec):
+        folder = out / "runs" / run.name
+        folder.parent.mkdir(parents=True, exist_ok=True)
+        detector = _trained(spec, run, folder, device, on_told)
+        figures: dict[tuple[str, str], tuple[Drawn, ...]] = {}
+        for number, (name, labels) in enumerate(worlds.items()):
+            found = [
+                _found(detector, dataset, spec.tests[name], folder / f"found_{name}_{i}")
+                for i, dataset in enumerate(spec.tests[name].datasets)
+            ]
+            on_told(run, f"scored in {name}", 1, 1)
+            for kind in ("box", "mask") if detector.network.finds_masks else ("box",):
+                scores = [
+                    _score(spec, given, seen, kind)
+                    for given, seen in zip(labels, found, strict=True)
+                ]
+                figures[name, kind] = tuple(
+                    drawn(each, FIGURE, seed=1000 * number + i) for i, each in enumerate(scores)
+                )
+        results.append(Result(run=run, figures=figures))
+    return results
+
+
+def _trained(
+    spec: StudySpec,
+    run: Run,
+    folder: Path,
+    device: str,
+    on_told: Callable[[Run, str, int, int], None],
+) -> Detector:
+    model = run.model
+    said = TrainSpec(
+        model=model.model,
+        backbone=model.backbone,
+        input=run.input,
+        holes=run.encoding.holes,
+        relief=run.encoding.relief,
+        epochs=model.epochs or spec.epochs,
+        learning_rate=model.learning_rate,
+        batch=spec.batch,
+        longest_px=spec.longest_px,
+        seed=run.seed,
+        one_class=spec.one_class,
+        min_visibility=spec.min_visibility,
+        split=spec.division,
+        device=device,
+    )
+    return train(
+        spec.training[run.training],
+        folder,
+        said,
+        on_told=lambda told: on_told(run, told.stage, told.done, told.total),
+    )
+
+
+def _found(detector: Detector, dataset: Path, world: TestSection, folder: Path) -> list[Detections]:
+    chosen = pictures_of(dataset, detector.about, split=world.split, scale_m=None)
+    if not (folder / MARK).is_file():
+        detect(
+            detector, chosen.examples, folder, class_ids=chosen.class_ids, said=chosen.said,
+            drawings=4,
+        )  # fmt: skip
+    return read_results(folder / RESULTS, chosen.scene_ids)
+
+
+def _labels(spec: StudySpec, world: TestSection) -> list[list[Labels]]:
+    held = []
+    for dataset in world.datasets:
+        sets, _ = sets_of(dataset, world.split, spec.division)
+        held.append(
+            [
+                labels_of(example, min_visibility=spec.min_visibility)
+                for each in sets
+                for example in each
+            ]
+        )
+        if not held[-1]:
+            raise GraycastError(f"{dataset}: has no scene in the set {world.split}")
+    return held
+
+
+def _score(
+    spec: StudySpec, labels: Sequence[Labels], found: Sequence[Detections], kind: str
+) -> Scores:
+    if spec.one_class:
+        labels = [replace(each, obj_id=_ones(len(each))) for each in labels]
+        found = [replace(each, obj_id=_ones(len(each))) for each in found]
+    return score(labels, found, kind=kind)
+
+
+def _ones(count: int) -> np.ndarray:
+    return np.full(count, ONE_CLASS_ID, np.int64)

@@ -1,5 +1,7 @@
 """The zoo's study: parts that bins are full of come to rest, and another engine finds them so."""
 
+import json
+
 import numpy as np
 import pytest
 import trimesh
@@ -10,6 +12,7 @@ from graycast.bench.zoo_parts import ZOO
 from graycast.drop.body import body_of
 from graycast.drop.decomposition import hull_of
 from graycast.drop.rapier import SKIN_M
+from graycast.errors import GraycastError
 from graycast.frames import axis_rotation, rigid
 from graycast.parts import Material, Mesh, Part
 from graycast.scene import Bin, Layout
@@ -85,7 +88,74 @@ def test_families_that_trembled_for_ever_come_to_rest(tmp_path):
         assert row["balanced"] >= 1, row
 
 
+NAMES = ("nut", "pin")  # of a study of two rows that takes half a second
+STUDY = {"families": NAMES, "counts": (1,), "seeds": 2}
+
+
+def stop_after_a_row(file):
+    """A study that is ended when its first row is there."""
+
+    def stop(row):
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        study_zoo(**STUDY, file=file, hull_folder=file.parent, on_row=stop)
+
+
+def untimed(rows):
+    return [{name: row[name] for name in row if "cpu" not in name} for row in rows]
+
+
+def test_a_stopped_study_has_its_finished_rows_in_its_file_and_goes_on(tmp_path):
+    """The rows are those of a study that nobody stopped, and the finished one is not made anew."""
+    file = tmp_path / "zoo.json"
+    stop_after_a_row(file)
+    (kept,) = json.loads(file.read_text())["zoo"]
+    assert kept["family"] == NAMES[0]
+    steps, rows = [], []
+    went_on = study_zoo(
+        **STUDY,
+        file=file,
+        hull_folder=tmp_path,
+        on_work=lambda share, what: steps.append(what),
+        on_row=rows.append,
+    )
+    assert not any(NAMES[0] in step for step in steps) and any(NAMES[1] in step for step in steps)
+    assert rows == went_on["zoo"] == json.loads(file.read_text())["zoo"] and rows[0] == kept
+    whole = study_zoo(**STUDY, hull_folder=tmp_path)
+    assert untimed(whole["zoo"]) == untimed(rows) and whole["rows_with_19_of_20_made"] == 2
+    assert [path.name for path in tmp_path.iterdir() if "part" in path.name] == []
+
+
+def test_a_study_of_other_settings_does_not_go_on_in_a_file(tmp_path):
+    file = tmp_path / "zoo.json"
+    stop_after_a_row(file)
+    before = file.read_bytes()
+    for other, named in (
+        ({"seeds": 3}, "seeds 2, and 3"),
+        ({"counts": (1, 2)}, "counts 1, and 1,2"),
+        ({"families": ("nut",)}, "families nut,pin, and nut"),
+    ):
+        with pytest.raises(GraycastError, match=f"{named} is asked for: choose another file"):
+            study_zoo(**(STUDY | other), file=file, hull_folder=tmp_path)
+    assert file.read_bytes() == before
+
+
+@pytest.mark.parametrize("text", ["{", "[1]", "{}", '{"benchmark": "drop", "zoo": []}'])
+def test_a_file_of_something_else_is_not_written_over(tmp_path, text):
+    file = tmp_path / "mine.json"
+    file.write_text(text)
+    with pytest.raises(GraycastError, match=r"mine\.json: .*choose another file"):
+        study_zoo(**STUDY, file=file, hull_folder=tmp_path)
+    assert file.read_text() == text
+
+
+def test_a_file_that_cannot_be_written_is_said_before_the_work(tmp_path):
+    with pytest.raises(OSError, match="nowhere"):
+        study_zoo(**STUDY, file=tmp_path / "nowhere" / "zoo.json", hull_folder=tmp_path)
+
+
 def test_a_family_that_is_not_in_the_zoo_is_named():
     with pytest.raises(ValueError, match=r"unicorn.*hex_bolt"):
-        study_zoo(families=("unicorn",))
+        study_zoo(families=("nut", "unicorn"), on_row=pytest.fail)
     assert len(set(ZOO)) == len(ZOO) >= 20

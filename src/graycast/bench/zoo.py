@@ -7,12 +7,15 @@ by default, and as in balance where MuJoCo finds no point of a part moved by mor
 
 import time
 from collections.abc import Callable, Sequence
+from functools import partial
+from importlib.metadata import version
 from importlib.util import find_spec
 from pathlib import Path
 from statistics import median
 
 import numpy as np
 
+from .. import __version__
 from ..drop import DropLimits, convex_hulls, drop
 from ..drop.body import Body, body_of
 from ..errors import DropError
@@ -20,9 +23,11 @@ from ..parts import Part
 from ..rig import preset
 from ..scene import Bin, Layout, Scene
 from .balance import unbalanced_m
-from .figures import Figures
+from .figures import Figures, stamped
+from .kept import kept_rows, write_figures
 from .zoo_parts import ZOO, zoo_part
 
+STUDY = "zoo"  # its name, and that of its rows among the figures
 BIN_M = (0.4, 0.3, 0.15)
 BALANCED_M = 1e-3
 FILL = 0.25  # share of the bin's room that the boxes about the parts may take
@@ -36,32 +41,75 @@ def study_zoo(
     counts: Sequence[int] = (1, 10, 60),
     seeds: int = 20,
     hull_folder: Path | None = None,
+    file: Path | None = None,
     on_work: Callable[[float, str], None] = lambda share, what: None,
+    on_row: Callable[[Figures], None] = lambda row: None,
 ) -> Figures:
     """A row for each family and count: how many layouts were made, how fast, and how they hold.
 
+    Args:
+        families: which of `ZOO` are dropped.
+        counts: numbers of parts; a family of which the bin holds fewer is dropped in that number.
+        seeds: drops a row.
+        hull_folder: where collision hulls are kept.
+        file: where the figures are written after each row. Rows that an earlier study with the same
+            settings has left there are taken from it.
+        on_work: is told the share of the work that is done, and what comes next.
+        on_row: is told each row when it is there.
+
     Raises:
         ValueError: no such family.
+        GraycastError: the file holds something else, or cannot be written.
     """
-    rows = []
-    for i, name in enumerate(families):
-        part = zoo_part(name)
-        on_work(i / len(families), f"{name}: collision hulls")
-        body = body_of(part, convex_hulls(part.mesh, folder=hull_folder))
-        for count in dict.fromkeys(min(count, _most(part)) for count in counts):
-            on_work(i / len(families), f"{name}: {count} of them, {seeds} times")
-            rows.append(_row(part, body, count, seeds, hull_folder))
-    on_work(1.0, "all dropped")
-    met = sum(row["made"] >= 0.95 * row["asked"] for row in rows)
-    balance = {} if find_spec("mujoco") else {"balance": "not measured: mujoco is not installed"}
-    return {
-        "bin_m": list(BIN_M),
+    parts = [zoo_part(name) for name in dict.fromkeys(families)]
+    settings = {
+        "graycast": __version__,
+        "families": [part.name for part in parts],
+        "counts": list(counts),
         "seeds": seeds,
-        "rows": len(rows),
-        "rows_with_19_of_20_made": met,
-        **balance,
-        "zoo": rows,
+        "bin_m": list(BIN_M),
+        "mujoco": version("mujoco") if find_spec("mujoco") else "not installed: no balance",
     }
+    kept = [] if file is None else kept_rows(file, STUDY, settings)
+    figures = _figures(settings, kept)
+    if file is not None:
+        write_figures(file, stamped(STUDY, figures))  # a path that cannot be written fails now
+    for row in kept:
+        on_row(row)
+    for i, part in enumerate(parts):
+        asked = dict.fromkeys(min(count, _most(part)) for count in counts)
+        done = {row["count"] for row in kept if row["family"] == part.name}
+        for count in [count for count in asked if count not in done]:
+            on_work(i / len(parts), f"{part.name}: collision hulls")
+            body = body_of(part, convex_hulls(part.mesh, folder=hull_folder))
+            told = partial(_tell, on_work, i / len(parts), f"{part.name}: {count} of them")
+            row = _row(part, body, count, seeds, hull_folder, told)
+            figures = _figures(settings, [*figures[STUDY], row])
+            if file is not None:
+                write_figures(file, stamped(STUDY, figures))
+            on_row(row)
+    on_work(1.0, "all dropped")
+    return figures
+
+
+def describe_row(row: Figures) -> str:
+    """A row in one line."""
+    text = f"{row['family']} x {row['count']}: {row['made']} of {row['asked']} made"
+    if "attempts" in row:
+        text += f", attempts {row['attempts']:g} (most {row['most']})"
+    text += f", {row['cpu_s']:.2f} s (most {row['cpu_most_s']:.2f})"
+    if "balanced" in row:
+        text += f", {row['balanced']} in balance (moved by {row['moved_most_mm']:.2f} mm at most)"
+    return text
+
+
+def _figures(settings: Figures, rows: list[Figures]) -> Figures:
+    met = sum(row["made"] >= 0.95 * row["asked"] for row in rows)
+    return settings | {"rows": len(rows), "rows_with_19_of_20_made": met, STUDY: rows}
+
+
+def _tell(on_work: Callable[[float, str], None], share: float, what: str, more: str) -> None:
+    on_work(share, f"{what}, {more}")
 
 
 def _most(part: Part) -> int:
@@ -69,12 +117,20 @@ def _most(part: Part) -> int:
     return max(1, min(most, ENTANGLED_MOST) if part.name in ENTANGLED else most)
 
 
-def _row(part: Part, body: Body, count: int, seeds: int, hull_folder: Path | None) -> Figures:
+def _row(
+    part: Part,
+    body: Body,
+    count: int,
+    seeds: int,
+    hull_folder: Path | None,
+    on_step: Callable[[str], None],
+) -> Figures:
     box = Bin(inner_m=BIN_M)
     scene = Scene(rig=preset("paper"), T_world_cam=np.eye(4), parts=(part,), bin=box)
     made: list[Layout] = []
     seconds = []
     for seed in range(seeds):
+        on_step(f"drop {seed + 1} of {seeds}")
         start = time.process_time()
         try:
             made.append(
@@ -93,7 +149,10 @@ def _row(part: Part, body: Body, count: int, seeds: int, hull_folder: Path | Non
         }
     row |= {"cpu_s": median(seconds), "cpu_most_s": max(seconds)}
     if made and find_spec("mujoco"):
-        moved_m = [float(unbalanced_m(box, (body,), layout).max()) for layout in made]
+        moved_m = []
+        for layout in made:
+            on_step(f"balance {len(moved_m) + 1} of {len(made)}")
+            moved_m.append(float(unbalanced_m(box, (body,), layout).max()))
         row |= {
             "balanced": sum(moved <= BALANCED_M for moved in moved_m),
             "moved_median_mm": 1e3 * median(moved_m),

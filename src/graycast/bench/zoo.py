@@ -87,7 +87,7 @@ def study_zoo(
             continue
         part, share = named[name], i / len(jobs)
         on_work(share, f"{name}: collision hulls")
-        body = body_of(part, convex_hulls(part.mesh, folder=hull_folder))
+        body = body_of(part, convex_hulls(part.mesh, folder=hull_folder).hulls)
         told = partial(_tell, on_work, share, f"{name}: {count} of them")
         row = _row(part, body, count, seeds, hull_folder, told)
         figures = _figures(settings, [*figures[STUDY], row])

@@ -1,4 +1,4 @@
-"""A folder of results: all of its files appear, or none."""
+"""Results that appear whole or not at all: a folder of files, or one file."""
 
 import fcntl
 import os
@@ -9,6 +9,20 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from .errors import GraycastError
+
+
+def write_whole(path: Path, content: bytes) -> None:
+    """Write a file beside its place and rename it: there it is as it was, or as it is to be.
+
+    Raises:
+        OSError: the path cannot be written.
+    """
+    aside = path.with_name(f".{path.name}.part")
+    try:
+        aside.write_bytes(content)
+        os.replace(aside, path)
+    finally:
+        aside.unlink(missing_ok=True)
 
 
 @contextmanager

@@ -1,11 +1,11 @@
 """The file of a study that takes hours: written after each row, read by the run that goes on."""
 
 import json
-import os
 from collections.abc import Sequence
 from pathlib import Path
 
 from ..errors import GraycastError
+from ..folder import write_whole
 from .figures import Figures
 
 
@@ -39,13 +39,8 @@ def kept_rows(file: Path, study: str, settings: Figures) -> list[Figures]:
 
 
 def write_figures(file: Path, figures: Figures) -> None:
-    """The figures as JSON, in one step: the file is there as it was, or as it is to be."""
-    aside = file.with_name(f".{file.name}.part")
-    try:
-        aside.write_text(json.dumps(figures, indent=2) + "\n", encoding="utf-8")
-        os.replace(aside, file)
-    finally:
-        aside.unlink(missing_ok=True)
+    """The figures as JSON, whole or not at all."""
+    write_whole(file, (json.dumps(figures, indent=2) + "\n").encode())
 
 
 _OTHER = "choose another file, or remove this one"

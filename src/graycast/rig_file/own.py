@@ -1,8 +1,6 @@
 """Graycast's own rig file: YAML that holds exactly what a `Scanner` holds."""
 
 import math
-import os
-from contextlib import suppress
 from dataclasses import asdict, fields
 from pathlib import Path
 from typing import Any
@@ -12,6 +10,7 @@ import yaml
 from pydantic import Field
 
 from ..errors import ConfigError
+from ..folder import write_whole
 from ..frames import rigid
 from ..rig import PRESETS, RESOLUTIONS
 from ..scanner import Scanner, preset
@@ -86,13 +85,9 @@ def save_scanner(scanner: Scanner, path: Path) -> None:
     Raises:
         ConfigError: the file cannot be written; a file that was there is left as it was.
     """
-    aside = path.with_name(path.name + ".part")
     try:
-        aside.write_text(scanner_text(scanner), encoding="utf-8")
-        os.replace(aside, path)
+        write_whole(path, scanner_text(scanner).encode())
     except OSError as error:
-        with suppress(OSError):
-            aside.unlink(missing_ok=True)
         why = error.strerror or error
         raise ConfigError(
             f"{path}: the rig cannot be written ({why}): choose a writable folder"

@@ -1,7 +1,6 @@
 """Builds the page: only scenes that are new or changed, each whole or not at all."""
 
 import hashlib
-import os
 import secrets
 import shutil
 from collections.abc import Callable, Iterator
@@ -14,6 +13,7 @@ from pathlib import Path
 
 from ...dataset.stored import StoredDataset, StoredScene, open_dataset
 from ...errors import GraycastError
+from ...folder import write_whole
 from ...stats import SceneFigures, scene_figures
 from .index import index_script
 from .scene_files import scene_page_files
@@ -163,16 +163,10 @@ def _write_page(stored: StoredDataset, out: Path) -> None:
             )
 
     script, _ = index_script(stored, figures())
-    _replace(out / "index.js", script.encode())
+    write_whole(out / "index.js", script.encode())
     for source in sorted(resources.files(__package__).joinpath("web").iterdir(), key=_name):
-        _replace(out / source.name, source.read_bytes())
+        write_whole(out / source.name, source.read_bytes())
 
 
 def _name(entry) -> str:
     return entry.name
-
-
-def _replace(path: Path, content: bytes) -> None:
-    aside = path.with_name(f"{_ASIDE}{path.name}")
-    aside.write_bytes(content)
-    os.replace(aside, path)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import trimesh
 
-from graycast.bench import study_zoo
+from graycast.bench import study_zoo, zoo
 from graycast.bench.balance import unbalanced_m
 from graycast.bench.zoo_parts import ZOO
 from graycast.drop.body import body_of
@@ -88,30 +88,32 @@ def test_families_that_trembled_for_ever_come_to_rest(tmp_path):
         assert row["balanced"] >= 1, row
 
 
-NAMES = ("nut", "pin")  # of a study of four rows that takes half a second
-STUDY = {"families": NAMES, "counts": (1, 2), "seeds": 1}
+NAMES = ("nut", "pin")  # of a study of eight drops that takes a second
+STUDY = {"families": NAMES, "counts": (1, 2), "seeds": 2}
 
 
-def stop_after_a_row(file):
-    """A study that is ended when its first row is there."""
+def stop_at(words, file):
+    """A study that is ended when it begins with this."""
 
-    def stop(row):
-        raise KeyboardInterrupt
+    def stop(share, what):
+        if what.endswith(words):
+            raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        study_zoo(**STUDY, file=file, hull_folder=file.parent, on_row=stop)
+        study_zoo(**STUDY, file=file, hull_folder=file.parent, on_work=stop)
+    return json.loads(file.read_text())
 
 
 def untimed(rows):
     return [{name: row[name] for name in row if "cpu" not in name} for row in rows]
 
 
-def test_a_stopped_study_has_its_finished_rows_in_its_file_and_goes_on(tmp_path):
-    """The rows are those of a study that nobody stopped, and the finished one is not made anew."""
+def test_a_stopped_study_has_its_drops_in_its_file_and_goes_on(tmp_path):
+    """The table is that of a study that nobody stopped, and no drop is made anew."""
     file = tmp_path / "zoo.json"
-    stop_after_a_row(file)
-    (kept,) = json.loads(file.read_text())["zoo"]
-    assert kept["family"] == NAMES[0]
+    stopped = stop_at("pin: 1 of them, drop 2 of 2", file)
+    assert [(row["family"], row["asked"]) for row in stopped["zoo"]] == [("nut", 2), ("pin", 1)]
+    assert (stopped["rows"], stopped["rows_with_19_of_20_made"]) == (1, 1)
     steps, rows = [], []
     went_on = study_zoo(
         **STUDY,
@@ -120,11 +122,10 @@ def test_a_stopped_study_has_its_finished_rows_in_its_file_and_goes_on(tmp_path)
         on_work=lambda share, what: steps.append(what),
         on_row=rows.append,
     )
-    assert [(row["family"], row["count"]) for row in rows] == [
-        *((name, 1) for name in NAMES),
-        *((name, 2) for name in NAMES),
-    ]
-    assert rows[0] == kept and not any(step.startswith("nut: 1 of them") for step in steps)
+    assert [step for step in steps if "1 of them" in step] == ["pin: 1 of them, drop 2 of 2"]
+    made = [(row["family"], row["count"]) for row in rows]
+    assert made == [("nut", 1), ("pin", 1), ("nut", 2), ("pin", 2)]
+    assert rows[0] == stopped["zoo"][0]
     assert went_on["zoo"] == json.loads(file.read_text())["zoo"] == [rows[i] for i in (0, 2, 1, 3)]
     whole = study_zoo(**STUDY, hull_folder=tmp_path)
     assert untimed(whole["zoo"]) == untimed(went_on["zoo"])
@@ -132,12 +133,29 @@ def test_a_stopped_study_has_its_finished_rows_in_its_file_and_goes_on(tmp_path)
     assert [path.name for path in tmp_path.iterdir() if "part" in path.name] == []
 
 
+def test_a_row_is_what_its_drops_say():
+    drops = [
+        {"cpu_s": 1.0, "attempts": 1, "overlap_mm": 0.1, "moved_mm": 0.2},
+        {"cpu_s": 9.0},
+        {"cpu_s": 2.0, "attempts": 3, "overlap_mm": 0.3, "moved_mm": 1.1},
+        {"cpu_s": 4.0, "attempts": 2, "overlap_mm": 0.2, "moved_mm": 0.9},
+    ]
+    assert zoo._row("nut", 5, drops) == {
+        "family": "nut", "count": 5, "made": 3, "asked": 4, "attempts": 2, "most": 3,
+        "overlap_mm": 0.3, "cpu_s": 3.0, "cpu_most_s": 9.0, "balanced": 2,
+        "moved_median_mm": 0.9, "moved_most_mm": 1.1,
+    }  # fmt: skip
+    assert zoo._row("nut", 5, drops[1:2]) == {
+        "family": "nut", "count": 5, "made": 0, "asked": 1, "cpu_s": 9.0, "cpu_most_s": 9.0
+    }  # fmt: skip
+
+
 def test_a_study_of_other_settings_does_not_go_on_in_a_file(tmp_path):
     file = tmp_path / "zoo.json"
-    stop_after_a_row(file)
+    stop_at("drop 2 of 2", file)
     before = file.read_bytes()
     for other, named in (
-        ({"seeds": 3}, "seeds 1, and 3"),
+        ({"seeds": 3}, "seeds 2, and 3"),
         ({"counts": (1, 9)}, "counts 1,2, and 1,9"),
         ({"families": ("nut",)}, "families nut,pin, and nut"),
     ):

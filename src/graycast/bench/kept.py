@@ -1,4 +1,4 @@
-"""The file of a study that takes hours: written after each row, read by the run that goes on."""
+"""The file of a study that takes hours: written as figures come, read by the run that goes on."""
 
 import json
 from collections.abc import Sequence
@@ -10,7 +10,7 @@ from .figures import Figures
 
 
 def kept_rows(file: Path, study: str, settings: Figures) -> list[Figures]:
-    """The rows that an earlier run of the same study has left; none where there is no file.
+    """The rows, finished or not, that an earlier run has left; none where there is no file.
 
     Args:
         file: the study's JSON file.

@@ -32,9 +32,9 @@ Drop parts of each family of the trade (bolts, nuts, tubes, springs, ...) into a
 150 mm, each number of parts with many seeds, and count how often the parts come to an acceptable
 rest, after how many attempts and seconds. Where MuJoCo is installed, each layout is let go in it
 for a second and counts as in balance where no point of a part moves by more than 1 mm. All of it
-takes an hour and a half on one core; --families hex_bolt --seeds 5 takes seconds. Each row is
-printed when it is there, and is written into the file of --json at once. When the command has been
-stopped, the same command goes on after the last row of that file."""
+takes hours on one core; --families hex_bolt --seeds 5 takes seconds. Each row is printed when it is
+there, and each drop is written into the file of --json at once. When the command has been stopped,
+the same command goes on after the last drop of that file."""
 
 
 def add_commands(commands) -> None:
@@ -108,7 +108,7 @@ def _add_zoo(kinds) -> None:
         kinds, "zoo", _zoo, "Whether every family of parts comes to rest and is in balance."
     )
     zoo.description = ZOO
-    zoo.set_defaults(when_stopped="rows in the file of --json are kept; the same command goes on")
+    zoo.set_defaults(when_stopped="drops in the file of --json are kept; the same command goes on")
     zoo.add_argument(
         "--families",
         metavar="A,B,...",

@@ -135,10 +135,10 @@ def prepare(
 def hull_notes(parts: Iterable[Part], prepared: Iterable[Decomposition]) -> tuple[str, ...]:
     """What to tell of parts whose collision hulls are farther off than they should be."""
     return tuple(
-        f"{part.name}: has too much detail for the engine, so its collision hulls are up to "
-        f"{1e3 * made.error.worst_m:.2f} mm off its surface (the bound is "
-        f"{1e3 * made.tolerance_m:.2f} mm), and parts may lie apart or in each other by as much: "
-        "give a simpler mesh, without what is inside the part"
+        f"{part.name}: collides more coarsely than it should: its collision hulls are up to "
+        f"{1e3 * made.error.worst_m:.2f} mm off its surface, the bound is "
+        f"{1e3 * made.tolerance_m:.2f} mm. Parts may lie apart or in each other by as much. A mesh "
+        "with less detail helps, without what is inside the part"
         for part, made in zip(parts, prepared, strict=True)
         if made.coarse
     )

@@ -140,7 +140,7 @@ class Decomposition:
 
     @property
     def coarse(self) -> bool:
-        """Whether they are farther off than they should be: the mesh has too much detail."""
+        """Whether they are farther off than they should be, as of a mesh of too much detail."""
         return self.error.worst_m > self.tolerance_m
 
 

@@ -16,6 +16,7 @@ from small_cell import GRAYCAST, content, write_cell
 from graycast import __version__, bench
 from graycast.cli import command, machine, main
 from graycast.config import config_schema
+from graycast.drop import Decomposition
 from graycast.rig import PRESETS
 from graycast.rig_file import load_scanner, rig_schema
 from graycast.scanner import preset
@@ -250,6 +251,22 @@ def test_parts_lists_the_built_in_ones_or_those_of_a_configuration(capsys, made)
     assert "60.0 x 40.0 x 30.0" in own
     assert "72 g" in own  # 72 cubic centimetres of the default density, 1000 kg/m3
     assert "toothpaste" not in own
+    # Its diagonal is 78.1 mm, and one hull is the box itself.
+    assert "\n  box: 1, 0.00 mm (the bound is 0.78 mm)\n" in own and "note:" not in own
+
+
+COARSE = "note: box: collides more coarsely than it should: its collision hulls are up to"
+
+
+@pytest.mark.slow
+def test_hulls_that_are_coarse_are_told_by_all_who_use_them(capsys, made, tmp_path, monkeypatch):
+    """As if the bound were below what is measured, which is zero."""
+    monkeypatch.setattr(Decomposition, "coarse", property(lambda self: True))
+    assert COARSE in run(capsys, "parts", made[0])
+    cpu = ("--device", "cpu")
+    assert COARSE in run(capsys, "preview", made[0], "--out", tmp_path / "p.png", *cpu)
+    told = run(capsys, "generate", made[0], "--out", tmp_path / "out", "--scenes", 1, *cpu)
+    assert COARSE in " ".join(told.split())
 
 
 @pytest.mark.parametrize("name", PRESETS)

@@ -54,6 +54,17 @@ def test_every_configuration_in_the_repository_resolves(path):
     assert cell.notes == ((size,) if "mesh" in written.get("bin", {}) else ())
 
 
+@pytest.mark.parametrize(
+    ("name", "read"),
+    [("own_part", ["../examples/data/plate.stl"]), ("crate", ["../examples/data/crate.stl"])],
+)
+def test_it_is_told_which_mesh_is_read(name, read):
+    """A mesh of half a million faces takes seconds."""
+    path, told = ROOT / f"configs/{name}.yaml", []
+    resolve_cell(load_config(path), path.parent, on_stage=told.append)
+    assert told == [f"reading {mesh}" for mesh in read]
+
+
 @pytest.mark.parametrize("path", CONFIGS, ids=lambda path: path.stem)
 def test_no_key_is_written_in_vain(path):
     """Each key in a file of ours is in the configuration with the value that the file gives."""

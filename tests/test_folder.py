@@ -6,7 +6,7 @@ import sys
 import pytest
 
 from graycast.errors import GraycastError
-from graycast.folder import new_folder, whole_folder
+from graycast.folder import new_folder, whole_folder, write_whole
 
 KILLED = """
 import os, signal, sys
@@ -50,3 +50,21 @@ def test_of_two_runs_the_first_to_end_has_the_new_folder(tmp_path):
             with new_folder(tmp_path / "out") as quick:
                 (quick / "quick").write_text("quick")
     assert names(tmp_path) == ["out", "out/quick"]
+
+
+def test_a_file_is_as_it_was_where_the_new_one_cannot_be_put_there(tmp_path, monkeypatch):
+    file = tmp_path / "figures.json"
+    write_whole(file, b"old")
+    write_whole(file, b"new")
+    assert file.read_bytes() == b"new"
+    with monkeypatch.context() as patch:
+        patch.setattr("os.replace", refuse)
+        with pytest.raises(GraycastError, match="no room"):
+            write_whole(file, b"newer")
+    assert file.read_bytes() == b"new" and names(tmp_path) == ["figures.json"]
+    with pytest.raises(GraycastError, match="nowhere"):
+        write_whole(tmp_path / "nowhere/figures.json", b"new")
+
+
+def refuse(*paths):
+    raise OSError("no room")

@@ -11,6 +11,7 @@ SOURCE = Path(__file__).resolve().parents[1] / "src" / "graycast"
 # Each line may import from the lines above it, but for what is named under `FORBIDDEN`.
 ORDER = (
     "errors",
+    "array_types",
     "folder",
     "plotting",
     "settings",

@@ -18,6 +18,7 @@ from .config import (
     resolve_scanner,
 )
 from .domain import Domain, deepest_m, resolve_domain
+from .drop import OnStage
 from .parts import Part
 from .pattern import Code
 from .render import OnFrame, Renderer, open_renderer
@@ -55,15 +56,19 @@ class Cell:
         return self.code.render(lambda share: grey_levels(self.scanner.rig, share))
 
 
-def resolve_cell(config: Config, folder: Path) -> Cell:
+def resolve_cell(config: Config, folder: Path, *, on_stage: OnStage = lambda stage: None) -> Cell:
     """Read what a configuration names; `folder` is where its relative paths start.
+
+    `on_stage` is told what is read, where that may take seconds.
 
     Raises:
         GraycastError, ValueError: a file or a value that cannot be used, named.
     """
-    parts, notes = resolve_parts(config, folder)
+    parts, notes = resolve_parts(config, folder, on_stage=on_stage)
     scanner = resolve_scanner(config, folder)
     rig = scanner.rig
+    if config.bin.mesh is not None:
+        on_stage(f"reading {config.bin.mesh}")
     box, bin_notes = resolve_bin(config.bin, folder)
     table = {} if config.table is None else {"table": resolve_material(config.table, folder)}
     scene = Scene(
@@ -75,6 +80,8 @@ def resolve_cell(config: Config, folder: Path) -> Cell:
         environment=resolve_environment(config.light.environment, folder),
         lamps=resolve_lamps(config.light),
     )
+    if config.domain is not None:
+        on_stage("reading the files that the domain names")
     domain = config.domain and resolve_domain(config.domain, folder, scene=scene)
     return Cell(
         config=config,

@@ -20,7 +20,7 @@ from pydantic import (
 from .bins import Up, load_bin
 from .decode import triangulation_axis
 from .domain import DomainSection, domain_files
-from .drop import DropLimits
+from .drop import DropLimits, OnStage
 from .errors import ConfigError
 from .frames import is_rigid
 from .parts import Material, Part
@@ -261,7 +261,9 @@ def load_config(path: Path) -> Config:
 # --- from words to values ----------------------------------------------------------------------
 
 
-def resolve_parts(config: Config, folder: Path) -> tuple[tuple[Part, ...], tuple[str, ...]]:
+def resolve_parts(
+    config: Config, folder: Path, *, on_stage: OnStage = lambda stage: None
+) -> tuple[tuple[Part, ...], tuple[str, ...]]:
     """The parts of a configuration, and what was noticed about their meshes.
 
     Raises:
@@ -270,6 +272,8 @@ def resolve_parts(config: Config, folder: Path) -> tuple[tuple[Part, ...], tuple
     """
     parts, notes = [], []
     for section in config.parts:
+        if section.mesh is not None:
+            on_stage(f"reading {section.mesh}")
         part, found = resolve_part(section, folder)
         if part.name in {other.name for other in parts}:
             raise ConfigError(f"two parts are called {part.name}: give one another name")

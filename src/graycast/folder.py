@@ -13,8 +13,17 @@ from typing import IO
 from .errors import GraycastError
 
 
-def write_whole(path: Path, write: Callable[[IO[bytes]], object]) -> None:
-    """A file made beside its place and renamed, so that nobody ever finds half of it.
+def write_whole(path: Path, content: bytes) -> None:
+    """Write a file beside its place and rename it: there it is as it was, or as it is to be.
+
+    Raises:
+        GraycastError: the folder is missing or the disk refuses.
+    """
+    fill_whole(path, lambda file: file.write(content))
+
+
+def fill_whole(path: Path, write: Callable[[IO[bytes]], object]) -> None:
+    """The same for what is written piece by piece.
 
     Args:
         path: in a folder that is there.

@@ -6,7 +6,8 @@ World z is up. A camera or projector looks along its z; x is right, y is down.
 """
 
 import numpy as np
-from jaxtyping import Float
+
+from .array_types import Float
 
 
 def rigid(

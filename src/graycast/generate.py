@@ -29,7 +29,7 @@ from .dataset import (
 from .dataset.claim import BESIDE_CONFIG
 from .dataset.reading import Unreadable, read_json
 from .dataset.records import Claim
-from .drop import OnStage, prepare
+from .drop import OnStage, hull_notes, prepare
 from .engine import Failed, Made, Pool, SceneMaker, Task, make_all, open_pool
 from .errors import ConfigError, DatasetError, GraycastError
 from .render import OnFrame, choose_device
@@ -80,6 +80,7 @@ def generate(
     on_failed: Callable[[Failed], None] = lambda failed: None,
     on_frame: OnFrame | None = None,
     on_stage: OnStage = lambda stage: None,
+    on_note: Callable[[str], None] = lambda note: None,
 ) -> Summary:
     """Make the scenes 0 .. scenes-1 that are not in `out` yet, and the split's COCO file.
 
@@ -95,6 +96,7 @@ def generate(
         on_frame: as of `open_renderer`, where this process makes all.
         on_stage: told which part is made ready to fall; and as of `make_scene`, where this process
             makes all.
+        on_note: told of a part that the engine can only collide coarsely.
 
     Raises:
         DatasetError: the folder is another dataset's, is in use, or the disk refuses.
@@ -116,7 +118,10 @@ def generate(
         run = _Run(store=store, found=len(found), on_made=on_made, on_failed=on_failed)
         try:
             if todo:
-                prepare(cell.scene.parts, on_stage=on_stage)  # once, not by every worker
+                parts = cell.scene.parts
+                prepared = prepare(parts, on_stage=on_stage)  # once, not by every worker
+                for note in hull_notes(parts, prepared):
+                    on_note(note)
                 with closing(_open_pool(task, workers, len(todo), on_frame, on_stage)) as pool:
                     left = len(todo)
                     for outcome in make_all(pool, todo):

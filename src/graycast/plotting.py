@@ -8,7 +8,7 @@ from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
-from .folder import write_whole
+from .folder import fill_whole
 
 INK, ACCENT, SECOND, SOFT, PALE = "#1f2933", "#0b6e99", "#c4622d", "#9aa5b1", "#e4e7eb"
 
@@ -55,7 +55,7 @@ def save_png(figure: Figure, path: Path, *, dpi: int) -> None:
     Raises:
         GraycastError: the folder is missing or the disk refuses.
     """
-    write_whole(
+    fill_whole(
         path,
         lambda file: figure.savefig(file, dpi=dpi, format="png", metadata={"Software": None}),
     )

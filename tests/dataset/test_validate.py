@@ -9,7 +9,7 @@ import pytest
 from backends import slow
 from PIL import Image
 
-from graycast.dataset.validate import Problem, validate
+from graycast.dataset import Problem, validate
 from graycast.errors import DatasetError
 
 

@@ -44,7 +44,7 @@ def hull_folder(tmp_path_factory):
 
 @pytest.fixture(scope="session")
 def ring_hulls(ring_part, hull_folder):
-    return convex_hulls(ring_part.mesh, folder=hull_folder)
+    return convex_hulls(ring_part.mesh, folder=hull_folder).hulls
 
 
 @pytest.fixture

@@ -2,6 +2,8 @@
 
 import pickle
 import shutil
+import subprocess
+import sys
 
 import numpy as np
 import pytest
@@ -31,6 +33,27 @@ EXPORTS = {
     "webdataset": ({"shard_scenes": 2}, FIELDS - {"gray"}),
     "parquet": ({"image": "gray", "shard_scenes": 2}, FIELDS - {"rgb"}),
 }
+
+ABSENT = {
+    "PIL", "beartype", "coacd", "drjit", "jaxtyping", "lxml", "manifold3d", "mapbox_earcut",
+    "matplotlib", "mitsuba", "mujoco", "networkx", "numba", "packaging", "pyoidn", "rapier3d",
+    "rich", "scipy", "shapely", "trimesh", "yaml",
+}  # fmt: skip
+READ = f"""
+import importlib.abc, pickle, sys
+from pathlib import Path
+
+class Absent(importlib.abc.MetaPathFinder):
+    def find_spec(self, name, path, target=None):
+        if name.partition(".")[0] in {ABSENT!r}:
+            raise ModuleNotFoundError(f"No module named {{name!r}}", name=name)
+
+sys.meta_path.insert(0, Absent())
+from graycast.training import open_examples
+
+read = [open_examples(Path(folder))[1] for folder in sys.argv[2:]]
+Path(sys.argv[1]).write_bytes(pickle.dumps(read))
+"""
 
 
 def same(a, b, fields):
@@ -136,3 +159,24 @@ def test_clouds_and_other_folders_are_no_examples(exported, tmp_path, master):
     empty = shutil.copytree(master, tmp_path / "copy", ignore=shutil.ignore_patterns("train"))
     with pytest.raises(DatasetError, match="has no finished scene"):
         open_examples(empty)
+
+
+def test_a_dataset_and_its_exports_are_read_alike_where_little_is_installed(
+    master, exported, tmp_path
+):
+    said = {name: options for name, (options, _) in EXPORTS.items() if name != "parquet"}
+    folders = [master, *(exported(name.split()[0], **said[name]) for name in said)]
+    out = tmp_path / "examples.pickle"
+    subprocess.run([sys.executable, "-c", READ, out, *folders], check=True)
+    for folder, there in zip(folders, pickle.loads(out.read_bytes()), strict=True):
+        here = open_examples(folder)[1]
+        assert here.scene_id == there.scene_id
+        same(here, there, {name for name in FIELDS if getattr(here, name) is not None})
+    assert here.mask.any()
+
+
+def test_what_is_called_absent_is_not_found():
+    """The test above would see an import of it."""
+    wrong = READ.replace("from graycast.training", "import graycast.decode\nfrom graycast.training")
+    ended = subprocess.run([sys.executable, "-c", wrong, "x"], capture_output=True, text=True)
+    assert ended.returncode == 1 and "No module named" in ended.stderr

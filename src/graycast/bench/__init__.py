@@ -5,15 +5,17 @@ from .denoise import study_denoisers
 from .engines import measure_engines
 from .figures import Figures, describe, stamped
 from .hulls import measure_hulls
+from .kept import write_figures
 from .opening import opened
 from .plots import draw
 from .renderers import study_renderers
 from .stages import measure_decode, measure_drop, measure_render, measure_scene
-from .zoo import study_zoo
+from .zoo import describe_row, study_zoo
 
 __all__ = [
     "Figures",
     "describe",
+    "describe_row",
     "draw",
     "measure_decode",
     "measure_drop",
@@ -27,4 +29,5 @@ __all__ = [
     "study_denoisers",
     "study_renderers",
     "study_zoo",
+    "write_figures",
 ]

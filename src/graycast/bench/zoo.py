@@ -7,22 +7,26 @@ by default, and as in balance where MuJoCo finds no point of a part moved by mor
 
 import time
 from collections.abc import Callable, Sequence
+from importlib.metadata import version
 from importlib.util import find_spec
 from pathlib import Path
 from statistics import median
 
 import numpy as np
 
+from .. import __version__
 from ..drop import DropLimits, convex_hulls, drop
 from ..drop.body import Body, body_of
 from ..errors import DropError
 from ..parts import Part
 from ..rig import preset
-from ..scene import Bin, Layout, Scene
+from ..scene import Bin, Scene
 from .balance import unbalanced_m
-from .figures import Figures
+from .figures import Figures, stamped
+from .kept import kept_rows, write_figures
 from .zoo_parts import ZOO, zoo_part
 
+STUDY = "zoo"  # its name, and that of its rows among the figures
 BIN_M = (0.4, 0.3, 0.15)
 BALANCED_M = 1e-3
 FILL = 0.25  # share of the bin's room that the boxes about the parts may take
@@ -36,32 +40,90 @@ def study_zoo(
     counts: Sequence[int] = (1, 10, 60),
     seeds: int = 20,
     hull_folder: Path | None = None,
+    file: Path | None = None,
     on_work: Callable[[float, str], None] = lambda share, what: None,
+    on_row: Callable[[Figures], None] = lambda row: None,
 ) -> Figures:
     """A row for each family and count: how many layouts were made, how fast, and how they hold.
 
+    The first count is dropped of all families, then the next: so what a larger count takes does not
+    keep the others waiting.
+
+    Args:
+        families: which of `ZOO` are dropped.
+        counts: numbers of parts; a family of which the bin holds fewer is dropped in that number.
+        seeds: drops a row.
+        hull_folder: where collision hulls are kept.
+        file: where the figures are written after each drop. What an earlier study with the same
+            settings has left there is taken from it.
+        on_work: is told the share of the work that is done, and what comes next.
+        on_row: is told each row when it is there.
+
     Raises:
         ValueError: no such family.
+        GraycastError: the file holds something else, or cannot be written.
     """
-    rows = []
-    for i, name in enumerate(families):
-        part = zoo_part(name)
-        on_work(i / len(families), f"{name}: collision hulls")
-        body = body_of(part, convex_hulls(part.mesh, folder=hull_folder))
-        for count in dict.fromkeys(min(count, _most(part)) for count in counts):
-            on_work(i / len(families), f"{name}: {count} of them, {seeds} times")
-            rows.append(_row(part, body, count, seeds, hull_folder))
-    on_work(1.0, "all dropped")
-    met = sum(row["made"] >= 0.95 * row["asked"] for row in rows)
-    balance = {} if find_spec("mujoco") else {"balance": "not measured: mujoco is not installed"}
-    return {
-        "bin_m": list(BIN_M),
+    parts = [zoo_part(name) for name in dict.fromkeys(families)]
+    settings = {
+        "graycast": __version__,
+        "families": [part.name for part in parts],
+        "counts": list(counts),
         "seeds": seeds,
-        "rows": len(rows),
-        "rows_with_19_of_20_made": met,
-        **balance,
-        "zoo": rows,
+        "bin_m": list(BIN_M),
+        "mujoco": version("mujoco") if find_spec("mujoco") else "not installed: no balance",
     }
+    rows: dict[tuple[str, int], Figures] = {}
+    if file is not None:
+        rows |= {_place(row): row for row in kept_rows(file, STUDY, settings)}
+
+    def keep(row: Figures) -> None:
+        rows[_place(row)] = row
+        if file is not None:
+            write_figures(file, stamped(STUDY, _figures(settings, rows)))
+
+    if file is not None:
+        write_figures(file, stamped(STUDY, _figures(settings, rows)))  # else it fails after hours
+    jobs = dict.fromkeys((part.name, min(count, _most(part))) for count in counts for part in parts)
+    named = {part.name: part for part in parts}
+    for i, (name, count) in enumerate(jobs):
+        row = rows.get((name, count), {"asked": 0, "drops": []})
+        if row["asked"] < seeds:
+            on_work(i / len(jobs), f"{name}: collision hulls")
+            body = body_of(named[name], convex_hulls(named[name].mesh, folder=hull_folder).hulls)
+            drops = row["drops"]
+            for seed in range(len(drops), seeds):
+                what = f"{name}: {count} of them, drop {seed + 1} of {seeds}"
+                on_work((i + seed / seeds) / len(jobs), what)
+                drops = [*drops, _drop(named[name], body, count, seed, hull_folder)]
+                row = _row(name, count, drops)
+                keep(row if len(drops) == seeds else row | {"drops": drops})
+        on_row(row)
+    on_work(1.0, "all dropped")
+    return _figures(settings, rows)
+
+
+def describe_row(row: Figures) -> str:
+    """A row in one line."""
+    text = f"{row['family']} x {row['count']}: {row['made']} of {row['asked']} made"
+    if "attempts" in row:
+        text += f", attempts {row['attempts']:g} (most {row['most']})"
+    text += f", {row['cpu_s']:.2f} s (most {row['cpu_most_s']:.2f})"
+    if "balanced" in row:
+        text += f", {row['balanced']} in balance (moved by {row['moved_most_mm']:.2f} mm at most)"
+    return text
+
+
+def _place(row: Figures) -> tuple[str, int]:
+    return row["family"], row["count"]
+
+
+def _figures(settings: Figures, rows: dict[tuple[str, int], Figures]) -> Figures:
+    """The table by family and count; a row that is not finished has its drops with it."""
+    number = {name: i for i, name in enumerate(settings["families"])}
+    table = [rows[place] for place in sorted(rows, key=lambda place: (number[place[0]], place[1]))]
+    finished = [row for row in table if row["asked"] == settings["seeds"]]
+    met = sum(row["made"] >= 0.95 * row["asked"] for row in finished)
+    return settings | {"rows": len(finished), "rows_with_19_of_20_made": met, STUDY: table}
 
 
 def _most(part: Part) -> int:
@@ -69,34 +131,42 @@ def _most(part: Part) -> int:
     return max(1, min(most, ENTANGLED_MOST) if part.name in ENTANGLED else most)
 
 
-def _row(part: Part, body: Body, count: int, seeds: int, hull_folder: Path | None) -> Figures:
+def _drop(part: Part, body: Body, count: int, seed: int, hull_folder: Path | None) -> Figures:
+    """One drop: processor time, and, where it made a layout, how that is."""
     box = Bin(inner_m=BIN_M)
     scene = Scene(rig=preset("paper"), T_world_cam=np.eye(4), parts=(part,), bin=box)
-    made: list[Layout] = []
-    seconds = []
-    for seed in range(seeds):
-        start = time.process_time()
-        try:
-            made.append(
-                drop(scene, (count,), seed=seed, limits=DropLimits(), hull_folder=hull_folder)
-            )
-        except DropError:
-            continue
-        finally:
-            seconds.append(time.process_time() - start)
-    row: Figures = {"family": part.name, "count": count, "made": len(made), "asked": seeds}
+    start = time.process_time()
+    try:
+        layout = drop(scene, (count,), seed=seed, limits=DropLimits(), hull_folder=hull_folder)
+    except DropError:
+        return {"cpu_s": time.process_time() - start}
+    figures = {
+        "cpu_s": time.process_time() - start,
+        "attempts": layout.attempt + 1,
+        "overlap_mm": 1e3 * layout.deepest_penetration_m,
+    }
+    if find_spec("mujoco"):
+        figures["moved_mm"] = 1e3 * float(unbalanced_m(box, (body,), layout).max())
+    return figures
+
+
+def _row(family: str, count: int, drops: list[Figures]) -> Figures:
+    made = [figures for figures in drops if "attempts" in figures]
+    seconds = [figures["cpu_s"] for figures in drops]
+    row: Figures = {"family": family, "count": count, "made": len(made), "asked": len(drops)}
     if made:
+        attempts = [figures["attempts"] for figures in made]
         row |= {
-            "attempts": median(layout.attempt + 1 for layout in made),
-            "most": max(layout.attempt + 1 for layout in made),
-            "overlap_mm": 1e3 * max(layout.deepest_penetration_m for layout in made),
+            "attempts": median(attempts),
+            "most": max(attempts),
+            "overlap_mm": max(figures["overlap_mm"] for figures in made),
         }
     row |= {"cpu_s": median(seconds), "cpu_most_s": max(seconds)}
-    if made and find_spec("mujoco"):
-        moved_m = [float(unbalanced_m(box, (body,), layout).max()) for layout in made]
+    moved_mm = [figures["moved_mm"] for figures in made if "moved_mm" in figures]
+    if moved_mm:
         row |= {
-            "balanced": sum(moved <= BALANCED_M for moved in moved_m),
-            "moved_median_mm": 1e3 * median(moved_m),
-            "moved_most_mm": 1e3 * max(moved_m),
+            "balanced": sum(moved <= 1e3 * BALANCED_M for moved in moved_mm),
+            "moved_median_mm": median(moved_mm),
+            "moved_most_mm": max(moved_mm),
         }
     return row

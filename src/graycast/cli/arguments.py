@@ -2,7 +2,8 @@
 
 import argparse
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 from ..errors import GraycastError
@@ -97,7 +98,8 @@ def resolve_cell_option(config, options: argparse.Namespace):
         render = config.render.model_copy(update={"backend": options.backend})
         config = config.model_copy(update={"render": render})
     try:
-        cell = resolve_cell(config, options.config.parent)
+        with stage_line() as on_stage:
+            cell = resolve_cell(config, options.config.parent, on_stage=on_stage)
     except (GraycastError, ValueError, OSError) as error:
         raise GraycastError(f"{options.config}: {error}") from error
     for note in cell.notes:
@@ -146,6 +148,18 @@ def size(text: str) -> tuple[int, int]:
     if not (width.isdecimal() and height.isdecimal()):
         raise argparse.ArgumentTypeError(f"{text!r} is not a size such as 1280x720")
     return int(width), int(height)
+
+
+@contextmanager
+def stage_line() -> Iterator[Callable[[str], None]]:
+    """A line that shows what is being done, and for how long; it is gone at the end."""
+    from rich.markup import escape
+    from rich.progress import Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
+
+    columns = SpinnerColumn(), TextColumn("{task.description}"), TimeElapsedColumn()
+    with Progress(*columns, transient=True) as bar:
+        task = bar.add_task("", total=None, visible=False)
+        yield lambda stage: bar.reset(task, description=escape(stage), total=None, visible=True)
 
 
 def progress_bar():

@@ -14,6 +14,7 @@ from .arguments import (
     load_cell,
     progress_bar,
     seed,
+    stage_line,
 )
 
 # Heavy modules are imported by the command that needs them, so that --help answers at once.
@@ -83,10 +84,21 @@ def _preview(options: argparse.Namespace) -> int:
             bar.console.print(f"scene {options.scene} by {renderer.name} on {renderer.device}")
             shot = make_scene(cell, options.scene, seed=seed, renderer=renderer, on_stage=on_stage)
     draw_preview(shot, cell.code, options.out)
+    _tell_coarse(shot)
     for name, share in shot.sample.manifest["reasons"].items():
         print(f"  {name:18} {share:7.2%} of the pixels")
     print(options.out)
     return 0
+
+
+def _tell_coarse(shot) -> None:
+    """Say which of the parts that fell are collided coarsely; their hulls are in the cache."""
+    from ..drop import hull_notes, prepare
+
+    sample = shot.sample
+    parts = [sample.scene.parts[kind] for kind in sorted({*sample.layout.part_index})]
+    for note in hull_notes(parts, prepare(parts)):
+        print(f"note: {note}")
 
 
 def _validate(options: argparse.Namespace) -> int:
@@ -112,9 +124,11 @@ def _parts(options: argparse.Namespace) -> int:
 
     if options.config is None:
         shown = tuple(builtin_part(name) for name in BUILTIN)
+        print(describe_parts(shown))
     else:
         shown = load_cell(options).scene.parts
-    print(describe_parts(shown))
+        print(describe_parts(shown))
+        _describe_hulls(shown)
     if options.out is not None:
         from ..render import open_renderer
 
@@ -122,3 +136,17 @@ def _parts(options: argparse.Namespace) -> int:
             draw_parts(shown, options.out, renderer=renderer)
         print(options.out)
     return 0
+
+
+def _describe_hulls(parts) -> None:
+    """How the parts are collided when they fall; hulls that the cache has not are made now."""
+    from ..drop import hull_notes, prepare
+
+    with stage_line() as on_stage:
+        prepared = prepare(parts, on_stage=on_stage)
+    print("collision hulls, and how far they are off the surface at most:")
+    for part, made in zip(parts, prepared, strict=True):
+        worst, bound = f"{1e3 * made.error.worst_m:.2f} mm", f"{1e3 * made.tolerance_m:.2f} mm"
+        print(f"  {part.name}: {len(made.hulls)}, {worst} (the bound is {bound})")
+    for note in hull_notes(parts, prepared):
+        print(f"note: {note}")

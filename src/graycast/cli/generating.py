@@ -114,6 +114,7 @@ def _generate(options: argparse.Namespace) -> int:
             on_failed=shown.failed,
             on_frame=shown.frame,
             on_stage=shown.stage,
+            on_note=shown.note,
         )
     if summary.written or not (options.out / CARD).exists():
         write_card(options.out)  # else one with a licence or all scenes' figures may be there
@@ -161,6 +162,9 @@ class _Shown:
 
     def stage(self, stage: str) -> None:
         self._bar.reset(self._stage, description=escape(stage), total=None, visible=True)
+
+    def note(self, note: str) -> None:
+        self._bar.console.print(f"note: {note}", markup=False)
 
     def frame(self, done: int, total: int) -> None:
         self._bar.update(self._frames, completed=done, total=total, visible=True)

@@ -27,8 +27,8 @@ from ..optics import Optics
 from ..render.radiance import Silhouette
 from .coco import run_lengths, scene_annotation, scene_coco
 from .json_text import json_bytes
-from .models import MM_PER_M
 from .raw import raw_facts, raw_files
+from .records import MM_PER_M
 from .sample import Sample, labelled
 from .seal import sealed
 

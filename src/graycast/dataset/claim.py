@@ -21,7 +21,6 @@ from ..sensor import SensorSpec
 from .json_text import plain
 from .seal import SUMS
 
-CLAIM = "graycast.json"
 BESIDE_CONFIG = ("files", "scanner")  # in a claim's configuration, but no keys of it
 FORMAT_VERSION, SEALED_SINCE = 2, 2  # 1 had no SHA-256 of files
 _BESIDE = ("fingerprint", "sources", "versions", SUMS)  # what the fingerprint does not cover

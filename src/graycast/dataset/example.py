@@ -4,11 +4,11 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from jaxtyping import Bool, Float, Float32, Int, UInt8, UInt16
 from pycocotools import mask as coco_mask
 
+from ..array_types import Bool, Float, Float32, Int, UInt8, UInt16
 from ..frames import rigid
-from .models import MM_PER_M
+from .records import MM_PER_M
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -15,8 +15,8 @@ from scipy.spatial.distance import cdist
 
 from ..color import srgb
 from ..parts import Mesh, Part
+from .records import MM_PER_M
 
-MM_PER_M = 1000.0
 _CHUNK = 2048  # rows of the distance matrix held at once
 
 

@@ -12,11 +12,12 @@ from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import numpy as np
-from jaxtyping import Bool
 from pycocotools import mask as coco_mask
 from pydantic import Field
 
+from ..array_types import Bool
 from ..errors import DatasetError
+from .places import finished_scenes
 from .reading import Unreadable, read_json, read_png
 from .records import (
     Box,
@@ -32,7 +33,6 @@ from .records import (
     Record,
     SceneCoco,
 )
-from .store import finished_scenes
 
 IMAGES = {"rgb": np.uint8, "gray_sl": np.uint8, "depth_sl": np.uint16}
 Held = Literal["rgb", "gray_sl", "depth_sl", "masks"]

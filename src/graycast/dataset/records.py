@@ -4,6 +4,8 @@ from typing import Annotated, Any
 
 from pydantic import BaseModel, ConfigDict, Field, RootModel
 
+MM_PER_M = 1000.0  # the files have the millimetres of BOP
+
 Vector = Annotated[list[float], Field(min_length=3, max_length=3)]
 Matrix3 = Annotated[list[float], Field(min_length=9, max_length=9)]
 Matrix4 = Annotated[list[float], Field(min_length=16, max_length=16)]

@@ -24,10 +24,11 @@ from ..errors import DatasetError
 from ..parts import Part
 from ..rig import Rig
 from .bop import camera_json, scene_files
-from .claim import CLAIM, make_claim, refuse_other
+from .claim import make_claim, refuse_other
 from .coco import split_coco
 from .json_text import json_bytes
 from .models import model_files, models_info
+from .places import CLAIM, finished_scenes
 from .sample import Sample
 from .seal import SUMS, sha256
 
@@ -223,13 +224,6 @@ def refuse_other_dataset(
         DatasetError: it is not, and where it differs; or it is damaged.
     """
     refuse_other(out / CLAIM, make_claim(config, seed, parts, rig, depth_scale_mm))
-
-
-def finished_scenes(out: Path, split: str = "train") -> set[int]:
-    """The scenes of a dataset folder; a scene that has its name is whole."""
-    place = out / split
-    names = [entry.name for entry in place.iterdir()] if place.is_dir() else []
-    return {int(name) for name in names if name.isdecimal() and len(name) >= 6}
 
 
 def _commit(aside: Path, place: Path) -> None:

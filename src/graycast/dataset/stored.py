@@ -11,16 +11,15 @@ from pathlib import Path
 from typing import Any, final
 
 import numpy as np
-from jaxtyping import Bool, Float32, Int, UInt8, UInt16
 from pycocotools import mask as coco_mask
 
+from ..array_types import Bool, Float32, Int, UInt8, UInt16
 from ..errors import DatasetError
 from . import records
-from .claim import CLAIM
 from .example import Example, Label, label_arrays, metres
+from .places import CLAIM, finished_scenes
 from .reading import Unreadable, read_json, read_png
 from .real import RealClaim, RealSceneCamera, RealSceneGt, RealSceneGtInfo, is_real
-from .store import finished_scenes
 
 SPLITS = ("train", "val", "test")
 NO_REASON = 255  # a pixel without scanner depth in a dataset that does not say why

@@ -14,9 +14,9 @@ import numpy as np
 from jaxtyping import UInt8
 from pycocotools import mask as coco_mask
 
-from ..dataset.claim import CLAIM
 from ..dataset.example import Example
 from ..dataset.json_text import json_bytes
+from ..dataset.places import CLAIM
 from ..detections import Detections, results_bytes
 from ..errors import GraycastError
 from ..export.record import RECORD, read_record

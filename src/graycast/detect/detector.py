@@ -16,7 +16,7 @@ from .. import __version__
 from ..dataset.example import Example
 from ..detections import Detections
 from ..errors import GraycastError
-from ..folder import write_whole
+from ..folder import fill_whole
 from .encoding import Encoding, encoding_from
 from .network import Found, Network
 from .networks import open_network
@@ -211,7 +211,7 @@ def _outline(
 def save_detector(path: Path, about: About, state: Mapping[str, torch.Tensor]) -> None:
     """Write weights and all that belongs to them, whole or not at all."""
     held = {"about": json.dumps(about.as_dict()), "state": dict(state)}
-    write_whole(path, lambda file: torch.save(held, file))
+    fill_whole(path, lambda file: torch.save(held, file))
 
 
 def load_detector(path: Path, *, device: str = "auto") -> Detector:

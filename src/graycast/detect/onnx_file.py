@@ -74,7 +74,7 @@ def write_onnx(
     finally:
         aside.unlink(missing_ok=True)
     _compare(runtime.InferenceSession(content), model, image)
-    write_whole(file, lambda opened: opened.write(content))
+    write_whole(file, content)
 
 
 def _libraries():

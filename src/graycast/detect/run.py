@@ -13,7 +13,7 @@ import torch
 
 from ..dataset.json_text import json_bytes
 from ..errors import GraycastError
-from ..folder import write_whole
+from ..folder import fill_whole, write_whole
 from ..plotting import ACCENT, INK, SECOND, SOFT, caption, plain_figure, save_png
 
 RUN = "run.json"
@@ -69,7 +69,7 @@ class RunFolder:
             self.path.mkdir(parents=True, exist_ok=True)
         except OSError as error:
             raise GraycastError(f"{self.path}: cannot be made ({error.strerror})") from error
-        write_whole(file, lambda aside: aside.write(json_bytes(content)))
+        write_whole(file, json_bytes(content))
 
     def _compare(self, held: Mapping[str, Any], asked: Mapping[str, Any]) -> None:
         for key in sorted(held.keys() | asked.keys()):
@@ -93,7 +93,7 @@ class RunFolder:
             "network": network.state_dict(),
             "optimizer": optimizer.state_dict(),
         }
-        write_whole(self.path / CHECKPOINT, lambda file: torch.save(held, file))
+        fill_whole(self.path / CHECKPOINT, lambda file: torch.save(held, file))
 
     def resume(self, network: torch.nn.Module, optimizer: Any) -> Progress:
         """The last checkpoint taken into both; a fresh start where there is none.
@@ -121,7 +121,7 @@ class RunFolder:
         table = csv.DictWriter(text, names, lineterminator="\n")
         table.writeheader()
         table.writerows([{k: f"{v:.6g}" for k, v in row.items()} for row in rows])
-        write_whole(self.path / _HISTORY, lambda file: file.write(text.getvalue().encode()))
+        write_whole(self.path / _HISTORY, text.getvalue().encode())
         _draw(rows, self.path / _CURVES)
         _tell_tensorboard(rows, self.path / _EVENTS)
 

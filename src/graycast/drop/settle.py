@@ -10,7 +10,7 @@ from ..errors import DropError
 from ..parts import Part
 from ..scene import Bin, Layout, Scene
 from .body import Body, body_of
-from .decomposition import Hull, OnStage, convex_hulls, silent
+from .decomposition import Decomposition, OnStage, convex_hulls, silent
 from .grid import start_poses
 from .rapier import simulate
 
@@ -94,8 +94,8 @@ def drop(
     parts = tuple(scene.parts[kind] for kind in kinds)
     number = tuple(counts[kind] for kind in kinds)
     _check_sizes(scene.bin, parts)
-    hulls = prepare(parts, hull_folder=hull_folder, on_stage=on_stage)
-    bodies = tuple(body_of(part, pieces) for part, pieces in zip(parts, hulls, strict=True))
+    prepared = prepare(parts, hull_folder=hull_folder, on_stage=on_stage)
+    bodies = tuple(body_of(part, made.hulls) for part, made in zip(parts, prepared, strict=True))
     _check_volume(scene.bin, bodies, number)
     corners_m = tuple(np.vstack([vertices for vertices, _ in body.hulls]) for body in bodies)
 
@@ -115,14 +115,14 @@ def drop(
 
 def prepare(
     parts: Iterable[Part], *, hull_folder: Path | None = None, on_stage: OnStage = silent
-) -> tuple[tuple[Hull, ...], ...]:
+) -> tuple[Decomposition, ...]:
     """The collision hulls of each part, made now where the cache has none; `drop` finds them there.
 
     Raises:
         ValueError, GraycastError: as of `convex_hulls`.
     """
 
-    def of(part: Part) -> tuple[Hull, ...]:
+    def of(part: Part) -> Decomposition:
         return convex_hulls(
             part.mesh,
             folder=hull_folder,
@@ -130,6 +130,18 @@ def prepare(
         )
 
     return tuple(of(part) for part in parts)
+
+
+def hull_notes(parts: Iterable[Part], prepared: Iterable[Decomposition]) -> tuple[str, ...]:
+    """What to tell of parts whose collision hulls are farther off than they should be."""
+    return tuple(
+        f"{part.name}: collides more coarsely than it should: its collision hulls are up to "
+        f"{1e3 * made.error.worst_m:.2f} mm off its surface, the bound is "
+        f"{1e3 * made.tolerance_m:.2f} mm. Parts may lie apart or in each other by as much. A mesh "
+        "with less detail helps, without what is inside the part"
+        for part, made in zip(parts, prepared, strict=True)
+        if made.coarse
+    )
 
 
 def _failure(box: Bin, count: int, tried: list[Layout], limits: DropLimits) -> str:

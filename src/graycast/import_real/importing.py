@@ -13,9 +13,10 @@ import numpy as np
 from jaxtyping import Float
 
 from .. import __version__
-from ..dataset.claim import CLAIM, FORMAT_VERSION
+from ..dataset.claim import FORMAT_VERSION
 from ..dataset.coco import run_lengths, scene_annotation, scene_coco
 from ..dataset.json_text import json_bytes
+from ..dataset.places import CLAIM
 from ..dataset.real import pixel_box, split_entry
 from ..dataset.seal import sealed
 from ..errors import DatasetError

@@ -85,9 +85,8 @@ def save_scanner(scanner: Scanner, path: Path) -> None:
     Raises:
         ConfigError: the file cannot be written; a file that was there is left as it was.
     """
-    content = scanner_text(scanner).encode()
     try:
-        write_whole(path, lambda file: file.write(content))
+        write_whole(path, scanner_text(scanner).encode())
     except GraycastError as error:
         raise ConfigError(f"the rig {error}") from error
 

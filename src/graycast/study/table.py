@@ -25,9 +25,9 @@ def write_study(spec: StudySpec, results: Sequence[Result], out: Path) -> None:
         ("table.csv", _csv(rows)),
         ("table.tex", _latex(spec, rows)),
     ):
-        write_whole(out / name, lambda file, text=text: file.write(text.encode()))
+        write_whole(out / name, text.encode())
     content = {"title": spec.title, "figure": "AP50", "rows": rows}
-    write_whole(out / "study.json", lambda file: file.write(json_bytes(content)))
+    write_whole(out / "study.json", json_bytes(content))
     _draw(spec, rows, out / "gaps.png")
 
 

@@ -5,9 +5,9 @@ from typing import Any
 
 import cv2
 import numpy as np
-from jaxtyping import Bool, Float32, UInt8
 from pycocotools import mask as coco_mask
 
+from ..array_types import Bool, Float32, UInt8
 from ..dataset.example import metres
 from ..dataset.reading import Unreadable, png_pixels
 from ..errors import DatasetError

@@ -10,12 +10,13 @@ those that may be one, `error` measures; `child` does all that in a process that
 """
 
 from .cache import cache_folder
-from .error import HullError, hull_error, tolerance_m
+from .error import Decomposition, HullError, hull_error, tolerance_m
 from .hulls import Hull, hull_of
 from .making import OnStage, decompose, silent
 from .ready import convex_hulls
 
 __all__ = [
+    "Decomposition",
     "Hull",
     "HullError",
     "OnStage",

@@ -8,11 +8,11 @@ from pathlib import Path
 
 import numpy as np
 
-from ...folder import write_whole
+from ...folder import fill_whole
 from ...parts import Mesh
-from .hulls import Hull
+from .error import Decomposition, HullError
 
-CACHE_VERSION = 2  # raise it where a change in this folder gives other hulls
+CACHE_VERSION = 3  # raise it where a change in this folder gives other hulls
 
 
 def cache_folder() -> Path:
@@ -29,26 +29,33 @@ def key_of(mesh: Mesh, settings: tuple[object, ...]) -> str:
     return digest.hexdigest()[:32]
 
 
-def read_hulls(file: Path) -> tuple[Hull, ...] | None:
-    """The hulls of a cache file; None if there is none or it is damaged (a zip has checksums)."""
+def read_decomposition(file: Path) -> Decomposition | None:
+    """What a cache file holds; None if there is none or it is damaged (a zip has checksums)."""
     try:
         # NumPy leaves a file open that it opened itself and then could not read.
         with file.open("rb") as stream, np.load(stream, allow_pickle=False) as data:
             vertices, faces = data["vertices_m"], data["faces"]
             splits = data["vertex_split"], data["face_split"]
+            filled_m, lost_m, tolerance_m = map(float, data["measured_m"])
     except (OSError, EOFError, KeyError, ValueError, zipfile.BadZipFile):
         return None
     pieces = zip(np.split(vertices, splits[0]), np.split(faces, splits[1]), strict=True)
-    return tuple(pieces)
+    return Decomposition(
+        hulls=tuple(pieces),
+        error=HullError(filled_m=filled_m, lost_m=lost_m),
+        tolerance_m=tolerance_m,
+    )
 
 
-def write_hulls(file: Path, hulls: tuple[Hull, ...]) -> None:
+def write_decomposition(file: Path, made: Decomposition) -> None:
     """The file appears at once or not at all."""
+    hulls, error = made.hulls, made.error
     file.parent.mkdir(parents=True, exist_ok=True)
     held = {
         "vertices_m": np.vstack([vertices for vertices, _ in hulls]),
         "faces": np.vstack([faces for _, faces in hulls]),
         "vertex_split": np.cumsum([len(vertices) for vertices, _ in hulls])[:-1],
         "face_split": np.cumsum([len(faces) for _, faces in hulls])[:-1],
+        "measured_m": np.array([error.filled_m, error.lost_m, made.tolerance_m]),
     }
-    write_whole(file, lambda aside: np.savez(aside, **held))
+    fill_whole(file, lambda aside: np.savez(aside, **held))

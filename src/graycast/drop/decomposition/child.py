@@ -17,15 +17,15 @@ import numpy as np
 
 from ...errors import GraycastError
 from ...parts import Mesh
-from .cache import read_hulls, write_hulls
-from .hulls import Hull
+from .cache import read_decomposition, write_decomposition
+from .error import Decomposition, measured
 from .making import OnStage, decompose
 
 _LOG_LINES = 5
 
 
-def decompose_apart(mesh: Mesh, *, on_stage: OnStage) -> tuple[Hull, ...]:
-    """`decompose` in a child process, which ends with this call however it ends.
+def decompose_apart(mesh: Mesh, *, on_stage: OnStage) -> Decomposition:
+    """`decompose` and `measured` in a child process, which ends with this call however it ends.
 
     Raises:
         ValueError: the mesh cannot be decomposed.
@@ -53,10 +53,10 @@ def decompose_apart(mesh: Mesh, *, on_stage: OnStage) -> tuple[Hull, ...]:
                 child.stdout.close()
             if refusal is not None:
                 raise ValueError(refusal)
-            hulls = read_hulls(hull_file)
-            if hulls is None:
+            made = read_decomposition(hull_file)
+            if made is None:
                 raise GraycastError(_obituary(child.returncode, log))
-            return hulls
+            return made
 
 
 def _follow(child: subprocess.Popen, on_stage: OnStage) -> str | None:
@@ -90,7 +90,9 @@ def _main(mesh_file: Path, hull_file: Path) -> None:
     with np.load(mesh_file) as data:
         mesh = Mesh(vertices_m=data["vertices_m"], faces=data["faces"])
     try:
-        write_hulls(hull_file, decompose(mesh, on_stage=lambda stage: _say(stage=stage)))
+        hulls = decompose(mesh, on_stage=lambda stage: _say(stage=stage))
+        _say(stage=f"measuring {len(hulls)} hulls")
+        write_decomposition(hull_file, measured(mesh, hulls))
     except ValueError as error:
         _say(refused=str(error))
     else:

@@ -130,6 +130,25 @@ class HullError:
         return max(self.filled_m, self.lost_m)
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Decomposition:
+    """A mesh's hulls, how near they were found to be, and how near they should be."""
+
+    hulls: tuple[Hull, ...]
+    error: HullError
+    tolerance_m: float
+
+    @property
+    def coarse(self) -> bool:
+        """Whether they are farther off than they should be, as of a mesh of too much detail."""
+        return self.error.worst_m > self.tolerance_m
+
+
+def measured(mesh: Mesh, hulls: tuple[Hull, ...]) -> Decomposition:
+    """Hulls with their error."""
+    return Decomposition(hulls=hulls, error=hull_error(mesh, hulls), tolerance_m=tolerance_m(mesh))
+
+
 def hull_error(mesh: Mesh, hulls: tuple[Hull, ...]) -> HullError:
     """What hulls add to a mesh's bodies and what they lack, measured on the mesh itself."""
     bodies = bodies_of(mesh)

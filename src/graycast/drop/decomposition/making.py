@@ -21,7 +21,6 @@ VERTEX_TOLERANCE_OF_DIAGONAL = 0.003
 # What cutting and joining may fill, less what simplifying moved; the rest of the tolerance is for
 # what lies between the samples that look for the worst place.
 CUT_SHARE = 0.9
-LOST_SHARE = 0.5  # of the tolerance, what hulls that are left out may have reached to
 # No drop has time for more pieces, and no user for more cuts, counted by the faces of what is cut
 # (most in the zoo: 43,000, of a turned ring). Then the tolerance grows by this.
 MOST_PIECES, MOST_FACES_CUT, COARSER = 200, 120_000, 2.0
@@ -34,7 +33,7 @@ def silent(stage: str) -> None:
 
 
 def decompose(mesh: Mesh, *, on_stage: OnStage = silent) -> tuple[Hull, ...]:
-    """`convex_hulls` without the cache, in this process.
+    """The hulls of `convex_hulls`, not measured, made in this process.
 
     Raises:
         ValueError: the mesh is not closed, or inside out.

@@ -4,9 +4,9 @@ from pathlib import Path
 
 from ...parts import Mesh
 from . import cutting, error, making, solid
-from .cache import cache_folder, key_of, read_hulls, write_hulls
+from .cache import cache_folder, key_of, read_decomposition, write_decomposition
 from .child import decompose_apart
-from .hulls import Hull
+from .error import Decomposition, measured
 from .making import OnStage, decompose, silent
 
 FEW_FACES = 20_000  # whether one hull will do is asked here, without a child
@@ -41,12 +41,12 @@ _SETTINGS = (
 
 def convex_hulls(
     mesh: Mesh, *, folder: Path | None = None, on_stage: OnStage = silent
-) -> tuple[Hull, ...]:
+) -> Decomposition:
     """Convex hulls whose union is the mesh within `tolerance_m(mesh)`, in the mesh's frame.
 
     Cavities are filled. A body of so much detail that it would take too many pieces or too long
-    (`making.MOST_PIECES`, `MOST_FACES_CUT`) is cut more coarsely, as `on_stage` tells; `hull_error`
-    measures it. The result is a function of the mesh alone.
+    (`making.MOST_PIECES`, `MOST_FACES_CUT`) is cut more coarsely, as `on_stage` tells; what came of
+    it is measured, and the result says whether it is `coarse`. It is a function of the mesh alone.
 
     Args:
         mesh: closed, as `parts` delivers it.
@@ -64,9 +64,11 @@ def convex_hulls(
     """
     key = key_of(mesh, _SETTINGS)
     file = (cache_folder() if folder is None else folder) / f"{key}.npz"
-    hulls = read_hulls(file)
-    if hulls is None:
-        few = len(mesh.faces) <= FEW_FACES and making.is_one_hull(mesh)
-        hulls = decompose(mesh) if few else decompose_apart(mesh, on_stage=on_stage)
-        write_hulls(file, hulls)
-    return hulls
+    made = read_decomposition(file)
+    if made is None:
+        if len(mesh.faces) <= FEW_FACES and making.is_one_hull(mesh):
+            made = measured(mesh, decompose(mesh))
+        else:
+            made = decompose_apart(mesh, on_stage=on_stage)
+        write_decomposition(file, made)
+    return made

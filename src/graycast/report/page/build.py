@@ -1,7 +1,6 @@
 """Builds the page: only scenes that are new or changed, each whole or not at all."""
 
 import hashlib
-import os
 import secrets
 import shutil
 from collections.abc import Callable, Iterator
@@ -15,6 +14,7 @@ from pathlib import Path
 from ...dataset.stored import StoredDataset, StoredScene, open_dataset
 from ...errors import GraycastError
 from ...evaluate import Evaluation
+from ...folder import write_whole
 from ...stats import SceneFigures, scene_figures
 from .found import FOUND, found_index, found_scripts, judged
 from .index import index_script
@@ -182,16 +182,10 @@ def _write_page(stored: StoredDataset, out: Path, evaluation: Evaluation | None)
 
     found = None if evaluation is None else found_index(evaluation)
     script, _ = index_script(stored, figures(), found)
-    _replace(out / "index.js", script.encode())
+    write_whole(out / "index.js", script.encode())
     for source in sorted(resources.files(__package__).joinpath("web").iterdir(), key=_name):
-        _replace(out / source.name, source.read_bytes())
+        write_whole(out / source.name, source.read_bytes())
 
 
 def _name(entry) -> str:
     return entry.name
-
-
-def _replace(path: Path, content: bytes) -> None:
-    aside = path.with_name(f"{_ASIDE}{path.name}")
-    aside.write_bytes(content)
-    os.replace(aside, path)

@@ -13,14 +13,14 @@ from ..errors import DatasetError
 from ..frames import is_rigid
 from . import records
 from .bop import camera_json
-from .claim import CLAIM, FORMAT_VERSION, SEALED_SINCE, fingerprint, rig_of
+from .claim import FORMAT_VERSION, SEALED_SINCE, fingerprint, rig_of
 from .models import diameter
+from .places import CLAIM, finished_scenes
 from .plain_scene import Model
 from .reading import Unreadable, read_json
 from .real import is_real, real_problems
 from .scene_check import scene_problems
 from .seal import MANIFEST, seal_problems, sum_problems
-from .store import finished_scenes
 
 _MODEL_MM = 1e-3  # nine digits in a PLY, read back in single precision
 

@@ -1,0 +1,52 @@
+"""The file of a study that takes hours: written as figures come, read by the run that goes on."""
+
+import json
+from collections.abc import Sequence
+from pathlib import Path
+
+from ..errors import GraycastError
+from ..folder import write_whole
+from .figures import Figures
+
+
+def kept_rows(file: Path, study: str, settings: Figures) -> list[Figures]:
+    """The rows, finished or not, that an earlier run has left; none where there is no file.
+
+    Args:
+        file: the study's JSON file.
+        study: its name, under which the rows stand.
+        settings: all that decides what is in a row; the file has to state the same.
+
+    Raises:
+        GraycastError: the file is of something else, or of other settings.
+    """
+    if not file.exists():
+        return []
+    try:
+        before = json.loads(file.read_text(encoding="utf-8"))
+    except (ValueError, OSError) as error:
+        raise GraycastError(f"{file}: cannot be read as JSON ({error}): {_OTHER}") from None
+    rows = before.get(study) if isinstance(before, dict) else None
+    if not isinstance(rows, list) or before.get("benchmark") != study:
+        raise GraycastError(f"{file}: holds no figures of this study ({study}): {_OTHER}")
+    for name, value in settings.items():
+        if before.get(name) != value:
+            raise GraycastError(
+                f"{file}: was made with {name} {_short(before.get(name))}, and {_short(value)} is "
+                f"asked for: {_OTHER}, or ask for the same to go on"
+            )
+    return rows
+
+
+def write_figures(file: Path, figures: Figures) -> None:
+    """The figures as JSON, whole or not at all."""
+    write_whole(file, (json.dumps(figures, indent=2) + "\n").encode())
+
+
+_OTHER = "choose another file, or remove this one"
+
+
+def _short(value: object) -> str:
+    if isinstance(value, Sequence) and not isinstance(value, str):
+        return ",".join(map(str, value))
+    return str(value)

@@ -150,6 +150,15 @@ def test_an_export_is_judged_as_the_dataset_it_was_made_of(master, exported, tmp
     assert own.judgements[0].rows[0].figures == export.judgements[0].rows[0].figures
 
 
+def test_a_run_over_all_sets_of_an_export_is_judged_whole(master, exported, tmp_path):
+    export = exported("coco", split=Split(shares=(0.5, 0.0, 0.5), seed=1))
+    run = written_run(tmp_path / "run", perfect(master), split=None)
+    held = evaluation_json(judged(run, export))
+    assert held["scene_ids"] == list(SCENES)
+    assert sorted(held["split"].split(", ")) == ["test", "train"]
+    assert held["kinds"]["mask"]["figures"][0]["ap"]["value"] == 1.0
+
+
 def test_equal_results_differ_by_nothing_and_one_class_forgets_the_parts(master, results, tmp_path):
     swapped = json.loads(results.read_bytes())
     for entry in swapped:

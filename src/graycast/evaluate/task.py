@@ -1,6 +1,6 @@
 """From a results' path and a dataset's to an evaluation."""
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
@@ -12,7 +12,7 @@ from jaxtyping import UInt8
 from ..dataset.example import Example
 from ..detections import Detections
 from ..errors import GraycastError
-from ..export.record import RECORD
+from ..export.record import RECORD, read_record
 from ..export.split import Split
 from ..training import Examples, open_examples
 from .judging import Protocol, judge, kinds_of
@@ -56,12 +56,13 @@ def evaluate(
     """
     run = open_run(task.results)
     against = None if task.against is None else open_run(task.against)
-    examples = _examples(task, run)
-    scene_ids = _scene_ids(task, run, examples)
-    found = read_found(run, scene_ids, examples.categories)
-    other = None if against is None else read_found(against, scene_ids, examples.categories)
-    labels = list(_labels(task, examples, scene_ids, on_scene))
-    categories = dict(examples.categories)
+    sets = _sets(task, run)
+    held = {scene_id: examples for examples in sets for scene_id in examples.scene_ids}
+    categories = dict(sets[0].categories)
+    scene_ids = _scene_ids(task, run, held)
+    found = read_found(run, scene_ids, categories)
+    other = None if against is None else read_found(against, scene_ids, categories)
+    labels = list(_labels(task, held, scene_ids, on_scene))
     if task.one_class:
         labels, found = [_merged(one) for one in labels], [_merged(one) for one in found]
         other = None if other is None else [_merged(one) for one in other]
@@ -80,32 +81,36 @@ def evaluate(
     )
     evaluation = Evaluation(
         dataset=task.dataset.resolve().name,
-        split=examples.split,
+        split=", ".join(examples.split for examples in sets),
         run=run,
         against=against,
         categories=categories,
         protocol=task.protocol,
         judgements=judgements,
     )
-    return evaluation, _pictures(examples)
+    return evaluation, _pictures(held)
 
 
-def _examples(task: Task, run: Run) -> Examples:
-    split = task.split or run.split or "train"
-    division = task.division
-    exported = (task.dataset / RECORD).is_file()
-    if division is None and not exported:
-        division = run.division
-    return open_examples(task.dataset, split=split, division=division)
+def _sets(task: Task, run: Run) -> list[Examples]:
+    """The set that is judged; all sets of an export where the results are of all."""
+    split = task.split or run.split
+    if not (task.dataset / RECORD).is_file():
+        division = task.division or run.division
+        return [open_examples(task.dataset, split=split or "train", division=division)]
+    if split is None and run.scene_ids is not None:
+        splits = read_record(task.dataset).splits
+        return [open_examples(task.dataset, split=name) for name in splits]
+    return [open_examples(task.dataset, split=split or "train", division=task.division)]
 
 
-def _scene_ids(task: Task, run: Run, examples: Examples) -> tuple[int, ...]:
+def _scene_ids(task: Task, run: Run, held: Mapping[int, Examples]) -> tuple[int, ...]:
     """Those that were looked at or, where the set is named, all of the set."""
     if run.scene_ids is None or task.split is not None:
-        return examples.scene_ids
-    if odd := set(run.scene_ids) - set(examples.scene_ids):
+        return tuple(held)
+    if odd := set(run.scene_ids) - set(held):
+        split = next(iter(held.values())).split
         raise GraycastError(
-            f"{run.path}: looked at scene {min(odd)}, which the set {examples.split} of "
+            f"{run.path}: looked at scene {min(odd)}, which the set {split} of "
             f"{task.dataset} does not have: give --on the dataset that it looked at"
         )
     return run.scene_ids
@@ -113,12 +118,12 @@ def _scene_ids(task: Task, run: Run, examples: Examples) -> tuple[int, ...]:
 
 def _labels(
     task: Task,
-    examples: Examples,
+    held: Mapping[int, Examples],
     scene_ids: Sequence[int],
     on_scene: Callable[[int, int], None] | None,
 ) -> Iterator[Labels]:
     for done, scene_id in enumerate(scene_ids, start=1):
-        example = examples.read(scene_id)
+        example = held[scene_id].read(scene_id)
         yield labels_of(example, min_visibility=task.protocol.min_visibility)
         if on_scene is not None:
             on_scene(done, len(scene_ids))
@@ -128,10 +133,10 @@ def _merged(one: _Either) -> _Either:
     return replace(one, obj_id=np.full(len(one), _ONE_CLASS))
 
 
-def _pictures(examples: Examples) -> Picture:
+def _pictures(held: Mapping[int, Examples]) -> Picture:
     @lru_cache(maxsize=64)
     def picture(scene_id: int) -> UInt8[np.ndarray, "h w 3"]:
-        return _shown(examples.read(scene_id))
+        return _shown(held[scene_id].read(scene_id))
 
     return picture
 

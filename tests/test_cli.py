@@ -58,6 +58,7 @@ OPTIONS = {
     "schema": "kind",
     "bench render": "--json --count --device",
     "bench decode": "--json",
+    "bench detectors": "--json detectors --on",
     "bench drop": "--json --count",
     "bench hulls": "--json",
     "bench scene": "--json --scenes --count --device",

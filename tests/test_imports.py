@@ -53,6 +53,7 @@ ORDER = (
     "training",
     "evaluate",
     "detect",
+    "study_file",
     "study",
     "fit_bin",
     "calibrate",

@@ -26,7 +26,7 @@ from .figures import Figures
 PAIRS = 5  # timed in turn, A B A B ...
 
 
-def _in_turn(first: Callable[[], object], second: Callable[[], object]) -> tuple[float, float]:
+def in_turn(first: Callable[[], object], second: Callable[[], object]) -> tuple[float, float]:
     """Median seconds of two jobs that are run in turn, after one run of each to warm up."""
     first(), second()
     seconds: tuple[list[float], list[float]] = ([], [])
@@ -58,7 +58,7 @@ def measure_render(device: str, count: int) -> Figures:
         plain = replace(quality, footprint=False)
         return light(world, cell.scene, patterns[:1], quality=plain, seed=1)
 
-    stack_s, frame_s = _in_turn(stack, frame)
+    stack_s, frame_s = in_turn(stack, frame)
     start = time.perf_counter()
     truth(world, part_shapes, cell.scene, layout)
     camera = cell.scene.rig.camera
@@ -88,7 +88,7 @@ def measure_decode() -> Figures:
     frames = _seen_by_camera(code, rng, 1920, 1080)
     levels = Levels(offset_dn=4.0, saturation_dn=255.0, floor_dn2=0.1, slope_dn=0.025)
     spec = DecodeSpec()
-    decode_s, copy_s = _in_turn(lambda: decode(frames, code, spec, levels), frames.copy)
+    decode_s, copy_s = in_turn(lambda: decode(frames, code, spec, levels), frames.copy)
     start = time.perf_counter()
     decode_plain(frames, code, spec, levels)
     figures = {
@@ -106,7 +106,7 @@ def measure_decode() -> Figures:
         for width_px, height_px in ((1032, 772), (1920, 1080)):
             code = make(1280, 720)
             frames = _seen_by_camera(code, rng, width_px, height_px)
-            seconds, _ = _in_turn(partial(decode, frames, code, spec, levels), frames.copy)
+            seconds, _ = in_turn(partial(decode, frames, code, spec, levels), frames.copy)
             figures[name][f"{len(frames)} frames {width_px} x {height_px}"] = seconds
     return figures
 

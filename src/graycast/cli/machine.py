@@ -50,7 +50,9 @@ def add_commands(commands) -> None:
         _schema,
         "Print the JSON Schema of a kind of file, for editors that complete and check.",
     )
-    schema.add_argument("kind", choices=("config", "rig", "stack"), help="The kind of file.")
+    schema.add_argument(
+        "kind", choices=("config", "rig", "stack", "study"), help="The kind of file."
+    )
     _add_bench(commands)
 
 
@@ -99,6 +101,22 @@ def _add_bench(commands) -> None:
         "hulls",
         _hulls,
         "Measure how near the collision hulls of a zoo of parts are to the parts' surfaces.",
+    )
+    detectors = _add_kind(
+        kinds,
+        "detectors",
+        _detectors,
+        "Measure what reading costs a training, and how long detectors take for a picture.",
+    )
+    detectors.add_argument(
+        "detectors", type=Path, nargs="+", help="The folders of trainings, or their detector.pt."
+    )
+    detectors.add_argument(
+        "--on",
+        type=Path,
+        required=True,
+        metavar="DATASET",
+        help="The dataset whose pictures are taken; it has 28 scenes or more.",
     )
     _add_studies(kinds)
 
@@ -199,8 +217,14 @@ def _schema(options: argparse.Namespace) -> int:
     from ..config import config_schema
     from ..rig_file import rig_schema
     from ..stack import stack_schema
+    from ..study_file import study_schema
 
-    schemas = {"config": config_schema, "rig": rig_schema, "stack": stack_schema}
+    schemas = {
+        "config": config_schema,
+        "rig": rig_schema,
+        "stack": stack_schema,
+        "study": study_schema,
+    }
     print(json.dumps(schemas[options.kind](), indent=2))
     return 0
 
@@ -290,6 +314,17 @@ def _renderers(options: argparse.Namespace) -> int:
             on_work=on_work,
         )
     return _report(options, "renderers", figures)
+
+
+def _detectors(options: argparse.Namespace) -> int:
+    from ..bench.detectors import measure_detectors
+
+    runs = options.detectors
+    with _following() as on_work:
+        figures = measure_detectors(
+            runs, options.on, on_run=lambda done, what: on_work(done / len(runs), what)
+        )
+    return _report(options, "detectors", figures)
 
 
 def _zoo(options: argparse.Namespace) -> int:

@@ -14,7 +14,7 @@ from ..detections import Detections, read_results
 from ..errors import GraycastError
 from ..evaluate import Labels, Scores, labels_of, score
 from ..evaluate.intervals import Drawn, drawn, mean
-from .spec import EncodingSection, ModelSection, StudySpec, TestSection
+from ..study_file import EncodingSection, ModelSection, StudySpec, TestSection
 
 FIGURE = "ap50"  # the paper's
 ONE_CLASS_ID = 1

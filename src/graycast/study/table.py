@@ -10,8 +10,8 @@ from ..dataset.json_text import json_bytes
 from ..evaluate.intervals import Drawn, Interval
 from ..folder import write_whole
 from ..plotting import ACCENT, INK, SECOND, SOFT, caption, plain_figure, save_png
+from ..study_file import StudySpec
 from .running import Result
-from .spec import StudySpec
 
 Row = dict[str, str | float]
 _KEYS = ("model", "input", "encoding", "training", "seed", "kind")

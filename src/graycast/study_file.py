@@ -5,8 +5,8 @@ from typing import Any, Literal
 
 from pydantic import Field, model_validator
 
-from ..export.split import Split
-from ..settings import Positive, Settings, Share, read_settings
+from .export.split import Split
+from .settings import Positive, Settings, Share, read_settings
 
 
 class TestSection(Settings):
@@ -94,3 +94,8 @@ def read_study(path: Path) -> StudySpec:
         },
     }
     return said.model_copy(update=changes)
+
+
+def study_schema() -> dict[str, Any]:
+    """JSON Schema of a study's file, from which editors complete."""
+    return StudySpec.model_json_schema()

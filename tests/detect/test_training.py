@@ -237,3 +237,73 @@ def test_a_damaged_checkpoint_or_detector_is_named(dataset, tmp_path):
         train([dataset], run, SMALL)
     with pytest.raises(GraycastError, match="is not there: give a folder that graycast train"):
         load_detector(tmp_path / "nowhere")
+
+
+@pytest.fixture(scope="module")
+def run(dataset, tmp_path_factory) -> Path:
+    folder = tmp_path_factory.mktemp("run") / "run"
+    train([dataset], folder, replace(SMALL, epochs=1))
+    return folder
+
+
+def test_what_cannot_be_looked_at_is_said_in_one_line(dataset, run, tmp_path, capsys):
+    def told(*arguments, given=dataset, out=tmp_path / "found"):
+        return refusal(capsys, "detect", run, given, "--out", out, *arguments)
+
+    (tmp_path / "empty").mkdir()
+    assert "has no pictures: put them into the folders" in told(given=tmp_path / "empty")
+    assert "is no dataset, so it has no set test" in told("--split", "test", given=tmp_path)
+    assert "has no set 'test'" in told("--split", "test")
+    assert "looks at no pictures: leave them out" in told("--export", "onnx")
+    (tmp_path / "mine").mkdir()
+    (tmp_path / "mine" / "letter.txt").write_text("mine")
+    assert "is not empty and holds no earlier result" in told(out=tmp_path / "mine")
+    assert "there is nothing to look at" in refusal(
+        capsys, "detect", run, "--out", tmp_path / "found"
+    )
+    if not torch.cuda.is_available():
+        assert "torch finds no NVIDIA GPU: take --device cpu" in told("--device", "cuda")
+    assert not (tmp_path / "found").exists()
+
+
+def test_a_dataset_of_other_parts_is_refused(run, tmp_path, capsys):
+    other = write_drawn(tmp_path, 2)
+    for name in ("graycast.json", "train_coco.json"):
+        text = (other / name).read_text()
+        (other / name).write_text(text.replace('"disc"', '"nut"').replace('"box"', '"bolt"'))
+    told = refusal(capsys, "detect", run, other, "--out", tmp_path / "found")
+    assert "has nut, bolt, and the detector knows disc, box" in told
+
+
+def test_a_picture_that_is_cut_off_is_named(run, tmp_path, capsys):
+    broken = write_drawn(tmp_path, 6, seed=9)
+    picture = next((broken / "train").glob("000003/depth_sl/*.png"))
+    picture.write_bytes(picture.read_bytes()[:200])
+    said = "--model yolov3 --backbone mobilenet-v3-small --size 128 --split 0.7,0.3,0".split()
+    for arguments in (("detect", run, broken), ("train", broken, *said)):
+        told = refusal(capsys, *arguments, "--out", tmp_path / f"out_{arguments[0]}")
+        assert "000003" in told and "depth_sl" in told
+
+
+def test_a_full_disk_is_said_before_the_training(dataset, tmp_path, monkeypatch):
+    usage = type("Usage", (), {"free": 1000})
+    monkeypatch.setattr("graycast.detect.pictures.shutil.disk_usage", lambda _: usage)
+    with pytest.raises(GraycastError, match=r"0\.0 GB free and the encoded pictures take"):
+        train([dataset], tmp_path / "run", SMALL)
+
+
+@pytest.mark.parametrize(
+    ("changed", "told"),
+    [
+        ({"epochs": 0}, "epochs is 0: a whole number from 1 up"),
+        ({"batch": 0}, "batch is 0"),
+        ({"learning_rate": 0.0}, "learning_rate is 0"),
+        ({"model": "yolov9"}, "no model 'yolov9': choose one of mask-rcnn"),
+        ({"input": "xray"}, "input is 'xray': choose one of rgb"),
+        ({"holes": "none"}, "holes is 'none': choose one of channel"),
+        ({"range_m": (2.0, 1.0)}, "the depth's range is 2.0 to 1.0 m"),
+    ],
+)
+def test_a_setting_that_cannot_be_is_refused(dataset, tmp_path, changed, told):
+    with pytest.raises(GraycastError, match=told):
+        train([dataset], tmp_path / "run", replace(SMALL, **changed))

@@ -22,7 +22,13 @@ def add_commands(commands) -> None:
     train = add_command(commands, "train", _train, "Train a detector on datasets.")
     train.description = TRAIN
     train.set_defaults(when_stopped="the same command goes on from here")
-    train.add_argument("datasets", type=Path, nargs="+", help="The datasets' folders.")
+    train.add_argument(
+        "datasets",
+        type=Path,
+        nargs="+",
+        help="Folders of datasets or exports; of others' datasets a file of COCO annotations, or "
+        "the folder of one of BOP's splits.",
+    )
     train.add_argument("--out", type=Path, required=True, help="The folder of this training.")
     train.add_argument(
         "--model", choices=MODELS, default="mask-rcnn", help="The network (default: mask-rcnn)."

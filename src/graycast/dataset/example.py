@@ -31,6 +31,7 @@ class Example:
         box_px: [x, y, columns, rows] of the visible masks; integers from the top-left pixel on.
         T_cam_part: poses, part to camera [m].
         visib_fract: visible share of each silhouette.
+        ignored: instances that need not be found and are no background, as COCO's crowds.
     """
 
     scene_id: int
@@ -46,6 +47,15 @@ class Example:
     box_px: Float32[np.ndarray, "n 4"] | None = None
     T_cam_part: Float[np.ndarray, "n 4 4"] | None = None
     visib_fract: Float[np.ndarray, " n"] | None = None
+    ignored: Bool[np.ndarray, " n"] | None = None
+
+    def hidden(self, min_visibility: float) -> Bool[np.ndarray, " n"]:
+        """The instances that do not count: ignored, or visible for less than that share.
+
+        Where nobody knows what share is visible, that hides none.
+        """
+        hidden = np.zeros(len(self.obj_id), bool) if self.ignored is None else self.ignored.copy()
+        return hidden if self.visib_fract is None else hidden | (self.visib_fract < min_visibility)
 
     def __post_init__(self) -> None:
         for name in self.__slots__:

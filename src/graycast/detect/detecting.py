@@ -24,6 +24,7 @@ from ..export.split import Split
 from ..folder import refuse_foreign, whole_folder
 from ..import_real.pictures import Shot, find_shots, read_shot
 from ..training import Examples, open_examples
+from ..training.foreign import is_foreign
 from .detector import About, Detector
 
 RESULTS, MARK, DRAWINGS = "results.json", "detect.json", "drawings"
@@ -182,7 +183,7 @@ def pictures_of(folder: Path, about: About, *, split: str, scale_m: float | None
     Raises:
         GraycastError: the folder holds none of these, or knows none of the detector's parts.
     """
-    if not any((folder / name).is_file() for name in (CLAIM, RECORD)):
+    if not (any((folder / name).is_file() for name in (CLAIM, RECORD)) or is_foreign(folder)):
         if split != "all":
             raise GraycastError(f"{folder}: is no dataset, so it has no set {split}: take all")
         found = find_shots(folder)

@@ -173,8 +173,7 @@ def _labelled(
     picture_px = encoding.picture_px(example)
     scale = encoding.scale(picture_px)
     x, y, columns, rows = (example.box_px.astype(np.float32) * scale).T
-    visible = example.visib_fract
-    ignored = np.zeros(len(x), bool) if visible is None else visible < min_visibility
+    ignored = example.hidden(min_visibility)
     runs = None
     if masks:
         size = [max(1, round(side * scale)) for side in picture_px]

@@ -63,17 +63,14 @@ def labels_of(example: Example, *, min_visibility: float) -> Labels:
             f"scene {example.scene_id}: has no labels to compare detections with: choose a dataset "
             "with labels"
         )
-    visible = example.visib_fract
     return Labels(
         scene_id=example.scene_id,
         size_px=_size_px(example),
         obj_id=example.obj_id,
         box_px=example.box_px,
         mask=None if example.mask is None else run_lengths_of(example.mask),
-        ignored=np.zeros(len(example.obj_id), bool)
-        if visible is None
-        else visible < min_visibility,
-        visib_fract=visible,
+        ignored=example.hidden(min_visibility),
+        visib_fract=example.visib_fract,
         missing=_missing(example),
         instance=example.instance,
     )

@@ -1,4 +1,4 @@
-"""One reader for a dataset in BOP's form and for every export of it that holds examples."""
+"""One reader for datasets, for their exports that hold examples, and for datasets of others."""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
@@ -7,10 +7,12 @@ from pathlib import Path
 from typing import final, overload
 
 from ..dataset.example import Example
+from ..dataset.places import CLAIM
 from ..dataset.stored import StoredDataset, open_dataset
 from ..errors import DatasetError
 from ..export.record import RECORD, read_record
 from ..export.split import Split
+from .foreign import Foreign, is_foreign, open_foreign
 
 ReadOne = Callable[[int], Example]
 
@@ -57,17 +59,20 @@ class Examples(Sequence):
 
 
 def open_examples(folder: Path, *, split: str = "train", division: Split | None = None) -> Examples:
-    """The examples of a dataset, or of what `graycast export` made from it.
+    """The examples of a dataset, of what `graycast export` made from it, or of others' datasets.
 
     Args:
-        folder: a dataset's or an export's.
+        folder: a dataset's or an export's; of others a file of COCO annotations, or the folder of
+            one of BOP's splits, such as `train_pbr`.
         split: `train`, `val` or `test`.
-        division: the shares of the sets, for a dataset in BOP's form, where all scenes are `train`
-            if nothing is said. An export was divided when it was made.
+        division: the shares of the sets; all scenes are `train` if nothing is said. An export was
+            divided when it was made.
 
     Raises:
-        DatasetError: the folder is neither, or has no such set.
+        DatasetError: the folder is none of these, or has no such set.
     """
+    if not (folder / CLAIM).is_file() and not (folder / RECORD).is_file() and is_foreign(folder):
+        return _from_others(folder, open_foreign(folder), split, division or Split())
     if not (folder / RECORD).is_file():
         return _from_dataset(open_dataset(folder), split, division or Split())
     if division is not None:
@@ -91,6 +96,18 @@ def _from_dataset(stored: StoredDataset, split: str, division: Split) -> Example
         scene_ids=_of_set(stored.folder, sets, split),
         categories=stored.categories,
         read=partial(_stored_example, stored),
+    )
+
+
+def _from_others(path: Path, foreign: Foreign, split: str, division: Split) -> Examples:
+    sets = division.assign(set(foreign.scene_of))
+    inside = set(_of_set(path, sets, split))
+    return Examples(
+        folder=path,
+        split=split,
+        scene_ids=tuple(i for i, scene in enumerate(foreign.scene_of) if scene in inside),
+        categories=foreign.categories,
+        read=foreign.read,
     )
 
 

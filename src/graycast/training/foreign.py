@@ -1,0 +1,223 @@
+"""Examples from datasets that others made: COCO annotations, and folders in BOP's form.
+
+A picture is an example. Examples are numbered in the order of their files, and their names say
+which picture each is.
+"""
+
+import json
+from collections import defaultdict
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import Any, final
+
+import cv2
+import numpy as np
+from pycocotools import mask as coco_mask
+
+from ..dataset.example import Example, metres, pose_m
+from ..errors import DatasetError
+from .decoding import boxes, masks, picture
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Foreign:
+    """A dataset of others.
+
+    Attributes:
+        scene_of: what each example belongs to; a scene's pictures go into one set together.
+        categories: object ids and names.
+        read: an example by its number.
+    """
+
+    scene_of: tuple[int, ...]
+    categories: Mapping[int, str]
+    read: Callable[[int], Example]
+
+
+def is_foreign(path: Path) -> bool:
+    """Whether it is a JSON file, or a folder of BOP's scenes."""
+    return path.suffix == ".json" or bool(_bop_scenes(path))
+
+
+def open_foreign(path: Path) -> Foreign:
+    """Read the annotations; pictures when they are asked for.
+
+    Args:
+        path: a file of COCO annotations, whose pictures lie beside it or beside its folder; or a
+            folder with the scenes of one of BOP's splits, such as `train_pbr`.
+
+    Raises:
+        DatasetError: a file is missing, damaged, or of another form.
+    """
+    return _open_coco(path) if path.suffix == ".json" else _open_bop(path)
+
+
+# --- COCO ---------------------------------------------------------------------------------------
+
+
+def _open_coco(path: Path) -> Foreign:
+    content = _json(path)
+    try:
+        images = sorted(content["images"], key=lambda image: image["id"])
+        categories = {entry["id"]: entry["name"] for entry in content["categories"]}
+        entries: dict[Any, list[dict[str, Any]]] = defaultdict(list)
+        for entry in content["annotations"]:
+            entries[entry["image_id"]].append(entry)
+    except (KeyError, TypeError) as error:
+        raise DatasetError(f"{path}: holds no COCO annotations ({error} is missing)") from error
+    if not images:
+        raise DatasetError(f"{path}: has no images")
+    return Foreign(
+        scene_of=tuple(range(len(images))),
+        categories=categories,
+        read=partial(_coco_example, path, tuple(images), dict(entries)),
+    )
+
+
+def _coco_example(
+    path: Path, images: tuple[dict[str, Any], ...], entries: Mapping[Any, list], number: int
+) -> Example:
+    image = images[number]
+    file = _beside(path, image["file_name"])
+    rgb = _colour(file)
+    size = rgb.shape[:2]
+    labels = entries.get(image["id"], [])
+    name = f"{path}: image {image['id']}"
+    drawn = [entry.get("segmentation") or [] for entry in labels]
+    mask = None
+    if all(drawn):
+        mask = masks([_run(each, size, name) for each in drawn], size, name)
+    return Example(
+        scene_id=number,
+        rgb=rgb,
+        obj_id=np.array([entry["category_id"] for entry in labels], np.int64),
+        mask=mask,
+        box_px=np.array([entry["bbox"] for entry in labels], np.float32).reshape(-1, 4),
+        ignored=np.array([bool(entry.get("iscrowd", 0)) for entry in labels], bool),
+    )
+
+
+def _run(drawn: Any, size: tuple[int, int], name: str) -> dict[str, Any]:
+    """Polygons or run lengths as compressed run lengths."""
+    try:
+        if isinstance(drawn, list):
+            return coco_mask.merge(coco_mask.frPyObjects(drawn, *size))
+        return coco_mask.frPyObjects(drawn, *size) if isinstance(drawn["counts"], list) else drawn
+    except (KeyError, TypeError, ValueError) as error:
+        raise DatasetError(f"{name}: a segmentation is damaged ({error})") from error
+
+
+def _beside(path: Path, name: str) -> Path:
+    """Where a picture is: by COCO's custom beside the annotations, or in a folder near them."""
+    for folder in (path.parent, path.parent.parent):
+        for file in (folder / name, *folder.glob(f"*/{name}"), *folder.glob(f"*/*/{name}")):
+            if file.is_file():
+                return file
+    raise DatasetError(
+        f"{path}: picture {name} is neither beside the annotations nor in a folder near them"
+    )
+
+
+# --- BOP ----------------------------------------------------------------------------------------
+
+
+def _bop_scenes(path: Path) -> list[Path]:
+    return sorted(file.parent for file in path.glob("[0-9]*/scene_gt.json"))
+
+
+def _open_bop(path: Path) -> Foreign:
+    scenes = _bop_scenes(path)
+    place: list[tuple[Path, str]] = []
+    obj_ids: set[int] = set()
+    for scene in scenes:
+        poses = _json(scene / "scene_gt.json")
+        place += [(scene, image) for image in sorted(poses, key=int)]
+        obj_ids |= {entry["obj_id"] for entries in poses.values() for entry in entries}
+    return Foreign(
+        scene_of=tuple(int(scene.name) for scene, _ in place),
+        categories={obj_id: f"obj_{obj_id:06d}" for obj_id in sorted(obj_ids)},
+        read=partial(_bop_example, tuple(place)),
+    )
+
+
+def _bop_example(place: tuple[tuple[Path, str], ...], number: int) -> Example:
+    """BOP has one depth, rendered or measured; it is given as both."""
+    scene, image = place[number]
+    name = f"{int(image):06d}"
+    try:
+        poses = _json(scene / "scene_gt.json")[image]
+        infos = _json(scene / "scene_gt_info.json")[image]
+        camera = _json(scene / "scene_camera.json")[image]
+        seen = [i for i, info in enumerate(infos) if info["px_count_visib"] > 0]
+        mask = [_bop_mask(scene / "mask_visib" / f"{name}_{i:06d}.png") for i in seen]
+        share = np.array([infos[i]["visib_fract"] for i in seen], float)
+        pose = [pose_m(poses[i]["cam_R_m2c"], poses[i]["cam_t_m2c"]) for i in seen]
+        K = np.array(camera["cam_K"], float).reshape(3, 3)
+        scale_mm = float(camera.get("depth_scale", 1.0))
+    except (KeyError, IndexError, TypeError, ValueError) as error:
+        raise DatasetError(f"{scene}: image {image} is damaged ({error} is wrong)") from error
+    rgb = _bop_picture(scene, "rgb", name)
+    gray = _bop_picture(scene, "gray", name)
+    steps = _bop_picture(scene, "depth", name)
+    depth_m = None if steps is None else metres(steps, scale_mm)
+    held = np.array(mask, bool) if mask else np.zeros((0, *_size(rgb, gray, steps, scene)), bool)
+    return Example(
+        scene_id=number,
+        K=K,
+        rgb=None if rgb is None else np.ascontiguousarray(rgb[..., :3][..., ::-1]),
+        gray=gray,
+        depth_m=depth_m,
+        scanner_depth_m=None if depth_m is None else depth_m.copy(),
+        instance=np.array(seen, np.int64),
+        obj_id=np.array([poses[i]["obj_id"] for i in seen], np.int64),
+        mask=held,
+        box_px=boxes(held) if seen else np.zeros((0, 4), np.float32),
+        T_cam_part=np.array(pose, float).reshape(-1, 4, 4),
+        visib_fract=share,
+    )
+
+
+def _bop_picture(scene: Path, kind: str, name: str) -> np.ndarray | None:
+    for ending in ("png", "jpg", "tif"):
+        file = scene / kind / f"{name}.{ending}"
+        if file.is_file():
+            return picture(file.read_bytes(), str(file))
+    return None
+
+
+def _bop_mask(file: Path) -> np.ndarray:
+    if not file.is_file():
+        raise DatasetError(f"{file}: is missing: train needs the visible masks of every instance")
+    return picture(file.read_bytes(), str(file)) > 0
+
+
+def _size(*held: Any) -> tuple[int, int]:
+    *pictures, scene = held
+    for each in pictures:
+        if each is not None:
+            return each.shape[:2]
+    raise DatasetError(f"{scene}: has no rgb, gray or depth")
+
+
+# --- both ---------------------------------------------------------------------------------------
+
+
+def _json(path: Path) -> Any:
+    try:
+        return json.loads(path.read_bytes())
+    except OSError as error:
+        raise DatasetError(f"{path}: cannot be read ({error.strerror})") from error
+    except ValueError as error:
+        raise DatasetError(f"{path}: is not JSON, or is cut off") from error
+
+
+def _colour(file: Path) -> np.ndarray:
+    image = picture(file.read_bytes(), str(file))
+    if image.dtype != np.uint8:
+        raise DatasetError(f"{file}: is {image.dtype}, a colour picture has 8 bits")
+    if image.ndim == 2:
+        return cv2.cvtColor(image, cv2.COLOR_GRAY2RGB)
+    return np.ascontiguousarray(image[..., :3][..., ::-1])

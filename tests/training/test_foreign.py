@@ -1,0 +1,98 @@
+"""Datasets of others: ours in the common forms, read as if nobody knew who made them."""
+
+import json
+
+import numpy as np
+import pytest
+from simulated_dataset import write_dataset
+
+from graycast.errors import DatasetError
+from graycast.export import Options, export
+from graycast.export.split import Split
+from graycast.training import open_examples
+
+# pycocotools 2.0.11 has an array type from before NumPy 2, which NumPy asks it to mend.
+pytestmark = pytest.mark.filterwarnings("ignore:__array__ implementation:DeprecationWarning")
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("made")
+    write_dataset(folder / "ours", (0, 3, 4))
+    export(folder / "ours", folder / "coco", Options(format="coco"))
+    (folder / "coco" / "export.json").rename(folder / "record.json")  # nobody says who made it
+    return folder
+
+
+def test_a_folder_of_bop_s_scenes_is_read_as_our_own_reader_reads_it(made):
+    """Oracle: a dataset of ours is in BOP's form, and its own reader takes other files of it."""
+    own, theirs = open_examples(made / "ours"), open_examples(made / "ours" / "train")
+    assert len(theirs) == len(own) == 3
+    for mine, other in zip(own, theirs, strict=True):
+        np.testing.assert_array_equal(other.mask, mine.mask)
+        np.testing.assert_array_equal(other.obj_id, mine.obj_id)
+        np.testing.assert_allclose(other.T_cam_part, mine.T_cam_part, atol=1e-9)
+        np.testing.assert_array_equal(other.box_px, mine.box_px)
+        np.testing.assert_array_equal(other.rgb, mine.rgb)
+        np.testing.assert_allclose(other.depth_m, mine.depth_m, rtol=1e-6)
+        np.testing.assert_allclose(other.visib_fract, mine.visib_fract)
+        np.testing.assert_allclose(other.K, mine.K)
+
+
+def test_coco_annotations_are_read_whoever_wrote_them(made):
+    path = made / "coco" / "annotations" / "instances_train.json"
+    theirs = open_examples(path)
+    for mine, other in zip(open_examples(made / "ours"), theirs, strict=True):
+        np.testing.assert_array_equal(other.mask, mine.mask)
+        np.testing.assert_array_equal(other.obj_id, mine.obj_id)
+        np.testing.assert_array_equal(other.box_px, mine.box_px)
+        np.testing.assert_array_equal(other.rgb, mine.rgb)
+    assert dict(theirs.categories) == dict(open_examples(made / "ours").categories)
+
+
+def test_a_crowd_does_not_count(made, tmp_path):
+    path = made / "coco" / "annotations" / "instances_train.json"
+    content = json.loads(path.read_bytes())
+    first = content["images"][0]["id"]
+    mine = [entry for entry in content["annotations"] if entry["image_id"] == first]
+    mine[0]["iscrowd"] = 1
+    crowd = path.with_name("crowd.json")
+    crowd.write_text(json.dumps(content))
+    example = open_examples(crowd)[0]
+    assert example.hidden(0.1).tolist() == [True] + [False] * (len(mine) - 1)
+
+
+def test_pictures_of_a_scene_stay_together_when_they_are_divided(made):
+    whole = Split(shares=(0.5, 0.5, 0.0))
+    parts = [
+        open_examples(made / "ours" / "train", split=name, division=whole)
+        for name in ("train", "val")
+    ]
+    assert sorted([*parts[0].scene_ids, *parts[1].scene_ids]) == [0, 1, 2]
+
+
+@pytest.mark.parametrize(
+    ("text", "told"),
+    [
+        ("{", "is not JSON, or is cut off"),
+        ("{}", "holds no COCO annotations"),
+        ('{"images": [], "annotations": [], "categories": []}', "has no images"),
+    ],
+)
+def test_annotations_that_are_none_are_refused(tmp_path, text, told):
+    (tmp_path / "a.json").write_text(text)
+    with pytest.raises(DatasetError, match=told):
+        open_examples(tmp_path / "a.json")
+
+
+def test_a_picture_or_a_mask_that_is_missing_is_named(made, tmp_path):
+    path = tmp_path / "a.json"
+    image = {"id": 1, "file_name": "nowhere.png", "width": 4, "height": 4}
+    path.write_text(json.dumps({"images": [image], "annotations": [], "categories": []}))
+    with pytest.raises(DatasetError, match=r"picture nowhere\.png is neither beside"):
+        open_examples(path)[0]
+    write_dataset(tmp_path / "ours", (0,))
+    for mask in (tmp_path / "ours/train/000000/mask_visib").iterdir():
+        mask.unlink()
+    with pytest.raises(DatasetError, match="is missing: train needs the visible masks"):
+        open_examples(tmp_path / "ours" / "train")[0]

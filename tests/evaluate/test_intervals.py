@@ -2,10 +2,11 @@
 
 import numpy as np
 import pytest
+from scipy import stats
 
 from graycast.errors import GraycastError
 from graycast.evaluate import score
-from graycast.evaluate.intervals import differences, draw_scenes, with_intervals
+from graycast.evaluate.intervals import differences, draw_scenes, interval_of, with_intervals
 from graycast.evaluate.scores import figures_of_draws
 
 from .drawn_sets import RandomSet, figures, found_squares, squares
@@ -49,20 +50,25 @@ def test_one_seed_gives_one_interval_and_another_seed_nearly_the_same():
     assert first.low < first.value < first.high
 
 
-def test_recall_of_equal_scenes_has_the_width_of_students_t():
-    """Oracle: recall of scenes with as many parts is a mean; its interval is mean +- t s / sqrt(n).
+@pytest.mark.parametrize(("scenes", "t"), [(3, 4.303), (5, 2.776), (12, 2.201), (60, 2.001)])
+def test_normal_draws_of_a_mean_have_the_interval_of_student(scenes, t):
+    """Oracle: mean +- t s / sqrt(n), t from a printed table; the bootstrap's spread of the mean is
+    s sqrt((n - 1) / n) / sqrt(n). Five standard errors of the quantile of 200,000 draws."""
+    spread = np.sqrt((scenes - 1) / scenes / scenes)  # of s = 1
+    drawn = 0.7 + spread * np.random.default_rng(5).standard_normal(200_000)
+    found = interval_of(0.7, drawn, scenes)
+    half = t / np.sqrt(scenes)
+    z = half / spread
+    share, density = stats.norm.sf(z), stats.norm.pdf(z)
+    error = 5 * spread * np.sqrt(share / 200_000) / density
+    assert found.high - 0.7 == pytest.approx(half, abs=error)
+    assert 0.7 - found.low == pytest.approx(half, abs=error)
 
-    The bootstrap's has its own noise of about 3 % of the width with 20,000 draws, and the law of
-    the mean of 12 scenes is not quite normal.
-    """
-    rng = np.random.default_rng(5)
-    scenes = [bin_of(i, rng, share=rng.uniform(0.5, 0.9)) for i in range(12)]
-    scores = score([one[0] for one in scenes], [one[1] for one in scenes], kind="box")
-    found = with_intervals(scores, draw_scenes(12, seed=0, draws=20_000))["ar"]
-    recall = np.array([len(one[1]) / 15 for one in scenes])
-    half = 2.201 * recall.std(ddof=1) / np.sqrt(12)  # Student's t for 11 degrees of freedom
-    assert found.value == pytest.approx(recall.mean(), abs=1e-12)
-    assert (found.high - found.low) / 2 == pytest.approx(half, rel=0.06)
+
+def test_draws_with_nothing_to_find_are_left_out():
+    drawn = np.where(np.arange(400) % 2 == 0, np.nan, np.linspace(0, 1, 400))
+    assert interval_of(0.5, drawn, 30) == interval_of(0.5, drawn[1::2], 30)
+    assert np.isnan(interval_of(0.5, np.full(9, np.nan), 30).low)
 
 
 def test_equal_results_differ_by_exactly_nothing():

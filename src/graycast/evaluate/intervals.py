@@ -44,7 +44,7 @@ def with_intervals(scores: Scores, times: Int[np.ndarray, "draws scenes"]) -> di
     drawn = figures_of_draws(scores.matches, times)
     scenes = len(scores.scene_ids)
     return {
-        name: _interval(getattr(scores, name), values, scenes) for name, values in drawn.items()
+        name: interval_of(getattr(scores, name), values, scenes) for name, values in drawn.items()
     }
 
 
@@ -63,7 +63,7 @@ def differences(
         )
     mine, its = (figures_of_draws(one.matches, times) for one in (scores, other))
     return {
-        name: _interval(
+        name: interval_of(
             getattr(scores, name) - getattr(other, name),
             mine[name] - its[name],
             len(scores.scene_ids),
@@ -96,7 +96,7 @@ class Drawn:
 
     @property
     def interval(self) -> Interval:
-        return _interval(self.value, self.draws, self.scenes)
+        return interval_of(self.value, self.draws, self.scenes)
 
 
 def drawn(scores: Scores, figure: str, *, seed: int, draws: int = DRAWS) -> Drawn:
@@ -118,8 +118,11 @@ def mean(figures: Sequence[Drawn]) -> Drawn:
     )
 
 
-def _interval(value: float, drawn: Float[np.ndarray, " draws"], scenes: int) -> Interval:
-    """Draws that have nothing to find tell nothing and are left out."""
+def interval_of(value: float, drawn: Float[np.ndarray, " draws"], scenes: int) -> Interval:
+    """The interval of a figure from its draws of so many scenes.
+
+    Draws that have nothing to find are NaN; they tell nothing and are left out.
+    """
     drawn = drawn[~np.isnan(drawn)]
     if scenes < 2 or not len(drawn):
         return Interval(value=value, low=float("nan"), high=float("nan"))

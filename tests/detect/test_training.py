@@ -104,7 +104,7 @@ def test_detections_of_a_run_come_back_from_files(dataset, tmp_path, model):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("model", "epochs"), [("mask-rcnn", 25), ("yolov3", 40)])
+@pytest.mark.parametrize(("model", "epochs"), [("mask-rcnn", 14), ("yolov3", 40)])
 def test_it_learns_what_is_drawn(tmp_path, model, epochs):
     """On pictures that it has not seen. A detector whose boxes are off by a scale has almost 0."""
     dataset = write_drawn(tmp_path, 40, seed=3)

@@ -158,10 +158,10 @@ class Solov2(nn.Module):
         area = inside.sum(dim=(1, 2))
         fill = (mask * inside).sum(dim=(1, 2)) / area.clamp(min=1)
         kept = (area > _least_area(score.device)[cell]).nonzero()[:, 0]
-        kept = kept[(best * fill)[kept].topk(len(kept)).indices]
+        kept = kept[(best * fill)[kept].argsort(descending=True, stable=True)]
         best, label = (best * fill)[kept], label[kept]
         best = best * _decay(inside[kept].flatten(1).float(), label)
-        order = best.topk(min(most, len(best))).indices
+        order = best.argsort(descending=True, stable=True)[:most]
         order = order[best[order] >= least_score]
         return _found(mask[kept][order], label[order], best[order])
 

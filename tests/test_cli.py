@@ -30,9 +30,13 @@ OPTIONS = {
     "validate": "dataset --fast",
     "parts": "config --out --device",
     "stats": "dataset --workers --out --card --licence",
-    "report": "dataset --workers --out --width",
+    "report": "dataset --workers --out --detections --width",
     "export": "dataset --format --out --scenes --split --split-seed --image --depth --polygons "
     "--labels --cloud --organised --pixel-origin --shard-scenes --link --min-visibility",
+    "evaluate": (
+        "results --on --split --shares --split-seed --against --kind --one-class --min-visibility "
+        "--most --draws --seed --depth --out"
+    ),
     "import-real": "folder --out --intrinsics --distortion --scale --size --annotations "
     "--unlabelled --like",
     "fit-bin": "real --config --out --rgb --intrinsics --distortion --scale --size --inner --wall "

@@ -48,11 +48,11 @@ def test_yolov7_finds_the_boxes_of_libreyolo():
     images, _ = pictures()
     from libreyolo.postprocess.yolo7 import postprocess
 
+    with torch.no_grad():
+        maps = network.network(images)
     for index, ours in enumerate(network.find(images, most=300, least_score=0.2)):
-        with torch.no_grad():
-            maps = network.network(images[index : index + 1])
         theirs = postprocess(
-            maps,
+            [m[index : index + 1] for m in maps],
             network.anchors_px,
             [8, 16, 32],
             2,

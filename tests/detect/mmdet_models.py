@@ -1,8 +1,12 @@
 """mmdetection's configurations of our networks, and its weights under our names."""
 
-from graycast.detect.solov2 import GRIDS, RANGES
-from graycast.detect.yolov3 import ANCHORS_416_PX
-
+# Published values, for the picture sizes that they were published for.
+ANCHORS_416_PX = (
+    ((116, 90), (156, 198), (373, 326)),
+    ((30, 61), (62, 45), (59, 119)),
+    ((10, 13), (16, 30), (33, 23)),
+)
+RANGES_597_PX = ((1, 56), (28, 112), (56, 224), (112, 448), (224, 896))
 YOLOV3 = {
     "darknet53": {
         "backbone": {"type": "Darknet", "depth": 53, "out_indices": (3, 4, 5)},
@@ -76,6 +80,7 @@ def yolov3(backbone, *, classes, side, least, most):
 def solov2(backbone, *, classes, side, least, most):
     parts = SOLOV2[backbone]
     width, depth = parts["tower"]
+    scale = side / (56 * 32 / 3)
     return {
         "type": "SOLOv2",
         "data_preprocessor": PIXELS,
@@ -100,9 +105,9 @@ def solov2(backbone, *, classes, side, least, most):
             "feat_channels": width,
             "stacked_convs": depth,
             "strides": [8, 8, 16, 32, 32],
-            "scale_ranges": [(max(a * side, 1.0), b * side) for a, b in RANGES],
+            "scale_ranges": [(max(a * scale, 1.0), b * scale) for a, b in RANGES_597_PX],
             "pos_scale": 0.2,
-            "num_grids": list(GRIDS),
+            "num_grids": [40, 36, 24, 16, 12],
             "cls_down_index": 0,
             "mask_feature_head": {
                 "feat_channels": 128,

@@ -62,7 +62,7 @@ class Solov2(nn.Module):
     """
 
     finds_masks = True
-    recipe = Recipe(optimizer="adamw", learning_rate=5e-4, batch=4, weight_decay=0.01)
+    recipe = Recipe(optimizer="adamw", learning_rate=3e-4, batch=4, weight_decay=0.01)
 
     def __init__(
         self, *, channels: int, classes: int, backbone: str | None, size_px: tuple[int, int]

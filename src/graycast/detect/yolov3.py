@@ -14,10 +14,11 @@ import torch
 from jaxtyping import Bool, Float, Int64
 from torch import Tensor, nn
 from torch.nn.functional import binary_cross_entropy_with_logits, interpolate
-from torchvision.ops import batched_nms, box_iou
+from torchvision.ops import box_iou
 
 from .backbones import Convolution, open_backbone
 from .network import Found, Recipe, Target
+from .suppression import best_boxes
 
 # Width and height in pixels of a picture of 416 x 416, from the coarsest scale to the finest: the
 # paper's, clustered from COCO. They grow and shrink with the picture.
@@ -29,7 +30,6 @@ ANCHORS_416_PX = (
 STRIDES = (32, 16, 8)
 # An anchor that overlaps an instance by more than this is not a negative.
 OVERLAP = 0.5
-NMS_OVERLAP = 0.45
 CENTRE_WEIGHT, SIZE_WEIGHT = 2.0, 2.0
 MOST_LOG_GROWTH = 8.0  # e^8 anchors is larger than any picture; more would overflow
 LEAST_SHARE = 1e-6  # of a cell, or of an anchor: the logarithm of zero is none
@@ -89,22 +89,20 @@ class Yolov3(nn.Module):
     def find(
         self, image: Float[Tensor, "b c h w"], *, most: int, least_score: float
     ) -> list[Found]:
-        """Boxes that no better box of their class overlaps by more than `NMS_OVERLAP`."""
+        """Boxes of all scales, each once."""
         raw = self(image)
         anchor, stride = self._anchors(image)
         height, width = image.shape[-2:]
-        found = []
-        for answer in raw:
-            box = _decode(answer, anchor, stride)
-            score = answer[:, 4:5].sigmoid() * answer[:, 5:].sigmoid()
-            best, place = score.flatten().topk(min(10 * most, score.numel()))
-            place, best = place[best >= least_score], best[best >= least_score]
-            box, label = box[place // self.classes], place % self.classes
-            kept = batched_nms(box, best, label, NMS_OVERLAP)[:most]
-            limit = box.new_tensor([width, height, width, height])
-            inside = box[kept].clamp(min=0).minimum(limit)
-            found.append(Found(box=inside, label=label[kept], score=best[kept], mask=None))
-        return found
+        return [
+            best_boxes(
+                _decode(answer, anchor, stride),
+                answer[:, 4:5].sigmoid() * answer[:, 5:].sigmoid(),
+                most=most,
+                least_score=least_score,
+                size_px=(height, width),
+            )
+            for answer in raw
+        ]
 
     def _anchors(
         self, image: Float[Tensor, "b c h w"]

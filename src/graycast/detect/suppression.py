@@ -1,0 +1,36 @@
+"""What detectors of boxes share: of boxes that overlap, the best stays."""
+
+from jaxtyping import Float
+from torch import Tensor
+from torchvision.ops import batched_nms
+
+from .network import Found
+
+OVERLAP = 0.45
+
+
+def best_boxes(
+    box: Float[Tensor, "n 4"],
+    score: Float[Tensor, "n classes"],
+    *,
+    most: int,
+    least_score: float,
+    size_px: tuple[int, int],
+) -> Found:
+    """Boxes that no better one of their class overlaps by more than `OVERLAP`, cut to the picture.
+
+    Args:
+        box: candidates, each for every class.
+        score: of each candidate and class; what has none is no candidate.
+        most: detections in the end; ten times as many candidates are looked at.
+        least_score: of a detection.
+        size_px: height and width of the picture.
+    """
+    best, place = score.flatten().topk(min(10 * most, score.numel()))
+    wanted = (best >= least_score) & (best > 0)
+    best, place = best[wanted], place[wanted]
+    box, label = box[place // score.shape[1]], place % score.shape[1]
+    kept = batched_nms(box, best, label, OVERLAP)[:most]
+    height, width = size_px
+    inside = box[kept].clamp(min=0).minimum(box.new_tensor([width, height, width, height]))
+    return Found(box=inside, label=label[kept], score=best[kept], mask=None)

@@ -20,6 +20,7 @@ def row(figures, light, name):
     return next(r for r in figures["ratios"] if (r["light"], r["class"]) == (light, name))
 
 
+@pytest.mark.slow
 def test_it_reports_the_ratio_of_each_class_exactly(painted):
     one = (0.7, 0.4, 0.5, 0.6)
     other = tuple(light * ratio for light, ratio in zip(one, RATIOS.values(), strict=True))

@@ -44,6 +44,7 @@ def test_the_series_doubles_up_to_the_most():
         sample_counts(3)
 
 
+@pytest.mark.slow
 def test_noise_that_falls_with_samples_gives_errors_that_do(painted):
     """And a renderer without noise has none, at any number, with any denoiser."""
     noisy, heard = painted(name="cycles", noise=0.6), []

@@ -72,6 +72,7 @@ def test_a_bolt_makes_scenes_and_lies_in_balance(tmp_path):
         assert (row["made"], row["most"], row["balanced"]) == (2, 1, 2), row
 
 
+@pytest.mark.slow
 def test_ten_tubes_of_many_hulls_come_to_rest(tmp_path):
     """With the engine's clustering of contacts they never do."""
     (row,) = study_zoo(families=("tube",), counts=(10,), seeds=1, hull_folder=tmp_path)["zoo"]

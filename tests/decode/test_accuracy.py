@@ -46,7 +46,7 @@ def deviations(u, codes):
 
 
 @pytest.mark.parametrize("name", FINE_CODES)
-@pytest.mark.parametrize("white_dn", [300.0, 3000.0])
+@pytest.mark.parametrize("white_dn", [pytest.param(300.0, marks=pytest.mark.slow), 3000.0])
 def test_the_truth_lies_within_sigma_as_often_as_it_should(name, white_dn):
     """Of 48,000 normal deviations 68.3 % are under 1 and 95.4 % under 2, give or take 0.2 %; their
     mean square is 1, give or take 0.7 %. To it comes the staircase of the projector's pixels,

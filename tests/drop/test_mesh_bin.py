@@ -54,6 +54,7 @@ def test_a_cube_between_walls_that_are_too_close_is_measured():
     assert layout.deepest_penetration_m > 1.5e-3
 
 
+@pytest.mark.slow
 def test_a_heap_stays_between_leaning_walls(tmp_path, angle_part, hull_folder):
     """Oracle: the planes of floor and walls, which the crate was made of."""
     scene = Scene(

@@ -8,6 +8,7 @@ from collections import OrderedDict
 from collections.abc import Sequence
 from typing import final
 
+import numpy as np
 import torch
 from jaxtyping import Float
 from torch import Tensor, nn
@@ -80,6 +81,8 @@ class MaskRcnn(nn.Module):
     def losses(
         self, image: Float[Tensor, "b c h w"], targets: Sequence[Target]
     ) -> dict[str, Tensor]:
+        # Their mode chooses between losses and results alone: they have no norms and no dropout.
+        self.rpn.train(), self.heads.train()
         images, maps = self._maps(image)
         told = [_told(target) for target in targets]
         proposals, rpn = self.rpn(images, maps, told)
@@ -90,8 +93,11 @@ class MaskRcnn(nn.Module):
     def find(
         self, image: Float[Tensor, "b c h w"], *, most: int, least_score: float
     ) -> list[Found]:
+        self.rpn.eval(), self.heads.eval()
         images, maps = self._maps(image)
-        self.heads.detections_per_img, self.heads.score_thresh = most, least_score
+        self.heads.detections_per_img = most
+        # torchvision keeps what is above its threshold, not what is equal to it.
+        self.heads.score_thresh = float(np.nextafter(np.float32(least_score), np.float32(-1)))
         proposals, _ = self.rpn(images, maps)
         results, _ = self.heads(maps, proposals, images.image_sizes)
         size = image.shape[-2:]

@@ -27,6 +27,11 @@ def load_weights(network: Network, file: Path) -> None:
             raise GraycastError(f"{file}: holds weights of other shapes: is it the same backbone?")
         network.load_state_dict(own | fitting)
         return
+    if not hasattr(network, "body"):
+        raise GraycastError(
+            f"{file}: holds weights of another network; this model starts from another run's "
+            "detector.pt or from random numbers"
+        )
     try:
         load_backbone(network.body, state)
     except GraycastError as error:

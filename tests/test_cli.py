@@ -37,8 +37,8 @@ OPTIONS = {
     "train": "datasets --out --model --input --one-class --backbone --weights --size --epochs "
     "--patience --batch --learning-rate --split --split-seed --min-visibility --holes --no-relief "
     "--range --no-flips --seed --device --threads --workers",
-    "detect": "detector pictures --out --export --split --scale --most --least-score --drawings "
-    "--device --threads",
+    "detect": "detector pictures --out --export --split --as-real --scale --most --least-score "
+    "--drawings --device --threads",
     "study": "study --out --list --device --threads",
     "evaluate": "results --on --split --shares --split-seed --against --kind --one-class "
     "--min-visibility --most --draws --seed --depth --out",

@@ -16,6 +16,9 @@ class TestSection(Settings):
     split: Literal["train", "val", "test", "all"] = Field(
         "all", description="test: the scenes that the training left, of its own dataset"
     )
+    as_real: bool = Field(
+        False, description="hide perfect depth: what was trained on it sees the scanner's"
+    )
 
 
 class ModelSection(Settings):

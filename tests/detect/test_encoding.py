@@ -124,3 +124,13 @@ def test_an_impossible_encoding_is_refused(changed, told):
 def test_a_picture_that_is_not_there_is_named():
     with pytest.raises(GraycastError, match="scene 0 has no scanner depth"):
         deep().encode(Example(scene_id=0), seed=0)
+
+
+def test_where_there_is_no_perfect_depth_the_scanner_s_is_looked_at():
+    """And no noise is added to it; where there is one, the scanner's is not looked at."""
+    depth_m = np.full(SIZE, 0.8, np.float32)
+    both = Example(scene_id=0, depth_m=depth_m - 0.1, scanner_depth_m=depth_m)
+    real = scan(depth_m)
+    for name in ("depth", "depth_noisy"):
+        np.testing.assert_allclose(deep(input=name).encode(real, seed=0)[0], 0.2, atol=1e-6)
+    np.testing.assert_allclose(deep(input="depth").encode(both, seed=0)[0], -0.2, atol=1e-6)

@@ -179,7 +179,6 @@ def test_what_cannot_be_trained_is_said_in_one_line(dataset, tmp_path, capsys):
         return refusal(capsys, "train", given, "--out", to, *said, *arguments)
 
     assert "is not a Graycast dataset" in told(given=tmp_path / "nowhere")
-    assert "has no perfect depth: choose an --input" in told("--input", "depth")
     assert "no backbone 'vgg'" in told("--backbone", "vgg", to=tmp_path / "v")
     assert "split: val gets none" in told("--split", "0.99,0.01,0", to=tmp_path / "s")
     assert "is not there: give a file of weights" in told(

@@ -151,6 +151,12 @@ def add_commands(commands) -> None:
         help="Which scenes: those that the training left for test, for instance (default: all).",
     )
     detect.add_argument(
+        "--as-real",
+        action="store_true",
+        help="Hide perfect depth, which a real camera has not: a detector that was trained on it "
+        "sees the scanner's.",
+    )
+    detect.add_argument(
         "--scale",
         type=above_zero,
         metavar="METRES",
@@ -285,7 +291,11 @@ def _detect(options: argparse.Namespace) -> None:
     if options.pictures is None:
         raise GraycastError("there is nothing to look at: give a dataset or a folder of pictures")
     pictures = pictures_of(
-        options.pictures, detector.about, split=options.split, scale_m=options.scale
+        options.pictures,
+        detector.about,
+        split=options.split,
+        scale_m=options.scale,
+        as_real=options.as_real,
     )
     with progress_bar() as bar:
         task = bar.add_task("pictures", total=len(pictures.scene_ids))

@@ -4,7 +4,7 @@ import json
 import shutil
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import chain
 from pathlib import Path
 from typing import Any, final
@@ -173,12 +173,16 @@ class Chosen:
     said: Mapping[str, Any]
 
 
-def pictures_of(folder: Path, about: About, *, split: str, scale_m: float | None) -> Chosen:
+def pictures_of(
+    folder: Path, about: About, *, split: str, scale_m: float | None, as_real: bool = False
+) -> Chosen:
     """The pictures of a dataset, of an export, or of a folder that `import-real` could read.
 
     Args:
         split: a set, or `all`. The scenes of a dataset are divided as the training divided them.
         scale_m: metres in a unit of whole-numbered depth files.
+        as_real: perfect depth is hidden, as a real camera has none: what was trained on it sees
+            the scanner's.
 
     Raises:
         GraycastError: the folder holds none of these, or knows none of the detector's parts.
@@ -197,11 +201,15 @@ def pictures_of(folder: Path, about: About, *, split: str, scale_m: float | None
     division = Split(shares=tuple(held["shares"]), seed=held["seed"])
     sets, said = sets_of(folder, split, division)
     return Chosen(
-        examples=chain.from_iterable(sets),
+        examples=map(_as_real, chain.from_iterable(sets)) if as_real else chain.from_iterable(sets),
         scene_ids=tuple(scene_id for each in sets for scene_id in each.scene_ids),
         class_ids=about.obj_ids(sets[0].categories, folder),
-        said={"dataset": str(folder), **said},
+        said={"dataset": str(folder), "as_real": as_real, **said},
     )
+
+
+def _as_real(example: Example) -> Example:
+    return replace(example, depth_m=None)
 
 
 def sets_of(folder: Path, split: str, division: Split) -> tuple[list[Examples], dict[str, Any]]:

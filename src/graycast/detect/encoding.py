@@ -98,7 +98,7 @@ class Encoding:
             layers += self._colour(_needed(example.rgb, "rgb", example))
         if self.deep:
             depth_m = self.depth_m(example)
-            rough = self.input == "depth_noisy"
+            rough = self.input == "depth_noisy" and example.depth_m is not None
             layers += self._depth(noisy(depth_m, seed=seed) if rough else depth_m)
         return np.stack(layers)
 
@@ -108,9 +108,13 @@ class Encoding:
         return _needed(held, "rgb", example).shape[:2]
 
     def depth_m(self, example: Example) -> Float32[np.ndarray, "h w"]:
-        """The depth that is encoded, before any noise."""
-        if self.input in ("depth", "depth_noisy"):
-            return _needed(example.depth_m, "perfect depth", example)
+        """The depth that is encoded, before any noise.
+
+        A real camera has no perfect depth: what was trained on it looks at the scanner's there,
+        and no noise is added to that.
+        """
+        if self.input in ("depth", "depth_noisy") and example.depth_m is not None:
+            return example.depth_m
         return _needed(example.scanner_depth_m, "scanner depth", example)
 
     def _colour(self, rgb: UInt8[np.ndarray, "h w 3"]) -> list[np.ndarray]:

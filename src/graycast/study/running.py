@@ -137,7 +137,9 @@ def _trained(
 
 
 def _found(detector: Detector, dataset: Path, world: TestSection, folder: Path) -> list[Detections]:
-    chosen = pictures_of(dataset, detector.about, split=world.split, scale_m=None)
+    chosen = pictures_of(
+        dataset, detector.about, split=world.split, scale_m=None, as_real=world.as_real
+    )
     if not (folder / MARK).is_file():
         detect(
             detector, chosen.examples, folder, class_ids=chosen.class_ids, said=chosen.said,

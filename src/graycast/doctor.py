@@ -22,6 +22,13 @@ _PACKAGES = {  # distribution: what it gives
     "manifold3d": "cutting parts that are not convex",
     "pyoidn": "a clean colour picture from few samples on a processor",
 }
+_OPTIONAL = {  # distribution: what installs it, what it gives
+    "torch": ("make extras", "detectors: train, detect and study"),
+    "libreyolo": ("pip install --no-deps libreyolo", "detectors: --model yolov7"),
+    "rfdetr": ("pip install 'graycast[rf-detr]'", "detectors: --model rf-detr"),
+    "ray": ("pip install 'graycast[ray]'", "scenes made by a cluster: generate --engine ray"),
+    "pyarrow": ("pip install 'graycast[parquet]'", "datasets as tables: export --format parquet"),
+}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -74,11 +81,17 @@ def _software() -> Iterator[Finding]:
         gives=f"Python {'.'.join(map(str, _OLDEST_PYTHON))} or newer runs Graycast",
     )
     for package, gives in _PACKAGES.items():
-        try:
-            found, ok = version(package), True
-        except PackageNotFoundError:
-            found, ok = f"not installed; run: pip install {package}", False
-        yield Finding(name=package, found=found, ok=ok, gives=gives)
+        yield _package(package, f"pip install {package}", gives, needed=True)
+    for package, (command, gives) in _OPTIONAL.items():
+        yield _package(package, command, gives, needed=False)
+
+
+def _package(name: str, command: str, gives: str, *, needed: bool) -> Finding:
+    try:
+        found, ok = version(name), True
+    except PackageNotFoundError:
+        found, ok = f"not installed; run: {command}", False
+    return Finding(name=name, found=found, ok=ok, gives=gives, needed=needed)
 
 
 def _machine() -> Iterator[Finding]:

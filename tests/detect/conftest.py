@@ -3,8 +3,11 @@
 import pytest
 
 
-@pytest.fixture(scope="session", autouse=True)
+@pytest.fixture(autouse=True)
 def one_thread_of_torch():
+    """Denormals are flushed in these tests alone: SciPy's k-d tree does not end without them."""
     torch = pytest.importorskip("torch", reason="needs torch: pip install 'graycast[detect]'")
     torch.set_num_threads(1)
     torch.set_flush_denormal(True)
+    yield
+    torch.set_flush_denormal(False)

@@ -103,6 +103,16 @@ def test_detections_of_a_run_come_back_from_files(dataset, tmp_path, model):
     assert len(list((tmp_path / "found" / "drawings").iterdir())) == 10
 
 
+def test_the_processor_s_arithmetic_is_left_as_it_was(dataset, run, tmp_path):
+    """A k-d tree of SciPy recurses without end where small differences are zero."""
+    torch.set_flush_denormal(False)
+    example = open_examples(dataset)[0]
+    load_detector(run).detect(example, obj_ids={"disc": 1, "box": 2})
+    train([dataset], tmp_path / "run", replace(SMALL, epochs=1))
+    tiny = np.full(4, 1e-310)
+    assert (tiny * 0.5 > 0).all() and (tiny[0] - tiny[1] * 0.5) > 0
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize(("model", "epochs"), [("mask-rcnn", 14), ("yolov3", 40)])
 def test_it_learns_what_is_drawn(tmp_path, model, epochs):

@@ -10,6 +10,7 @@ import numpy as np
 import torch
 
 from ..detect import Augmentation, Detector, load_detector
+from ..detect.detector import without_denormals
 from ..detect.pictures import Pictures, collate
 from ..errors import GraycastError
 from ..training import open_examples
@@ -35,6 +36,11 @@ def measure_detectors(
     Raises:
         GraycastError: a run is no training, or the dataset has too few pictures.
     """
+    with without_denormals():
+        return _measured(runs, dataset, on_run)
+
+
+def _measured(runs: Sequence[Path], dataset: Path, on_run: Callable[[int, str], None]) -> Figures:
     rows = []
     for done, run in enumerate(runs):
         on_run(done, run.name)

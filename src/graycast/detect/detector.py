@@ -1,7 +1,8 @@
 """A trained detector: a network, how it sees, and what its classes are, in one file."""
 
 import json
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, final
@@ -145,7 +146,7 @@ class Detector:
     ) -> Detections:
         """The same for a picture that is encoded already; it was `picture_px` high and wide."""
         image = torch.from_numpy(encoded)[None].to(self.device)
-        with torch.inference_mode(), autocast(self.device):
+        with torch.inference_mode(), autocast(self.device), without_denormals():
             found = self.network.find(image, most=most, least_score=least_score)[0]
         ids = np.array([obj_ids.get(name, -1) for name in self.about.names], np.int64)
         return _detections(found, scene_id, ids, picture_px, self.about.encoding.scale(picture_px))
@@ -253,8 +254,22 @@ def choose_device(name: str) -> torch.device:
     if name == "cuda" and not torch.cuda.is_available():
         raise GraycastError("torch finds no NVIDIA GPU: take --device cpu, or mend the driver")
     gpu = name == "cuda" or (name == "auto" and torch.cuda.is_available())
-    torch.set_flush_denormal(True)  # training makes denormals, and processors are slow with them
     return torch.device("cuda" if gpu else "cpu")
+
+
+@contextmanager
+def without_denormals() -> Iterator[None]:
+    """Numbers too small for full precision are zero inside: processors take long for them, and
+    networks make many.
+
+    It is undone at the end, because it holds for all code of the thread: SciPy's k-d tree, for
+    one, never ends where the difference of two unequal numbers is zero.
+    """
+    torch.set_flush_denormal(True)
+    try:
+        yield
+    finally:
+        torch.set_flush_denormal(False)
 
 
 def autocast(device: torch.device):

@@ -26,6 +26,7 @@ from .detector import (
     choose_device,
     load_detector,
     save_detector,
+    without_denormals,
 )
 from .encoding import Encoding, fitting_size
 from .network import Network, Recipe
@@ -288,18 +289,19 @@ class _Training:
             rate = recipe.learning_rate * _shape(progress.step / total)
             for group in optimizer.param_groups:
                 group["lr"] = rate
-            with autocast(self.device):
+            with autocast(self.device), without_denormals():
                 losses = self.network.losses(image, targets)
-            loss = torch.stack(list(losses.values())).sum()
+                loss = torch.stack(list(losses.values())).sum()
             if not torch.isfinite(loss):
                 raise GraycastError(
                     f"the loss is no number after {progress.step} steps: lower --learning-rate "
                     f"(it is {recipe.learning_rate})"
                 )
             optimizer.zero_grad(set_to_none=True)
-            loss.backward()
-            torch.nn.utils.clip_grad_norm_(self.network.parameters(), _MOST_NORM)
-            optimizer.step()
+            with without_denormals():
+                loss.backward()
+                torch.nn.utils.clip_grad_norm_(self.network.parameters(), _MOST_NORM)
+                optimizer.step()
             progress.step += 1
             for name, value in {"loss": loss, **_named(losses)}.items():
                 progress.sums[name] = progress.sums.get(name, 0.0) + float(value.detach())

@@ -102,3 +102,15 @@ def test_darknet_has_the_53_layers_and_parameters_of_the_paper():
     convolutions = [m for m in body.modules() if isinstance(m, torch.nn.Conv2d)]
     assert len(convolutions) == 52
     assert sum(p.numel() for p in body.parameters()) == 40_584_928
+
+
+def test_norms_follow_within_tens_of_steps():
+    """Law: after n steps on one picture its statistics are there but for 0.9^n."""
+    body = open_backbone("mobilenet-v3-small", channels=3)
+    first = body.features[0][1]
+    image = torch.rand(2, 3, 64, 64)
+    with torch.no_grad():
+        mean = body.features[0][0](image).mean(dim=(0, 2, 3))
+        for _ in range(20):
+            body(image)
+    torch.testing.assert_close(first.running_mean, (1 - 0.9**20) * mean)

@@ -301,8 +301,10 @@ def _found(
     mask: Float[Tensor, "n h w"], label: Int64[Tensor, " n"], score: Float32[Tensor, " n"]
 ) -> Found:
     """Masks at the scale of the input, and the boxes around them."""
-    if len(mask):
+    count, height, width = mask.shape
+    if count:
         mask = interpolate(mask[None], scale_factor=MASK_STRIDE, mode="bilinear")[0]
+    mask = mask.reshape(count, height * MASK_STRIDE, width * MASK_STRIDE)
     painted = (mask * 255).round().to(torch.uint8)
     kept = (painted > 127).flatten(1).any(dim=1)
     painted = painted[kept]

@@ -17,6 +17,7 @@ from torch import Tensor, nn
 from torchvision.ops import box_convert
 
 from ..errors import GraycastError
+from .backbones import follow_fast
 from .network import Found, Recipe, Target
 from .suppression import best_boxes
 
@@ -33,7 +34,7 @@ class Yolov7(nn.Module):
     """Finds boxes. It has one backbone, its own."""
 
     finds_masks = False
-    recipe = Recipe(optimizer="adamw", learning_rate=5e-4, batch=8, weight_decay=0.01)
+    recipe = Recipe(optimizer="adamw", learning_rate=1e-3, batch=8, weight_decay=0.01)
 
     def __init__(
         self, *, channels: int, classes: int, backbone: str | None, size_px: tuple[int, int]
@@ -57,6 +58,7 @@ class Yolov7(nn.Module):
                 channels, first.out_channels, first.kernel_size, padding=first.padding, bias=False
             )
         self.network.initialize_biases()
+        follow_fast(self.network)
         scale = (size_px[0] * size_px[1]) ** 0.5 / PUBLISHED_PX
         self.anchors_px = [[side * scale for side in level] for level in self.network.anchors]
         self.strides = tuple(self.network.strides)

@@ -140,9 +140,6 @@ def _mobilenet(
     end: tuple[str, ...],
 ) -> Body:
     features[0][0] = _first(features[0][0], channels)
-    for norm in features.modules():
-        if isinstance(norm, nn.BatchNorm2d):
-            norm.momentum = 0.1  # the maker's 0.01 forgets its start only after hundreds of steps
     return Body(
         name,
         {"features": features},

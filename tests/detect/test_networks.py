@@ -168,9 +168,11 @@ def test_saved_weights_find_the_same(model, ready, tmp_path):
 
 @EVERY
 def test_an_ignored_instance_is_neither_wanted_nor_forbidden(model):
-    """Laws: its class does not matter; nothing is asked of the network where it is, so that no
-    term is larger than were it not labelled at all, and those of positives are the same."""
+    """Laws: its class does not matter; nothing is asked of the network where it is, so that the
+    loss is smaller than were it not labelled at all, and the terms of positives are the same."""
     network = opened(model).eval()
+    if model == "solov2":  # fresh, it is so sure of nothing that single precision hides the law
+        torch.nn.init.zeros_(network.judges[-1].bias)
     images, targets = pictures()
     first = targets[0]
     assert len(first.label) == 3
@@ -194,8 +196,10 @@ def test_an_ignored_instance_is_neither_wanted_nor_forbidden(model):
             assert ignored <= unlabelled + 1e-6 * abs(unlabelled)
             if name in ("box", "centre", "size", "mask", "overlap"):
                 assert ignored == pytest.approx(unlabelled, rel=1e-6)
-    ignored, labelled = (float(sum(values[i].values()).detach()) for i in (0, 3))
+    ignored, unlabelled, labelled = (float(sum(values[i].values()).detach()) for i in (0, 2, 3))
     assert ignored != labelled
+    if model in ("yolov3", "solov2", "yolov7"):  # a fresh RF-DETR has no query there
+        assert ignored < unlabelled
 
 
 @pytest.mark.parametrize("channels", [1, 4])

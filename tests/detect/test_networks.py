@@ -7,7 +7,7 @@ import pytest
 
 torch = pytest.importorskip("torch", reason="needs torch: pip install 'graycast[detect]'")
 
-from graycast.detect.network import Network  # noqa: E402
+from graycast.detect.network import Found, Network  # noqa: E402
 from graycast.detect.networks import MODELS, open_network  # noqa: E402
 from graycast.errors import GraycastError  # noqa: E402
 
@@ -218,6 +218,19 @@ def test_a_library_that_is_not_installed_is_named_with_what_installs_it(model):
         pytest.skip(f"{LIBRARIES[model]} is installed")
     with pytest.raises(GraycastError, match=f"model {model} needs {LIBRARIES[model]}.*pip install"):
         open_network(model, channels=3, classes=2, backbone=None, size_px=SIZE_PX)
+
+
+def test_the_judge_knows_what_is_right_and_what_is_not():
+    """All found is 1; masks that are one class's discs under the other's name are 0."""
+    _, targets = pictures()
+    right = [
+        Found(box=t.box, label=t.label, score=torch.ones(3), mask=t.mask.byte() * 255)
+        for t in targets
+    ]
+    wrong = [replace(found, label=1 - found.label) for found in right]
+    for kind in ("bbox", "segm"):
+        assert ap50(targets, right, kind) == 1.0
+        assert ap50(targets, wrong, kind) < 0.1
 
 
 # Steps over four pictures, 7 to 85 CPU seconds each. RF-DETR from nothing is not done in hundreds.

@@ -58,7 +58,10 @@ def ap50(targets, found, kind):
     """COCO's average precision at an overlap of one half; `kind` is `bbox` or `segm`."""
     truth, results = COCO(), []
     truth.dataset = {
-        "images": [{"id": i} for i in range(len(targets))],
+        "images": [
+            {"id": i, "height": t.mask.shape[1], "width": t.mask.shape[2]}
+            for i, t in enumerate(targets)
+        ],
         "annotations": [],
         "categories": [{"id": i} for i in range(CLASSES)],
         "info": {},

@@ -2,6 +2,7 @@
 
 import json
 import warnings
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -98,7 +99,7 @@ def _noise(detector: Detector, seed: int) -> Tensor:
     return torch.from_numpy(np.random.default_rng(seed).normal(size=shape).astype(np.float32))
 
 
-def _compare(session, model: nn.Module, image: Tensor) -> None:
+def _compare(session, model: Callable[[Tensor], tuple[Tensor, ...]], image: Tensor) -> None:
     """Both find the same things; of what has nearly the least score, either may keep another."""
     with torch.no_grad():
         box, _, score = (each.numpy() for each in model(image)[:3])

@@ -168,7 +168,7 @@ def _write_detections(scenes: Path, evaluation: Evaluation | None) -> None:
     held = {} if evaluation is None else dict(found_scripts(evaluation))
     for scene in scenes.iterdir():
         if scene.name in held:
-            _replace(scene / FOUND, held[scene.name])
+            write_whole(scene / FOUND, held[scene.name])
         else:
             (scene / FOUND).unlink(missing_ok=True)
 

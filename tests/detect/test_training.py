@@ -17,6 +17,7 @@ torch = pytest.importorskip("torch", reason="needs torch: pip install 'graycast[
 from detect.drawn import write_drawn
 from graycast.cli import main
 from graycast.detect import TrainSpec, detect, load_detector, pictures_of, train
+from graycast.detect.detector import without_denormals
 from graycast.detect.training import _shape
 from graycast.detections import read_results
 from graycast.errors import GraycastError
@@ -211,6 +212,27 @@ def test_a_run_of_other_settings_is_not_gone_on_with(dataset, tmp_path, capsys):
         train([dataset], tmp_path / "run", replace(SMALL, seed=1))
     with pytest.raises(GraycastError, match=r"is a run with model .yolov3., and now it is"):
         train([dataset], tmp_path / "run", replace(SMALL, model="mask-rcnn"))
+
+
+def test_a_training_that_could_not_begin_leaves_the_folder_free(dataset, tmp_path):
+    """A misspelt backbone, then the right one in the same folder."""
+    for changed in ({"backbone": "vgg"}, {"weights": tmp_path / "nowhere.pth"}):
+        with pytest.raises(GraycastError):
+            train([dataset], tmp_path / "run", replace(SMALL, **changed))
+        assert not (tmp_path / "run").exists()
+    with pytest.raises(GraycastError, match="the loss is no number"):
+        train([dataset], tmp_path / "run", replace(SMALL, learning_rate=1e30, epochs=20))
+    train([dataset], tmp_path / "run", SMALL)
+
+
+def test_the_mode_of_the_processor_may_be_asked_for_twice():
+    torch.set_flush_denormal(False)
+    tiny = np.full(1, np.finfo(float).tiny)
+    with without_denormals():
+        with without_denormals():
+            assert tiny[0] / 2 == 0
+        assert tiny[0] / 2 == 0
+    assert tiny[0] / 2 > 0
 
 
 def test_weights_of_another_model_are_refused(dataset, tmp_path):

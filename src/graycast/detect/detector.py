@@ -1,6 +1,7 @@
 """A trained detector: a network, how it sees, and what its classes are, in one file."""
 
 import json
+import sys
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -262,14 +263,15 @@ def without_denormals() -> Iterator[None]:
     """Numbers too small for full precision are zero inside: processors take long for them, and
     networks make many.
 
-    It is undone at the end, because it holds for all code of the thread: SciPy's k-d tree, for
-    one, never ends where the difference of two unequal numbers is zero.
+    At the end it is as it was before, because it holds for all code of the thread: SciPy's k-d
+    tree, for one, never ends where the difference of two unequal numbers is zero.
     """
+    before = sys.float_info.min / 2 == 0  # torch sets the mode but does not tell it
     torch.set_flush_denormal(True)
     try:
         yield
     finally:
-        torch.set_flush_denormal(False)
+        torch.set_flush_denormal(before)
 
 
 def autocast(device: torch.device):

@@ -1,5 +1,6 @@
 """Labelled pictures for training: encoded once, kept as the network takes them, augmented."""
 
+import os
 import shutil
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
@@ -101,8 +102,7 @@ class Pictures(torch.utils.data.Dataset):
         self.epoch = 0
         shape = (encoding.channels, *encoding.size_px)
         self.shape = (sum(len(each) for each, _ in examples), *shape)
-        _refuse_full_disk(file, self.shape)
-        held = np.lib.format.open_memmap(file, mode="w+", dtype=np.float16, shape=self.shape)
+        held = room_for(file, self.shape)
         labelled: list[_Labelled] = []
         for of_set, class_of in examples:
             for example in of_set:
@@ -145,7 +145,14 @@ def collate(items: Sequence[tuple[Tensor, Target]]) -> tuple[Tensor, list[Target
     return torch.stack([image for image, _ in items]), [target for _, target in items]
 
 
-def _refuse_full_disk(file: Path, shape: Sequence[int]) -> None:
+def room_for(file: Path, shape: Sequence[int]) -> np.memmap:
+    """A new file of encoded pictures, mapped into memory.
+
+    Its room is taken at once: a disk that filled up later would end the process without a word.
+
+    Raises:
+        GraycastError: the disk has no room for it.
+    """
     needed = 2 * int(np.prod(shape))
     free = shutil.disk_usage(file.parent).free
     if needed > free:
@@ -153,6 +160,10 @@ def _refuse_full_disk(file: Path, shape: Sequence[int]) -> None:
             f"{file.parent}: has {free / 1e9:.1f} GB free and the encoded pictures take "
             f"{needed / 1e9:.1f} GB: free space, choose another --out or a smaller --size"
         )
+    held = np.lib.format.open_memmap(file, mode="w+", dtype=np.float16, shape=tuple(shape))
+    with open(file, "rb+") as opened:
+        os.posix_fallocate(opened.fileno(), 0, opened.seek(0, os.SEEK_END))
+    return held
 
 
 def _labelled(

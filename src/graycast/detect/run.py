@@ -54,16 +54,18 @@ class RunFolder:
     def claim(self, content: Mapping[str, Any]) -> None:
         """Make the folder, or find the same run in it.
 
+        A run that never came to its first checkpoint gives way to another.
+
         Raises:
             GraycastError: another run, or something else, lives there.
         """
         if self.path.is_file():
             raise GraycastError(f"{self.path}: is a file: choose a folder")
         file = self.path / RUN
-        if file.is_file():
+        if file.is_file() and (self.path / CHECKPOINT).is_file():
             self._compare(json.loads(file.read_bytes()), json.loads(json_bytes(content)))
             return
-        if self.path.is_dir() and any(self.path.iterdir()):
+        if not file.is_file() and self.path.is_dir() and any(self.path.iterdir()):
             raise GraycastError(f"{self.path}: is not empty and holds no run: choose another --out")
         try:
             self.path.mkdir(parents=True, exist_ok=True)
@@ -127,12 +129,11 @@ class RunFolder:
 
 
 def _short(value: Any) -> str:
+    """The value, or its beginning and a mark by which two long ones differ."""
     text = json.dumps(value)
-    return (
-        text
-        if len(text) <= 60
-        else f"{text[:40]}... ({hashlib.md5(text.encode()).hexdigest()[:6]})"
-    )
+    if len(text) <= 60:
+        return text
+    return f"{text[:40]}... ({hashlib.sha256(text.encode()).hexdigest()[:6]})"
 
 
 def _draw(rows: Sequence[Row], path: Path) -> None:

@@ -30,7 +30,7 @@ from .detector import (
 )
 from .encoding import Encoding, fitting_size
 from .network import Network, Recipe
-from .pictures import Augmentation, Pictures, collate
+from .pictures import Augmentation, Pictures, collate, room_for
 from .run import Progress, Row, RunFolder
 from .weights import load_weights
 
@@ -146,12 +146,12 @@ def train(
             "settings": _settings(spec),
         },
     )
-    run = RunFolder(out)
-    run.claim(about.as_dict())
     torch.manual_seed(spec.seed)
     network = about.open_network()
     if spec.weights is not None:
         load_weights(network, spec.weights)
+    run = RunFolder(out)
+    run.claim(about.as_dict())
     network.to(device)
     return _Training(
         spec=spec, about=about, run=run, network=network, device=device, sets=sets, on_told=on_told
@@ -214,10 +214,12 @@ def _range_m(sets: Sequence[Examples], probe: Encoding) -> tuple[float, float]:
     for examples in sets:
         for i in np.unique(np.linspace(0, len(examples) - 1, min(20, len(examples))).astype(int)):
             depth_m = probe.depth_m(examples[int(i)])
-            ends.append(np.nanquantile(depth_m, [0.001, 0.999]))
-    near_m, far_m = np.nanmin(ends), np.nanmax(ends)
-    if not np.isfinite([near_m, far_m]).all():
+            known_m = depth_m[np.isfinite(depth_m)]
+            if known_m.size:
+                ends.append(np.quantile(known_m, [0.001, 0.999]))
+    if not ends:
         raise GraycastError(f"{sets[0].folder}: has no depth at all: choose --input rgb")
+    near_m, far_m = np.min(ends), np.max(ends)
     margin_m = _RANGE_MARGIN * (far_m - near_m)
     return (
         max(0.01, math.floor(100 * (near_m - margin_m)) / 100),
@@ -368,7 +370,7 @@ class _Judge:
         count = sum(len(each.val) for each in training.sets)
         shape = (count, encoding.channels, *encoding.size_px)
         file = training.run.cache / "val.npy"
-        encoded = np.lib.format.open_memmap(file, mode="w+", dtype=np.float16, shape=shape)
+        encoded = room_for(file, shape)
         labels: list[Labels] = []
         for each in training.sets:
             class_of = about.classes(each.val.categories)

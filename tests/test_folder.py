@@ -68,3 +68,16 @@ def test_a_file_is_as_it_was_where_the_new_one_cannot_be_put_there(tmp_path, mon
 
 def refuse(*paths):
     raise OSError("no room")
+
+
+def test_a_folder_inside_takes_the_place_of_an_earlier_one(tmp_path):
+    """All of the earlier one goes, and it is there until the new one is whole."""
+    for picture in ("old", "new"):
+        with whole_folder(tmp_path / "out") as folder:
+            (folder / "pictures").mkdir()
+            (folder / "pictures" / picture).write_text(picture)
+    assert names(tmp_path) == ["out", "out/pictures", "out/pictures/new"]
+    with pytest.raises(KeyError), whole_folder(tmp_path / "out") as folder:
+        (folder / "pictures").mkdir()
+        raise KeyError
+    assert names(tmp_path) == ["out", "out/pictures", "out/pictures/new"]

@@ -13,6 +13,9 @@ from pycocotools import mask as coco_mask
 
 from .errors import GraycastError
 
+# What `graycast detect` leaves in a folder: the results, and what was looked at by what.
+RESULTS, LOOKED = "results.json", "detect.json"
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Detections:

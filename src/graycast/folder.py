@@ -66,8 +66,11 @@ def whole_folder(out: Path) -> Iterator[Path]:
     try:
         with _refusals(out), _aside(out, ".part-") as aside:
             yield aside
-            for file in sorted(aside.iterdir()):
-                os.replace(file, out / file.name)
+            for made_now in sorted(aside.iterdir()):
+                place = out / made_now.name
+                if made_now.is_dir() and place.is_dir():
+                    place.rename(aside / f".before-{place.name}")  # no folder replaces a full one
+                made_now.rename(place)
     finally:
         with suppress(OSError):  # what holds something stays: the result, or what was there
             for folder in made:

@@ -134,4 +134,8 @@ def test_a_study_goes_on_and_says_what_the_judge_says(tmp_path, capsys):
     assert main(["study", str(path), "--out", str(out), "--threads", "1"]) == 0
     assert (out / "table.csv").read_text() == table
     assert checkpoints == {path: path.stat().st_mtime_ns for path in out.rglob("detector.pt")}
+    tests = STUDY["tests"] | {"other": {"datasets": ["other"], "split": "test"}}
+    assert main(["study", str(written(tmp_path, tests=tests)), "--out", str(out)]) == 0
+    held = json.loads(next(out.glob("runs/*_rgb_*/found_other_0/detect.json")).read_text())
+    assert 0 < len(held["scene_ids"]) < 14  # not those of before
     capsys.readouterr()

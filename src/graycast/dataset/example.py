@@ -7,6 +7,7 @@ import numpy as np
 from pycocotools import mask as coco_mask
 
 from ..array_types import Bool, Float, Float32, Int, UInt8, UInt16
+from ..errors import DatasetError
 from ..frames import rigid
 from .records import MM_PER_M
 
@@ -61,6 +62,28 @@ class Example:
         for name in self.__slots__:
             if isinstance(value := getattr(self, name), np.ndarray):
                 value.flags.writeable = False
+
+
+def shown(example: Example) -> UInt8[np.ndarray, "h w 3"]:
+    """What is drawn upon: colour, else the white frame, else depth from near (light) to far.
+
+    Missing depth is black.
+
+    Raises:
+        DatasetError: the example has no picture at all.
+    """
+    if example.rgb is not None:
+        return example.rgb
+    if example.gray is not None:
+        return np.repeat(example.gray[..., None], 3, axis=2)
+    depth_m = example.scanner_depth_m if example.depth_m is None else example.depth_m
+    if depth_m is None:
+        raise DatasetError(f"scene {example.scene_id}: has no picture to look at")
+    known = np.isfinite(depth_m)
+    near_m, far_m = np.quantile(depth_m[known], [0.01, 0.99]) if known.any() else (0.0, 1.0)
+    light = np.clip((far_m - depth_m) / max(far_m - near_m, 1e-6), 0, 1)
+    grey = np.where(known, 55 + 200 * np.nan_to_num(light), 0).astype(np.uint8)
+    return np.repeat(grey[..., None], 3, axis=2)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

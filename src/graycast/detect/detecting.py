@@ -1,7 +1,6 @@
 """A detector let loose on a dataset or on pictures: COCO's results, drawings, and times."""
 
 import json
-import shutil
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -14,10 +13,10 @@ import numpy as np
 from jaxtyping import UInt8
 from pycocotools import mask as coco_mask
 
-from ..dataset.example import Example
+from ..dataset.example import Example, shown
 from ..dataset.json_text import json_bytes
 from ..dataset.places import CLAIM
-from ..detections import Detections, results_bytes
+from ..detections import LOOKED, RESULTS, Detections, results_bytes
 from ..errors import GraycastError
 from ..export.record import RECORD, read_record
 from ..export.split import Split
@@ -27,7 +26,7 @@ from ..training import Examples, open_examples
 from ..training.foreign import is_foreign
 from .detector import About, Detector
 
-RESULTS, MARK, DRAWINGS = "results.json", "detect.json", "drawings"
+DRAWINGS = "drawings"
 _INKS = ((233, 110, 11), (45, 98, 196), (63, 158, 47), (149, 81, 122), (20, 20, 20))  # BGR
 _DRAWN_SCORE = 0.5
 
@@ -64,7 +63,7 @@ def detect(
         GraycastError: a picture is not of the kind that the detector sees, or `out` holds
             something else or cannot be written.
     """
-    refuse_foreign(out, MARK)
+    refuse_foreign(out, LOOKED)
     found, times_ms = [], []
     with whole_folder(out) as folder:
         (folder / DRAWINGS).mkdir()
@@ -76,7 +75,7 @@ def detect(
             times_ms.append(1e3 * (time.perf_counter() - begun))
             if len(found) <= drawings:
                 path = folder / DRAWINGS / f"{example.scene_id:06d}.jpg"
-                cv2.imwrite(str(path), drawn(example, found[-1]))
+                path.write_bytes(cv2.imencode(".jpg", drawn(example, found[-1]))[1].tobytes())
             on_picture(len(found))
         about = detector.about
         content = {
@@ -90,9 +89,8 @@ def detect(
             "least_score": least_score,
             **said,
         }
-        (folder / MARK).write_bytes(json_bytes(content))
+        (folder / LOOKED).write_bytes(json_bytes(content))
         (folder / RESULTS).write_bytes(results_bytes(found))
-        _replace_drawings(out)
     return Looked(found=tuple(found), ms_per_picture=tuple(times_ms))
 
 
@@ -109,21 +107,23 @@ def shots(found: Sequence[Shot], *, scale_m: float | None) -> Iterator[Example]:
         yield Example(scene_id=i, rgb=seen.rgb, gray=seen.gray, scanner_depth_m=depth_m)
 
 
-def read_mark(folder: Path) -> dict[str, Any]:
-    """`detect.json` of a folder that `detect` wrote.
+def looked_at(folder: Path) -> dict[str, Any]:
+    """What an earlier `detect` says that it looked at, and how; nothing where there was none.
 
     Raises:
-        GraycastError: it is missing or damaged.
+        GraycastError: its file is damaged.
     """
     try:
-        return json.loads((folder / MARK).read_bytes())
+        return json.loads((folder / LOOKED).read_bytes())
+    except FileNotFoundError:
+        return {}
     except (OSError, ValueError) as error:
-        raise GraycastError(f"{folder}: has no readable {MARK}: run graycast detect") from error
+        raise GraycastError(f"{folder}: has no readable {LOOKED}: remove the folder") from error
 
 
 def drawn(example: Example, found: Detections) -> UInt8[np.ndarray, "h w 3"]:
     """The picture (BGR) with boxes, outlines and scores of what is found with at least 0.5."""
-    image = _ground(example)
+    image = np.ascontiguousarray(shown(example)[..., ::-1])
     sure = [i for i in range(len(found)) if found.score[i] >= _DRAWN_SCORE]
     for i in sure:
         ink = _INKS[int(found.obj_id[i]) % len(_INKS)]
@@ -139,27 +139,6 @@ def drawn(example: Example, found: Detections) -> UInt8[np.ndarray, "h w 3"]:
         cv2.putText(image, text, place, cv2.FONT_HERSHEY_SIMPLEX, 0.32, (255, 255, 255), 2)
         cv2.putText(image, text, place, cv2.FONT_HERSHEY_SIMPLEX, 0.32, ink, 1, cv2.LINE_AA)
     return image
-
-
-def _ground(example: Example) -> UInt8[np.ndarray, "h w 3"]:
-    """What is drawn upon: colour, else grey, else depth from near (light) to far."""
-    if example.rgb is not None:
-        return np.ascontiguousarray(example.rgb[..., ::-1])
-    if example.gray is not None:
-        return cv2.cvtColor(example.gray, cv2.COLOR_GRAY2BGR)
-    depth_m = example.scanner_depth_m if example.depth_m is None else example.depth_m
-    if depth_m is None:
-        raise GraycastError(f"scene {example.scene_id}: has no picture to look at")
-    near_m, far_m = np.nanquantile(depth_m, [0.01, 0.99])
-    light = np.clip((far_m - depth_m) / max(far_m - near_m, 1e-6), 0, 1)
-    grey = np.where(np.isfinite(light), 55 + 200 * light, 0).astype(np.uint8)
-    return cv2.cvtColor(grey, cv2.COLOR_GRAY2BGR)
-
-
-def _replace_drawings(out: Path) -> None:
-    """An earlier result's drawings go first: a folder is not replaced by renaming."""
-    if (out / DRAWINGS).is_dir():
-        shutil.rmtree(out / DRAWINGS)
 
 
 @final

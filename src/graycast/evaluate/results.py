@@ -8,11 +8,9 @@ from typing import Any
 
 import numpy as np
 
-from ..detections import Detections, read_results
+from ..detections import LOOKED, RESULTS, Detections, read_results
 from ..errors import GraycastError
 from ..export.split import Split
-
-RESULTS, RUN = "results.json", "detect.json"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -58,12 +56,12 @@ def open_run(path: Path) -> Run:
             f"{path}: has no {RESULTS}: give a folder that graycast detect wrote, or a file of "
             "COCO results"
         )
-    if not (path / RUN).is_file():
+    if not (path / LOOKED).is_file():
         raise GraycastError(
-            f"{path}: has no {RUN}, which says what scenes were looked at: give {path / RESULTS} "
-            "itself, and say with --split which scenes it is of"
+            f"{path}: has no {LOOKED}, which says what scenes were looked at: give "
+            f"{path / RESULTS} itself, and say with --split which scenes it is of"
         )
-    return _run(path / RESULTS, path / RUN)
+    return _run(path / RESULTS, path / LOOKED)
 
 
 def read_found(

@@ -9,7 +9,7 @@ from typing import TypeVar
 import numpy as np
 from jaxtyping import UInt8
 
-from ..dataset.example import Example
+from ..dataset.example import shown
 from ..detections import Detections
 from ..errors import GraycastError
 from ..export.record import RECORD, read_record
@@ -64,8 +64,8 @@ def evaluate(
     other = None if against is None else read_found(against, scene_ids, categories)
     labels = list(_labels(task, held, scene_ids, on_scene))
     if task.one_class:
-        labels, found = [_merged(one) for one in labels], [_merged(one) for one in found]
-        other = None if other is None else [_merged(one) for one in other]
+        labels, found = [as_one_class(one) for one in labels], [as_one_class(one) for one in found]
+        other = None if other is None else [as_one_class(one) for one in other]
         categories = {_ONE_CLASS: "any part"}
     kinds = kinds_of(labels, [*found, *(other or [])]) if task.kind is None else (task.kind,)
     judgements = tuple(
@@ -129,27 +129,14 @@ def _labels(
             on_scene(done, len(scene_ids))
 
 
-def _merged(one: _Either) -> _Either:
+def as_one_class(one: _Either) -> _Either:
+    """Labels or detections in which all parts are one."""
     return replace(one, obj_id=np.full(len(one), _ONE_CLASS))
 
 
 def _pictures(held: Mapping[int, Examples]) -> Picture:
     @lru_cache(maxsize=64)
     def picture(scene_id: int) -> UInt8[np.ndarray, "h w 3"]:
-        return _shown(held[scene_id].read(scene_id))
+        return shown(held[scene_id].read(scene_id))
 
     return picture
-
-
-def _shown(example: Example) -> UInt8[np.ndarray, "h w 3"]:
-    """The colour picture, or the white frame, or depth as shades of grey."""
-    if example.rgb is not None:
-        return example.rgb
-    if example.gray is not None:
-        return np.repeat(example.gray[..., None], 3, axis=2)
-    depth_m = example.depth_m if example.depth_m is not None else example.scanner_depth_m
-    if depth_m is None:
-        raise GraycastError(f"scene {example.scene_id}: has no picture to show mistakes on")
-    near, far = np.nanquantile(depth_m, [0.01, 0.99])
-    shade = np.nan_to_num(np.clip((far - depth_m) / max(far - near, 1e-6), 0, 1))
-    return np.repeat((255 * shade).astype(np.uint8)[..., None], 3, axis=2)

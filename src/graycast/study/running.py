@@ -1,23 +1,23 @@
 """Runs of a study: each trained once, scored in every world, and kept on disk."""
 
+import json
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from itertools import product
 from pathlib import Path
 from typing import final
 
-import numpy as np
-
+from ..dataset.json_text import json_bytes
 from ..detect import Detector, TrainSpec, detect, pictures_of, train
-from ..detect.detecting import MARK, RESULTS, sets_of
-from ..detections import Detections, read_results
+from ..detect.detecting import looked_at, sets_of
+from ..detections import RESULTS, Detections, read_results
 from ..errors import GraycastError
 from ..evaluate import Labels, Scores, labels_of, score
 from ..evaluate.intervals import Drawn, drawn, mean
+from ..evaluate.task import as_one_class
 from ..study_file import EncodingSection, ModelSection, StudySpec, TestSection
 
 FIGURE = "ap50"  # the paper's
-ONE_CLASS_ID = 1
 
 
 @final
@@ -140,7 +140,8 @@ def _found(detector: Detector, dataset: Path, world: TestSection, folder: Path) 
     chosen = pictures_of(
         dataset, detector.about, split=world.split, scale_m=None, as_real=world.as_real
     )
-    if not (folder / MARK).is_file():
+    asked = json.loads(json_bytes({"scene_ids": chosen.scene_ids, **chosen.said}))
+    if not asked.items() <= looked_at(folder).items():  # none, or of other scenes than now
         detect(
             detector, chosen.examples, folder, class_ids=chosen.class_ids, said=chosen.said,
             drawings=4,
@@ -168,10 +169,5 @@ def _score(
     spec: StudySpec, labels: Sequence[Labels], found: Sequence[Detections], kind: str
 ) -> Scores:
     if spec.one_class:
-        labels = [replace(each, obj_id=_ones(len(each))) for each in labels]
-        found = [replace(each, obj_id=_ones(len(each))) for each in found]
+        labels, found = [as_one_class(one) for one in labels], [as_one_class(one) for one in found]
     return score(labels, found, kind=kind)
-
-
-def _ones(count: int) -> np.ndarray:
-    return np.full(count, ONE_CLASS_ID, np.int64)

@@ -19,12 +19,17 @@ from graycast.errors import ConfigError
 from graycast.parts import Material
 from graycast.render import Quality
 from graycast.rig import PRESETS
-from graycast.rig_file import rig_schema
+from graycast.rig_file import load_scanner, rig_schema
 from graycast.scanner import preset
 from graycast.scene import Bin, Environment, Lamp
+from graycast.study_file import read_study
 
 ROOT = Path(__file__).resolve().parents[1]
-CONFIGS = sorted((ROOT / "configs").rglob("*.yaml"))
+FILES = sorted((ROOT / "configs").rglob("*.yaml"))
+KEYS = {path: set(yaml.safe_load(path.read_text(encoding="utf-8"))) for path in FILES}
+CONFIGS = [path for path in FILES if "parts" in KEYS[path]]
+STUDIES = [path for path in FILES if "models" in KEYS[path]]
+RIGS = [path for path in FILES if "R_cam_proj" in KEYS[path]]
 
 
 @pytest.fixture(autouse=True)
@@ -36,6 +41,19 @@ def quick_wood(monkeypatch):
 def test_there_are_configurations_to_look_at():
     names = {str(path.relative_to(ROOT / "configs")) for path in CONFIGS}
     assert {"demo.yaml", "own_part.yaml", "paper/metal_workpiece_1.yaml"} <= names
+    assert len(FILES) == len(CONFIGS) + len(STUDIES) + len(RIGS)
+
+
+@pytest.mark.parametrize("path", STUDIES, ids=lambda path: path.stem)
+def test_every_study_s_sets_are_made_by_a_configuration_that_is_there(path):
+    """The lines at its head make them, so that a study can be run from nothing."""
+    spec = read_study(path)
+    head = "\n".join(line for line in path.read_text().splitlines() if line.startswith("#"))
+    sets = {folder for world in spec.tests.values() for folder in world.datasets}
+    sets |= {folder for folders in spec.training.values() for folder in folders}
+    for folder in sets:
+        place = f"out/{folder.parent.name}/"
+        assert place + folder.name in head or place + "$part" in head, folder
 
 
 @pytest.mark.parametrize("path", CONFIGS, ids=lambda path: path.stem)
@@ -48,7 +66,10 @@ def test_every_configuration_in_the_repository_resolves(path):
     low, high = config.count_range
     count = written["count"]
     assert [low, high] == (count if isinstance(count, list) else [count, count])
-    assert cell.scene.rig.name == written["rig"] in PRESETS
+    if written["rig"] in PRESETS:
+        assert cell.scene.rig.name == written["rig"]
+    else:
+        assert cell.scene.rig.name == load_scanner(path.parent / written["rig"]).rig.name
     size = "bin: The bin is 370 x 270 x 140 mm inside, its floor 10.0 mm above the table."
     # Nothing else about their meshes is to be wondered at.
     assert cell.notes == ((size,) if "mesh" in written.get("bin", {}) else ())
@@ -119,6 +140,26 @@ def test_what_a_part_leaves_out_is_its_own_and_what_it_gives_wins(tmp_path):
     assert changed.symmetry == own.symmetry
     assert own.density_kg_m3 != 1234.0
     assert own.friction > 0
+
+
+def test_a_scaled_part_is_the_same_part_of_another_size(tmp_path):
+    """A batch off by its tolerance: looks, symmetry and density stay, lengths do not."""
+    turn = np.diag([-1.0, -1.0, 1.0, 1.0])
+    turn[:3, 3] = [0.02, 0.0, 0.0]  # a half turn about the line x = 10 mm, y = 0
+    axis = {"axis": [0, 0, 1], "point_m": [0.01, 0.0, 0.0]}
+    symmetry = {"discrete": [turn.ravel().tolist()], "continuous": [axis]}
+    for given in ({"builtin": "toothpaste"}, {"mesh": "box.stl", "unit": "mm"}):
+        extra = {"symmetry": symmetry} if "mesh" in given else {}
+        own, large = (
+            words.resolve_parts(load_config(write_cell(tmp_path, parts=[part])), tmp_path)[0][0]
+            for part in (given | extra, given | extra | {"scale": 1.02})
+        )
+        np.testing.assert_allclose(large.mesh.extent_m, 1.02 * own.mesh.extent_m, rtol=1e-6)
+        assert large.mesh.faces is own.mesh.faces or (large.mesh.faces == own.mesh.faces).all()
+        assert large.density_kg_m3 == own.density_kg_m3
+    np.testing.assert_allclose(large.symmetry.discrete[0][:3, 3], [0.0204, 0, 0], rtol=1e-12)
+    assert (large.symmetry.discrete[0][:3, :3] == turn[:3, :3]).all()
+    assert large.symmetry.continuous[0][1] == pytest.approx((0.0102, 0.0, 0.0))
 
 
 def test_a_symmetry_s_axis_may_have_any_length(tmp_path):

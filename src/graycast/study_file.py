@@ -28,6 +28,7 @@ class ModelSection(Settings):
     backbone: str | None = Field(None, description="left out: the model's own")
     epochs: int | None = Field(None, ge=1, description="left out: the study's")
     learning_rate: Positive | None = Field(None, description="left out: the model's")
+    seeds: tuple[int, ...] | None = Field(None, min_length=1, description="left out: the study's")
 
 
 class EncodingSection(Settings):

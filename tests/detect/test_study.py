@@ -53,6 +53,10 @@ def test_every_combination_comes_once(tmp_path):
     names = [run.name for run in runs_of(spec)]
     assert len(names) == len(set(names)) == 2 * 1 + 2 * 2  # colour has one encoding
     assert spec.training["drawn"] == (tmp_path / "own",)
+    other = {"model": "mask-rcnn", "seeds": [7]}
+    spec = read_study(written(tmp_path, models=[*STUDY["models"], other], seeds=[0, 1]))
+    seeds = [(run.model.model, run.seed) for run in runs_of(spec) if run.input == "rgb"]
+    assert seeds == [("yolov3", 0), ("yolov3", 1), ("mask-rcnn", 7)]
 
 
 @pytest.mark.parametrize(
@@ -104,6 +108,27 @@ def test_the_gap_of_independent_worlds_has_the_root_of_both_variances(tmp_path):
     assert "| yolov3 | rgb | box | 0.80 [0.74, 0.86]" in (tmp_path / "table.md").read_text()
     assert r"Drawn_things: AP50" in (tmp_path / "table.tex").read_text()
     assert json.loads((tmp_path / "study.json").read_text())["rows"][0]["own"] == 0.8
+
+
+def test_each_dataset_of_a_world_has_a_row_of_its_own(tmp_path):
+    run = Run(
+        model=ModelSection(model="yolov3"), input="rgb",
+        encoding=EncodingSection(name="default"), training="drawn", seed=0,
+    )  # fmt: skip
+    figures = {
+        ("own", "box"): (normal(0.9, 0.03, 1), normal(0.7, 0.03, 2)),
+        ("other", "box"): (normal(0.5, 0.04, 3), normal(0.6, 0.04, 4)),
+    }
+    worlds = {"own": {"datasets": ["nut", "bolt"]}, "other": {"datasets": ["a", "b"]}}
+    spec = StudySpec.model_validate(STUDY | {"tests": worlds})
+    write_study(spec, [Result(run=run, figures=figures)], tmp_path)
+    rows = json.loads((tmp_path / "study.json").read_text())["rows"]
+    assert [row["dataset"] for row in rows] == ["all", "nut", "bolt"]
+    assert [row["own"] for row in rows] == pytest.approx([0.8, 0.9, 0.7])
+    assert [row["gap"] for row in rows] == pytest.approx([0.25, 0.4, 0.1])
+    table = (tmp_path / "table.md").read_text()
+    assert table.index("| bolt | 0.70 [") > table.index("## Each dataset by itself")
+    assert "0.80 [" in table[: table.index("## Each")]
 
 
 def test_the_mean_of_sets_is_more_certain_than_each():

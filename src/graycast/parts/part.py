@@ -1,7 +1,7 @@
 """What a part is: a mesh, a material, and the few facts that physics and datasets need."""
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from jaxtyping import Float, Int, UInt8
@@ -131,3 +131,19 @@ class Part:
             raise ValueError(f"part {self.name}: density_kg_m3 is {self.density_kg_m3}; above 0")
         if not self.friction >= 0:
             raise ValueError(f"part {self.name}: friction is {self.friction}; 0 or more")
+
+    def scaled(self, factor: float) -> "Part":
+        """The same part `factor` times as large, of the same material."""
+        vertices_m = self.mesh.vertices_m * factor
+        discrete = tuple(np.array(motion) for motion in self.symmetry.discrete)
+        for motion in discrete:
+            motion[:3, 3] *= factor
+        continuous = tuple(
+            (axis, (factor * x, factor * y, factor * z))
+            for axis, (x, y, z) in self.symmetry.continuous
+        )
+        return replace(
+            self,
+            mesh=replace(self.mesh, vertices_m=vertices_m),
+            symmetry=Symmetry(discrete=discrete, continuous=continuous),
+        )

@@ -73,6 +73,9 @@ class PartSection(Settings):
     unit: Unit | None = Field(
         None, description="the mesh file's unit; asked for unless metres are plausible"
     )
+    scale: Positive = Field(
+        1.0, description="times the size of the file or the built-in part: 1.005 is a large batch"
+    )
     name: str | None = None
     material: MaterialSection | None = Field(None, description="instead of the part's own")
     density_kg_m3: Positive | None = Field(None, description="a solid mesh: 7800 is steel")
@@ -95,6 +98,11 @@ def resolve_part(section: PartSection, folder: Path) -> tuple[Part, tuple[str, .
         ConfigError: an unknown built-in part, or a texture that cannot be read.
         MeshError: a mesh that cannot be a part.
     """
+    part, noticed = _unscaled(section, folder)
+    return (part if section.scale == 1 else part.scaled(section.scale)), noticed
+
+
+def _unscaled(section: PartSection, folder: Path) -> tuple[Part, tuple[str, ...]]:
     material = None if section.material is None else resolve_material(section.material, folder)
     if section.builtin is not None:
         if section.builtin not in BUILTIN:

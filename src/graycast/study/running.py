@@ -47,20 +47,28 @@ class Result:
     run: Run
     figures: dict[tuple[str, str], tuple[Drawn, ...]]
 
-    def of(self, world: str, kind: str) -> Drawn | None:
-        """The mean over the world's datasets; None where the run has no masks to compare."""
+    def of(self, world: str, kind: str, number: int | None = None) -> Drawn | None:
+        """A world's figure: of its dataset of that number, else the mean over all.
+
+        None where the run has no masks to compare, or the world no such dataset.
+        """
         held = self.figures.get((world, kind))
-        return None if held is None else mean(held)
+        if held is None or number is None:
+            return None if held is None else mean(held)
+        return held[number] if number < len(held) else None
 
 
 def runs_of(spec: StudySpec) -> Iterator[Run]:
     """All combinations; colour has no encodings to choose from, so it comes once."""
-    for training, model, input_name, encoding, seed in product(
-        spec.training, spec.models, spec.inputs, spec.encodings, spec.seeds
+    for training, model, input_name, encoding in product(
+        spec.training, spec.models, spec.inputs, spec.encodings
     ):
         if input_name == "rgb" and encoding is not spec.encodings[0]:
             continue
-        yield Run(model=model, input=input_name, encoding=encoding, training=training, seed=seed)
+        for seed in model.seeds or spec.seeds:
+            yield Run(
+                model=model, input=input_name, encoding=encoding, training=training, seed=seed
+            )
 
 
 def run_study(

@@ -14,27 +14,48 @@ from ..study_file import StudySpec
 from .running import Result
 
 Row = dict[str, str | float]
-_KEYS = ("model", "input", "encoding", "training", "seed", "kind")
+_KEYS = ("model", "input", "encoding", "training", "seed", "kind", "dataset")
+_ALL = "all"  # the datasets of a world, by their mean
 
 
 def write_study(spec: StudySpec, results: Sequence[Result], out: Path) -> None:
-    """Write `table.md`, `table.csv`, `table.tex`, `study.json` and `gaps.png` to `out`."""
-    rows = [row for result in results for row in _rows(spec, result)]
+    """Write `table.md`, `table.csv`, `table.tex`, `study.json` and `gaps.png` to `out`.
+
+    Where worlds have several datasets, `table.csv` and `study.json` have each by itself as well.
+    """
+    means = [row for result in results for row in _rows(spec, result)]
+    parts = [
+        row
+        for number, name in enumerate(_datasets(spec))
+        for result in results
+        for row in _rows(spec, result, (number, name))
+    ]
     for name, text in (
-        ("table.md", _markdown(spec, rows)),
-        ("table.csv", _csv(rows)),
-        ("table.tex", _latex(spec, rows)),
+        ("table.md", _markdown(spec, means, parts)),
+        ("table.csv", _csv(means + parts)),
+        ("table.tex", _latex(spec, means)),
     ):
         write_whole(out / name, text.encode())
-    content = {"title": spec.title, "figure": "AP50", "rows": rows}
+    content = {"title": spec.title, "figure": "AP50", "rows": means + parts}
     write_whole(out / "study.json", json_bytes(content))
-    _draw(spec, rows, out / "gaps.png")
+    _draw(spec, means, out / "gaps.png")
 
 
-def _rows(spec: StudySpec, result: Result) -> list[Row]:
+def _datasets(spec: StudySpec) -> list[str]:
+    """Names of the worlds' datasets by their place, where a world has more than one.
+
+    Datasets of one place in two worlds are of the same parts; the gap's own world names them.
+    """
+    first = spec.gap[0] if spec.gap is not None else next(iter(spec.tests))
+    named = spec.tests[first].datasets
+    return [path.name for path in named] if len(named) > 1 else []
+
+
+def _rows(spec: StudySpec, result: Result, dataset: tuple[int, str] | None = None) -> list[Row]:
     """One for boxes and one for masks; a world has its value and both ends of its interval."""
     rows = []
     run = result.run
+    number, name = dataset if dataset is not None else (None, _ALL)
     for kind in ("box", "mask"):
         row: Row = {
             "model": run.model.model,
@@ -43,16 +64,17 @@ def _rows(spec: StudySpec, result: Result) -> list[Row]:
             "training": run.training,
             "seed": run.seed,
             "kind": kind,
+            "dataset": name,
         }
-        worlds = {world: result.of(world, kind) for world in spec.tests}
+        worlds = {world: result.of(world, kind, number) for world in spec.tests}
         held = {world: figure for world, figure in worlds.items() if figure is not None}
         if not held:
             continue
         if spec.gap is not None:
             own, other = spec.gap
             held["gap"] = held[own] - held[other]
-        for name, figure in held.items():
-            row |= _figures(name, figure)
+        for world, figure in held.items():
+            row |= _figures(world, figure)
         rows.append(row)
     return rows
 
@@ -85,18 +107,24 @@ def _shown_keys(rows: Sequence[Row]) -> list[str]:
     ]
 
 
-def _markdown(spec: StudySpec, rows: Sequence[Row]) -> str:
+def _markdown(spec: StudySpec, means: Sequence[Row], parts: Sequence[Row]) -> str:
+    text = f"# {spec.title}\n\n"
+    text += "AP50, the mean over the world's datasets, with 95 % intervals over scenes.\n\n"
+    text += _lines(spec, means)
+    if parts:
+        text += "\n## Each dataset by itself\n\n" + _lines(spec, parts)
+    return text
+
+
+def _lines(spec: StudySpec, rows: Sequence[Row]) -> str:
     keys, columns = _shown_keys(rows), _columns(spec)
     lines = [
-        f"# {spec.title}",
-        "",
-        "AP50, the mean over the world's datasets, with 95 % intervals over scenes.",
-        "",
         "| " + " | ".join([*keys, *columns]) + " |",
         "|" + "---|" * (len(keys) + len(columns)),
     ]
     for row in rows:
-        cells = [str(row[key]) for key in keys] + [_told(row, name, 2) for name in columns]
+        cells = [str(row[key]) for key in keys]
+        cells += [_told(row, name, 2) if name in row else "-" for name in columns]
         lines.append("| " + " | ".join(cells) + " |")
     return "\n".join(lines) + "\n"
 

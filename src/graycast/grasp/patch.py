@@ -42,11 +42,23 @@ class Patch:
         value = value + v * ((1 - u) * h[i + 1, j] + u * h[i + 1, j + 1])
         return np.where(within, value, np.nan)
 
-    def within(self, radius_m: float) -> Float[np.ndarray, "k"]:
-        """Heights of all nodes that are no farther from the axis."""
+    @property
+    def reach_m(self) -> float:
+        """How far the grid goes from the axis along x and y."""
+        return (len(self.height_m) // 2) * self.step_m
+
+    def open_share(
+        self, radius_m: float, about_m: Float[np.ndarray, "k 2"]
+    ) -> Float[np.ndarray, "k"]:
+        """The share of missing nodes within a radius about each place."""
         n = len(self.height_m) // 2
         y, x = np.mgrid[-n : n + 1, -n : n + 1] * self.step_m
-        return self.height_m[np.hypot(x, y) <= radius_m * (1 + 1e-9)]
+        node = np.stack([x, y], axis=-1).reshape(-1, 2)
+        missing = np.isnan(self.height_m).ravel()
+        if not missing.any():
+            return np.zeros(len(about_m))
+        inside = np.linalg.norm(node - about_m[:, None], axis=-1) <= radius_m * (1 + 1e-9)
+        return (inside & missing).sum(axis=1) / inside.sum(axis=1)
 
 
 def patch_of_mesh(

@@ -73,44 +73,67 @@ def seal(cup: Cup, patch: Patch) -> Seal:
     about it. Blind holes within the lip do no harm; holes through and unknown ground do.
 
     Raises:
-        ValueError: the patch is smaller than the cup.
+        ValueError: the patch ends under the cup.
     """
-    if (len(patch.height_m) // 2) * patch.step_m < cup.radius_m:
-        raise ValueError(f"the patch is smaller than the cup's radius of {cup.radius_m} m")
-    inside = patch.within(cup.radius_m)
+    strain, open_share = seals(cup, patch, aside_m=np.zeros((1, 2)), lean=np.zeros((1, 2)))
+    return Seal(strain=float(strain[0]), open_share=float(open_share[0]))
+
+
+def seals(
+    cup: Cup,
+    patch: Patch,
+    *,
+    aside_m: Float[np.ndarray, "k 2"],
+    lean: Float[np.ndarray, "k 2"],
+) -> tuple[Float[np.ndarray, "k"], Float[np.ndarray, "k"]]:
+    """`Seal`'s two numbers for a cup that is set down otherwise than the tool's axis says.
+
+    Args:
+        cup: what is laid on.
+        patch: the surface about the tool's axis.
+        aside_m: where the cup's middle is instead, along x and y.
+        lean: slopes of the lip's plane along x and y, small ones.
+
+    Raises:
+        ValueError: the patch ends under the cup.
+    """
+    if np.abs(aside_m).max() + cup.radius_m > patch.reach_m * (1 + 1e-9):
+        raise ValueError(f"the patch of {patch.reach_m} m about the axis ends under the cup")
     around = 2 * np.pi * np.arange(LIP_POINTS) / LIP_POINTS
     free = cup.radius_m * np.stack([np.cos(around), np.sin(around)], axis=-1)
-    height_m = patch.at(free)
-    missing = np.isnan(height_m).mean()
-    open_share = float(max(np.isnan(inside).mean(), missing))
-    if missing == 1:
-        return Seal(strain=math.nan, open_share=open_share)
-    lip = np.concatenate([free, height_m[:, None]], axis=1)
+    height_m = patch.at(free + aside_m[:, None]) - lean @ free.T
+    open_share = np.maximum(
+        patch.open_share(cup.radius_m, aside_m), np.isnan(height_m).mean(axis=1)
+    )
+    lip = np.concatenate(
+        [np.broadcast_to(free, (len(height_m), LIP_POINTS, 2)), height_m[..., None]], axis=-1
+    )
     flat = np.concatenate([free, np.zeros((LIP_POINTS, 1))], axis=1)
     top = np.array([0.0, 0.0, cup.height_m])
-    strains = [_strain(lip - top, flat - top)]
+    changes = [_change(lip - top, flat - top)]
     for apart in (1, 2):  # along the lip, and against bending it
-        strains.append(_strain(lip - np.roll(lip, apart, 0), flat - np.roll(flat, apart, 0)))
-    return Seal(strain=float(np.nanmax(strains)), open_share=open_share)
+        changes.append(_change(lip - np.roll(lip, apart, 1), flat - np.roll(flat, apart, 0)))
+    change = np.concatenate(changes, axis=1)  # NaN beside missing ground
+    strain = np.where(np.isnan(change), -np.inf, change).max(axis=1)
+    return np.where(np.isinf(strain), np.nan, strain), open_share
 
 
-def _strain(now: Float[np.ndarray, "n 3"], free: Float[np.ndarray, "n 3"]) -> float:
-    """The largest change in length; springs beside missing ground are left out."""
-    length = np.linalg.norm(free, axis=1)
-    change = np.abs(np.linalg.norm(now, axis=1) - length) / length
-    return float(np.nanmax(change)) if np.isfinite(change).any() else math.nan
+def _change(
+    now: Float[np.ndarray, "k n 3"], free: Float[np.ndarray, "n 3"]
+) -> Float[np.ndarray, "k n"]:
+    """How much longer or shorter each spring is, as a share of its length."""
+    length = np.linalg.norm(free, axis=-1)
+    return np.abs(np.linalg.norm(now, axis=-1) - length) / length
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Load:
-    """A force [N] that pulls at a part in a point [m], both in the tool's frame."""
-
-    force_n: Float[np.ndarray, "3"]
-    point_m: Float[np.ndarray, "3"]
-
-
-def load_factor(cup: Cup, load: Load) -> float:
-    """How many times the load a sealed cup holds; below 1 it lets go.
+def load_factor(
+    cup: Cup,
+    force_n: Float[np.ndarray, "k 3"],
+    point_m: Float[np.ndarray, "k 3"],
+    *,
+    friction: Float[np.ndarray, "k"] | None = None,
+) -> Float[np.ndarray, "k"]:
+    """How many times a load a sealed cup holds; below 1 it lets go.
 
     The lip is a ring that is pressed on the surface with N: the vacuum's pull and what the load
     adds along the axis. Three limits, each met first by some load:
@@ -120,18 +143,30 @@ def load_factor(cup: Cup, load: Load) -> float:
       (t / (friction N))^2 + (m / (friction N r))^2 = 1. Source: R. Howe and M. Cutkosky, 1996.
     - tilt: a moment M across the axis lifts one side of a rigid ring where M = N r / 2.
 
+    Args:
+        cup: which holds.
+        force_n: that pulls at the part, in the tool's frame.
+        point_m: where it pulls, in the tool's frame.
+        friction: left out: the cup's.
+
     Returns:
         The largest factor of the load at which all three hold; infinity where no load is too much.
     """
-    force = load.force_n
-    moment = np.cross(load.point_m, force)
-    slide_n = math.hypot(float(force[0]), float(force[1]), float(moment[2]) / cup.radius_m)
-    tilt_nm = math.hypot(float(moment[0]), float(moment[1]))
-    press_n = float(
-        force[2]
-    )  # the axis points away from the part, so weight under a cup is below 0
-    factors = []
-    for demand, share in ((slide_n, cup.friction), (tilt_nm, cup.radius_m / 2), (0.0, 1.0)):
+    moment = np.cross(point_m, force_n)
+    slide_n = np.sqrt(
+        force_n[..., 0] ** 2 + force_n[..., 1] ** 2 + (moment[..., 2] / cup.radius_m) ** 2
+    )
+    tilt_nm = np.hypot(moment[..., 0], moment[..., 1])
+    press_n = force_n[..., 2]  # z points away from the part: a weight under a cup is below 0
+    mu = np.full(press_n.shape, cup.friction) if friction is None else friction
+    factor = np.full(press_n.shape, np.inf)
+    for demand, share in (
+        (slide_n, mu),
+        (tilt_nm, np.full(press_n.shape, cup.radius_m / 2)),
+        (np.zeros(press_n.shape), np.ones(press_n.shape)),
+    ):
         slope = demand - share * press_n  # factor * demand <= share * (pull + factor * press)
-        factors.append(share * cup.pull_n / slope if slope > 0 else math.inf)
-    return min(factors)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            most = np.where(slope > 0, share * cup.pull_n / slope, np.inf)
+        factor = np.minimum(factor, most)
+    return factor

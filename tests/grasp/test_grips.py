@@ -127,7 +127,9 @@ def test_no_finger_stands_in_the_part():
     ],
 )
 def test_jaws_hold_what_a_hand_calculation_says(force_n, point_m, limit):
-    factor = jaw_load_factor(JAWS, np.array([force_n], float), np.array([point_m], float))[0]
+    factor = jaw_load_factor(
+        JAWS, np.array([force_n], float), np.cross([point_m], [force_n]) * 1.0
+    )[0]
     assert factor == pytest.approx(limit)
 
 

@@ -42,7 +42,7 @@ class Jaws:
 
 
 def jaw_load_factor(
-    jaws: Jaws, force_n: Float[np.ndarray, "k 3"], point_m: Float[np.ndarray, "k 3"]
+    jaws: Jaws, force_n: Float[np.ndarray, "k 3"], moment_nm: Float[np.ndarray, "k 3"]
 ) -> Float[np.ndarray, "k"]:
     """How many times a load two pads hold by friction; below 1 it slips or turns.
 
@@ -54,11 +54,12 @@ def jaw_load_factor(
     Args:
         jaws: which hold.
         force_n: that pulls at the part, in the tool's frame.
-        point_m: where it pulls, in the tool's frame.
+        moment_nm: its moment about the tool's origin.
     """
-    moment_nm = np.cross(point_m, force_n)[..., 0]
     demand = np.sqrt(
-        force_n[..., 1] ** 2 + force_n[..., 2] ** 2 + (moment_nm / (2 / 3 * jaws.pad_radius_m)) ** 2
+        force_n[..., 1] ** 2
+        + force_n[..., 2] ** 2
+        + (moment_nm[..., 0] / (2 / 3 * jaws.pad_radius_m)) ** 2
     )
     with np.errstate(divide="ignore"):
         return 2 * jaws.friction * jaws.force_n / demand
@@ -116,7 +117,9 @@ def jaw_grips(
                 continue
             centers = (center_m + doubt.center_m * off[:, 1:] - T[:3, 3]) @ T[:3, :3]
             loads_n = SHAKE * weight_n * downs()[:, None].repeat(chances, axis=1)
-            factor = np.array([jaw_load_factor(jaws, each_n, centers) for each_n in loads_n])
+            factor = np.array(
+                [jaw_load_factor(jaws, each_n, np.cross(centers, each_n)) for each_n in loads_n]
+            )
             score = np.mean(held & (factor * friction / jaws.friction >= 1), axis=1).min()
             if score > 0:
                 grips.append(Grip(T_part_tool=T, score=float(score), opening_m=float(through_m[i])))

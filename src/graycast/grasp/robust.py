@@ -56,7 +56,9 @@ def robustness(
     held = []
     for burden in burdens:
         force_n = np.tile(SHAKE * burden.weight_n * burden.down, (chances, 1))
-        factor = load_factor(cup, force_n, burden.center_m + shift_m, friction=friction)
+        factor = load_factor(
+            cup, force_n, np.cross(burden.center_m + shift_m, force_n), friction=friction
+        )
         held.append(np.mean(sealed & (factor >= 1)))
     return float(min(held))
 

@@ -129,7 +129,7 @@ def _change(
 def load_factor(
     cup: Cup,
     force_n: Float[np.ndarray, "k 3"],
-    point_m: Float[np.ndarray, "k 3"],
+    moment_nm: Float[np.ndarray, "k 3"],
     *,
     friction: Float[np.ndarray, "k"] | None = None,
 ) -> Float[np.ndarray, "k"]:
@@ -146,17 +146,16 @@ def load_factor(
     Args:
         cup: which holds.
         force_n: that pulls at the part, in the tool's frame.
-        point_m: where it pulls, in the tool's frame.
+        moment_nm: its moment about the tool's origin.
         friction: left out: the cup's.
 
     Returns:
         The largest factor of the load at which all three hold; infinity where no load is too much.
     """
-    moment = np.cross(point_m, force_n)
     slide_n = np.sqrt(
-        force_n[..., 0] ** 2 + force_n[..., 1] ** 2 + (moment[..., 2] / cup.radius_m) ** 2
+        force_n[..., 0] ** 2 + force_n[..., 1] ** 2 + (moment_nm[..., 2] / cup.radius_m) ** 2
     )
-    tilt_nm = np.hypot(moment[..., 0], moment[..., 1])
+    tilt_nm = np.hypot(moment_nm[..., 0], moment_nm[..., 1])
     press_n = force_n[..., 2]  # z points away from the part: a weight under a cup is below 0
     mu = np.full(press_n.shape, cup.friction) if friction is None else friction
     factor = np.full(press_n.shape, np.inf)

@@ -25,6 +25,8 @@ Vector3 = Float[np.ndarray, "3"]
 # A spring is stiff enough to keep a path and soft enough for the step: at most this share of
 # what one step can follow.
 MOST_STIFFNESS = 0.1
+# Robots move faster than parts that are let down by hand.
+SPEED_M_S = 10.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -84,7 +86,8 @@ def lift(
         T_world_tool: the path, a pose for each step of `STEP_S`; the first is where the tool is
             on the part.
     """
-    heap = open_heap(Terms(), box, [Kind.of(body) for body in bodies], T_world_part, part_index)
+    kinds = [Kind.of(body) for body in bodies]
+    heap = open_heap(Terms(speed_m_s=SPEED_M_S), box, kinds, T_world_part, part_index)
     spring = _Spring.of(hold, bodies[part_index[number]])
     least, worst, lost_s = math.inf, (np.zeros(3), np.zeros(3)), None
     heap.damp(0.0)

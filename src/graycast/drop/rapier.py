@@ -47,6 +47,7 @@ class Terms:
     guided: bool = False  # between walls that stand on the bin's
     clustered: bool = False  # see `_world`
     friction: float = 1.0  # the share of it that counts
+    speed_m_s: float = SPEED_LIMIT_M_S  # no part is faster
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -153,7 +154,7 @@ def _world(terms: Terms) -> rapier3d.PhysicsWorld:
     settings.static_contact_softness = rapier3d.SpringCoefficients(480.0, 10.0)
     settings.normalized_allowed_linear_error = 0.001
     settings.normalized_contact_recycle_distance = 0.005
-    settings.normalized_max_linear_velocity = SPEED_LIMIT_M_S * SCALE
+    settings.normalized_max_linear_velocity = terms.speed_m_s * SCALE
     return world
 
 

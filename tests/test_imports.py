@@ -21,6 +21,7 @@ ORDER = (
     "lens_inverse",
     "optics",
     "raster",
+    "grasp",
     "pattern",
     "rig",
     "parts",

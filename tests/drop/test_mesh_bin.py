@@ -7,7 +7,7 @@ from crates import Crate
 from graycast.drop import DropLimits, drop
 from graycast.drop.body import body_of
 from graycast.drop.decomposition import hull_of
-from graycast.drop.rapier import simulate
+from graycast.drop.rest import simulate
 from graycast.frames import axis_rotation, rigid
 from graycast.rig import preset
 from graycast.scene import Bin, Scene, bin_mesh

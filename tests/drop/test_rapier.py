@@ -2,10 +2,10 @@ import numpy as np
 import pytest
 import trimesh
 
-from graycast.drop import rapier
+from graycast.drop import rapier, rest
 from graycast.drop.body import body_of, motion_m, parts_outside
 from graycast.drop.decomposition import hull_of
-from graycast.drop.rapier import simulate
+from graycast.drop.rest import simulate
 from graycast.frames import axis_rotation, rigid
 from graycast.scene import Bin
 
@@ -42,8 +42,8 @@ def test_the_engine_takes_over_mass_centre_and_principal_moments():
     shape.apply_transform(rigid(axis_rotation("x", 0.5), np.array([0.01, 0.02, 0.03])))
     part = as_part(shape, "box")
     body = body_of(part, (hull_of(part.mesh.vertices_m),))
-    kinds = [rapier._Kind.of(body)]
-    heap = rapier._heap(rapier._FALL, BIN, kinds, at(0, 0, 1), np.zeros(1, int))
+    kinds = [rapier.Kind.of(body)]
+    heap = rapier.open_heap(rest._FALL.terms, BIN, kinds, at(0, 0, 1), np.zeros(1, int))
     heap.run(rapier.STEP_S)
     inside = heap.world.rigid_bodies[heap.parts[0]].mass_properties
     assert inside.mass == pytest.approx(body.mass_kg, rel=1e-5)
@@ -105,8 +105,8 @@ def test_sliding_friction_is_never_more_than_stated_and_at_most_a_seventh_less(
     body = body_of_box((0.06, 0.06, 0.01), friction=0.4)
     box = Bin(inner_m=(0.9, 0.9, 0.1), friction=0.2)
     start = at(0, 0, 0.0052, turn=axis_rotation("z", np.deg2rad(turn_deg)))
-    stage = rapier._Stage(damped=False)
-    heap = rapier._heap(stage, box, [rapier._Kind.of(body)], start, np.zeros(1, int))
+    stage = rapier.Terms()
+    heap = rapier.open_heap(stage, box, [rapier.Kind.of(body)], start, np.zeros(1, int))
     heap.run(seconds)
     slid_m = heap.poses()[0, 0, 3]
     mu = np.tan(angle) - 2 * slid_m / (9.81 * np.cos(angle) * seconds**2)
@@ -148,7 +148,7 @@ def test_what_damping_alone_holds_is_found_when_it_is_let_go(monkeypatch):
     box, body = Bin(inner_m=(0.4, 0.3, 0.1), friction=0.2), body_of_box((0.06, 0.06, 0.01), 0.4)
     layout = simulate(box, (body,), at(-0.1, 0, 0.0052), np.zeros(1, int), simulated_s=2.0)
     assert not layout.at_rest
-    monkeypatch.setattr(rapier, "LET_GO_MOTION_M", 1.0)  # nobody looks
+    monkeypatch.setattr(rest, "LET_GO_MOTION_M", 1.0)  # nobody looks
     layout = simulate(box, (body,), at(-0.1, 0, 0.0052), np.zeros(1, int), simulated_s=2.0)
     assert layout.at_rest
 

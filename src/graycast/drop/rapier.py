@@ -4,19 +4,12 @@ Lengths are scaled by 20 inside, gravity too, because Rapier's contact model is 
 of a metre; times and masses are not. Rapier's defaults leave 1 mm of overlap or never rest. One
 thread, so that one start gives one end, bit for bit, on one type of machine.
 
-Rest is a statement on where parts are, not on an instant's speed: see `REST_MOTION_M`. Parts come
-to it in stages. They fall and settle between walls that stand on the bin's and guide them. Then all
-that is not physics is taken away (`_LET_GO`), and the heap has to hold by itself. Where it does
-not, it settles on from there without the walls and is let go once more.
-
-Leaves out: bouncing (restitution is 0), rolling friction, bending, air. Damping stands in for
-them: little at first, then growing, so that what rocks for ever calms down. Friction of a pair is
-the mean of the two coefficients; the engine's cone gives 86 to 100 % of it, by direction. Parts
-fall no faster than 1 m/s, as if let down by hand. Flat faces come to lie 0.2 mm above the bin and
-0.4 mm apart (`SKIN_M`); curved ones, whose hulls were thinned, closer or slightly into each other.
+Leaves out: bouncing (restitution is 0), rolling friction, bending, air. Friction of a pair is the
+mean of the two coefficients; the engine's cone gives 86 to 100 % of it, by direction. Flat faces
+come to lie 0.2 mm above the bin and 0.4 mm apart (`SKIN_M`); curved ones, whose hulls were thinned,
+closer or slightly into each other.
 """
 
-from collections import deque
 from dataclasses import dataclass
 from itertools import product
 
@@ -25,29 +18,17 @@ import rapier3d
 from jaxtyping import Float, Int
 from scipy.spatial.transform import Rotation
 
-from ..frames import rotation_from_quaternion, transform_points
+from ..frames import rigid, rotation_from_quaternion
 from ..parts import Mesh
-from ..scene import Bin, Layout
-from .body import Body, motion_m, parts_outside
+from ..scene import Bin
+from .body import Body
 from .overlap import overlap_m
 
 SCALE = 20.0
 GRAVITY_M_S2 = 9.81
 STEP_S = 0.002
-LOOK_S = 0.04  # poses are read this often
-# A part that trembles on the spot by less than a scanner sees lies still; one that creeps does not.
-REST_MOTION_M = 0.1e-3
-REST_LOOKS = 10  # 0.4 s
-# Let go for so long, a heap that is in balance moves less than this: contacts find their forces
-# anew, which shakes it a little.
-LET_GO_S = 0.6
-LET_GO_MOTION_M = 0.5e-3
 LINEAR_DAMPING = 0.2
 ANGULAR_DAMPING = 1.0
-# One bolt of 255 may rock from edge to edge for ever. From 2 s on damping doubles every second, up
-# to 64 times. Even so nothing hangs in the air: parts still fall at 0.77 m/s and topple at once.
-DAMPING_GROWS_AFTER_S = 2.0
-DAMPING_GROWTH = 64.0
 # What falls from the top of the grid would arrive at 5 m/s, pass through the thin wall of another
 # part and stay locked in it. Parts are rather let down, no faster than this.
 SPEED_LIMIT_M_S = 1.0
@@ -60,77 +41,17 @@ WALL_M = 0.15  # thickness outwards of what parts collide with: nothing tunnels 
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class _Stage:
-    """On which terms parts move, and when a damped stage ends.
-
-    It ends where no point of a part was more than `motion_m` from where it is, for `looks` looks.
-    """
+class Terms:
+    """On which terms parts move."""
 
     guided: bool = False  # between walls that stand on the bin's
-    damped: bool = True
     clustered: bool = False  # see `_world`
     friction: float = 1.0  # the share of it that counts
-    motion_m: float = REST_MOTION_M
-    looks: int = REST_LOOKS
-
-
-_FALL = _Stage(guided=True, clustered=True, motion_m=5e-3, looks=3)
-_GUIDED = _Stage(guided=True)
-_OPEN = _Stage()
-# A heap that holds with nine tenths of its friction does not hang on the last of it.
-_LET_GO = _Stage(damped=False, friction=0.9)
-
-
-def simulate(
-    box: Bin,
-    bodies: tuple[Body, ...],
-    T_world_part: Float[np.ndarray, "n 4 4"],
-    part_index: Int[np.ndarray, "n"],
-    *,
-    simulated_s: float,
-    attempt: int = 0,
-) -> Layout:
-    """Lets parts fall from their start poses until they rest, or for `simulated_s`.
-
-    At rest means: seen every 40 ms for 0.4 s, no point of a part was more than 0.1 mm from where
-    it is at the end; and let go for 0.6 s, without the guiding walls, without damping and with
-    nine tenths of the friction, no point moved by 0.5 mm. So what leans over the rim falls off.
-
-    Returns:
-        The end, judged by nobody: `flaws` does that. `deepest_penetration_m` is the
-        deepest overlap of any two hulls of different parts, or of a hull and the bin.
-    """
-    kinds = [_Kind.of(body) for body in bodies]
-    box_m = np.stack([body.box_m for body in bodies])[part_index]
-    end, time_s, last_m, stages = T_world_part, 0.0, np.inf, [_LET_GO, _GUIDED, _FALL]
-    while stages and time_s < simulated_s:
-        stage = stages.pop()
-        heap = _heap(stage, box, kinds, end, part_index)
-        end, last_m, stage_s, rests = (
-            _until_rest(heap, box_m, stage, simulated_s - time_s)
-            if stage.damped
-            else _let_go(heap, box_m)
-        )
-        time_s += stage_s
-        if not rests:
-            stages += [stage] if stage.damped else [_LET_GO, _OPEN]
-    solids = [list(block.pieces_m) for block in heap.blocks]
-    for T, kind in zip(end, part_index, strict=True):
-        solids.append([transform_points(T, vertices) for vertices, _ in bodies[kind].hulls])
-    return Layout(
-        T_world_part=end,
-        part_index=part_index,
-        at_rest=not stages,
-        last_motion_m=last_m,
-        deepest_penetration_m=_deepest_penetration_m(heap.world, solids),
-        outside=int(parts_outside(box, bodies, end, part_index).sum()),
-        simulated_s=time_s,
-        attempt=attempt,
-    )
+    speed_m_s: float = SPEED_LIMIT_M_S  # no part is faster
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class _Kind:
+class Kind:
     """A kind of part as the engine holds it."""
 
     shape: rapier3d.SharedShape
@@ -138,8 +59,8 @@ class _Kind:
     friction: float
 
     @staticmethod
-    def of(body: Body) -> "_Kind":
-        return _Kind(shape=_shape(body), mass=_mass_properties(body), friction=body.friction)
+    def of(body: Body) -> "Kind":
+        return Kind(shape=_shape(body), mass=_mass_properties(body), friction=body.friction)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -150,7 +71,7 @@ class _Block:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class _Heap:
+class Heap:
     """A world with a bin and parts that stand still in it; colliders' labels count both."""
 
     world: rapier3d.PhysicsWorld
@@ -160,6 +81,26 @@ class _Heap:
     def run(self, seconds: float) -> None:
         for _ in range(round(seconds / self.world.integration_parameters.dt)):
             self.world.step()
+
+    def motion(self, number: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """A part's pose, its origin's velocity [m/s], and how it turns [rad/s], in the world."""
+        body = self.world.rigid_bodies[self.parts[number]]
+        q = body.position.rotation
+        R = rotation_from_quaternion(np.array([q.i, q.j, q.k, q.w]))
+        T = rigid(R, np.array(body.position.translation.to_tuple()) / SCALE)
+        at_origin = body.velocity_at_point(body.position.translation.to_tuple())
+        return T, _three(at_origin) / SCALE, _three(body.angvel)
+
+    def push(
+        self, number: int, force_n: Float[np.ndarray, "3"], moment_nm: Float[np.ndarray, "3"]
+    ) -> None:
+        """Until the next push, a force on a part's origin and a moment about it."""
+        body = self.world.rigid_bodies[self.parts[number]]
+        body.reset_forces(True)
+        body.reset_torques(True)
+        origin = body.position.translation.to_tuple()
+        body.add_force_at_point(tuple((SCALE * force_n).tolist()), origin, True)
+        body.add_torque(tuple((SCALE**2 * moment_nm).tolist()), True)
 
     def damp(self, factor: float) -> None:
         for handle in self.parts:
@@ -177,55 +118,22 @@ class _Heap:
         return T
 
 
-_End = tuple[Float[np.ndarray, "n 4 4"], float, float, bool]
-"""Poses, how far a point moved last [m], simulated time [s], whether the parts rest."""
-
-
-def _until_rest(
-    heap: _Heap, box_m: Float[np.ndarray, "n 8 3"], stage: _Stage, patience_s: float
-) -> _End:
-    """A damped stage: until it ends as it says, or patience does."""
-    seen = deque([heap.poses()], maxlen=1 + stage.looks)
-    for look in range(1, 1 + max(1, round(patience_s / LOOK_S))):
-        growth = 2.0 ** (look * LOOK_S - DAMPING_GROWS_AFTER_S)
-        heap.damp(min(max(growth, 1.0), DAMPING_GROWTH))
-        heap.run(LOOK_S)
-        seen.append(heap.poses())
-        moved_m = float(motion_m(np.stack(seen), box_m).max())
-        rests = look >= stage.looks and moved_m <= stage.motion_m
-        if rests:
-            break
-    return seen[-1], moved_m, look * LOOK_S, rests
-
-
-def _let_go(heap: _Heap, box_m: Float[np.ndarray, "n 8 3"]) -> _End:
-    """The last stage: for `LET_GO_S`, or until a part is on its way."""
-    start = heap.poses()
-    for look in range(1, 1 + round(LET_GO_S / LOOK_S)):
-        heap.run(LOOK_S)
-        now = heap.poses()
-        moved_m = float(motion_m(np.stack([start, now]), box_m).max())
-        if moved_m > LET_GO_MOTION_M:
-            return now, moved_m, look * LOOK_S, False
-    return now, moved_m, LET_GO_S, True
-
-
-def _heap(
-    stage: _Stage,
+def open_heap(
+    terms: Terms,
     box: Bin,
-    kinds: list[_Kind],
+    kinds: list[Kind],
     T_world_part: Float[np.ndarray, "n 4 4"],
     part_index: Int[np.ndarray, "n"],
-) -> _Heap:
+) -> Heap:
     """A fresh world: no speed, no force and no contact is remembered from an earlier stage."""
-    world = _world(stage)
-    ceiling_m = float(T_world_part[:, 2, 3].max(initial=0.0)) + 1.0 if stage.guided else None
-    blocks = _add_bin(world, box, ceiling_m, friction=stage.friction)
-    parts = _add_parts(world, kinds, T_world_part, part_index, stage, first_label=len(blocks))
-    return _Heap(world=world, blocks=blocks, parts=parts)
+    world = _world(terms)
+    ceiling_m = float(T_world_part[:, 2, 3].max(initial=0.0)) + 1.0 if terms.guided else None
+    blocks = _add_bin(world, box, ceiling_m, friction=terms.friction)
+    parts = _add_parts(world, kinds, T_world_part, part_index, terms, first_label=len(blocks))
+    return Heap(world=world, blocks=blocks, parts=parts)
 
 
-def _world(stage: _Stage) -> rapier3d.PhysicsWorld:
+def _world(terms: Terms) -> rapier3d.PhysicsWorld:
     world = rapier3d.PhysicsWorld(gravity=(0.0, 0.0, -GRAVITY_M_S2 * SCALE))
     world.set_num_threads(1)
     settings = world.integration_parameters
@@ -237,7 +145,7 @@ def _world(stage: _Stage) -> rapier3d.PhysicsWorld:
     # Clustering chooses among the contact points of a compound's hulls anew at every step: four
     # times as fast, but a part on three points rocks from two of them to another two for ever, as
     # bolts and tubes did. So parts fall with it and come to rest without it.
-    settings.contact_clustering = stage.clustered
+    settings.contact_clustering = terms.clustered
     settings.normalized_prediction_distance = 0.01
     # The engine's own, cheaper model of friction also resists turning about a contact, as no point
     # does: in a heap of bottles it held six of ten that another engine saw roll away.
@@ -246,7 +154,7 @@ def _world(stage: _Stage) -> rapier3d.PhysicsWorld:
     settings.static_contact_softness = rapier3d.SpringCoefficients(480.0, 10.0)
     settings.normalized_allowed_linear_error = 0.001
     settings.normalized_contact_recycle_distance = 0.005
-    settings.normalized_max_linear_velocity = SPEED_LIMIT_M_S * SCALE
+    settings.normalized_max_linear_velocity = terms.speed_m_s * SCALE
     return world
 
 
@@ -294,10 +202,10 @@ def _add_mesh(world: rapier3d.PhysicsWorld, mesh: Mesh, friction: float, *, labe
 
 def _add_parts(
     world: rapier3d.PhysicsWorld,
-    kinds: list[_Kind],
+    kinds: list[Kind],
     T_world_part: Float[np.ndarray, "n 4 4"],
     part_index: Int[np.ndarray, "n"],
-    stage: _Stage,
+    terms: Terms,
     *,
     first_label: int,
 ) -> list[rapier3d.RigidBodyHandle]:
@@ -313,7 +221,7 @@ def _add_parts(
         collider = (
             rapier3d.Collider.new(kind.shape)
             .mass_properties(kind.mass)
-            .friction(kind.friction * stage.friction)
+            .friction(kind.friction * terms.friction)
             .contact_skin(SKIN_M * SCALE)
             .user_data(label)
         )
@@ -342,6 +250,10 @@ def _mass_properties(body: Body) -> rapier3d.MassProperties:
     )
 
 
+def _three(vector: object) -> Float[np.ndarray, "3"]:
+    return np.array([vector.x, vector.y, vector.z])
+
+
 def _rotation(matrix: Float[np.ndarray, "3 3"]) -> tuple[float, ...]:
     return tuple(map(float, Rotation.from_matrix(matrix).as_quat()))  # (x, y, z, w)
 
@@ -356,7 +268,7 @@ def _near(one: list[np.ndarray], other: list[np.ndarray]) -> list[list[int]]:
     return np.argwhere(~apart.any(axis=2)).tolist()
 
 
-def _deepest_penetration_m(world: rapier3d.PhysicsWorld, solids: list[list[np.ndarray]]) -> float:
+def deepest_penetration_m(world: rapier3d.PhysicsWorld, solids: list[list[np.ndarray]]) -> float:
     """`solids`: by collider label, its convex pieces as vertices [m] in the world."""
     # Contacts are fresh, not recycled from an earlier step, and belong to the poses read above.
     world.integration_parameters.contact_recycling = False

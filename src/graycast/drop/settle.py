@@ -12,7 +12,7 @@ from ..scene import Bin, Layout, Scene
 from .body import Body, body_of
 from .decomposition import Decomposition, OnStage, convex_hulls, silent
 from .grid import start_poses
-from .rapier import simulate
+from .rest import simulate
 
 PARTS_MAX = 255  # instance ids of a scene fit eight bits
 PACKING = 0.5  # share of its box that a random heap fills, generously

@@ -1,0 +1,161 @@
+"""A part is lifted out of the heap by a tool that holds it, or lets go.
+
+The tool moves along a given path and nothing moves it. What it holds hangs on it by springs and
+dampers, as a cup on its bellows does; their force is known at every step, and the tool's own law
+says whether it can carry it. So what is asked of a grip is its true load: weight, neighbours that
+lie on the part, walls that it scrapes along, and what the path's accelerations add.
+
+Leaves out: the tool's body, which pushes nothing aside; that is the planner's to forbid.
+"""
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float, Int
+from scipy.spatial.transform import Rotation
+
+from ..frames import inverse
+from ..scene import Bin
+from .body import Body
+from .rapier import STEP_S, Kind, Terms, open_heap
+
+Vector3 = Float[np.ndarray, "3"]
+# A spring is stiff enough to keep a path and soft enough for the step: at most this share of
+# what one step can follow.
+MOST_STIFFNESS = 0.1
+# Robots move faster than parts that are let down by hand.
+SPEED_M_S = 10.0
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Hold:
+    """How a tool holds a part.
+
+    `T_part_tool` is where on the part it is. `factor` says how many times a load it would hold:
+    a force [N] and its moment about the tool's origin [Nm], both in the tool's frame, as the part
+    pulls at the tool. `stiffness_n_m` is along each axis, `turning_nm` about each [Nm/rad].
+    """
+
+    T_part_tool: Float[np.ndarray, "4 4"]
+    factor: Callable[[Vector3, Vector3], float]
+    stiffness_n_m: float = 2000.0
+    turning_nm: float = 2.0
+
+    def __post_init__(self) -> None:
+        for name in ("stiffness_n_m", "turning_nm"):
+            if not getattr(self, name) > 0:
+                raise ValueError(f"{name} is {getattr(self, name)}; it must be above 0")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Lift:
+    """How a lift ended.
+
+    `T_world_part` are the poses at its end. `lost_s` is when the tool let go, None where it still
+    holds. `least_factor` is the least by which the load was held, with `force_n` and `moment_nm`
+    at that moment, in the tool's frame.
+    """
+
+    T_world_part: Float[np.ndarray, "n 4 4"]
+    lost_s: float | None
+    least_factor: float
+    force_n: Vector3
+    moment_nm: Vector3
+
+
+def lift(
+    box: Bin,
+    bodies: tuple[Body, ...],
+    T_world_part: Float[np.ndarray, "n 4 4"],
+    part_index: Int[np.ndarray, "n"],
+    number: int,
+    hold: Hold,
+    T_world_tool: Float[np.ndarray, "t 4 4"],
+) -> Lift:
+    """Move a tool that holds a part along a path.
+
+    Args:
+        box: the bin.
+        bodies: kinds of parts.
+        T_world_part: where parts lie, at rest.
+        part_index: the kind of each part.
+        number: of the part that is held.
+        hold: how.
+        T_world_tool: the path, a pose for each step of `STEP_S`; the first is where the tool is
+            on the part.
+    """
+    kinds = [Kind.of(body) for body in bodies]
+    heap = open_heap(Terms(speed_m_s=SPEED_M_S), box, kinds, T_world_part, part_index)
+    spring = _Spring.of(hold, bodies[part_index[number]])
+    least, worst, lost_s = math.inf, (np.zeros(3), np.zeros(3)), None
+    heap.damp(0.0)
+    for step, target in enumerate(T_world_tool):
+        if lost_s is None:
+            before = T_world_tool[max(step - 1, 0)]
+            force_n, moment_nm, load = spring.pull(heap.motion(number), before, target)
+            factor = hold.factor(*load)
+            if factor < least:
+                least, worst = factor, load
+            if factor < 1:
+                lost_s = step * STEP_S
+                force_n, moment_nm = np.zeros(3), np.zeros(3)
+            heap.push(number, force_n, moment_nm)
+        heap.run(STEP_S)
+    return Lift(
+        T_world_part=heap.poses(),
+        lost_s=lost_s,
+        least_factor=least,
+        force_n=worst[0],
+        moment_nm=worst[1],
+    )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Spring:
+    """Springs and dampers between a tool and a part."""
+
+    T_part_tool: Float[np.ndarray, "4 4"]
+    k: float
+    c: float
+    k_turn: float
+    c_turn: float
+
+    @staticmethod
+    def of(hold: Hold, body: Body) -> "_Spring":
+        """Damped critically; no stiffer than a step can follow."""
+        least_moment = float(np.linalg.eigvalsh(body.inertia_kg_m2).min())
+        k = min(hold.stiffness_n_m, MOST_STIFFNESS * body.mass_kg / STEP_S**2)
+        k_turn = min(hold.turning_nm, MOST_STIFFNESS * least_moment / STEP_S**2)
+        return _Spring(
+            T_part_tool=hold.T_part_tool,
+            k=k,
+            c=2 * math.sqrt(k * body.mass_kg),
+            k_turn=k_turn,
+            c_turn=2 * math.sqrt(k_turn * least_moment),
+        )
+
+    def pull(
+        self,
+        motion: tuple[np.ndarray, np.ndarray, np.ndarray],
+        before: Float[np.ndarray, "4 4"],
+        target: Float[np.ndarray, "4 4"],
+    ) -> tuple[Vector3, Vector3, tuple[Vector3, Vector3]]:
+        """Force on the part's origin, moment about it, and the load on the tool in its frame."""
+        T, velocity, turning = motion
+        tool = T @ self.T_part_tool
+        arm = tool[:3, 3] - T[:3, 3]
+        path_m_s = (target[:3, 3] - before[:3, 3]) / STEP_S
+        path_rad_s = _turn(before[:3, :3], target[:3, :3]) / STEP_S
+        force = self.k * (target[:3, 3] - tool[:3, 3])
+        force += self.c * (path_m_s - velocity - np.cross(turning, arm))
+        moment = self.k_turn * _turn(tool[:3, :3], target[:3, :3])
+        moment += self.c_turn * (path_rad_s - turning)
+        R = inverse(tool)[:3, :3]
+        return force, moment + np.cross(arm, force), (-(R @ force), -(R @ moment))
+
+
+def _turn(from_R: Float[np.ndarray, "3 3"], to_R: Float[np.ndarray, "3 3"]) -> Vector3:
+    """The rotation vector, in the world, that turns one into the other."""
+    return Rotation.from_matrix(to_R @ from_R.T).as_rotvec()

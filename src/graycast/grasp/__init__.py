@@ -1,0 +1,29 @@
+"""Where a part can be gripped: surfaces under a tool, seals of suction cups, what a grip holds."""
+
+from .grip import Grip
+from .jaws import Jaws, jaw_grips, jaw_load_factor
+from .known import suction_grips
+from .patch import Patch, patch_of_depth, patch_of_mesh
+from .robust import Burden, Doubt, patch_radius_m, robustness
+from .suction import Cup, Seal, load_factor, seal
+from .unknown import suction_in_depth
+
+__all__ = [
+    "Burden",
+    "Cup",
+    "Doubt",
+    "Grip",
+    "Jaws",
+    "Patch",
+    "Seal",
+    "jaw_grips",
+    "jaw_load_factor",
+    "load_factor",
+    "patch_of_depth",
+    "patch_of_mesh",
+    "patch_radius_m",
+    "robustness",
+    "seal",
+    "suction_grips",
+    "suction_in_depth",
+]

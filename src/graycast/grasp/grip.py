@@ -1,0 +1,57 @@
+"""A grip: where a tool goes on a part, and places to try on its surface."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from ..frames import rigid
+
+LEAN_RAD = np.radians(30)  # a bin's walls and neighbours make a tool lean by about as much
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Grip:
+    """Where a tool goes, in the part's frame, and how sure it is to hold there (0 to 1).
+
+    The tool's z points away from the part. `opening_m` is how far jaws stand apart there.
+    """
+
+    T_part_tool: Float[np.ndarray, "4 4"]
+    score: float
+    opening_m: float | None = None
+
+    def __post_init__(self) -> None:
+        self.T_part_tool.flags.writeable = False
+
+
+def surface_points(
+    vertices_m: Float[np.ndarray, "v 3"],
+    faces: Int[np.ndarray, "f 3"],
+    count: int,
+    rng: np.random.Generator,
+) -> tuple[Float[np.ndarray, "n 3"], Float[np.ndarray, "n 3"]]:
+    """Points and outward normals, evenly over the area."""
+    corner = vertices_m[faces]
+    cross = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
+    area = np.linalg.norm(cross, axis=1)
+    face = rng.choice(len(faces), size=count, p=area / area.sum())
+    u, v = rng.random((2, count, 1))
+    over = u + v > 1
+    u, v = np.where(over, 1 - u, u), np.where(over, 1 - v, v)
+    a, b, c = np.moveaxis(corner[face], 1, 0)
+    return a + u * (b - a) + v * (c - a), cross[face] / area[face, None]
+
+
+def frame_on(point_m: Float[np.ndarray, "3"], normal: Float[np.ndarray, "3"]) -> np.ndarray:
+    """A tool's pose whose z is the normal; x is across, as far from the normal as can be."""
+    least = np.eye(3)[np.argmin(np.abs(normal))]
+    x = np.cross(least, normal)
+    x /= np.linalg.norm(x)
+    return rigid(np.stack([x, np.cross(normal, x), normal], axis=1), point_m)
+
+
+def downs() -> Float[np.ndarray, "5 3"]:
+    """Which way is down for a tool that stands upright, or leans to one of four sides."""
+    s, c = np.sin(LEAN_RAD), np.cos(LEAN_RAD)
+    return np.array([[0, 0, -1], [s, 0, -c], [-s, 0, -c], [0, s, -c], [0, -s, -c]], dtype=float)

@@ -1,0 +1,180 @@
+"""Parallel jaws on a part whose mesh is known: where they close, and what they hold by friction."""
+
+from dataclasses import dataclass
+from typing import no_type_check
+
+import numba
+import numpy as np
+from jaxtyping import Float, Int
+
+from ..frames import rigid
+from .grip import Grip, downs, surface_points
+from .robust import SHAKE, Doubt
+
+CLEARANCE_M = 2e-3  # between each open finger and the part
+TURNS = 8  # ways round the pads' axis that are tried at each place
+PROBES = 3000  # points of the surface that no finger may hold within itself
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Jaws:
+    """Two parallel fingers that close along the tool's x; z points from the tips to the palm.
+
+    A grip's origin is the middle between both pads. `finger_m` is a finger's thickness along x,
+    width along y, and length from tip to palm along z. `pad_radius_m` is the radius of the disc in
+    which a pad touches; its middle lies that far from the finger's tip.
+    """
+
+    opening_m: float = 0.085
+    force_n: float = 60.0
+    friction: float = 0.4
+    finger_m: tuple[float, float, float] = (0.010, 0.020, 0.045)
+    pad_radius_m: float = 0.004
+
+    def __post_init__(self) -> None:
+        for name in ("opening_m", "force_n", "pad_radius_m"):
+            if not getattr(self, name) > 0:
+                raise ValueError(f"{name} is {getattr(self, name)}; it must be above 0")
+        if self.opening_m > 1:
+            raise ValueError(f"opening_m is {self.opening_m:g}: jaws open less; give metres")
+        if not self.friction >= 0:
+            raise ValueError(f"friction is {self.friction}; it is 0 or more")
+
+
+def jaw_load_factor(
+    jaws: Jaws, force_n: Float[np.ndarray, "k 3"], moment_nm: Float[np.ndarray, "k 3"]
+) -> Float[np.ndarray, "k"]:
+    """How many times a load two pads hold by friction; below 1 it slips or turns.
+
+    Both pads together carry 2 friction force across their axis, and about it the moment of two
+    discs of even pressure, 2 friction force (2/3 r). The load's moment about other axes is held
+    by the pads' normal forces, which this leaves out: fingers are stiff beside a part's weight.
+    Forces along the axis are held by the drive.
+
+    Args:
+        jaws: which hold.
+        force_n: that pulls at the part, in the tool's frame.
+        moment_nm: its moment about the tool's origin.
+    """
+    demand = np.sqrt(
+        force_n[..., 1] ** 2
+        + force_n[..., 2] ** 2
+        + (moment_nm[..., 0] / (2 / 3 * jaws.pad_radius_m)) ** 2
+    )
+    with np.errstate(divide="ignore"):
+        return 2 * jaws.friction * jaws.force_n / demand
+
+
+def jaw_grips(
+    vertices_m: Float[np.ndarray, "v 3"],
+    faces: Int[np.ndarray, "f 3"],
+    jaws: Jaws,
+    *,
+    weight_n: float,
+    center_m: Float[np.ndarray, "3"],
+    doubt: Doubt,
+    count: int = 200,
+    chances: int = 24,
+    seed: int = 0,
+) -> list[Grip]:
+    """Where two fingers close on a part, best first.
+
+    Both normals lie in the cone of friction about the line between the pads, nothing of the part
+    lies beyond them, and no point of the part lies in an open finger or in the palm. A grip's score
+    is the share of chances (friction, centre of mass) in which the normals stay in the cone and the
+    burden is held, the least over an upright tool and one that leans to four sides.
+
+    Args:
+        vertices_m: of the part's mesh, in its frame.
+        faces: of the mesh, counter-clockwise from outside.
+        jaws: the tool.
+        weight_n: of the part.
+        center_m: its centre of mass.
+        doubt: what is not known.
+        count: places that are tried, evenly over the surface.
+        chances: of each grip.
+        seed: of places and chances.
+    """
+    rng = np.random.default_rng(seed)
+    point, normal = surface_points(vertices_m, faces, count, rng)
+    probes = surface_points(vertices_m, faces, PROBES, rng)[0]
+    off = rng.normal(size=(chances, 4))
+    friction = jaws.friction * np.maximum(1 + doubt.friction_share * off[:, 0], 0)
+    a, b, c = np.moveaxis(vertices_m[faces], 1, 0)
+    through_m, face = _far_side(point, -normal, a, b - a, c - a)
+    outside_m, _ = _far_side(point, normal, a, b - a, c - a)
+    cross = np.cross(b - a, c - a)
+    far_normal = (cross / np.linalg.norm(cross, axis=1, keepdims=True))[face]
+    slope = np.tan(np.arccos(np.clip(-np.einsum("ni,ni->n", far_normal, normal), 0, 1)))
+    fits = (through_m > 1e-4) & (through_m + 2 * CLEARANCE_M <= jaws.opening_m)
+    fits &= (outside_m < 1e-6) & (slope <= jaws.friction)
+    grips = []
+    for i in np.flatnonzero(fits):
+        held = friction >= slope[i]
+        for turn in 2 * np.pi * np.arange(TURNS) / TURNS:
+            T = _closed_on(point[i] - normal[i] * through_m[i] / 2, normal[i], turn)
+            if _in_the_way(jaws, probes, T, through_m[i]):
+                continue
+            centers = (center_m + doubt.center_m * off[:, 1:] - T[:3, 3]) @ T[:3, :3]
+            loads_n = SHAKE * weight_n * downs()[:, None].repeat(chances, axis=1)
+            factor = np.array(
+                [jaw_load_factor(jaws, each_n, np.cross(centers, each_n)) for each_n in loads_n]
+            )
+            score = np.mean(held & (factor * friction / jaws.friction >= 1), axis=1).min()
+            if score > 0:
+                grips.append(Grip(T_part_tool=T, score=float(score), opening_m=float(through_m[i])))
+    return sorted(grips, key=lambda grip: -grip.score)
+
+
+def _closed_on(
+    middle_m: Float[np.ndarray, "3"], axis: Float[np.ndarray, "3"], turn_rad: float
+) -> Float[np.ndarray, "4 4"]:
+    least = np.eye(3)[np.argmin(np.abs(axis))]
+    u = np.cross(axis, least)
+    u /= np.linalg.norm(u)
+    z = np.cos(turn_rad) * u + np.sin(turn_rad) * np.cross(axis, u)
+    return rigid(np.stack([axis, np.cross(z, axis), z], axis=1), middle_m)
+
+
+def _in_the_way(
+    jaws: Jaws,
+    probes: Float[np.ndarray, "n 3"],
+    T: Float[np.ndarray, "4 4"],
+    opening_m: float,
+) -> bool:
+    """Whether the part reaches into an open finger or the palm."""
+    x, y, z = ((probes - T[:3, 3]) @ T[:3, :3]).T
+    thick, wide, long = jaws.finger_m
+    inner = opening_m / 2 + 1e-6
+    beside = (np.abs(x) > inner) & (np.abs(x) < inner + CLEARANCE_M + thick)
+    palm_m = long - jaws.pad_radius_m
+    finger = beside & (np.abs(y) < wide / 2) & (z > -jaws.pad_radius_m) & (z < palm_m)
+    palm = (z >= palm_m) & (np.abs(x) < inner + CLEARANCE_M + thick) & (np.abs(y) < wide / 2)
+    return bool((finger | palm).any())
+
+
+@numba.njit(cache=True)
+@no_type_check  # the tests' type checker would wrap the function, which numba cannot compile
+def _far_side(origin, way, a, ab, ac):
+    """Distance along each ray to the last triangle that it crosses, and which; -1 for none."""
+    distance, face = np.full(len(origin), -1.0), np.full(len(origin), -1)
+    for i in range(len(origin)):
+        for f in range(len(a)):
+            px = way[i, 1] * ac[f, 2] - way[i, 2] * ac[f, 1]
+            py = way[i, 2] * ac[f, 0] - way[i, 0] * ac[f, 2]
+            pz = way[i, 0] * ac[f, 1] - way[i, 1] * ac[f, 0]
+            det = ab[f, 0] * px + ab[f, 1] * py + ab[f, 2] * pz
+            if abs(det) < 1e-15:
+                continue
+            tx, ty, tz = origin[i, 0] - a[f, 0], origin[i, 1] - a[f, 1], origin[i, 2] - a[f, 2]
+            u = (tx * px + ty * py + tz * pz) / det
+            qx = ty * ab[f, 2] - tz * ab[f, 1]
+            qy = tz * ab[f, 0] - tx * ab[f, 2]
+            qz = tx * ab[f, 1] - ty * ab[f, 0]
+            v = (way[i, 0] * qx + way[i, 1] * qy + way[i, 2] * qz) / det
+            if u < 0 or v < 0 or u + v > 1:
+                continue
+            t = (ac[f, 0] * qx + ac[f, 1] * qy + ac[f, 2] * qz) / det
+            if t > distance[i]:
+                distance[i], face[i] = t, f
+    return distance, face

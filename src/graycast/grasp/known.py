@@ -1,0 +1,56 @@
+"""Places where a suction cup holds a part whose mesh is known.
+
+They are found once and carried to wherever the part lies by its pose.
+"""
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from .grip import Grip, downs, frame_on, surface_points
+from .patch import patch_of_mesh
+from .robust import Burden, Doubt, patch_radius_m, robustness
+from .suction import Cup
+
+STEP_M = 0.5e-3  # of the patch under a cup
+
+
+def suction_grips(
+    vertices_m: Float[np.ndarray, "v 3"],
+    faces: Int[np.ndarray, "f 3"],
+    cup: Cup,
+    *,
+    weight_n: float,
+    center_m: Float[np.ndarray, "3"],
+    doubt: Doubt,
+    count: int = 200,
+    seed: int = 0,
+) -> list[Grip]:
+    """Places where a cup holds a part, best first.
+
+    A place's score is its robustness with the tool's axis upright and leaning by up to
+    30 degrees to four sides, the least of the five: how the part will lie is not known yet.
+
+    Args:
+        vertices_m: of the part's mesh.
+        faces: of the part's mesh.
+        cup: the tool.
+        weight_n: of the part.
+        center_m: its centre of mass.
+        doubt: what is not known.
+        count: places that are tried, evenly over the surface.
+        seed: of the places and the doubts.
+    """
+    rng = np.random.default_rng(seed)
+    points, normals = surface_points(vertices_m, faces, count, rng)
+    held = []
+    for point, normal in zip(points, normals, strict=True):
+        T_part_tool = frame_on(point, normal)
+        patch = patch_of_mesh(
+            vertices_m, faces, T_part_tool, radius_m=patch_radius_m(cup, doubt), step_m=STEP_M
+        )
+        center = T_part_tool[:3, :3].T @ (center_m - point)
+        burdens = [Burden(weight_n=weight_n, center_m=center, down=down) for down in downs()]
+        score = robustness(cup, patch, burdens, doubt, seed=seed)
+        if score > 0:
+            held.append(Grip(T_part_tool=T_part_tool, score=score))
+    return sorted(held, key=lambda grip: -grip.score)

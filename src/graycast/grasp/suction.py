@@ -1,0 +1,171 @@
+"""Does a suction cup seal on a surface, and what does it hold there?
+
+The seal follows Mahler et al., "Dex-Net 3.0", ICRA 2018: the cup is a cone of springs whose lip is
+laid on the surface; it seals where no spring is stretched or pressed by more than a tenth, and
+where nothing under the cup is open or unknown. The load follows from statics: the vacuum presses
+the lip on the surface, and that pressure carries forces across by friction and moments by its
+uneven spread.
+"""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float
+
+from .patch import Patch
+
+LIP_POINTS = 32  # springs round the lip: a groove of half their length opens the seal
+MOST_STRAIN = 0.10  # of a spring in a cup that seals. Source: Dex-Net 3.0, section IV
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Cup:
+    """A round suction cup.
+
+    `height_m` is from the lip to where the bellows are held. `vacuum_pa` is how far the pressure
+    inside lies below the air's. `friction` is between lip and part.
+    """
+
+    radius_m: float = 0.010
+    height_m: float = 0.010
+    vacuum_pa: float = 60e3
+    friction: float = 0.5
+
+    def __post_init__(self) -> None:
+        for name in ("radius_m", "height_m", "vacuum_pa"):
+            if not getattr(self, name) > 0:
+                raise ValueError(f"{name} is {getattr(self, name)}; it must be above 0")
+        if self.radius_m > 0.2:
+            raise ValueError(f"radius_m is {self.radius_m:g}: a cup is smaller; give metres")
+        if self.vacuum_pa > 101_325:
+            raise ValueError(f"vacuum_pa is {self.vacuum_pa:g}; air presses with 101325 Pa at most")
+        if not self.friction >= 0:
+            raise ValueError(f"friction is {self.friction}; it is 0 or more")
+
+    @property
+    def pull_n(self) -> float:
+        """What the vacuum pulls with."""
+        return self.vacuum_pa * math.pi * self.radius_m**2
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Seal:
+    """How a cup lies on a surface.
+
+    `strain` is the largest change of a spring's length, as a share of it; NaN where the lip has
+    nothing to lie on. `open_share` is the share of the ground under the cup where no surface is, or
+    none is known.
+    """
+
+    strain: float
+    open_share: float
+
+    @property
+    def holds(self) -> bool:
+        return self.open_share == 0 and self.strain <= MOST_STRAIN
+
+
+def seal(cup: Cup, patch: Patch) -> Seal:
+    """Lay a cup on a surface, its lip along the tool's axis from above.
+
+    The lip's middle is held at the tool's origin, so what matters is how uneven the surface is
+    about it. Blind holes within the lip do no harm; holes through and unknown ground do.
+
+    Raises:
+        ValueError: the patch ends under the cup.
+    """
+    strain, open_share = seals(cup, patch, aside_m=np.zeros((1, 2)), lean=np.zeros((1, 2)))
+    return Seal(strain=float(strain[0]), open_share=float(open_share[0]))
+
+
+def seals(
+    cup: Cup,
+    patch: Patch,
+    *,
+    aside_m: Float[np.ndarray, "k 2"],
+    lean: Float[np.ndarray, "k 2"],
+) -> tuple[Float[np.ndarray, "k"], Float[np.ndarray, "k"]]:
+    """`Seal`'s two numbers for a cup that is set down otherwise than the tool's axis says.
+
+    Args:
+        cup: what is laid on.
+        patch: the surface about the tool's axis.
+        aside_m: where the cup's middle is instead, along x and y.
+        lean: slopes of the lip's plane along x and y, small ones.
+
+    Raises:
+        ValueError: the patch ends under the cup.
+    """
+    if np.abs(aside_m).max() + cup.radius_m > patch.reach_m * (1 + 1e-9):
+        raise ValueError(f"the patch of {patch.reach_m} m about the axis ends under the cup")
+    around = 2 * np.pi * np.arange(LIP_POINTS) / LIP_POINTS
+    free = cup.radius_m * np.stack([np.cos(around), np.sin(around)], axis=-1)
+    height_m = patch.at(free + aside_m[:, None]) - lean @ free.T
+    open_share = np.maximum(
+        patch.open_share(cup.radius_m, aside_m), np.isnan(height_m).mean(axis=1)
+    )
+    lip = np.concatenate(
+        [np.broadcast_to(free, (len(height_m), LIP_POINTS, 2)), height_m[..., None]], axis=-1
+    )
+    flat = np.concatenate([free, np.zeros((LIP_POINTS, 1))], axis=1)
+    top = np.array([0.0, 0.0, cup.height_m])
+    changes = [_change(lip - top, flat - top)]
+    for apart in (1, 2):  # along the lip, and against bending it
+        changes.append(_change(lip - np.roll(lip, apart, 1), flat - np.roll(flat, apart, 0)))
+    change = np.concatenate(changes, axis=1)  # NaN beside missing ground
+    strain = np.where(np.isnan(change), -np.inf, change).max(axis=1)
+    return np.where(np.isinf(strain), np.nan, strain), open_share
+
+
+def _change(
+    now: Float[np.ndarray, "k n 3"], free: Float[np.ndarray, "n 3"]
+) -> Float[np.ndarray, "k n"]:
+    """How much longer or shorter each spring is, as a share of its length."""
+    length = np.linalg.norm(free, axis=-1)
+    return np.abs(np.linalg.norm(now, axis=-1) - length) / length
+
+
+def load_factor(
+    cup: Cup,
+    force_n: Float[np.ndarray, "k 3"],
+    moment_nm: Float[np.ndarray, "k 3"],
+    *,
+    friction: Float[np.ndarray, "k"] | None = None,
+) -> Float[np.ndarray, "k"]:
+    """How many times a load a sealed cup holds; below 1 it lets go.
+
+    The lip is a ring that is pressed on the surface with N: the vacuum's pull and what the load
+    adds along the axis. Three limits, each met first by some load:
+
+    - pull: N > 0.
+    - friction: a force t across and a torque m about the axis slide the ring where
+      (t / (friction N))^2 + (m / (friction N r))^2 = 1. Source: R. Howe and M. Cutkosky, 1996.
+    - tilt: a moment M across the axis lifts one side of a rigid ring where M = N r / 2.
+
+    Args:
+        cup: which holds.
+        force_n: that pulls at the part, in the tool's frame.
+        moment_nm: its moment about the tool's origin.
+        friction: left out: the cup's.
+
+    Returns:
+        The largest factor of the load at which all three hold; infinity where no load is too much.
+    """
+    slide_n = np.sqrt(
+        force_n[..., 0] ** 2 + force_n[..., 1] ** 2 + (moment_nm[..., 2] / cup.radius_m) ** 2
+    )
+    tilt_nm = np.hypot(moment_nm[..., 0], moment_nm[..., 1])
+    press_n = force_n[..., 2]  # z points away from the part: a weight under a cup is below 0
+    mu = np.full(press_n.shape, cup.friction) if friction is None else friction
+    factor = np.full(press_n.shape, np.inf)
+    for demand, share in (
+        (slide_n, mu),
+        (tilt_nm, np.full(press_n.shape, cup.radius_m / 2)),
+        (np.zeros(press_n.shape), np.ones(press_n.shape)),
+    ):
+        slope = demand - share * press_n  # factor * demand <= share * (pull + factor * press)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            most = np.where(slope > 0, share * cup.pull_n / slope, np.inf)
+        factor = np.minimum(factor, most)
+    return factor

@@ -1,0 +1,145 @@
+"""Where a suction cup holds what a scanner saw, with no model of the part.
+
+After Mahler et al., "Dex-Net 3.0", ICRA 2018, section V: places are drawn in the mask, judged by
+how surely the cup seals and holds on the measured surface, and drawn again about the best ones (the
+cross-entropy method). Holes in the depth are unknown ground, on which no cup is taken to seal.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from ..optics import Optics, rays
+from .grip import frame_on
+from .patch import patch_of_depth
+from .robust import Burden, Doubt, patch_radius_m, robustness
+from .suction import Cup
+
+STEP_M = 0.5e-3  # of the patch under a cup
+ROUNDS = 3
+ELITE_SHARE = 0.25
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SeenGrip:
+    """Where a tool goes, in the camera's frame, and how sure it is to hold there (0 to 1)."""
+
+    T_cam_tool: Float[np.ndarray, "4 4"]
+    score: float
+
+    def __post_init__(self) -> None:
+        self.T_cam_tool.flags.writeable = False
+
+
+def suction_in_depth(
+    depth_m: Float[np.ndarray, "h w"],
+    camera: Optics,
+    mask: Bool[np.ndarray, "h w"],
+    cup: Cup,
+    *,
+    down: Float[np.ndarray, "3"],
+    weight_n: float,
+    doubt: Doubt,
+    most_lean_rad: float = np.radians(45),
+    count: int = 60,
+    seed: int = 0,
+) -> list[SeenGrip]:
+    """Grips on the measured surface within a mask, best first; none where nothing would hold.
+
+    The cup stands along the normal of the plane through what lies under it. What is lifted is taken
+    to weigh `weight_n` and to have its centre below the middle of the mask's points.
+
+    Args:
+        depth_m: z of each pixel, NaN where it is missing.
+        camera: its optics.
+        mask: where the cup's middle may go: one part, or the whole bin.
+        cup: the tool.
+        down: which way weights pull, in the camera's frame.
+        weight_n: of a part.
+        doubt: what is not known.
+        most_lean_rad: between the tool's axis and the vertical.
+        count: places in each of three rounds.
+        seed: of places and doubts.
+    """
+    rng = np.random.default_rng(seed)
+    rows, columns = np.nonzero(mask & np.isfinite(depth_m))
+    if len(rows) == 0:
+        return []
+    pixel = np.stack([columns, rows], axis=-1).astype(np.float64)
+    point = rays(camera, pixel) * depth_m[rows, columns, None]
+    center = point.mean(axis=0)
+    judged: dict[int, SeenGrip | None] = {}
+    chosen = rng.choice(len(point), size=min(count, len(point)), replace=False)
+    for _ in range(ROUNDS):
+        for i in dict.fromkeys(chosen.tolist()):
+            if i not in judged:
+                judged[i] = _judged(
+                    point[i], center, depth_m, camera, cup, down, weight_n, doubt, most_lean_rad,
+                    seed,
+                )  # fmt: skip
+        best = sorted(
+            (i for i, grip in judged.items() if grip is not None),
+            key=lambda i: -judged[i].score,
+        )[: max(int(ELITE_SHARE * count), 1)]
+        if not best:
+            chosen = rng.choice(len(point), size=min(count, len(point)), replace=False)
+            continue
+        near = pixel[rng.choice(best, size=count)] + rng.normal(size=(count, 2)) * (
+            pixel[best].std(axis=0) / 2 + 1
+        )
+        chosen = np.array([np.argmin(((pixel - place) ** 2).sum(axis=1)) for place in near])
+    found = [grip for grip in judged.values() if grip is not None and grip.score > 0]
+    return sorted(found, key=lambda grip: -grip.score)
+
+
+def _judged(
+    point: Float[np.ndarray, "3"],
+    center: Float[np.ndarray, "3"],
+    depth_m: Float[np.ndarray, "h w"],
+    camera: Optics,
+    cup: Cup,
+    down: Float[np.ndarray, "3"],
+    weight_n: float,
+    doubt: Doubt,
+    most_lean_rad: float,
+    seed: int,
+) -> SeenGrip | None:
+    """A grip on a point, along the normal there; None where the cup cannot stand."""
+    normal = _normal(point, depth_m, camera, cup.radius_m)
+    if normal is None or -normal @ down < np.cos(most_lean_rad):
+        return None
+    T_cam_tool = frame_on(point, normal)
+    patch = patch_of_depth(
+        depth_m, camera, T_cam_tool, radius_m=patch_radius_m(cup, doubt), step_m=STEP_M
+    )
+    R = T_cam_tool[:3, :3]
+    burden = Burden(weight_n=weight_n, center_m=R.T @ (center - point), down=R.T @ down)
+    score = robustness(cup, patch, [burden], doubt, seed=seed)
+    return SeenGrip(T_cam_tool=T_cam_tool, score=score)
+
+
+def _normal(
+    point: Float[np.ndarray, "3"],
+    depth_m: Float[np.ndarray, "h w"],
+    camera: Optics,
+    radius_m: float,
+) -> Float[np.ndarray, "3"] | None:
+    """Of the plane of least squares through what is measured within the cup's radius.
+
+    It looks at the camera. None where fewer than ten points lie there.
+    """
+    patch = patch_of_depth(
+        depth_m, camera, frame_on(point, -point / np.linalg.norm(point)),
+        radius_m=radius_m, step_m=radius_m / 8,
+    )  # fmt: skip
+    n = len(patch.height_m) // 2
+    y, x = np.mgrid[-n : n + 1, -n : n + 1] * patch.step_m
+    held = np.isfinite(patch.height_m) & (np.hypot(x, y) <= radius_m)
+    if held.sum() < 10:
+        return None
+    at = np.stack([x[held], y[held], np.ones(held.sum())], axis=-1)
+    slope_x, slope_y, _ = np.linalg.lstsq(at, patch.height_m[held], rcond=None)[0]
+    R = frame_on(point, -point / np.linalg.norm(point))[:3, :3]
+    normal = R @ np.array([-slope_x, -slope_y, 1.0])
+    return normal / np.linalg.norm(normal)

@@ -59,6 +59,7 @@ ORDER = (
     "fit_bin",
     "calibrate",
     "report",
+    "pick",
     "doctor",
     "bench",
     "cli",

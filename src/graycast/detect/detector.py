@@ -147,10 +147,16 @@ class Detector:
     ) -> Detections:
         """The same for a picture that is encoded already; it was `picture_px` high and wide."""
         image = torch.from_numpy(encoded)[None].to(self.device)
-        with torch.inference_mode(), autocast(self.device), without_denormals():
-            found = self.network.find(image, most=most, least_score=least_score)[0]
+        found = self.answer(image, most=most, least_score=least_score)
         ids = np.array([obj_ids.get(name, -1) for name in self.about.names], np.int64)
         return _detections(found, scene_id, ids, picture_px, self.about.encoding.scale(picture_px))
+
+    def answer(
+        self, image: Float32[torch.Tensor, "1 c h w"], *, most: int, least_score: float
+    ) -> Found:
+        """The network's own, in the arithmetic that suits the device, in pixels of its input."""
+        with torch.inference_mode(), autocast(self.device), without_denormals():
+            return self.network.find(image, most=most, least_score=least_score)[0]
 
 
 def _detections(

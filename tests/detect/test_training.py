@@ -1,5 +1,6 @@
 """Training: it learns, it goes on as if nothing had been, and it says what is wrong."""
 
+import errno
 import json
 import os
 import signal
@@ -20,6 +21,7 @@ from graycast.cli import main
 from graycast.detect import TrainSpec, detect, load_detector, pictures_of, train
 from graycast.detect.detector import without_denormals
 from graycast.detect.network import Found
+from graycast.detect.pictures import room_for
 from graycast.detect.run import RunFolder
 from graycast.detect.training import _shape
 from graycast.detections import read_results
@@ -299,6 +301,23 @@ def test_a_damaged_checkpoint_or_detector_is_named(dataset, tmp_path):
         train([dataset], run, SMALL)
     with pytest.raises(GraycastError, match="is not there: give a folder that graycast train"):
         load_detector(tmp_path / "nowhere")
+
+
+def test_weights_that_a_release_does_not_know_are_said_to_be_such(run, tmp_path):
+    held = torch.load(run / "detector.pt", weights_only=True)
+    held["state"] = {f"renamed.{name}": value for name, value in held["state"].items()}
+    torch.save(held, tmp_path / "detector.pt")
+    with pytest.raises(GraycastError, match="weights do not fit the network yolov3 of this"):
+        load_detector(tmp_path)
+
+
+def test_a_disk_that_refuses_the_encoded_pictures_is_named(tmp_path, monkeypatch):
+    def full(*_):
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr("graycast.detect.pictures.os.posix_fallocate", full)
+    with pytest.raises(GraycastError, match=r"a\.npy: cannot be written \(No space left"):
+        room_for(tmp_path / "a.npy", (1, 3, 32, 32))
 
 
 @pytest.fixture(scope="module")

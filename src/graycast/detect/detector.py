@@ -246,7 +246,13 @@ def load_detector(path: Path, *, device: str = "auto") -> Detector:
         why = " ".join(str(error).split())[:120]
         raise GraycastError(f"{file}: is damaged or no detector ({why}): train it again") from error
     network = about.open_network()
-    network.load_state_dict(state)
+    try:
+        network.load_state_dict(state)
+    except RuntimeError as error:
+        raise GraycastError(
+            f"{file}: its weights do not fit the network {about.model} of this release: train it "
+            "again, or detect with the release that trained it"
+        ) from error
     network.eval()
     chosen = choose_device(device)
     return Detector(about=about, network=network.to(chosen), device=chosen)

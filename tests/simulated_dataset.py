@@ -1,6 +1,7 @@
 """A small finished dataset in closed form, for tests outside of tests/dataset, and its samples."""
 
 import sys
+from functools import cache
 from pathlib import Path
 
 import pytest
@@ -12,10 +13,16 @@ sys.path.append(str(Path(__file__).parent / "dataset"))
 from prisms import CONFIG, SCALE_MM, SEED, box_part, build_sample, make_rig, wedge_part
 
 
+@cache
+def _made(scene_id):
+    """Once in a process; a test that changes a sample copies it."""
+    return build_sample(scene_id, parts=(box_part(), wedge_part()), rig=make_rig())
+
+
 def write_dataset(out, scene_ids=(0, 3, 4, 5)):
     """Writes it and returns the samples by scene."""
     parts, rig = (box_part(), wedge_part()), make_rig()
-    samples = {i: build_sample(i, parts=parts, rig=rig) for i in scene_ids}
+    samples = {i: _made(i) for i in scene_ids}
     with open_store(
         out, config=CONFIG, seed=SEED, parts=parts, rig=rig, depth_scale_mm=SCALE_MM
     ) as store:

@@ -10,6 +10,7 @@ import cv2
 import numpy as np
 import pytest
 import trimesh
+from backends import slow
 from PIL import Image
 from small_cell import GRAYCAST, write_cell
 
@@ -227,7 +228,7 @@ def test_a_broken_texture_is_named_with_the_remedy(capsys, tmp_path, damage):
     assert not (tmp_path / "out").exists()
 
 
-@pytest.mark.parametrize("ending", ["exr", "hdr"])
+@pytest.mark.parametrize("ending", [slow("exr"), "hdr"])
 def test_a_cut_environment_map_is_named_and_claims_no_folder(capsys, tmp_path, ending):
     """Its dataset's folder stayed claimed once, and refused the configuration put right."""
     sky = np.random.default_rng(0).random((16, 32, 3)).astype(np.float32)

@@ -106,6 +106,7 @@ def test_decode_averages_to_one_point_per_projector_pixel(decoded, capsys, tmp_p
     assert 0.8 * len(np.unique(pixels, axis=0)) < averaged <= len(np.unique(pixels, axis=0))
 
 
+@pytest.mark.slow
 def test_decode_applies_the_rig_s_filters(decoded, capsys, tmp_path):
     rig, folder, out = decoded
     filtered = Scanner(rig=rig, filters=FilterSpec(smoothing_px=0.8))

@@ -6,7 +6,7 @@ import sys
 import pytest
 
 from graycast.errors import GraycastError
-from graycast.folder import new_folder, whole_folder, write_whole
+from graycast.folder import new_folder, take_lock, whole_folder, write_whole
 
 KILLED = """
 import os, signal, sys
@@ -81,3 +81,29 @@ def test_a_folder_inside_takes_the_place_of_an_earlier_one(tmp_path):
         (folder / "pictures").mkdir()
         raise KeyError
     assert names(tmp_path) == ["out", "out/pictures", "out/pictures/new"]
+
+
+HOLDER = """
+import sys
+from pathlib import Path
+from graycast.folder import take_lock
+lock = take_lock(Path(sys.argv[1]))
+print("held", flush=True)
+sys.stdin.read()
+"""
+
+
+def test_a_lock_is_one_process_s_and_dies_with_it(tmp_path):
+    holder = subprocess.Popen(
+        [sys.executable, "-c", HOLDER, str(tmp_path / "lock")],
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        text=True,
+    )
+    with holder:
+        assert holder.stdout.readline() == "held\n"
+        assert take_lock(tmp_path / "lock") is None
+        holder.kill()
+    lock = take_lock(tmp_path / "lock")
+    assert lock is not None and take_lock(tmp_path / "lock") is None
+    lock.close()

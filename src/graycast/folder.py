@@ -77,6 +77,23 @@ def whole_folder(out: Path) -> Iterator[Path]:
                 folder.rmdir()
 
 
+def take_lock(file: Path) -> IO[str] | None:
+    """A file that is locked until it is closed or its process ends; None where another holds it.
+
+    Raises:
+        OSError: the file cannot be made, or the disk knows no locks.
+    """
+    lock = open(file, "a")
+    try:
+        fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except OSError as error:
+        lock.close()
+        if isinstance(error, BlockingIOError):
+            return None
+        raise
+    return lock
+
+
 def refuse_foreign(out: Path, mark: str) -> None:
     """Results of one kind share no folder with anything else.
 

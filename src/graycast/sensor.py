@@ -188,9 +188,12 @@ def expose(
         raise ValueError(f"radiance spans {span} W/(sr m^2); it must be finite and not negative")
     n, h, w = radiance.shape
     frames = np.empty((n, h, w), dtype=np.uint8 if sensor.bit_depth <= 8 else np.uint16)
+    dark = np.zeros(h * w, dtype=np.float32) if background is None else background.reshape(h * w)
+    light = radiance.reshape(n, h * w).view(), dark.view()
+    for values in light:
+        values.flags.writeable = False  # the kernel is compiled for each kind of array: one here
     _expose(
-        radiance.reshape(n, h * w),
-        np.zeros(h * w, dtype=np.float32) if background is None else background.reshape(h * w),
+        *light,
         frames.reshape(n, h * w),
         sensor.responsivity * exposure_s,
         sensor.dark_current_e_s * exposure_s,

@@ -65,6 +65,7 @@ def test_a_rod_leans_on_the_wall_where_friction_holds_it(friction, slides):
     assert moved_m[0] > 5e-3 if slides else moved_m[0] < 0.5e-3
 
 
+@pytest.mark.slow
 def test_a_bolt_makes_scenes_and_lies_in_balance(tmp_path):
     """The part that once came to no rest on the empty floor."""
     figures = study_zoo(families=("hex_bolt",), counts=(1, 10), seeds=2, hull_folder=tmp_path)
@@ -109,6 +110,7 @@ def untimed(rows):
     return [{name: row[name] for name in row if "cpu" not in name} for row in rows]
 
 
+@pytest.mark.slow
 def test_a_stopped_study_has_its_drops_in_its_file_and_goes_on(tmp_path):
     """The table is that of a study that nobody stopped, and no drop is made anew."""
     file = tmp_path / "zoo.json"

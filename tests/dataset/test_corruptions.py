@@ -62,7 +62,7 @@ def test_a_changed_file_has_another_sum(copy, fault):
     assert any(sign in what for sign in signs for what in found), found
 
 
-@pytest.mark.parametrize("fault", some(SENSED, 8))
+@pytest.mark.parametrize("fault", some(SENSED, 16))
 def test_a_fault_whose_sums_were_made_anew_makes_no_sense(copy, fault):
     do, words = SENSED[fault]
     do(copy)

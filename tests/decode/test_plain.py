@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from projected import LEVELS
 
-from graycast.decode import DecodeSpec, Levels, decode, decode_plain
+from graycast.decode import DecodeSpec, Levels, bits, decode, decode_plain, phases, reading
 from graycast.pattern import (
     gray,
     gray_line_shift,
@@ -94,3 +94,20 @@ def test_a_stack_in_another_memory_order_reads_alike():
     turned = np.asfortranarray(stack)
     a, b = (decode(s, code, DecodeSpec(), LEVELS_8) for s in (stack, turned))
     assert np.array_equal(a.column, b.column, equal_nan=True)
+
+
+def test_kernels_are_compiled_once_for_each_type_of_value():
+    """A stack that is frozen, or of one period or several, asks for no version of its own; each
+    costs seconds in a fresh installation."""
+    for name in ("phase", "three frequencies"):
+        for dtype, levels in ((np.uint8, LEVELS_8), (np.uint16, LEVELS)):
+            stack = half_nonsense(PHASE[name], levels, dtype)
+            decode(stack, PHASE[name], DecodeSpec(), levels)
+            stack.flags.writeable = False
+            decode(stack, PHASE[name], DecodeSpec(), levels)
+    kernels = [phases.read_phases, bits.read_gray, bits.lose_bits, bits._read_bits]
+    kernels += [reading._range, reading._range_row, reading._reach]
+    for kernel in kernels:
+        held = [str(signature[0].dtype) for signature in kernel.signatures]
+        assert len(held) == len(set(held)), kernel
+    assert len(phases.fuse.signatures) == 1

@@ -12,6 +12,7 @@ in ../shared/data, which is no part of the project.
 
 import argparse
 import json
+import shutil
 from dataclasses import replace
 from pathlib import Path
 
@@ -142,6 +143,8 @@ def write_real(out: Path) -> None:
     The device's depth is every second pixel of its picture, so colour and masks are halved.
     """
     source = out / "real_pictures"
+    for made in (source, out / "real"):  # of an earlier call; both are made anew
+        shutil.rmtree(made, ignore_errors=True)
     for name in ("rgb", "depth", "annotations"):
         (source / name).mkdir(parents=True, exist_ok=True)
     for i in range(5):
@@ -181,10 +184,21 @@ STUDY = {
 }
 
 
+def _refuse_without_data() -> None:
+    needed = (REAL / "bin.obj", REAL / "instances_draft.json", DATA / "meshes" / "kit")
+    missing = [str(path) for path in needed if not path.exists()]
+    if missing:
+        raise SystemExit(
+            f"phoxi_twin: {missing[0]} is missing: put the scans and meshes, which are no part of "
+            "the project, into ../shared/data beside the repository"
+        )
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--out", type=Path, required=True)
     out = parser.parse_args().out
+    _refuse_without_data()
     (out / "meshes").mkdir(parents=True, exist_ok=True)
     save_scanner(scanner(), out / "rig.yaml")
     text = yaml.safe_dump(configuration((out / "meshes").absolute()), sort_keys=False)

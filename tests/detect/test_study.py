@@ -3,6 +3,7 @@
 import csv
 import io
 import json
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -12,12 +13,13 @@ pytest.importorskip("torch", reason="needs torch: pip install 'graycast[detect]'
 
 from detect.drawn import write_drawn
 from graycast.cli import main
-from graycast.detections import read_results
-from graycast.errors import ConfigError
+from graycast.detections import Detections, read_results
+from graycast.errors import ConfigError, GraycastError
 from graycast.evaluate import labels_of, score
 from graycast.evaluate.intervals import Drawn, mean
+from graycast.evaluate.labels import run_lengths_of
 from graycast.export.split import Split
-from graycast.study import Result, Run, runs_of, write_study
+from graycast.study import Result, Run, run_study, running, runs_of, write_study
 from graycast.study_file import EncodingSection, ModelSection, StudySpec, read_study
 from graycast.training import open_examples
 
@@ -136,6 +138,81 @@ def test_the_mean_of_sets_is_more_certain_than_each():
     four = mean([normal(0.5, 0.04, seed) for seed in range(4)]).interval
     assert four.value == pytest.approx(0.5)
     assert (four.high - four.low) / 2 == pytest.approx(1.96 * 0.02, rel=0.06)
+
+
+def boxes_alone(folder, name):
+    """A drawn set as others give theirs: COCO annotations without masks, colour alone."""
+    write_drawn(folder / name, 4)
+    path = folder / name / "source" / "annotations" / "drawn.json"
+    content = json.loads(path.read_text())
+    for entry in content["annotations"]:
+        del entry["segmentation"]
+    path.write_text(json.dumps(content))
+    return str(path)
+
+
+def all_found(detector, dataset, world, folder):
+    """What a perfect detector of masks finds: the truth, where nobody drew masks as rectangles."""
+    found = []
+    for example in open_examples(dataset):
+        size = example.rgb.shape[:2]
+        mask = example.mask
+        if mask is None:
+            mask = np.zeros((len(example.obj_id), *size), bool)
+            for one, (x, y, columns, rows) in zip(mask, example.box_px.astype(int), strict=True):
+                one[y : y + rows, x : x + columns] = True
+        found.append(
+            Detections(
+                scene_id=example.scene_id,
+                score=np.ones(len(example.obj_id)),
+                obj_id=example.obj_id.copy(),
+                box_px=example.box_px.copy(),
+                mask=run_lengths_of(mask),
+            )
+        )
+    return found
+
+
+def test_a_world_without_masks_is_scored_by_boxes_alone(tmp_path, monkeypatch):
+    masked = write_drawn(tmp_path / "own", 4)
+    tests = {
+        "own": {"datasets": [str(masked)]},
+        "other": {"datasets": [boxes_alone(tmp_path, "theirs")]},
+    }
+    changed = {"tests": tests, "training": {"drawn": [str(masked)]}, "inputs": ["rgb"]}
+    spec = read_study(written(tmp_path, **changed))
+    detector = SimpleNamespace(network=SimpleNamespace(finds_masks=True))
+    monkeypatch.setattr(running, "_trained", lambda *_: detector)
+    monkeypatch.setattr(running, "_found", all_found)
+    results = run_study(spec, tmp_path / "out")
+    write_study(spec, results, tmp_path / "out")
+    rows = list(csv.DictReader(io.StringIO((tmp_path / "out" / "table.csv").read_text())))
+    assert [(row["kind"], row["own"], row["other"], row["gap"]) for row in rows] == [
+        ("box", "1.0", "1.0", "0.0"),
+        ("mask", "1.0", "", ""),
+    ]
+    assert "| mask | - | 1.00 [1.00, 1.00] | - |" in (tmp_path / "out" / "table.md").read_text()
+
+
+def test_what_a_set_lacks_is_said_before_the_first_training(tmp_path, monkeypatch):
+    masked, theirs = str(write_drawn(tmp_path / "own", 6)), boxes_alone(tmp_path, "theirs")
+    monkeypatch.setattr(running, "train", lambda *_, **__: pytest.fail("a training has begun"))
+    own = {"own": {"datasets": [masked], "split": "test"}}
+    for changed, told in (
+        ({"tests": own | {"other": {"datasets": [theirs]}}}, "has no scanner depth"),
+        ({"training": {"drawn": [masked, theirs]}}, "has no scanner depth"),
+        (
+            {
+                "training": {"drawn": [theirs]},
+                "inputs": ["rgb"],
+                "models": [*STUDY["models"], {"model": "mask-rcnn"}],
+            },
+            "has no masks, which mask-rcnn learns",
+        ),
+    ):
+        given = {"tests": own, "training": {"drawn": [masked]}, "gap": None} | changed
+        with pytest.raises(GraycastError, match=f"^{theirs}: scene .* {told}"):
+            run_study(read_study(written(tmp_path, **given)), tmp_path / "out")
 
 
 @pytest.mark.slow

@@ -1,5 +1,6 @@
 """Training: it learns, it goes on as if nothing had been, and it says what is wrong."""
 
+import errno
 import json
 import os
 import signal
@@ -15,9 +16,13 @@ import pytest
 torch = pytest.importorskip("torch", reason="needs torch: pip install 'graycast[detect]'")
 
 from detect.drawn import write_drawn
+from graycast.bench import detectors as bench_detectors
 from graycast.cli import main
 from graycast.detect import TrainSpec, detect, load_detector, pictures_of, train
 from graycast.detect.detector import without_denormals
+from graycast.detect.network import Found
+from graycast.detect.pictures import room_for
+from graycast.detect.run import RunFolder
 from graycast.detect.training import _shape
 from graycast.detections import read_results
 from graycast.errors import GraycastError
@@ -225,6 +230,34 @@ def test_a_training_that_could_not_begin_leaves_the_folder_free(dataset, tmp_pat
     train([dataset], tmp_path / "run", SMALL)
 
 
+def test_two_trainings_in_one_folder_are_refused(dataset, tmp_path):
+    """Also before the first checkpoint, and only as long as the other one goes on."""
+    other = RunFolder(tmp_path / "run")
+    with other.claimed({}):
+        with pytest.raises(GraycastError, match="another training is going on in this folder"):
+            train([dataset], tmp_path / "run", replace(SMALL, epochs=1))
+        assert json.loads((tmp_path / "run" / "run.json").read_text()) == {}
+    train([dataset], tmp_path / "run", replace(SMALL, epochs=1))
+
+
+def test_the_bare_network_is_timed_in_the_arithmetic_of_detections(dataset, run, monkeypatch):
+    """Mixed precision where there is one, and no denormals: like is compared with like."""
+    monkeypatch.setattr(
+        "graycast.detect.detector.autocast", lambda device: torch.autocast("cpu", torch.bfloat16)
+    )
+    detector, seen = load_detector(run, device="cpu"), []
+
+    def find(image, *, most, least_score):
+        tiny = np.full(1, np.finfo(float).tiny)
+        seen.append((torch.is_autocast_enabled("cpu"), (tiny / 2 == 0).all()))
+        none = torch.zeros(0)
+        return [Found(box=torch.zeros(0, 4), label=none.long(), score=none, mask=None)]
+
+    monkeypatch.setattr(detector.network, "find", find)
+    bench_detectors._detection(detector, dataset)
+    assert len(seen) >= 2 * 5 and all(cast and flushed for cast, flushed in seen)
+
+
 def test_the_mode_of_the_processor_may_be_asked_for_twice():
     torch.set_flush_denormal(False)
     tiny = np.full(1, np.finfo(float).tiny)
@@ -268,6 +301,23 @@ def test_a_damaged_checkpoint_or_detector_is_named(dataset, tmp_path):
         train([dataset], run, SMALL)
     with pytest.raises(GraycastError, match="is not there: give a folder that graycast train"):
         load_detector(tmp_path / "nowhere")
+
+
+def test_weights_that_a_release_does_not_know_are_said_to_be_such(run, tmp_path):
+    held = torch.load(run / "detector.pt", weights_only=True)
+    held["state"] = {f"renamed.{name}": value for name, value in held["state"].items()}
+    torch.save(held, tmp_path / "detector.pt")
+    with pytest.raises(GraycastError, match="weights do not fit the network yolov3 of this"):
+        load_detector(tmp_path)
+
+
+def test_a_disk_that_refuses_the_encoded_pictures_is_named(tmp_path, monkeypatch):
+    def full(*_):
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr("graycast.detect.pictures.os.posix_fallocate", full)
+    with pytest.raises(GraycastError, match=r"a\.npy: cannot be written \(No space left"):
+        room_for(tmp_path / "a.npy", (1, 3, 32, 32))
 
 
 @pytest.fixture(scope="module")

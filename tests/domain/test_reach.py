@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from backends import slow
 
 from graycast.cell import reach_m, resolve_cell
 from graycast.config import Config
@@ -18,7 +19,7 @@ ADAPTED = {
 }
 
 
-@pytest.mark.parametrize("domain", [None, "randomized", ADAPTED])
+@pytest.mark.parametrize("domain", [None, slow("randomized"), ADAPTED])
 def test_no_drawn_view_sees_the_bin_deeper_than_it_is_said_to_lie(domain):
     given = {"parts": [{"builtin": "metal_workpiece_1"}], "view": {"tilt_deg": 12}}
     cell = resolve_cell(Config.model_validate(given | {"domain": domain}), Path("."))

@@ -77,6 +77,7 @@ def test_the_hole_of_a_thin_washer_stays_open(thickness_m):
     assert hull_error(mesh, hulls).worst_m < tolerance_m(mesh)
 
 
+@pytest.mark.slow
 def test_a_thin_cup_stays_open():
     """Walls of 0.3 mm: nothing is deep under its hull, but a ball of 30 mm falls into it."""
     outer = trimesh.creation.cylinder(0.018, 0.04, sections=32)

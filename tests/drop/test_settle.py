@@ -15,6 +15,7 @@ from .conftest import box_part
 LIMITS = DropLimits()
 
 
+@pytest.mark.slow
 def test_one_seed_gives_one_layout_and_another_seed_another(scene_of, angle_part, hull_folder):
     scene = scene_of((angle_part,))
     one, again, other = (

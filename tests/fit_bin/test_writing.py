@@ -92,6 +92,7 @@ def test_a_pose_that_nothing_holds_is_not_written(tmp_path):
     assert [path.name for path in tmp_path.iterdir()] == ["cell.yaml"]
 
 
+@pytest.mark.slow
 def test_a_full_disk_leaves_nothing_half_written(tmp_path, monkeypatch):
     T = pose()
     seen = [view(perfect_depth(T))]
@@ -111,6 +112,7 @@ def test_a_full_disk_leaves_nothing_half_written(tmp_path, monkeypatch):
     assert [path.name for path in tmp_path.iterdir()] == ["cell.yaml"]
 
 
+@pytest.mark.slow
 def test_a_file_that_came_meanwhile_stays(tmp_path, monkeypatch):
     T = pose()
     seen = [view(perfect_depth(T))]

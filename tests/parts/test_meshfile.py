@@ -439,6 +439,7 @@ def test_overlapping_bodies_with_a_texture_are_refused(tmp_path):
         load(tmp_path / "two.glb")
 
 
+@pytest.mark.slow
 def test_three_thousand_cubes_are_one_part(tmp_path):
     grid = np.stack(np.meshgrid(*[np.arange(n) for n in (15, 15, 14)]), axis=-1).reshape(-1, 3)
     part, findings = load(cubes(tmp_path, (0.025 * grid)[:3000]), unit="m")

@@ -1,7 +1,9 @@
 """Datasets of others: ours in the common forms, read as if nobody knew who made them."""
 
 import json
+import shutil
 
+import cv2
 import numpy as np
 import pytest
 from simulated_dataset import write_dataset
@@ -83,6 +85,86 @@ def test_annotations_that_are_none_are_refused(tmp_path, text, told):
     (tmp_path / "a.json").write_text(text)
     with pytest.raises(DatasetError, match=told):
         open_examples(tmp_path / "a.json")
+
+
+IMAGE = {"id": 1, "file_name": "a[1].png", "width": 4, "height": 4}
+PART = {"id": 7, "name": "part"}
+FOUND = {"image_id": 1, "category_id": 7, "bbox": [0, 0, 2, 2]}
+
+
+def written(path, **changed):
+    """One picture with one thing in it; `changed` are the file's lists."""
+    content = {"images": [IMAGE], "categories": [PART], "annotations": [FOUND]}
+    path.write_text(json.dumps(content | changed))
+    return path
+
+
+def without(entry, key):
+    return {name: value for name, value in entry.items() if name != key}
+
+
+@pytest.mark.parametrize(
+    ("changed", "told"),
+    [
+        ({"annotations": [FOUND, without(FOUND, "bbox")]}, r"annotations\[1\] has no bbox: add it"),
+        ({"annotations": [without(FOUND, "category_id")]}, "has no category_id: add it"),
+        ({"annotations": [FOUND | {"category_id": 8}]}, "category_id 8, and categories do not"),
+        ({"annotations": [FOUND | {"category_id": "7"}]}, 'category_id "7": it must be a whole'),
+        ({"annotations": [FOUND | {"bbox": [1, 2, 3]}]}, r"bbox \[1, 2, 3\]: it must be four"),
+        ({"annotations": [FOUND | {"bbox": [1, 2, 3, "4"]}]}, "it must be four numbers"),
+        ({"annotations": [None]}, r"annotations\[0\] is null: it must be an object"),
+        ({"annotations": 3}, "a list of annotations is missing"),
+        ({"images": [without(IMAGE, "file_name")]}, r"images\[0\] has no file_name: add it"),
+        ({"images": [IMAGE | {"file_name": 5}]}, "file_name 5: it must be the name of a file"),
+        ({"images": [without(IMAGE, "id")]}, r"images\[0\] has no id: add it"),
+        ({"categories": [without(PART, "name")]}, r"categories\[0\] has no name: add it"),
+    ],
+)
+def test_an_entry_without_what_is_read_is_named_before_a_picture_is_read(tmp_path, changed, told):
+    path = written(tmp_path / "a.json", **changed)
+    with pytest.raises(DatasetError, match=f"^{path}: .*{told}"):
+        open_examples(path)
+
+
+def test_brackets_in_a_picture_s_name_are_letters(tmp_path):
+    (tmp_path / "pictures").mkdir()
+    picture = np.full((4, 4, 3), 90, np.uint8)
+    cv2.imwrite(str(tmp_path / "pictures" / "a[1].png"), picture)
+    (tmp_path / "pictures" / "a1.png").write_bytes(b"what a pattern would find")
+    example = open_examples(written(tmp_path / "a.json"))[0]
+    np.testing.assert_array_equal(example.rgb, picture)
+    assert example.mask is None
+
+
+@pytest.mark.parametrize(
+    ("poses", "told"),
+    [
+        ({"0": [{"cam_R_m2c": []}]}, "object 0 of image 0 has no obj_id: add it"),
+        ({"0": [{"obj_id": "bolt"}]}, 'has obj_id "bolt": it must be a whole number'),
+        ({"0": [5]}, "object 0 of image 0 is 5: it must be an object with obj_id"),
+        ({"first": []}, "each key must be the number of an image"),
+        ({"0": {}}, "hold the list of its objects"),
+        ([], "an object, a list an image"),
+    ],
+)
+def test_a_bop_scene_of_another_form_is_named(tmp_path, poses, told):
+    (tmp_path / "000000").mkdir()
+    file = tmp_path / "000000" / "scene_gt.json"
+    file.write_text(json.dumps(poses))
+    (tmp_path / "0_notes").mkdir()  # no scene: its name is no number
+    (tmp_path / "0_notes" / "scene_gt.json").write_text("{}")
+    with pytest.raises(DatasetError, match=f"^{file}: .*{told}"):
+        open_examples(tmp_path)
+
+
+def test_a_bop_picture_whose_camera_is_missing_is_named(made, tmp_path):
+    shutil.copytree(made / "ours" / "train", tmp_path / "train")
+    file = tmp_path / "train" / "000003" / "scene_camera.json"
+    camera = json.loads(file.read_text())
+    del camera["0"]["cam_K"]
+    file.write_text(json.dumps(camera))
+    with pytest.raises(DatasetError, match=r"'cam_K' is missing.*: mend scene_gt\.json"):
+        open_examples(tmp_path / "train")[1]
 
 
 def test_a_picture_or_a_mask_that_is_missing_is_named(made, tmp_path):

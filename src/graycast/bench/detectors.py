@@ -58,7 +58,7 @@ def _measured(runs: Sequence[Path], dataset: Path, on_run: Callable[[int, str], 
 
 def _detection(detector: Detector, dataset: Path) -> Figures:
     examples = open_examples(dataset)[:5]
-    encoding, network = detector.about.encoding, detector.network
+    encoding = detector.about.encoding
     encoded = [torch.from_numpy(encoding.encode(each, seed=0))[None] for each in examples]
     ids = {name: i for i, name in enumerate(detector.about.names)}
 
@@ -67,9 +67,8 @@ def _detection(detector: Detector, dataset: Path) -> Figures:
             detector.detect(each, obj_ids=ids)
 
     def bare() -> None:
-        with torch.inference_mode():
-            for image in encoded:
-                network.find(image.to(detector.device), most=300, least_score=0.05)
+        for image in encoded:
+            detector.answer(image.to(detector.device), most=300, least_score=0.05)
 
     whole_s, bare_s = in_turn(whole, bare)
     count = len(examples)

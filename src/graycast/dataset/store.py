@@ -9,7 +9,6 @@ by one (a thousand files a scene); `validate` finds such scenes.
 """
 
 import errno
-import fcntl
 import json
 import os
 import secrets
@@ -21,6 +20,7 @@ from pathlib import Path
 from typing import IO, Any, final
 
 from ..errors import DatasetError
+from ..folder import take_lock
 from ..parts import Part
 from ..rig import Rig
 from .bop import camera_json, scene_files
@@ -274,14 +274,11 @@ def _refuse_foreign(out: Path) -> None:
 
 def _locked(out: Path) -> IO[str]:
     with _disk_errors(out):
-        lock = open(out / _LOCK, "a")
-        try:
-            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError as error:
-            lock.close()
-            raise DatasetError(
-                f"another run is writing to {out}: wait for it, or choose another folder"
-            ) from error
+        lock = take_lock(out / _LOCK)
+    if lock is None:
+        raise DatasetError(
+            f"another run is writing to {out}: wait for it, or choose another folder"
+        )
     return lock
 
 

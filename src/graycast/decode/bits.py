@@ -30,7 +30,8 @@ def read_gray(stack, bits, grid, law, high, low, coarse, variance, rival, why):
     for y in numba.prange(len(high)):
         margin = np.empty((count, w), dtype=np.int32)
         value = np.zeros(w, dtype=np.int32)
-        _read_bits(stack, y, bits, high[y], low[y], margin, value)
+        row = np.int64(y)  # parallel loops count without a sign: two versions would be compiled
+        _read_bits(stack, row, bits, high[y], low[y], margin, value)
         _weigh_doubts(
             bits, grid, law, high[y], low[y], margin, value, variance[y], rival[y], why[y]
         )

@@ -69,7 +69,9 @@ def decode(
             "another projector size, or inverses missing?"
         )
     plans = plan_axes(code, spec.fine_bits)
-    seen = _look(np.ascontiguousarray(frames), plans, spec, levels, fine_error)
+    stack = np.ascontiguousarray(frames).view()
+    stack.flags.writeable = False  # kernels are compiled for each kind of array: this is one
+    seen = _look(stack, plans, spec, levels, fine_error)
     found = {axis: _read(seen, plan) for axis, plan in plans.items()}
     why, strength, shape = seen.why, seen.strength, seen.why.shape
     _judge(seen.high, seen.low, strength, seen.top, why, seen.law, seen.dark_dn)
@@ -159,7 +161,8 @@ def _read(seen: _Seen, plan: AxisPlan) -> tuple:
 def _read_phases(seen: _Seen, plan: AxisPlan, clipped: bool, place, sigma, rival) -> None:
     counts = [len(p.frames) for p in plan.periods]
     starts = np.cumsum([0, *counts[:-1]])
-    periods = np.float64([[p.period_px for p in plan.periods], starts, counts]).T
+    lengths = [p.period_px for p in plan.periods]
+    periods = np.column_stack([lengths, starts, counts]).astype(np.float64)
     index = np.array([k for p in plan.periods for k in p.frames])
     delta = np.array([d for p in plan.periods for d in p.delta_rad])
     waves = np.float32([f(m * delta) for m in (1, 2) for f in (np.cos, np.sin)]).T
@@ -198,7 +201,7 @@ def _count(seen: _Seen, measured: tuple, place) -> None:
 def _range(stack, high, low, strength, peak):
     """Brightest and darkest value of each pixel [DN], and their difference; each row's highest."""
     for y in numba.prange(stack.shape[1]):
-        peak[y] = _range_row(stack, y, high[y], low[y], strength[y])
+        peak[y] = _range_row(stack, np.int64(y), high[y], low[y], strength[y])
 
 
 @numba.njit(cache=True)

@@ -82,7 +82,7 @@ def _agree(first, choice, cost, state, lit, count, min_lead, pick):
         for x in range(pick.shape[1]):
             if state[y, x] == OPEN and lit[y, x]:
                 pick[y, x] = _chosen(
-                    first, choice, cost, state, lit, count, y, x, against, min_lead
+                    first, choice, cost, state, lit, count, np.int64(y), x, against, min_lead
                 )
 
 

@@ -114,10 +114,10 @@ def looked_at(folder: Path) -> dict[str, Any]:
         GraycastError: its file is damaged.
     """
     try:
-        return json.loads((folder / LOOKED).read_bytes())
+        return dict(json.loads((folder / LOOKED).read_bytes()))
     except FileNotFoundError:
         return {}
-    except (OSError, ValueError) as error:
+    except (OSError, TypeError, ValueError) as error:
         raise GraycastError(f"{folder}: has no readable {LOOKED}: remove the folder") from error
 
 

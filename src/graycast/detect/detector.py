@@ -147,10 +147,16 @@ class Detector:
     ) -> Detections:
         """The same for a picture that is encoded already; it was `picture_px` high and wide."""
         image = torch.from_numpy(encoded)[None].to(self.device)
-        with torch.inference_mode(), autocast(self.device), without_denormals():
-            found = self.network.find(image, most=most, least_score=least_score)[0]
+        found = self.answer(image, most=most, least_score=least_score)
         ids = np.array([obj_ids.get(name, -1) for name in self.about.names], np.int64)
         return _detections(found, scene_id, ids, picture_px, self.about.encoding.scale(picture_px))
+
+    def answer(
+        self, image: Float32[torch.Tensor, "1 c h w"], *, most: int, least_score: float
+    ) -> Found:
+        """The network's own, in the arithmetic that suits the device, in pixels of its input."""
+        with torch.inference_mode(), autocast(self.device), without_denormals():
+            return self.network.find(image, most=most, least_score=least_score)[0]
 
 
 def _detections(
@@ -240,7 +246,13 @@ def load_detector(path: Path, *, device: str = "auto") -> Detector:
         why = " ".join(str(error).split())[:120]
         raise GraycastError(f"{file}: is damaged or no detector ({why}): train it again") from error
     network = about.open_network()
-    network.load_state_dict(state)
+    try:
+        network.load_state_dict(state)
+    except RuntimeError as error:
+        raise GraycastError(
+            f"{file}: its weights do not fit the network {about.model} of this release: train it "
+            "again, or detect with the release that trained it"
+        ) from error
     network.eval()
     chosen = choose_device(device)
     return Detector(about=about, network=network.to(chosen), device=chosen)

@@ -71,8 +71,12 @@ class Recipe:
 class Network(Protocol):
     """A `torch.nn.Module` that answers these questions too.
 
-    Input is `(b, channels, h, w)` float, h and w multiples of 32, encoded by `inputs`. All random
-    choices use torch's global generator, which the training loop owns.
+    Input is `(b, channels, h, w)` float, h and w multiples of 32, made by `encoding.Encoding`. All
+    random choices use torch's global generator, which the training loop owns.
+
+    A network is made with `channels`, `classes`, `backbone` and `size_px`; see `open_network`. The
+    backbone of most is one of `backbones`; of `rf-detr`, which is sold as one piece, it is the name
+    of a size, such as `nano`.
     """
 
     finds_masks: bool
@@ -81,11 +85,15 @@ class Network(Protocol):
     def losses(
         self, image: Float[Tensor, "b c h w"], targets: Sequence[Target]
     ) -> dict[str, Tensor]:
-        """Terms of the loss by name; their sum is what training makes small."""
+        """Terms of the loss by name; their sum is what training makes small. In train mode."""
         ...
 
     def find(
         self, image: Float[Tensor, "b c h w"], *, most: int, least_score: float
     ) -> list[Found]:
-        """Detections of each picture: at most so many, of at least that score."""
+        """Detections of each picture: at most so many, of at least that score.
+
+        The network is in eval mode: the caller has said `network.eval()`. In train mode its norms
+        would follow the pictures that it looks at, and some networks answer with losses instead.
+        """
         ...

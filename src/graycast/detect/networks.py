@@ -21,6 +21,16 @@ def open_network(
     Raises:
         GraycastError: no such model or backbone, or a library of it is not installed.
     """
+    chosen = network_class(model)
+    return chosen(channels=channels, classes=classes, backbone=backbone, size_px=size_px)
+
+
+def network_class(model: str) -> type:
+    """What a model's networks are, and whether they find masks.
+
+    Raises:
+        GraycastError: no such model.
+    """
     match model:
         case "mask-rcnn":
             from .mask_rcnn import MaskRcnn as Chosen
@@ -34,4 +44,4 @@ def open_network(
             from .rf_detr import RfDetr as Chosen
         case _:
             raise GraycastError(f"no model {model!r}: choose one of {', '.join(MODELS)}")
-    return Chosen(channels=channels, classes=classes, backbone=backbone, size_px=size_px)
+    return Chosen

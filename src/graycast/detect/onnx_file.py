@@ -1,5 +1,6 @@
 """A detector as an ONNX file, checked against torch before anybody gets it."""
 
+import io
 import json
 import warnings
 from collections.abc import Callable
@@ -51,29 +52,27 @@ def write_onnx(
     model = _OnePicture(network, most, least_score).eval()
     traced, *others = (_noise(detector, seed) for seed in range(3))
     names = list(NAMES if network.finds_masks else NAMES[:3])
-    aside = file.with_name(f".{file.name}.tmp")
+    traced_model = io.BytesIO()
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # of the tracer, about what the check below checks
             torch.onnx.export(
                 model,
                 (traced,),
-                str(aside),
+                traced_model,
                 dynamo=False,
                 opset_version=_OPSET,
                 input_names=["image"],
                 output_names=names,
                 dynamic_axes={name: {0: "n"} for name in names},
             )
-        held = onnx.load(str(aside))
+        held = onnx.load_model_from_string(traced_model.getvalue())
         entry = held.metadata_props.add()
         entry.key, entry.value = "graycast", json.dumps(detector.about.as_dict())
         content = held.SerializeToString()
     except (torch.onnx.OnnxExporterError, RuntimeError, TypeError) as error:
         why = " ".join(str(error).split())[:120]
         raise GraycastError(f"{detector.about.model} cannot be told in ONNX ({why})") from error
-    finally:
-        aside.unlink(missing_ok=True)
     options = runtime.SessionOptions()
     options.log_severity_level = 3  # sizes that differ from picture to picture are no news
     session = runtime.InferenceSession(content, options)

@@ -160,9 +160,14 @@ def room_for(file: Path, shape: Sequence[int]) -> np.memmap:
             f"{file.parent}: has {free / 1e9:.1f} GB free and the encoded pictures take "
             f"{needed / 1e9:.1f} GB: free space, choose another --out or a smaller --size"
         )
-    held = np.lib.format.open_memmap(file, mode="w+", dtype=np.float16, shape=tuple(shape))
-    with open(file, "rb+") as opened:
-        os.posix_fallocate(opened.fileno(), 0, opened.seek(0, os.SEEK_END))
+    try:
+        held = np.lib.format.open_memmap(file, mode="w+", dtype=np.float16, shape=tuple(shape))
+        with open(file, "rb+") as opened:
+            os.posix_fallocate(opened.fileno(), 0, opened.seek(0, os.SEEK_END))
+    except OSError as error:
+        raise GraycastError(
+            f"{file}: cannot be written ({error.strerror}): choose another --out with space"
+        ) from error
     return held
 
 

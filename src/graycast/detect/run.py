@@ -4,21 +4,23 @@ import csv
 import hashlib
 import io
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, final
+from typing import IO, Any, final
 
 import torch
 
 from ..dataset.json_text import json_bytes
 from ..errors import GraycastError
-from ..folder import fill_whole, write_whole
+from ..folder import fill_whole, take_lock, write_whole
 from ..plotting import ACCENT, INK, SECOND, SOFT, caption, plain_figure, save_png
 
 RUN = "run.json"
 CHECKPOINT = "checkpoint.pt"
 CACHE = "cache"
+_LOCK = ".lock"
 _HISTORY, _CURVES, _EVENTS = "history.csv", "curves.png", "tensorboard"
 
 Row = dict[str, float | int]
@@ -51,27 +53,46 @@ class RunFolder:
 
     path: Path
 
-    def claim(self, content: Mapping[str, Any]) -> None:
-        """Make the folder, or find the same run in it.
+    @contextmanager
+    def claimed(self, content: Mapping[str, Any]) -> Iterator[None]:
+        """Make the folder, or find the same run in it; nobody else trains there inside the block.
 
         A run that never came to its first checkpoint gives way to another.
 
         Raises:
-            GraycastError: another run, or something else, lives there.
+            GraycastError: another run, or something else, lives there, or trains there just now.
         """
+        file = self.path / RUN
+        with self._locked():
+            if file.is_file() and (self.path / CHECKPOINT).is_file():
+                self._compare(_json(file), json.loads(json_bytes(content)))
+            else:
+                write_whole(file, json_bytes(content))
+            yield
+
+    def _locked(self) -> IO[str]:
+        """The folder's lock, which a process that is killed leaves free."""
         if self.path.is_file():
             raise GraycastError(f"{self.path}: is a file: choose a folder")
-        file = self.path / RUN
-        if file.is_file() and (self.path / CHECKPOINT).is_file():
-            self._compare(json.loads(file.read_bytes()), json.loads(json_bytes(content)))
-            return
-        if not file.is_file() and self.path.is_dir() and any(self.path.iterdir()):
-            raise GraycastError(f"{self.path}: is not empty and holds no run: choose another --out")
+        if not (self.path / RUN).is_file() and self.path.is_dir():
+            if any(entry.name != _LOCK for entry in self.path.iterdir()):
+                raise GraycastError(
+                    f"{self.path}: is not empty and holds no run: choose another --out"
+                )
         try:
             self.path.mkdir(parents=True, exist_ok=True)
+            lock = take_lock(self.path / _LOCK)
         except OSError as error:
-            raise GraycastError(f"{self.path}: cannot be made ({error.strerror})") from error
-        write_whole(file, json_bytes(content))
+            raise GraycastError(
+                f"{self.path}: cannot be made or locked ({error.strerror}): choose a --out on a "
+                "disk that can be written"
+            ) from error
+        if lock is None:
+            raise GraycastError(
+                f"{self.path}: another training is going on in this folder: wait for it, or choose "
+                "another --out"
+            )
+        return lock
 
     def _compare(self, held: Mapping[str, Any], asked: Mapping[str, Any]) -> None:
         for key in sorted(held.keys() | asked.keys()):
@@ -126,6 +147,13 @@ class RunFolder:
         write_whole(self.path / _HISTORY, text.getvalue().encode())
         _draw(rows, self.path / _CURVES)
         _tell_tensorboard(rows, self.path / _EVENTS)
+
+
+def _json(file: Path) -> Any:
+    try:
+        return json.loads(file.read_bytes())
+    except (OSError, ValueError) as error:
+        raise GraycastError(f"{file}: is damaged: choose another --out") from error
 
 
 def _short(value: Any) -> str:

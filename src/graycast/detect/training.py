@@ -151,11 +151,17 @@ def train(
     if spec.weights is not None:
         load_weights(network, spec.weights)
     run = RunFolder(out)
-    run.claim(about.as_dict())
-    network.to(device)
-    return _Training(
-        spec=spec, about=about, run=run, network=network, device=device, sets=sets, on_told=on_told
-    ).go()
+    with run.claimed(about.as_dict()):
+        network.to(device)
+        return _Training(
+            spec=spec,
+            about=about,
+            run=run,
+            network=network,
+            device=device,
+            sets=sets,
+            on_told=on_told,
+        ).go()
 
 
 @final

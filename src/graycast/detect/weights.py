@@ -48,5 +48,8 @@ def _state(file: Path) -> Mapping[str, Any]:
     except Exception as error:  # unpickling raises whatever the bytes lead it to
         raise GraycastError(f"{file}: is damaged or no file of weights: fetch it again") from error
     if not held or not all(isinstance(value, torch.Tensor) for value in held.values()):
-        raise GraycastError(f"{file}: holds no weights by name")
+        raise GraycastError(
+            f"{file}: holds no weights by name: give a backbone as its makers publish it, or "
+            "detector.pt of another run"
+        )
     return held

@@ -192,7 +192,7 @@ def _pair(
         detection=detection,
         score=seen.score[detection].astype(np.float64),
         ignored=ignored,
-        overlap=np.asarray(overlap, dtype=np.float64),
+        overlap=np.ascontiguousarray(overlap, dtype=np.float64),
     )
 
 
@@ -220,8 +220,8 @@ def _match_class(known: Overlaps, pairs: tuple[Pair, ...], outside: Outside | No
         detection=np.concatenate([pair.detection for pair in pairs])[order],
         score=score[order],
         instance=np.concatenate(instance, axis=1)[:, order],
-        hit=np.concatenate(hit, axis=1)[:, order],
-        counted=np.concatenate(counted, axis=1)[:, order],
+        hit=np.concatenate(hit, axis=1).take(order, axis=1),  # by rows, as kernels are compiled
+        counted=np.concatenate(counted, axis=1).take(order, axis=1),
         to_find=to_find,
     )
 

@@ -2,18 +2,23 @@
 
 import json
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
-from itertools import product
+from dataclasses import dataclass, replace
+from itertools import chain, product
 from pathlib import Path
 from typing import final
 
+from ..dataset.example import Example
 from ..dataset.json_text import json_bytes
 from ..detect import Detector, TrainSpec, detect, pictures_of, train
 from ..detect.detecting import looked_at, sets_of
+from ..detect.encoding import Encoding
+from ..detect.networks import network_class
 from ..detections import RESULTS, Detections, read_results
 from ..errors import GraycastError
 from ..evaluate import Labels, Scores, labels_of, score
 from ..evaluate.intervals import Drawn, drawn, mean
+from ..evaluate.judging import KINDS
+from ..evaluate.matching import Kind
 from ..evaluate.task import as_one_class
 from ..study_file import EncodingSection, ModelSection, StudySpec, TestSection
 
@@ -50,7 +55,7 @@ class Result:
     def of(self, world: str, kind: str, number: int | None = None) -> Drawn | None:
         """A world's figure: of its dataset of that number, else the mean over all.
 
-        None where the run has no masks to compare, or the world no such dataset.
+        None where the run or the world has no masks, or the world no such dataset.
         """
         held = self.figures.get((world, kind))
         if held is None or number is None:
@@ -85,25 +90,28 @@ def run_study(
         on_told: called with the run, what is going on, how much of it is done and of how much.
 
     Raises:
-        GraycastError: a dataset is missing, or a run cannot be trained.
+        GraycastError: a dataset is missing or lacks what the runs ask of it, which is said before
+            the first training; or a run cannot be trained.
     """
-    worlds = {name: _labels(spec, world) for name, world in spec.tests.items()}
+    worlds = {name: _world(spec, section) for name, section in spec.tests.items()}
+    for datasets in spec.training.values():
+        _check_training(spec, datasets)
     results = []
     for run in runs_of(spec):
         folder = out / "runs" / run.name
         folder.parent.mkdir(parents=True, exist_ok=True)
         detector = _trained(spec, run, folder, device, on_told)
         figures: dict[tuple[str, str], tuple[Drawn, ...]] = {}
-        for number, (name, labels) in enumerate(worlds.items()):
+        for number, (name, world) in enumerate(worlds.items()):
             found = [
                 _found(detector, dataset, spec.tests[name], folder / f"found_{name}_{i}")
                 for i, dataset in enumerate(spec.tests[name].datasets)
             ]
             on_told(run, f"scored in {name}", 1, 1)
-            for kind in ("box", "mask") if detector.network.finds_masks else ("box",):
+            for kind in world.kinds if detector.network.finds_masks else ("box",):
                 scores = [
                     _score(spec, given, seen, kind)
-                    for given, seen in zip(labels, found, strict=True)
+                    for given, seen in zip(world.labels, found, strict=True)
                 ]
                 figures[name, kind] = tuple(
                     drawn(each, FIGURE, seed=1000 * number + i) for i, each in enumerate(scores)
@@ -157,24 +165,58 @@ def _found(detector: Detector, dataset: Path, world: TestSection, folder: Path) 
     return read_results(folder / RESULTS, chosen.scene_ids)
 
 
-def _labels(spec: StudySpec, world: TestSection) -> list[list[Labels]]:
-    held = []
-    for dataset in world.datasets:
-        sets, _ = sets_of(dataset, world.split, spec.division)
-        held.append(
-            [
-                labels_of(example, min_visibility=spec.min_visibility)
-                for each in sets
-                for example in each
-            ]
-        )
-        if not held[-1]:
-            raise GraycastError(f"{dataset}: has no scene in the set {world.split}")
-    return held
+@final
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class _World:
+    """What there is to find in each of a world's datasets, and what can be compared there."""
+
+    labels: tuple[tuple[Labels, ...], ...]
+    kinds: tuple[Kind, ...]
+
+
+def _world(spec: StudySpec, section: TestSection) -> _World:
+    labels = []
+    for dataset in section.datasets:
+        sets, _ = sets_of(dataset, section.split, spec.division)
+        held = []
+        for example in chain.from_iterable(sets):
+            if not held:
+                shown = replace(example, depth_m=None) if section.as_real else example
+                _check_inputs(spec, dataset, shown)
+            held.append(labels_of(example, min_visibility=spec.min_visibility))
+        if not held:
+            raise GraycastError(f"{dataset}: has no scene in the set {section.split}")
+        labels.append(tuple(held))
+    drawn = all(one.mask is not None for of_set in labels for one in of_set)
+    return _World(labels=tuple(labels), kinds=KINDS if drawn else ("box",))
+
+
+def _check_training(spec: StudySpec, datasets: Sequence[Path]) -> None:
+    """Whether the sets to learn from hold what the study's inputs and models ask for."""
+    for dataset in datasets:
+        sets, _ = sets_of(dataset, "train", spec.division)
+        first = next(chain.from_iterable(sets), None)
+        if first is None:
+            raise GraycastError(f"{dataset}: has no scene in the set train")
+        _check_inputs(spec, dataset, first)
+        for model in spec.models:
+            if first.mask is None and network_class(model.model).finds_masks:
+                raise GraycastError(
+                    f"{dataset}: scene {first.scene_id} has no masks, which {model.model} learns: "
+                    "give masks, or take a model of boxes alone, such as yolov3"
+                )
+
+
+def _check_inputs(spec: StudySpec, dataset: Path, example: Example) -> None:
+    for name in spec.inputs:
+        try:
+            Encoding(input=name, size_px=(32, 32), near_m=1.0, far_m=2.0).encode(example, seed=0)
+        except GraycastError as error:
+            raise GraycastError(f"{dataset}: {error}") from error
 
 
 def _score(
-    spec: StudySpec, labels: Sequence[Labels], found: Sequence[Detections], kind: str
+    spec: StudySpec, labels: Sequence[Labels], found: Sequence[Detections], kind: Kind
 ) -> Scores:
     if spec.one_class:
         labels, found = [as_one_class(one) for one in labels], [as_one_class(one) for one in found]

@@ -71,8 +71,9 @@ def _rows(spec: StudySpec, result: Result, dataset: tuple[int, str] | None = Non
         if not held:
             continue
         if spec.gap is not None:
-            own, other = spec.gap
-            held["gap"] = held[own] - held[other]
+            own, other = (held.get(world) for world in spec.gap)
+            if own is not None and other is not None:
+                held["gap"] = own - other
         for world, figure in held.items():
             row |= _figures(world, figure)
         rows.append(row)
@@ -89,6 +90,8 @@ def _columns(spec: StudySpec) -> list[str]:
 
 
 def _told(row: Row, name: str, digits: int) -> str:
+    if name not in row:  # a world without masks
+        return "-"
     interval = Interval(value=row[name], low=row[f"{name}_low"], high=row[f"{name}_high"])
     if math.isnan(interval.value):
         return "-"
@@ -162,14 +165,13 @@ def _draw(spec: StudySpec, rows: Sequence[Row], path: Path) -> None:
     for number, (world, ink) in enumerate(
         zip(spec.tests, (ACCENT, SECOND, SOFT, INK), strict=False)
     ):
-        place = [i + (number - (len(spec.tests) - 1) / 2) * height for i in range(len(rows))]
-        value = [float(row[world]) for row in rows]
+        seen = [(i, row) for i, row in enumerate(rows) if world in row]
+        place = [i + (number - (len(spec.tests) - 1) / 2) * height for i, _ in seen]
+        value = [float(row[world]) for _, row in seen]
         ax.barh(place, value, height=0.9 * height, color=ink, label=world)
-        low = [max(0.0, v - float(row[f"{world}_low"])) for v, row in zip(value, rows, strict=True)]
-        high = [
-            max(0.0, float(row[f"{world}_high"]) - v) for v, row in zip(value, rows, strict=True)
-        ]
-        if not any(map(math.isnan, low + high)):
+        low = [max(0.0, float(row[world]) - float(row[f"{world}_low"])) for _, row in seen]
+        high = [max(0.0, float(row[f"{world}_high"]) - float(row[world])) for _, row in seen]
+        if seen and not any(map(math.isnan, low + high)):
             ax.errorbar(value, place, xerr=[low, high], fmt="none", ecolor=INK, lw=0.8, capsize=2)
     keys = _shown_keys(rows)
     names = [" ".join(str(row[key]) for key in keys) for row in rows]

@@ -4,7 +4,9 @@ A picture is an example. Examples are numbered in the order of their files, and 
 which picture each is.
 """
 
+import glob
 import json
+import math
 from collections import defaultdict
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
@@ -58,23 +60,82 @@ def open_foreign(path: Path) -> Foreign:
 # --- COCO ---------------------------------------------------------------------------------------
 
 
+_Fits = Callable[[Any], bool]
+_Wanted = Mapping[str, tuple[_Fits, str]]
+
+
+def _is_text(value: Any) -> bool:
+    return isinstance(value, str) and bool(value)
+
+
+def _is_number(value: Any) -> bool:
+    return isinstance(value, int) and not isinstance(value, bool)
+
+
+def _is_id(value: Any) -> bool:
+    return _is_number(value) or _is_text(value)
+
+
+def _is_box(value: Any) -> bool:
+    if not isinstance(value, list) or len(value) != 4:
+        return False
+    return all(isinstance(edge, int | float) and math.isfinite(edge) for edge in value)
+
+
+_COCO: Mapping[str, _Wanted] = {
+    "images": {"id": (_is_id, "a number"), "file_name": (_is_text, "the name of a file")},
+    "categories": {"id": (_is_number, "a whole number"), "name": (_is_text, "a word")},
+    "annotations": {
+        "image_id": (_is_id, "the id of an image"),
+        "category_id": (_is_number, "a whole number, the id of a category"),
+        "bbox": (_is_box, "four numbers [x, y, width, height] in pixels"),
+    },
+}
+
+
 def _open_coco(path: Path) -> Foreign:
     content = _json(path)
-    try:
-        images = sorted(content["images"], key=lambda image: image["id"])
-        categories = {entry["id"]: entry["name"] for entry in content["categories"]}
-        entries: dict[Any, list[dict[str, Any]]] = defaultdict(list)
-        for entry in content["annotations"]:
-            entries[entry["image_id"]].append(entry)
-    except (KeyError, TypeError) as error:
-        raise DatasetError(f"{path}: holds no COCO annotations ({error} is missing)") from error
+    for name, wanted in _COCO.items():
+        if not isinstance(content, dict) or not isinstance(content.get(name), list):
+            raise DatasetError(f"{path}: holds no COCO annotations (a list of {name} is missing)")
+        for number, entry in enumerate(content[name]):
+            _check(entry, wanted, f"{path}: {name}[{number}]")
+    # Numbers before words, where somebody mixed them.
+    images = sorted(content["images"], key=lambda image: (_is_text(image["id"]), image["id"]))
     if not images:
         raise DatasetError(f"{path}: has no images")
+    categories = {entry["id"]: entry["name"] for entry in content["categories"]}
+    entries: dict[Any, list[dict[str, Any]]] = defaultdict(list)
+    for number, entry in enumerate(content["annotations"]):
+        if entry["category_id"] not in categories:
+            raise DatasetError(
+                f"{path}: annotations[{number}] has category_id {entry['category_id']}, and "
+                "categories do not list it: add the category, or remove the annotation"
+            )
+        entries[entry["image_id"]].append(entry)
     return Foreign(
         scene_of=tuple(range(len(images))),
         categories=categories,
         read=partial(_coco_example, path, tuple(images), dict(entries)),
     )
+
+
+def _check(entry: Any, wanted: _Wanted, place: str) -> None:
+    """What was written by others has the keys that are read, and they hold what they should."""
+    if not isinstance(entry, dict):
+        raise DatasetError(
+            f"{place} is {_short(entry)}: it must be an object with {', '.join(wanted)}"
+        )
+    for key, (fits, told) in wanted.items():
+        if key not in entry:
+            raise DatasetError(f"{place} has no {key}: add it ({told}), or remove the entry")
+        if not fits(entry[key]):
+            raise DatasetError(f"{place} has {key} {_short(entry[key])}: it must be {told}")
+
+
+def _short(value: Any) -> str:
+    text = json.dumps(value)
+    return text if len(text) <= 40 else f"{text[:37]}..."
 
 
 def _coco_example(
@@ -105,15 +166,18 @@ def _run(drawn: Any, size: tuple[int, int], name: str) -> dict[str, Any]:
     try:
         if isinstance(drawn, list):
             return coco_mask.merge(coco_mask.frPyObjects(drawn, *size))
-        return coco_mask.frPyObjects(drawn, *size) if isinstance(drawn["counts"], list) else drawn
+        if isinstance(drawn["counts"], list):
+            return coco_mask.frPyObjects(drawn, *size)
+        return {"size": list(drawn["size"]), "counts": drawn["counts"]}
     except (KeyError, TypeError, ValueError) as error:
-        raise DatasetError(f"{name}: a segmentation is damaged ({error})") from error
+        raise DatasetError(f"{name}: a segmentation is damaged ({_why(error)})") from error
 
 
 def _beside(path: Path, name: str) -> Path:
     """Where a picture is: by COCO's custom beside the annotations, or in a folder near them."""
+    plain = glob.escape(name)  # brackets in a name are no pattern
     for folder in (path.parent, path.parent.parent):
-        for file in (folder / name, *folder.glob(f"*/{name}"), *folder.glob(f"*/*/{name}")):
+        for file in (folder / name, *folder.glob(f"*/{plain}"), *folder.glob(f"*/*/{plain}")):
             if file.is_file():
                 return file
     raise DatasetError(
@@ -125,7 +189,8 @@ def _beside(path: Path, name: str) -> Path:
 
 
 def _bop_scenes(path: Path) -> list[Path]:
-    return sorted(file.parent for file in path.glob("[0-9]*/scene_gt.json"))
+    found = (file.parent for file in path.glob("[0-9]*/scene_gt.json"))
+    return sorted(folder for folder in found if folder.name.isdecimal())
 
 
 def _open_bop(path: Path) -> Foreign:
@@ -133,7 +198,7 @@ def _open_bop(path: Path) -> Foreign:
     place: list[tuple[Path, str]] = []
     obj_ids: set[int] = set()
     for scene in scenes:
-        poses = _json(scene / "scene_gt.json")
+        poses = _poses(scene / "scene_gt.json")
         place += [(scene, image) for image in sorted(poses, key=int)]
         obj_ids |= {entry["obj_id"] for entries in poses.values() for entry in entries}
     return Foreign(
@@ -141,6 +206,23 @@ def _open_bop(path: Path) -> Foreign:
         categories={obj_id: f"obj_{obj_id:06d}" for obj_id in sorted(obj_ids)},
         read=partial(_bop_example, tuple(place)),
     )
+
+
+def _poses(file: Path) -> dict[str, list[dict[str, Any]]]:
+    """What each picture of a scene shows."""
+    poses = _json(file)
+    if not isinstance(poses, dict):
+        raise DatasetError(f"{file}: is {_short(poses)}: it must be an object, a list an image")
+    for image, entries in poses.items():
+        if not image.isdecimal() or not isinstance(entries, list):
+            raise DatasetError(
+                f"{file}: has {_short(image)} with {_short(entries)}: each key must be the number "
+                "of an image, and hold the list of its objects"
+            )
+        for number, entry in enumerate(entries):
+            wanted = {"obj_id": (_is_number, "a whole number, the id of an object")}
+            _check(entry, wanted, f"{file}: object {number} of image {image}")
+    return poses
 
 
 def _bop_example(place: tuple[tuple[Path, str], ...], number: int) -> Example:
@@ -158,7 +240,10 @@ def _bop_example(place: tuple[tuple[Path, str], ...], number: int) -> Example:
         K = np.array(camera["cam_K"], float).reshape(3, 3)
         scale_mm = float(camera.get("depth_scale", 1.0))
     except (KeyError, IndexError, TypeError, ValueError) as error:
-        raise DatasetError(f"{scene}: image {image} is damaged ({error} is wrong)") from error
+        raise DatasetError(
+            f"{scene}: what is said of image {image} is damaged ({_why(error)}): mend "
+            "scene_gt.json, scene_gt_info.json or scene_camera.json, or remove it from all three"
+        ) from error
     rgb = _bop_picture(scene, "rgb", name)
     gray = _bop_picture(scene, "gray", name)
     steps = _bop_picture(scene, "depth", name)
@@ -180,18 +265,22 @@ def _bop_example(place: tuple[tuple[Path, str], ...], number: int) -> Example:
     )
 
 
+def _why(error: Exception) -> str:
+    return f"{error} is missing" if isinstance(error, KeyError) else str(error)
+
+
 def _bop_picture(scene: Path, kind: str, name: str) -> np.ndarray | None:
     for ending in ("png", "jpg", "tif"):
         file = scene / kind / f"{name}.{ending}"
         if file.is_file():
-            return picture(file.read_bytes(), str(file))
+            return picture(_bytes(file), str(file))
     return None
 
 
 def _bop_mask(file: Path) -> np.ndarray:
     if not file.is_file():
         raise DatasetError(f"{file}: is missing: train needs the visible masks of every instance")
-    return picture(file.read_bytes(), str(file)) > 0
+    return picture(_bytes(file), str(file)) > 0
 
 
 def _size(*held: Any) -> tuple[int, int]:
@@ -207,15 +296,20 @@ def _size(*held: Any) -> tuple[int, int]:
 
 def _json(path: Path) -> Any:
     try:
-        return json.loads(path.read_bytes())
-    except OSError as error:
-        raise DatasetError(f"{path}: cannot be read ({error.strerror})") from error
+        return json.loads(_bytes(path))
     except ValueError as error:
         raise DatasetError(f"{path}: is not JSON, or is cut off") from error
 
 
+def _bytes(path: Path) -> bytes:
+    try:
+        return path.read_bytes()
+    except OSError as error:
+        raise DatasetError(f"{path}: cannot be read ({error.strerror})") from error
+
+
 def _colour(file: Path) -> np.ndarray:
-    image = picture(file.read_bytes(), str(file))
+    image = picture(_bytes(file), str(file))
     if image.dtype != np.uint8:
         raise DatasetError(f"{file}: is {image.dtype}, a colour picture has 8 bits")
     if image.ndim == 2:

@@ -83,6 +83,10 @@ class Robot:
         ]
         return min(found, key=lambda q: float(np.abs(q - near).max()), default=None)
 
+    def follow(self, T_base_flange: Float[np.ndarray, "4 4"], near: Joints) -> Joints | None:
+        """Joint angles for a pose near to where the arm is; None where Newton goes astray."""
+        return self._solve(T_base_flange, near, near)
+
     def _solve(
         self, T_base_flange: Float[np.ndarray, "4 4"], start: Joints, near: Joints
     ) -> Joints | None:

@@ -23,7 +23,7 @@ setup:
 cycles:
 	@scripts/setup-cycles
 
-# Optional: detectors. PyTorch comes with CUDA's libraries, 5 GB on disk.
+# Optional: detectors and robots. PyTorch comes with CUDA's libraries, 5 GB on disk.
 extras: setup
 	@scripts/setup-extras
 

@@ -57,6 +57,7 @@ ORDER = (
     "fit_bin",
     "calibrate",
     "report",
+    "pick",
     "doctor",
     "bench",
     "cli",

@@ -1,0 +1,184 @@
+"""Ways from here to there: free of collision by OMPL, as fast as the joints allow by TOPP-RA.
+
+A straight line in joint angles is taken where it is free, else RRT-Connect's tree finds a way that
+is then shortened. Calls to the collision check are counted, not seconds, so that one seed gives one
+path on any machine.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+from jaxtyping import Float
+
+from .robot import ACCELERATION_RAD_S2, Joints, Obstacle, Robot
+
+CHECKED_RAD = 0.04  # apart at most are the poses of a path that are checked: 30 mm at 0.8 m
+MOST_CALLS = 20_000  # of the planner's end condition, before a way counts as not found
+SHORTCUTS = 60
+SPACED_RAD = 0.1  # between points of the spline that is driven
+
+Free = Callable[[Joints], bool]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Trajectory:
+    """Joint angles at times from 0 on, evenly spaced."""
+
+    time_s: Float[np.ndarray, "t"]
+    q: Float[np.ndarray, "t joints"]
+
+    def __post_init__(self) -> None:
+        self.time_s.flags.writeable = False
+        self.q.flags.writeable = False
+
+    @property
+    def seconds(self) -> float:
+        return float(self.time_s[-1])
+
+
+def plan(
+    robot: Robot, start: Joints, goal: Joints, obstacles: Sequence[Obstacle], *, seed: int
+) -> Float[np.ndarray, "k joints"] | None:
+    """Corners of a free way between two sets of joint angles; None where none was found.
+
+    None as well where start or goal are not free themselves.
+    """
+
+    def free(q: Joints) -> bool:
+        return robot.touches(q, obstacles) is None
+
+    if not free(start) or not free(goal):
+        return None
+    if _line_is_free(start, goal, free):
+        return np.stack([start, goal])
+    corners = _connected(robot, start, goal, free, seed)
+    if corners is None:
+        return None
+    rng = np.random.default_rng(seed)
+    for _ in range(SHORTCUTS):
+        if len(corners) < 3:
+            break
+        i, j = sorted(rng.choice(len(corners), 2, replace=False).tolist())
+        if j - i > 1 and _line_is_free(corners[i], corners[j], free):
+            corners = np.delete(corners, range(i + 1, j), axis=0)
+    return corners
+
+
+def _line_is_free(start: Joints, goal: Joints, free: Free) -> bool:
+    count = max(int(np.ceil(np.abs(goal - start).max() / CHECKED_RAD)), 1)
+    return all(free(start + (goal - start) * i / count) for i in range(1, count))
+
+
+def _connected(
+    robot: Robot, start: Joints, goal: Joints, free: Free, seed: int
+) -> Float[np.ndarray, "k joints"] | None:
+    from ompl import base, geometric
+    from ompl.util import RNG, noOutputHandler
+
+    noOutputHandler()
+    RNG.setSeed(seed + 1)  # 0 would be drawn from the clock
+    space = base.RealVectorStateSpace(len(start))
+    bounds = base.RealVectorBounds(len(start))
+    for i, (low, high) in enumerate(zip(robot.low, robot.high, strict=True)):
+        bounds.setLow(i, float(low))
+        bounds.setHigh(i, float(high))
+    space.setBounds(bounds)
+    setup = geometric.SimpleSetup(space)
+    # OMPL measures a step's length by its norm, and as a share of the space's extent.
+    setup.getSpaceInformation().setStateValidityCheckingResolution(
+        CHECKED_RAD / space.getMaximumExtent()
+    )
+    setup.setStateValidityChecker(lambda state: free(_angles(state, len(start))))
+    setup.setStartAndGoalStates(_state(space, start), _state(space, goal))
+    setup.setPlanner(geometric.RRTConnect(setup.getSpaceInformation()))
+    calls = 0
+
+    def patience_is_over() -> bool:
+        nonlocal calls
+        calls += 1
+        return calls > MOST_CALLS
+
+    setup.solve(base.PlannerTerminationCondition(patience_is_over))
+    if not setup.haveExactSolutionPath():
+        return None
+    return np.stack([_angles(state, len(start)) for state in setup.getSolutionPath().getStates()])
+
+
+def _angles(state: object, count: int) -> Joints:
+    return np.array([state[i] for i in range(count)])
+
+
+def _state(space: object, q: Joints) -> object:
+    state = space.allocState()
+    for i, angle in enumerate(q):
+        state[i] = float(angle)
+    return state
+
+
+def drive(
+    robot: Robot, corners: Float[np.ndarray, "k joints"], *, step_s: float = 0.01
+) -> Trajectory:
+    """Along a way in the least time that speeds and accelerations of the joints allow.
+
+    A spline through points `SPACED_RAD` apart follows the way, so that corners are rounded by less
+    than that. It starts and ends at rest.
+    """
+    import toppra
+    import toppra.algorithm
+    import toppra.constraint
+
+    toppra.setup_logging("ERROR")
+    points = _spaced(corners)
+    if len(points) < 2:
+        return Trajectory(time_s=np.zeros(1), q=corners[:1].copy())
+    length = np.concatenate([[0.0], np.cumsum(np.abs(np.diff(points, axis=0)).max(axis=1))])
+    path = toppra.SplineInterpolator(length, points)
+    speed = np.stack([-robot.speed, robot.speed], axis=1)
+    most = np.full_like(robot.speed, ACCELERATION_RAD_S2)
+    limits = [
+        toppra.constraint.JointVelocityConstraint(speed),
+        toppra.constraint.JointAccelerationConstraint(np.stack([-most, most], axis=1)),
+    ]
+    solver = toppra.algorithm.TOPPRA(limits, path, parametrizer="ParametrizeConstAccel")
+    driven = solver.compute_trajectory(0, 0)
+    time_s = np.append(np.arange(0.0, driven.duration, step_s), driven.duration)
+    return Trajectory(time_s=time_s, q=np.asarray(driven(time_s)))
+
+
+def _spaced(corners: Float[np.ndarray, "k joints"]) -> Float[np.ndarray, "n joints"]:
+    points = [corners[0]]
+    for start, end in pairwise(corners):
+        count = int(np.ceil(np.abs(end - start).max() / SPACED_RAD))
+        points += [start + (end - start) * i / count for i in range(1, count + 1)]
+    return np.stack(points)
+
+
+def straight(
+    robot: Robot,
+    start: Joints,
+    T_base_flange: Float[np.ndarray, "4 4"],
+    obstacles: Sequence[Obstacle],
+    *,
+    step_m: float = 0.01,
+) -> Float[np.ndarray, "k joints"] | None:
+    """Along a straight line of the flange without turning: approach and retreat of a tool.
+
+    The flange keeps its goal's orientation, which it must have at the start. None where a pose on
+    the line is out of reach, touches something, or would make a joint jump.
+    """
+    here = robot.flange(start)
+    away_m = float(np.linalg.norm(T_base_flange[:3, 3] - here[:3, 3]))
+    count = max(int(np.ceil(away_m / step_m)), 1)
+    corners = [start]
+    for i in range(1, count + 1):
+        T = T_base_flange.copy()
+        T[:3, 3] = here[:3, 3] + (T_base_flange[:3, 3] - here[:3, 3]) * i / count
+        q = robot.follow(T, corners[-1])
+        if q is None or np.abs(q - corners[-1]).max() > 0.3:
+            return None
+        if robot.touches(q, obstacles) is not None:
+            return None
+        corners.append(q)
+    return np.stack(corners)

@@ -1,0 +1,204 @@
+"""A robot: where its flange is, how it gets there, and what it touches.
+
+Kinematics and collision are Pinocchio's and Coal's. A robot is one of the built-in arms or a URDF
+file of the user's. Its base's frame is the URDF's first link, z up.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, final
+
+import numpy as np
+from jaxtyping import Float
+
+from ..errors import ConfigError
+from .arms import ARMS, urdf
+
+Joints = Float[np.ndarray, "q"]
+# Inverse kinematics: Newton steps with damping, from several starts.
+_STEPS, _STARTS = 60, 12
+_DAMPING = 1e-6
+EXACT_M, EXACT_RAD = 1e-5, 1e-4
+# Neither maker states accelerations; with these a joint is at full speed after half a second.
+ACCELERATION_RAD_S2 = 6.0
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Obstacle:
+    """Something convex or a box in the robot's base frame, as Coal knows it."""
+
+    name: str
+    shape: Any
+    T_base_shape: Float[np.ndarray, "4 4"]
+
+
+@final
+class Robot:
+    """An opened robot; its calls do not change it."""
+
+    def __init__(self, name: str, model: Any, geometry: Any, home: Joints) -> None:
+        self.name = name
+        self._model, self._geometry = model, geometry
+        self._data = model.createData()
+        self._flange = model.getFrameId("flange")
+        self.home = home
+        self._own_pairs()
+
+    @property
+    def low(self) -> Joints:
+        return np.array(self._model.lowerPositionLimit)
+
+    @property
+    def high(self) -> Joints:
+        return np.array(self._model.upperPositionLimit)
+
+    @property
+    def speed(self) -> Joints:
+        """Of each joint at most [rad/s]."""
+        return np.array(self._model.velocityLimit)
+
+    def flange(self, q: Joints) -> Float[np.ndarray, "4 4"]:
+        """`T_base_flange` at joint angles [rad]."""
+        import pinocchio as pin
+
+        pin.framesForwardKinematics(self._model, self._data, q)
+        return self._data.oMf[self._flange].homogeneous.copy()
+
+    def reach(
+        self, T_base_flange: Float[np.ndarray, "4 4"], near: Joints, *, seed: int
+    ) -> Joints | None:
+        """Joint angles that bring the flange to a pose, the nearest to `near` of those found.
+
+        Newton steps from `near` and from random starts; None where no start arrives within the
+        limits: out of reach, for all that is known.
+        """
+        rng = np.random.default_rng(seed)
+        starts = [near, *rng.uniform(self.low, self.high, (_STARTS - 1, len(near)))]
+        found = [
+            q
+            for q in (self._solve(T_base_flange, start, near) for start in starts)
+            if q is not None
+        ]
+        return min(found, key=lambda q: float(np.abs(q - near).max()), default=None)
+
+    def follow(self, T_base_flange: Float[np.ndarray, "4 4"], near: Joints) -> Joints | None:
+        """Joint angles for a pose near to where the arm is; None where Newton goes astray."""
+        return self._solve(T_base_flange, near, near)
+
+    def _solve(
+        self, T_base_flange: Float[np.ndarray, "4 4"], start: Joints, near: Joints
+    ) -> Joints | None:
+        import pinocchio as pin
+
+        target = pin.SE3(T_base_flange)
+        q = start.copy()
+        for _ in range(_STEPS):
+            pin.framesForwardKinematics(self._model, self._data, q)
+            off = self._data.oMf[self._flange].actInv(target)
+            error = pin.log6(off).vector
+            if np.abs(error[:3]).max() < EXACT_M and np.abs(error[3:]).max() < EXACT_RAD:
+                q = _turned(q, near, self.low, self.high)
+                return q if ((q >= self.low) & (q <= self.high)).all() else None
+            J = pin.computeFrameJacobian(
+                self._model, self._data, q, self._flange, pin.ReferenceFrame.LOCAL
+            )
+            step = J.T @ np.linalg.solve(J @ J.T + _DAMPING * np.eye(6), error)
+            q = q + step * min(1.0, 0.5 / max(np.abs(step).max(), 1e-12))
+        return None
+
+    def touches(self, q: Joints, obstacles: Sequence[Obstacle]) -> str | None:
+        """What the arm is in at joint angles: itself, or the first obstacle; None where free."""
+        import coal
+        import pinocchio as pin
+
+        data = self._geometry.createData()
+        if pin.computeCollisions(self._model, self._data, self._geometry, data, q, True):
+            return "itself"
+        for number, thing in enumerate(self._geometry.geometryObjects):
+            placed = data.oMg[number]
+            here = coal.Transform3s(placed.rotation, placed.translation)
+            for obstacle in obstacles:
+                if thing.parentJoint == 0 and obstacle.name == "table":
+                    continue  # what a robot stands on, it touches
+                T = obstacle.T_base_shape
+                there = coal.Transform3s(T[:3, :3], T[:3, 3])
+                result = coal.CollisionResult()
+                if coal.collide(
+                    thing.geometry, here, obstacle.shape, there, coal.CollisionRequest(), result
+                ):
+                    return obstacle.name
+        return None
+
+    def _own_pairs(self) -> None:
+        """Links that are not neighbours, and do not touch at home, may not touch each other."""
+        import pinocchio as pin
+
+        geometry = self._geometry
+        geometry.removeAllCollisionPairs()
+        things = geometry.geometryObjects
+        for i in range(len(things)):
+            for j in range(i):
+                if abs(things[i].parentJoint - things[j].parentJoint) > 1:
+                    geometry.addCollisionPair(pin.CollisionPair(j, i))
+        data = geometry.createData()
+        pin.computeCollisions(self._model, self._data, geometry, data, self.home, False)
+        touching = [
+            (pair.first, pair.second)
+            for pair, result in zip(geometry.collisionPairs, data.collisionResults, strict=True)
+            if result.isCollision()
+        ]
+        for one, other in touching:
+            geometry.removeCollisionPair(pin.CollisionPair(one, other))
+
+
+def _turned(q: Joints, near: Joints, low: Joints, high: Joints) -> Joints:
+    """The same pose by whole turns: near to other angles, within the limits where that can be."""
+    turn = 2 * np.pi
+    q = q + turn * np.round((near - q) / turn)
+    return q + turn * ((q < low).astype(float) - (q > high))
+
+
+def open_robot(text: str, *, folder: Path, home: Sequence[float | int] | None = None) -> Robot:
+    """A built-in arm by its name, or a URDF file relative to a folder.
+
+    Raises:
+        ConfigError: no such robot, a file that is not read, no link `flange`, or a home that does
+            not fit the joints.
+    """
+    import pinocchio as pin
+
+    if text in ARMS:
+        source = urdf(ARMS[text])
+        model = pin.buildModelFromXML(source)
+        geometry = pin.buildGeomFromUrdfString(model, source, pin.GeometryType.COLLISION)
+        home = ARMS[text].home if home is None else home
+    else:
+        path = folder / text
+        if not path.is_file():
+            raise ConfigError(
+                f"robot: no robot {text!r}: choose one of {', '.join(ARMS)}, or name a URDF file "
+                f"in {folder}"
+            )
+        try:
+            model = pin.buildModelFromUrdf(str(path))
+            geometry = pin.buildGeomFromUrdf(
+                model, str(path), pin.GeometryType.COLLISION, package_dirs=[str(path.parent)]
+            )
+        except (ValueError, RuntimeError) as error:
+            raise ConfigError(f"robot {path}: {str(error).strip()}") from error
+    if not model.existFrame("flange"):
+        raise ConfigError(f"robot {text}: has no link called flange, to which the tool is mounted")
+    home = np.zeros(model.nq) if home is None else np.array(home, float)
+    if home.shape != (model.nq,):
+        raise ConfigError(f"robot {text}: home has {home.size} angles, the robot {model.nq} joints")
+    low, high = np.array(model.lowerPositionLimit), np.array(model.upperPositionLimit)
+    beyond = np.flatnonzero((home < low) | (home > high))
+    if len(beyond):
+        i = int(beyond[0])
+        raise ConfigError(
+            f"robot {text}: home of joint {i + 1} is {home[i]:.3f} rad; its limits are "
+            f"{low[i]:.3f} to {high[i]:.3f}"
+        )
+    return Robot(text, model, geometry, home)

@@ -25,7 +25,7 @@ _PACKAGES = {  # distribution: what it gives
 _OPTIONAL = {  # distribution: what installs it, what it gives
     "torch": ("make extras", "detectors: train, detect and study"),
     "libreyolo": ("pip install --no-deps libreyolo", "detectors: --model yolov7"),
-    "pinocchio": ("pip install 'graycast[pick]'", "robots: kinematics and collision"),
+    "pin": ("pip install 'graycast[pick]'", "robots: kinematics and collision"),
     "ompl": ("pip install 'graycast[pick]'", "robots: planning"),
     "toppra": ("pip install 'graycast[pick]'", "robots: time along a path"),
     "rfdetr": ("pip install 'graycast[rf-detr]'", "detectors: --model rf-detr"),

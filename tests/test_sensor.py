@@ -280,6 +280,19 @@ def test_the_fixed_pattern_belongs_to_the_sensor_and_not_to_the_shot():
     assert abs(correlation(first, other)) < 4
 
 
+@pytest.mark.parametrize(("mean_e", "fixed"), [(5000.0, {"prnu": 0.02}), (0.0, {"dsnu_e": 30.0})])
+def test_noise_is_independent_of_the_fixed_pattern_also_where_both_seeds_agree(mean_e, fixed):
+    """The pattern is known from many frames of another shot; frame 0 less it is the noise."""
+    spec = sensor(read_noise_e=10.0, fpn_seed=5, **fixed)
+    pattern = pattern_of(mean_e, spec, seed=6)
+    ideal = spec.gain_dn_per_e * mean_e + spec.offset_dn
+    for seed in (5, 7):
+        noise = frames_of(mean_e, spec, frames=1, seed=seed)[0] - ideal - pattern
+        # The pattern's own rest of noise, an eighth of a frame's, is in both.
+        rest = (noise.var() / 65) / (noise.std() * pattern.std()) * math.sqrt(noise.size)
+        assert abs(correlation(noise, pattern) + rest) < 4, seed
+
+
 CONTRAST = np.geomspace(1.0, 2000.0, 64).astype(np.float32)
 
 

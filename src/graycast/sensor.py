@@ -205,7 +205,7 @@ def expose(
         sensor.prnu,
         sensor.dsnu_e,
         _key(seed),
-        _key(sensor.fpn_seed),
+        _key(sensor.fpn_seed, _PATTERN),
     )
     return Capture(frames=frames, sensor=sensor, exposure_s=exposure_s)
 
@@ -272,9 +272,12 @@ def _take_unsaturated(stack, saturation_dn, stack_exposure_s, frames, exposure_s
                 exposure_s[y, x] = stack_exposure_s
 
 
-def _key(seed: int) -> np.uint64:
-    """A seed hashed by numpy, so that near seeds give unrelated streams."""
-    return np.random.SeedSequence(seed).generate_state(1, np.uint64)[0]
+_PATTERN = (1,)  # its stream is another than a shot's of the same seed
+
+
+def _key(seed: int, stream: tuple[int, ...] = ()) -> np.uint64:
+    """A seed hashed by numpy, so that near seeds and other streams are unrelated."""
+    return np.random.SeedSequence(seed, spawn_key=stream).generate_state(1, np.uint64)[0]
 
 
 @numba.njit(cache=True)

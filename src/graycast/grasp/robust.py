@@ -43,7 +43,8 @@ def robustness(
     The first chance is the grip as planned. Positions off by more than three deviations count as
     three, so that the patch need not be larger than that.
     """
-    rng = np.random.default_rng(seed)
+    # Another stream than that of the places, which callers draw from the same seed.
+    rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(1,)))
     off = np.clip(rng.normal(size=(chances, 8)), -3, 3)
     off[0] = 0
     aside_m = doubt.position_m * off[:, :2]

@@ -65,6 +65,10 @@ def _spec(box: Bin, bodies: tuple[Body, ...], layout: Layout):
     spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
     spec.option.impratio = 10  # friction as stiff as this many times the normal force
     spec.option.noslip_iterations = 20
+    # MuJoCo's newer collision of convex shapes gives one or two points where a face lies on a face
+    # or an edge along a wall, if they are a hair apart as all of a drop is: boxes that lie flat
+    # then rock. The older one, libccd, finds the corners of the contact.
+    spec.option.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_NATIVECCD)
     spec.option.iterations = 200
     spec.option.tolerance = 1e-10
     _add_box(spec, box, bodies)

@@ -61,6 +61,7 @@ OPTIONS = {
     "bench detectors": "--json detectors --on",
     "bench drop": "--json --count",
     "bench hulls": "--json",
+    "bench pose": "--json datasets --instances --min-visibility --out --seed",
     "bench scene": "--json --scenes --count --device",
     "bench engine": "--json --scenes --count",
     "bench zoo": "--json --families --counts --seeds",

@@ -37,6 +37,7 @@ ORDER = (
     "stack",
     "dataset",
     "detections",
+    "pose_results",
     "domain",
     "config",
     "cell",
@@ -52,6 +53,7 @@ ORDER = (
     "training",
     "evaluate",
     "detect",
+    "pose",
     "study_file",
     "study",
     "fit_bin",
@@ -70,6 +72,7 @@ FORBIDDEN = {
     "metrology": {"drop", "dataset", "config", "cell", "simulate", "generate"},
     "evaluate": {"drop", "render", "sensor", "decode", "simulate", "generate"},
     "detect": {"drop", "render", "sensor", "decode", "simulate", "generate"},
+    "pose": {"drop", "render", "sensor", "decode", "dataset", "simulate", "generate", "evaluate"},
     "doctor": {"drop", "dataset", "decode", "sensor", "simulate", "generate", "report"},
 }
 WHOLE_LINE = {"simulate", "generate", "report", "bench", "cli"}

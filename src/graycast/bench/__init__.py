@@ -1,4 +1,4 @@
-"""Speed and memory of the stages, studies of renderers, and of drops."""
+"""Speed and memory of the stages, studies of renderers, of drops and of poses."""
 
 from .agree import study_agreement
 from .denoise import study_denoisers
@@ -8,6 +8,7 @@ from .hulls import measure_hulls
 from .kept import write_figures
 from .opening import opened
 from .plots import draw
+from .poses import measure_poses
 from .renderers import study_renderers
 from .stages import measure_decode, measure_drop, measure_render, measure_scene
 from .zoo import describe_row, study_zoo
@@ -21,6 +22,7 @@ __all__ = [
     "measure_drop",
     "measure_engines",
     "measure_hulls",
+    "measure_poses",
     "measure_render",
     "measure_scene",
     "opened",

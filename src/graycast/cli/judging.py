@@ -14,13 +14,14 @@ def add_commands(commands) -> None:
         commands,
         "evaluate",
         _evaluate,
-        "Score detections by a dataset's labels, with intervals and pictures of mistakes.",
+        "Score detections or poses by a dataset's labels, with intervals.",
     )
     evaluate.add_argument(
         "results",
         type=Path,
         nargs="?",
-        help="The detections: a folder that graycast detect wrote, or a file of COCO results.",
+        help="The detections: a folder that graycast detect wrote, or a file of COCO results; or "
+        "poses: a CSV file of BOP results.",
     )
     evaluate.add_argument(
         "--on",
@@ -101,16 +102,13 @@ def _evaluate(options: argparse.Namespace) -> int:
         return _depth(options)
     if options.results is None:
         raise GraycastError("give the results to judge, or --depth to judge the scanner's depth")
+    if options.results.suffix == ".csv":
+        return _poses(options)
     from ..evaluate import EVALUATION, Protocol, Task, evaluate, summary, write_evaluation
-    from ..export import Split, parse_shares
     from ..folder import refuse_foreign, whole_folder
 
     refuse_foreign(options.out, EVALUATION)
-    if options.shares is None and options.split_seed:
-        raise GraycastError("--split-seed is of a division: give --shares too, or leave it out")
-    division = None
-    if options.shares is not None:
-        division = Split(shares=parse_shares(options.shares), seed=options.split_seed)
+    division = _division(options)
     task = Task(
         results=options.results,
         dataset=options.on,
@@ -133,6 +131,48 @@ def _evaluate(options: argparse.Namespace) -> int:
         )
         write_evaluation(evaluation, picture, folder)
     print(summary(evaluation))
+    print(options.out)
+    return 0
+
+
+def _division(options: argparse.Namespace):
+    """How the dataset is divided, where that was said."""
+    from ..export import Split, parse_shares
+
+    if options.shares is None and options.split_seed:
+        raise GraycastError("--split-seed is of a division: give --shares too, or leave it out")
+    if options.shares is None:
+        return None
+    return Split(shares=parse_shares(options.shares), seed=options.split_seed)
+
+
+def _poses(options: argparse.Namespace) -> int:
+    from ..evaluate import POSES, Protocol, evaluate_poses, poses_markdown, write_poses
+    from ..folder import refuse_foreign, whole_folder
+
+    for name in ("against", "kind", "one_class"):
+        if getattr(options, name):
+            raise GraycastError(
+                f"--{name.replace('_', '-')} is of detections, {options.results} holds poses: "
+                "leave it out"
+            )
+    refuse_foreign(options.out, POSES)
+    division = _division(options)
+    protocol = Protocol(
+        min_visibility=options.min_visibility, draws=options.draws, seed=options.seed
+    )
+    with whole_folder(options.out) as folder, progress_bar() as bar:
+        going = bar.add_task("scenes", total=None)
+        evaluation = evaluate_poses(
+            options.results,
+            options.on,
+            split=options.split or "train",
+            division=division,
+            protocol=protocol,
+            on_scene=lambda done, total: bar.update(going, completed=done, total=total),
+        )
+        write_poses(evaluation, folder)
+    print(poses_markdown(evaluation), end="")
     print(options.out)
     return 0
 

@@ -7,7 +7,16 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from .arguments import add_command, add_device, counts, positive, progress_bar, size
+from .arguments import (
+    add_command,
+    add_device,
+    add_seed,
+    counts,
+    positive,
+    progress_bar,
+    share,
+    size,
+)
 
 AGREE = """\
 Render the same scenes with Mitsuba and Cycles and compare the two. The scenes are brackets of a
@@ -35,6 +44,13 @@ for a second and counts as in balance where no point of a part moves by more tha
 takes hours on one core; --families hex_bolt --seeds 5 takes seconds. Each row is printed when it is
 there, and each drop is written into the file of --json at once. When the command has been stopped,
 the same command goes on after the last drop of that file."""
+
+POSE = """\
+Look for instances of parts in datasets with known poses: by their true masks, by boxes of the right
+size, 20 % too large and 20 % too small, in the scanner's depth, and by masks and boxes in perfect
+depth. For each it prints the share within 5 degrees and 3 mm modulo the symmetry of the part's
+shape, and that of the symmetry which the dataset states (strict), the median errors, and the
+median processor seconds for an instance."""
 
 
 def add_commands(commands) -> None:
@@ -118,7 +134,37 @@ def _add_bench(commands) -> None:
         metavar="DATASET",
         help="The dataset whose pictures are taken; it has 28 scenes or more.",
     )
+    _add_pose(kinds)
     _add_studies(kinds)
+
+
+def _add_pose(kinds) -> None:
+    pose = _add_kind(kinds, "pose", _pose, "Measure how often and how fast poses are found.")
+    pose.description = POSE
+    pose.add_argument(
+        "datasets", type=Path, nargs="+", help="Datasets that graycast generate has made."
+    )
+    pose.add_argument(
+        "--instances",
+        type=positive,
+        default=100,
+        metavar="N",
+        help="How many instances of each dataset are looked for (default: 100).",
+    )
+    pose.add_argument(
+        "--min-visibility",
+        type=share,
+        default=0.7,
+        metavar="SHARE",
+        help="Take instances of which at least this share is visible (default: 0.7).",
+    )
+    pose.add_argument(
+        "--out",
+        type=Path,
+        metavar="FOLDER",
+        help="Also write the poses as BOP results and sheets of pictures into this new folder.",
+    )
+    add_seed(pose, default=0)
 
 
 def _add_zoo(kinds) -> None:
@@ -325,6 +371,21 @@ def _detectors(options: argparse.Namespace) -> int:
             runs, options.on, on_run=lambda done, what: on_work(done / len(runs), what)
         )
     return _report(options, "detectors", figures)
+
+
+def _pose(options: argparse.Namespace) -> int:
+    from .. import bench
+
+    with _following() as on_work:
+        figures = bench.measure_poses(
+            options.datasets,
+            instances=options.instances,
+            min_visibility=options.min_visibility,
+            seed=options.seed,
+            out=options.out,
+            on_work=on_work,
+        )
+    return _report(options, "pose", figures)
 
 
 def _zoo(options: argparse.Namespace) -> int:

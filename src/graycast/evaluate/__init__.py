@@ -4,6 +4,8 @@ from .depth_files import DEPTH, evaluate_depth, write_depth
 from .judging import Judgement, Protocol, Row, judge
 from .labels import Labels, labels_of
 from .mistakes import AT_HALF, false_alarms
+from .pose_errors import mspd, mssd, rotation_translation, vsd
+from .pose_files import POSES, camera_of, evaluate_poses, poses_markdown, write_poses
 from .scores import Scores, score
 from .task import Task, evaluate
 from .writing import EVALUATION, Evaluation, evaluation_json, summary, write_evaluation
@@ -12,6 +14,7 @@ __all__ = [
     "AT_HALF",
     "DEPTH",
     "EVALUATION",
+    "POSES",
     "Evaluation",
     "Judgement",
     "Labels",
@@ -19,14 +22,22 @@ __all__ = [
     "Row",
     "Scores",
     "Task",
+    "camera_of",
     "evaluate",
     "evaluate_depth",
+    "evaluate_poses",
     "evaluation_json",
     "false_alarms",
     "judge",
     "labels_of",
+    "mspd",
+    "mssd",
+    "poses_markdown",
+    "rotation_translation",
     "score",
     "summary",
+    "vsd",
     "write_depth",
     "write_evaluation",
+    "write_poses",
 ]

@@ -1,0 +1,283 @@
+"""How often poses are found, by what the detection gives and by whose depth; and how fast."""
+
+import math
+import time
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from statistics import median
+
+import cv2
+import numpy as np
+from jaxtyping import Float, UInt8
+
+from ..dataset.models_read import StoredModel, read_models
+from ..errors import GraycastError
+from ..evaluate import camera_of, rotation_translation
+from ..folder import new_folder
+from ..frames import transform_points
+from ..parts import Mesh
+from ..parts.symmetry import joined, motions, shape_symmetry
+from ..pose import PoseFound, PoseModel, find_pose, find_pose_in_box, pose_model
+from ..pose_results import PoseEstimate, pose_results_text
+from ..raster import rasterize
+from ..training import Example, Examples, open_examples
+from .figures import Figures
+
+NEAR_DEG, NEAR_MM = 5.0, 3.0
+BOXES = {"box": 1.0, "box +20%": 1.2, "box -20%": 0.8}  # its sides, about its middle
+CASES = (
+    *(("scanner", region) for region in ("mask", *BOXES)),
+    ("perfect", "mask"),
+    ("perfect", "box"),
+)
+SHEET, COLUMNS, TILE_PX = 24, 6, 220  # instances on a sheet of overlays
+OUTLINE_M = 0.004  # steps of depth from pixel to pixel that are drawn
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class _Subject:
+    """One dataset's part, prepared."""
+
+    name: str
+    examples: Examples
+    stored: dict[int, StoredModel]
+    model: dict[int, PoseModel]
+    strict: dict[int, Float[np.ndarray, "_ 4 4"]]
+    shape: dict[int, Float[np.ndarray, "_ 4 4"]]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class _Trial:
+    """One instance in one case: what was found, and how far off it is."""
+
+    example: Example
+    instance: int
+    found: PoseFound
+    cpu_s: float
+    angle_deg: float = math.inf
+    shift_mm: float = math.inf
+    strict: bool = False
+
+    @property
+    def near(self) -> bool:
+        return self.angle_deg <= NEAR_DEG and self.shift_mm <= NEAR_MM
+
+
+def measure_poses(
+    datasets: Sequence[Path],
+    *,
+    instances: int,
+    min_visibility: float,
+    seed: int,
+    out: Path | None = None,
+    on_work: Callable[[float, str], None] = lambda share, what: None,
+) -> Figures:
+    """A row for each dataset and case: the share of poses within 5 degrees and 3 mm.
+
+    `share` is modulo the symmetry of the part's shape, which is all that depth can tell; `strict`
+    modulo the symmetry that the dataset states, where print may tell sides apart.
+
+    Args:
+        instances: of each dataset, drawn from those visible enough.
+        out: also write the poses as BOP's results, and sheets of pictures with the poses drawn.
+
+    Raises:
+        GraycastError: a dataset is missing or damaged, or has no such instances.
+    """
+    rows, texts, sheets = [], {}, {}
+    for k, folder in enumerate(datasets):
+        subject = _subject(folder)
+        chosen = _chosen(subject.examples, instances, min_visibility, seed)
+        trials: dict[tuple[str, str], list[_Trial]] = {case: [] for case in CASES}
+        for n, (scene_id, places) in enumerate(chosen.items()):
+            example = subject.examples.read(scene_id)
+            for case in CASES:
+                trials[case] += _trials(subject, example, places, case)
+            on_work((k + (n + 1) / len(chosen)) / len(datasets), subject.name)
+        for case, held in trials.items():
+            rows.append({"dataset": subject.name, "depth": case[0], "region": case[1]} | _row(held))
+            name = f"{k}_{subject.name}_{case[0]}_{case[1].replace(' ', '').replace('%', '')}"
+            texts[f"{name}.csv"] = pose_results_text(list(_estimates(held)))
+        worst = sorted(trials[CASES[0]], key=lambda trial: trial.near)[:SHEET]
+        sheets[f"{k}_{subject.name}.png"] = _sheet(subject, worst)
+    if out is not None:
+        with new_folder(out) as aside:
+            for name, text in texts.items():
+                (aside / name).write_text(text, encoding="utf-8")
+            for name, picture in sheets.items():
+                cv2.imwrite(str(aside / name), picture[..., ::-1])
+    settings = {"instances": instances, "min_visibility": min_visibility, "seed": seed}
+    return settings | {"rows": rows}
+
+
+def _subject(folder: Path) -> _Subject:
+    stored = read_models(folder)
+    shapes = {k: joined(one.symmetry, shape_symmetry(one.mesh)) for k, one in stored.items()}
+    return _Subject(
+        name=folder.resolve().name,
+        examples=open_examples(folder),
+        stored=stored,
+        model={k: pose_model(one.mesh, shapes[k]) for k, one in stored.items()},
+        strict={k: motions(one.symmetry) for k, one in stored.items()},
+        shape={k: motions(symmetry) for k, symmetry in shapes.items()},
+    )
+
+
+def _chosen(
+    examples: Examples, instances: int, min_visibility: float, seed: int
+) -> dict[int, list[int]]:
+    """Places of instances by scene: drawn from all that are visible enough."""
+    there = []
+    for scene_id in examples.scene_ids:
+        example = examples.read(scene_id)
+        if example.T_cam_part is None or example.scanner_depth_m is None or example.depth_m is None:
+            raise GraycastError(
+                f"{examples.folder}: scene {scene_id} lacks poses or one of the depths: give a "
+                "dataset of graycast generate"
+            )
+        there += [(scene_id, i) for i in np.flatnonzero(example.visib_fract >= min_visibility)]
+    if not there:
+        raise GraycastError(
+            f"{examples.folder}: no instance is visible for {min_visibility:.0%} or more: "
+            "give a smaller --min-visibility, or another dataset"
+        )
+    rng = np.random.default_rng(seed)
+    drawn = sorted(rng.permutation(len(there))[:instances].tolist())
+    chosen: dict[int, list[int]] = {}
+    for k in drawn:
+        chosen.setdefault(there[k][0], []).append(int(there[k][1]))
+    return chosen
+
+
+def _trials(
+    subject: _Subject, example: Example, places: Sequence[int], case: tuple[str, str]
+) -> Iterator[_Trial]:
+    depth_m = example.scanner_depth_m if case[0] == "scanner" else example.depth_m
+    camera = camera_of(example)
+    for place in places:
+        obj_id = int(example.obj_id[place])
+        model = subject.model[obj_id]
+        began = time.process_time()
+        if case[1] == "mask":
+            found = find_pose(model, depth_m, camera, example.mask[place])
+        else:
+            box = scaled(example.box_px[place].astype(np.float64), BOXES[case[1]])
+            found = find_pose_in_box(model, depth_m, camera, box)
+        cpu_s = time.process_time() - began
+        trial = _Trial(example=example, instance=place, found=found, cpu_s=cpu_s)
+        if found.T_cam_part is None:
+            yield trial
+            continue
+        true, middle = example.T_cam_part[place], subject.stored[obj_id].mesh.bounds_m.mean(axis=0)
+        off = [
+            rotation_translation(found.T_cam_part, true, one[obj_id], middle_m=middle)
+            for one in (subject.shape, subject.strict)
+        ]
+        (angle, shift), (strict_angle, strict_shift) = off
+        yield replace(
+            trial,
+            angle_deg=math.degrees(angle),
+            shift_mm=1000 * shift,
+            strict=math.degrees(strict_angle) <= NEAR_DEG and 1000 * strict_shift <= NEAR_MM,
+        )
+
+
+def scaled(box_px: Float[np.ndarray, "4"], factor: float) -> Float[np.ndarray, "4"]:
+    """[x, y, columns, rows] with its sides made longer or shorter about its middle."""
+    middle, size = box_px[:2] + box_px[2:] / 2, box_px[2:] * factor
+    return np.concatenate([middle - size / 2, size])
+
+
+def _row(trials: Sequence[_Trial]) -> Figures:
+    near = [trial.near for trial in trials]
+    low, high = wilson(sum(near), len(near))
+    return {
+        "n": len(trials),
+        "share": sum(near) / len(near),
+        "low": low,
+        "high": high,
+        "strict": sum(trial.strict for trial in trials) / len(trials),
+        "rotation_deg": median(trial.angle_deg for trial in trials),
+        "translation_mm": median(trial.shift_mm for trial in trials),
+        "cpu_s": median(trial.cpu_s for trial in trials),
+    }
+
+
+def wilson(hits: int, of: int) -> tuple[float, float]:
+    """The 95 % interval of a share.
+
+    Source: E. B. Wilson, "Probable inference, the law of succession, and statistical inference",
+    JASA 22, 1927.
+    """
+    z = 1.959963984540054
+    share, spread = hits / of, z * z / of
+    middle = share + spread / 2
+    half = z * math.sqrt(share * (1 - share) / of + spread / (4 * of))
+    return (middle - half) / (1 + spread), (middle + half) / (1 + spread)
+
+
+def _estimates(trials: Sequence[_Trial]) -> Iterator[PoseEstimate]:
+    """Of the instances that were looked at; BOP's time is of the picture."""
+    seconds: dict[int, float] = {}
+    for trial in trials:
+        scene_id = trial.example.scene_id
+        seconds[scene_id] = seconds.get(scene_id, 0.0) + trial.cpu_s
+    for trial in trials:
+        if trial.found.T_cam_part is not None:
+            yield PoseEstimate(
+                scene_id=trial.example.scene_id,
+                im_id=0,
+                obj_id=int(trial.example.obj_id[trial.instance]),
+                score=trial.found.score,
+                T_cam_part=trial.found.T_cam_part.copy(),
+                time_s=round(seconds[trial.example.scene_id], 6),
+            )
+
+
+def _sheet(subject: _Subject, trials: Sequence[_Trial]) -> UInt8[np.ndarray, "h w 3"]:
+    """Crops with the outline of the part drawn at the pose that was found; red where it is off."""
+    tiles = [_tile(subject, trial) for trial in trials]
+    blank = np.zeros((TILE_PX, TILE_PX, 3), np.uint8)
+    tiles += [blank] * (-len(tiles) % COLUMNS)
+    rows = [np.hstack(tiles[k : k + COLUMNS]) for k in range(0, len(tiles), COLUMNS)]
+    return np.vstack(rows)
+
+
+def _tile(subject: _Subject, trial: _Trial) -> UInt8[np.ndarray, "t t 3"]:
+    example = trial.example
+    picture = example.rgb if example.rgb is not None else np.repeat(example.gray[..., None], 3, 2)
+    x, y, columns, rows = map(int, example.box_px[trial.instance])
+    half = int(0.75 * max(columns, rows)) + 4
+    grown = cv2.copyMakeBorder(picture, half, half, half, half, cv2.BORDER_CONSTANT)
+    at = (x + columns // 2, y + rows // 2)
+    crop = grown[at[1] : at[1] + 2 * half, at[0] : at[0] + 2 * half]
+    big = cv2.resize(crop, (TILE_PX, TILE_PX), interpolation=cv2.INTER_LINEAR)
+    if trial.found.T_cam_part is not None:
+        mesh = subject.stored[int(example.obj_id[trial.instance])].mesh
+        _outline(big, mesh, trial, (at[0] - half, at[1] - half), TILE_PX / (2 * half))
+    told = f"{trial.angle_deg:.1f} deg {trial.shift_mm:.1f} mm"
+    cv2.putText(big, told, (4, TILE_PX - 6), cv2.FONT_HERSHEY_SIMPLEX, 0.4, (255, 255, 255), 1)
+    return big
+
+
+def _outline(
+    big: np.ndarray, mesh: Mesh, trial: _Trial, origin: tuple[int, int], zoom: float
+) -> None:
+    """Outer outline and steps of depth of the drawn part, at the tile's resolution."""
+    camera = camera_of(trial.example)
+    fine = replace(
+        camera,
+        width_px=TILE_PX,
+        height_px=TILE_PX,
+        fx_px=camera.fx_px * zoom,
+        fy_px=camera.fy_px * zoom,
+        cx_px=(camera.cx_px - origin[0] + 0.5) * zoom - 0.5,
+        cy_px=(camera.cy_px - origin[1] + 0.5) * zoom - 0.5,
+    )
+    vertices = transform_points(trial.found.T_cam_part, mesh.vertices_m.astype(np.float64))
+    z = np.nan_to_num(rasterize(vertices, mesh.faces, fine).over(fine)[1], nan=10.0)
+    bend = np.zeros(z.shape, bool)  # at steps and creases; a steep plane has none
+    bend[1:-1] |= np.abs(np.diff(z, n=2, axis=0)) > OUTLINE_M
+    bend[:, 1:-1] |= np.abs(np.diff(z, n=2, axis=1)) > OUTLINE_M
+    big[bend] = (61, 220, 132) if trial.near else (255, 77, 77)

@@ -1,0 +1,57 @@
+"""The parts of a dataset read back from its `models/`."""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from ..errors import DatasetError, MeshError
+from ..parts import Mesh, Symmetry, load_mesh
+from . import records
+from .reading import Unreadable, read_json
+from .records import MM_PER_M
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class StoredModel:
+    """A part's shape [m] with what `models_info.json` says of it."""
+
+    mesh: Mesh
+    diameter_m: float
+    symmetry: Symmetry
+
+
+def read_models(dataset: Path) -> dict[int, StoredModel]:
+    """The models of a dataset by object id.
+
+    Raises:
+        DatasetError: there are none, or a file is missing or damaged.
+    """
+    folder = dataset / "models"
+    if not folder.is_dir():
+        raise DatasetError(f"{dataset}: has no models: give a dataset of graycast generate")
+    try:
+        infos = read_json(folder / "models_info.json", records.ModelsInfo).root
+    except Unreadable as error:
+        raise DatasetError(f"{folder}: {error}: run graycast validate") from error
+    return {int(key): _model(folder / f"obj_{int(key):06d}.ply", i) for key, i in infos.items()}
+
+
+def _model(file: Path, info: records.ModelInfo) -> StoredModel:
+    try:
+        mesh = load_mesh(file, unit="mm")[0]
+    except MeshError as error:
+        raise DatasetError(f"{error}: run graycast validate") from error
+    discrete = [np.array(held).reshape(4, 4) for held in info.symmetries_discrete]
+    scale = np.array([[1, 1, 1, 1 / MM_PER_M]] * 3 + [[1, 1, 1, 1]])
+    return StoredModel(
+        mesh=mesh,
+        diameter_m=info.diameter / MM_PER_M,
+        symmetry=Symmetry(
+            discrete=tuple(T * scale for T in discrete),
+            continuous=tuple(
+                (tuple(one.axis), tuple(x / MM_PER_M for x in one.offset))
+                for one in info.symmetries_continuous
+            ),
+        ),
+    )

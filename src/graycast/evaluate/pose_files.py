@@ -1,0 +1,293 @@
+"""From a file of estimated poses and a dataset to figures, and the files that hold them."""
+
+import csv
+import io
+import json
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from ..dataset.example import Example
+from ..dataset.json_text import plain
+from ..dataset.models_read import read_models
+from ..errors import GraycastError
+from ..export.split import Split
+from ..optics import Optics
+from ..pose_results import PoseEstimate, read_pose_results
+from ..training import open_examples
+from .intervals import Interval, draw_scenes, interval_of
+from .judging import Protocol
+from .pose_recall import Counts, Truth, count_picture, solid_of
+
+POSES = "poses.json"
+FIGURES = (
+    "AR",
+    "AR_VSD",
+    "AR_MSSD",
+    "AR_MSPD",
+    "within_5deg_3mm",
+    "rotation_deg",
+    "translation_mm",
+)
+_SHARES = FIGURES[:5]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PoseRow:
+    """Figures of all parts or of one, with their intervals; the last two are medians."""
+
+    name: str
+    to_find: int
+    figures: Mapping[str, Interval]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PoseEvaluation:
+    """Everything about one file of poses.
+
+    Attributes:
+        seconds: the median time of a picture; NaN where the file does not tell.
+    """
+
+    results: str
+    dataset: str
+    split: str
+    scenes: int
+    estimates: int
+    seconds: float
+    protocol: Protocol
+    rows: tuple[PoseRow, ...]
+
+
+def evaluate_poses(
+    results: Path,
+    dataset: Path,
+    *,
+    split: str = "train",
+    division: Split | None = None,
+    protocol: Protocol,
+    on_scene: Callable[[int, int], None] | None = None,
+) -> PoseEvaluation:
+    """Judge a file of BOP's results by a dataset's poses.
+
+    Raises:
+        GraycastError: the file or the dataset is missing or damaged, or they do not fit together.
+    """
+    estimates = read_pose_results(results)
+    models = read_models(dataset)
+    solids = {k: solid_of(m.mesh, m.symmetry, m.diameter_m) for k, m in models.items()}
+    examples = open_examples(dataset, split=split, division=division)
+    of_scene = _by_scene(results, estimates, examples.scene_ids, solids)
+    counts: list[Counts] = []
+    for done, scene_id in enumerate(examples.scene_ids, start=1):
+        truth = _truth(dataset, examples.read(scene_id), protocol.min_visibility)
+        counts += count_picture(truth, of_scene[scene_id], solids)
+        if on_scene is not None:
+            on_scene(done, len(examples.scene_ids))
+    times = {(one.scene_id, one.im_id): one.time_s for one in estimates if one.time_s >= 0}
+    return PoseEvaluation(
+        results=results.name,
+        dataset=dataset.resolve().name,
+        split=split,
+        scenes=len(examples.scene_ids),
+        estimates=len(estimates),
+        seconds=float(np.median(list(times.values()))) if times else float("nan"),
+        protocol=protocol,
+        rows=pose_rows(counts, examples.scene_ids, dict(examples.categories), protocol),
+    )
+
+
+def pose_rows(
+    counts: Sequence[Counts],
+    scene_ids: Sequence[int],
+    categories: Mapping[int, str],
+    protocol: Protocol,
+) -> tuple[PoseRow, ...]:
+    """Figures of all parts, then of each where there are several; scenes are drawn together."""
+    times = draw_scenes(len(scene_ids), seed=protocol.seed, draws=protocol.draws)
+    rows = [_row("all", counts, scene_ids, times)]
+    present = sorted({one.obj_id for one in counts})
+    if len(present) > 1:
+        for obj_id in present:
+            mine = [one for one in counts if one.obj_id == obj_id]
+            rows.append(_row(categories.get(obj_id, str(obj_id)), mine, scene_ids, times))
+    return tuple(rows)
+
+
+def _row(
+    name: str,
+    counts: Sequence[Counts],
+    scene_ids: Sequence[int],
+    times: Int[np.ndarray, "draws scenes"],
+) -> PoseRow:
+    found, to_find = np.zeros((len(scene_ids), 4)), np.zeros(len(scene_ids))
+    angle: list[list[float]] = [[] for _ in scene_ids]
+    shift: list[list[float]] = [[] for _ in scene_ids]
+    place = {scene_id: k for k, scene_id in enumerate(scene_ids)}
+    for one in counts:
+        k = place[one.scene_id]
+        to_find[k] += one.to_find
+        found[k] += [one.vsd.mean(), one.mssd.mean(), one.mspd.mean(), one.near]
+        angle[k] += np.degrees(one.angle_rad).tolist()
+        shift[k] += (1000 * one.shift_m).tolist()
+
+    def recalls(weight: Float[np.ndarray, "draws scenes"]) -> Float[np.ndarray, "draws 5"]:
+        with np.errstate(invalid="ignore"):
+            each = (weight @ found) / (weight @ to_find)[:, None]
+        return np.column_stack([each[:, :3].mean(axis=1), each])
+
+    value, drawn = recalls(np.ones((1, len(scene_ids))))[0], recalls(times.astype(float))
+    figures = {
+        figure: interval_of(float(value[k]), drawn[:, k], len(scene_ids))
+        for k, figure in enumerate(_SHARES)
+    }
+    figures["rotation_deg"] = _median(angle, times)
+    figures["translation_mm"] = _median(shift, times)
+    return PoseRow(name=name, to_find=int(to_find.sum()), figures=figures)
+
+
+def _median(of_scene: list[list[float]], times: Int[np.ndarray, "draws scenes"]) -> Interval:
+    """The median of all found, each scene's as often as it is drawn."""
+    values = np.array([x for held in of_scene for x in held])
+    if not len(values):
+        return Interval(value=float("nan"), low=float("nan"), high=float("nan"))
+    scene = np.repeat(np.arange(len(of_scene)), [len(held) for held in of_scene])
+    order = np.argsort(values, kind="stable")
+    total = np.cumsum(times[:, scene[order]], axis=1)
+    place = (2 * total >= total[:, -1:]).argmax(axis=1)
+    drawn = np.where(total[:, -1] > 0, values[order][place], np.nan)
+    return interval_of(float(np.median(values)), drawn, len(of_scene))
+
+
+def _by_scene(
+    results: Path,
+    estimates: Sequence[PoseEstimate],
+    scene_ids: Sequence[int],
+    solids: Mapping[int, object],
+) -> dict[int, list[PoseEstimate]]:
+    of_scene: dict[int, list[PoseEstimate]] = {scene_id: [] for scene_id in scene_ids}
+    for one in estimates:
+        if one.scene_id not in of_scene or one.im_id != 0:
+            raise GraycastError(
+                f"{results}: has scene {one.scene_id}, image {one.im_id}, which the dataset's set "
+                "does not have (its scenes have one image, 0): are these results of another "
+                "dataset or another split?"
+            )
+        if one.obj_id not in solids:
+            raise GraycastError(
+                f"{results}: has object {one.obj_id}, the dataset has "
+                f"{', '.join(map(str, sorted(solids)))}: are these results of another dataset?"
+            )
+        of_scene[one.scene_id].append(one)
+    return of_scene
+
+
+def _truth(dataset: Path, example: Example, min_visibility: float) -> Truth:
+    measured = example.scanner_depth_m if example.scanner_depth_m is not None else example.depth_m
+    if example.T_cam_part is None or measured is None:
+        raise GraycastError(
+            f"{dataset}: scene {example.scene_id} has no poses or no depth: poses are judged by a "
+            "dataset of graycast generate"
+        )
+    return Truth(
+        scene_id=example.scene_id,
+        camera=camera_of(example),
+        measured_m=measured.astype(np.float64),
+        obj_id=example.obj_id,
+        T_cam_part=example.T_cam_part,
+        to_find=~example.hidden(min_visibility),
+    )
+
+
+def camera_of(example: Example) -> Optics:
+    """The camera that an example's depth is of."""
+    depth = example.scanner_depth_m if example.scanner_depth_m is not None else example.depth_m
+    height_px, width_px = depth.shape
+    K = example.K
+    return Optics(
+        width_px=width_px,
+        height_px=height_px,
+        fx_px=float(K[0, 0]),
+        fy_px=float(K[1, 1]),
+        cx_px=float(K[0, 2]),
+        cy_px=float(K[1, 2]),
+        distortion=tuple(float(k) for k in example.distortion or (0.0,) * 5),
+    )
+
+
+# --- files ----------------------------------------------------------------------------------------
+
+
+def write_poses(evaluation: PoseEvaluation, folder: Path) -> None:
+    """Fill a folder with `poses.json`, `poses.csv` and `poses.md`."""
+    content = plain(
+        {
+            "results": evaluation.results,
+            "dataset": evaluation.dataset,
+            "split": evaluation.split,
+            "scenes": evaluation.scenes,
+            "estimates": evaluation.estimates,
+            "median_s": evaluation.seconds,
+            "min_visibility": evaluation.protocol.min_visibility,
+            "draws": evaluation.protocol.draws,
+            "seed": evaluation.protocol.seed,
+            "rows": [
+                {"name": row.name, "to_find": row.to_find}
+                | {
+                    n: {"value": f.value, "low": f.low, "high": f.high}
+                    for n, f in row.figures.items()
+                }
+                for row in evaluation.rows
+            ],
+        }
+    )
+    text = json.dumps(content, indent=1, allow_nan=False)
+    (folder / POSES).write_text(text + "\n", encoding="utf-8")
+    (folder / "poses.csv").write_text(_csv(evaluation), encoding="utf-8")
+    (folder / "poses.md").write_text(poses_markdown(evaluation), encoding="utf-8")
+
+
+def poses_markdown(evaluation: PoseEvaluation) -> str:
+    """A sentence and a table."""
+    time = (
+        "" if np.isnan(evaluation.seconds) else f" {evaluation.seconds:.2f} s a picture (median)."
+    )
+    lines = [
+        f"{evaluation.estimates} poses of {evaluation.results} in {evaluation.scenes} scenes of "
+        f"{evaluation.dataset} (set {evaluation.split}), {evaluation.rows[0].to_find} instances to "
+        f"find; those of less than {evaluation.protocol.min_visibility:.0%} visibility are "
+        f"ignored.{time}",
+        "",
+        "| part | to find | AR | AR_VSD | AR_MSSD | AR_MSPD | within 5 deg, 3 mm "
+        "| rotation (median) | translation (median) |",
+        "|---|---|---|---|---|---|---|---|---|",
+    ]
+    for row in evaluation.rows:
+        cells = [_told(row.figures[name], 3, "") for name in _SHARES]
+        cells += [_told(row.figures["rotation_deg"], 2, " deg")]
+        cells += [_told(row.figures["translation_mm"], 2, " mm")]
+        lines.append(f"| {row.name} | {row.to_find} | " + " | ".join(cells) + " |")
+    return "\n".join(lines) + "\n"
+
+
+def _told(figure: Interval, digits: int, unit: str) -> str:
+    if np.isnan(figure.value):
+        return "none"
+    if np.isnan(figure.low):
+        return f"{figure.value:.{digits}f}{unit}"
+    return f"{figure.value:.{digits}f}{unit} ({figure.low:.{digits}f} to {figure.high:.{digits}f})"
+
+
+def _csv(evaluation: PoseEvaluation) -> str:
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(["part", "to_find", "figure", "value", "low", "high"])
+    for row in evaluation.rows:
+        for name, figure in row.figures.items():
+            held = (figure.value, figure.low, figure.high)
+            cells = ["" if np.isnan(x) else f"{x:.6f}" for x in held]
+            writer.writerow([row.name, row.to_find, name, *cells])
+    return text.getvalue()

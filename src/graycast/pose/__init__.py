@@ -1,0 +1,13 @@
+"""Where a part is: from a detection and the scanner's depth to its pose."""
+
+from .finding import PoseFound, find_pose, find_pose_in_box, find_poses
+from .model import PoseModel, pose_model
+
+__all__ = [
+    "PoseFound",
+    "PoseModel",
+    "find_pose",
+    "find_pose_in_box",
+    "find_poses",
+    "pose_model",
+]

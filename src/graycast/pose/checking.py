@@ -1,0 +1,128 @@
+"""A pose held against the measured depth: which pixels speak for it, which against it."""
+
+from typing import no_type_check
+
+import numba
+import numpy as np
+
+from .drawing import draw
+
+VISIBLE, TOUCHING, HIDDEN, CONTRADICTED, UNKNOWN, MISSED, MISSED_UNKNOWN = range(7)
+KINDS = 7
+# What a count tells; all but the last two are of pixels that the part at its pose would cover.
+# VISIBLE: measured where the part's surface would be.
+# TOUCHING: so too, but outside the detection's outline.
+# HIDDEN: measured in front of it.
+# CONTRADICTED: measured behind it: the ray went through the part.
+# UNKNOWN: nothing measured.
+# MISSED: measured within the outline, but the part would not be there.
+# MISSED_UNKNOWN: within the outline, nothing measured, and the part would not be there.
+
+
+# What a pixel is worth in a box, where a visible one is worth 1 and a contradicted one -1. Chosen
+# on brackets in heaps: the tempting mistakes are a part sunk flush into the floor (the surface goes
+# on around it, and the true part hides it) and a neighbour.
+OUTSIDE = 0.3  # agreeing, outside the box
+HIDING = 1.0  # taken off for one that is hidden
+GOING_ON = 3.0  # taken off for one beside the part where its surface goes on
+OFF_CENTRE = 0.3  # of the box's pixels, taken off if the part's middle is at the box's border
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+@no_type_check  # the tests' type checker wraps functions, which numba cannot compile
+def count(drawn, z, inside, tolerance_m):
+    """How many pixels are of each kind, and the first and last column and row not hidden."""
+    number = np.zeros(KINDS, np.int64)
+    h, w = z.shape
+    edge = np.array([w, h, -1, -1])
+    for i in range(h):
+        for j in range(w):
+            covered, known = drawn[i, j] < np.inf, z[i, j] > 0
+            if not covered:
+                if inside[i, j]:
+                    number[MISSED if known else MISSED_UNKNOWN] += 1
+                continue
+            off = z[i, j] - drawn[i, j]
+            if not known:
+                kind = UNKNOWN
+            elif abs(off) <= tolerance_m:
+                kind = VISIBLE if inside[i, j] else TOUCHING
+            else:
+                kind = HIDDEN if off < 0 else CONTRADICTED
+            number[kind] += 1
+            if kind != HIDDEN:
+                edge[0], edge[1] = min(edge[0], j), min(edge[1], i)
+                edge[2], edge[3] = max(edge[2], j), max(edge[3], i)
+    return number, edge
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+@no_type_check
+def misfits(drawn, z, inside, tolerance_m):
+    """Pixels within an outline that are measured off the part, before or behind."""
+    number = 0
+    for i in range(z.shape[0]):
+        for j in range(z.shape[1]):
+            if inside[i, j] and drawn[i, j] < np.inf and drawn[i, j] - z[i, j] > tolerance_m:
+                number += 1
+    return number
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+@no_type_check
+def tight_score(number, misfit):
+    """Of the pixels that the outline or the part at its pose lays claim to, the share that agrees.
+
+    What is hidden outside the outline and what is unknown within it says nothing; within the
+    outline nothing may lie before the part (`misfit`).
+    """
+    against = number[TOUCHING] + number[CONTRADICTED] + misfit
+    against += number[MISSED] + number[MISSED_UNKNOWN]
+    return number[VISIBLE] / max(number[VISIBLE] + against, 1)
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+@no_type_check
+def loose_score(number, edge, box, going_on):
+    """Pixels that agree, less those that speak against, over those of the box.
+
+    A box around a part holds other things too, so what the part does not cover says nothing.
+    """
+    wide, high = box[2] - box[0] + 1, box[3] - box[1] + 1
+    worth = number[VISIBLE] + OUTSIDE * number[TOUCHING] - number[CONTRADICTED]
+    worth -= HIDING * number[HIDDEN] + GOING_ON * going_on
+    x = (edge[0] + edge[2] - box[0] - box[2]) / wide
+    y = (edge[1] + edge[3] - box[1] - box[3]) / high
+    return worth / (wide * high) - OFF_CENTRE * (x * x + y * y)
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+@no_type_check
+def going_on(drawn, z, tolerance_m):
+    """Pixels just outside the drawn part where what is measured goes on as its surface does."""
+    number = 0
+    h, w = z.shape
+    for i in range(2, h - 2):
+        for j in range(2, w - 2):
+            if drawn[i, j] < np.inf:
+                continue
+            for di, dj in ((0, 1), (0, -1), (1, 0), (-1, 0)):
+                near, far = drawn[i + di, j + dj], drawn[i + 2 * di, j + 2 * dj]
+                if not near < np.inf:
+                    continue
+                slope = near - far if far < np.inf else 0.0
+                if abs(z[i, j] - near - slope) <= tolerance_m:
+                    number += 1
+                    break
+    return number
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+@no_type_check
+def score(T, vertex, faces, lens, ray, left, top, z, inside, tight, box, tolerance_m, drawn, face):
+    """A pose's score, 0 to 1, with the counts it is from."""
+    draw(T, vertex, faces, lens, ray, left, top, drawn, face)
+    number, edge = count(drawn, z, inside, tolerance_m)
+    if tight:
+        return tight_score(number, misfits(drawn, z, inside, tolerance_m)), number
+    return loose_score(number, edge, box, going_on(drawn, z, tolerance_m)), number

@@ -1,0 +1,171 @@
+"""The nearest place on a part's surface for any point near it, and ICP by it."""
+
+import math
+from dataclasses import dataclass
+from typing import no_type_check
+
+import numba
+import numpy as np
+from jaxtyping import Float, Int
+from scipy.spatial import cKDTree
+
+CELLS = 60  # along the diameter
+BEYOND = 0.2  # of the diameter that the grid reaches beyond the part's box
+ALIKE = 0.5  # the least cosine between normals of places that may correspond
+DAMPING = 1e-3  # of the mean curvature: keeps still what the points do not say
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Closest:
+    """For each cell of a grid around a part, the nearest of its surface's points.
+
+    Attributes:
+        point, normal: of the surface, in the part's frame.
+        low_m: the middle of the first cell.
+        cell_m: the width of a cell.
+        nearest: the place in `point` of the one nearest to the cell's middle.
+    """
+
+    point: Float[np.ndarray, "n 3"]
+    normal: Float[np.ndarray, "n 3"]
+    low_m: Float[np.ndarray, "3"]
+    cell_m: float
+    nearest: Int[np.ndarray, "x y z"]
+
+    def __post_init__(self) -> None:
+        for name in ("point", "normal", "low_m", "nearest"):
+            getattr(self, name).flags.writeable = False
+
+
+def closest(
+    point: Float[np.ndarray, "n 3"], normal: Float[np.ndarray, "n 3"], diameter_m: float
+) -> Closest:
+    """The grid of a surface that is given by dense points."""
+    cell_m = diameter_m / CELLS
+    low = point.min(axis=0) - BEYOND * diameter_m
+    size = np.ceil((point.max(axis=0) + BEYOND * diameter_m - low) / cell_m).astype(int) + 1
+    axes = [low[k] + cell_m * np.arange(size[k]) for k in range(3)]
+    middles = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1)
+    nearest = cKDTree(point).query(middles.reshape(-1, 3))[1].astype(np.int32)
+    return Closest(
+        point=point, normal=normal, low_m=low, cell_m=cell_m, nearest=nearest.reshape(size)
+    )
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+@no_type_check  # the tests' type checker wraps functions, which numba cannot compile
+def settle(T, point, normal, near, near_normal, low, cell, nearest, gates_m, rounds):
+    """Poses moved so that the scene's points lie on the part: ICP, point to plane.
+
+    The gate, beyond which a point is taken for another thing's, narrows from round to round.
+    Source: Y. Chen, G. Medioni, "Object modelling by registration of multiple range images", 1992.
+    """
+    shares = np.zeros(len(T))
+    for k in range(len(T)):
+        for gate in gates_m:
+            for _ in range(rounds):
+                shares[k] = _round(T[k], point, normal, near, near_normal, low, cell, nearest, gate)
+                if shares[k] == 0:
+                    break
+    return shares
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+@no_type_check
+def _round(T, point, normal, near, near_normal, low, cell, nearest, gate):
+    """One step; the share of the points that have a place on the part within the gate."""
+    A, b = np.zeros((6, 6)), np.zeros(6)
+    row, p, n = np.empty(6), np.empty(3), np.empty(3)
+    nx, ny, nz = nearest.shape
+    held = 0
+    for i in range(len(point)):
+        for j in range(3):
+            p[j] = n[j] = 0.0
+            for k in range(3):
+                p[j] += T[k, j] * (point[i, k] - T[k, 3])
+                n[j] += T[k, j] * normal[i, k]
+        x = math.floor((p[0] - low[0]) / cell + 0.5)
+        y = math.floor((p[1] - low[1]) / cell + 0.5)
+        z = math.floor((p[2] - low[2]) / cell + 0.5)
+        if x < 0 or y < 0 or z < 0 or x >= nx or y >= ny or z >= nz:
+            continue
+        at = nearest[x, y, z]
+        m, q = near_normal[at], near[at]
+        if n[0] * m[0] + n[1] * m[1] + n[2] * m[2] < ALIKE:
+            continue
+        away2 = (p[0] - q[0]) ** 2 + (p[1] - q[1]) ** 2 + (p[2] - q[2]) ** 2
+        if away2 > gate * gate:
+            continue
+        off = m[0] * (p[0] - q[0]) + m[1] * (p[1] - q[1]) + m[2] * (p[2] - q[2])
+        weight = (1 - away2 / (gate * gate)) ** 2  # Tukey's
+        row[0], row[1] = p[1] * m[2] - p[2] * m[1], p[2] * m[0] - p[0] * m[2]
+        row[2] = p[0] * m[1] - p[1] * m[0]
+        row[3], row[4], row[5] = m[0], m[1], m[2]
+        add_row(A, b, row, off, weight)
+        held += 1
+    if held < 6:
+        return 0.0
+    step = solved(A, b)
+    # The scene moves by -step in the part's frame, so the part moves by +step in its own.
+    turn_by(T, step)
+    return held / len(point)
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+@no_type_check
+def add_row(A, b, row, off, weight):
+    for j in range(6):
+        b[j] += weight * row[j] * off
+        for k in range(j + 1):
+            A[j, k] += weight * row[j] * row[k]
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+@no_type_check
+def solved(A, b):
+    """The damped step of a system whose lower half is filled; lengths scaled to like size."""
+    scale = np.empty(6)
+    turn = (A[0, 0] + A[1, 1] + A[2, 2]) / 3 + 1e-30
+    shift = (A[3, 3] + A[4, 4] + A[5, 5]) / 3 + 1e-30
+    for j in range(6):
+        scale[j] = 1 / math.sqrt(turn if j < 3 else shift)
+    M, v = np.empty((6, 6)), np.empty(6)
+    for j in range(6):
+        v[j] = b[j] * scale[j]
+        for k in range(6):
+            M[j, k] = (A[j, k] if k <= j else A[k, j]) * scale[j] * scale[k]
+        M[j, j] += DAMPING
+    step = np.linalg.solve(M, v)
+    return step * scale
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+@no_type_check
+def turn_by(T, step):
+    """T times the motion of a small turn (step[:3]) and shift (step[3:]) in the part's frame."""
+    x, y, z = step[0], step[1], step[2]
+    angle = math.sqrt(x * x + y * y + z * z)
+    R = np.eye(3)
+    if angle > 1e-12:
+        x, y, z = x / angle, y / angle, z / angle
+        c, s = math.cos(angle), math.sin(angle)
+        R[0, 0], R[0, 1], R[0, 2] = (
+            c + x * x * (1 - c),
+            x * y * (1 - c) - z * s,
+            x * z * (1 - c) + y * s,
+        )
+        R[1, 0], R[1, 1], R[1, 2] = (
+            y * x * (1 - c) + z * s,
+            c + y * y * (1 - c),
+            y * z * (1 - c) - x * s,
+        )
+        R[2, 0], R[2, 1], R[2, 2] = (
+            z * x * (1 - c) - y * s,
+            z * y * (1 - c) + x * s,
+            c + z * z * (1 - c),
+        )
+    old = T.copy()
+    for i in range(3):
+        for j in range(3):
+            T[i, j] = old[i, 0] * R[0, j] + old[i, 1] * R[1, j] + old[i, 2] * R[2, j]
+        T[i, 3] = old[i, 3] + old[i, 0] * step[3] + old[i, 1] * step[4] + old[i, 2] * step[5]

@@ -1,0 +1,186 @@
+"""Point-pair features: a table of a part's pairs of points, and voting by a scene's.
+
+Two points with normals have a feature: their distance and three angles, which no motion changes.
+A reference point of the scene votes with each of its pairs for every model pair of the same
+feature: for the model point that it may be, and for the turn about its normal.
+
+Source: B. Drost, M. Ulrich, N. Navab, S. Ilic, "Model globally, match locally: efficient and
+robust 3D object recognition", CVPR 2010. Votes weigh less the more model pairs share a feature, so
+that the many like pairs of a plane do not drown the few that tell.
+"""
+
+import math
+from dataclasses import dataclass
+from typing import no_type_check
+
+import numba
+import numpy as np
+from jaxtyping import Float, Float32, Int
+
+ANGLES = 15  # bins of 12 degrees for each angle of a feature
+TURNS = 30  # bins of 12 degrees for the turn about the normal
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PairTable:
+    """The pairs of a model's points by feature, in rows one after another.
+
+    Attributes:
+        step_m: the width of a bin of distance.
+        distances: how many bins of distance there are.
+        start: where each feature's row starts, and where the last one ends.
+        first: the model's reference point of each pair.
+        turn_rad: the other point's angle about the reference point's normal.
+    """
+
+    step_m: float
+    distances: int
+    start: Int[np.ndarray, " features_and_end"]
+    first: Int[np.ndarray, " pairs"]
+    turn_rad: Float32[np.ndarray, " pairs"]
+
+    def __post_init__(self) -> None:
+        for name in ("start", "first", "turn_rad"):
+            getattr(self, name).flags.writeable = False
+
+
+def pair_table(
+    point: Float[np.ndarray, "n 3"], normal: Float[np.ndarray, "n 3"], step_m: float
+) -> PairTable:
+    """All ordered pairs of a model's points."""
+    longest = float(np.linalg.norm(np.ptp(point, axis=0)))
+    distances = int(longest / step_m) + 1
+    start, first, turn = _filled(point, normal, step_m, distances)
+    return PairTable(step_m=step_m, distances=distances, start=start, first=first, turn_rad=turn)
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+@no_type_check  # the tests' type checker wraps functions, which numba cannot compile
+def feature_of(p, n, q, m, step_m, distances):
+    """The feature's number of two points with normals; -1 if they coincide or are too far."""
+    dx, dy, dz = q[0] - p[0], q[1] - p[1], q[2] - p[2]
+    length = math.sqrt(dx * dx + dy * dy + dz * dz)
+    d = int(length / step_m)
+    if length < 0.5 * step_m or d >= distances:
+        return -1
+    first = (n[0] * dx + n[1] * dy + n[2] * dz) / length
+    second = (m[0] * dx + m[1] * dy + m[2] * dz) / length
+    between = n[0] * m[0] + n[1] * m[1] + n[2] * m[2]
+    number = d
+    for cosine in (first, second, between):
+        angle = math.acos(min(max(cosine, -1.0), 1.0))
+        number = number * ANGLES + min(int(angle / math.pi * ANGLES), ANGLES - 1)
+    return number
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+@no_type_check
+def frame_of(n):
+    """The rotation that turns a normal onto the x axis, by the shortest way."""
+    R = np.empty((3, 3))
+    x, y, z = n[0], n[1], n[2]
+    if x < -0.999999:
+        R[:] = 0.0
+        R[0, 0], R[1, 1], R[2, 2] = -1.0, -1.0, 1.0
+        return R
+    k = 1 / (1 + x)
+    R[0, 0], R[0, 1], R[0, 2] = x, y, z
+    R[1, 0], R[1, 1], R[1, 2] = -y, 1 - k * y * y, -k * y * z
+    R[2, 0], R[2, 1], R[2, 2] = -z, -k * y * z, 1 - k * z * z
+    return R
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+@no_type_check
+def turn_of(R, p, q):
+    """The angle of q about the x axis once the point p with its normal lies along it."""
+    dx, dy, dz = q[0] - p[0], q[1] - p[1], q[2] - p[2]
+    y = R[1, 0] * dx + R[1, 1] * dy + R[1, 2] * dz
+    z = R[2, 0] * dx + R[2, 1] * dy + R[2, 2] * dz
+    return math.atan2(z, y)
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+@no_type_check
+def _filled(point, normal, step_m, distances):
+    n = len(point)
+    count = np.zeros(distances * ANGLES**3 + 1, np.int64)
+    for i in range(n):
+        for j in range(n):
+            k = feature_of(point[i], normal[i], point[j], normal[j], step_m, distances)
+            if i != j and k >= 0:
+                count[k + 1] += 1
+    start = np.cumsum(count)
+    place = start[:-1].copy()
+    first = np.empty(start[-1], np.int32)
+    turn = np.empty(start[-1], np.float32)
+    for i in range(n):
+        R = frame_of(normal[i])
+        for j in range(n):
+            k = feature_of(point[i], normal[i], point[j], normal[j], step_m, distances)
+            if i != j and k >= 0:
+                first[place[k]] = i
+                turn[place[k]] = turn_of(R, point[i], point[j])
+                place[k] += 1
+    return start, first, turn
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+@no_type_check
+def votes(point, normal, references, model_point, model_normal, start, first, turn, step_m,
+          distances, peaks):  # fmt: skip
+    """The best poses of each reference point, and how many votes each has.
+
+    Args:
+        references: places of the reference points among the scene's.
+        peaks: how many poses are taken from each.
+    """
+    n = len(model_point)
+    T = np.zeros((len(references) * peaks, 4, 4))
+    weight = np.zeros(len(references) * peaks)
+    ballot = np.empty((n, TURNS), np.float32)
+    for k in range(len(references)):
+        i = references[k]
+        ballot[:] = 0.0
+        R = frame_of(normal[i])
+        for j in range(len(point)):
+            f = feature_of(point[i], normal[i], point[j], normal[j], step_m, distances)
+            if i == j or f < 0 or start[f] == start[f + 1]:
+                continue
+            mine = turn_of(R, point[i], point[j])
+            one = 1 / math.sqrt(start[f + 1] - start[f])
+            for e in range(start[f], start[f + 1]):
+                share = (mine - turn[e]) / (2 * math.pi)
+                share -= math.floor(share)
+                ballot[first[e], min(int(share * TURNS), TURNS - 1)] += one
+        for peak in range(peaks):
+            at = np.argmax(ballot)
+            m, t = at // TURNS, at % TURNS
+            before, after = ballot[m, t - 1], ballot[m, (t + 1) % TURNS]
+            weight[k * peaks + peak] = ballot[m, t] + 0.5 * (before + after)
+            angle = (t + 0.5) / TURNS * 2 * math.pi
+            _pose(
+                T[k * peaks + peak], R, point[i], frame_of(model_normal[m]), model_point[m], angle
+            )
+            ballot[m, t] = ballot[m, t - 1] = ballot[m, (t + 1) % TURNS] = 0.0
+    return T, weight
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+@no_type_check
+def _pose(T, R_scene, p_scene, R_model, p_model, angle):
+    """Scene point and normal over the model's, the model turned by the angle about them."""
+    c, s = math.cos(angle), math.sin(angle)
+    turned = np.empty((3, 3))
+    for j in range(3):
+        turned[0, j] = R_model[0, j]
+        turned[1, j] = c * R_model[1, j] - s * R_model[2, j]
+        turned[2, j] = s * R_model[1, j] + c * R_model[2, j]
+    for i in range(3):
+        for j in range(3):
+            for k in range(3):
+                T[i, j] += R_scene[k, i] * turned[k, j]
+        T[i, 3] = p_scene[i]
+        for j in range(3):
+            T[i, 3] -= T[i, j] * p_model[j]
+    T[3, 3] = 1.0

@@ -1,0 +1,37 @@
+"""The benchmark of poses: its shares, its boxes, and its files."""
+
+import json
+
+import numpy as np
+import pytest
+from simulated_dataset import made, master, samples  # noqa: F401
+
+from graycast.bench.poses import CASES, scaled, wilson
+from graycast.cli import main
+from graycast.pose_results import read_pose_results
+
+
+def test_wilsons_interval_is_that_of_published_examples():
+    """R's binom.confint(9, 10, methods = "wilson") and (0, 20)."""
+    assert wilson(9, 10) == pytest.approx((0.59585, 0.98212), abs=1e-5)
+    assert wilson(0, 20) == pytest.approx((0.0, 0.16113), abs=1e-5)
+
+
+def test_a_box_grows_about_its_middle():
+    np.testing.assert_allclose(scaled(np.array([10.0, 20, 40, 10]), 1.2), [6, 19, 48, 12])
+    np.testing.assert_allclose(scaled(np.array([10.0, 20, 40, 10]), 0.8), [14, 21, 32, 8])
+
+
+@pytest.mark.slow
+@pytest.mark.filterwarnings("ignore:__array__ implementation:DeprecationWarning")
+def test_poses_are_found_in_a_dataset_and_written(master, tmp_path):  # noqa: F811
+    """Prisms in closed form: perfect depth and masks give their poses, and every file is BOP's."""
+    out, file = tmp_path / "poses", tmp_path / "poses.json"
+    told = ["bench", "pose", str(master), "--instances", "6", "--min-visibility", "0.9"]
+    assert main([*told, "--out", str(out), "--json", str(file)]) == 0
+    rows = json.loads(file.read_text())["rows"]
+    assert [(row["depth"], row["region"]) for row in rows] == list(CASES)
+    (best,) = [row for row in rows if (row["depth"], row["region"]) == ("perfect", "mask")]
+    assert best["share"] >= 0.8
+    assert len(list(out.glob("*.csv"))) == len(CASES) and len(list(out.glob("*.png"))) == 1
+    assert all(len(read_pose_results(csv)) <= 6 for csv in out.glob("*.csv"))

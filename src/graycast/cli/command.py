@@ -8,6 +8,7 @@ from collections.abc import Sequence
 from .. import __version__
 from ..errors import GraycastError
 from . import (
+    benching,
     datasets,
     detecting,
     exporting,
@@ -90,4 +91,5 @@ def _parser() -> argparse.ArgumentParser:
     rigs.add_commands(commands)
     measuring.add_commands(commands)
     machine.add_commands(commands)
+    benching.add_commands(commands)
     return parser

@@ -18,6 +18,7 @@ from ..scene import Bin, Layout
 
 STEP_S = 0.0005
 WALL_M = 0.15
+MEMORY_BYTES = 2**30  # reserved; 255 parts of many hulls touch in thousands of points
 # Time constant [s] and damping ratio of a contact, and how much of it is constraint: see MuJoCo's
 # documentation of solver parameters.
 STIFFNESS = (0.002, 1.0)
@@ -59,6 +60,7 @@ def _spec(box: Bin, bodies: tuple[Body, ...], layout: Layout):
     import mujoco
 
     spec = mujoco.MjSpec()
+    spec.memory = MEMORY_BYTES
     spec.option.timestep = STEP_S
     spec.option.gravity = [0.0, 0.0, -GRAVITY_M_S2]
     spec.option.cone = mujoco.mjtCone.mjCONE_ELLIPTIC

@@ -1,5 +1,7 @@
 """Arms: poses by hand, ways back from poses to angles, limits, and what they touch."""
 
+import re
+
 import numpy as np
 import pytest
 
@@ -75,10 +77,9 @@ def test_the_nearest_of_several_ways_is_taken(robot):
     assert np.abs(back - robot.home).max() < 0.5
 
 
-def box(name, size, at):
-    return Obstacle(
-        name=name, shape=coal.Box(*size), T_base_shape=rigid(np.eye(3), np.array(at, float))
-    )
+def box(name, size, at, *, carries=False):
+    T = rigid(np.eye(3), np.array(at, float))
+    return Obstacle(name=name, shape=coal.Box(*size), T_base_shape=T, carries=carries)
 
 
 def test_an_arm_touches_what_its_flange_is_in_and_nothing_else(robot):
@@ -88,8 +89,9 @@ def test_an_arm_touches_what_its_flange_is_in_and_nothing_else(robot):
     assert robot.touches(robot.home, [box("crate", (0.02, 0.02, 0.02), there)]) == "crate"
     above = there + np.array([0.0, 0.0, 0.6])
     assert robot.touches(robot.home, [box("crate", (0.02, 0.02, 0.02), above)]) is None
-    table = box("table", (2.0, 2.0, 0.1), [0, 0, -0.05])
-    assert robot.touches(robot.home, [table]) is None  # it stands on it
+    size, at = (2.0, 2.0, 0.1), [0, 0, -0.05]
+    assert robot.touches(robot.home, [box("table", size, at, carries=True)]) is None
+    assert robot.touches(robot.home, [box("bin", size, at)]) == "bin"
 
 
 def test_an_arm_folded_into_itself_is_told(tmp_path):
@@ -112,6 +114,18 @@ def test_a_urdf_file_is_the_robot_that_it_says(tmp_path):
         (None, "no robot 'arm.urdf': choose one of ur5e, diana7"),
         ("<robot", "arm.urdf"),
         (urdf(ARMS["ur5e"]).replace("flange", "hand"), "no link called flange"),
+        (
+            urdf(ARMS["ur5e"]).replace('"revolute"', '"continuous"', 1),
+            "joint1 turns without end, which is not known here: give it the type revolute",
+        ),
+        (
+            re.sub('velocity="[^"]*"', 'velocity="0"', urdf(ARMS["ur5e"]), count=1),
+            "joint1 has no speed: give its limit a velocity above 0",
+        ),
+        (
+            re.sub("<sphere [^>]*>", '<mesh filename="gone.stl" />', urdf(ARMS["ur5e"]), count=1),
+            "gone.stl could not be found",
+        ),
     ],
 )
 def test_a_wrong_robot_is_refused_in_one_line(tmp_path, content, told):

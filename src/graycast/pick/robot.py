@@ -27,11 +27,15 @@ ACCELERATION_RAD_S2 = 6.0
 @final
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Obstacle:
-    """Something convex or a box in the robot's base frame, as Coal knows it."""
+    """Something convex or a box in the robot's base frame, as Coal knows it.
+
+    What `carries` the robot may touch its base.
+    """
 
     name: str
     shape: Any
     T_base_shape: Float[np.ndarray, "4 4"]
+    carries: bool = False
 
 
 @final
@@ -45,6 +49,7 @@ class Robot:
         self._flange = model.getFrameId("flange")
         self.home = home
         self._own_pairs()
+        self._placed = geometry.createData()  # after the pairs, of which it holds the results
 
     @property
     def low(self) -> Joints:
@@ -113,15 +118,14 @@ class Robot:
         import coal
         import pinocchio as pin
 
-        data = self._geometry.createData()
-        if pin.computeCollisions(self._model, self._data, self._geometry, data, q, True):
+        if pin.computeCollisions(self._model, self._data, self._geometry, self._placed, q, True):
             return "itself"
         for number, thing in enumerate(self._geometry.geometryObjects):
-            placed = data.oMg[number]
+            placed = self._placed.oMg[number]
             here = coal.Transform3s(placed.rotation, placed.translation)
             for obstacle in obstacles:
-                if thing.parentJoint == 0 and obstacle.name == "table":
-                    continue  # what a robot stands on, it touches
+                if obstacle.carries and thing.parentJoint == 0:
+                    continue
                 T = obstacle.T_base_shape
                 there = coal.Transform3s(T[:3, :3], T[:3, 3])
                 result = coal.CollisionResult()
@@ -164,8 +168,8 @@ def open_robot(text: str, *, folder: Path, home: Sequence[float | int] | None = 
     """A built-in arm by its name, or a URDF file relative to a folder.
 
     Raises:
-        ConfigError: no such robot, a file that is not read, no link `flange`, or a home that does
-            not fit the joints.
+        ConfigError: no such robot, a file that is not read, a joint without end or without speed,
+            no link `flange`, or a home that does not fit the joints.
     """
     import pinocchio as pin
 
@@ -188,6 +192,7 @@ def open_robot(text: str, *, folder: Path, home: Sequence[float | int] | None = 
             )
         except (ValueError, RuntimeError) as error:
             raise ConfigError(f"robot {path}: {str(error).strip()}") from error
+    _check_joints(text, model)
     if not model.existFrame("flange"):
         raise ConfigError(f"robot {text}: has no link called flange, to which the tool is mounted")
     home = np.zeros(model.nq) if home is None else np.array(home, float)
@@ -202,3 +207,21 @@ def open_robot(text: str, *, folder: Path, home: Sequence[float | int] | None = 
             f"{low[i]:.3f} to {high[i]:.3f}"
         )
     return Robot(text, model, geometry, home)
+
+
+def _check_joints(text: str, model: Any) -> None:
+    """Each joint has one number, between limits, and may move.
+
+    Raises:
+        ConfigError: one has not.
+    """
+    for name, joint in list(zip(model.names, model.joints, strict=True))[1:]:
+        if joint.nq != 1:
+            raise ConfigError(
+                f"robot {text}: {name} turns without end, which is not known here: give it the "
+                "type revolute and limits"
+            )
+        if not model.velocityLimit[joint.idx_v] > 0:
+            raise ConfigError(
+                f"robot {text}: {name} has no speed: give its limit a velocity above 0"
+            )

@@ -90,7 +90,6 @@ def lift(
     heap = open_heap(Terms(speed_m_s=SPEED_M_S), box, kinds, T_world_part, part_index)
     spring = _Spring.of(hold, bodies[part_index[number]])
     least, worst, lost_s = math.inf, (np.zeros(3), np.zeros(3)), None
-    heap.damp(0.0)
     for step, target in enumerate(T_world_tool):
         if lost_s is None:
             before = T_world_tool[max(step - 1, 0)]

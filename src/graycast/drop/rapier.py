@@ -85,11 +85,8 @@ class Heap:
     def motion(self, number: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """A part's pose, its origin's velocity [m/s], and how it turns [rad/s], in the world."""
         body = self.world.rigid_bodies[self.parts[number]]
-        q = body.position.rotation
-        R = rotation_from_quaternion(np.array([q.i, q.j, q.k, q.w]))
-        T = rigid(R, np.array(body.position.translation.to_tuple()) / SCALE)
         at_origin = body.velocity_at_point(body.position.translation.to_tuple())
-        return T, _three(at_origin) / SCALE, _three(body.angvel)
+        return _pose(body), _three(at_origin) / SCALE, _three(body.angvel)
 
     def push(
         self, number: int, force_n: Float[np.ndarray, "3"], moment_nm: Float[np.ndarray, "3"]
@@ -109,12 +106,9 @@ class Heap:
             body.angular_damping = ANGULAR_DAMPING * factor
 
     def poses(self) -> Float[np.ndarray, "n 4 4"]:
-        T = np.tile(np.eye(4), (len(self.parts), 1, 1))
+        T = np.empty((len(self.parts), 4, 4))
         for i, handle in enumerate(self.parts):
-            position = self.world.rigid_bodies[handle].position
-            q = position.rotation
-            T[i, :3, :3] = rotation_from_quaternion(np.array([q.i, q.j, q.k, q.w]))
-            T[i, :3, 3] = np.array(position.translation.to_tuple()) / SCALE
+            T[i] = _pose(self.world.rigid_bodies[handle])
         return T
 
 
@@ -248,6 +242,12 @@ def _mass_properties(body: Body) -> rapier3d.MassProperties:
     return rapier3d.MassProperties(
         tuple(body.center_m * SCALE), body.mass_kg, tuple(moments), _rotation(axes)
     )
+
+
+def _pose(body: rapier3d.RigidBody) -> Float[np.ndarray, "4 4"]:
+    q = body.position.rotation
+    R = rotation_from_quaternion(np.array([q.i, q.j, q.k, q.w]))
+    return rigid(R, np.array(body.position.translation.to_tuple()) / SCALE)
 
 
 def _three(vector: object) -> Float[np.ndarray, "3"]:

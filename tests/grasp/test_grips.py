@@ -20,6 +20,7 @@ from graycast.grasp import (
     suction_in_depth,
 )
 from graycast.optics import Optics, rays
+from graycast.parts import Mesh
 
 CUP = Cup(radius_m=0.008, height_m=0.012, vacuum_pa=50e3, friction=0.5)
 SURE = Doubt(position_m=0.0, angle_rad=0.0, friction_share=0.0, center_m=0.0)
@@ -28,7 +29,7 @@ SIDES_M = (0.040, 0.030, 0.020)
 
 
 def mesh_of(body):
-    return np.array(body.vertices), np.array(body.faces)
+    return Mesh(vertices_m=np.array(body.vertices), faces=np.array(body.faces))
 
 
 def box(sides=SIDES_M):
@@ -37,7 +38,7 @@ def box(sides=SIDES_M):
 
 def test_suction_grips_of_a_box_stand_a_cup_s_radius_inside_its_faces():
     grips = suction_grips(
-        *box(), CUP, weight_n=0.5, center_m=np.zeros(3), doubt=SURE, count=250, seed=1
+        box(), CUP, weight_n=0.5, center_m=np.zeros(3), doubt=SURE, count=250, seed=1
     )
     half = np.array(SIDES_M) / 2
     for grip in grips:
@@ -62,7 +63,7 @@ def test_robustness_is_the_chance_that_a_normal_law_gives():
     left_m = 1.0e-3
     plate = mesh_of(trimesh.creation.box((0.1, 0.1, 0.002)))
     T = rigid(np.eye(3), np.array([0.05 - CUP.radius_m - left_m, 0.0, 0.001]))
-    patch = patch_of_mesh(*plate, T, radius_m=0.012, step_m=0.2e-3)
+    patch = patch_of_mesh(plate, T, radius_m=0.012, step_m=0.2e-3)
     burden = Burden(weight_n=0.1, center_m=np.zeros(3), down=np.array([0, 0, -1.0]))
     doubt = Doubt(position_m=1e-3, angle_rad=0.0, friction_share=0.0, center_m=0.0)
     share = robustness(CUP, patch, [burden], doubt, seed=0, chances=500)
@@ -75,7 +76,7 @@ def test_a_heavy_part_is_gripped_near_its_centre_of_mass():
     long = box((0.2, 0.03, 0.02))
     weight_n = 2.0
     grips = suction_grips(
-        *long, CUP, weight_n=weight_n, center_m=np.zeros(3), doubt=SURE, count=500, seed=2
+        long, CUP, weight_n=weight_n, center_m=np.zeros(3), doubt=SURE, count=500, seed=2
     )
     top = [g.T_part_tool for g in grips if abs(g.T_part_tool[2, 2]) > 0.9]
     load_n = 1.5 * weight_n
@@ -89,11 +90,11 @@ JAWS = Jaws(opening_m=0.05, force_n=40.0, friction=0.3, finger_m=(0.006, 0.010, 
 
 
 def test_jaw_grips_of_a_box_close_on_parallel_faces_that_fit():
-    grips = jaw_grips(*box(), JAWS, weight_n=0.5, center_m=np.zeros(3), doubt=SURE, count=120)
+    grips = jaw_grips(box(), JAWS, weight_n=0.5, center_m=np.zeros(3), doubt=SURE, count=120)
     openings = {round(1e3 * grip.opening_m, 6) for grip in grips}
     assert openings == {20.0, 30.0, 40.0}
     narrow = Jaws(opening_m=0.035, force_n=40.0, friction=0.3, finger_m=(0.006, 0.010, 0.040))
-    grips = jaw_grips(*box(), narrow, weight_n=0.5, center_m=np.zeros(3), doubt=SURE, count=120)
+    grips = jaw_grips(box(), narrow, weight_n=0.5, center_m=np.zeros(3), doubt=SURE, count=120)
     # 2 mm of room on both sides: of 20 and 30 mm both fit into 35 mm, 40 mm does not.
     assert {round(1e3 * grip.opening_m, 6) for grip in grips} == {20.0, 30.0}
 
@@ -108,9 +109,9 @@ def test_no_finger_stands_in_the_part():
         ),
     ]
     u = mesh_of(trimesh.boolean.union(walls))
-    grips = jaw_grips(*u, JAWS, weight_n=0.3, center_m=np.zeros(3), doubt=SURE, count=300)
+    grips = jaw_grips(u, JAWS, weight_n=0.3, center_m=np.zeros(3), doubt=SURE, count=300)
     assert any(grip.opening_m == pytest.approx(0.003) for grip in grips)  # round one wall
-    points = trimesh.sample.sample_surface(trimesh.Trimesh(*u), 5000, seed=1)[0]
+    points = trimesh.sample.sample_surface(trimesh.Trimesh(u.vertices_m, u.faces), 5000, seed=1)[0]
     for grip in grips[:50]:
         local = (points - grip.T_part_tool[:3, 3]) @ grip.T_part_tool[:3, :3]
         beside = np.abs(np.abs(local[:, 0]) - grip.opening_m / 2 - 0.003) < 0.0028

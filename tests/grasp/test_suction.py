@@ -10,6 +10,7 @@ from scipy.optimize import brentq
 from graycast.frames import axis_rotation, rigid
 from graycast.grasp import Cup, load_factor, patch_of_depth, patch_of_mesh, seal
 from graycast.optics import Optics, rays
+from graycast.parts import Mesh
 
 CUP = Cup(radius_m=0.010, height_m=0.012, vacuum_pa=50e3, friction=0.4)
 STEP_M = 0.2e-3
@@ -17,9 +18,8 @@ CAMERA = Optics(width_px=200, height_px=160, fx_px=600.0, fy_px=600.0, cx_px=99.
 
 
 def under(mesh, T_mesh_tool):
-    return patch_of_mesh(
-        np.array(mesh.vertices), np.array(mesh.faces), T_mesh_tool, radius_m=0.011, step_m=STEP_M
-    )
+    shape = Mesh(vertices_m=np.array(mesh.vertices), faces=np.array(mesh.faces))
+    return patch_of_mesh(shape, T_mesh_tool, radius_m=0.011, step_m=STEP_M)
 
 
 def at(x=0.0, y=0.0, z=0.0):

@@ -1,9 +1,9 @@
-"""A grip: where a tool goes on a part, and places to try on its surface."""
+"""A grip: where a tool goes on a part, and how it may lean there."""
 
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Float
 
 from ..frames import rigid
 
@@ -23,24 +23,6 @@ class Grip:
 
     def __post_init__(self) -> None:
         self.T_part_tool.flags.writeable = False
-
-
-def surface_points(
-    vertices_m: Float[np.ndarray, "v 3"],
-    faces: Int[np.ndarray, "f 3"],
-    count: int,
-    rng: np.random.Generator,
-) -> tuple[Float[np.ndarray, "n 3"], Float[np.ndarray, "n 3"]]:
-    """Points and outward normals, evenly over the area."""
-    corner = vertices_m[faces]
-    cross = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
-    area = np.linalg.norm(cross, axis=1)
-    face = rng.choice(len(faces), size=count, p=area / area.sum())
-    u, v = rng.random((2, count, 1))
-    over = u + v > 1
-    u, v = np.where(over, 1 - u, u), np.where(over, 1 - v, v)
-    a, b, c = np.moveaxis(corner[face], 1, 0)
-    return a + u * (b - a) + v * (c - a), cross[face] / area[face, None]
 
 
 def frame_on(point_m: Float[np.ndarray, "3"], normal: Float[np.ndarray, "3"]) -> np.ndarray:

@@ -5,10 +5,12 @@ from typing import no_type_check
 
 import numba
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Float
 
 from ..frames import rigid
-from .grip import Grip, downs, surface_points
+from ..parts import Mesh
+from ..parts.sampling import spread_points
+from .grip import Grip, downs
 from .robust import SHAKE, Doubt
 
 CLEARANCE_M = 2e-3  # between each open finger and the part
@@ -66,8 +68,7 @@ def jaw_load_factor(
 
 
 def jaw_grips(
-    vertices_m: Float[np.ndarray, "v 3"],
-    faces: Int[np.ndarray, "f 3"],
+    mesh: Mesh,
     jaws: Jaws,
     *,
     weight_n: float,
@@ -85,25 +86,24 @@ def jaw_grips(
     burden is held, the least over an upright tool and one that leans to four sides.
 
     Args:
-        vertices_m: of the part's mesh, in its frame.
-        faces: of the mesh, counter-clockwise from outside.
+        mesh: of the part.
         jaws: the tool.
         weight_n: of the part.
         center_m: its centre of mass.
         doubt: what is not known.
         count: places that are tried, evenly over the surface.
         chances: of each grip.
-        seed: of places and chances.
+        seed: of the chances.
     """
     rng = np.random.default_rng(seed)
-    point, normal = surface_points(vertices_m, faces, count, rng)
-    probes = surface_points(vertices_m, faces, PROBES, rng)[0]
+    point, normal = spread_points(mesh, count)
+    probes = spread_points(mesh, PROBES)[0]
     off = rng.normal(size=(chances, 4))
     friction = jaws.friction * np.maximum(1 + doubt.friction_share * off[:, 0], 0)
-    a, b, c = np.moveaxis(vertices_m[faces], 1, 0)
+    a, b, c = np.moveaxis(mesh.vertices_m[mesh.faces].astype(np.float64), 1, 0)
     through_m, face = _far_side(point, -normal, a, b - a, c - a)
     outside_m, _ = _far_side(point, normal, a, b - a, c - a)
-    cross = np.cross(b - a, c - a)
+    cross = mesh.face_cross_m2
     far_normal = (cross / np.linalg.norm(cross, axis=1, keepdims=True))[face]
     slope = np.tan(np.arccos(np.clip(-np.einsum("ni,ni->n", far_normal, normal), 0, 1)))
     fits = (through_m > 1e-4) & (through_m + 2 * CLEARANCE_M <= jaws.opening_m)

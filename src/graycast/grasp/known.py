@@ -4,19 +4,18 @@ They are found once and carried to wherever the part lies by its pose.
 """
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Float
 
-from .grip import Grip, downs, frame_on, surface_points
-from .patch import patch_of_mesh
+from ..parts import Mesh
+from ..parts.sampling import spread_points
+from .grip import Grip, downs, frame_on
+from .patch import STEP_M, patch_of_mesh
 from .robust import Burden, Doubt, patch_radius_m, robustness
 from .suction import Cup
 
-STEP_M = 0.5e-3  # of the patch under a cup
-
 
 def suction_grips(
-    vertices_m: Float[np.ndarray, "v 3"],
-    faces: Int[np.ndarray, "f 3"],
+    mesh: Mesh,
     cup: Cup,
     *,
     weight_n: float,
@@ -31,23 +30,19 @@ def suction_grips(
     30 degrees to four sides, the least of the five: how the part will lie is not known yet.
 
     Args:
-        vertices_m: of the part's mesh.
-        faces: of the part's mesh.
+        mesh: of the part.
         cup: the tool.
         weight_n: of the part.
         center_m: its centre of mass.
         doubt: what is not known.
         count: places that are tried, evenly over the surface.
-        seed: of the places and the doubts.
+        seed: of the doubts.
     """
-    rng = np.random.default_rng(seed)
-    points, normals = surface_points(vertices_m, faces, count, rng)
+    points, normals = spread_points(mesh, count)
     held = []
     for point, normal in zip(points, normals, strict=True):
         T_part_tool = frame_on(point, normal)
-        patch = patch_of_mesh(
-            vertices_m, faces, T_part_tool, radius_m=patch_radius_m(cup, doubt), step_m=STEP_M
-        )
+        patch = patch_of_mesh(mesh, T_part_tool, radius_m=patch_radius_m(cup, doubt), step_m=STEP_M)
         center = T_part_tool[:3, :3].T @ (center_m - point)
         burdens = [Burden(weight_n=weight_n, center_m=center, down=down) for down in downs()]
         score = robustness(cup, patch, burdens, doubt, seed=seed)

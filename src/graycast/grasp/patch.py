@@ -10,10 +10,13 @@ from typing import no_type_check
 
 import numba
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Float
 
 from ..frames import inverse, transform_points
 from ..optics import Optics, project, rays
+from ..parts import Mesh
+
+STEP_M = 0.5e-3  # between the nodes under a tool that is tried
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -47,31 +50,35 @@ class Patch:
         """How far the grid goes from the axis along x and y."""
         return (len(self.height_m) // 2) * self.step_m
 
+    @property
+    def node_m(self) -> Float[np.ndarray, "n n 2"]:
+        """x and y of each node."""
+        n = len(self.height_m) // 2
+        y, x = np.mgrid[-n : n + 1, -n : n + 1] * self.step_m
+        return np.stack([x, y], axis=-1)
+
     def open_share(
         self, radius_m: float, about_m: Float[np.ndarray, "k 2"]
     ) -> Float[np.ndarray, "k"]:
         """The share of missing nodes within a radius about each place."""
-        n = len(self.height_m) // 2
-        y, x = np.mgrid[-n : n + 1, -n : n + 1] * self.step_m
-        node = np.stack([x, y], axis=-1).reshape(-1, 2)
         missing = np.isnan(self.height_m).ravel()
         if not missing.any():
             return np.zeros(len(about_m))
+        node = self.node_m.reshape(-1, 2)
         inside = np.linalg.norm(node - about_m[:, None], axis=-1) <= radius_m * (1 + 1e-9)
         return (inside & missing).sum(axis=1) / inside.sum(axis=1)
 
 
 def patch_of_mesh(
-    vertices_m: Float[np.ndarray, "v 3"],
-    faces: Int[np.ndarray, "f 3"],
+    mesh: Mesh,
     T_mesh_tool: Float[np.ndarray, "4 4"],
     *,
     radius_m: float,
     step_m: float,
 ) -> Patch:
     """What a mesh shows to a tool that comes along its axis: the highest surface everywhere."""
-    seen = transform_points(inverse(T_mesh_tool), vertices_m)
-    return _patch(seen[faces], radius_m, step_m)
+    seen = transform_points(inverse(T_mesh_tool), mesh.vertices_m.astype(np.float64))
+    return _patch(seen[mesh.faces], radius_m, step_m)
 
 
 def patch_of_depth(

@@ -12,11 +12,10 @@ from jaxtyping import Bool, Float
 
 from ..optics import Optics, rays
 from .grip import frame_on
-from .patch import patch_of_depth
+from .patch import STEP_M, patch_of_depth
 from .robust import Burden, Doubt, patch_radius_m, robustness
 from .suction import Cup
 
-STEP_M = 0.5e-3  # of the patch under a cup
 ROUNDS = 3
 ELITE_SHARE = 0.25
 
@@ -129,17 +128,13 @@ def _normal(
 
     It looks at the camera. None where fewer than ten points lie there.
     """
-    patch = patch_of_depth(
-        depth_m, camera, frame_on(point, -point / np.linalg.norm(point)),
-        radius_m=radius_m, step_m=radius_m / 8,
-    )  # fmt: skip
-    n = len(patch.height_m) // 2
-    y, x = np.mgrid[-n : n + 1, -n : n + 1] * patch.step_m
+    T_cam_eye = frame_on(point, -point / np.linalg.norm(point))
+    patch = patch_of_depth(depth_m, camera, T_cam_eye, radius_m=radius_m, step_m=radius_m / 8)
+    x, y = np.moveaxis(patch.node_m, -1, 0)
     held = np.isfinite(patch.height_m) & (np.hypot(x, y) <= radius_m)
     if held.sum() < 10:
         return None
     at = np.stack([x[held], y[held], np.ones(held.sum())], axis=-1)
     slope_x, slope_y, _ = np.linalg.lstsq(at, patch.height_m[held], rcond=None)[0]
-    R = frame_on(point, -point / np.linalg.norm(point))[:3, :3]
-    normal = R @ np.array([-slope_x, -slope_y, 1.0])
+    normal = T_cam_eye[:3, :3] @ np.array([-slope_x, -slope_y, 1.0])
     return normal / np.linalg.norm(normal)

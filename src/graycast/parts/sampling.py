@@ -37,9 +37,17 @@ def dense_points(
     mesh: Mesh, step_m: float, *, most: int
 ) -> tuple[Float[np.ndarray, "n 3"], Float[np.ndarray, "n 3"]]:
     """The same quickly, for many points: `step_m` apart in the mean, some nearer and farther."""
+    area_m2 = float(np.linalg.norm(mesh.face_cross_m2, axis=1).sum()) / 2
+    return spread_points(mesh, int(np.clip(area_m2 / step_m**2, 200, most)))
+
+
+def spread_points(
+    mesh: Mesh, count: int
+) -> tuple[Float[np.ndarray, "n 3"], Float[np.ndarray, "n 3"]]:
+    """So many points, with equal shares of the area, and the faces' outward normals there."""
     cross = mesh.face_cross_m2
     area = np.linalg.norm(cross, axis=1) / 2
-    point, face = _candidates(mesh, area, int(np.clip(area.sum() / step_m**2, 200, most)))
+    point, face = _candidates(mesh, area, count)
     return point, cross[face] / (2 * area[face, None])
 
 

@@ -106,10 +106,10 @@ def _first_problem(error: ValidationError, model: type[Settings]) -> str:
     inside = {problem["loc"][:-depth] for problem in problems for depth in range(1, 8)}
     problems = [p for p in problems if p["type"] != "too_short" or p["loc"] not in inside]
     # A misspelt key goes first, because it explains the one that is missing.
-    first = next((p for p in problems if p["type"] == "extra_forbidden"), problems[0])
+    first = next((p for p in problems if p["type"] in _UNKNOWN), problems[0])
     key = ".".join(_place(model, first["loc"])[0]) or "the file"
     more = f" (and {len(problems) - 1} more)" if len(problems) > 1 else ""
-    if first["type"] == "extra_forbidden":
+    if first["type"] in _UNKNOWN:
         known = _place(model, first["loc"][:-1])[1]
         near = difflib.get_close_matches(str(first["loc"][-1]), known, n=1)
         hint = f"did you mean {near[0]}?" if near else f"the keys are {', '.join(known)}"
@@ -120,6 +120,10 @@ def _first_problem(error: ValidationError, model: type[Settings]) -> str:
     if isinstance(first["input"], Mapping):
         return f"{key}: {message}{more}"
     return f"{key} is {first['input']!r}: {message[0].lower()}{message[1:]}{more}"
+
+
+# What pydantic calls a key that a section, or a dataclass in its place, does not know.
+_UNKNOWN = ("extra_forbidden", "unexpected_keyword_argument")
 
 
 @cache

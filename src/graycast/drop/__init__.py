@@ -1,10 +1,13 @@
-"""Parts fall into the bin until they rest: `Scene -> Layout`."""
+"""Parts fall into the bin until they rest: `Scene -> Layout`; and one is lifted out again."""
 
+from .body import Body, parts_outside
 from .decomposition import Decomposition, OnStage, cache_folder, convex_hulls
 from .lift import Hold, Lift, lift
-from .settle import DropLimits, drop, flaws, hull_notes, prepare
+from .rest import simulate
+from .settle import DropLimits, drop, flaws, hull_notes, make_bodies, prepare
 
 __all__ = [
+    "Body",
     "Decomposition",
     "DropLimits",
     "Hold",
@@ -16,5 +19,8 @@ __all__ = [
     "flaws",
     "hull_notes",
     "lift",
+    "make_bodies",
+    "parts_outside",
     "prepare",
+    "simulate",
 ]

@@ -22,9 +22,9 @@ from .body import Body
 from .rapier import STEP_S, Kind, Terms, open_heap
 
 Vector3 = Float[np.ndarray, "3"]
-# A spring is stiff enough to keep a path and soft enough for the step: at most this share of
+# Springs are stiff enough to keep a path and soft enough for the step: at most these shares of
 # what one step can follow.
-MOST_STIFFNESS = 0.1
+MOST_STIFFNESS, MOST_DAMPING = 0.1, 0.5
 # Robots move faster than parts that are let down by hand.
 SPEED_M_S = 10.0
 
@@ -123,14 +123,21 @@ class _Spring:
 
     @staticmethod
     def of(hold: Hold, body: Body) -> "_Spring":
-        """Damped critically; no stiffer than a step can follow."""
+        """Damped critically; no stiffer than a step can follow.
+
+        A force beside the centre of mass turns the part, too: what it moves there is less than
+        the part's mass.
+        """
         least_moment = float(np.linalg.eigvalsh(body.inertia_kg_m2).min())
-        k = min(hold.stiffness_n_m, MOST_STIFFNESS * body.mass_kg / STEP_S**2)
+        cross = np.cross(np.eye(3), hold.T_part_tool[:3, 3] - body.center_m)
+        mobility = cross @ np.linalg.inv(body.inertia_kg_m2) @ cross.T + np.eye(3) / body.mass_kg
+        moved_kg = 1 / float(np.linalg.eigvalsh(mobility).max())
+        k = min(hold.stiffness_n_m, MOST_STIFFNESS * moved_kg / STEP_S**2)
         k_turn = min(hold.turning_nm, MOST_STIFFNESS * least_moment / STEP_S**2)
         return _Spring(
             T_part_tool=hold.T_part_tool,
             k=k,
-            c=2 * math.sqrt(k * body.mass_kg),
+            c=min(2 * math.sqrt(k * body.mass_kg), MOST_DAMPING * moved_kg / STEP_S),
             k_turn=k_turn,
             c_turn=2 * math.sqrt(k_turn * least_moment),
         )

@@ -1,6 +1,6 @@
 """Drops a scene's parts, judges the outcome and tries again with the next sub-seed."""
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -94,8 +94,7 @@ def drop(
     parts = tuple(scene.parts[kind] for kind in kinds)
     number = tuple(counts[kind] for kind in kinds)
     _check_sizes(scene.bin, parts)
-    prepared = prepare(parts, hull_folder=hull_folder, on_stage=on_stage)
-    bodies = tuple(body_of(part, made.hulls) for part, made in zip(parts, prepared, strict=True))
+    bodies = make_bodies(parts, hull_folder=hull_folder, on_stage=on_stage)
     _check_volume(scene.bin, bodies, number)
     corners_m = tuple(np.vstack([vertices for vertices, _ in body.hulls]) for body in bodies)
 
@@ -111,6 +110,18 @@ def drop(
             return replace(layout, part_index=kinds[index])
         tried.append(layout)
     raise DropError(_failure(scene.bin, sum(counts), tried, limits))
+
+
+def make_bodies(
+    parts: Sequence[Part], *, hull_folder: Path | None = None, on_stage: OnStage = silent
+) -> tuple[Body, ...]:
+    """Each kind of part as the engine needs it.
+
+    Raises:
+        ValueError, GraycastError: as of `convex_hulls` and `body_of`.
+    """
+    prepared = prepare(parts, hull_folder=hull_folder, on_stage=on_stage)
+    return tuple(body_of(part, made.hulls) for part, made in zip(parts, prepared, strict=True))
 
 
 def prepare(

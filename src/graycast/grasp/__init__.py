@@ -1,14 +1,16 @@
 """Where a part can be gripped: surfaces under a tool, seals of suction cups, what a grip holds."""
 
 from .grip import Grip
-from .jaws import Jaws, jaw_grips, jaw_load_factor
+from .jaws import CLEARANCE_M, Jaws, closing, jaw_grips, jaw_load_factor
 from .known import suction_grips
 from .patch import Patch, patch_of_depth, patch_of_mesh
-from .robust import Burden, Doubt, patch_radius_m, robustness
+from .robust import CARRIED_M_S2, Burden, Doubt, patch_radius_m, robustness
 from .suction import Cup, Seal, load_factor, seal
-from .unknown import suction_in_depth
+from .unknown import SeenGrip, suction_in_depth
 
 __all__ = [
+    "CARRIED_M_S2",
+    "CLEARANCE_M",
     "Burden",
     "Cup",
     "Doubt",
@@ -16,6 +18,8 @@ __all__ = [
     "Jaws",
     "Patch",
     "Seal",
+    "SeenGrip",
+    "closing",
     "jaw_grips",
     "jaw_load_factor",
     "load_factor",

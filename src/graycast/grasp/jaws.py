@@ -15,6 +15,7 @@ from .robust import SHAKE, Doubt
 
 CLEARANCE_M = 2e-3  # between each open finger and the part
 TURNS = 8  # ways round the pads' axis that are tried at each place
+PAD_LINES = 8  # on each of two rings, along which a pad is followed to the part
 PROBES = 3000  # points of the surface that no finger may hold within itself
 
 
@@ -124,6 +125,46 @@ def jaw_grips(
             if score > 0:
                 grips.append(Grip(T_part_tool=T, score=float(score), opening_m=float(through_m[i])))
     return sorted(grips, key=lambda grip: -grip.score)
+
+
+def closing(
+    mesh: Mesh, jaws: Jaws, T_mesh_tool: Float[np.ndarray, "4 4"]
+) -> tuple[float, float] | None:
+    """What jaws meet that close on a mesh: the middle between the pads, and the steeper slope.
+
+    Lines parallel to the jaws' axis through both pads are followed to the outermost surface on
+    either side. The slope is the tangent between the axis and the mean normal under a pad.
+
+    Returns:
+        How far aside the part's middle lies along x [m], and the slope; None where a pad meets
+        nothing.
+    """
+    around = 2 * np.pi * np.arange(PAD_LINES) / PAD_LINES
+    across = [np.zeros((1, 2))]
+    across += [
+        share * jaws.pad_radius_m * np.stack([np.cos(around), np.sin(around)], axis=-1)
+        for share in (0.5, 0.95)
+    ]
+    line = np.concatenate(across)
+    reach_m = jaws.opening_m  # beyond both open fingers
+    start = np.column_stack([np.full(len(line), -reach_m), line])
+    R = T_mesh_tool[:3, :3]
+    a, b, c = np.moveaxis(mesh.vertices_m[mesh.faces].astype(np.float64), 1, 0)
+    cross = mesh.face_cross_m2
+    outermost_m, slopes = [], []
+    for side in (1.0, -1.0):
+        origin = np.ascontiguousarray((start * [side, 1, 1]) @ R.T + T_mesh_tool[:3, 3])
+        way = np.ascontiguousarray(np.tile(side * R[:, 0], (len(line), 1)))
+        far_m, face = _far_side(origin, way, a, b - a, c - a)
+        hit = far_m >= 0
+        if hit.sum() < len(line) / 2:
+            return None
+        normal = cross[face[hit]] / np.linalg.norm(cross[face[hit]], axis=1, keepdims=True)
+        mean = R.T @ normal.mean(axis=0)
+        along = side * mean[0] / np.linalg.norm(mean)
+        slopes.append(float(np.tan(np.arccos(np.clip(along, 1e-6, 1)))))
+        outermost_m.append(side * float(far_m[hit].max() - reach_m))
+    return sum(outermost_m) / 2, max(slopes)
 
 
 def _closed_on(

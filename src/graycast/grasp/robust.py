@@ -9,7 +9,8 @@ from jaxtyping import Float
 from .patch import Patch
 from .suction import MOST_STRAIN, Cup, load_factor, seals
 
-SHAKE = 1.5  # times its weight that a part pulls while it is moved with half of gravity
+CARRIED_M_S2 = 0.5 * 9.81  # with which a held part is moved at most
+SHAKE = 1.5  # times its weight that a part pulls then at most
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -11,12 +11,16 @@ from itertools import pairwise
 
 import numpy as np
 from jaxtyping import Float
+from numpy.lib.stride_tricks import sliding_window_view
+from scipy.spatial.transform import Rotation
 
+from ..frames import rigid
 from .robot import ACCELERATION_RAD_S2, Joints, Obstacle, Robot
 
 CHECKED_RAD = 0.04  # apart at most are the poses of a path that are checked: 30 mm at 0.8 m
 MOST_CALLS = 20_000  # of the planner's end condition, before a way counts as not found
 SHORTCUTS = 60
+RISE_S = 0.12  # in which an acceleration is reached
 SPACED_RAD = 0.1  # between points of the spline that is driven
 
 Free = Callable[[Joints], bool]
@@ -36,6 +40,10 @@ class Trajectory:
     @property
     def seconds(self) -> float:
         return float(self.time_s[-1])
+
+    def at(self, time_s: float) -> Joints:
+        """Joint angles at a time, linear between those that are kept."""
+        return np.array([np.interp(time_s, self.time_s, joint) for joint in self.q.T])
 
 
 def plan(
@@ -123,7 +131,8 @@ def drive(
     """Along a way in the least time that speeds and accelerations of the joints allow.
 
     A spline through points `SPACED_RAD` apart follows the way, so that corners are rounded by less
-    than that. It starts and ends at rest.
+    than that. It starts and ends at rest. Accelerations rise and fall within `RISE_S`, as robots'
+    controllers let them: the mean over so long a time is driven, which is no faster anywhere.
     """
     import toppra
     import toppra.algorithm
@@ -143,8 +152,12 @@ def drive(
     ]
     solver = toppra.algorithm.TOPPRA(limits, path, parametrizer="ParametrizeConstAccel")
     driven = solver.compute_trajectory(0, 0)
-    time_s = np.append(np.arange(0.0, driven.duration, step_s), driven.duration)
-    return Trajectory(time_s=time_s, q=np.asarray(driven(time_s)))
+    window = round(RISE_S / step_s)
+    time_s = step_s * np.arange(int(np.ceil(driven.duration / step_s)) + 1)
+    q = np.asarray(driven(np.minimum(time_s, driven.duration)))
+    held = np.concatenate([np.repeat(q[:1], window, axis=0), q, np.repeat(q[-1:], window, axis=0)])
+    mean = sliding_window_view(held, window + 1, axis=0).mean(axis=-1)
+    return Trajectory(time_s=step_s * np.arange(len(mean)), q=mean)
 
 
 def _spaced(corners: Float[np.ndarray, "k joints"]) -> Float[np.ndarray, "n joints"]:
@@ -162,20 +175,21 @@ def straight(
     obstacles: Sequence[Obstacle],
     *,
     step_m: float = 0.01,
+    step_rad: float = 0.1,
 ) -> Float[np.ndarray, "k joints"] | None:
-    """Along a straight line of the flange without turning: approach and retreat of a tool.
+    """Along a straight line of the flange, turning evenly: approach and retreat of a tool.
 
-    The flange keeps its goal's orientation, which it must have at the start. None where a pose on
-    the line is out of reach, touches something, or would make a joint jump.
+    None where a pose on the line is out of reach, touches something, or would make a joint jump.
     """
     here = robot.flange(start)
-    away_m = float(np.linalg.norm(T_base_flange[:3, 3] - here[:3, 3]))
-    count = max(int(np.ceil(away_m / step_m)), 1)
+    away_m = T_base_flange[:3, 3] - here[:3, 3]
+    turn_rad = Rotation.from_matrix(T_base_flange[:3, :3] @ here[:3, :3].T).as_rotvec()
+    steps = max(np.linalg.norm(away_m) / step_m, np.linalg.norm(turn_rad) / step_rad)
+    count = max(int(np.ceil(steps)), 1)
     corners = [start]
     for i in range(1, count + 1):
-        T = T_base_flange.copy()
-        T[:3, 3] = here[:3, 3] + (T_base_flange[:3, 3] - here[:3, 3]) * i / count
-        q = robot.follow(T, corners[-1])
+        turned = Rotation.from_rotvec(turn_rad * i / count).as_matrix() @ here[:3, :3]
+        q = robot.follow(rigid(turned, here[:3, 3] + away_m * i / count), corners[-1])
         if q is None or np.abs(q - corners[-1]).max() > 0.3:
             return None
         if robot.touches(q, obstacles) is not None:

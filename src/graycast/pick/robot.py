@@ -39,6 +39,16 @@ class Obstacle:
 
 
 @final
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Mounted:
+    """A piece of a tool: something convex, as Coal knows it, in the flange's frame."""
+
+    name: str
+    shape: Any
+    T_flange_shape: Float[np.ndarray, "4 4"]
+
+
+@final
 class Robot:
     """An opened robot; its calls do not change it."""
 
@@ -50,6 +60,19 @@ class Robot:
         self.home = home
         self._own_pairs()
         self._placed = geometry.createData()  # after the pairs, of which it holds the results
+
+    def mount(self, pieces: Sequence[Mounted]) -> "Robot":
+        """The same arm with a tool at its flange."""
+        import pinocchio as pin
+
+        geometry = self._geometry.copy()
+        flange = self._model.frames[self._flange]
+        for piece in pieces:
+            placed = flange.placement * pin.SE3(piece.T_flange_shape)
+            geometry.addGeometryObject(
+                pin.GeometryObject(piece.name, flange.parentJoint, placed, piece.shape)
+            )
+        return Robot(self.name, self._model, geometry, self.home)
 
     @property
     def low(self) -> Joints:
@@ -115,23 +138,16 @@ class Robot:
 
     def touches(self, q: Joints, obstacles: Sequence[Obstacle]) -> str | None:
         """What the arm is in at joint angles: itself, or the first obstacle; None where free."""
-        import coal
         import pinocchio as pin
 
         if pin.computeCollisions(self._model, self._data, self._geometry, self._placed, q, True):
             return "itself"
         for number, thing in enumerate(self._geometry.geometryObjects):
-            placed = self._placed.oMg[number]
-            here = coal.Transform3s(placed.rotation, placed.translation)
+            placed = self._placed.oMg[number].homogeneous
             for obstacle in obstacles:
                 if obstacle.carries and thing.parentJoint == 0:
                     continue
-                T = obstacle.T_base_shape
-                there = coal.Transform3s(T[:3, :3], T[:3, 3])
-                result = coal.CollisionResult()
-                if coal.collide(
-                    thing.geometry, here, obstacle.shape, there, coal.CollisionRequest(), result
-                ):
+                if _meets(thing.geometry, placed, obstacle):
                     return obstacle.name
         return None
 
@@ -155,6 +171,31 @@ class Robot:
         ]
         for one, other in touching:
             geometry.removeCollisionPair(pin.CollisionPair(one, other))
+
+
+def tool_touches(
+    pieces: Sequence[Mounted],
+    T_base_flange: Float[np.ndarray, "4 4"],
+    obstacles: Sequence[Obstacle],
+) -> str | None:
+    """What a tool alone is in, wherever the arm is; None where it is free."""
+    for piece in pieces:
+        for obstacle in obstacles:
+            if _meets(piece.shape, T_base_flange @ piece.T_flange_shape, obstacle):
+                return obstacle.name
+    return None
+
+
+def _meets(shape: Any, T_base_shape: Float[np.ndarray, "4 4"], obstacle: Obstacle) -> bool:
+    import coal
+
+    T = obstacle.T_base_shape
+    here = coal.Transform3s(T_base_shape[:3, :3], T_base_shape[:3, 3])
+    there = coal.Transform3s(T[:3, :3], T[:3, 3])
+    result = coal.CollisionResult()
+    return bool(
+        coal.collide(shape, here, obstacle.shape, there, coal.CollisionRequest(), result)
+    )
 
 
 def _turned(q: Joints, near: Joints, low: Joints, high: Joints) -> Joints:

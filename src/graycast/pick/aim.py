@@ -1,0 +1,199 @@
+"""From a scan to grips: which parts are looked at, and where the tool could go on them."""
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from ..frames import pixel_grid, transform_points
+from ..grasp import Doubt, Grip, suction_in_depth
+from ..optics import Optics, rays
+from ..pose import PoseModel, find_pose, find_pose_in_box
+from ..scene import Bin
+from .tools import SuctionTool
+
+LEAST_AREA = 0.3  # of the largest detection's pixels, which a detection must have
+FLOOR_M = 3e-3  # what lies lower than this above the bin's floor is the floor
+WALL_M = 5e-3  # what lies nearer to a wall is the wall
+LEAST_POSE = 0.3  # a pose's score below which no grip is taken from it
+PLACES = 20  # in each round of the search for suction places, for each of three detections
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Target:
+    """Something in the picture that may be a part: its outline, or a box [x, y, columns, rows].
+
+    `kind` is its place among the cell's parts, None where nobody told. `T_cam_part` is the true
+    pose, where it is to be used.
+    """
+
+    kind: int | None
+    score: float
+    mask: Bool[np.ndarray, "h w"] | None = None
+    box_px: Float[np.ndarray, "4"] | None = None
+    T_cam_part: Float[np.ndarray, "4 4"] | None = None
+
+    def inside(self, shape: tuple[int, ...]) -> Bool[np.ndarray, "h w"]:
+        if self.mask is not None:
+            return self.mask
+        inside = np.zeros(shape, bool)
+        left, top, columns, rows = np.rint(self.box_px).astype(int)
+        inside[max(top, 0) : top + rows, max(left, 0) : left + columns] = True
+        return inside
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Aim:
+    """A grip in the world: where the tip goes, how sure it is, and where it comes from."""
+
+    T_world_tool: Float[np.ndarray, "4 4"]
+    score: float
+    target: Target
+    opening_m: float | None = None
+    T_part_tool: Float[np.ndarray, "4 4"] | None = None
+    T_cam_part: Float[np.ndarray, "4 4"] | None = None
+
+    @property
+    def place_m(self) -> Float[np.ndarray, "3"]:
+        return self.T_world_tool[:3, 3]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class View:
+    """What the robot acts on: depth [m], NaN where it is missing, from where."""
+
+    depth_m: Float[np.ndarray, "h w"]
+    camera: Optics
+    T_world_cam: Float[np.ndarray, "4 4"]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class KnownPart:
+    """A kind of part whose grips are known."""
+
+    model: PoseModel
+    grips: tuple[Grip, ...]
+
+
+def top_first(targets: Sequence[Target], view: View) -> list[Target]:
+    """Detections in the order in which a bin is emptied: what is seen well and lies high first."""
+    ray = rays(view.camera, pixel_grid(view.camera.height_px, view.camera.width_px))
+    area, height = [], []
+    for target in targets:
+        seen = target.inside(view.depth_m.shape) & np.isfinite(view.depth_m)
+        area.append(int(seen.sum()))
+        point = transform_points(view.T_world_cam, ray[seen] * view.depth_m[seen][:, None])
+        height.append(float(np.median(point[:, 2])) if len(point) else -np.inf)
+    least = LEAST_AREA * max(area, default=0)
+    order = sorted(range(len(targets)), key=lambda i: -height[i])
+    return [targets[i] for i in order if area[i] > 0 and area[i] >= least]
+
+
+def whole_bin(view: View, box: Bin) -> Bool[np.ndarray, "h w"]:
+    """Pixels that were measured inside the bin, above its floor: all that may be parts."""
+    ray = rays(view.camera, pixel_grid(view.camera.height_px, view.camera.width_px))
+    point = transform_points(view.T_world_cam, ray * np.nan_to_num(view.depth_m)[..., None])
+    half = np.array(box.inner_m[:2]) / 2 - WALL_M
+    inside = (np.abs(point[..., :2]) < half).all(axis=-1) & (point[..., 2] > FLOOR_M)
+    return inside & np.isfinite(view.depth_m)
+
+
+def aims_by_pose(
+    targets: Sequence[Target],
+    view: View,
+    known: Mapping[int, KnownPart],
+    *,
+    most_lean_rad: float,
+) -> list[Aim]:
+    """Grips of the models, carried to where the parts lie by their poses."""
+    aims = []
+    for target in targets:
+        part = known[0 if target.kind is None else target.kind]
+        T_cam_part = target.T_cam_part
+        if T_cam_part is None:
+            T_cam_part = _pose(part.model, target, view)
+        if T_cam_part is None:
+            continue
+        T_world_part = view.T_world_cam @ T_cam_part
+        for grip in part.grips:
+            T = T_world_part @ grip.T_part_tool
+            if T[2, 2] >= np.cos(most_lean_rad):
+                aims.append(
+                    Aim(
+                        T_world_tool=T,
+                        score=grip.score,
+                        target=target,
+                        opening_m=grip.opening_m,
+                        T_part_tool=grip.T_part_tool,
+                        T_cam_part=T_cam_part,
+                    )
+                )
+    return aims
+
+
+def _pose(model: PoseModel, target: Target, view: View) -> Float[np.ndarray, "4 4"] | None:
+    if target.mask is not None:
+        found = find_pose(model, view.depth_m, view.camera, target.mask)
+    else:
+        found = find_pose_in_box(model, view.depth_m, view.camera, target.box_px)
+    return None if found.score < LEAST_POSE else found.T_cam_part
+
+
+def aims_in_depth(
+    targets: Sequence[Target],
+    view: View,
+    tool: SuctionTool,
+    *,
+    weight_n: float,
+    doubt: Doubt,
+    most_lean_rad: float,
+    places: int,
+    seed: int,
+) -> list[Aim]:
+    """Suction on what was measured, with no model."""
+    down = view.T_world_cam[:3, :3].T @ np.array([0.0, 0.0, -1.0])
+    aims = []
+    for number, target in enumerate(targets):
+        grips = suction_in_depth(
+            view.depth_m,
+            view.camera,
+            target.inside(view.depth_m.shape),
+            tool.cup,
+            down=down,
+            weight_n=weight_n,
+            doubt=doubt,
+            most_lean_rad=most_lean_rad,
+            count=places,
+            seed=seed + number,
+        )
+        aims += [
+            Aim(T_world_tool=view.T_world_cam @ grip.T_cam_tool, score=grip.score, target=target)
+            for grip in grips
+        ]
+    return aims
+
+
+def best_first(aims: Sequence[Aim]) -> list[Aim]:
+    """Surest first; of those that are as sure to a tenth, the highest first."""
+    return sorted(aims, key=lambda aim: (-round(aim.score, 1), -float(aim.place_m[2])))
+
+
+def spread(aims: Sequence[Aim], apart_m: float) -> Iterator[Aim]:
+    """The same without those that are nearly one: a tip nearer than that, along about one axis."""
+    taken: list[Aim] = []
+    for aim in aims:
+        axis = aim.T_world_tool[:3, 2]
+        alike = any(
+            np.linalg.norm(aim.place_m - other.place_m) < apart_m
+            and axis @ other.T_world_tool[:3, 2] > 0.97
+            and (aim.opening_m is None or _same_turn(aim, other))
+            for other in taken
+        )
+        if not alike:
+            taken.append(aim)
+            yield aim
+
+
+def _same_turn(aim: Aim, other: Aim) -> bool:
+    return abs(float(aim.T_world_tool[:3, 0] @ other.T_world_tool[:3, 0])) > 0.9

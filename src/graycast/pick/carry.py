@@ -1,0 +1,163 @@
+"""What becomes of a grip: the tool is set down, the part is lifted and carried, the rest settle."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+from ..config import resolve_limits
+from ..drop import Lift, lift, parts_outside, simulate
+from ..drop.rapier import STEP_S
+from ..evaluate.pose_errors import rotation_translation
+from ..frames import inverse
+from ..scene import Layout
+from .aim import Aim
+from .choose import Choice
+from .outcome import TAKEN, WRONG_M, WRONG_RAD, Outcome
+from .ready import Ready
+from .robot import Joints
+from .tools import SuctionTool
+from .touch import Touch, touch
+from .ways import Ways
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class World:
+    """A bin between two attempts.
+
+    `numbers` are of the parts that lie in it, in the layout's order. `hand_eye` maps planned places
+    of the tip to true ones: the calibration's error. `q` is where the arm is, `tabu` where grips
+    failed since something was picked.
+    """
+
+    layout: Layout
+    numbers: Int[np.ndarray, "n"]
+    hand_eye: Float[np.ndarray, "4 4"]
+    q: Joints
+    tabu: tuple[Float[np.ndarray, "3"], ...] = ()
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Carried:
+    """How a grip ended; fields as of `Attempt`, but `part` is its place in the layout."""
+
+    outcome: Outcome
+    detail: str = ""
+    part: int | None = None
+    pose_error: tuple[float, float] | None = None
+    least_factor: float | None = None
+
+
+def carry_out(ready: Ready, world: World, choice: Choice) -> tuple[Carried, World]:
+    """Do what was chosen, in the true world."""
+    layout, aim = world.layout, choice.aim
+    met = touch(
+        ready.tool,
+        world.hand_eye @ aim.T_world_tool,
+        ready.kinds,
+        layout.T_world_part,
+        layout.part_index,
+        opening_m=aim.opening_m,
+    )
+    error = _pose_error(ready, layout, aim)
+    world = replace(world, q=choice.ways.away.q[-1])
+    if met.hold is None:
+        carried = Carried(
+            outcome=_blamed(met.outcome, error), detail=met.detail, part=met.part, pose_error=error
+        )
+        return carried, replace(world, tabu=(*world.tabu, aim.place_m))
+    lifted = lift(
+        ready.cell.cell.scene.bin,
+        ready.bodies,
+        layout.T_world_part,
+        layout.part_index,
+        met.part,
+        met.hold,
+        _path(ready, choice.ways, met.T_world_tool),
+    )
+    outside = parts_outside(
+        ready.cell.cell.scene.bin, ready.bodies, lifted.T_world_part, layout.part_index
+    )
+    carried = _told(ready, met, lifted, outside, error)
+    gone = outside.copy()
+    gone[met.part] |= lifted.lost_s is None
+    tabu = () if carried.outcome in TAKEN else (*world.tabu, aim.place_m)
+    return carried, replace(_settled(ready, world, lifted.T_world_part, ~gone), tabu=tabu)
+
+
+def _told(
+    ready: Ready,
+    met: Touch,
+    lifted: Lift,
+    outside: Bool[np.ndarray, "n"],
+    error: tuple[float, float] | None,
+) -> Carried:
+    others = int(outside.sum()) - int(outside[met.part])
+    if lifted.lost_s is not None:
+        is_cup = isinstance(ready.tool, SuctionTool)
+        outcome = _blamed(Outcome.LOST_SEAL if is_cup else Outcome.SLIPPED, error)
+        pull, turn = np.linalg.norm(lifted.force_n), np.linalg.norm(lifted.moment_nm)
+        detail = f"after {lifted.lost_s:.2f} s, by {pull:.1f} N and {turn:.2f} Nm"
+    else:
+        outcome = Outcome.TWO_AT_ONCE if others else Outcome.PICKED
+        detail = f"{others} more" if others else ""
+    return Carried(
+        outcome=outcome,
+        detail=detail,
+        part=met.part,
+        pose_error=error,
+        least_factor=float(lifted.least_factor),
+    )
+
+
+def _path(
+    ready: Ready, ways: Ways, T_world_tool: Float[np.ndarray, "4 4"]
+) -> Float[np.ndarray, "t 4 4"]:
+    """Where the tool truly goes with the part, a pose for each step of the engine.
+
+    Args:
+        T_world_tool: where it truly is at the start, which the arm's own account differs from.
+    """
+    T_tip_true = inverse(ready.tip(ways.down.q[-1])) @ T_world_tool
+    poses = []
+    for way in (ways.up, ways.away):
+        count = max(round(way.seconds / STEP_S), 1)
+        poses += [ready.tip(way.at(way.seconds * i / count)) @ T_tip_true for i in range(count)]
+    return np.stack(poses)
+
+
+def _settled(
+    ready: Ready, world: World, T_world_part: Float[np.ndarray, "n 4 4"], kept: np.ndarray
+) -> World:
+    """What is left, at rest again; what falls out of the bin meanwhile is gone, too."""
+    box, limits = ready.cell.cell.scene.bin, resolve_limits(ready.cell.config)
+    numbers, index, poses = world.numbers[kept], world.layout.part_index[kept], T_world_part[kept]
+    if not len(numbers):
+        return replace(world, numbers=numbers, layout=Layout(T_world_part=poses, part_index=index))
+    rested = simulate(box, ready.bodies, poses, index, simulated_s=limits.simulated_s)
+    inside = ~parts_outside(box, ready.bodies, rested.T_world_part, index)
+    layout = replace(
+        rested, T_world_part=rested.T_world_part[inside], part_index=index[inside], outside=0
+    )
+    return replace(world, numbers=numbers[inside], layout=layout)
+
+
+def _pose_error(ready: Ready, layout: Layout, aim: Aim) -> tuple[float, float] | None:
+    """Of the pose that a grip came from, against the nearest part of its kind."""
+    if aim.T_cam_part is None or aim.target.kind is None:
+        return None
+    scene, kind = ready.cell.cell.scene, aim.target.kind
+    T = scene.T_world_cam @ aim.T_cam_part
+    alike = layout.T_world_part[layout.part_index == kind]
+    if not len(alike):
+        return None
+    middle = scene.parts[kind].mesh.bounds_m.mean(axis=0)
+    apart = np.linalg.norm((alike - T)[:, :3] @ np.append(middle, 1.0), axis=1)
+    true = alike[int(np.argmin(apart))]
+    return rotation_translation(T, true, ready.alike[kind], middle_m=middle)
+
+
+def _blamed(outcome: Outcome, error: tuple[float, float] | None) -> Outcome:
+    """A pose that was off is the reason of what followed."""
+    off = error is not None and (error[0] > WRONG_RAD or error[1] > WRONG_M)
+    return Outcome.WRONG_POSE if off else outcome

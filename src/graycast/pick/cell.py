@@ -1,0 +1,58 @@
+"""A robot's cell with its files read: what all bins share, and may travel to a worker."""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float
+
+from ..cell import Cell, resolve_cell
+from ..drop import OnStage
+from ..errors import ConfigError
+from ..frames import axis_rotation, rigid
+from .sections import PickConfig
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PickCell:
+    """The part of a cell that drops and scans, and what the robot's sections say of the rest.
+
+    `folder` is where relative paths start.
+    """
+
+    cell: Cell
+    config: PickConfig
+    folder: Path
+
+    @property
+    def T_world_base(self) -> Float[np.ndarray, "4 4"]:
+        robot = self.config.robot
+        turn = axis_rotation("z", np.radians(robot.base_yaw_deg))
+        return rigid(turn, np.array(robot.base_m, dtype=np.float64))
+
+    @property
+    def detector(self) -> Path | None:
+        """The folder of a trained detector; None where it is truth or none."""
+        named = self.config.picking.detector
+        return None if named in ("truth", "none") else self.folder / named
+
+
+def resolve_pick_cell(
+    config: PickConfig, folder: Path, *, on_stage: OnStage = lambda stage: None
+) -> PickCell:
+    """Read what a robot's cell names; `folder` is where its relative paths start.
+
+    Raises:
+        GraycastError, ValueError: a file or a value that cannot be used, named.
+    """
+    cell = PickCell(
+        cell=resolve_cell(config, folder, on_stage=on_stage), config=config, folder=folder
+    )
+    place_m = np.array(config.picking.place_m)
+    half = np.array(cell.cell.scene.bin.bounds_m)
+    if ((place_m[:2] > half[0, :2]) & (place_m[:2] < half[1, :2])).all():
+        raise ConfigError(
+            f"picking.place_m is {config.picking.place_m}, over the bin itself: give a place "
+            "beside it"
+        )
+    return cell

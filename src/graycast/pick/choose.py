@@ -1,0 +1,182 @@
+"""Which grip is taken: the surest that can be reached, of the parts that lie highest."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float
+
+from ..frames import inverse, transform_points
+from ..grasp import CLEARANCE_M, Doubt
+from .aim import (
+    PLACES,
+    Aim,
+    Target,
+    View,
+    aims_by_pose,
+    aims_in_depth,
+    best_first,
+    spread,
+    top_first,
+)
+from .clock import Clock
+from .heap import measured_heap
+from .obstacles import heap_obstacle
+from .outcome import Outcome
+from .ready import Ready
+from .robot import Joints, Mounted, Obstacle, tool_touches
+from .tools import pieces
+from .ways import Blocked, Load, Ways, ways
+
+TABU_M = 0.015  # about a grip that failed, where none is tried before something was picked
+ALIKE_M = 0.008  # grips nearer than this are one, as far as planning goes
+LEAST_UP_M = 0.02
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Choice:
+    """A grip, and the arm's ways there and away with the part."""
+
+    aim: Aim
+    ways: Ways
+
+
+def choose(
+    ready: Ready,
+    view: View,
+    found: Sequence[Target],
+    q: Joints,
+    tabu: Sequence[Float[np.ndarray, "3"]],
+    *,
+    seed: int,
+    clock: Clock,
+) -> Choice | Blocked:
+    """A grip for what was found; or why there is none.
+
+    Args:
+        q: joint angles where the arm is.
+        tabu: where grips failed before.
+        seed: of places and plans.
+    """
+    picking = ready.cell.config.picking
+    order = top_first(found, view)
+    why, planned = Blocked(outcome=Outcome.NOTHING_FOUND), 0
+    heaps = _Heaps(ready, view)
+    for start in range(0, len(order), picking.targets):
+        with clock("grips"):
+            aims = _aims(ready, order[start : start + picking.targets], view, seed)
+        fresh = [aim for aim in aims if not _near(aim.place_m, tabu)]
+        if aims and not fresh and why.outcome is Outcome.NOTHING_FOUND:
+            why = Blocked(outcome=Outcome.GIVEN_UP)
+        for aim in spread(best_first(fresh), ALIKE_M):
+            with clock("plan"):
+                heap = heaps.of(aim)
+                blocked = _blocked_tool(ready, aim, heap)
+                tried = blocked or _ways(ready, q, aim, heap, seed)
+            if isinstance(tried, Ways):
+                return Choice(aim=aim, ways=tried)
+            why, planned = tried, planned + (blocked is None)
+            if planned == picking.grips:
+                return why
+    return why
+
+
+def _near(place_m: Float[np.ndarray, "3"], tabu: Sequence[Float[np.ndarray, "3"]]) -> bool:
+    return any(np.linalg.norm(place_m - failed) < TABU_M for failed in tabu)
+
+
+def _aims(ready: Ready, found: Sequence[Target], view: View, seed: int) -> list[Aim]:
+    picking = ready.cell.config.picking
+    lean_rad = float(np.radians(picking.most_lean_deg))
+    if picking.knows == "part":
+        return aims_by_pose(found, view, ready.known, most_lean_rad=lean_rad)
+    return aims_in_depth(
+        found,
+        view,
+        ready.tool,
+        weight_n=ready.weight_n,
+        doubt=Doubt(),
+        most_lean_rad=lean_rad,
+        places=PLACES * (picking.targets if picking.detector == "none" else 1),
+        seed=seed,
+    )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Heap:
+    obstacle: Obstacle
+    highest_m: float
+
+
+class _Heaps:
+    """What was measured, for fingers without the part that they are to close round."""
+
+    def __init__(self, ready: Ready, view: View) -> None:
+        self._ready, self._view = ready, view
+        self._made: dict[int, _Heap] = {}
+
+    def of(self, aim: Aim) -> _Heap:
+        key = -1 if aim.opening_m is None else id(aim.target)  # targets outlive the choice
+        if key not in self._made:
+            self._made[key] = self._make(aim)
+        return self._made[key]
+
+    def _make(self, aim: Aim) -> _Heap:
+        view = self._view
+        heap = measured_heap(
+            view.depth_m,
+            view.camera,
+            view.T_world_cam,
+            self._ready.cell.cell.scene.bin,
+            without=None if aim.opening_m is None else aim.target.inside(view.depth_m.shape),
+        )
+        return _Heap(
+            obstacle=heap_obstacle(heap, self._ready.here.T_base_world),
+            highest_m=float(heap.height_m.max()),
+        )
+
+
+def _pieces(ready: Ready, aim: Aim) -> tuple[Mounted, ...]:
+    """The tool; jaws are open as wide as this grip needs."""
+    opening_m = None if aim.opening_m is None else aim.opening_m + 2 * CLEARANCE_M
+    return pieces(ready.tool, opening_m=opening_m)
+
+
+def _blocked_tool(ready: Ready, aim: Aim, heap: _Heap) -> Blocked | None:
+    """Whether the tool alone would be in something at the grip, which costs little to ask."""
+    obstacles = (*ready.here.standing, heap.obstacle)
+    hit = tool_touches(_pieces(ready, aim), ready.here.flange(aim.T_world_tool), obstacles)
+    if hit is None:
+        return None
+    return Blocked(outcome=Outcome.COLLISION_SEEN, detail=f"the tool would be in {hit}")
+
+
+def _ways(ready: Ready, q: Joints, aim: Aim, heap: _Heap, seed: int) -> Ways | Blocked:
+    load = _load(ready, aim)
+    highest_m = max(ready.cell.cell.scene.bin.inner_m[2], heap.highest_m)
+    clear_m = highest_m + load.below_m + ready.cell.config.picking.clear_m
+    jaws = aim.opening_m is not None
+    return ways(
+        ready.bare.mount(_pieces(ready, aim)) if jaws else ready.robot,
+        ready.here,
+        q,
+        aim.T_world_tool,
+        heap.obstacle,
+        up_m=max(clear_m - float(aim.place_m[2]), LEAST_UP_M),
+        load=load,
+        round_tool=not jaws,
+        seed=seed,
+    )
+
+
+def _load(ready: Ready, aim: Aim) -> Load:
+    """How far the part reaches from the tip; an unknown one as far as any may."""
+    if aim.T_part_tool is None:
+        return ready.load
+    kind = 0 if aim.target.kind is None else aim.target.kind
+    mesh = ready.cell.cell.scene.parts[kind].mesh
+    corner = transform_points(inverse(aim.T_part_tool), mesh.vertices_m)
+    return Load(
+        below_m=max(float(-corner[:, 2].min()), LEAST_UP_M),
+        aside_m=float(np.linalg.norm(corner[:, :2], axis=1).max()),
+    )

@@ -1,0 +1,75 @@
+"""The heap as the scanner saw it, for the planner to keep out of.
+
+Measured points become heights over a grid on the bin's floor. Where the scanner saw nothing there
+may be a part: such a place is taken to be as high as the highest that was seen within `GUESSED_M`
+of the nearest place that was seen. So a shadow beside a part is as high as the part, and
+the middle of a dark, wide hole as high as its rim.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Bool, Float
+from scipy import ndimage
+
+from ..frames import pixel_grid, transform_points
+from ..optics import Optics, rays
+from ..scene import Bin
+
+CELL_M = 4e-3
+GUESSED_M = 8e-3
+BELOW_M = 0.05  # what stands on the table is solid so far down
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class MeasuredHeap:
+    """Heights [m] above the bin's inner floor, in the world.
+
+    Node [i, j] stands at x = (j - (columns - 1) / 2) * CELL_M, and y likewise from i.
+    `seen` says where a point was measured.
+    """
+
+    height_m: Float[np.ndarray, "rows columns"]
+    seen: Bool[np.ndarray, "rows columns"]
+
+    def __post_init__(self) -> None:
+        self.height_m.flags.writeable = False
+        self.seen.flags.writeable = False
+
+
+def measured_heap(
+    depth_m: Float[np.ndarray, "h w"],
+    camera: Optics,
+    T_world_cam: Float[np.ndarray, "4 4"],
+    box: Bin,
+    *,
+    without: Bool[np.ndarray, "h w"] | None = None,
+) -> MeasuredHeap:
+    """Heights over the bin's inside.
+
+    Args:
+        depth_m: z of each pixel, NaN where it is missing.
+        without: pixels that are left out: the part that fingers are to close round.
+    """
+    kept = np.isfinite(depth_m) if without is None else np.isfinite(depth_m) & ~without
+    ray = rays(camera, pixel_grid(camera.height_px, camera.width_px)[kept])
+    point = transform_points(T_world_cam, ray * depth_m[kept][:, None])
+    columns, rows = (int(np.ceil(size / CELL_M)) + 1 for size in box.inner_m[:2])
+    j = np.rint(point[:, 0] / CELL_M + (columns - 1) / 2).astype(np.int64)
+    i = np.rint(point[:, 1] / CELL_M + (rows - 1) / 2).astype(np.int64)
+    inside = (j >= 0) & (j < columns) & (i >= 0) & (i < rows)
+    height = np.full((rows, columns), -np.inf)
+    np.maximum.at(height, (i[inside], j[inside]), point[inside, 2])
+    seen = np.isfinite(height)
+    return MeasuredHeap(height_m=_guessed(height, seen, box.inner_m[2]), seen=seen)
+
+
+def _guessed(
+    height: Float[np.ndarray, "r c"], seen: Bool[np.ndarray, "r c"], rim_m: float
+) -> Float[np.ndarray, "r c"]:
+    if not seen.any():
+        return np.full(height.shape, rim_m)  # nothing is known, so nothing is free
+    reach = int(np.ceil(GUESSED_M / CELL_M))
+    around = ndimage.maximum_filter(height, size=2 * reach + 1, mode="nearest")
+    nearest = ndimage.distance_transform_edt(~seen, return_distances=False, return_indices=True)
+    return np.where(seen, height, around[tuple(nearest)])

@@ -1,0 +1,97 @@
+"""How attempts to pick a part end: the closed list, and what is kept of each."""
+
+from dataclasses import dataclass
+from enum import StrEnum
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+
+
+class Outcome(StrEnum):
+    """How a scan and what followed it ended. The first four come before the arm has moved."""
+
+    NOTHING_FOUND = "nothing found"  # no part, no pose, or no place that a tool would hold
+    COLLISION_SEEN = "collision seen"  # every grip would push the tool into what was measured
+    UNREACHABLE = "unreachable"  # no joint angles, or no free way
+    GIVEN_UP = "given up"  # every grip is where one failed before
+    PICKED = "picked"
+    TWO_AT_ONCE = "two at once"  # another part left the bin with it
+    MISSED = "missed"  # nothing was where the tool went
+    WRONG_POSE = "wrong pose"  # it did not hold, and the pose was off by more than `WRONG`
+    NOT_HELD = "not held"  # the cup did not seal, or the jaws did not close on both sides
+    COLLISION_UNSEEN = "collision unseen"  # the tool pushed into what the scanner did not show
+    LOST_SEAL = "lost seal"  # a cup let go on the way
+    SLIPPED = "slipped"  # jaws let go on the way
+
+
+BEFORE_MOVING = (
+    Outcome.NOTHING_FOUND,
+    Outcome.COLLISION_SEEN,
+    Outcome.UNREACHABLE,
+    Outcome.GIVEN_UP,
+)
+# The part has left the bin by the tool.
+TAKEN = (Outcome.PICKED, Outcome.TWO_AT_ONCE)
+# A pose is called wrong beyond this; symmetries of the part make no difference.
+WRONG_RAD, WRONG_M = np.radians(10.0), 5e-3
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Attempt:
+    """A scan and what followed.
+
+    Attributes:
+        outcome: how it ended.
+        detail: in words, where there is more to say.
+        T_world_part: where every part lay before.
+        present: which parts were still in the cell.
+        part: the one that the tool met; None where it met none.
+        kind: what the picker took it for, by the part's place in the cell; None if unknown.
+        score: of the grip.
+        T_world_tool: where the tip was sent.
+        opening_m: of jaws.
+        pose_error: angle [rad] and distance [m] of the pose that the grip came from.
+        least_factor: the least by which the load was held.
+        seconds: simulated: `scan` and `motion`.
+        work_s: of this machine, by stage; no part of what one seed makes again.
+        time_s, q: the arm's motion, joint angles [rad] over times [s].
+        targets: how many detections there were.
+    """
+
+    outcome: Outcome
+    T_world_part: Float[np.ndarray, "n 4 4"]
+    present: tuple[int, ...]
+    targets: int
+    seconds: dict[str, float]
+    work_s: dict[str, float]
+    detail: str = ""
+    part: int | None = None
+    kind: int | None = None
+    score: float | None = None
+    T_world_tool: Float[np.ndarray, "4 4"] | None = None
+    opening_m: float | None = None
+    pose_error: tuple[float, float] | None = None
+    least_factor: float | None = None
+    time_s: Float[np.ndarray, "t"] | None = None
+    q: Float[np.ndarray, "t joints"] | None = None
+
+    def as_dict(self) -> dict[str, Any]:
+        """Fit for JSON; the motion and the machine's own seconds go elsewhere."""
+        return {
+            "outcome": str(self.outcome),
+            "detail": self.detail,
+            "targets": self.targets,
+            "part": self.part,
+            "kind": self.kind,
+            "score": self.score,
+            "T_world_tool": None if self.T_world_tool is None else self.T_world_tool.tolist(),
+            "opening_m": self.opening_m,
+            "pose_error": None
+            if self.pose_error is None
+            else {"angle_rad": self.pose_error[0], "distance_m": self.pose_error[1]},
+            "least_factor": self.least_factor,
+            "seconds": self.seconds,
+            "present": list(self.present),
+            "T_world_part": self.T_world_part.tolist(),
+        }

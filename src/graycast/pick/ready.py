@@ -1,0 +1,160 @@
+"""A robot's cell made ready to pick: arm, tool, bodies, known grips, detector. Made once."""
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+
+from ..drop import Body, OnStage, make_bodies
+from ..drop.rapier import GRAVITY_M_S2
+from ..errors import ConfigError
+from ..frames import inverse, rigid
+from ..grasp import Doubt, Grip, jaw_grips, suction_grips
+from ..parts import Part
+from ..parts.symmetry import joined, motions, shape_symmetry
+from ..pose import pose_model
+from .aim import KnownPart
+from .cell import PickCell
+from .obstacles import standing
+from .robot import Robot, open_robot
+from .tools import SuctionTool, T_flange_tip, Tool, pieces
+from .touch import Kind
+from .ways import Load, Surroundings
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Ready:
+    """What picking needs beside the bin.
+
+    `bare` is the arm without its tool. `alike` are the motions that leave each part's shape: a
+    gripper feels shapes, so how a part is painted makes no pose another. `known` are the parts by
+    their places in the cell, where grips come from models. `load` holds any of the parts.
+    """
+
+    cell: PickCell
+    bare: Robot
+    robot: Robot
+    here: Surroundings
+    bodies: tuple[Body, ...]
+    kinds: tuple[Kind, ...]
+    alike: tuple[Float[np.ndarray, "s 4 4"], ...]
+    known: dict[int, KnownPart]
+    detector: Any | None
+    load: Load
+
+    @property
+    def tool(self) -> Tool:
+        return self.cell.config.tool
+
+    @property
+    def weight_n(self) -> float:
+        """Of the heaviest part."""
+        return max(body.mass_kg for body in self.bodies) * GRAVITY_M_S2
+
+    def tip(self, q: Float[np.ndarray, "joints"]) -> Float[np.ndarray, "4 4"]:
+        """`T_world_tip` by the arm's own account."""
+        return self.cell.T_world_base @ self.robot.flange(q) @ self.here.T_flange_tip
+
+
+def make_ready(cell: PickCell, *, on_stage: OnStage = lambda stage: None) -> Ready:
+    """Open the robot and the detector, and look for places where the tool holds the parts.
+
+    Raises:
+        ConfigError: a robot, a place or a tool that cannot serve this cell, named.
+        GraycastError: no such detector.
+    """
+    config, parts = cell.config, cell.cell.scene.parts
+    bare = open_robot(config.robot.arm, folder=cell.folder, home=config.robot.home_rad)
+    robot = bare.mount(pieces(config.tool))
+    size_m = max(float(np.linalg.norm(part.mesh.extent_m)) for part in parts)
+    load = Load(below_m=size_m, aside_m=size_m / 2)
+    here = _surroundings(cell, robot, load)
+    bodies = make_bodies(parts, on_stage=on_stage)
+    known = {}
+    if config.picking.knows == "part":
+        for i, (part, body) in enumerate(zip(parts, bodies, strict=True)):
+            on_stage(f"{part.name}: places to grip it are looked for")
+            known[i] = _known(config.tool, part, body)
+    return Ready(
+        cell=cell,
+        bare=bare,
+        robot=robot,
+        here=here,
+        bodies=bodies,
+        kinds=tuple(Kind.of(part, body) for part, body in zip(parts, bodies, strict=True)),
+        alike=tuple(motions(joined(part.symmetry, shape_symmetry(part.mesh))) for part in parts),
+        known=known,
+        detector=_detector(cell),
+        load=load,
+    )
+
+
+def _surroundings(cell: PickCell, robot: Robot, load: Load) -> Surroundings:
+    """Raises ConfigError: the arm stands in something, or cannot put parts away there."""
+    picking = cell.config.picking
+    T_base_world = inverse(cell.T_world_base)
+    still = standing(cell.cell.scene, T_base_world)
+    hit = robot.touches(robot.home, still)
+    if hit is not None:
+        raise ConfigError(
+            f"robot.home_rad: the arm is in {hit} there: give other angles, or move robot.base_m"
+        )
+    here = Surroundings(
+        T_base_world=T_base_world,
+        T_flange_tip=T_flange_tip(cell.config.tool),
+        standing=still,
+        q_place=robot.home,
+        approach_m=picking.approach_m,
+        straight_m_s=picking.straight_m_s,
+    )
+    place = rigid(np.eye(3), np.array(picking.place_m, dtype=np.float64))
+    q_place = robot.reach(here.flange(place), robot.home, seed=0)
+    if q_place is None:
+        raise ConfigError(
+            f"picking.place_m is {picking.place_m}: {robot.name} at {cell.config.robot.base_m} "
+            "does not reach it with its tool upright: move one of them"
+        )
+    hit = robot.mount((load.piece(here.T_flange_tip),)).touches(q_place, still)
+    if hit is not None:
+        raise ConfigError(
+            f"picking.place_m is {picking.place_m}: the arm, with a part of up to "
+            f"{load.below_m:.3f} m below its tip, is in {hit} there: move it"
+        )
+    return replace(here, q_place=q_place)
+
+
+def _known(tool: Tool, part: Part, body: Body) -> KnownPart:
+    """Raises ConfigError: the tool holds the part nowhere."""
+    weight_n = body.mass_kg * GRAVITY_M_S2
+    grips: list[Grip]
+    if isinstance(tool, SuctionTool):
+        grips = suction_grips(
+            part.mesh, tool.cup, weight_n=weight_n, center_m=body.center_m, doubt=Doubt()
+        )
+    else:
+        grips = jaw_grips(
+            part.mesh, tool.jaws, weight_n=weight_n, center_m=body.center_m, doubt=Doubt()
+        )
+    if not grips:
+        raise ConfigError(
+            f"tool: it holds part {part.name} ({weight_n:.2f} N) nowhere: give it another size or "
+            "more force"
+        )
+    return KnownPart(model=pose_model(part.mesh, part.symmetry), grips=tuple(grips))
+
+
+def _detector(cell: PickCell) -> Any | None:
+    """Raises ConfigError: it tells the cell's parts not apart."""
+    if cell.detector is None:
+        return None
+    from ..detect import load_detector  # torch takes seconds to load
+
+    detector = load_detector(cell.detector)
+    names = [part.name for part in cell.cell.scene.parts]
+    if len(names) > 1 and not set(detector.about.names) <= set(names):
+        raise ConfigError(
+            f"picking.detector: it knows {', '.join(detector.about.names)}, the cell has "
+            f"{', '.join(names)}: train it on parts of these names"
+        )
+    return detector

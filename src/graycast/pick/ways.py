@@ -1,0 +1,197 @@
+"""The arm's ways of one pick: to before the grip, down to it, up, and away to where parts go."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float
+
+from ..frames import axis_rotation, inverse, rigid
+from ..grasp import CARRIED_M_S2
+from .motion import Trajectory, drive, plan, straight
+from .outcome import Outcome
+from .robot import Joints, Mounted, Obstacle, Robot
+
+TURNS = 4  # of a round cup about its axis, which all hold alike
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Ways:
+    """`to` ends before the grip, `down` at it; `up` and `away` carry the part.
+
+    A leaning tool is set upright on its way up: a heavy part would turn it out of its seal.
+    """
+
+    to: Trajectory
+    down: Trajectory
+    up: Trajectory
+    away: Trajectory
+
+    @property
+    def seconds(self) -> float:
+        return sum(way.seconds for way in (self.to, self.down, self.up, self.away))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Load:
+    """How far a held part may reach from the tip: below it along the tool's axis, and aside."""
+
+    below_m: float
+    aside_m: float
+
+    def piece(self, T_flange_tip: Float[np.ndarray, "4 4"]) -> Mounted:
+        """A cylinder that holds all of it."""
+        import coal
+
+        below = T_flange_tip @ rigid(np.eye(3), np.array([0.0, 0.0, -self.below_m / 2]))
+        shape = coal.Cylinder(self.aside_m, self.below_m)
+        return Mounted(name="the part", shape=shape, T_flange_shape=below)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Blocked:
+    """Why no way was found."""
+
+    outcome: Outcome
+    detail: str = ""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Surroundings:
+    """What is fixed in planning; poses of the flange are in the robot's base frame."""
+
+    T_base_world: Float[np.ndarray, "4 4"]
+    T_flange_tip: Float[np.ndarray, "4 4"]
+    standing: tuple[Obstacle, ...]
+    q_place: Joints
+    approach_m: float
+    straight_m_s: float
+
+    def flange(self, T_world_tip: Float[np.ndarray, "4 4"]) -> Float[np.ndarray, "4 4"]:
+        """`T_base_flange` that brings the tip there."""
+        return self.T_base_world @ T_world_tip @ inverse(self.T_flange_tip)
+
+
+def ways(
+    robot: Robot,
+    here: Surroundings,
+    q: Joints,
+    T_world_tip: Float[np.ndarray, "4 4"],
+    heap: Obstacle,
+    *,
+    up_m: float,
+    load: Load,
+    round_tool: bool,
+    seed: int,
+) -> Ways | Blocked:
+    """From joint angles to a grip and away with the part; or why not.
+
+    Args:
+        robot: with its tool.
+        T_world_tip: the grip.
+        heap: what was measured; the way down and up again must keep out of it, too.
+        up_m: how far the tip is raised before it is carried away.
+        load: the part on its way.
+        round_tool: whether it may be turned about its axis.
+        seed: of starts and planner.
+    """
+    obstacles = (*here.standing, heap)
+    found: Ways | Blocked = Blocked(outcome=Outcome.UNREACHABLE)
+    for turn in range(TURNS if round_tool else 2):
+        angle = 2 * np.pi * turn / (TURNS if round_tool else 2)
+        tip = T_world_tip @ rigid(axis_rotation("z", angle), np.zeros(3))
+        found = _ways(robot, here, q, tip, obstacles, up_m, load, seed)
+        if isinstance(found, Ways):
+            return found
+    return found
+
+
+def _ways(
+    robot: Robot,
+    here: Surroundings,
+    q: Joints,
+    tip: Float[np.ndarray, "4 4"],
+    obstacles: Sequence[Obstacle],
+    up_m: float,
+    load: Load,
+    seed: int,
+) -> Ways | Blocked:
+    before = tip.copy()
+    before[:3, 3] += here.approach_m * tip[:3, 2]
+    raised = tip.copy()
+    raised[2, 3] += up_m
+    q_before = robot.reach(here.flange(before), here.q_place, seed=seed)
+    if q_before is None:
+        return Blocked(outcome=Outcome.UNREACHABLE, detail="no joint angles before the grip")
+    line = np.stack([q_before])
+    for name, end in (("down", tip), ("up", raised), ("upright", _upright(raised))):
+        piece = straight(robot, line[-1], here.flange(end), obstacles)
+        if piece is None:
+            return _why(robot, line[-1], here.flange(end), obstacles, name)
+        if name == "down":
+            down, line = piece, piece[-1:]
+        else:
+            line = np.concatenate([line, piece[1:]])
+    up = line
+    to = plan(robot, q, q_before, obstacles, seed=seed)
+    if to is None:
+        return Blocked(outcome=Outcome.UNREACHABLE, detail="no free way to the grip")
+    loaded = robot.mount((load.piece(here.T_flange_tip),))
+    away = plan(loaded, up[-1], here.q_place, obstacles, seed=seed)
+    if away is None:
+        return Blocked(outcome=Outcome.UNREACHABLE, detail="no free way with the part")
+    return Ways(
+        to=drive(robot, to),
+        down=_slowly(drive(robot, down), here.approach_m / here.straight_m_s),
+        up=_gently(robot, here, _slowly(drive(robot, up), up_m / here.straight_m_s), load),
+        away=_gently(robot, here, drive(robot, away), load),
+    )
+
+
+def _upright(T: Float[np.ndarray, "4 4"]) -> Float[np.ndarray, "4 4"]:
+    """The same place with the tool's axis vertical, turned no more than that takes."""
+    x = np.cross(T[:3, 1], [0.0, 0.0, 1.0])
+    x /= np.linalg.norm(x)
+    return rigid(np.stack([x, np.cross([0.0, 0.0, 1.0], x), [0.0, 0.0, 1.0]], axis=1), T[:3, 3])
+
+
+def _why(
+    robot: Robot,
+    q: Joints,
+    T_base_flange: Float[np.ndarray, "4 4"],
+    obstacles: Sequence[Obstacle],
+    name: str,
+) -> Blocked:
+    """A straight way fails by what is touched, or by the arm's own limits."""
+    for obstacle in obstacles:
+        if straight(robot, q, T_base_flange, (obstacle,)) is None:
+            free = straight(robot, q, T_base_flange, ()) is not None
+            if free:
+                detail = f"the way {name} is through {obstacle.name}"
+                return Blocked(outcome=Outcome.COLLISION_SEEN, detail=detail)
+            break
+    return Blocked(outcome=Outcome.UNREACHABLE, detail=f"no straight way {name}")
+
+
+def _slowly(way: Trajectory, least_s: float) -> Trajectory:
+    """The same way, in no less than so many seconds."""
+    stretch = max(1.0, least_s / max(way.seconds, 1e-9))
+    return Trajectory(time_s=way.time_s * stretch, q=way.q.copy())
+
+
+def _gently(robot: Robot, here: Surroundings, way: Trajectory, load: Load) -> Trajectory:
+    """The same way, so slowly that a carried part is accelerated as grips are judged by.
+
+    At the tip, and as far below it as the part reaches.
+    """
+    step_s = 0.01
+    count = max(int(way.seconds / step_s), 4)
+    time_s = np.linspace(0, way.seconds, count + 1)
+    tip = [robot.flange(way.at(t)) @ here.T_flange_tip for t in time_s]
+    fastest = 0.0
+    for reach_m in (0.0, -load.below_m):
+        place = np.stack([T[:3, 3] + reach_m * T[:3, 2] for T in tip])
+        place = np.concatenate([place[:1], place, place[-1:]])  # at rest before and after
+        second = np.diff(place, n=2, axis=0) / (way.seconds / count) ** 2
+        fastest = max(fastest, float(np.linalg.norm(second, axis=1).max()))
+    return _slowly(way, way.seconds * np.sqrt(fastest / CARRIED_M_S2))

@@ -6,15 +6,9 @@ import numpy as np
 import pytest
 from simulated_dataset import made, master, samples  # noqa: F401
 
-from graycast.bench.poses import CASES, scaled, wilson
+from graycast.bench.poses import CASES, scaled
 from graycast.cli import main
 from graycast.pose_results import read_pose_results
-
-
-def test_wilsons_interval_is_that_of_published_examples():
-    """R's binom.confint(9, 10, methods = "wilson") and (0, 20)."""
-    assert wilson(9, 10) == pytest.approx((0.59585, 0.98212), abs=1e-5)
-    assert wilson(0, 20) == pytest.approx((0.0, 0.16113), abs=1e-5)
 
 
 def test_a_box_grows_about_its_middle():

@@ -13,7 +13,7 @@ from jaxtyping import Float, UInt8
 
 from ..dataset.models_read import StoredModel, read_models
 from ..errors import GraycastError
-from ..evaluate import camera_of, rotation_translation
+from ..evaluate import camera_of, rotation_translation, wilson
 from ..folder import new_folder
 from ..frames import transform_points
 from ..parts import Mesh
@@ -202,19 +202,6 @@ def _row(trials: Sequence[_Trial]) -> Figures:
         "translation_mm": median(trial.shift_mm for trial in trials),
         "cpu_s": median(trial.cpu_s for trial in trials),
     }
-
-
-def wilson(hits: int, of: int) -> tuple[float, float]:
-    """The 95 % interval of a share.
-
-    Source: E. B. Wilson, "Probable inference, the law of succession, and statistical inference",
-    JASA 22, 1927.
-    """
-    z = 1.959963984540054
-    share, spread = hits / of, z * z / of
-    middle = share + spread / 2
-    half = z * math.sqrt(share * (1 - share) / of + spread / (4 * of))
-    return (middle - half) / (1 + spread), (middle + half) / (1 + spread)
 
 
 def _estimates(trials: Sequence[_Trial]) -> Iterator[PoseEstimate]:

@@ -18,6 +18,7 @@ from . import (
     looking,
     machine,
     measuring,
+    picking,
     rigs,
 )
 
@@ -31,6 +32,7 @@ examples:
   graycast detect out/detector out/demo --out out/found  what it finds in pictures
   graycast export out/demo --format coco --out out/coco  the same for a trainer, in its format
   graycast evaluate run --on out/demo --out out/scores   how good detections are
+  graycast pick configs/cells/ur5e_suction.yaml --out p  a simulated robot that empties bins
   graycast decode stack.yaml --rig rig.yaml --out cloud  depth from a real scanner's pictures
   graycast certify phoxi-l --out sheet                   what a virtual scanner is worth
   graycast realism real/ --intrinsics K.json --out r     how real depth maps look, in figures
@@ -87,6 +89,7 @@ def _parser() -> argparse.ArgumentParser:
     exporting.add_commands(commands)
     detecting.add_commands(commands)
     judging.add_commands(commands)
+    picking.add_commands(commands)
     fitting.add_commands(commands)
     rigs.add_commands(commands)
     measuring.add_commands(commands)

@@ -3,13 +3,24 @@
 from ..render import OnFrame
 from ..simulate import OnStage
 from .maker import Made, SceneMaker, Task
-from .pool import TRIES, Failed, Pool, make_all
+from .pool import TRIES, Failed, Job, Maker, Pool, make_all
 
-__all__ = ["TRIES", "Failed", "Made", "Pool", "SceneMaker", "Task", "make_all", "open_pool"]
+__all__ = [
+    "TRIES",
+    "Failed",
+    "Job",
+    "Made",
+    "Maker",
+    "Pool",
+    "SceneMaker",
+    "Task",
+    "make_all",
+    "open_pool",
+]
 
 
 def open_pool(
-    task: Task,
+    task: Job,
     *,
     engine: str = "local",
     workers: int = 1,

@@ -10,8 +10,8 @@ from typing import Any
 
 from .. import __version__
 from ..errors import GraycastError, WorkerDied
-from .maker import GPU_DEVICES, Made, SceneMaker, Task
-from .pool import Failed
+from .maker import GPU_DEVICES, Made
+from .pool import Failed, Job, Maker
 
 _AHEAD = 2  # scenes submitted per place: workers need not wait, finished scenes do not pile up
 
@@ -22,7 +22,7 @@ class RayPool:
     What the cell names by path (environment maps) must be readable on every machine.
     """
 
-    def __init__(self, task: Task, *, workers: int, threads: int, address: str | None) -> None:
+    def __init__(self, task: Job, *, workers: int, threads: int, address: str | None) -> None:
         self._ray = ray = _import_ray()
         self._limit, self._threads = workers, threads
         self._running: dict[Any, int] = {}
@@ -102,7 +102,7 @@ def _import_ray() -> Any:
 
 # --- in a worker of Ray ------------------------------------------------------------------------
 
-_maker: tuple[str, SceneMaker] | None = None  # Ray uses a worker process again; this stays in it
+_maker: tuple[str, Maker] | None = None  # Ray uses a worker process again; this stays in it
 
 
 def _make_on_node(run: str, task: list[Any], scene_id: int, threads: int) -> Made:
@@ -110,11 +110,11 @@ def _make_on_node(run: str, task: list[Any], scene_id: int, threads: int) -> Mad
     if _maker is None or _maker[0] != run:
         if _maker is not None:
             _maker[1].close()
-        _maker = (run, SceneMaker(_fetch(task[0]), threads=threads))
+        _maker = (run, _fetch(task[0]).open(threads=threads))
     return _maker[1].make(scene_id)
 
 
-def _fetch(reference: Any) -> Task:
+def _fetch(reference: Any) -> Job:
     import ray
 
     task = ray.get(reference)

@@ -2,17 +2,17 @@
 
 from ..render import OnFrame
 from ..simulate import OnStage
-from .maker import Made, SceneMaker, Task
-from .pool import Failed
+from .maker import Made
+from .pool import Failed, Job
 
 
 class Here:
     """A pool of this process alone: what is submitted is made when it is gathered."""
 
     def __init__(
-        self, task: Task, *, threads: int | None, on_frame: OnFrame | None, on_stage: OnStage
+        self, task: Job, *, threads: int | None, on_frame: OnFrame | None, on_stage: OnStage
     ) -> None:
-        self._maker = SceneMaker(task, threads=threads, on_frame=on_frame, on_stage=on_stage)
+        self._maker = task.open(threads=threads, on_frame=on_frame, on_stage=on_stage)
         self._next: int | None = None
 
     @property

@@ -14,8 +14,8 @@ from multiprocessing.process import BaseProcess
 from pathlib import Path
 
 from ..errors import WorkerDied
-from .maker import GPU_DEVICES, Made, SceneMaker, Task, is_the_scenes_own
-from .pool import Failed
+from .maker import GPU_DEVICES, Made, is_the_scenes_own
+from .pool import Failed, Job, Maker
 
 _MEMORY_SHARE = 0.8  # of the machine's memory, for all workers together
 # Libraries that would each take all cores. Open Image Denoise also binds its threads to the first
@@ -35,7 +35,7 @@ class LocalPool:
     the only process of a pool of its own.
     """
 
-    def __init__(self, task: Task, *, workers: int, threads: int | None) -> None:
+    def __init__(self, task: Job, *, workers: int, threads: int | None) -> None:
         self._task = task
         self._threads = threads or max(1, len(os.sched_getaffinity(0)) // workers)
         self._memory_bytes = _MEMORY_SHARE * _machine_memory_bytes() / workers
@@ -82,7 +82,7 @@ class LocalPool:
 class _Worker:
     """One process that makes a scene at a time; it is started when it gets its first one."""
 
-    def __init__(self, task: Task, threads: int, variables: dict[str, str]) -> None:
+    def __init__(self, task: Job, threads: int, variables: dict[str, str]) -> None:
         self.future: Future[Made] | None = None
         self._task, self._threads, self._variables = task, threads, variables
         self._scene_id = -1
@@ -203,12 +203,12 @@ def _machine_memory_bytes() -> int:
 
 # --- in the worker -----------------------------------------------------------------------------
 
-_maker: SceneMaker | None = None  # a pool gives its process no other place for it
+_maker: Maker | None = None  # a pool gives its process no other place for it
 
 
-def _begin(task: Task, threads: int) -> None:
+def _begin(task: Job, threads: int) -> None:
     global _maker
-    _maker = SceneMaker(task, threads=threads)
+    _maker = task.open(threads=threads)
     atexit.register(_maker.close)
     threading.Thread(target=_end_with_parent, daemon=True).start()
 

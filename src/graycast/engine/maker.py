@@ -32,12 +32,22 @@ class Task:
     depth_scale_mm: float
     graycast: str = __version__
 
+    def open(
+        self,
+        *,
+        threads: int | None = None,
+        on_frame: OnFrame | None = None,
+        on_stage: OnStage = lambda stage: None,
+    ) -> "SceneMaker":
+        return SceneMaker(self, threads=threads, on_frame=on_frame, on_stage=on_stage)
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Made:
     """A scene: its files as (path inside its folder, content), seconds, share of pixels per reason.
 
-    `rss_bytes` is the memory of the process that made it, afterwards.
+    Of a bin that a robot emptied: attempts per outcome. `rss_bytes` is the memory of the process
+    that made it, afterwards.
     """
 
     scene_id: int

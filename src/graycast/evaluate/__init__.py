@@ -7,6 +7,7 @@ from .mistakes import AT_HALF, false_alarms
 from .pose_errors import mspd, mssd, rotation_translation, vsd
 from .pose_files import POSES, camera_of, evaluate_poses, poses_markdown, write_poses
 from .scores import Scores, score
+from .shares import mcnemar, wilson
 from .task import Task, evaluate
 from .writing import EVALUATION, Evaluation, evaluation_json, summary, write_evaluation
 
@@ -30,6 +31,7 @@ __all__ = [
     "false_alarms",
     "judge",
     "labels_of",
+    "mcnemar",
     "mspd",
     "mssd",
     "poses_markdown",
@@ -37,6 +39,7 @@ __all__ = [
     "score",
     "summary",
     "vsd",
+    "wilson",
     "write_depth",
     "write_evaluation",
     "write_poses",

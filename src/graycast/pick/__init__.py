@@ -1,1 +1,24 @@
-"""A robot that empties the bin: arms, motion, and the loop from scan to place."""
+"""A simulated robot that empties a bin: from light to the lifted part."""
+
+from .cell import PickCell, resolve_pick_cell
+from .files import StoredEpisode, read_episodes
+from .outcome import Attempt, Outcome
+from .running import pick_bins
+from .sections import PickConfig, load_pick_config
+from .summary import Paired, Summary, pair, summarize
+
+__all__ = [
+    "Attempt",
+    "Outcome",
+    "Paired",
+    "PickCell",
+    "PickConfig",
+    "StoredEpisode",
+    "Summary",
+    "load_pick_config",
+    "pair",
+    "pick_bins",
+    "read_episodes",
+    "resolve_pick_cell",
+    "summarize",
+]

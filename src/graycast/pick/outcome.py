@@ -90,7 +90,7 @@ class Attempt:
             "pose_error": None
             if self.pose_error is None
             else {"angle_rad": self.pose_error[0], "distance_m": self.pose_error[1]},
-            "least_factor": self.least_factor,
+            "least_factor": None if self.least_factor == np.inf else self.least_factor,
             "seconds": self.seconds,
             "present": list(self.present),
             "T_world_part": self.T_world_part.tolist(),

@@ -193,9 +193,7 @@ def _meets(shape: Any, T_base_shape: Float[np.ndarray, "4 4"], obstacle: Obstacl
     here = coal.Transform3s(T_base_shape[:3, :3], T_base_shape[:3, 3])
     there = coal.Transform3s(T[:3, :3], T[:3, 3])
     result = coal.CollisionResult()
-    return bool(
-        coal.collide(shape, here, obstacle.shape, there, coal.CollisionRequest(), result)
-    )
+    return bool(coal.collide(shape, here, obstacle.shape, there, coal.CollisionRequest(), result))
 
 
 def _turned(q: Joints, near: Joints, low: Joints, high: Joints) -> Joints:

@@ -1,0 +1,202 @@
+"""Commands of robots: pick, picks."""
+
+import argparse
+from pathlib import Path
+
+from ..errors import GraycastError
+from .arguments import (
+    add_command,
+    add_device,
+    add_seed,
+    positive,
+    progress_bar,
+    stage_line,
+)
+
+# Heavy modules are imported by the command that needs them, so that --help answers at once.
+
+PICK = """\
+Let a simulated robot empty bins. Each bin is filled by physics, scanned, and emptied part by part;
+every attempt ends in one of a closed list of outcomes, with a picture. The same command goes on
+where it was stopped: a bin depends on the configuration, the seed and its number alone. The robot
+needs pip install 'graycast[pick]'."""
+
+PICKS = """\
+Tell what became of picks: success rate with its 95 % interval (Wilson), outcomes, bins cleared,
+picks per hour, seconds by stage. With a second folder of the same bins, made with another detector
+or another kind of depth, both are set side by side, and McNemar's test says whether they differ."""
+
+
+def add_commands(commands) -> None:
+    pick = add_command(commands, "pick", _pick, "Let a simulated robot empty bins.")
+    pick.description = PICK
+    pick.set_defaults(when_stopped="finished bins are kept")
+    pick.add_argument("config", type=Path, help="The robot's cell, a YAML file.")
+    pick.add_argument("--out", type=Path, required=True, help="The folder of picks.")
+    pick.add_argument(
+        "--bins", type=positive, default=3, help="How many bins are to be emptied (default: 3)."
+    )
+    add_seed(pick)
+    add_device(pick)
+    pick.add_argument(
+        "--detector",
+        help="What finds the parts, instead of the configuration's: truth, none, or the folder of "
+        "a training.",
+    )
+    pick.add_argument(
+        "--pose", choices=("found", "truth"), help="Where a part's pose comes from, likewise."
+    )
+    pick.add_argument(
+        "--depth",
+        metavar="KIND",
+        help="What the robot acts on, likewise: scanner, perfect, or a standard deviation of "
+        "Gaussian noise on perfect depth in metres, such as 0.0002.",
+    )
+    pick.add_argument(
+        "--workers", type=positive, help="How many bins are emptied at a time (default: 1)."
+    )
+    pick.add_argument(
+        "--threads",
+        type=positive,
+        help="How many processor threads each worker uses (default: all, shared out).",
+    )
+    pick.add_argument(
+        "--engine",
+        choices=("local", "ray"),
+        default="local",
+        help="Workers are processes of this machine (local) or of a Ray cluster (default: local).",
+    )
+    pick.add_argument(
+        "--address", help="The Ray cluster's address, host:port (default: Ray on this machine)."
+    )
+    picks = add_command(commands, "picks", _picks, "Tell what became of picks, of one arm or two.")
+    picks.description = PICKS
+    picks.add_argument("folder", type=Path, help="A folder of picks.")
+    picks.add_argument("other", type=Path, nargs="?", help="Another one of the same bins.")
+
+
+def _pick(options: argparse.Namespace) -> int:
+    try:
+        import pinocchio  # noqa: F401
+    except ImportError as error:
+        raise GraycastError(
+            "a robot needs its libraries: run pip install 'graycast[pick]'"
+        ) from error
+    from ..generate import Workers
+    from ..pick import load_pick_config, pick_bins, read_episodes, resolve_pick_cell, summarize
+
+    if options.address is not None and options.engine != "ray":
+        raise GraycastError("--address is of a Ray cluster: add --engine ray, or leave it out")
+    config = _with_options(load_pick_config(options.config), options)
+    try:
+        with stage_line() as on_stage:
+            cell = resolve_pick_cell(config, options.config.parent, on_stage=on_stage)
+    except (GraycastError, ValueError, OSError) as error:
+        raise GraycastError(f"{options.config}: {error}") from error
+    seed = config.seed if options.seed is None else options.seed
+    names = ", ".join(part.name for part in cell.cell.scene.parts)
+    print(
+        f"{options.bins} bins of {names}, {config.robot.arm} with {config.tool.kind}, rig "
+        f"{cell.cell.scene.rig.name}, seed {seed}"
+    )
+    with progress_bar() as bar:
+        bins = bar.add_task("bins", total=options.bins)
+        stage = bar.add_task("", total=None, visible=False)
+
+        def made(outcome) -> None:
+            bar.update(bins, advance=1)
+            ended = ", ".join(f"{int(n)} {name}" for name, n in outcome.reasons.items())
+            bar.console.print(f"bin {outcome.scene_id:06d}  {outcome.seconds:6.1f} s  {ended}")
+
+        def failed(outcome) -> None:
+            told = " ".join(str(outcome.error).split()) or type(outcome.error).__name__
+            bar.console.print(f"bin {outcome.scene_id:06d}  failed: {told}", markup=False)
+
+        lost = pick_bins(
+            cell,
+            options.out,
+            bins=options.bins,
+            seed=seed,
+            device=options.device,
+            workers=Workers(
+                engine=options.engine,
+                count=options.workers or (1 if options.engine == "local" else 0),
+                threads=options.threads,
+                address=options.address,
+            ),
+            on_start=lambda found: bar.update(bins, completed=found),
+            on_made=made,
+            on_failed=failed,
+            on_stage=lambda text: bar.reset(stage, description=text, total=None, visible=True),
+        )
+    _tell(summarize(read_episodes(options.out)))
+    print(f"{options.out}: pictures of every attempt are in bins/*/pictures")
+    return 1 if lost else 0
+
+
+def _with_options(config, options: argparse.Namespace):
+    """The configuration with what the command line says instead, checked as a file is."""
+    from ..pick.sections import PickConfig
+
+    changed = {}
+    if options.detector is not None:
+        named = options.detector in ("truth", "none")
+        changed["detector"] = options.detector if named else str(Path(options.detector).absolute())
+    if options.pose is not None:
+        changed["pose"] = options.pose
+    if options.depth is not None:
+        changed |= _depth(options.depth)
+    if not changed:
+        return config
+    told = config.model_dump(mode="json")
+    return PickConfig.model_validate(told | {"picking": told["picking"] | changed})
+
+
+def _depth(text: str) -> dict[str, object]:
+    if text in ("scanner", "perfect"):
+        return {"depth": text, "depth_noise_m": None}
+    try:
+        return {"depth": "noisy", "depth_noise_m": float(text)}
+    except ValueError:
+        raise GraycastError(
+            f"--depth is {text!r}: give scanner, perfect, or a number of metres"
+        ) from None
+
+
+def _picks(options: argparse.Namespace) -> int:
+    from ..pick import pair, read_episodes, summarize
+
+    first = read_episodes(options.folder)
+    _tell(summarize(first))
+    if options.other is None:
+        return 0
+    second = read_episodes(options.other)
+    print(f"\n{options.other}:")
+    _tell(summarize(second))
+    paired = pair(first, second)
+    print(
+        f"\n{paired.pairs} pairs: both picked {paired.both}, the first alone {paired.only_first}, "
+        f"the second alone {paired.only_second}; McNemar's p is {paired.p:.3g}"
+    )
+    return 0
+
+
+def _tell(summary) -> None:
+    rate, low, high = summary.rate
+    print(
+        f"{summary.picked} of {summary.grips} grips took a part out: {rate:.1%} "
+        f"(95 % interval {low:.1%} to {high:.1%})"
+    )
+    print(
+        f"{summary.bins} bins, {summary.cleared} cleared; of {summary.filled} parts "
+        f"{summary.taken} taken, {summary.left} left, {summary.spilled} spilled"
+    )
+    for name, count in summary.outcomes.items():
+        print(f"  {name:18} {count:6d}")
+    attempts = sum(summary.outcomes.values())
+    print(
+        f"an attempt takes {summary.seconds['scan'] / attempts:.2f} s to scan, "
+        f"{summary.thinking_s:.2f} s to think on this machine (median), "
+        f"{summary.seconds['motion'] / attempts:.2f} s to move: "
+        f"{summary.picks_per_hour:.0f} picks an hour"
+    )

@@ -1,0 +1,33 @@
+"""How sure a share is, and whether two shares of the same cases differ."""
+
+import math
+
+from scipy import stats
+
+
+def wilson(hits: int, of: int) -> tuple[float, float]:
+    """The 95 % interval of a share.
+
+    Source: E. B. Wilson, "Probable inference, the law of succession, and statistical inference",
+    JASA 22, 1927.
+    """
+    z = 1.959963984540054
+    share, spread = hits / of, z * z / of
+    middle = share + spread / 2
+    half = z * math.sqrt(share * (1 - share) / of + spread / (4 * of))
+    return (middle - half) / (1 + spread), (middle + half) / (1 + spread)
+
+
+def mcnemar(only_first: int, only_second: int) -> float:
+    """The chance that pairs differ so unevenly by luck: McNemar's exact test, two-sided.
+
+    Args:
+        only_first: pairs of which the first alone is a success.
+        only_second: pairs of which the second alone is one.
+
+    Source: Q. McNemar, "Note on the sampling error of the difference between correlated
+    proportions or percentages", Psychometrika 12, 1947.
+    """
+    if only_first + only_second == 0:
+        return 1.0
+    return float(stats.binomtest(only_first, only_first + only_second, 0.5).pvalue)

@@ -1,0 +1,167 @@
+"""Many bins of one cell, by workers wherever they are, into a folder of picks."""
+
+import time
+from collections.abc import Callable
+from contextlib import closing
+from dataclasses import dataclass
+from pathlib import Path
+
+import numba
+
+from .. import __version__
+from ..cell import open_cell_renderer
+from ..drop import OnStage, prepare
+from ..engine import Failed, Made, make_all, open_pool
+from ..errors import ConfigError, DeviceError
+from ..generate import Workers
+from ..render import OnFrame, Renderer, choose_device
+from ..usage import rss_bytes
+from .cell import PickCell
+from .episode import empty_bin
+from .files import episode_files, open_picks
+from .ready import Ready, make_ready
+
+ALONE = Workers()
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PickTask:
+    """What a worker needs to know to empty any bin of a cell."""
+
+    cell: PickCell
+    seed: int
+    device: str
+    graycast: str = __version__
+
+    def open(
+        self,
+        *,
+        threads: int | None = None,
+        on_frame: OnFrame | None = None,
+        on_stage: OnStage = lambda stage: None,
+    ) -> "BinEmptier":
+        return BinEmptier(self, threads=threads, on_frame=on_frame, on_stage=on_stage)
+
+
+class BinEmptier:
+    """Empties bins of one task; renderer and robot are opened for the first one and kept."""
+
+    def __init__(
+        self,
+        task: PickTask,
+        *,
+        threads: int | None,
+        on_frame: OnFrame | None,
+        on_stage: OnStage,
+    ) -> None:
+        self._task, self._threads = task, threads
+        self._on_frame, self._on_stage = on_frame, on_stage
+        self._renderer: Renderer | None = None
+        self._ready: Ready | None = None
+
+    def make(self, scene_id: int) -> Made:
+        """One bin.
+
+        Raises:
+            DropError, ValueError: this bin cannot be filled; the next one may be.
+            ConfigError: robot, tool or place cannot serve the cell.
+        """
+        start = time.perf_counter()
+        if self._renderer is None:
+            if self._threads is not None:
+                numba.set_num_threads(min(self._threads, numba.config.NUMBA_NUM_THREADS))
+            self._renderer = open_cell_renderer(
+                self._task.cell.cell,
+                device=self._task.device,
+                threads=self._threads,
+                on_frame=self._on_frame,
+            )
+        if self._ready is None:
+            self._ready = make_ready(self._task.cell, on_stage=self._on_stage)
+        episode = empty_bin(
+            self._ready, self._renderer, scene_id, seed=self._task.seed, on_stage=self._on_stage
+        )
+        outcomes = [str(attempt.outcome) for attempt in episode.attempts]
+        return Made(
+            scene_id=scene_id,
+            files=episode_files(episode),
+            seconds=time.perf_counter() - start,
+            reasons={name: float(outcomes.count(name)) for name in sorted(set(outcomes))},
+            rss_bytes=rss_bytes(),
+        )
+
+    def close(self) -> None:
+        renderer, self._renderer = self._renderer, None
+        if renderer is not None:
+            renderer.close()
+
+
+def pick_bins(
+    cell: PickCell,
+    out: Path,
+    *,
+    bins: int,
+    seed: int,
+    device: str = "auto",
+    workers: Workers = ALONE,
+    on_start: Callable[[int], None] = lambda found: None,
+    on_made: Callable[[Made], None] = lambda made: None,
+    on_failed: Callable[[Failed], None] = lambda failed: None,
+    on_stage: OnStage = lambda stage: None,
+) -> tuple[int, ...]:
+    """Empty the bins 0 .. bins-1 that are not in `out` yet.
+
+    Args:
+        out: the folder of picks; made, or continued where the same cell began it.
+        device: of the renderer.
+        on_start: called with the number of bins that are there already.
+        on_made, on_failed, on_stage: as of `generate`.
+
+    Returns:
+        The bins that could not be made.
+
+    Raises:
+        DatasetError: the folder is another cell's, is in use, or the disk refuses.
+        DeviceError: no such device here.
+        GraycastError, ValueError: nothing came out, for this reason.
+    """
+    config = cell.config
+    chosen = device if workers.engine == "ray" else choose_device(config.render.backend, device)
+    task = PickTask(cell=cell, seed=seed, device=chosen)
+    lost: list[int] = []
+    with open_picks(
+        out,
+        config=config.model_dump(mode="json", exclude={"scenes", "seed"}),
+        digests=cell.cell.file_digests,
+        seed=seed,
+        parts=cell.cell.scene.parts,
+        rig=cell.cell.scene.rig,
+    ) as folder:
+        found = folder.finished()
+        todo = [bin_id for bin_id in range(bins) if bin_id not in found]
+        on_start(bins - len(todo))
+        if not todo:
+            return ()
+        prepare(cell.cell.scene.parts, on_stage=on_stage)  # once, not by every worker
+        pool = open_pool(
+            task,
+            engine=workers.engine,
+            workers=min(workers.count, len(todo)),
+            threads=workers.threads,
+            address=workers.address,
+            on_stage=on_stage,
+        )
+        with closing(pool):
+            for outcome in make_all(pool, todo):
+                if isinstance(outcome, Made):
+                    folder.write(outcome.scene_id, outcome.files)
+                    on_made(outcome)
+                    continue
+                if isinstance(outcome.error, (ConfigError, DeviceError)):
+                    raise outcome.error
+                on_failed(outcome)
+                if outcome.final:
+                    lost.append(outcome.scene_id)
+                    if len(lost) == len(todo):
+                        raise outcome.error
+    return tuple(lost)

@@ -1,0 +1,18 @@
+"""Shares: published figures, and the binomial law by hand."""
+
+import pytest
+
+from graycast.evaluate import mcnemar, wilson
+
+
+def test_wilsons_interval_is_that_of_published_examples():
+    """R's binom.confint(9, 10, methods = "wilson") and (0, 20)."""
+    assert wilson(9, 10) == pytest.approx((0.59585, 0.98212), abs=1e-5)
+    assert wilson(0, 20) == pytest.approx((0.0, 0.16113), abs=1e-5)
+
+
+def test_mcnemars_chance_is_the_binomial_laws():
+    """Of 10 uneven pairs 1 the one way: 2 (1 + 10) / 2^10; as many both ways: no sign at all."""
+    assert mcnemar(1, 9) == pytest.approx(2 * 11 / 1024)
+    assert mcnemar(9, 1) == mcnemar(1, 9)
+    assert mcnemar(5, 5) == mcnemar(0, 0) == 1.0

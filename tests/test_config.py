@@ -17,6 +17,7 @@ from graycast.domain.sections import KINDS
 from graycast.drop import DropLimits
 from graycast.errors import ConfigError
 from graycast.parts import Material
+from graycast.pick import load_pick_config, resolve_pick_cell
 from graycast.render import Quality
 from graycast.rig import PRESETS
 from graycast.rig_file import load_scanner, rig_schema
@@ -27,7 +28,8 @@ from graycast.study_file import read_study
 ROOT = Path(__file__).resolve().parents[1]
 FILES = sorted((ROOT / "configs").rglob("*.yaml"))
 KEYS = {path: set(yaml.safe_load(path.read_text(encoding="utf-8"))) for path in FILES}
-CONFIGS = [path for path in FILES if "parts" in KEYS[path]]
+CELLS = [path for path in FILES if "robot" in KEYS[path]]
+CONFIGS = [path for path in FILES if "parts" in KEYS[path] and path not in CELLS]
 STUDIES = [path for path in FILES if "models" in KEYS[path]]
 RIGS = [path for path in FILES if "R_cam_proj" in KEYS[path]]
 
@@ -41,7 +43,7 @@ def quick_wood(monkeypatch):
 def test_there_are_configurations_to_look_at():
     names = {str(path.relative_to(ROOT / "configs")) for path in CONFIGS}
     assert {"demo.yaml", "own_part.yaml", "paper/metal_workpiece_1.yaml"} <= names
-    assert len(FILES) == len(CONFIGS) + len(STUDIES) + len(RIGS)
+    assert len(FILES) == len(CONFIGS) + len(CELLS) + len(STUDIES) + len(RIGS)
 
 
 @pytest.mark.parametrize("path", STUDIES, ids=lambda path: path.stem)
@@ -54,6 +56,12 @@ def test_every_study_s_sets_are_made_by_a_configuration_that_is_there(path):
     for folder in sets:
         place = f"out/{folder.parent.name}/"
         assert place + folder.name in head or place + "$part" in head, folder
+
+
+@pytest.mark.parametrize("path", CELLS, ids=lambda path: path.stem)
+def test_every_robot_s_cell_in_the_repository_resolves(path):
+    cell = resolve_pick_cell(load_pick_config(path), path.parent)
+    assert cell.config.picking.place_m[2] > 0
 
 
 @pytest.mark.parametrize("path", CONFIGS, ids=lambda path: path.stem)

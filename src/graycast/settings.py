@@ -155,9 +155,10 @@ def _sections(node: Mapping[str, Any], schema: Mapping[str, Any]) -> list[Mappin
     """What a value may be, references followed, sections first."""
     if "$ref" in node:
         return [schema["$defs"][node["$ref"].rsplit("/", 1)[1]]]
-    if "anyOf" not in node:
+    choices = node.get("anyOf", node.get("oneOf"))
+    if choices is None:
         return [node]
-    found = [section for option in node["anyOf"] for section in _sections(option, schema)]
+    found = [section for option in choices for section in _sections(option, schema)]
     return sorted(found, key=lambda section: "properties" not in section)
 
 

@@ -40,6 +40,7 @@ def suction_in_depth(
     down: Float[np.ndarray, "3"],
     weight_n: float,
     doubt: Doubt,
+    one_part: bool = True,
     most_lean_rad: float = np.radians(45),
     count: int = 60,
     seed: int = 0,
@@ -47,7 +48,7 @@ def suction_in_depth(
     """Grips on the measured surface within a mask, best first; none where nothing would hold.
 
     The cup stands along the normal of the plane through what lies under it. What is lifted is taken
-    to weigh `weight_n` and to have its centre below the middle of the mask's points.
+    to weigh `weight_n`.
 
     Args:
         depth_m: z of each pixel, NaN where it is missing.
@@ -57,6 +58,8 @@ def suction_in_depth(
         down: which way weights pull, in the camera's frame.
         weight_n: of a part.
         doubt: what is not known.
+        one_part: whether the mask is of one part: then its centre of mass is taken to be in the
+            middle of the mask's points, else under the cup, wherever that is.
         most_lean_rad: between the tool's axis and the vertical.
         count: places in each of three rounds.
         seed: of places and doubts.
@@ -67,16 +70,23 @@ def suction_in_depth(
         return []
     pixel = np.stack([columns, rows], axis=-1).astype(np.float64)
     point = rays(camera, pixel) * depth_m[rows, columns, None]
-    center = point.mean(axis=0)
+    center = np.broadcast_to(point.mean(axis=0), point.shape) if one_part else point
+    judge = _Judge(
+        depth_m=depth_m,
+        camera=camera,
+        cup=cup,
+        down=down,
+        weight_n=weight_n,
+        doubt=doubt,
+        most_lean_rad=most_lean_rad,
+        seed=seed,
+    )
     judged: dict[int, SeenGrip | None] = {}
     chosen = rng.choice(len(point), size=min(count, len(point)), replace=False)
     for _ in range(ROUNDS):
         for i in dict.fromkeys(chosen.tolist()):
             if i not in judged:
-                judged[i] = _judged(
-                    point[i], center, depth_m, camera, cup, down, weight_n, doubt, most_lean_rad,
-                    seed,
-                )  # fmt: skip
+                judged[i] = judge.grip(point[i], center[i])
         best = sorted(
             (i for i, grip in judged.items() if grip is not None),
             key=lambda i: -judged[i].score,
@@ -92,30 +102,40 @@ def suction_in_depth(
     return sorted(found, key=lambda grip: -grip.score)
 
 
-def _judged(
-    point: Float[np.ndarray, "3"],
-    center: Float[np.ndarray, "3"],
-    depth_m: Float[np.ndarray, "h w"],
-    camera: Optics,
-    cup: Cup,
-    down: Float[np.ndarray, "3"],
-    weight_n: float,
-    doubt: Doubt,
-    most_lean_rad: float,
-    seed: int,
-) -> SeenGrip | None:
-    """A grip on a point, along the normal there; None where the cup cannot stand."""
-    normal = _normal(point, depth_m, camera, cup.radius_m)
-    if normal is None or -normal @ down < np.cos(most_lean_rad):
-        return None
-    T_cam_tool = frame_on(point, normal)
-    patch = patch_of_depth(
-        depth_m, camera, T_cam_tool, radius_m=patch_radius_m(cup, doubt), step_m=STEP_M
-    )
-    R = T_cam_tool[:3, :3]
-    burden = Burden(weight_n=weight_n, center_m=R.T @ (center - point), down=R.T @ down)
-    score = robustness(cup, patch, [burden], doubt, seed=seed)
-    return SeenGrip(T_cam_tool=T_cam_tool, score=score)
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Judge:
+    """All that is the same for every place; fields as of `suction_in_depth`."""
+
+    depth_m: Float[np.ndarray, "h w"]
+    camera: Optics
+    cup: Cup
+    down: Float[np.ndarray, "3"]
+    weight_n: float
+    doubt: Doubt
+    most_lean_rad: float
+    seed: int
+
+    def grip(
+        self, point: Float[np.ndarray, "3"], center: Float[np.ndarray, "3"]
+    ) -> SeenGrip | None:
+        """A grip on a point, along the normal there; None where the cup cannot stand."""
+        normal = _normal(point, self.depth_m, self.camera, self.cup.radius_m)
+        if normal is None or -normal @ self.down < np.cos(self.most_lean_rad):
+            return None
+        T_cam_tool = frame_on(point, normal)
+        patch = patch_of_depth(
+            self.depth_m,
+            self.camera,
+            T_cam_tool,
+            radius_m=patch_radius_m(self.cup, self.doubt),
+            step_m=STEP_M,
+        )
+        R = T_cam_tool[:3, :3]
+        burden = Burden(
+            weight_n=self.weight_n, center_m=R.T @ (center - point), down=R.T @ self.down
+        )
+        score = robustness(self.cup, patch, [burden], self.doubt, seed=self.seed)
+        return SeenGrip(T_cam_tool=T_cam_tool, score=score)
 
 
 def _normal(

@@ -17,7 +17,7 @@ LEAST_AREA = 0.3  # of the largest detection's pixels, which a detection must ha
 FLOOR_M = 3e-3  # what lies lower than this above the bin's floor is the floor
 WALL_M = 5e-3  # what lies nearer to a wall is the wall
 LEAST_POSE = 0.3  # a pose's score below which no grip is taken from it
-PLACES = 20  # in each round of the search for suction places, for each of three detections
+PLACES = 40  # in each round of the search for suction places, for each detection
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -163,6 +163,7 @@ def aims_in_depth(
             down=down,
             weight_n=weight_n,
             doubt=doubt,
+            one_part=target.kind is not None,
             most_lean_rad=most_lean_rad,
             count=places,
             seed=seed + number,

@@ -48,6 +48,11 @@ def resolve_pick_cell(
     cell = PickCell(
         cell=resolve_cell(config, folder, on_stage=on_stage), config=config, folder=folder
     )
+    if cell.detector is not None and not cell.detector.exists():
+        raise ConfigError(
+            f"picking.detector: no folder {cell.detector}: give one that graycast train has "
+            "written, or truth or none"
+        )
     place_m = np.array(config.picking.place_m)
     half = np.array(cell.cell.scene.bin.bounds_m)
     if ((place_m[:2] > half[0, :2]) & (place_m[:2] < half[1, :2])).all():

@@ -65,6 +65,7 @@ def choose(
     for start in range(0, len(order), picking.targets):
         with clock("grips"):
             aims = _aims(ready, order[start : start + picking.targets], view, seed)
+            aims = [aim for aim in aims if aim.score >= picking.least_score]
         fresh = [aim for aim in aims if not _near(aim.place_m, tabu)]
         if aims and not fresh and why.outcome is Outcome.NOTHING_FOUND:
             why = Blocked(outcome=Outcome.GIVEN_UP)

@@ -3,10 +3,12 @@
 Measured points become heights over a grid on the bin's floor. Where the scanner saw nothing there
 may be a part: such a place is taken to be as high as the highest that was seen within `GUESSED_M`
 of the nearest place that was seen. So a shadow beside a part is as high as the part, and
-the middle of a dark, wide hole as high as its rim.
+the middle of a dark, wide hole as high as its rim. A point that stands alone, as spikes do, is not
+believed.
 """
 
 from dataclasses import dataclass
+from itertools import product
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -18,6 +20,7 @@ from ..scene import Bin
 
 CELL_M = 4e-3
 GUESSED_M = 8e-3
+NEIGHBOURS, STEP_M = 3, 6e-3  # a point is believed where so many beside it are so near in depth
 BELOW_M = 0.05  # what stands on the table is solid so far down
 
 
@@ -51,7 +54,8 @@ def measured_heap(
         depth_m: z of each pixel, NaN where it is missing.
         without: pixels that are left out: the part that fingers are to close round.
     """
-    kept = np.isfinite(depth_m) if without is None else np.isfinite(depth_m) & ~without
+    kept = _supported(depth_m)
+    kept &= True if without is None else ~without
     ray = rays(camera, pixel_grid(camera.height_px, camera.width_px)[kept])
     point = transform_points(T_world_cam, ray * depth_m[kept][:, None])
     columns, rows = (int(np.ceil(size / CELL_M)) + 1 for size in box.inner_m[:2])
@@ -62,6 +66,17 @@ def measured_heap(
     np.maximum.at(height, (i[inside], j[inside]), point[inside, 2])
     seen = np.isfinite(height)
     return MeasuredHeap(height_m=_guessed(height, seen, box.inner_m[2]), seen=seen)
+
+
+def _supported(depth_m: Float[np.ndarray, "h w"]) -> Bool[np.ndarray, "h w"]:
+    """Pixels of which `NEIGHBOURS` of the eight around them are about as deep."""
+    padded = np.pad(depth_m, 1, constant_values=np.nan)
+    h, w = depth_m.shape
+    count = np.zeros(depth_m.shape, np.int64)
+    for i, j in product(range(3), range(3)):
+        if (i, j) != (1, 1):
+            count += np.abs(padded[i : i + h, j : j + w] - depth_m) < STEP_M  # False for NaN
+    return count >= NEIGHBOURS
 
 
 def _guessed(

@@ -109,19 +109,20 @@ def _surroundings(cell: PickCell, robot: Robot, load: Load) -> Surroundings:
         straight_m_s=picking.straight_m_s,
     )
     place = rigid(np.eye(3), np.array(picking.place_m, dtype=np.float64))
-    q_place = robot.reach(here.flange(place), robot.home, seed=0)
-    if q_place is None:
+    reached = robot.reach(here.flange(place), robot.home, seed=0)
+    if not reached:
         raise ConfigError(
             f"picking.place_m is {picking.place_m}: {robot.name} at {cell.config.robot.base_m} "
             "does not reach it with its tool upright: move one of them"
         )
-    hit = robot.mount((load.piece(here.T_flange_tip),)).touches(q_place, still)
-    if hit is not None:
+    loaded = robot.mount((load.piece(here.T_flange_tip),))
+    hits = [loaded.touches(q, still) for q in reached]
+    if None not in hits:
         raise ConfigError(
             f"picking.place_m is {picking.place_m}: the arm, with a part of up to "
-            f"{load.below_m:.3f} m below its tip, is in {hit} there: move it"
+            f"{load.below_m:.3f} m below its tip, is in {hits[0]} there: move it"
         )
-    return replace(here, q_place=q_place)
+    return replace(here, q_place=reached[hits.index(None)])
 
 
 def _known(tool: Tool, part: Part, body: Body) -> KnownPart:

@@ -18,6 +18,7 @@ from .arms import ARMS, urdf
 Joints = Float[np.ndarray, "q"]
 # Inverse kinematics: Newton steps with damping, from several starts.
 _STEPS, _STARTS = 60, 12
+_ALIKE_RAD = 0.05
 _DAMPING = 1e-6
 EXACT_M, EXACT_RAD = 1e-5, 1e-4
 # Neither maker states accelerations; with these a joint is at full speed after half a second.
@@ -96,20 +97,20 @@ class Robot:
 
     def reach(
         self, T_base_flange: Float[np.ndarray, "4 4"], near: Joints, *, seed: int
-    ) -> Joints | None:
-        """Joint angles that bring the flange to a pose, the nearest to `near` of those found.
+    ) -> list[Joints]:
+        """Joint angles that bring the flange to a pose, those nearest to `near` first.
 
-        Newton steps from `near` and from random starts; None where no start arrives within the
+        Newton steps from `near` and from random starts; none where no start arrives within the
         limits: out of reach, for all that is known.
         """
         rng = np.random.default_rng(seed)
         starts = [near, *rng.uniform(self.low, self.high, (_STARTS - 1, len(near)))]
-        found = [
-            q
-            for q in (self._solve(T_base_flange, start, near) for start in starts)
-            if q is not None
-        ]
-        return min(found, key=lambda q: float(np.abs(q - near).max()), default=None)
+        found: list[Joints] = []
+        for start in starts:
+            q = self._solve(T_base_flange, start, near)
+            if q is not None and all(np.abs(q - other).max() > _ALIKE_RAD for other in found):
+                found.append(q)
+        return sorted(found, key=lambda q: float(np.abs(q - near).max()))
 
     def follow(self, T_base_flange: Float[np.ndarray, "4 4"], near: Joints) -> Joints | None:
         """Joint angles for a pose near to where the arm is; None where Newton goes astray."""

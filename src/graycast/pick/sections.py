@@ -6,7 +6,7 @@ from typing import Literal
 from pydantic import Field, model_validator
 
 from ..config import Config
-from ..settings import Level, Positive, Settings, Vector, read_settings
+from ..settings import Level, Positive, Settings, Share, Vector, read_settings
 from .arms import ARMS
 from .tools import JawTool, SuctionTool
 
@@ -49,6 +49,7 @@ class PickingSection(Settings):
     most_lean_deg: float = Field(
         40.0, gt=0, le=80, description="between the tool's axis and the vertical"
     )
+    least_score: Share = Field(0.25, description="of a grip that is tried")
     targets: int = Field(3, ge=1, description="detections that are looked at together, top first")
     grips: int = Field(12, ge=1, description="grips that are planned for each scan at most")
     failures: int = Field(5, ge=1, description="scans in a row without a pick that end a bin")

@@ -13,6 +13,7 @@ from .outcome import Outcome
 from .robot import Joints, Mounted, Obstacle, Robot
 
 TURNS = 4  # of a round cup about its axis, which all hold alike
+ELBOWS = 3  # ways to hold the arm that are tried before a grip
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -95,57 +96,89 @@ def ways(
         round_tool: whether it may be turned about its axis.
         seed: of starts and planner.
     """
-    obstacles = (*here.standing, heap)
+    search = _Search(
+        robot=robot,
+        here=here,
+        obstacles=(*here.standing, heap),
+        up_m=up_m,
+        load=load,
+        seed=seed,
+    )
+    turns = TURNS if round_tool else 2
     found: Ways | Blocked = Blocked(outcome=Outcome.UNREACHABLE)
-    for turn in range(TURNS if round_tool else 2):
-        angle = 2 * np.pi * turn / (TURNS if round_tool else 2)
-        tip = T_world_tip @ rigid(axis_rotation("z", angle), np.zeros(3))
-        found = _ways(robot, here, q, tip, obstacles, up_m, load, seed)
+    for turn in range(turns):
+        turned = rigid(axis_rotation("z", 2 * np.pi * turn / turns), np.zeros(3))
+        found = search.ways(q, T_world_tip @ turned)
         if isinstance(found, Ways):
-            return found
+            break
     return found
 
 
-def _ways(
-    robot: Robot,
-    here: Surroundings,
-    q: Joints,
-    tip: Float[np.ndarray, "4 4"],
-    obstacles: Sequence[Obstacle],
-    up_m: float,
-    load: Load,
-    seed: int,
-) -> Ways | Blocked:
-    before = tip.copy()
-    before[:3, 3] += here.approach_m * tip[:3, 2]
-    raised = tip.copy()
-    raised[2, 3] += up_m
-    q_before = robot.reach(here.flange(before), here.q_place, seed=seed)
-    if q_before is None:
-        return Blocked(outcome=Outcome.UNREACHABLE, detail="no joint angles before the grip")
-    line = np.stack([q_before])
-    for name, end in (("down", tip), ("up", raised), ("upright", _upright(raised))):
-        piece = straight(robot, line[-1], here.flange(end), obstacles)
-        if piece is None:
-            return _why(robot, line[-1], here.flange(end), obstacles, name)
-        if name == "down":
-            down, line = piece, piece[-1:]
-        else:
-            line = np.concatenate([line, piece[1:]])
-    up = line
-    to = plan(robot, q, q_before, obstacles, seed=seed)
-    if to is None:
-        return Blocked(outcome=Outcome.UNREACHABLE, detail="no free way to the grip")
-    loaded = robot.mount((load.piece(here.T_flange_tip),))
-    away = plan(loaded, up[-1], here.q_place, obstacles, seed=seed)
-    if away is None:
-        return Blocked(outcome=Outcome.UNREACHABLE, detail="no free way with the part")
-    return Ways(
-        to=drive(robot, to),
-        down=_slowly(drive(robot, down), here.approach_m / here.straight_m_s),
-        up=_gently(robot, here, _slowly(drive(robot, up), up_m / here.straight_m_s), load),
-        away=_gently(robot, here, drive(robot, away), load),
-    )
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Search:
+    """What is the same for every way to hold the arm and to turn the tool; as of `ways`."""
+
+    robot: Robot
+    here: Surroundings
+    obstacles: tuple[Obstacle, ...]
+    up_m: float
+    load: Load
+    seed: int
+
+    def ways(self, q: Joints, tip: Float[np.ndarray, "4 4"]) -> Ways | Blocked:
+        here, robot = self.here, self.robot
+        before = tip.copy()
+        before[:3, 3] += here.approach_m * tip[:3, 2]
+        reached = robot.reach(here.flange(before), here.q_place, seed=self.seed)
+        if not reached:
+            return Blocked(outcome=Outcome.UNREACHABLE, detail="no joint angles before the grip")
+        hits = [robot.touches(each, self.obstacles) for each in reached]
+        free = [each for each, hit in zip(reached, hits, strict=True) if hit is None]
+        if not free:
+            return Blocked(outcome=Outcome.COLLISION_SEEN, detail=f"the arm would be in {hits[0]}")
+        found: Ways | Blocked = Blocked(outcome=Outcome.UNREACHABLE)
+        for q_before in free[:ELBOWS]:
+            found = self._by(q, q_before, tip)
+            if isinstance(found, Ways):
+                break
+        return found
+
+    def _by(self, q: Joints, q_before: Joints, tip: Float[np.ndarray, "4 4"]) -> Ways | Blocked:
+        """With the arm held so before the grip."""
+        here, robot = self.here, self.robot
+        raised = tip.copy()
+        raised[2, 3] += self.up_m
+        lines: dict[str, Float[np.ndarray, "k joints"]] = {}
+        last = q_before
+        for name, end in (("down", tip), ("up", raised), ("upright", _upright(raised))):
+            line = straight(robot, last, here.flange(end), self.obstacles)
+            if line is None:
+                return self._why(last, here.flange(end), name)
+            lines[name], last = line, line[-1]
+        to = plan(robot, q, q_before, self.obstacles, seed=self.seed)
+        if to is None:
+            return Blocked(outcome=Outcome.UNREACHABLE, detail="no free way to the grip")
+        loaded = robot.mount((self.load.piece(here.T_flange_tip),))
+        away = plan(loaded, last, here.q_place, self.obstacles, seed=self.seed)
+        if away is None:
+            return Blocked(outcome=Outcome.UNREACHABLE, detail="no free way with the part")
+        up = np.concatenate([lines["up"], lines["upright"][1:]])
+        down_s, up_s = here.approach_m / here.straight_m_s, self.up_m / here.straight_m_s
+        return Ways(
+            to=drive(robot, to),
+            down=_slowly(drive(robot, lines["down"]), down_s),
+            up=_gently(robot, here, _slowly(drive(robot, up), up_s), self.load),
+            away=_gently(robot, here, drive(robot, away), self.load),
+        )
+
+    def _why(self, q: Joints, T_base_flange: Float[np.ndarray, "4 4"], name: str) -> Blocked:
+        """A straight way fails by what is touched, or by the arm's own limits."""
+        if straight(self.robot, q, T_base_flange, ()) is not None:
+            for obstacle in self.obstacles:
+                if straight(self.robot, q, T_base_flange, (obstacle,)) is None:
+                    detail = f"the way {name} is through {obstacle.name}"
+                    return Blocked(outcome=Outcome.COLLISION_SEEN, detail=detail)
+        return Blocked(outcome=Outcome.UNREACHABLE, detail=f"no straight way {name}")
 
 
 def _upright(T: Float[np.ndarray, "4 4"]) -> Float[np.ndarray, "4 4"]:

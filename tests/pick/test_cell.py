@@ -1,0 +1,67 @@
+"""Robots' cells that cannot work: each is refused in one line that names the thing."""
+
+import pytest
+
+pytest.importorskip("pinocchio", reason="needs pinocchio: pip install 'graycast[pick]'")
+
+from small_cell import write_cell
+
+from graycast.errors import GraycastError
+from graycast.pick import load_pick_config, resolve_pick_cell
+from graycast.pick.ready import make_ready
+
+URDF = """<robot name="r"><link name="base"/><link name="{last}"/>
+<joint name="j" type="revolute"><parent link="base"/><child link="{last}"/>
+<origin xyz="0 0 0.3"/><axis xyz="0 0 1"/><limit lower="-1" upper="1" velocity="1" effort="0"/>
+</joint>{more}</robot>"""
+MESH = """<link name="l2"><collision><geometry><mesh filename="gone.stl"/></geometry></collision>
+</link><joint name="f" type="fixed"><parent link="base"/><child link="l2"/></joint>"""
+
+
+def ready(folder, **changes):
+    path = write_cell(folder, **changes)
+    return make_ready(resolve_pick_cell(load_pick_config(path), folder))
+
+
+def test_the_small_cell_itself_is_fine(tmp_path):
+    made = ready(tmp_path)
+    assert made.known[0].grips and made.robot.touches(made.here.q_place, made.here.standing) is None
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({"robot": {"arm": "ur10"}}, "no robot 'ur10'"),
+        ({"robot": {"arm": "broken.urdf"}}, "broken.urdf"),
+        ({"robot": {"arm": "headless.urdf"}}, "no link called flange"),
+        ({"robot": {"arm": "meshless.urdf"}}, "gone.stl"),
+        ({"robot": {"home_rad": [0, 0]}}, "home has 2 angles"),
+        ({"robot": {"home_rad": [9, 0, 0, 0, 0, 0]}}, "home of joint 1"),
+        ({"robot": {"home_rad": [0, 0.6, 0, 0, 0, 0]}}, "the arm is in"),
+        ({"robot": {"base_m": [-2.5, 0, 0]}}, "does not reach"),
+        ({"robot": {"arms": "ur5e"}}, "robot.arms: did you mean arm?"),
+        ({"tool": {"kind": "magnet"}}, "tool"),
+        ({"tool": {"kind": "suction", "cup": {"radius": 0.01}}}, "did you mean radius_m"),
+        ({"tool": {"kind": "suction", "cup": {"radius_m": -1.0}}}, "radius_m is -1"),
+        ({"tool": {"kind": "suction", "cup": {"radius_m": 15.0}}}, "give metres"),
+        ({"tool": {"kind": "suction", "cup": {"vacuum_pa": 2.0e5}}}, "101325"),
+        ({"tool": {"kind": "suction", "cup": {"vacuum_pa": 50.0}}}, "holds part box"),
+        ({"tool": {"kind": "jaws", "jaws": {"opening_m": 0.02}}}, "holds part box"),
+        ({"tool": {"kind": "jaws"}, "picking": {"knows": "depth"}}, "jaws need a known model"),
+        ({"picking": {"knows": "part", "detector": "none"}}, "needs a detector"),
+        ({"picking": {"detector": "nowhere"}}, "nowhere"),
+        ({"picking": {"depth": "noisy"}}, "depth_noise_m belong together"),
+        ({"picking": {"place_m": [0.0, 0.0, 0.3]}}, "over the bin itself"),
+        ({"picking": {"place_m": [0.0, -0.4, 0.02]}}, "the arm, with a part of up to"),
+        ({"picking": {"most_lean_deg": 95}}, "most_lean_deg"),
+        ({"domain": {"kind": "adapted"}}, "remove domain"),
+    ],
+)
+def test_what_cannot_work_is_refused_by_name(tmp_path, changes, words):
+    (tmp_path / "broken.urdf").write_text("<robot", encoding="utf-8")
+    (tmp_path / "headless.urdf").write_text(URDF.format(last="hand", more=""), encoding="utf-8")
+    text = URDF.format(last="flange", more=MESH)
+    (tmp_path / "meshless.urdf").write_text(text, encoding="utf-8")
+    with pytest.raises(GraycastError, match=words) as refused:
+        ready(tmp_path, **changes)
+    assert "\n" not in str(refused.value).strip()

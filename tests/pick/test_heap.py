@@ -1,0 +1,110 @@
+"""The measured heap: heights by hand, where nothing was seen, and that it stands where it is."""
+
+import numpy as np
+import pytest
+
+pytest.importorskip("coal", reason="needs coal: pip install 'graycast[pick]'")
+
+import coal
+
+from graycast.frames import look_at, pixel_grid
+from graycast.optics import Optics, rays
+from graycast.pick.heap import CELL_M, GUESSED_M, measured_heap
+from graycast.pick.obstacles import heap_obstacle
+from graycast.pick.robot import Mounted, tool_touches
+from graycast.scene import Bin
+
+BOX = Bin(inner_m=(0.2, 0.16, 0.1))
+CAMERA = Optics(width_px=240, height_px=200, fx_px=400.0, fy_px=400.0, cx_px=119.5, cy_px=99.5)
+# Not upright, so that a depth taken for a height shows.
+T_WORLD_CAM = look_at(np.array([0.1, 0.05, 0.5]), np.zeros(3), np.array([0.0, 1.0, 0.0]))
+
+
+def depth_of(height_of, T_world_cam=T_WORLD_CAM):
+    """z of a surface z = height(x, y) by steps along each ray: an independent ray caster."""
+    ray = rays(CAMERA, pixel_grid(CAMERA.height_px, CAMERA.width_px))
+    depth = np.full(ray.shape[:2], np.nan)
+    R, eye = T_world_cam[:3, :3], T_world_cam[:3, 3]
+    for z in np.arange(0.35, 0.75, 2e-4):
+        point = eye + (ray * z) @ R.T
+        below = point[..., 2] <= height_of(point[..., 0], point[..., 1])
+        depth = np.where(np.isnan(depth) & below, z, depth)
+    return depth
+
+
+def block(x, y):
+    """40 mm high over a quarter that is no other quarter's mirror image."""
+    return np.where((x > 0.02) & (x < 0.07) & (y > 0.01) & (y < 0.05), 0.04, 0.0)
+
+
+@pytest.fixture(scope="module")
+def heap():
+    return measured_heap(depth_of(block), CAMERA, T_WORLD_CAM, BOX)
+
+
+def at(heap, x, y):
+    rows, columns = heap.height_m.shape
+    return heap.height_m[round(y / CELL_M + (rows - 1) / 2), round(x / CELL_M + (columns - 1) / 2)]
+
+
+def test_heights_are_those_of_the_world(heap):
+    assert at(heap, 0.045, 0.03) == pytest.approx(0.04, abs=1e-3)
+    for x, y in ((-0.045, 0.03), (0.045, -0.03), (-0.045, -0.03), (0.09, 0.03)):
+        assert at(heap, x, y) == pytest.approx(0.0, abs=1e-3)
+
+
+def test_what_was_not_seen_is_as_high_as_what_was_seen_beside_it():
+    depth = depth_of(block)
+    inside = np.zeros(depth.shape, bool)
+    rows, columns = np.nonzero(depth < np.nanmin(depth) + 0.005)  # the block's top
+    inside[rows.min() : rows.max(), (columns.min() + columns.max()) // 2 : columns.max() + 20] = 1
+    heap = measured_heap(np.where(inside, np.nan, depth), CAMERA, T_WORLD_CAM, BOX)
+    assert not heap.seen.all()
+    # Of the block's unseen half, what is nearer to the seen half than the floor counts as block.
+    guessed = ~heap.seen
+    assert heap.height_m[guessed].max() == pytest.approx(0.04, abs=1e-3)
+    assert np.isfinite(heap.height_m).all()
+
+
+def test_a_shadow_beside_a_part_is_as_high_as_the_part():
+    """From far aside the camera sees nothing for 22 mm behind the block."""
+    aside = look_at(np.array([0.35, 0.03, 0.5]), np.zeros(3), np.array([0.0, 1.0, 0.0]))
+    heap = measured_heap(depth_of(block, aside), CAMERA, aside, BOX)
+    shadow_m = 0.04 * (0.35 - 0.02) / (0.5 - 0.04)
+    for x in np.arange(0.02 - shadow_m / 3, 0.02, CELL_M):  # nearer to the block than to the floor
+        assert at(heap, x, 0.03) == pytest.approx(0.04, abs=1e-3)
+    assert at(heap, 0.02 - shadow_m - GUESSED_M - 2 * CELL_M, 0.03) == pytest.approx(0, abs=1e-3)
+
+
+def test_a_spike_is_not_believed_and_a_thin_post_is(heap):
+    """One pixel alone, and six side by side, both 60 mm above the floor."""
+    depth = depth_of(block)
+    depth[60, 60] = depth[60, 60] - 0.06
+    assert measured_heap(depth, CAMERA, T_WORLD_CAM, BOX).height_m.max() < 0.041
+    depth[60:62, 60:63] = depth[60, 60]
+    assert measured_heap(depth, CAMERA, T_WORLD_CAM, BOX).height_m.max() > 0.05
+
+
+def test_nothing_seen_is_a_full_bin():
+    nothing = np.full((CAMERA.height_px, CAMERA.width_px), np.nan)
+    assert (measured_heap(nothing, CAMERA, T_WORLD_CAM, BOX).height_m == BOX.inner_m[2]).all()
+
+
+def test_a_part_is_left_out_for_the_fingers_that_close_round_it(heap):
+    depth = depth_of(block)
+    top = depth < np.nanmin(depth) + 0.012
+    without = measured_heap(depth, CAMERA, T_WORLD_CAM, BOX, without=top)
+    assert at(without, 0.045, 0.03) < 0.02 < at(heap, 0.045, 0.03)
+
+
+@pytest.mark.parametrize(
+    ("x", "y", "hit"),
+    [(0.045, 0.03, True), (-0.045, 0.03, False), (0.045, -0.03, False), (-0.045, -0.03, False)],
+)
+def test_the_planner_meets_the_heap_where_it_is(heap, x, y, hit):
+    """A ball 30 mm above the floor is in the block, and nowhere else."""
+    obstacle = heap_obstacle(heap, np.eye(4))
+    T = np.eye(4)
+    T[:3, 3] = x, y, 0.03
+    ball = Mounted(name="ball", shape=coal.Sphere(0.005), T_flange_shape=np.eye(4))
+    assert (tool_touches([ball], T, [obstacle]) == "the heap") == hit

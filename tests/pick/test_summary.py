@@ -1,0 +1,59 @@
+"""Rates, reasons and pairs of hand-made episodes."""
+
+import pytest
+
+from graycast.errors import GraycastError
+from graycast.evaluate import mcnemar, wilson
+from graycast.pick.files import StoredEpisode
+from graycast.pick.summary import pair, summarize
+
+
+def episode(bin_id, *outcomes, left=0, spilled=0):
+    attempts = tuple(
+        {"outcome": outcome, "seconds": {"scan": 0.5, "motion": 4.0}} for outcome in outcomes
+    )
+    taken = sum(outcome == "picked" for outcome in outcomes)
+    return StoredEpisode(
+        bin_id=bin_id,
+        filled=taken + left + spilled,
+        taken=taken,
+        left=left,
+        spilled=spilled,
+        attempts=attempts,
+        work_s=tuple({"scan": 2.0, "grips": 0.75, "plan": 0.25, "physics": 1.0} for _ in outcomes),
+    )
+
+
+def test_what_never_moved_is_no_grip():
+    told = summarize(
+        [
+            episode(0, "picked", "lost seal", "nothing found", "picked", spilled=1),
+            episode(1, "unreachable", "picked", "collision unseen", left=2),
+        ]
+    )
+    assert (told.grips, told.picked) == (5, 3)
+    assert told.rate == (3 / 5, *wilson(3, 5))
+    assert (told.filled, told.taken, told.left, told.spilled, told.cleared) == (6, 3, 2, 1, 1)
+    assert told.outcomes["picked"] == 3 and sum(told.outcomes.values()) == 7
+    # 7 scans and motions of 4.5 s, and a second of thinking each.
+    assert told.picks_per_hour == pytest.approx(3600 * 3 / (7 * 5.5))
+
+
+def test_pairs_are_attempts_of_the_same_bin_in_their_order():
+    first = [episode(0, "picked", "lost seal", "picked"), episode(2, "picked")]
+    second = [
+        episode(0, "nothing found", "lost seal", "picked", "picked", "picked"),
+        episode(1, "picked"),
+        episode(2, "picked"),
+    ]
+    paired = pair(first, second)
+    assert (paired.pairs, paired.both) == (4, 2)
+    assert (paired.only_first, paired.only_second) == (1, 1)
+    assert paired.p == mcnemar(1, 1) == 1.0
+
+
+def test_nothing_to_tell_is_said():
+    with pytest.raises(GraycastError, match="no bin is finished"):
+        summarize([])
+    with pytest.raises(GraycastError, match="share no bin"):
+        pair([episode(0, "picked")], [episode(1, "picked")])

@@ -126,7 +126,7 @@ def _state(space: object, q: Joints) -> object:
 
 
 def drive(
-    robot: Robot, corners: Float[np.ndarray, "k joints"], *, step_s: float = 0.01
+    robot: Robot, corners: Float[np.ndarray, "k joints"], *, step_s: float = 0.004
 ) -> Trajectory:
     """Along a way in the least time that speeds and accelerations of the joints allow.
 

@@ -217,14 +217,13 @@ def _gently(robot: Robot, here: Surroundings, way: Trajectory, load: Load) -> Tr
 
     At the tip, and as far below it as the part reaches.
     """
-    step_s = 0.01
-    count = max(int(way.seconds / step_s), 4)
-    time_s = np.linspace(0, way.seconds, count + 1)
-    tip = [robot.flange(way.at(t)) @ here.T_flange_tip for t in time_s]
+    if len(way.q) < 3:
+        return way
+    step_s = float(way.time_s[1] - way.time_s[0])
+    tip = [robot.flange(q) @ here.T_flange_tip for q in way.q]
     fastest = 0.0
     for reach_m in (0.0, -load.below_m):
         place = np.stack([T[:3, 3] + reach_m * T[:3, 2] for T in tip])
-        place = np.concatenate([place[:1], place, place[-1:]])  # at rest before and after
-        second = np.diff(place, n=2, axis=0) / (way.seconds / count) ** 2
+        second = np.diff(place, n=2, axis=0) / step_s**2
         fastest = max(fastest, float(np.linalg.norm(second, axis=1).max()))
     return _slowly(way, way.seconds * np.sqrt(fastest / CARRIED_M_S2))

@@ -258,6 +258,17 @@ def test_a_run_of_which_nothing_comes_out_stops_early_with_the_reason(cell, tmp_
     assert {entry.name for entry in (tmp_path / "out").iterdir()} <= {".lock"}
 
 
+def test_a_run_goes_on_where_others_came_out_however_many_fail(
+    cell, undisturbed, tmp_path, monkeypatch
+):
+    """Scenes that are there show that the cell is sound: those that fail are set aside."""
+    out = shutil.copytree(undisturbed, tmp_path / "out")
+    failing(monkeypatch, {scene_id: (DropError("no rest"), 1) for scene_id in range(3, 9)})
+    summary, found, made = run(cell, out, scenes=9)
+    assert (found, made, [aside.scene_id for aside in summary.set_aside]) == (3, [], [*range(3, 9)])
+    assert validate(out) == ()
+
+
 def test_a_scene_made_again_is_the_same_and_a_change_is_named(cell, undisturbed, tmp_path):
     out = tmp_path / "out"
     shutil.copytree(undisturbed, out)

@@ -234,6 +234,30 @@ def test_a_bit_that_counts_periods_must_not_be_in_doubt_inside_a_period():
     assert one_pixel(code, at=16, change=doubt) is Reason.DECODED  # bit 0 turns over there
 
 
+@pytest.mark.parametrize("inverses", [False, True])
+def test_a_phase_may_lie_an_eighth_of_a_period_outside_of_its_gray_cell(inverses):
+    """Cells are half a period, 8 px: a phase within 6 px of a cell's middle belongs to it.
+
+    Gray bits stay, and the cosines move: light from elsewhere does that.
+    """
+    code = gray_phase(256, 64, period_px=16.0, inverses=inverses)
+    phases = [k for k, frame in enumerate(code.frames) if frame.kind == "phase"]
+    middle_px = 99.5  # of the cell from 95.5 to 103.5
+    for off_px, reason in (
+        (0.0, Reason.DECODED),
+        (5.7, Reason.DECODED),
+        (6.3, Reason.INTERREFLECTION),
+        (7.7, Reason.INTERREFLECTION),
+    ):
+        for side in (-1, 1):
+            stack = np.round(20 + 180 * share_of_white(code, np.array([[middle_px]]), disc_px=0))
+            there = np.array([[middle_px + side * off_px]])
+            moved = np.round(20 + 180 * share_of_white(code, there, disc_px=0))
+            stack[phases] = moved[phases]
+            codes = decode(stack.astype(np.uint8), code, USUAL, levels_of(SENSOR))
+            assert Reason(codes.reason[0, 0]) is reason, (off_px, side)
+
+
 def test_a_code_that_the_projector_does_not_have_is_outside_of_it():
     """20 columns need 5 bits, so 12 words belong to no column; 27 in Gray code is 10110."""
     code = gray(20, 16)

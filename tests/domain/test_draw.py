@@ -230,10 +230,13 @@ def test_a_lamp_stands_clear_of_the_bin_s_ball_by_half_its_diagonal(size_m):
 
 def test_a_view_is_the_cone_through_the_farthest_corner_and_meets_balls_that_reach_into_it():
     """Oracle: the angles of points of balls; balls that only just touch are left out."""
-    scene = cell()
+    rig = cell().rig
+    scene = cell(rig=replace(rig, camera=replace(rig.camera, cx_px=300.0, cy_px=450.0)))
     rng, met = np.random.default_rng(2), []
     for cone, lens in zip(views(scene), (scene.rig.camera, scene.rig.projector), strict=True):
-        corner = math.hypot(lens.width_px / 2 / lens.fx_px, lens.height_px / 2 / lens.fy_px)
+        aside = max(lens.cx_px + 0.5, lens.width_px - 0.5 - lens.cx_px) / lens.fx_px
+        above = max(lens.cy_px + 0.5, lens.height_px - 0.5 - lens.cy_px) / lens.fy_px
+        corner = math.hypot(aside, above)
         assert math.tan(cone.half_angle_rad) == pytest.approx(corner, rel=1e-9)
         for _ in range(100):
             center_m, radius_m = cone.apex_m + rng.uniform(-1, 1, 3), rng.uniform(0.05, 0.4)

@@ -6,6 +6,7 @@ import shutil
 import cv2
 import numpy as np
 import pytest
+from drawn import axes_of, drawn_by, heights_of
 from pictured import SCALE_MM, forget, write_dataset
 
 from graycast.dataset.stored import open_dataset
@@ -13,6 +14,7 @@ from graycast.decode import Reason
 from graycast.errors import DatasetError
 from graycast.stats import (
     dataset_statistics,
+    plots,
     scene_figures,
     statistics_json,
     statistics_table,
@@ -114,12 +116,26 @@ def test_figures_survive_json(made):
 
 
 def test_files_and_table_are_written(made, statistics, tmp_path):
-    write_statistics(statistics, tmp_path / "figures")
+    with drawn_by(plots) as figures:
+        write_statistics(statistics, tmp_path / "figures")
     held = json.loads((tmp_path / "figures/stats.json").read_text())
     assert held == json.loads(json.dumps(statistics_json(statistics)))
     assert held["pixels"] == 2 * 160 * 120
-    picture = cv2.imread(str(tmp_path / "figures/stats.png"))
-    assert picture.shape[1] > 1000 and picture.std() > 10
+    assert (tmp_path / "figures/stats.png").is_file()
+    axes = axes_of(figures[0])
+    instances = sum(one.instances for one in statistics.classes)
+    assert sum(heights_of(axes[f"Instances per scene ({instances:,} in all)"])) == 2
+    assert sum(heights_of(axes["Visibility"])) == instances
+    assert sum(heights_of(axes["Mask size"])) == sum(statistics.areas.values())
+    assert sum(heights_of(axes["Perfect depth"])) == pytest.approx(100)
+    shares = [bar.get_width() for bar in axes["Why there is no depth"].patches]
+    assert sum(shares) == pytest.approx(200)
+    assert max(shares) == pytest.approx(
+        100 * max(*statistics.reason.values(), *statistics.part_reason.values())
+    )
+    assert sum(heights_of(axes["Decoded share per scene"])) == 2
+    for _, percent in ((line.get_xdata(), line.get_ydata()) for line in axes["Brightness"].lines):
+        assert np.sum(percent) == pytest.approx(100)
     assert statistics_table(statistics).row_count > 8
 
 

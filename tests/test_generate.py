@@ -7,6 +7,7 @@ import signal
 import subprocess
 import sys
 import time
+from dataclasses import fields, replace
 
 import numpy as np
 import pytest
@@ -17,9 +18,13 @@ from graycast.cell import resolve_cell
 from graycast.cli import main
 from graycast.config import load_config
 from graycast.dataset import validate
+from graycast.decode import DecodeSpec, FilterSpec
 from graycast.engine import SceneMaker
 from graycast.errors import DatasetError, DropError
 from graycast.generate import Workers, generate, read_origin, rerender
+from graycast.pattern import CodeSpec
+from graycast.scanner import ExposureSpec, Scanner
+from graycast.sensor import SensorSpec
 from graycast.simulate import _counts
 
 
@@ -138,6 +143,23 @@ def test_a_change_of_a_mesh_under_the_same_name_is_noticed(undisturbed, tmp_path
     assert main(["generate", str(changed), "--out", str(tmp_path / "out")]) == 1
     assert "differs in config.files.box.stl" in capsys.readouterr().err
     assert content(tmp_path / "out") == content(undisturbed)
+
+
+SCANNERS = {
+    "code": CodeSpec(codec="gray_phase"),
+    "sensor": SensorSpec(read_noise_e=3.5),
+    "exposure": ExposureSpec(target=0.7),
+    "decode": DecodeSpec(min_contrast=0.1),
+    "filters": FilterSpec(island_px=3),
+}
+
+
+@pytest.mark.parametrize("name", SCANNERS)
+def test_a_change_of_what_a_rig_file_says_of_the_scanner_is_noticed(cell, undisturbed, name):
+    assert set(SCANNERS) == {field.name for field in fields(Scanner)} - {"rig"}
+    other = replace(cell, scanner=replace(cell.scanner, **{name: SCANNERS[name]}))
+    with pytest.raises(DatasetError, match=rf"differs in config\.scanner\.{name}\."):
+        rerender(other, undisturbed, 0, seed=0, device="cpu")
 
 
 def test_a_mix_drops_all_kinds_and_else_each_scene_has_one(tmp_path):

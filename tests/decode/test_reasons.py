@@ -258,6 +258,28 @@ def test_a_phase_may_lie_an_eighth_of_a_period_outside_of_its_gray_cell(inverses
             assert Reason(codes.reason[0, 0]) is reason, (off_px, side)
 
 
+@pytest.mark.parametrize(
+    ("off_rad", "reason"), [(0.14, Reason.DECODED), (0.18, Reason.CONTRADICTORY)]
+)
+def test_phases_that_are_three_deviations_apart_contradict_each_other(off_rad, reason):
+    """Deviations are 0.05 rad of the model and 0.016 of noise: 0.158 rad is three of them.
+
+    The longer two periods are moved against the shortest, which says where in a period it is.
+    """
+    code, place, share = multi_frequency(512, 384), 200.3, []
+    shortest_px = min(f.period_px for f in code.frames if f.kind == "phase")
+    for frame in code.frames:
+        if frame.kind != "phase":
+            share.append(float(frame.kind == "white"))
+            continue
+        off = 0.0 if frame.period_px == shortest_px else off_rad
+        turn = 2 * np.pi * (place / frame.period_px - frame.step / frame.steps) + off
+        share.append(0.5 + 0.5 * np.cos(turn))
+    stack = frames_of(60 + 3000 * np.array(share)[:, None, None])
+    codes = decode(stack, code, USUAL, LEVELS)
+    assert Reason(codes.reason[0, 0]) is reason
+
+
 def test_a_code_that_the_projector_does_not_have_is_outside_of_it():
     """20 columns need 5 bits, so 12 words belong to no column; 27 in Gray code is 10110."""
     code = gray(20, 16)

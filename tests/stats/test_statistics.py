@@ -20,7 +20,6 @@ from graycast.stats import (
     statistics_table,
     write_statistics,
 )
-from graycast.stats.gather import _quantiles, error_figures
 
 pytestmark = pytest.mark.slow
 
@@ -87,21 +86,6 @@ def test_the_scanner_s_noise_comes_out_as_it_went_in(statistics):
     assert abs(error.rms_mm - sigma_mm) < 4 * 0.71 * standard_error_mm
     assert abs(error.median_mm) < 4 * 1.26 * standard_error_mm
     assert error.beyond_1mm < 1e-4
-
-
-def test_quantiles_of_a_histogram_are_numpy_s():
-    value = np.random.default_rng(3).poisson(40, 5001) - 20
-    counts = {int(k): int((value == k).sum()) for k in np.unique(value)}
-    shares = (0.01, 0.25, 0.5, 0.9, 0.999)
-    expected = np.quantile(value, shares, method="inverted_cdf")
-    np.testing.assert_array_equal(_quantiles(counts, shares), expected)
-
-
-def test_an_error_of_one_value_has_that_median_and_no_rms_beyond_it():
-    error = error_figures({30: 10}, 0.1)
-    assert error.median_mm == pytest.approx(3.0)
-    assert error.rms_mm == pytest.approx(3.0)
-    assert (error.beyond_1mm, error.beyond_5mm) == (1.0, 0.0)
 
 
 def test_depth_range_holds_the_wall(made, statistics):

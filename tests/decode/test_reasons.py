@@ -342,6 +342,22 @@ def test_interreflection_as_strong_as_the_direct_light_is_suspected_where_coarse
     assert np.array_equal(codes.column[known], u[known])
 
 
+@pytest.mark.parametrize(("margin_dn", "reason"), [(12, "CONTRADICTORY"), (16, "DECODED")])
+@pytest.mark.parametrize("at", [5, 20, 50])
+def test_a_stripe_combined_by_exclusive_or_is_believed_from_three_deviations_on(
+    at, margin_dn, reason
+):
+    """At 110 DN a frame has 0.1 * 110 + 0.17 DN^2: three deviations of a pair are 14.2 DN."""
+    code = xor_gray(64, 48)
+
+    def weaken(stack):
+        for k, frame in enumerate(code.frames):
+            if frame.xor_bit >= 0 and frame.bit in (3, 4):
+                stack[k] = 110 + (margin_dn // 2 if stack[k] > 110 else -margin_dn // 2)
+
+    assert one_pixel(code, at=at, change=weaken) is Reason[reason]
+
+
 def test_light_from_elsewhere_stronger_than_the_direct_one_turns_gray_bits_over_but_not_xor():
     """Theory (Gupta et al. 2011): a point whose global light exceeds its direct light reads every
     wide stripe as the other point does; narrow stripes reach it half lit, in all patterns alike.

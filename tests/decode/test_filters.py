@@ -197,6 +197,15 @@ def test_lone_spikes_go_and_their_neighbours_stay(tilt_deg, spike_sigmas):
     assert gone[~spikes].mean() < 3e-4
 
 
+def test_a_detail_is_four_pixels_that_bear_each_other_out():
+    """Each of two by two has three others at its depth; of three in a corner each has two."""
+    z_m = plane(30)
+    z_m[40:42, 60:62] -= 0.02
+    assert not removed(z_m, OUTLIER).any()
+    z_m[41, 61] += 0.02
+    assert np.argwhere(removed(z_m, OUTLIER)).tolist() == [[40, 60], [40, 61], [41, 60]]
+
+
 def test_a_spike_smaller_than_the_share_of_depth_stays():
     z_m = plane()
     z_m[50, 50] += 2e-4

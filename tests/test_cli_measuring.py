@@ -329,7 +329,7 @@ def test_a_rig_file_whose_numbers_make_no_scanner_is_refused_on_reading(
 
 
 def test_an_offset_above_saturation_is_refused_not_clamped(capsys, decoded, tmp_path):
-    _, folder, _ = decoded
+    _, folder, _, _ = decoded
     content = yaml.safe_load((folder / "STACK.yaml").read_text())
     content["levels"] = {"offset_dn": 300, "saturation_dn": 255}
     path = folder / "exchanged.yaml"

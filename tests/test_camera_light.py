@@ -54,6 +54,16 @@ def test_black_over_white_is_the_contrast_ratio(veil):
     assert pattern is light.pattern and np.array_equal(light.pattern[0], flat)
 
 
+def test_the_lens_spreads_all_light_whoever_shines():
+    """Light adds: pattern and other light, veiled apart, are their sum veiled."""
+    light = radiance()
+    stack, background = camera_light(light, rig(veil=0.2))
+    for k, pattern in enumerate(light.pattern):
+        whole = veiled(pattern + light.ambient, 0.2)
+        assert np.allclose(stack[k] + background, whole, rtol=1e-4)
+        assert not np.allclose(stack[k] + light.ambient, whole, rtol=1e-3)
+
+
 @pytest.mark.parametrize("size", [(772, 1032), (48, 64), (101, 333), (400, 150), (3, 5)])
 def test_the_veil_keeps_all_light_and_a_flat_picture_as_it_is(size):
     image = RNG.exponential(1.0, size).astype(np.float32)

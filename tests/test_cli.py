@@ -10,6 +10,7 @@ from importlib.metadata import entry_points
 
 import numpy as np
 import pytest
+from drawn import axes_of, drawn_by
 from PIL import Image
 from small_cell import GRAYCAST, content, write_cell
 
@@ -17,6 +18,7 @@ from graycast import __version__, bench
 from graycast.cli import command, machine, main
 from graycast.config import config_schema
 from graycast.drop import Decomposition
+from graycast.report import rig as drawing
 from graycast.rig import PRESETS
 from graycast.rig_file import load_scanner, rig_schema
 from graycast.scanner import preset
@@ -280,13 +282,23 @@ def test_a_preset_can_be_written_and_read_again(capsys, tmp_path, name, resoluti
     assert (back.camera, back.projector, back.name) == (rig.camera, rig.projector, rig.name)
     assert np.array_equal(back.T_cam_proj, rig.T_cam_proj)
     if (name, resolution) == ("paper", "low"):
-        shown = run(capsys, "rig", "show", path, "--out", tmp_path / "rig.png")
+        with drawn_by(drawing) as figures:
+            shown = run(capsys, "rig", "show", path, "--out", tmp_path / "rig.png")
         assert (
             shown
             == run(capsys, "rig", "show", name, "--resolution", resolution)
             + f"{tmp_path / 'rig.png'}\n"
         )
-        assert (tmp_path / "rig.png").stat().st_size > 5000
+        (figure,) = figures
+        assert figure.get_suptitle().startswith("paper: baseline 350.0 mm")
+        (baseline,) = (
+            line
+            for line in axes_of(figure)["from above (x, z)"].lines
+            if line.get_label() == "baseline"
+        )
+        ends_mm = 1e3 * np.array([[0, 0], rig.T_cam_proj[[0, 2], 3]])
+        assert np.allclose(baseline.get_xydata(), ends_mm)
+        assert (tmp_path / "rig.png").is_file()
 
 
 def test_import_takes_unit_range_and_sizes_from_the_command_line(capsys, tmp_path):

@@ -7,6 +7,8 @@ import numpy as np
 import pytest
 import trimesh
 import yaml
+from drawn import axes_of, drawn_by, lines_of, shares_of
+from matplotlib.colors import to_rgb
 from metrology.test_certify import small_scanner
 from PIL import Image
 from stack import simulated
@@ -22,12 +24,14 @@ from test_calibrate import (  # noqa: F401 (fixtures)
 )
 
 from graycast.cli import main, measuring
-from graycast.decode import FilterSpec, Reason
+from graycast.decode import REASON_COLOR, FilterSpec, Reason
 from graycast.errors import GraycastError
 from graycast.folder import whole_folder
 from graycast.pattern import AXES, CODECS, CodeSpec, gray, gray_phase, level_share
+from graycast.realism import plots
 from graycast.rig_file import load_scanner, save_scanner
 from graycast.scanner import Scanner
+from graycast.stack import products
 
 
 def run(capsys, *arguments):
@@ -40,19 +44,21 @@ def run(capsys, *arguments):
 
 @pytest.fixture(scope="module")
 def decoded(tmp_path_factory):
-    """A simulated scanner's pictures, its rig file, and what `decode` made of them."""
+    """A simulated scanner's pictures, its rig file, what `decode` made of them and its preview."""
     folder = tmp_path_factory.mktemp("scanned")
     rig = simulated.small_rig()
     code = gray_phase(128, 96, axes=AXES, period_px=16.0)
     stack = simulated.save(folder, simulated.describe(code), simulated.shoot(rig, code))
     save_scanner(Scanner(rig=rig), folder / "rig.yaml")
     out = folder / "out"
-    assert main(["decode", str(stack), "--rig", str(folder / "rig.yaml"), "--out", str(out)]) == 0
-    return rig, folder, out
+    with drawn_by(products) as figures:
+        words = ["decode", str(stack), "--rig", str(folder / "rig.yaml"), "--out", str(out)]
+        assert main(words) == 0
+    return rig, folder, out, *figures
 
 
 def test_decode_writes_what_the_documentation_lists(decoded):
-    rig, _, out = decoded
+    rig, _, out, _ = decoded
     truth = simulated.seen(rig)
     codes = np.load(out / "code.npz")
     for name in ("column", "row", "sigma_column", "sigma_row", "modulation"):
@@ -74,7 +80,30 @@ def test_decode_writes_what_the_documentation_lists(decoded):
     cloud = trimesh.load(out / "cloud.ply")
     assert len(cloud.vertices) == np.isfinite(depth_m).sum()
     assert np.nanmedian(cloud.vertices[:, 2]) == pytest.approx(np.nanmedian(depth_m), rel=1e-4)
-    assert (out / "preview.png").stat().st_size > 1000
+
+
+def test_the_preview_shows_picture_places_reasons_and_depth(decoded):
+    """Oracle: the scene's closed form, and the colours' own tables read backwards."""
+    rig, folder, out, figure = decoded
+    tile = {title: ax.images[0].get_array() for title, ax in axes_of(figure).items()}
+    white = np.array(Image.open(folder / "white.png"))
+    assert np.array_equal(tile["picture"], np.repeat(white[..., None], 3, axis=-1))
+    codes, truth = np.load(out / "code.npz"), simulated.seen(rig)
+    known = codes["reason"] == Reason.DECODED
+    for axis, last in (("column", 127), ("row", 95)):
+        shown = last * shares_of(tile[f"decoded {axis}"], "viridis")
+        assert (np.isfinite(shown) == known).all()
+        off_px = np.abs(shown - getattr(truth, axis))[known]
+        assert off_px.max() < 0.7 + last / 255  # half a pixel, noise, and a step of the colours
+    depth_m = np.load(out / "depth.npy")
+    reason = np.where(known & np.isnan(depth_m), Reason.OUTLIER, codes["reason"])
+    colors = np.array([to_rgb(color) for color in REASON_COLOR.values()])
+    assert np.array_equal(tile["reasons"], colors[reason])
+    shown = shares_of(tile["depth [m]"], "viridis_r")
+    low_m, high_m = np.nanpercentile(depth_m, (1, 99))
+    off_m = np.abs(low_m + shown * (high_m - low_m) - np.clip(depth_m, low_m, high_m))
+    assert np.nanmax(off_m) <= (high_m - low_m) / 255
+    assert (np.isfinite(shown) == np.isfinite(depth_m)).all()
 
 
 @pytest.mark.parametrize("command", ["decode", "certify", "realism"])
@@ -95,7 +124,7 @@ def test_a_folder_of_something_else_is_refused_before_any_work(capsys, tmp_path,
 
 
 def test_decode_averages_to_one_point_per_projector_pixel(decoded, capsys, tmp_path):
-    _, folder, out = decoded
+    _, folder, out, _ = decoded
     printed = run(capsys, "decode", folder / "STACK.yaml", "--rig", folder / "rig.yaml",
                   "--average", "--out", tmp_path)  # fmt: skip
     assert "epipolar residual" in printed
@@ -108,7 +137,7 @@ def test_decode_averages_to_one_point_per_projector_pixel(decoded, capsys, tmp_p
 
 @pytest.mark.slow
 def test_decode_applies_the_rig_s_filters(decoded, capsys, tmp_path):
-    rig, folder, out = decoded
+    rig, folder, out, _ = decoded
     filtered = Scanner(rig=rig, filters=FilterSpec(smoothing_px=0.8))
     save_scanner(filtered, tmp_path / "rig.yaml")
     run(capsys, "decode", folder / "STACK.yaml", "--rig", tmp_path / "rig.yaml",
@@ -118,16 +147,20 @@ def test_decode_applies_the_rig_s_filters(decoded, capsys, tmp_path):
 
 
 def test_realism_measures_what_decode_made_and_compares(decoded, capsys, tmp_path):
-    rig, _, out = decoded
+    rig, _, out, _ = decoded
     camera = rig.camera
     K = f"{camera.fx_px},{camera.fy_px},{camera.cx_px},{camera.cy_px}"
     made = tmp_path / "measured"
-    printed = run(capsys, "realism", out / "depth.npy", "--intrinsics", K, "--out", made)
+    with drawn_by(plots) as figures:
+        printed = run(capsys, "realism", out / "depth.npy", "--intrinsics", K, "--out", made)
     assert "missing pixels" in printed
     share = float(np.isnan(np.load(out / "depth.npy")).mean())
     record = json.loads((made / "realism.json").read_text())
     assert record["missing"]["share"] == pytest.approx(share, abs=1e-6)
-    assert (made / "plots.png").stat().st_size > 1000
+    (figure,) = figures
+    ((sigma_mm, _),) = lines_of(axes_of(figure)["noise about planes"])
+    assert sigma_mm == pytest.approx(1e3 * np.array(record["noise"]["percentiles_m"]))
+    assert (made / "plots.png").is_file()
     both = run(capsys, "realism", "--compare", made, made)
     assert both.count("measured") >= 2
 
@@ -296,7 +329,7 @@ def test_a_rig_file_whose_numbers_make_no_scanner_is_refused_on_reading(
 
 
 def test_an_offset_above_saturation_is_refused_not_clamped(capsys, decoded, tmp_path):
-    _, folder, _ = decoded
+    _, folder, _, _ = decoded
     content = yaml.safe_load((folder / "STACK.yaml").read_text())
     content["levels"] = {"offset_dn": 300, "saturation_dn": 255}
     path = folder / "exchanged.yaml"

@@ -1,5 +1,6 @@
 """What a user may write, what it stands for, and what an editor is told about it."""
 
+import hashlib
 import json
 import re
 from dataclasses import MISSING, fields
@@ -12,7 +13,7 @@ from small_cell import write_cell
 
 from graycast import config as words
 from graycast.cell import resolve_cell
-from graycast.config import Config, config_schema, load_config
+from graycast.config import Config, config_schema, file_digests, load_config
 from graycast.domain.sections import KINDS
 from graycast.drop import DropLimits
 from graycast.errors import ConfigError
@@ -195,14 +196,83 @@ def test_the_rig_hangs_where_the_view_says(tmp_path):
         assert T[:3, :3] @ half + T[:3, 3] == pytest.approx(np.array(middle_m), abs=1e-12)
 
 
-def test_a_file_that_changes_changes_its_digest(tmp_path):
+BOX_BIN = {"material": {"texture": "walls.png"}, "floor": {"texture": "floor.png"}}
+MESH_BIN = {"mesh": "bin.stl", "unit": "mm"}
+FOLDERS = ("maps/a.hdr", "woods/b.png", "woods/c.jpg", "stones/d.png")
+
+
+def naming_files(folder, box):
+    """A configuration that names a file wherever one can be named, and those files' names."""
+    clutter = {"mesh": "clutter.stl", "unit": "mm", "material": {"texture": "clutter.png"}}
+    path = write_cell(
+        folder,
+        parts=[{"mesh": "box.stl", "unit": "mm", "material": {"texture": "box.png"}}],
+        bin=box,
+        table={"texture": "table.png"},
+        light={"environment": {"map": "sky.exr"}},
+        domain={
+            "kind": "randomized",
+            "environment": {"maps": "maps"},
+            "bin": {"textures": "woods"},
+            "table": {"textures": "stones"},
+            "distractors": {"parts": [clutter]},
+        },
+    )
+    of_box = [word for words in box.values() for word in words.values()] if box is BOX_BIN else []
+    names = ["box.stl", "box.png", "table.png", "sky.exr", "clutter.stl", "clutter.png", *FOLDERS]
+    names += of_box or ["bin.stl"]
+    for name in names:
+        (folder / name).parent.mkdir(exist_ok=True)
+        (folder / name).write_bytes(f"content of {name}".encode())
+    return path, names
+
+
+@pytest.mark.parametrize("box", [BOX_BIN, MESH_BIN], ids=["box", "mesh"])
+def test_every_file_that_is_named_has_its_digest(tmp_path, box):
+    """Oracle: the files in the folder. A file without digest may change while a dataset grows."""
+    path, names = naming_files(tmp_path, box)
+    config = load_config(path)
+    before = file_digests(config, tmp_path)
+    assert before == {
+        name: hashlib.sha256(f"content of {name}".encode()).hexdigest() for name in names
+    }
+    for name in names:
+        (tmp_path / name).write_bytes(b"other content")
+        after = file_digests(config, tmp_path)
+        assert {key for key in names if after[key] != before[key]} == {name}
+        before = after
+
+
+def test_no_other_setting_names_a_file():
+    """A new one is added to the test above, and to the digests."""
+    found = set()
+
+    def look(node, *keys):
+        if isinstance(node, dict):
+            if node.get("format") == "path":
+                found.add((keys[1], keys[3]))
+            for key, inner in node.items():
+                look(inner, *keys, key)
+        elif isinstance(node, list):
+            for inner in node:
+                look(inner, *keys)
+
+    look(config_schema())
+    assert found == {
+        ("PartSection", "mesh"),
+        ("BinSection", "mesh"),
+        ("MaterialSection", "texture"),
+        ("EnvironmentSection", "map"),
+        ("EnvironmentRanges", "maps"),
+        ("BinRanges", "textures"),
+        ("SurfaceRanges", "textures"),
+    }
+
+
+def test_a_cell_holds_the_digests_of_its_files(tmp_path):
     path = write_cell(tmp_path)
-    before = resolve_cell(load_config(path), tmp_path).file_digests
-    mesh = tmp_path / "box.stl"
-    mesh.write_bytes(b"other header" + mesh.read_bytes()[12:])
-    after = resolve_cell(load_config(path), tmp_path).file_digests
-    assert before.keys() == after.keys() == {"box.stl"}
-    assert before != after
+    digest = hashlib.sha256((tmp_path / "box.stl").read_bytes()).hexdigest()
+    assert resolve_cell(load_config(path), tmp_path).file_digests == {"box.stl": digest}
 
 
 # --- the schema --------------------------------------------------------------------------------

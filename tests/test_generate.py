@@ -7,6 +7,7 @@ import signal
 import subprocess
 import sys
 import time
+from dataclasses import fields, replace
 
 import numpy as np
 import pytest
@@ -17,9 +18,13 @@ from graycast.cell import resolve_cell
 from graycast.cli import main
 from graycast.config import load_config
 from graycast.dataset import validate
+from graycast.decode import DecodeSpec, FilterSpec
 from graycast.engine import SceneMaker
 from graycast.errors import DatasetError, DropError
 from graycast.generate import Workers, generate, read_origin, rerender
+from graycast.pattern import CodeSpec
+from graycast.scanner import ExposureSpec, Scanner
+from graycast.sensor import SensorSpec
 from graycast.simulate import _counts
 
 
@@ -140,6 +145,23 @@ def test_a_change_of_a_mesh_under_the_same_name_is_noticed(undisturbed, tmp_path
     assert content(tmp_path / "out") == content(undisturbed)
 
 
+SCANNERS = {
+    "code": CodeSpec(codec="gray_phase"),
+    "sensor": SensorSpec(read_noise_e=3.5),
+    "exposure": ExposureSpec(target=0.7),
+    "decode": DecodeSpec(min_contrast=0.1),
+    "filters": FilterSpec(island_px=3),
+}
+
+
+@pytest.mark.parametrize("name", SCANNERS)
+def test_a_change_of_what_a_rig_file_says_of_the_scanner_is_noticed(cell, undisturbed, name):
+    assert set(SCANNERS) == {field.name for field in fields(Scanner)} - {"rig"}
+    other = replace(cell, scanner=replace(cell.scanner, **{name: SCANNERS[name]}))
+    with pytest.raises(DatasetError, match=rf"differs in config\.scanner\.{name}\."):
+        rerender(other, undisturbed, 0, seed=0, device="cpu")
+
+
 def test_a_mix_drops_all_kinds_and_else_each_scene_has_one(tmp_path):
     parts = [{"mesh": "box.stl", "unit": "mm", "name": name} for name in ("a", "b", "c")]
     rng = np.random.default_rng
@@ -256,6 +278,17 @@ def test_a_run_of_which_nothing_comes_out_stops_early_with_the_reason(cell, tmp_
         )
     assert len(failures) == 2  # the third is raised
     assert {entry.name for entry in (tmp_path / "out").iterdir()} <= {".lock"}
+
+
+def test_a_run_goes_on_where_others_came_out_however_many_fail(
+    cell, undisturbed, tmp_path, monkeypatch
+):
+    """Scenes that are there show that the cell is sound: those that fail are set aside."""
+    out = shutil.copytree(undisturbed, tmp_path / "out")
+    failing(monkeypatch, {scene_id: (DropError("no rest"), 1) for scene_id in range(3, 9)})
+    summary, found, made = run(cell, out, scenes=9)
+    assert (found, made, [aside.scene_id for aside in summary.set_aside]) == (3, [], [*range(3, 9)])
+    assert validate(out) == ()
 
 
 def test_a_scene_made_again_is_the_same_and_a_change_is_named(cell, undisturbed, tmp_path):

@@ -146,6 +146,13 @@ def test_the_blur_of_a_point_is_where_the_rays_from_the_pupils_rim_cross_the_pla
     assert blur_radius_px(lens, np.array([z_m]))[0] == pytest.approx(expected, rel=1e-12)
 
 
+def test_blurs_add_as_their_squares_do():
+    """3, 4, 5: defocus of 0.02 / 2 (1 / 0.5 - 1 / z) 800 px is 2 px at z = 0.5 / (1 - 0.125) m."""
+    lens = replace(PLAIN, aperture_m=0.02, focus_m=0.5, psf_px=1.5)
+    assert PLAIN.fx_px == 800.0
+    assert blur_radius_px(lens, np.array([0.5 / 0.875]))[0] == pytest.approx(2.5, rel=1e-12)
+
+
 def test_only_the_constant_blur_is_left_in_focus_and_in_a_pinhole():
     lens = replace(PLAIN, aperture_m=0.02, focus_m=0.5, psf_px=1.2)
     assert blur_radius_px(lens, np.array([0.5]))[0] == pytest.approx(1.2)

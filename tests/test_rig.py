@@ -7,9 +7,10 @@ import numpy as np
 import pytest
 
 from graycast.frames import inverse, is_rigid, transform_points
-from graycast.optics import Optics
+from graycast.optics import Optics, rays
 from graycast.rig import (
     PRESETS,
+    RESOLUTIONS,
     Rig,
     best_depth_m,
     depth_per_column_m,
@@ -61,6 +62,17 @@ def test_presets_have_the_figures_of_their_family(name):
 
 
 @EVERY
+@pytest.mark.parametrize("resolution", RESOLUTIONS)
+def test_a_preset_s_optical_axes_pass_through_the_middle_of_their_pictures(name, resolution):
+    """The outer corners of opposite corner pixels are seen at opposite slopes."""
+    rig = preset(name, resolution)
+    for lens in (rig.camera, rig.projector):
+        corner = np.array([[-0.5, -0.5], [lens.width_px - 0.5, lens.height_px - 0.5]])
+        slope = rays(lens, corner)[:, :2]
+        np.testing.assert_allclose(slope[0], -slope[1], rtol=1e-12)
+
+
+@EVERY
 def test_toed_in_axes_cross_inside_the_working_range(name):
     """Oracle: the isosceles triangle over the baseline, sides b / 2 / sin(toe-in)."""
     baseline_m, toe_in_deg, near_m, far_m, _ = PHOXI[name]
@@ -73,6 +85,13 @@ def test_toed_in_axes_cross_inside_the_working_range(name):
     assert np.allclose(
         transform_points(inverse(rig.T_cam_proj), meeting), meeting, rtol=0, atol=1e-12
     )
+
+
+def test_the_best_depth_stays_in_the_working_range_where_the_axes_cross_beyond_it():
+    """The axes of this rig cross at 0.859 m."""
+    rig = preset("phoxi-m")
+    assert best_depth_m(replace(rig, far_m=0.7)) == 0.7
+    assert best_depth_m(replace(rig, near_m=1.0)) == 1.0
 
 
 def test_axes_that_never_meet_are_best_in_the_middle_of_the_range():

@@ -220,6 +220,17 @@ def test_a_full_well_clips_the_electrons_and_still_shows_read_noise():
     assert (frames_of(2000.0, sensor(full_well_e=1000.0, read_noise_e=0.0)) == 2100).all()
 
 
+def test_saturation_lies_four_deviations_of_read_noise_and_offsets_under_the_well():
+    """Oracle: the normal law; of 160,000 pixels the share above four deviations is too small."""
+    spec = sensor(full_well_e=3000.0, gain_dn_per_e=20.0, dsnu_e=4.0)
+    dn = frames_of(6000.0, spec, frames=4)
+    deviation_dn = 20.0 * math.sqrt(4.0**2 + 4.0**2)
+    for above in (1.0, 2.0):
+        share = (dn < spec.saturation_dn + above * deviation_dn).mean()
+        expected = stats.norm.cdf(above - 4.0)
+        assert abs(share - expected) < 4 * math.sqrt(expected / COUNT)
+
+
 @pytest.mark.parametrize("mean_e", [900.0, 1000.0, 1030.0])
 def test_near_the_well_the_counts_are_a_normal_law_cut_at_it(mean_e):
     """Oracle: mean and variance of a censored normal, by its quantiles."""
@@ -354,12 +365,17 @@ def test_captures_that_do_not_belong_together_are_not_merged():
 
 @pytest.mark.parametrize("percentile", [50.0, 99.0])
 @pytest.mark.parametrize("target", [0.3, 0.8])
-def test_auto_exposure_puts_the_percentile_on_its_target(percentile, target):
-    """Measured in the noise-free limit: a stack of one constant level equal to the percentile."""
+@pytest.mark.parametrize("dark_share", [0.0, 0.5])
+def test_auto_exposure_puts_the_percentile_on_its_target(percentile, target, dark_share):
+    """Measured in the noise-free limit: a stack of one constant level equal to the percentile.
+
+    A dark current of half the light's own electrons takes a third of the exposure away.
+    """
     spec = SensorSpec()
     brightest = np.random.default_rng(0).gamma(2.0, 3.0, (60, 80))
-    exposure_s = auto_exposure_s(brightest, spec, percentile=percentile, target=target)
     level = np.sort(brightest.ravel())[round(percentile / 100 * (brightest.size - 1))]
+    spec = replace(spec, dark_current_e_s=float(dark_share * spec.responsivity * level))
+    exposure_s = auto_exposure_s(brightest, spec, percentile=percentile, target=target)
     stack = np.full((1, 100, 100), level, dtype=np.float32)
     dn = expose(stack, None, spec, exposure_s=exposure_s, seed=0).frames
     share = (dn.mean() - spec.offset_dn) / (spec.saturation_dn - spec.offset_dn)

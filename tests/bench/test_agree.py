@@ -5,9 +5,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from drawn import axes_of, drawn_by
 
-from graycast.bench import describe, draw, opened, study_agreement
+from graycast.bench import describe, draw, opened, plots, study_agreement
 
+CLASSES = ("diffuse", "metal", "plastic", "bin")
 RATIOS = {"diffuse": 1.013, "metal": 0.961, "plastic": 1.052, "bin": 1.3}
 
 
@@ -98,8 +100,17 @@ def test_its_figures_are_json_a_text_and_a_picture(painted, tmp_path):
     figures = json.loads(json.dumps(study(painted(), painted(name="cycles"))))
     assert "median_abs_columns" in describe(figures)
     assert len(describe(figures).splitlines()) < 60
-    draw(figures, tmp_path / "agree.png")
-    assert (tmp_path / "agree.png").read_bytes().startswith(b"\x89PNG")
+    with drawn_by(plots) as drawn:
+        draw(figures, tmp_path / "agree.png")
+    axes, counts = axes_of(drawn[0]), figures["histograms"]
+    for title, light in (("Projector's light", "white"), ("All other light", "ambient")):
+        told = [np.array(counts.get(f"{light} {name}", ())) for name in CLASSES]
+        told = [count / count.max() for count in told if count.sum()]
+        shown = [patch.get_data() for patch in axes[title].patches if hasattr(patch, "get_data")]
+        for stairs, share in zip(shown, told, strict=True):
+            assert stairs.values == pytest.approx(share)
+            assert stairs.edges == pytest.approx(counts["ratio_edges"])
+    assert (tmp_path / "agree.png").is_file()
 
 
 @pytest.mark.slow

@@ -2,9 +2,11 @@
 
 import json
 
+import numpy as np
 import pytest
+from drawn import axes_of, drawn_by, points_of
 
-from graycast.bench import describe, draw, opened, study_denoisers
+from graycast.bench import describe, draw, opened, plots, study_denoisers
 from graycast.bench.denoise import recommended, sample_counts
 
 FOLLOW_NOTHING = {"on_work": lambda share, what: None}
@@ -75,5 +77,14 @@ def test_denoising_takes_bad_pixels_off_cycles_at_few_samples(cycles_renderer, t
     by = {(r["renderer"], r["denoise"], r["samples"]): r for r in figures["rows"]}
     assert by["cycles", "oidn", 4]["bad_share"] < 0.8 * by["cycles", "none", 4]["bad_share"]
     assert by["mitsuba", "none", 4]["bad_share"] < by["cycles", "none", 4]["bad_share"]
-    draw(figures, tmp_path / "denoise.png")
-    assert (tmp_path / "denoise.png").stat().st_size > 10_000
+    with drawn_by(plots) as drawn:
+        draw(figures, tmp_path / "denoise.png")
+    axes = axes_of(drawn[0])
+    for title, x, y in (
+        ("Wrong, lost or extra pixels", "samples", "bad_share"),
+        ("Depth of right pixels", "samples", "depth_rms_right_mm"),
+        ("What a second buys", "seconds", "bad_share"),
+        ("How far lit stripes grow at an edge", "samples", "edge_growth_px"),
+    ):
+        told = sorted((row[x], row[y]) for row in figures["rows"] if y in row)
+        assert points_of(axes[title]) == pytest.approx(np.array(told))

@@ -3,9 +3,11 @@
 import json
 from dataclasses import dataclass
 
+import numpy as np
 import pytest
+from drawn import axes_of, drawn_by, points_of
 
-from graycast.bench import describe, draw, opened, renderers, study_renderers
+from graycast.bench import describe, draw, opened, plots, renderers, study_renderers
 from graycast.bench.renderers import Stopwatch, equal_error
 
 WORDS = {"count": 3, "samples": 16, "size_px": (48, 20), "on_work": lambda share, what: None}
@@ -123,8 +125,18 @@ def test_its_figures_are_json_a_text_and_a_picture(painted, clock, tmp_path):
     )
     figures = json.loads(json.dumps(figures))
     assert "cycles_over_onepass" in describe(figures)
-    draw(figures, tmp_path / "r.png")
-    assert (tmp_path / "r.png").stat().st_size > 10_000
+    with drawn_by(plots) as drawn:
+        draw(figures, tmp_path / "r.png")
+    axes = axes_of(drawn[0])
+    for title, y in (
+        ("Wrong, lost or extra pixels", "bad_share"),
+        ("Depth of right pixels", "depth_rms_right_mm"),
+    ):
+        told = sorted((row["samples"], row[y]) for row in figures["errors"] if y in row)
+        assert points_of(axes[title]) == pytest.approx(np.array(told))
+    (bars,) = (ax.patches for title, ax in axes.items() if "patterns" in title)
+    seconds = [figures[f"{name}_s"] for name in ("onepass", "cycles3", "cycles")]
+    assert [bar.get_width() for bar in bars] == pytest.approx(seconds)
 
 
 @pytest.mark.slow

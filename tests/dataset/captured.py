@@ -9,7 +9,6 @@ from graycast.decode import Reason
 from graycast.frames import axis_rotation, inverse, pixel_grid, rigid, transform_points
 from graycast.optics import Optics, project, rays
 from graycast.pattern import level_share
-from graycast.picture import gray_picture
 from graycast.scanner import Scanner, measure
 from graycast.sensor import auto_exposure_s, expose, merge_exposures
 
@@ -54,6 +53,14 @@ def light(code, rig, depth_m):
     return np.float32(stack)
 
 
+def picture_of(capture):
+    """Light per second, as a share of what fills the sensor in the longest exposure."""
+    sensor = capture.sensor
+    per_s = (capture.frames[0] - sensor.offset_dn) / capture.exposure_s
+    full_per_s = (sensor.saturation_dn - sensor.offset_dn) / np.max(capture.exposure_s)
+    return np.rint(255 * np.clip(per_s / full_per_s, 0, 1)).astype(np.uint8)
+
+
 def scanned(sample, scanner: Scanner, *, seed: int, roll_rad: float = 0.0):
     """The sample as this scanner measures it, with all that lies between.
 
@@ -73,7 +80,7 @@ def scanned(sample, scanner: Scanner, *, seed: int, roll_rad: float = 0.0):
     return replace(
         sample,
         scene=replace(sample.scene, rig=scanner.rig),
-        gray=gray_picture(capture),
+        gray=picture_of(capture),
         scanner=depth,
         modulation=found.modulation,
         manifest={**sample.manifest, "reasons": shares},

@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 import trimesh
 from PIL import Image
-from prisms import SCALE_MM
+from prisms import SCALE_MM, box_part, build_sample, wedge_part
 
 from graycast.dataset.bop import depth_scale_mm, scene_files
-from graycast.dataset.models import diameter
+from graycast.dataset.models import diameter, model_files, models_info
 from graycast.decode import Reason
 from graycast.errors import DatasetError
 from graycast.frames import inverse, pixel_grid, transform_points
@@ -165,6 +165,25 @@ def test_boxes_in_space_are_tight_around_the_posed_parts(scene, samples):
         local = (posed_mm - box["center"]) @ np.array(box["R"]).reshape(3, 3)
         assert np.abs(local.max(axis=0) - np.array(box["size"]) / 2).max() < 1e-6
         assert np.abs(local.min(axis=0) + np.array(box["size"]) / 2).max() < 1e-6
+
+
+def test_a_vertex_that_no_face_uses_is_in_no_file(rig):
+    """Some files of meshes have such vertices; nothing of the part is there."""
+    parts = box_part(), wedge_part()
+    loose = []
+    for part in parts:
+        vertices_m = np.vstack([part.mesh.vertices_m, [[0.3, -0.4, 0.5]]])
+        loose.append(replace(part, mesh=replace(part.mesh, vertices_m=vertices_m)))
+    expected, found = (
+        (
+            dict(scene_files(build_sample(0, parts=tuple(p), rig=rig), SCALE_MM)),
+            model_files(tuple(p)),
+            models_info(tuple(p)),
+        )
+        for p in (parts, loose)
+    )
+    assert found == expected
+    assert "scene_gt_box3d.json" in found[0]
 
 
 def test_models_are_the_parts_in_millimetres_for_an_independent_reader(dataset, parts):

@@ -167,6 +167,22 @@ def test_coarse_depth_within_its_own_uncertainty_is_not_steep():
     assert not removed(stairs, FLYING, sigma_m=2e-3 / math.sqrt(12)).any()
 
 
+def test_noise_of_three_deviations_of_a_difference_makes_no_flank_steep():
+    """One pixel hangs in the middle of a step; each flank is the limit and so many deviations.
+
+    The limit is tan(75) times a pixel's width at that depth; two pixels differ by sqrt(2) sigma.
+    """
+    width_m = 0.8 / CAMERA.fx_px
+    for sigmas, goes in ((2.8, False), (3.2, True)):
+        flank_m = math.tan(math.radians(75)) * width_m + sigmas * math.sqrt(2) * SIGMA_M
+        step = plane()
+        step[:, 120] += flank_m
+        step[:, 121:] += 2 * flank_m
+        gone = removed(step, FLYING)
+        assert gone.any() == goes
+        assert not gone[:, :120].any() and not gone[:, 121:].any()
+
+
 # --- outliers ----------------------------------------------------------------------------------
 
 
@@ -179,6 +195,15 @@ def test_lone_spikes_go_and_their_neighbours_stay(tilt_deg, spike_sigmas):
     gone = removed(z_m + spikes * spike_sigmas * SIGMA_M, OUTLIER, seed=4)
     assert gone[spikes].mean() > 0.97
     assert gone[~spikes].mean() < 3e-4
+
+
+def test_a_detail_is_four_pixels_that_bear_each_other_out():
+    """Each of two by two has three others at its depth; of three in a corner each has two."""
+    z_m = plane(30)
+    z_m[40:42, 60:62] -= 0.02
+    assert not removed(z_m, OUTLIER).any()
+    z_m[41, 61] += 0.02
+    assert np.argwhere(removed(z_m, OUTLIER)).tolist() == [[40, 60], [40, 61], [41, 60]]
 
 
 def test_a_spike_smaller_than_the_share_of_depth_stays():

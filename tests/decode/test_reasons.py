@@ -234,6 +234,52 @@ def test_a_bit_that_counts_periods_must_not_be_in_doubt_inside_a_period():
     assert one_pixel(code, at=16, change=doubt) is Reason.DECODED  # bit 0 turns over there
 
 
+@pytest.mark.parametrize("inverses", [False, True])
+def test_a_phase_may_lie_an_eighth_of_a_period_outside_of_its_gray_cell(inverses):
+    """Cells are half a period, 8 px: a phase within 6 px of a cell's middle belongs to it.
+
+    Gray bits stay, and the cosines move: light from elsewhere does that.
+    """
+    code = gray_phase(256, 64, period_px=16.0, inverses=inverses)
+    phases = [k for k, frame in enumerate(code.frames) if frame.kind == "phase"]
+    middle_px = 99.5  # of the cell from 95.5 to 103.5
+    for off_px, reason in (
+        (0.0, Reason.DECODED),
+        (5.7, Reason.DECODED),
+        (6.3, Reason.INTERREFLECTION),
+        (7.7, Reason.INTERREFLECTION),
+    ):
+        for side in (-1, 1):
+            stack = np.round(20 + 180 * share_of_white(code, np.array([[middle_px]]), disc_px=0))
+            there = np.array([[middle_px + side * off_px]])
+            moved = np.round(20 + 180 * share_of_white(code, there, disc_px=0))
+            stack[phases] = moved[phases]
+            codes = decode(stack.astype(np.uint8), code, USUAL, levels_of(SENSOR))
+            assert Reason(codes.reason[0, 0]) is reason, (off_px, side)
+
+
+@pytest.mark.parametrize(
+    ("off_rad", "reason"), [(0.14, Reason.DECODED), (0.18, Reason.CONTRADICTORY)]
+)
+def test_phases_that_are_three_deviations_apart_contradict_each_other(off_rad, reason):
+    """Deviations are 0.05 rad of the model and 0.016 of noise: 0.158 rad is three of them.
+
+    The longer two periods are moved against the shortest, which says where in a period it is.
+    """
+    code, place, share = multi_frequency(512, 384), 200.3, []
+    shortest_px = min(f.period_px for f in code.frames if f.kind == "phase")
+    for frame in code.frames:
+        if frame.kind != "phase":
+            share.append(float(frame.kind == "white"))
+            continue
+        off = 0.0 if frame.period_px == shortest_px else off_rad
+        turn = 2 * np.pi * (place / frame.period_px - frame.step / frame.steps) + off
+        share.append(0.5 + 0.5 * np.cos(turn))
+    stack = frames_of(60 + 3000 * np.array(share)[:, None, None])
+    codes = decode(stack, code, USUAL, LEVELS)
+    assert Reason(codes.reason[0, 0]) is reason
+
+
 def test_a_code_that_the_projector_does_not_have_is_outside_of_it():
     """20 columns need 5 bits, so 12 words belong to no column; 27 in Gray code is 10110."""
     code = gray(20, 16)
@@ -294,6 +340,22 @@ def test_interreflection_as_strong_as_the_direct_light_is_suspected_where_coarse
     known = (codes.reason == Reason.DECODED) & inner
     assert known.sum() > 20
     assert np.array_equal(codes.column[known], u[known])
+
+
+@pytest.mark.parametrize(("margin_dn", "reason"), [(12, "CONTRADICTORY"), (16, "DECODED")])
+@pytest.mark.parametrize("at", [5, 20, 50])
+def test_a_stripe_combined_by_exclusive_or_is_believed_from_three_deviations_on(
+    at, margin_dn, reason
+):
+    """At 110 DN a frame has 0.1 * 110 + 0.17 DN^2: three deviations of a pair are 14.2 DN."""
+    code = xor_gray(64, 48)
+
+    def weaken(stack):
+        for k, frame in enumerate(code.frames):
+            if frame.xor_bit >= 0 and frame.bit in (3, 4):
+                stack[k] = 110 + (margin_dn // 2 if stack[k] > 110 else -margin_dn // 2)
+
+    assert one_pixel(code, at=at, change=weaken) is Reason[reason]
 
 
 def test_light_from_elsewhere_stronger_than_the_direct_one_turns_gray_bits_over_but_not_xor():

@@ -3,7 +3,7 @@
 import numba
 import numpy as np
 import pytest
-from limits import WEAK_CODES, stack, surface
+from limits import SHAPE, WEAK_CODES, stack, surface
 from projected import LEVELS
 
 from graycast.decode import DecodeSpec, Mark, Reason, decode, decode_plain
@@ -69,6 +69,21 @@ def test_a_pixel_that_is_clear_by_itself_is_never_changed(name, white_dn):
         assert np.array_equal(getattr(whole, field).ravel()[clear], alone[field][clear])
     # What is in doubt and has no neighbours that agree is refused as before.
     assert (alone["reason"] == Reason.CONTRADICTORY).mean() > 0.004
+
+
+@pytest.mark.parametrize(("rows", "columns", "settles"), [(3, 3, True), (2, 4, False)])
+def test_eight_neighbours_settle_a_period_and_seven_do_not(rows, columns, settles):
+    """Lit blocks with dark all around: each pixel has all others of its block as neighbours."""
+    code, frames = weak("micro phase", 120.0)
+    y, x = np.indices(SHAPE)
+    lit = (y % (rows + 3) < rows) & (x % (columns + 3) < columns)
+    dark = stack(code, white_dn=0.0, seed=2)
+    # Twelve deviations of the dark's noise, and half of the light: no dark pixel says anything.
+    spec = DecodeSpec(min_contrast=60 / LEVELS.range_dn)
+    codes = decode(np.where(lit, frames, dark), code, spec, LEVELS)
+    assert not (codes.reason[~lit] == Reason.DECODED).any()
+    settled = (codes.mark & Mark.SETTLED > 0)[lit]
+    assert settled.mean() > 0.1 if settles else not settled.any()
 
 
 def test_settled_places_scatter_by_their_sigma():

@@ -12,6 +12,7 @@ from graycast.domain import draw
 from graycast.domain.draw import in_the_way, views
 from graycast.domain.vary import lamp_of
 from graycast.errors import ConfigError
+from graycast.frames import inverse, transform_points
 from graycast.scene import Lamp
 
 DRAWS = 150
@@ -179,6 +180,76 @@ def test_no_lamp_stands_in_the_bin_or_in_the_rig_s_view():
     for seed in range(5):
         record = draw(own, scene, (1, 1), np.random.default_rng(seed))
         assert not any(in_the_way(lamp_of(drawn, scene), scene, cones) for drawn in record["lamps"])
+
+
+def ball(center_m, radius_m):
+    """Points all over a ball's surface."""
+    direction = np.random.default_rng(1).normal(size=(4000, 3))
+    direction /= np.linalg.norm(direction, axis=-1, keepdims=True)
+    return center_m + radius_m * direction
+
+
+def is_seen(point_m, T_world_lens, lens):
+    """Which points lie before a lens without distortion, inside of its picture."""
+    x, y, z = transform_points(inverse(T_world_lens), point_m).T
+    with np.errstate(divide="ignore", invalid="ignore"):
+        u, v = lens.fx_px * x / z + lens.cx_px, lens.fy_px * y / z + lens.cy_px
+    inside = (np.abs(u - (lens.width_px - 1) / 2) < lens.width_px / 2) & (
+        np.abs(v - (lens.height_px - 1) / 2) < lens.height_px / 2
+    )
+    return inside & (z > 0)
+
+
+def test_no_point_of_a_drawn_lamp_is_in_a_picture_or_in_the_bin():
+    """Oracle: the lamp's square turned all ways, a ball, projected by hand."""
+    scene = cell()
+    near = {"distance_m": [0.4, 1.5], "elevation_deg": [5, 90], "size_m": [0.1, 0.5]}
+    own = domain(scene, {"kind": "randomized", "camera": None, "lamps": {**near, "count": [9, 9]}})
+    T_world_proj = scene.T_world_cam @ scene.rig.T_cam_proj
+    low_m, high_m = scene.bin.bounds_m
+    for seed in range(10):
+        record = draw(own, scene, (1, 1), np.random.default_rng(seed))
+        for lamp in (lamp_of(drawn, scene) for drawn in record["lamps"]):
+            point_m = ball(np.array(lamp.center_m), lamp.size_m / math.sqrt(2))
+            assert not is_seen(point_m, scene.T_world_cam, scene.rig.camera).any()
+            assert not is_seen(point_m, T_world_proj, scene.rig.projector).any()
+            assert not ((point_m > low_m) & (point_m < high_m)).all(axis=-1).any()
+
+
+@pytest.mark.parametrize("size_m", [0.1, 1.0])
+def test_a_lamp_stands_clear_of_the_bin_s_ball_by_half_its_diagonal(size_m):
+    """Bin and lamp touch where the distance of their middles is the sum of their half diagonals."""
+    scene = cell()
+    low_m, high_m = scene.bin.bounds_m
+    touching_m = (math.dist(low_m, high_m) + size_m * math.sqrt(2)) / 2
+    for gap_m, is_in_the_way in ((-1e-6, True), (1e-6, False)):
+        center_m = (low_m + high_m) / 2 + (touching_m + gap_m) * np.array([0.6, 0.0, 0.8])
+        lamp = Lamp(center_m=tuple(center_m.tolist()), size_m=size_m)
+        assert in_the_way(lamp, scene, ()) == is_in_the_way
+
+
+def test_a_view_is_the_cone_through_the_farthest_corner_and_meets_balls_that_reach_into_it():
+    """Oracle: the angles of points of balls; balls that only just touch are left out."""
+    rig = cell().rig
+    scene = cell(rig=replace(rig, camera=replace(rig.camera, cx_px=300.0, cy_px=450.0)))
+    rng, met = np.random.default_rng(2), []
+    for cone, lens in zip(views(scene), (scene.rig.camera, scene.rig.projector), strict=True):
+        aside = max(lens.cx_px + 0.5, lens.width_px - 0.5 - lens.cx_px) / lens.fx_px
+        above = max(lens.cy_px + 0.5, lens.height_px - 0.5 - lens.cy_px) / lens.fy_px
+        corner = math.hypot(aside, above)
+        assert math.tan(cone.half_angle_rad) == pytest.approx(corner, rel=1e-9)
+        for _ in range(100):
+            center_m, radius_m = cone.apex_m + rng.uniform(-1, 1, 3), rng.uniform(0.05, 0.4)
+            center_m += 0.5 * cone.axis
+            away_m = ball(center_m, radius_m) - cone.apex_m
+            angle = np.arccos(away_m @ cone.axis / np.linalg.norm(away_m, axis=-1))
+            least = float(angle.min())
+            if abs(least - cone.half_angle_rad) < 0.02:
+                continue  # nearer than points on the ball are to one another
+            met.append(cone.meets(center_m, radius_m))
+            inside = np.linalg.norm(center_m - cone.apex_m) <= radius_m
+            assert met[-1] == (inside or least < cone.half_angle_rad)
+    assert 0.2 < np.mean(met) < 0.8
 
 
 def test_lamps_that_can_stand_nowhere_are_refused():

@@ -13,7 +13,7 @@ from scipy import integrate
 
 from graycast.dataset.json_text import json_bytes
 from graycast.domain import draw, resolve_domain, vary
-from graycast.domain.vary import lamp_of
+from graycast.domain.vary import lamp_of, shared_out
 from graycast.errors import ConfigError
 from graycast.frames import axis_rotation, inverse, rigid, transform_points
 from graycast.parts import Material
@@ -76,6 +76,37 @@ def test_the_record_of_a_random_scene_makes_the_same_scene_again(full):
     assert {".T_world_cam", ".lamps", ".environment.map_file", ".bin.inner_m", ".parts"} <= changed
     assert {".table_texture_m", ".environment.rotation_rad", ".bin.texture_size_m"} <= changed
     assert not changed & {".rig", ".surfaces", ".bin.friction", ".bin.wall_m"}
+
+
+def test_a_kind_of_part_that_is_there_stays_however_small_its_share():
+    """By hand, rounded: a fifth of 40, of 7, of 1 and of none."""
+    assert shared_out((40, 7, 1, 0), 0.2) == (8, 1, 1, 0)
+
+
+def test_what_is_painted_anew_keeps_nothing_of_its_old_surface(full):
+    """Neither a picture, nor what was known at the projector's line, nor a floor of its own."""
+    scene, own = full
+    scene = replace(scene, bin=replace(scene.bin, floor=Material(base_color=(0.9, 0.1, 0.1))))
+    record = draw(own, scene, (7, 7), np.random.default_rng(1))
+    for name in ("box0", "box1"):
+        record["parts"][name]["color"] = {"hue_deg": 10.0, "saturation": 0.5, "value": 0.5}
+    varied = vary(own, scene, (7, 7), record).scene
+    pictured, known = (part.material for part in scene.parts)
+    assert pictured.texture is not None and known.projector_reflectance == 0.4
+    for part in varied.parts[:2]:
+        assert part.material.texture is None and part.material.projector_reflectance is None
+    assert varied.bin.floor is None
+    assert varied.bin.material.roughness == record["bin"]["roughness"]
+
+
+def test_a_drawn_map_gives_the_radiance_that_is_drawn_and_not_its_own(full):
+    """The record says how bright the sky is; a map's file says how that is spread over it."""
+    scene, own = full
+    record = draw(own, scene, (7, 7), np.random.default_rng(1))
+    sky = vary(own, scene, (7, 7), record).scene.environment
+    assert sky.levelled
+    assert sky.radiance == pytest.approx([record["environment"]["radiance"]] * 3)
+    assert sky.map_file.name == record["environment"]["map"]
 
 
 def test_a_bin_that_is_a_mesh_grows_and_is_painted_like_a_box(full, tmp_path):

@@ -128,6 +128,14 @@ def test_vsd_leaves_out_what_something_hides():
         np.testing.assert_allclose(vsd(estimate, true, measured, TAUS), error)
 
 
+def test_what_stands_before_the_measured_surface_is_seen():
+    """The true part was picked up: only the estimate is there, 100 mm before what was measured."""
+    true, estimate = surface(np.s_[0:0], 0.8), surface(np.s_[0:4], 0.7)
+    np.testing.assert_array_equal(vsd(estimate, true, np.full((10, 10), 0.8), TAUS), 1)
+    shared = surface(np.s_[0:2], 0.7)
+    np.testing.assert_allclose(vsd(estimate, shared, np.full((10, 10), 0.8), TAUS), 0.5)
+
+
 def test_an_estimate_behind_the_measured_surface_is_seen_where_the_true_part_is():
     """BOP's second clause: V of the estimate takes in the true part's visible pixels."""
     true, estimate = surface(np.s_[0:4], 0.8), surface(np.s_[0:4], 0.83)

@@ -8,7 +8,9 @@ import struct
 import tarfile
 import warnings
 
+import cv2
 import numpy as np
+import pictured
 import pytest
 import trimesh
 import yaml
@@ -17,7 +19,7 @@ from pycocotools import mask as coco_mask
 from pycocotools.coco import COCO
 from simulated_dataset import SCALE_MM, visible
 
-from graycast.export import Split
+from graycast.export import Options, Split, export
 from graycast.frames import inverse, pixel_grid
 from graycast.optics import rays
 
@@ -268,6 +270,23 @@ def test_pcd_clouds_are_read_by_pypcd4(exported, samples, organised):
             np.testing.assert_allclose(cloud.numpy(("x", "y", "z")), point_m[known], atol=1e-6)
             color = pypcd4.PointCloud.decode_rgb(cloud.numpy(("rgb",)))
             assert np.array_equal(color.reshape(-1, 3), sample.rgb[known])
+
+
+def test_a_cloud_through_a_lens_with_distortion_lies_on_the_true_rays(tmp_path):
+    """Oracle: OpenCV's undistortion of the pixels, in whose terms a rig's lens is."""
+    samples = pictured.write_dataset(tmp_path / "out", (0,), pictured.lensed_rig())
+    said = Options(format="clouds", split=Split(), organised=True, depth="perfect")
+    export(tmp_path / "out", tmp_path / "clouds", said)
+    cloud = trimesh.load(tmp_path / "clouds/train/000000_perfect.ply")
+    camera = samples[0].scene.rig.camera
+    y, x = np.mgrid[0:120, 0:160].astype(float)
+    pixel = np.stack([x, y], axis=-1).reshape(-1, 1, 2)
+    slope = cv2.undistortPoints(pixel, camera.K, np.array(camera.distortion))[:, 0]
+    assert np.abs(slope * camera.K[[0, 1], [0, 1]] + camera.K[:2, 2] - pixel[:, 0]).max() > 2
+    z_m = cloud.vertices[:, 2]
+    known = z_m > 0
+    error_m = np.abs(cloud.vertices[:, :2] - slope * z_m[:, None])[known]
+    assert known.mean() > 0.9 and error_m.max() < 1e-5  # a pixel is 2.4e-3
 
 
 def test_an_organised_cloud_is_depth_and_camera_again(exported, samples):

@@ -7,6 +7,7 @@ from graycast.errors import GraycastError
 from graycast.fit_bin import find_pose, fit_pose, judge, register, settle
 from graycast.fit_bin.box import open_box
 from graycast.fit_bin.edges import hold_by_edges
+from graycast.fit_bin.plots import residual_map
 from graycast.fit_bin.shape import NO_FACE, height_over
 from graycast.fit_bin.start import planes
 from graycast.frames import axis_rotation, rigid
@@ -128,6 +129,22 @@ def test_a_pose_nearby_settles_in_spite_of_noise_clutter_and_a_lost_wall():
     face = {face.name: face for face in fit.faces}
     assert face["floor"].rms_m == pytest.approx(0.4e-3, rel=0.2)  # looked at from above
     assert face["wall +x"].inliers < 0.1 < 0.7 < face["wall -x"].inliers
+
+
+def test_the_map_of_residuals_shows_each_face_as_far_off_as_it_is():
+    """A bin 2 mm longer than stated, its camera told 1 mm too low: walls and floor by 1 mm."""
+    T = pose(tilt_deg=0.0)
+    lower = T.copy()
+    lower[2, 3] -= 1e-3
+    seen = view(perfect_depth(T, Bin(inner_m=(0.402, 0.30, 0.15), wall_m=0.012)))
+    box = open_box(BOX.inner_m)
+    shown_m = residual_map(seen, box, lower)
+    face, _ = box.cast(lower, seen.grid(640))
+    for name, height_m in (("floor", -1e-3), ("wall +x", -1e-3), ("wall +y", 0.0)):
+        on_face = shown_m[(face == box.names.index(name)) & np.isfinite(shown_m)]
+        assert on_face.size > 50
+        assert np.median(on_face) == pytest.approx(height_m, abs=1e-5)
+    assert np.isnan(shown_m[face == NO_FACE]).all()
 
 
 @pytest.mark.slow

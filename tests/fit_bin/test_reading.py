@@ -1,5 +1,8 @@
 """Real files as views: depth, clouds, folders, and scenes of a dataset."""
 
+import json
+import shutil
+
 import cv2
 import numpy as np
 import pytest
@@ -70,6 +73,57 @@ def test_a_scene_of_a_dataset_brings_camera_depth_and_picture(tmp_path):
     assert np.array_equal(np.isnan(view.depth_m), np.isnan(own))
     assert np.nanmax(np.abs(view.depth_m - own)) <= 0.5001e-4  # half a step of 0.1 mm
     assert np.array_equal(view.rgb, samples[0].rgb)
+
+
+@pytest.fixture(scope="module")
+def stored_scene(tmp_path_factory):
+    out = tmp_path_factory.mktemp("stored") / "out"
+    write_dataset(out, scene_ids=(0,))
+    return out / "train/000000"
+
+
+def damaged(change):
+    """The text of a scene's cameras with a change in the only one."""
+
+    def of(text):
+        content = json.loads(text)
+        change(content["0"])
+        return json.dumps(content)
+
+    return of
+
+
+@pytest.mark.parametrize(
+    ("damage", "why"),
+    [
+        (lambda text: text[: len(text) // 2], "cannot be read as JSON"),
+        (lambda text: "", "cannot be read as JSON"),
+        (lambda text: "[]", "holds no keys"),
+        (lambda text: text.replace('"0"', '"first"', 1), "an image's key is its number"),
+        (lambda text: '{"0": null}', "image 0: .*needs cam_K"),
+        (damaged(lambda view: view.pop("cam_K")), "image 0: cam_K: Field required"),
+        (damaged(lambda view: view.pop("depth_scale")), "image 0: depth_scale: Field required"),
+        (damaged(lambda view: view.update(depth_scale=0)), "image 0: depth_scale: .*than 0"),
+        (damaged(lambda view: view.update(cam_K=[1.0] * 8)), "image 0: cam_K: .*at least 9"),
+        (damaged(lambda view: view.update(distortion=[0.1])), "image 0: distortion.*required"),
+    ],
+)
+def test_a_scene_s_damaged_cameras_are_told_with_their_file(stored_scene, tmp_path, damage, why):
+    scene = shutil.copytree(stored_scene, tmp_path / "scene")
+    path = scene / "scene_camera_sl.json"
+    path.write_text(damage(path.read_text()))
+    with pytest.raises(DatasetError, match=why) as caught:
+        read_views([scene], said=Said(), own=OWN)
+    assert str(caught.value).startswith(f"{path}: ")
+
+
+def test_a_camera_without_focal_length_is_told_with_its_picture(stored_scene, tmp_path):
+    scene = shutil.copytree(stored_scene, tmp_path / "scene")
+    path = scene / "scene_camera_sl.json"
+    flat = damaged(lambda view: view.update(cam_K=[0, 0, 9, 0, 9, 9, 0, 0, 1]))
+    path.write_text(flat(path.read_text()))
+    with pytest.raises(DatasetError, match=r"depth_sl/000000\.png: .*focal length is"):
+        read_views([scene], said=Said(), own=OWN)
 
 
 def test_frames_are_of_the_view_s_camera(depth_file, tmp_path):

@@ -7,12 +7,13 @@ from dataclasses import replace
 import cv2
 import numpy as np
 import pytest
+from drawn import axes_of, drawn_by
 from small_cell import shrunk, write_cell
 
 from graycast.cell import resolve_cell
 from graycast.cli.fitting import add_commands
 from graycast.config import load_config
-from graycast.fit_bin import View, fit_look, shape_of
+from graycast.fit_bin import View, fit_look, plots, shape_of
 from graycast.picture import color_picture
 from graycast.render import Quality
 from graycast.rig import preset
@@ -138,11 +139,12 @@ def test_a_fitted_configuration_makes_the_pictures_that_it_was_fitted_to(
     write_shot(tmp_path, depth.depth_m, rgb, capture)
     base = make_cell(tmp_path / "cell", base_words())
     out = base.with_name("fitted.yaml")
-    run(
-        tmp_path / "depth.npy", "--rgb", tmp_path / "rgb.png", "--config", base, "--out", out,
-        "--floor-reflectance", np.mean(FLOOR), "--azimuth", 10,
-        "--white", tmp_path / "white.png", "--black", tmp_path / "black.png", "--device", "cpu",
-    )  # fmt: skip
+    with drawn_by(plots) as figures:
+        run(
+            tmp_path / "depth.npy", "--rgb", tmp_path / "rgb.png", "--config", base, "--out", out,
+            "--floor-reflectance", np.mean(FLOOR), "--azimuth", 10,
+            "--white", tmp_path / "white.png", "--black", tmp_path / "black.png", "--device", "cpu",
+        )  # fmt: skip
     told = capsys.readouterr().out
     assert "times as configured" in told
     report = json.loads((base.parent / "fitted.fit.json").read_text())
@@ -154,7 +156,16 @@ def test_a_fitted_configuration_makes_the_pictures_that_it_was_fitted_to(
     after = surface_colors(again[0], again[1], again[4])
     for name in before:
         assert np.abs(after[name] - before[name]).max() <= 3, name
-    assert (base.parent / "fitted.fit.png").stat().st_size > 10_000
+    (figure,) = figures
+    shown = axes_of(figure)["residuals of depth.npy"].images[0].get_array().filled(np.nan)
+    assert np.nanmedian(np.abs(shown)) < 1e3 * report["residuals_m"]["p95"]
+    assert np.isfinite(shown).mean() > 0.1
+    bars = axes_of(figure)["residuals of inliers"].patches
+    spread = sorted(bar.get_width() for bar in bars)
+    faces = [face for face in report["faces"] if face["rms_m"] is not None]
+    told = sorted(1e3 * face[key] for face in faces for key in ("p95_m", "rms_m"))
+    assert spread == pytest.approx(told)
+    assert (base.parent / "fitted.fit.png").is_file()
 
 
 def test_without_frames_the_lamps_stay_and_the_colours_come_out_all_the_same(

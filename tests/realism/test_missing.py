@@ -72,7 +72,9 @@ def test_islands_are_counted_up_to_ten_pixels():
         depth_m[20, 10 + 30 * i : 10 + 30 * i + size] = np.nan
         depth_m[300, 10 + 30 * i : 10 + 30 * i + size] = 0.5
     depth_m[100, 100] = depth_m[101, 101] = np.nan  # one hole: corners connect
-    depth_m[0, 5] = np.nan  # goes on beyond the border, perhaps
+    # These go on beyond the border, perhaps.
+    depth_m[0, 5] = depth_m[60, 0] = depth_m[60, -1] = np.nan
+    depth_m[-1, 5] = depth_m[400, 0] = depth_m[400, -1] = 0.5
     islands = record(scan(depth_m)).islands
     assert (islands.holes, islands.specks) == (5, 4)
     assert islands.hole_share == pytest.approx((1 + 2 + 5 + 10 + 2) / depth_m.size)

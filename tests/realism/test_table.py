@@ -3,11 +3,15 @@
 import cv2
 import numpy as np
 import pytest
+from drawn import axes_of, drawn_by, heights_of, lines_of
 
 from graycast.errors import DatasetError, GraycastError
-from graycast.realism import draw_realism, measure, pool, read_record, table, write_record
+from graycast.realism import draw_realism, measure, plots, pool, read_record, table, write_record
+from graycast.realism.record import Jumps
 
 from .synthetic import plates, scan, scattered_plates
+
+SIDES = ("right_farther", "left_farther", "below_farther", "above_farther")
 
 
 def noisy_scan(seed, sigma_m=1e-4):
@@ -72,6 +76,32 @@ def test_two_sets_stand_side_by_side_with_a_dash_for_what_one_lacks(record):
     assert drop_out.split()[-1] == "-"
     names = [line.strip() for line in table(bare, record).splitlines()]
     assert sum("sigma of z, median" in name for name in names) == 1
+
+
+def test_the_plots_show_the_figures_of_each_record(tmp_path, record):
+    """Oracle: the record itself, in the units of the axes."""
+    other = record.model_copy(update={"name": "other", "jumps": Jumps(**dict.fromkeys(SIDES, 7.0))})
+    with drawn_by(plots) as figures:
+        draw_realism([record, other], tmp_path / "two.png")
+    axes = axes_of(figures[0])
+    for sigma_mm, share in lines_of(axes["noise about planes"]):
+        assert sigma_mm == pytest.approx(1e3 * np.array(record.noise.percentiles_m))
+        assert share == pytest.approx([5, 25, 50, 75, 95])
+    own = [getattr(record.jumps, side) for side in SIDES]
+    assert heights_of(axes["jumps between valid neighbours"]) == pytest.approx([*own, *[7.0] * 4])
+    along = axes["autocorrelation (dashed: along columns)"]
+    (lag, rows), (_, columns) = lines_of(along)[:2]
+    assert lag == pytest.approx([0, 1, 2, 3])
+    assert rows == pytest.approx([1.0, *record.autocorrelation.along_rows])
+    assert columns == pytest.approx([1.0, *record.autocorrelation.along_columns])
+    bins = [b for b in record.missing.by_brightness if b.value is not None]
+    (at, percent), _ = lines_of(axes["missing pixels (dotted: drop-out step)"])
+    assert percent == pytest.approx([100 * b.value for b in bins])
+    assert all(b.low < x < b.high for b, x in zip(bins, at, strict=True))
+    (at_deg, mm), _ = lines_of(axes["noise against incidence"])
+    held = [b for b in record.noise.by_incidence if b.count >= 5]
+    assert mm == pytest.approx([1e3 * b.value for b in held])
+    assert at_deg == pytest.approx([(b.low + b.high) / 2 for b in held])
 
 
 @pytest.mark.slow

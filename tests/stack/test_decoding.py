@@ -9,12 +9,13 @@ import yaml
 from backends import slow
 from PIL import Image
 
-from graycast.decode import Reason
+from graycast.decode import CodeMap, Reason, epipolar_residual_px, triangulate
 from graycast.errors import GraycastError
 from graycast.frames import inverse, transform_points
 from graycast.optics import project
 from graycast.pattern import gray, gray_line_shift, gray_phase, micro_phase, xor_gray
 from graycast.stack import decode_stack, describe_result, meet_rays, read_description, write_result
+from graycast.stack.decoding import _epipolar_limit_px, _less_outliers
 
 from .simulated import BALL_M, RADIUS_M, WALL_M, describe, save, seen, shoot, small_rig
 
@@ -161,6 +162,36 @@ def test_depth_is_the_wall_and_the_ball_to_half_a_projector_pixel(vertical, tmp_
     assert known.mean() > 0.9 * result.figures.lit_share
     assert np.quantile(error_m, 0.98) < 1.3 * half_pixel_m  # toe-in stretches it
     assert result.figures.epipolar_median_px < 0.5
+
+
+def test_a_stack_s_noise_takes_no_point_off_its_epipolar_line_and_a_wrong_row_does():
+    """Oracle: positions with normal noise of the deviation that is told, 0.05 to 4 px."""
+    rig = small_rig()
+    truth, rng = seen(rig), np.random.default_rng(6)
+    sigma_px = np.geomspace(0.05, 4.0, truth.column.size)
+    sigma_px = rng.permutation(sigma_px).reshape(truth.column.shape).astype(np.float32)
+    column, row = (
+        (place + sigma_px * rng.normal(size=place.shape)).astype(np.float32)
+        for place in (truth.column, truth.row)
+    )
+    wrong = rng.random(row.shape) < 0.1
+    row[wrong] += 20
+    codes = CodeMap(
+        column=column, row=row, sigma_column=sigma_px, sigma_row=sigma_px.copy(),
+        modulation=np.ones_like(row),
+        reason=np.full(row.shape, Reason.DECODED, dtype=np.uint8),
+        mark=np.zeros(row.shape, dtype=np.uint8),
+    )  # fmt: skip
+    depth = triangulate(codes, rig)
+    residual_px = epipolar_residual_px(codes, depth, rig)
+    limit_px = _epipolar_limit_px(None, residual_px)
+    assert limit_px < 6
+    found = _less_outliers(codes, depth, residual_px, limit_px)
+    known = depth.reason == Reason.DECODED
+    gone = (found.reason == Reason.OUTLIER)[known]
+    assert gone[~wrong[known]].mean() < 2e-3  # beyond the limit and 3 sigma
+    sharp = (sigma_px < 1)[known]
+    assert gone[wrong[known] & sharp].all()
 
 
 @pytest.mark.slow

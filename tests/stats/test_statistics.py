@@ -6,6 +6,7 @@ import shutil
 import cv2
 import numpy as np
 import pytest
+from drawn import axes_of, drawn_by, heights_of
 from pictured import SCALE_MM, forget, write_dataset
 
 from graycast.dataset.stored import open_dataset
@@ -13,12 +14,12 @@ from graycast.decode import Reason
 from graycast.errors import DatasetError
 from graycast.stats import (
     dataset_statistics,
+    plots,
     scene_figures,
     statistics_json,
     statistics_table,
     write_statistics,
 )
-from graycast.stats.gather import _quantiles, error_figures
 
 pytestmark = pytest.mark.slow
 
@@ -87,21 +88,6 @@ def test_the_scanner_s_noise_comes_out_as_it_went_in(statistics):
     assert error.beyond_1mm < 1e-4
 
 
-def test_quantiles_of_a_histogram_are_numpy_s():
-    value = np.random.default_rng(3).poisson(40, 5001) - 20
-    counts = {int(k): int((value == k).sum()) for k in np.unique(value)}
-    shares = (0.01, 0.25, 0.5, 0.9, 0.999)
-    expected = np.quantile(value, shares, method="inverted_cdf")
-    np.testing.assert_array_equal(_quantiles(counts, shares), expected)
-
-
-def test_an_error_of_one_value_has_that_median_and_no_rms_beyond_it():
-    error = error_figures({30: 10}, 0.1)
-    assert error.median_mm == pytest.approx(3.0)
-    assert error.rms_mm == pytest.approx(3.0)
-    assert (error.beyond_1mm, error.beyond_5mm) == (1.0, 0.0)
-
-
 def test_depth_range_holds_the_wall(made, statistics):
     depth_mm = 1e3 * np.concatenate([s.truth.depth_m.ravel() for s in made[1].values()])
     for name, share in (("p01", 0.01), ("p50", 0.5), ("p99", 0.99)):
@@ -114,12 +100,26 @@ def test_figures_survive_json(made):
 
 
 def test_files_and_table_are_written(made, statistics, tmp_path):
-    write_statistics(statistics, tmp_path / "figures")
+    with drawn_by(plots) as figures:
+        write_statistics(statistics, tmp_path / "figures")
     held = json.loads((tmp_path / "figures/stats.json").read_text())
     assert held == json.loads(json.dumps(statistics_json(statistics)))
     assert held["pixels"] == 2 * 160 * 120
-    picture = cv2.imread(str(tmp_path / "figures/stats.png"))
-    assert picture.shape[1] > 1000 and picture.std() > 10
+    assert (tmp_path / "figures/stats.png").is_file()
+    axes = axes_of(figures[0])
+    instances = sum(one.instances for one in statistics.classes)
+    assert sum(heights_of(axes[f"Instances per scene ({instances:,} in all)"])) == 2
+    assert sum(heights_of(axes["Visibility"])) == instances
+    assert sum(heights_of(axes["Mask size"])) == sum(statistics.areas.values())
+    assert sum(heights_of(axes["Perfect depth"])) == pytest.approx(100)
+    shares = [bar.get_width() for bar in axes["Why there is no depth"].patches]
+    assert sum(shares) == pytest.approx(200)
+    assert max(shares) == pytest.approx(
+        100 * max(*statistics.reason.values(), *statistics.part_reason.values())
+    )
+    assert sum(heights_of(axes["Decoded share per scene"])) == 2
+    for _, percent in ((line.get_xdata(), line.get_ydata()) for line in axes["Brightness"].lines):
+        assert np.sum(percent) == pytest.approx(100)
     assert statistics_table(statistics).row_count > 8
 
 

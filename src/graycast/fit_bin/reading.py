@@ -1,6 +1,5 @@
 """Real views of the empty bin: depth or organised clouds, and the colour pictures beside them."""
 
-import json
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -8,12 +7,15 @@ from pathlib import Path
 
 import numpy as np
 from jaxtyping import Float, UInt8
+from pydantic import BaseModel, ConfigDict
 
+from ..dataset.reading import Unreadable, held
+from ..dataset.records import Matrix3, Positive
 from ..errors import DatasetError
 from ..frames import pixel_grid
 from ..import_real import Seen, Shot, find_shots, read_shot
 from ..optics import Optics, rays
-from ..realism.reading import DEPTH_FILES
+from ..realism.reading import DEPTH_FILES, load_json
 
 _NO_DISTORTION = (0.0, 0.0, 0.0, 0.0, 0.0)
 _LEAST_POINTS = 1000
@@ -28,6 +30,16 @@ class Said:
     distortion: tuple[float, float, float, float, float] | None = None
     scale_m: float | None = None
     size_px: tuple[int, int] | None = None
+
+
+class _SceneView(BaseModel):
+    """What a view needs of an image in `scene_camera_sl.json`."""
+
+    model_config = ConfigDict(frozen=True, extra="ignore", allow_inf_nan=False)
+
+    cam_K: Matrix3
+    depth_scale: Positive
+    distortion: tuple[float, float, float, float, float] = _NO_DISTORTION
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -167,30 +179,44 @@ def _read(shot: Shot, said: Said, own: Optics) -> View:
 
 
 def _read_scene(scene: Path) -> list[View]:
-    """The scanner's views of a scene of one of our datasets."""
-    views = []
-    for image_id, view in json.loads((scene / "scene_camera_sl.json").read_text()).items():
-        stem = f"{int(image_id):06d}"
+    """The scanner's views of a scene of one of our datasets.
+
+    Raises:
+        DatasetError: `scene_camera_sl.json` is damaged, or says too little of a camera.
+    """
+    path, views = scene / "scene_camera_sl.json", []
+    for image_id, content in load_json(path).items():
+        try:
+            stem = f"{int(image_id):06d}"
+            said = held(content, _SceneView, f"image {image_id}")
+        except (Unreadable, ValueError) as error:
+            raise DatasetError(
+                f"{path}: {error}: an image's key is its number, and it needs cam_K (9 numbers), "
+                "depth_scale and, where the lens has distortion, 5 terms of it"
+            ) from error
         rgb, depth = scene / "rgb" / f"{stem}.png", scene / "depth_sl" / f"{stem}.png"
         seen = read_shot(
             Shot(stem=str(scene), rgb=rgb if rgb.is_file() else None, gray=None, depth=depth),
-            K=np.array(view["cam_K"], dtype=np.float64).reshape(3, 3),
-            scale_m=view["depth_scale"] * 1e-3,
+            K=np.reshape(said.cam_K, (3, 3)),
+            scale_m=said.depth_scale * 1e-3,
             size_px=None,
         )
-        views.append(_view(str(depth), seen, tuple(view.get("distortion", _NO_DISTORTION))))
+        views.append(_view(str(depth), seen, said.distortion))
     return views
 
 
 def _view(name: str, seen: Seen, distortion: tuple[float, float, float, float, float]) -> View:
     height_px, width_px = seen.size_px
-    camera = Optics(
-        width_px=width_px,
-        height_px=height_px,
-        fx_px=float(seen.K[0, 0]),
-        fy_px=float(seen.K[1, 1]),
-        cx_px=float(seen.K[0, 2]),
-        cy_px=float(seen.K[1, 2]),
-        distortion=distortion,
-    )
+    try:
+        camera = Optics(
+            width_px=width_px,
+            height_px=height_px,
+            fx_px=float(seen.K[0, 0]),
+            fy_px=float(seen.K[1, 1]),
+            cx_px=float(seen.K[0, 2]),
+            cy_px=float(seen.K[1, 2]),
+            distortion=distortion,
+        )
+    except ValueError as error:
+        raise DatasetError(f"{name}: its camera is none that can be used: {error}") from error
     return View(name=name, camera=camera, depth_m=seen.depth_m, rgb=seen.rgb)

@@ -1,0 +1,68 @@
+"""What a dataset is claimed for: nothing of a part may change behind a fingerprint's back."""
+
+from dataclasses import fields, replace
+
+import numpy as np
+import pytest
+from prisms import box_part, make_rig
+
+from graycast.dataset.claim import fingerprint, make_claim
+from graycast.parts import Material, Mesh, Part, Symmetry
+
+BOX = box_part()
+MESH, MATERIAL, MOTIONS = BOX.mesh, BOX.material, BOX.symmetry
+TURN = MOTIONS.discrete[0]
+AXIS = ((0.0, 0.0, 1.0), (0.0, 0.0, 0.0))
+CHANGES = {
+    "vertices_m": replace(MESH, vertices_m=MESH.vertices_m + 1e-6),
+    "faces": replace(MESH, faces=np.roll(MESH.faces, 1, axis=1)),
+    "corner_uv": replace(MESH, corner_uv=MESH.corner_uv + 1e-6),
+    "corner_normals": replace(MESH, corner_normals=None),
+    "base_color": replace(MATERIAL, base_color=(0.5, 0.5, 0.51)),
+    "texture": replace(MATERIAL, texture=MATERIAL.texture // 2),
+    "metallic": replace(MATERIAL, metallic=1.0),
+    "roughness": replace(MATERIAL, roughness=0.51),
+    "specular": replace(MATERIAL, specular=0.0),
+    "projector_reflectance": replace(MATERIAL, projector_reflectance=0.5),
+    "density_kg_m3": replace(BOX, density_kg_m3=801.0),
+    "friction": replace(BOX, friction=0.51),
+    "discrete": replace(MOTIONS, discrete=(TURN @ TURN,)),
+    "continuous": replace(MOTIONS, continuous=(AXIS,)),
+    "name": replace(BOX, name="crate"),
+    "labelled": replace(BOX, labelled=False),
+}
+
+
+def changed(field):
+    match CHANGES[field]:
+        case Mesh() as mesh:
+            return replace(BOX, mesh=mesh)
+        case Material() as material:
+            return replace(BOX, material=material)
+        case Symmetry() as symmetry:
+            return replace(BOX, symmetry=symmetry)
+        case part:
+            return part
+
+
+def claimed(part):
+    return make_claim({}, 7, (part,), make_rig(), 0.02)
+
+
+def test_every_field_of_a_part_is_changed_once():
+    """A new one is added above, and to what the claim covers."""
+    known = {field.name for kind in (Part, Mesh, Material, Symmetry) for field in fields(kind)}
+    assert set(CHANGES) == known - {"mesh", "material", "symmetry", "source"}
+
+
+@pytest.mark.parametrize("field", CHANGES)
+def test_a_part_that_changes_is_another_dataset(field):
+    before, after = claimed(BOX), claimed(changed(field))
+    assert before["fingerprint"] != after["fingerprint"]
+    assert before["fingerprint"] == fingerprint(before)
+
+
+def test_where_a_part_came_from_is_told_and_is_no_other_dataset():
+    moved = claimed(replace(BOX, source="elsewhere/box.stl"))
+    assert moved["sources"] == ["elsewhere/box.stl"]
+    assert moved["fingerprint"] == claimed(BOX)["fingerprint"]

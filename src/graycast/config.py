@@ -270,7 +270,8 @@ def resolve_parts(
         ConfigError: an unknown built-in part, or a texture that cannot be read.
         MeshError: a mesh that cannot be a part.
     """
-    parts, notes = [], []
+    parts: list[Part] = []
+    notes: list[str] = []
     for section in config.parts:
         if section.mesh is not None:
             on_stage(f"reading {section.mesh}")
@@ -290,17 +291,24 @@ def resolve_bin(section: BinSection, folder: Path) -> tuple[Bin, tuple[str, ...]
     """
     given = None if section.material is None else resolve_material(section.material, folder)
     floor = None if section.floor is None else resolve_material(section.floor, folder)
-    words = {"floor": floor, "friction": section.friction}
     if section.mesh is None:
         material = given or Material(texture=wood_texture(), roughness=0.6)
-        return Bin(inner_m=section.inner_m, wall_m=section.wall_m, material=material, **words), ()
+        box = Bin(
+            inner_m=section.inner_m,
+            wall_m=section.wall_m,
+            material=material,
+            floor=floor,
+            friction=section.friction,
+        )
+        return box, ()
     found = load_bin(folder / section.mesh, unit=section.unit, up=section.up_axis)
     box = Bin(
         inner_m=found.inner_m,
         mesh=found.mesh,
         own_texture=given is None and found.material.texture is not None,
         material=given or found.material,
-        **words,
+        floor=floor,
+        friction=section.friction,
     )
     return box, tuple(f"bin: {note}" for note in found.notes)
 
@@ -348,10 +356,11 @@ def resolve_limits(config: Config) -> DropLimits:
 
 def file_digests(config: Config, folder: Path) -> dict[str, str]:
     """SHA-256 of every file that a configuration names, so that a changed file is noticed."""
-    named = [section.mesh for section in (*config.parts, config.bin)]
-    named += [section.material and section.material.texture for section in config.parts]
-    surfaces = (config.bin.material, config.bin.floor, config.table)
-    named += [material and material.texture for material in surfaces]
+    named = [section.mesh for section in config.parts]
+    named.append(config.bin.mesh)
+    surfaces = [section.material for section in config.parts]
+    surfaces += [config.bin.material, config.bin.floor, config.table]
+    named += [material.texture for material in surfaces if material is not None]
     named.append(config.light.environment.map)
     named += domain_files(config.domain, folder)
     digests = {}

@@ -175,6 +175,17 @@ class Layout:
         self.part_index.flags.writeable = False
 
 
+def bin_of(scene: Scene) -> Bin:
+    """The bin, for what makes no sense without one.
+
+    Raises:
+        ValueError: the scene has none.
+    """
+    if scene.bin is None:
+        raise ValueError("this scene has no bin, which it needs here: give Scene(bin=...)")
+    return scene.bin
+
+
 TABLE_HALF_M = 4.0  # of the table's edge: it looks endless
 
 EMPTY_LAYOUT = Layout(T_world_part=np.zeros((0, 4, 4)), part_index=np.zeros(0, dtype=np.int64))

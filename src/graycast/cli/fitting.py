@@ -126,6 +126,7 @@ def _fit_bin(options: argparse.Namespace) -> int:
         write_fit,
     )
     from ..realism import read_intrinsics
+    from ..scene import bin_of
 
     refuse_existing(options.out, options.config)
     if (options.white is None) != (options.black is None):
@@ -150,7 +151,7 @@ def _fit_bin(options: argparse.Namespace) -> int:
         size_px=options.size,
     )
     views = read_views(options.real, rgb=options.rgb, said=said, own=cell.scene.rig.camera)
-    shape = shape_of(cell.scene.bin, wall_known=bool(known))
+    shape = shape_of(bin_of(cell.scene), wall_known=bool(known))
     azimuth = azimuth_of(config) if options.azimuth is None else math.radians(options.azimuth)
     fit = fit_pose(views, shape, azimuth_rad=azimuth, seed=options.seed)
     paired = options.white is not None

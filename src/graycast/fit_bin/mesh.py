@@ -97,8 +97,14 @@ class MeshShape:
 
 
 def mesh_shape(box: Bin) -> MeshShape:
-    """The faces of a bin that is a mesh."""
+    """The faces of a bin that is a mesh.
+
+    Raises:
+        ValueError: the bin is a box.
+    """
     mesh = box.mesh
+    if mesh is None:
+        raise ValueError("the bin is a box, not a mesh: open_box gives its faces")
     corner = mesh.vertices_m[mesh.faces]
     cross = mesh.face_cross_m2
     area_m2 = np.linalg.norm(cross, axis=1) / 2

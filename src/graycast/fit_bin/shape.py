@@ -19,8 +19,13 @@ class BinShape(Protocol):
     can be seen from.
     """
 
-    inner_m: tuple[float, float, float]
-    names: tuple[str, ...]  # of the surfaces: floor, wall +x, ...
+    @property
+    def inner_m(self) -> tuple[float, float, float]: ...
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Of the surfaces: floor, wall +x, ..."""
+        ...
 
     @property
     def surface(self) -> Int[np.ndarray, "f"]:

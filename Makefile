@@ -27,7 +27,7 @@ setup-test:
 
 # The documentation as a site: out/site/index.html.
 docs: setup-test
-	.venv/bin/mkdocs build --strict
+	NO_MKDOCS_2_WARNING=1 .venv/bin/mkdocs build --strict --quiet
 
 # Optional: the second back end, Blender Cycles, in an environment of its own.
 cycles:

@@ -61,12 +61,14 @@ def add_commands(commands) -> None:
     fit.add_argument(
         "--white",
         type=Path,
-        help="A linear frame with the projector white; with --black it gives the lamps' level.",
+        help="A linear picture of the bin while the projector shows white. With --black "
+        "it tells how bright the lamps are.",
     )
     fit.add_argument(
         "--black",
         type=Path,
-        help="A linear frame with the projector black, of the same exposure as --white.",
+        help="A linear picture of the bin while the projector shows black, taken with the "
+        "exposure of --white.",
     )
     fit.add_argument(
         "--pose-only",

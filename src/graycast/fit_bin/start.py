@@ -108,7 +108,7 @@ def planes(
     rest = point[np.isfinite(point[..., 2])]
     least = _LEAST_SHARE * len(rest)
     candidate = _local_planes(point, rng)
-    found = []
+    found: list[tuple[np.ndarray, float]] = []
     while len(found) < PLANES and len(candidate):
         near = np.abs(rest @ candidate[:, :3].T - candidate[:, 3]) < _PLANE_M
         support = near.sum(axis=0)
@@ -189,7 +189,8 @@ def _distinct(
     """The first poses that are not nearly one of those before."""
     apart_m = _APART * min(box.inner_m[:2])
     corner = np.array([[x, y, 0.0] for x in (-1, 1) for y in (-1, 1)]) * np.array(box.inner_m) / 2
-    kept, seen = [], []
+    kept: list[Float[np.ndarray, "4 4"]] = []
+    seen: list[Float[np.ndarray, "corners 3"]] = []
     for T in T_world_cam:
         places = transform_points(inverse(T), corner)  # of the floor's corners before the camera
         if all(_shift_m(places, other) > apart_m for other in seen):

@@ -162,7 +162,7 @@ class Layout:
     """
 
     T_world_part: Float[np.ndarray, "n 4 4"]
-    part_index: Int[np.ndarray, "n"]
+    part_index: Int[np.ndarray, " n"]
     at_rest: bool = True
     last_motion_m: float = 0.0
     deepest_penetration_m: float = 0.0
@@ -265,7 +265,7 @@ def _box_mesh(box: Bin) -> Mesh:
     return Mesh(vertices_m=vertices, faces=faces)
 
 
-def inner_floor(box: Bin, mesh: Mesh) -> Bool[np.ndarray, "f"]:
+def inner_floor(box: Bin, mesh: Mesh) -> Bool[np.ndarray, " f"]:
     """Which faces of the bin's mesh are its inner floor: they look up and lie at its height."""
     corner = mesh.vertices_m[mesh.faces]
     cross = mesh.face_cross_m2
@@ -290,7 +290,7 @@ def bin_surfaces(box: Bin) -> tuple[tuple[str, Mesh, Material], ...]:
     )
 
 
-def _faces_of(mesh: Mesh, chosen: Bool[np.ndarray, "f"]) -> Mesh:
+def _faces_of(mesh: Mesh, chosen: Bool[np.ndarray, " f"]) -> Mesh:
     """Some of a mesh's faces. Its vertices stay: those that nobody uses do no harm."""
     return Mesh(
         vertices_m=mesh.vertices_m,

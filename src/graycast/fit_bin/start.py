@@ -48,7 +48,7 @@ def start_poses(
 
     def score(
         T_world_cam: Float[np.ndarray, "p 4 4"], step: int, floor_m: float
-    ) -> Float[np.ndarray, "p"]:
+    ) -> Float[np.ndarray, " p"]:
         # A plane is known better than the place on it.
         tolerance_m = np.where(is_floor(inside), floor_m, _coarse_m(box))
         some, z = ray[::step], depth_m[::step]
@@ -70,8 +70,8 @@ def start_poses(
 def _climbed(
     box: OpenBox,
     T_world_cam: Float[np.ndarray, "p 4 4"],
-    score: Callable[[Float[np.ndarray, "p 4 4"]], Float[np.ndarray, "p"]],
-) -> tuple[Float[np.ndarray, "p 4 4"], Float[np.ndarray, "p"]]:
+    score: Callable[[Float[np.ndarray, "p 4 4"]], Float[np.ndarray, " p"]],
+) -> tuple[Float[np.ndarray, "p 4 4"], Float[np.ndarray, " p"]]:
     """Each pose moved about, in ever smaller steps, while that is better; with its score.
 
     A grid that is coarse enough to be quick may miss the one place where floor and walls fit.

@@ -105,8 +105,8 @@ def rounded_box(
 
 
 def _cube_grid(
-    i: Int[np.ndarray, "n"],
-    j: Int[np.ndarray, "n"],
+    i: Int[np.ndarray, " n"],
+    j: Int[np.ndarray, " n"],
     right: Int[np.ndarray, "3"],
     up: Int[np.ndarray, "3"],
     count: int,

@@ -52,8 +52,8 @@ class Cloud:
 
     point_m: Float[np.ndarray, "n 3"]
     color: UInt8[np.ndarray, "n 3"]
-    sure_pixels: Int[np.ndarray, "n"] | None = None
-    sigma_m: Float[np.ndarray, "n"] | None = None
+    sure_pixels: Int[np.ndarray, " n"] | None = None
+    sigma_m: Float[np.ndarray, " n"] | None = None
 
     def __post_init__(self) -> None:
         for name in self.__dataclass_fields__:

@@ -62,6 +62,6 @@ def line(
     return max(floor, QUANTISATION_DN2), slope
 
 
-def _trimmed_mean(value: Float[np.ndarray, "n"]) -> float:
+def _trimmed_mean(value: Float[np.ndarray, " n"]) -> float:
     kept = np.sort(value)[: max(1, round(TRIM * len(value)))]
     return float(kept.mean())

@@ -1,5 +1,5 @@
 # The two commands of the README: `make demo` and `make test`. Set-up goes into .venv.
-.PHONY: demo test test-slow setup cycles extras clean
+.PHONY: demo test test-slow setup setup-test cycles extras docs clean
 
 GRAYCAST = .venv/bin/graycast
 
@@ -8,23 +8,33 @@ demo: setup
 	$(GRAYCAST) validate out/demo
 	$(GRAYCAST) preview configs/demo.yaml --out out/demo/preview.png
 
-test: setup
+test: setup-test
 	.venv/bin/ruff check src tests examples
 	.venv/bin/ruff format --check src tests examples
+	.venv/bin/mypy
 	.venv/bin/pytest -n 2 --dist loadfile
 
-test-slow: setup
+test-slow: setup-test
 	.venv/bin/pytest -n 2 --dist loadfile -m 'slow and not gpu'
 
+# What Graycast itself needs, in the versions of constraints.txt.
 setup:
 	@scripts/setup
+
+# Beside it what tests, style, types and the documentation need.
+setup-test:
+	@scripts/setup test,docs
+
+# The documentation as a site: out/site/index.html.
+docs: setup-test
+	NO_MKDOCS_2_WARNING=1 .venv/bin/mkdocs build --strict --quiet
 
 # Optional: the second back end, Blender Cycles, in an environment of its own.
 cycles:
 	@scripts/setup-cycles
 
 # Optional: detectors and robots. PyTorch comes with CUDA's libraries, 5 GB on disk.
-extras: setup
+extras:
 	@scripts/setup-extras
 
 clean:

@@ -190,7 +190,7 @@ def from_gray(gray_views):
 
 
 def assert_acceptable(calibration, *, share=1e-3, rms_px=0.1):
-    """Point 9 of issue 3."""
+    """What a calibration must reach: focal lengths, centres and residuals within their bounds."""
     rig = calibration.rig
     for found, true in ((rig.camera, CAMERA), (rig.projector, PROJECTOR)):
         assert found.fx_px == pytest.approx(true.fx_px, rel=share)

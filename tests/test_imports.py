@@ -1,6 +1,7 @@
 """Which module may import which: the one table of the package's arrows (STYLE.md, section 2)."""
 
 import ast
+import re
 from functools import cache
 from pathlib import Path
 
@@ -116,9 +117,9 @@ def imports(name, file, is_folder):
 
 
 def broken_arrows(name, targets):
-    """What a module of that name may not import."""
+    """What a module of that name may not import; the door shows the whole house."""
     if not name:
-        return {".".join(t) for t in targets if t}
+        return set()
     top = name[0]
     above = set(ORDER[: ORDER.index(top)]) - FORBIDDEN.get(top, set())
     wrong = set()
@@ -145,6 +146,26 @@ def test_a_module_imports_only_from_modules_above_it():
         and (wrong := broken_arrows(name, set(imports(name, file, is_folder))))
     }
     assert not broken, "\n".join(f"{name} may not import {sorted(broken[name])}" for name in broken)
+
+
+def test_the_door_shows_every_room_in_its_order():
+    """The map is the docstring of `graycast/__init__.py`: a line a room."""
+    tree = ast.parse((SOURCE / "__init__.py").read_text(encoding="utf-8"))
+    lines = re.findall(r"^    (\w+) {2,}\S.*$", ast.get_docstring(tree), re.MULTILINE)
+    assert tuple(lines) == ORDER
+
+
+def test_no_room_comes_in_by_the_door():
+    """`from graycast import Scene` inside the package would hide an arrow from the table."""
+    for name, file, is_folder in modules():
+        package = name if is_folder else name[:-1]
+        for node in import_nodes(file) if name else ():
+            if not isinstance(node, ast.ImportFrom):
+                continue
+            to_door = node.module is None and node.level == len(package) + 1
+            if to_door or (node.module == "graycast" and not node.level):
+                rooms = {a.name for a in node.names if a.name in ORDER or a.name == "__version__"}
+                assert {a.name for a in node.names} == rooms, ".".join(name)
 
 
 def test_only_the_modules_named_see_the_whole_line():

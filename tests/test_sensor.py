@@ -175,7 +175,7 @@ def test_the_default_responsivity_follows_from_lens_pixel_and_light():
     photon_j = 1239.841984 / 525 * 1.602176634e-19
     electrons = 0.6 * 0.9 * disc_sr * 3.45e-6**2 / photon_j
     assert abs(spec.responsivity / electrons - 1) < 1e-7
-    assert abs(SensorSpec().responsivity / 2.4e5 - 1) < 0.05  # what issue 2's pictures had
+    assert abs(SensorSpec().responsivity / 2.4e5 - 1) < 0.05  # what the first pictures had
 
 
 def test_radiance_exposure_and_background_make_electrons():

@@ -1,3 +1,196 @@
-"""Simulates a structured-light camera and makes bin-picking datasets with it."""
+"""Simulates a structured-light camera and makes bin-picking datasets with it.
+
+From Python the whole line is at hand here; `docs/library.md` begins with ten lines that run:
+
+    cell = graycast.resolve_cell(graycast.load_config(path), path.parent)
+    with graycast.open_cell_renderer(cell) as renderer:
+        shot = graycast.make_scene(cell, 0, seed=1, renderer=renderer)
+    codes, depth = graycast.measure(cell.scanner, shot.capture)
+    graycast.save_scene(cell, shot, out)
+
+`import graycast` loads nothing else. A name, and the module that it comes from, is loaded when it
+is first asked for.
+
+The map of the house. Each room imports only from rooms above it (`tests/test_imports.py`).
+
+What all rooms use:
+
+    errors           the errors that a caller may want to handle
+    array_types      what annotates arrays with their axes
+    folder           results that appear whole or not at all
+    plotting         how plots look, and how they are written
+    settings         YAML files that are read, checked, and refused with one clear line
+    usage            time and memory that processes have used
+    color            the one colour encoding of pictures on disk
+    frames           rigid transforms, rotations and the pixel grid
+    lens_inverse     the inverse of lens distortion, compiled
+    optics           camera and projector: distortion both ways, thin lens, vignetting
+    raster           depth of a mesh at pixel centres, for checking
+
+What is simulated:
+
+    pattern          the frames that a projector shows, and the codes made of them
+    rig              a camera and a projector that hold still to each other
+    parts            meshes with materials, built in and one's own
+    grasp            where a part can be gripped: seals of suction cups, jaws
+    bins             a bin from a mesh file
+    scene            the world before physics and light; where the parts came to lie
+    drop             parts fall until they rest: Scene -> Layout
+    render           light: Layout -> Radiance, and the ground truth
+    camera_light     from the renderer's light to the light on the sensor
+    sensor           noise, saturation, quantisation: Radiance -> Capture
+    photon_transfer  a sensor measured from its own flat fields
+    decode           pictures to projector positions to depth: Capture -> DepthMap
+    scanner          a rig with its code, sensor, exposure, decoder and filters
+    picture          the colour picture, and what the measuring camera saw
+    rig_file         scanners in files, and calibrations of others
+    stack            pictures of real scanners: described, decoded, written
+
+What is written, and what makes it:
+
+    dataset          ground truth on disk, BOP and COCO; written, checked, read back
+    detections       what a detector finds in a picture, and COCO's results files
+    pose_results     estimated poses, and BOP's results files
+    domain           how scenes differ from their cell, and the record of it
+    config           what a user writes in YAML, and the values that it stands for
+    cell             a configuration with its files read, which all scenes share
+    simulate         one scene, all the way from its seeds to its sample
+    engine           who makes the scenes: this process, others, or a cluster
+    generate         many scenes of a cell into a dataset's folder
+
+What is measured, learnt and judged:
+
+    metrology        what a virtual scanner is worth: its certificate
+    realism          what real depth has and perfect depth lacks, in figures
+    stats            what a dataset holds, in figures
+    card             the card of a dataset
+    export           datasets in the formats of other programs
+    import_real      real pictures with labels, as a dataset
+    training         examples for trainers, from datasets and exports alike
+    evaluate         how good detections, poses and depth are; imports nothing that it judges
+    detect           detectors: trained, run
+    pose             where a part is, from a detection and the scanner's depth
+    study_file       what a study's YAML file says
+    study            models x inputs x training sets x worlds x seeds, in one table
+    fit_bin          pose, colours and light of a real, empty bin
+    calibrate        a rig from pictures of a board
+    report           pictures of what the program works with and makes; the web page
+    pick             a robot that empties the bin
+    doctor           what is installed here, and what each missing thing would give
+    bench            speed and memory, and studies of renderers, drops and poses
+    cli              the command `graycast`: files in, files out
+"""
+
+from importlib import import_module
+from typing import TYPE_CHECKING
 
 __version__ = "0.1.0"
+
+if TYPE_CHECKING:  # for type checkers and editors; `_MODULE` says the same to Python
+    from .cell import Cell as Cell
+    from .cell import open_cell_renderer as open_cell_renderer
+    from .cell import resolve_cell as resolve_cell
+    from .config import Config as Config
+    from .config import load_config as load_config
+    from .dataset import validate as validate
+    from .decode import CodeMap as CodeMap
+    from .decode import DecodeSpec as DecodeSpec
+    from .decode import DepthMap as DepthMap
+    from .decode import FilterSpec as FilterSpec
+    from .decode import Levels as Levels
+    from .decode import Reason as Reason
+    from .decode import triangulate as triangulate
+    from .errors import GraycastError as GraycastError
+    from .generate import Workers as Workers
+    from .generate import save_scene as save_scene
+    from .parts import Material as Material
+    from .parts import Mesh as Mesh
+    from .parts import Part as Part
+    from .parts import builtin_part as builtin_part
+    from .parts import load_part as load_part
+    from .pattern import Code as Code
+    from .pattern import CodeSpec as CodeSpec
+    from .pattern import Frame as Frame
+    from .render import GroundTruth as GroundTruth
+    from .render import Quality as Quality
+    from .render import Radiance as Radiance
+    from .render import Renderer as Renderer
+    from .render import Rendering as Rendering
+    from .render import open_renderer as open_renderer
+    from .rig import Rig as Rig
+    from .rig import place as place
+    from .rig_file import load_scanner as load_scanner
+    from .rig_file import save_scanner as save_scanner
+    from .scanner import Scan as Scan
+    from .scanner import Scanner as Scanner
+    from .scanner import measure as measure
+    from .scanner import preset as preset
+    from .scanner import scan as scan
+    from .scanner import take as take
+    from .scene import Bin as Bin
+    from .scene import Environment as Environment
+    from .scene import Lamp as Lamp
+    from .scene import Layout as Layout
+    from .scene import Scene as Scene
+    from .sensor import Capture as Capture
+    from .sensor import SensorSpec as SensorSpec
+    from .simulate import Shot as Shot
+    from .simulate import make_scene as make_scene
+    from .stack import decode_stack as decode_stack
+    from .training import Example as Example
+    from .training import open_examples as open_examples
+
+_MODULE = {
+    name: module
+    for module, names in {
+        "cell": ("Cell", "open_cell_renderer", "resolve_cell"),
+        "config": ("Config", "load_config"),
+        "dataset": ("validate",),
+        "decode": (
+            *("CodeMap", "DecodeSpec", "DepthMap", "FilterSpec", "Levels", "Reason"),
+            "triangulate",
+        ),
+        "errors": ("GraycastError",),
+        "generate": ("Workers", "save_scene"),
+        "parts": ("Material", "Mesh", "Part", "builtin_part", "load_part"),
+        "pattern": ("Code", "CodeSpec", "Frame"),
+        "render": (
+            *("GroundTruth", "Quality", "Radiance", "Renderer", "Rendering"),
+            "open_renderer",
+        ),
+        "rig": ("Rig", "place"),
+        "rig_file": ("load_scanner", "save_scanner"),
+        "scanner": ("Scan", "Scanner", "measure", "preset", "scan", "take"),
+        "scene": ("Bin", "Environment", "Lamp", "Layout", "Scene"),
+        "sensor": ("Capture", "SensorSpec"),
+        "simulate": ("Shot", "make_scene"),
+        "stack": ("decode_stack",),
+        "training": ("Example", "open_examples"),
+    }.items()
+    for name in names
+}
+__all__ = ["__version__", *_MODULE]
+
+
+def __getattr__(name: str) -> object:
+    if name in _MODULE:
+        return getattr(import_module(f".{_MODULE[name]}", __name__), name)
+    room = name.isidentifier() and not name.startswith("_") and _room(name)
+    if room:
+        return room
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+
+
+def _room(name: str) -> object:
+    """A module of the house; None where there is no such module."""
+    full_name = f"{__name__}.{name}"
+    try:
+        return import_module(full_name)
+    except ModuleNotFoundError as error:
+        if error.name == full_name:
+            return None
+        raise
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *_MODULE})

@@ -134,13 +134,13 @@ def _cut(
     return segment, cross / np.maximum(np.linalg.norm(cross, axis=1, keepdims=True), 1e-30)
 
 
-def _within(span_m: Float[np.ndarray, "n 2"], half_m: float) -> Float[np.ndarray, "n"]:
+def _within(span_m: Float[np.ndarray, "n 2"], half_m: float) -> Float[np.ndarray, " n"]:
     """How much of each span lies between -half and half."""
     low, high = np.clip(np.sort(span_m, axis=1), -half_m, half_m).T
     return high - low
 
 
-def _median(value: Float[np.ndarray, "n"], weight: Float[np.ndarray, "n"], if_none: str) -> float:
+def _median(value: Float[np.ndarray, " n"], weight: Float[np.ndarray, " n"], if_none: str) -> float:
     """The weighted median.
 
     Raises:

@@ -1,6 +1,6 @@
 """A cell: a configuration with its files read, which all scenes of a dataset share."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -13,13 +13,13 @@ from .config import (
     resolve_bin,
     resolve_environment,
     resolve_lamps,
-    resolve_material,
     resolve_parts,
     resolve_scanner,
 )
 from .domain import Domain, deepest_m, resolve_domain
 from .drop import OnStage
 from .parts import Part
+from .parts.sections import resolve_material
 from .pattern import Code
 from .render import OnFrame, Renderer, open_renderer
 from .rig import Rig, grey_levels, place, standoff_m
@@ -70,19 +70,19 @@ def resolve_cell(config: Config, folder: Path, *, on_stage: OnStage = lambda sta
     if config.bin.mesh is not None:
         on_stage(f"reading {config.bin.mesh}")
     box, bin_notes = resolve_bin(config.bin, folder)
-    table = {} if config.table is None else {"table": resolve_material(config.table, folder)}
     scene = Scene(
         rig=rig,
         T_world_cam=_pose(config.view, rig, box),
         parts=parts,
         bin=box,
-        **table,
         environment=resolve_environment(config.light.environment, folder),
         lamps=resolve_lamps(config.light),
     )
+    if config.table is not None:
+        scene = replace(scene, table=resolve_material(config.table, folder))
     if config.domain is not None:
         on_stage("reading the files that the domain names")
-    domain = config.domain and resolve_domain(config.domain, folder, scene=scene)
+    domain = None if config.domain is None else resolve_domain(config.domain, folder, scene=scene)
     return Cell(
         config=config,
         scene=scene,

@@ -47,25 +47,26 @@ class BinSection(Settings):
     wall_m: Positive = 0.012
     mesh: Path | None = Field(
         None,
-        description="instead of inner_m and wall_m: OBJ, PLY, STL or GLB file of a closed surface",
+        description="An OBJ, PLY, STL or GLB file, which replaces inner_m and wall_m.",
         exclude_if=lambda mesh: mesh is None,  # so that older datasets can go on
     )
     unit: Unit | None = Field(
         None,
-        description="the mesh file's unit; asked for unless metres are plausible",
+        description="The unit of the mesh file. It must be stated unless metres are plausible.",
         exclude_if=lambda unit: unit is None,
     )
     up_axis: Up = Field(
         "z",
-        description="the mesh file's axis that points out of the opening",
+        description="The axis of the mesh file that points out of the bin's opening.",
         exclude_if=lambda up: up == "z",
     )
     material: MaterialSection | None = Field(
-        None, description="left out: a wood of our own, of a mesh what its file says"
+        None,
+        description="Left out, a box is of wood, and a mesh is as its file says.",
     )
     floor: MaterialSection | None = Field(
         None,
-        description="of the inner floor alone; left out: as the walls",
+        description="The surface of the inner floor. Left out, it is that of the walls.",
         exclude_if=lambda floor: floor is None,  # so that older datasets can go on
     )
     friction: float = Field(0.5, ge=0)
@@ -110,14 +111,18 @@ class ViewSection(Settings):
     """Where the rig hangs. At azimuth 0 its baseline runs along the world's x."""
 
     distance_m: Positive | None = Field(
-        None, description="middle of the baseline to the target; else where the axes cross"
+        None,
+        description="From the baseline to the target; left out, the axes cross at the target.",
     )
     tilt_deg: float = Field(0.0, ge=0, le=80)
     azimuth_deg: float = 0.0
-    target_m: Vector | None = Field(None, description="else a third of the bin's height up")
+    target_m: Vector | None = Field(
+        None,
+        description="What the rig looks at; left out: a third of the bin's height up.",
+    )
     T_world_cam: tuple[float, ...] | None = Field(
         None,
-        description="instead of all others: the camera's exact pose, 4x4, row by row (metres)",
+        description="The camera's pose, which replaces all other keys: 4x4, by rows [m].",
         exclude_if=lambda pose: pose is None,  # so that older datasets can go on
     )
 
@@ -141,7 +146,8 @@ class CyclesSection(Settings):
     """What only Blender Cycles has."""
 
     denoise: Literal["none", "oidn", "optix"] = Field(
-        "oidn", description="of every picture, patterns too, as the paper does; optix needs a GPU"
+        "oidn",
+        description="What cleans each picture, as the paper does; optix needs a GPU.",
     )
     patterns_per_render: Literal[1, 3] = Field(
         1, description="3: a pattern each in R, G and B, where light is of one wavelength"
@@ -154,20 +160,20 @@ class RenderSection(Settings):
     )
     samples: int = Field(16, ge=1, le=65536, description="paths per pixel")
     depth: int = Field(4, ge=1, le=64, description="vertices per path; 1 is direct light alone")
-    denoise: bool = Field(True, description="of the colour picture alone")
+    denoise: bool = Field(True, description="Clean the colour picture, and it alone.")
     cycles: CyclesSection = CyclesSection()
 
 
 class DropSection(Settings):
     penetration_m: float = Field(
-        0.5e-3, gt=0, le=0.1, description="deepest overlap that is accepted"
+        0.5e-3, gt=0, le=0.1, description="The deepest overlap of parts that is accepted."
     )
-    attempts: int = Field(5, ge=1, description="starts that are tried before a scene is given up")
+    attempts: int = Field(5, ge=1, description="How often the parts are dropped at most.")
     simulated_s: float = Field(
         20.0,
         gt=0,
         le=600,
-        description="how long the parts of one attempt may take to come to rest, simulated time",
+        description="How much simulated time the parts of one attempt may take to come to rest.",
         exclude_if=lambda seconds: seconds == 20.0,  # so that older datasets can go on
     )
 
@@ -186,7 +192,7 @@ class StoreSection(Settings):
         gt=0,
         le=1000,
         exclude=True,  # a dataset says it as its depth_scale, chosen or not
-        description="of depth pictures; left out: 16 bits over the working range",
+        description="One step of depth pictures; left out: 16 bits span the range.",
     )
 
 
@@ -197,27 +203,31 @@ class Config(ScannerSections):
     """
 
     parts: tuple[PartSection, ...] = Field(min_length=1)
-    mix: bool = Field(False, description="all classes in each scene, not one class per scene")
-    count: int | tuple[int, int] = Field(
-        30, description="parts per scene, or the lowest and highest number"
+    mix: bool = Field(
+        False,
+        description="Each scene has parts of all kinds.",
     )
-    scenes: int = Field(3, ge=1, description="how many; --scenes goes before")
-    seed: int = Field(0, ge=0, description="of everything random; --seed goes before")
+    count: int | tuple[int, int] = Field(
+        30, description="How many parts a scene has, or the lowest and the highest number."
+    )
+    scenes: int = Field(3, ge=1, description="The number of scenes; --scenes replaces it.")
+    seed: int = Field(0, ge=0, description="The seed of everything random; --seed replaces it.")
     bin: BinSection = BinSection()
     table: MaterialSection | None = Field(
         None,
-        description="what the bin stands on; left out: matt grey",
+        description="The surface of the table that the bin stands on. Left out, it is matt grey.",
         exclude_if=lambda table: table is None,  # so that older datasets can go on
     )
-    rig: str = Field("paper", description="a preset's name or a rig file")
+    rig: str = Field("paper", description="The name of a preset, or a rig file.")
     resolution: Literal["small", "low", "full"] = Field(
-        "low", description="of a preset's camera: 516 x 386, 1032 x 772 or 2064 x 1544 pixels"
+        "low",
+        description="The size of a preset: 516 x 386, 1032 x 772 or 2064 x 1544 pixels.",
     )
     view: ViewSection = ViewSection()
     light: LightSection = LightSection()
     domain: DomainSection | None = Field(
         None,
-        description="how scenes differ from each other in all but their parts' poses",
+        description="How scenes differ from each other beside the poses of their parts.",
         exclude_if=lambda domain: domain is None,  # so that older datasets can go on
     )
     render: RenderSection = RenderSection()
@@ -270,7 +280,8 @@ def resolve_parts(
         ConfigError: an unknown built-in part, or a texture that cannot be read.
         MeshError: a mesh that cannot be a part.
     """
-    parts, notes = [], []
+    parts: list[Part] = []
+    notes: list[str] = []
     for section in config.parts:
         if section.mesh is not None:
             on_stage(f"reading {section.mesh}")
@@ -290,17 +301,24 @@ def resolve_bin(section: BinSection, folder: Path) -> tuple[Bin, tuple[str, ...]
     """
     given = None if section.material is None else resolve_material(section.material, folder)
     floor = None if section.floor is None else resolve_material(section.floor, folder)
-    words = {"floor": floor, "friction": section.friction}
     if section.mesh is None:
         material = given or Material(texture=wood_texture(), roughness=0.6)
-        return Bin(inner_m=section.inner_m, wall_m=section.wall_m, material=material, **words), ()
+        box = Bin(
+            inner_m=section.inner_m,
+            wall_m=section.wall_m,
+            material=material,
+            floor=floor,
+            friction=section.friction,
+        )
+        return box, ()
     found = load_bin(folder / section.mesh, unit=section.unit, up=section.up_axis)
     box = Bin(
         inner_m=found.inner_m,
         mesh=found.mesh,
         own_texture=given is None and found.material.texture is not None,
         material=given or found.material,
-        **words,
+        floor=floor,
+        friction=section.friction,
     )
     return box, tuple(f"bin: {note}" for note in found.notes)
 
@@ -348,10 +366,11 @@ def resolve_limits(config: Config) -> DropLimits:
 
 def file_digests(config: Config, folder: Path) -> dict[str, str]:
     """SHA-256 of every file that a configuration names, so that a changed file is noticed."""
-    named = [section.mesh for section in (*config.parts, config.bin)]
-    named += [section.material and section.material.texture for section in config.parts]
-    surfaces = (config.bin.material, config.bin.floor, config.table)
-    named += [material and material.texture for material in surfaces]
+    named = [section.mesh for section in config.parts]
+    named.append(config.bin.mesh)
+    surfaces = [section.material for section in config.parts]
+    surfaces += [config.bin.material, config.bin.floor, config.table]
+    named += [material.texture for material in surfaces if material is not None]
     named.append(config.light.environment.map)
     named += domain_files(config.domain, folder)
     digests = {}

@@ -35,6 +35,7 @@ from .errors import ConfigError, DatasetError, GraycastError
 from .render import OnFrame, choose_device
 from .rig import PRESETS
 from .scanner import Scanner
+from .simulate import Shot
 
 MOST_THREADS = 1024  # Blender's own limit; tens of thousands end the process
 
@@ -142,6 +143,43 @@ def generate(
             for name in (run.reasons[0] if run.reasons else ())
         },
     )
+
+
+def save_scene(cell: Cell, shot: Shot, out: Path) -> Path:
+    """Write a scene that `make_scene` made into a dataset's folder, which it may begin.
+
+    The files are those that `generate` writes for the same cell, seed and number, which may go on
+    with the folder. Unlike `generate` it also takes a scene in which nothing was decoded.
+
+    Returns:
+        The scene's own folder.
+
+    Raises:
+        ValueError: the scene was made from another configuration than the cell's.
+        DatasetError: the scene is there already; the folder is another dataset's or in use; the
+            disk refuses.
+    """
+    manifest = shot.sample.manifest
+    scene_id = manifest["scene_id"]
+    if manifest["config"] != cell.config.model_dump(mode="json", exclude={"scenes", "seed"}):
+        raise ValueError(
+            f"scene {scene_id} was made from another configuration than this cell's: "
+            "give the cell that make_scene was given"
+        )
+    task = Task(
+        cell=cell,
+        seed=manifest["dataset_seed"],
+        device=manifest["device"],
+        depth_scale_mm=depth_step_mm(cell),
+    )
+    with open_store(out, **_claimed(task)) as store:
+        try:
+            store.write(scene_id, shot.sample)
+            store.finish(store.finished())
+        except BaseException:
+            store.tidy()
+            raise
+    return out / "train" / f"{scene_id:06d}"
 
 
 def depth_step_mm(cell: Cell) -> float:

@@ -44,8 +44,8 @@ class PhotonTransfer:
     dsnu_e: float
     prnu: float
     offset_dn: float
-    mean_dn: Float[np.ndarray, "levels"]
-    variance_dn2: Float[np.ndarray, "levels"]
+    mean_dn: Float[np.ndarray, " levels"]
+    variance_dn2: Float[np.ndarray, " levels"]
 
     def __post_init__(self) -> None:
         self.mean_dn.flags.writeable = False
@@ -107,7 +107,7 @@ def photon_transfer(
     )
 
 
-def _slope_through_zero(x: Float[np.ndarray, "n"], y: Float[np.ndarray, "n"]) -> float:
+def _slope_through_zero(x: Float[np.ndarray, " n"], y: Float[np.ndarray, " n"]) -> float:
     """Least squares of `y = slope x`."""
     return float(x @ y / (x @ x))
 

@@ -247,8 +247,8 @@ def common_depths_m(
     camera: Optics,
     projector: Optics,
     T_cam_proj: Float[np.ndarray, "4 4"],
-    depth_m: Float[np.ndarray, "n"],
-) -> Float[np.ndarray, "m"]:
+    depth_m: Float[np.ndarray, " n"],
+) -> Float[np.ndarray, " m"]:
     """Those of the depths at which the camera sees a place that the projector lights.
 
     Of the camera's pixels 33 x 33 are asked, so an overlap of less than 3 % may be missed.

@@ -162,7 +162,7 @@ class Layout:
     """
 
     T_world_part: Float[np.ndarray, "n 4 4"]
-    part_index: Int[np.ndarray, "n"]
+    part_index: Int[np.ndarray, " n"]
     at_rest: bool = True
     last_motion_m: float = 0.0
     deepest_penetration_m: float = 0.0
@@ -173,6 +173,17 @@ class Layout:
     def __post_init__(self) -> None:
         self.T_world_part.flags.writeable = False
         self.part_index.flags.writeable = False
+
+
+def bin_of(scene: Scene) -> Bin:
+    """The bin, for what makes no sense without one.
+
+    Raises:
+        ValueError: the scene has none.
+    """
+    if scene.bin is None:
+        raise ValueError("this scene has no bin, which it needs here: give Scene(bin=...)")
+    return scene.bin
 
 
 TABLE_HALF_M = 4.0  # of the table's edge: it looks endless
@@ -254,7 +265,7 @@ def _box_mesh(box: Bin) -> Mesh:
     return Mesh(vertices_m=vertices, faces=faces)
 
 
-def inner_floor(box: Bin, mesh: Mesh) -> Bool[np.ndarray, "f"]:
+def inner_floor(box: Bin, mesh: Mesh) -> Bool[np.ndarray, " f"]:
     """Which faces of the bin's mesh are its inner floor: they look up and lie at its height."""
     corner = mesh.vertices_m[mesh.faces]
     cross = mesh.face_cross_m2
@@ -279,7 +290,7 @@ def bin_surfaces(box: Bin) -> tuple[tuple[str, Mesh, Material], ...]:
     )
 
 
-def _faces_of(mesh: Mesh, chosen: Bool[np.ndarray, "f"]) -> Mesh:
+def _faces_of(mesh: Mesh, chosen: Bool[np.ndarray, " f"]) -> Mesh:
     """Some of a mesh's faces. Its vertices stay: those that nobody uses do no harm."""
     return Mesh(
         vertices_m=mesh.vertices_m,

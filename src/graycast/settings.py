@@ -23,14 +23,11 @@ def _ordered(span: tuple[Any, Any]) -> tuple[Any, Any]:
     return span
 
 
-def span_of(number: Any) -> Any:
-    """The type of a range [lowest, highest] of such numbers."""
-    return Annotated[tuple[number, number], AfterValidator(_ordered)]
-
-
-Span = span_of(float)
-PositiveSpan = span_of(Positive)
-ShareSpan = span_of(Share)
+Number = TypeVar("Number")
+SpanOf = Annotated[tuple[Number, Number], AfterValidator(_ordered)]  # [lowest, highest]
+Span = SpanOf[float]
+PositiveSpan = SpanOf[Positive]
+ShareSpan = SpanOf[Share]
 
 
 class Settings(BaseModel):

@@ -19,7 +19,8 @@ from .dataset import Raw, Sample
 from .dataset.seeds import scene_seeds
 from .decode import CodeMap, Reason
 from .domain import Variation, draw, vary
-from .drop import OnStage, drop
+from .drop import OnStage as OnStage
+from .drop import drop
 from .picture import color_picture, gray_picture
 from .render import Renderer, Rendering
 from .scanner import measure, take
@@ -119,7 +120,7 @@ def make_scene(
 
 def _varied(cell: Cell, counts: tuple[int, ...], seeds: dict[str, int]) -> Variation:
     """The cell's scene as its domain has it; without a domain the cell's own."""
-    if cell.config.domain is None:
+    if cell.domain is None:
         return Variation(scene=cell.scene, counts=counts, record={})
     rng = np.random.default_rng(seeds["domain"])
     record = draw(cell.domain, cell.scene, counts, rng)

@@ -143,7 +143,7 @@ def test_200_random_sets_score_as_by_pycocotools():
 def test_random_sets_score_as_by_faster_coco_eval():
     """A second judge that shares no code with pycocotools' matching."""
     faster = pytest.importorskip(
-        "faster_coco_eval", reason="needs faster-coco-eval: pip install 'graycast[detect]'"
+        "faster_coco_eval", reason="needs faster-coco-eval: pip install 'graycast[test]'"
     )
     from faster_coco_eval.core.coco import COCO
 

@@ -145,7 +145,7 @@ def compare(pairs: Sequence[Pair], names: tuple[str, ...]) -> Figures:
 
 def _lit(
     pairs: Sequence[Pair], light: str, kind: int
-) -> tuple[Float[np.ndarray, "n"], Float[np.ndarray, "n"]]:
+) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, " n"]]:
     """The light of both on the pixels of a class that have enough of it in their mean.
 
     A choice by one renderer's picture would choose its noise as well.
@@ -162,7 +162,7 @@ def _lit(
     return tuple(np.concatenate(arrays) for arrays in zip(*found, strict=True))
 
 
-def _ratios(one: Float[np.ndarray, "n"], other: Float[np.ndarray, "n"]) -> Figures:
+def _ratios(one: Float[np.ndarray, " n"], other: Float[np.ndarray, " n"]) -> Figures:
     with np.errstate(divide="ignore"):
         # No interpolation, which between infinite ratios (no light at all) has no value.
         low, median, high = np.percentile(other / one, [5, 50, 95], method="inverted_cdf")
@@ -175,7 +175,7 @@ def _ratios(one: Float[np.ndarray, "n"], other: Float[np.ndarray, "n"]) -> Figur
     }
 
 
-def _depth(pairs: Sequence[Pair]) -> tuple[Figures, Float[np.ndarray, "n"]]:
+def _depth(pairs: Sequence[Pair]) -> tuple[Figures, Float[np.ndarray, " n"]]:
     """Decoded depth of the second less the first, and the differences in columns."""
     columns, depth_mm, alike, only = [], [], [], {"first": 0, "second": 0}
     for pair in pairs:

@@ -27,7 +27,7 @@ IMPEDANCE = (0.99, 0.999, 1e-4, 0.5, 2.0)
 
 def unbalanced_m(
     box: Bin, bodies: tuple[Body, ...], layout: Layout, *, seconds: float = 1.0
-) -> Float[np.ndarray, "n"]:
+) -> Float[np.ndarray, " n"]:
     """How far a point of each part moves within `seconds` when the layout is let go [m].
 
     Args:

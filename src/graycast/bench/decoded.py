@@ -152,5 +152,5 @@ def _nearest(
     return np.take_along_axis(shifts, best[None], axis=0)[0]
 
 
-def _rms(values: Float[np.ndarray, "n"]) -> float:
+def _rms(values: Float[np.ndarray, " n"]) -> float:
     return float(np.sqrt(np.mean(np.square(values, dtype=np.float64)))) if len(values) else 0.0

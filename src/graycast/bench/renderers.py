@@ -23,7 +23,7 @@ from .cells import PHASE, PHASE_BOTH, bracket_cell, dropped
 from .convergence import converge, error_row, samples_for
 from .denoise import REFERENCE_FACTOR, sample_counts
 from .figures import Figures
-from .work import OnWork, Work, needed, renders, stack_work
+from .work import OnWork, Work, by_frames, needed, renders, stack_work
 
 TIMED = {1: 3, 3: 2}  # renders that are timed, of one and of three patterns each
 ROUNDS = 2
@@ -47,7 +47,8 @@ class Stopwatch:
     def steady(self, shown: int) -> tuple[float, float]:
         """Seconds and processor seconds of a pattern's frame after the first of `shown`."""
         pairs = list(pairwise(self.marks[:shown]))
-        return tuple(median(after[i] - before[i] for before, after in pairs) for i in (0, 1))
+        wall_s = median(after[0] - before[0] for before, after in pairs)
+        return wall_s, median(after[1] - before[1] for before, after in pairs)
 
 
 def study_renderers(
@@ -148,13 +149,14 @@ def _stack(
 ) -> Figures:
     """Seconds and processor seconds of a whole stack; of Cycles, counted or `whole`."""
     watch = Stopwatch()
-    if renderer.name != "cycles":
+    cycles = by_frames(renderer)
+    if cycles is None:
         renderer.render(cell.scene, layout, patterns, quality=quality, seed=1)
         watch.mark()
         work.did(stack_work(renderer, cell, quality.samples, "none"))
         return {"s": watch.marks[-1][0], "cpu_s": watch.marks[-1][1]}
     patterns = patterns[needed(cell.code)]
-    each, count = renderer.patterns_per_render, renders(renderer, len(patterns))
+    each, count = cycles.patterns_per_render, renders(renderer, len(patterns))
     shown = count if whole else min(TIMED[each], count)
     share = (shown + 2) / (count + 2)
     amount = share * stack_work(renderer, cell, quality.samples, "none")
@@ -163,7 +165,7 @@ def _stack(
         watch.mark()
         work.did(amount / total)
 
-    renderer.on_frame = on_frame
+    cycles.on_frame = on_frame
     renderer.render(cell.scene, layout, patterns[: shown * each], quality=quality, seed=1)
     watch.mark()
     frame_s, frame_cpu_s = watch.steady(shown)
@@ -186,8 +188,8 @@ def _timing_work(
     total = 0.0
     for renderer in renderers:
         share = 1.0
-        if renderer.name == "cycles" and not whole:
-            share = (TIMED[renderer.patterns_per_render] + 2) / (renders(renderer, patterns) + 2)
+        if (cycles := by_frames(renderer)) is not None and not whole:
+            share = (TIMED[cycles.patterns_per_render] + 2) / (renders(renderer, patterns) + 2)
         total += share * stack_work(renderer, cell, samples, "none")
     return total * (1 if whole else ROUNDS) * (1 + FEW_SAMPLES / samples)
 

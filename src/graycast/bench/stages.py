@@ -128,7 +128,10 @@ def _decode_by_opencv(frames: UInt8[np.ndarray, "n h w"], code: Code, decode_s: 
     import cv2
 
     if not hasattr(cv2, "structured_light"):
-        missing = "not measured: it is in opencv-contrib-python-headless, not in what is installed"
+        missing = (
+            "not measured: this OpenCV has no structured_light; docs/benchmarks.md says how to "
+            "install opencv-contrib-python-headless in its place"
+        )
         return {"opencv_over_decode": missing}
     pattern = cv2.structured_light.GrayCodePattern.create(code.width_px, code.height_px)
     pattern.setWhiteThreshold(5)

@@ -2,11 +2,11 @@
 
 import math
 from collections.abc import Callable
-from typing import final
+from typing import cast, final
 
 from ..cell import Cell
 from ..pattern import Code
-from ..render import Renderer
+from ..render import FrameByFrame, Renderer
 
 OnWork = Callable[[float, str], None]  # share of the whole that is done, and what is going on
 
@@ -33,8 +33,8 @@ class Work:
 
     def follow(self, renderer: Renderer, amount: float) -> None:
         """Share an amount out over the frames of Cycles' next stacks; others are silent."""
-        if renderer.name == "cycles":
-            renderer.on_frame = lambda done, total: self.did(amount / total)
+        if (each := by_frames(renderer)) is not None:
+            each.on_frame = lambda done, total: self.did(amount / total)
 
 
 def needed(code: Code) -> list[int]:
@@ -42,11 +42,15 @@ def needed(code: Code) -> list[int]:
     return [k for k, frame in enumerate(code.frames) if frame.kind not in ("white", "black")]
 
 
+def by_frames(renderer: Renderer) -> FrameByFrame | None:
+    """Cycles, as what renders frame by frame; None of any other renderer."""
+    return cast(FrameByFrame, renderer) if renderer.name == "cycles" else None
+
+
 def renders(renderer: Renderer, patterns: int) -> int:
     """How many renders a renderer makes of so many patterns."""
-    if renderer.name != "cycles":
-        return 1
-    return math.ceil(patterns / renderer.patterns_per_render)
+    each = by_frames(renderer)
+    return 1 if each is None else math.ceil(patterns / each.patterns_per_render)
 
 
 def stack_work(renderer: Renderer, cell: Cell, samples: int, denoise: str) -> float:

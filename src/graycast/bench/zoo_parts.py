@@ -263,7 +263,7 @@ def _gear() -> Manifold:
     base_mm = pitch_mm * np.cos(np.radians(20))
     radius = np.concatenate([[root_mm], np.linspace(base_mm, tip_mm, 9)])
 
-    def involute(r: Float[np.ndarray, "_"]) -> Float[np.ndarray, "_"]:
+    def involute(r: Float[np.ndarray, " _"]) -> Float[np.ndarray, " _"]:
         pressure = np.arccos(np.minimum(1, base_mm / r))
         return np.tan(pressure) - pressure
 

@@ -25,13 +25,13 @@ OUTLIER_FLOOR_PX = 0.05  # of that median: what is that good is not thrown away 
 class Observations:
     """Corners of all views in one row each: where both devices see them."""
 
-    view: Int[np.ndarray, "n"]
+    view: Int[np.ndarray, " n"]
     point_m: Float[np.ndarray, "n 3"]  # in the board's frame
     camera_px: Float[np.ndarray, "n 2"]
     projector_px: Float[np.ndarray, "n 2"]
     per_camera_px: Float[np.ndarray, "n 2 2"]  # step in the projector for a step in the camera
 
-    def taken(self, keep: Bool[np.ndarray, "n"]) -> "Observations":
+    def taken(self, keep: Bool[np.ndarray, " n"]) -> "Observations":
         return Observations(
             view=self.view[keep],
             point_m=self.point_m[keep],
@@ -63,7 +63,7 @@ class Adjustment:
     T_cam_board: Float[np.ndarray, "views 4 4"]
     camera_residual_px: Float[np.ndarray, "n 2"]
     projector_residual_px: Float[np.ndarray, "n 2"]
-    kept: Bool[np.ndarray, "n"]
+    kept: Bool[np.ndarray, " n"]
     deviation: dict[str, float]
     undetermined: dict[str, tuple[float, float]]
 
@@ -143,7 +143,7 @@ def _unpack(unknown):
     return unknown[:9], unknown[9:18], T[0], T[1:]
 
 
-def _free(radial_terms: int, tangential: bool, *, views: int) -> Bool[np.ndarray, "unknowns"]:
+def _free(radial_terms: int, tangential: bool, *, views: int) -> Bool[np.ndarray, " unknowns"]:
     radial = [radial_terms > i for i in range(3)]
     device = [True] * 4 + [radial[0], radial[1], tangential, tangential, radial[2]]
     return np.array(device + device + [True] * 6 * (1 + views))
@@ -250,7 +250,7 @@ def _optics(device, size_px: tuple[int, int]) -> Optics:
     )
 
 
-def _start(seen: Observations, camera_size_px, projector_size_px) -> Float[np.ndarray, "unknowns"]:
+def _start(seen: Observations, camera_size_px, projector_size_px) -> Float[np.ndarray, " unknowns"]:
     camera, T_cam_board = _alone(seen, seen.camera_px, camera_size_px)
     projector, T_proj_board = _alone(seen, seen.projector_px, projector_size_px)
     T_proj_cam = T_proj_board @ inverse(T_cam_board)  # one guess per view

@@ -164,7 +164,7 @@ def epipolar_distance_px(
     T_cam_proj: Float[np.ndarray, "4 4"],
     camera_px: Float[np.ndarray, "n 2"],
     projector_px: Float[np.ndarray, "n 2"],
-) -> Float[np.ndarray, "n"]:
+) -> Float[np.ndarray, " n"]:
     """Signed distance of projector points from their camera points' epipolar lines [px].
 
     Both are undistorted first; the distance is scaled by the mean focal length of the projector.

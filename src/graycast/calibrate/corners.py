@@ -27,7 +27,7 @@ class Corners:
     board, in squares, to one in the picture, at corner i.
     """
 
-    id: Int[np.ndarray, "n"]
+    id: Int[np.ndarray, " n"]
     position_px: Float[np.ndarray, "n 2"]
     px_per_square: Float[np.ndarray, "n 2 2"]
 
@@ -71,7 +71,7 @@ def refine_corners(
     px_per_square: Float[np.ndarray, "n 2 2"],
     *,
     reach: float = REFINE_REACH,
-) -> tuple[Float[np.ndarray, "n 2"], Bool[np.ndarray, "n"]]:
+) -> tuple[Float[np.ndarray, "n 2"], Bool[np.ndarray, " n"]]:
     """Corners fitted to the picture as two crossing edges, and which of them are corners at all.
 
     `I(p) = (m + c erf(u / s) erf(v / s)) (1 + g . (p - p0))`, u and v the distances from two

@@ -149,7 +149,7 @@ def _add_pose(kinds) -> None:
 
 def _add_zoo(kinds) -> None:
     zoo = _add_kind(
-        kinds, "zoo", _zoo, "Whether every family of parts comes to rest and is in balance."
+        kinds, "zoo", _zoo, "Check whether every family of parts comes to rest and is in balance."
     )
     zoo.description = ZOO
     zoo.set_defaults(when_stopped="drops in the file of --json are kept; the same command goes on")
@@ -176,17 +176,19 @@ def _add_studies(kinds) -> None:
     agree.add_argument(
         "--scenes", type=positive, default=5, help="How many scenes are rendered (default: 5)."
     )
-    _add_samples(agree, 128, "The samples a pixel of Cycles; Mitsuba takes eight times as many")
+    _add_samples(
+        agree, 128, "How many samples a pixel Cycles takes; Mitsuba takes eight times as many"
+    )
     _add_size(agree, (258, 194))
 
     denoise = _add_study(kinds, "denoise", _denoise, "Measure what denoisers do to depth.", DENOISE)
-    _add_samples(denoise, 256, "The most samples a pixel of the series")
+    _add_samples(denoise, 256, "The largest number of samples for a pixel in the series")
     _add_size(denoise, (206, 154))
     _add_count(denoise)
 
     told = "Measure how much faster one pass of Mitsuba is than Cycles."
     renderers = _add_study(kinds, "renderers", _renderers, told, RENDERERS)
-    _add_samples(renderers, 16, "The samples a pixel while time is taken")
+    _add_samples(renderers, 16, "How many samples a pixel takes while time is measured")
     _add_size(renderers, (1032, 772))
     _add_count(renderers)
     renderers.add_argument(

@@ -37,15 +37,21 @@ def add_commands(commands) -> None:
         "--input",
         choices=INPUTS,
         default="depth_sl",
-        help="What it sees: colour, perfect depth, the scanner's depth, perfect depth with "
-        "Gaussian noise and random holes, or colour with the scanner's depth (default: depth_sl).",
+        help="What the network sees: colour, perfect depth, the scanner's depth, perfect "
+        "depth with Gaussian noise and random holes, or colour with the scanner's "
+        "depth (default: depth_sl).",
     )
     train.add_argument(
         "--one-class",
         action="store_true",
-        help="Take all parts for one class: learn where something is, not what it is.",
+        help="Treat all parts as one class: the detector learns where a part is, not "
+        "which part it is.",
     )
-    train.add_argument("--backbone", help="The network's trunk (default: the model's own).")
+    train.add_argument(
+        "--backbone",
+        help="The backbone: the part of the network that turns pictures into features "
+        "(default: the model's own).",
+    )
     train.add_argument(
         "--weights",
         type=Path,
@@ -60,17 +66,26 @@ def add_commands(commands) -> None:
         help="The longer side of the picture that the network sees (default: 384).",
     )
     train.add_argument(
-        "--epochs", type=positive, default=40, help="How often it sees each picture (default: 40)."
+        "--epochs",
+        type=positive,
+        default=40,
+        help="How often the training goes through all pictures (default: 40).",
     )
     train.add_argument(
         "--patience",
         type=positive,
         default=10,
-        help="Stop after so many validations without a better score (default: 10).",
+        help="How many validations without a better score end the training (default: 10).",
     )
-    train.add_argument("--batch", type=positive, help="Pictures in a step (default: the model's).")
     train.add_argument(
-        "--learning-rate", type=above_zero, help="At its highest (default: the model's)."
+        "--batch",
+        type=positive,
+        help="How many pictures one step of the training takes (default: the model's own).",
+    )
+    train.add_argument(
+        "--learning-rate",
+        type=above_zero,
+        help="The highest learning rate of the training (default: the model's own).",
     )
     train.add_argument(
         "--split",
@@ -80,7 +95,7 @@ def add_commands(commands) -> None:
         "(default: 0.8,0.1,0.1).",
     )
     train.add_argument(
-        "--split-seed", type=seed, default=0, help="Another seed shares the scenes out anew."
+        "--split-seed", type=seed, default=0, help="Another seed puts other scenes into each set."
     )
     train.add_argument(
         "--min-visibility",
@@ -148,22 +163,27 @@ def add_commands(commands) -> None:
         "--split",
         choices=("train", "val", "test", "all"),
         default="all",
-        help="Which scenes: those that the training left for test, for instance (default: all).",
+        help="The set of scenes to look at, such as test, which the training did not see "
+        "(default: all).",
     )
     detect.add_argument(
         "--as-real",
         action="store_true",
-        help="Hide perfect depth, which a real camera has not: a detector that was trained on it "
-        "sees the scanner's.",
+        help="Treat the dataset as a real one: hide its perfect depth, and show the "
+        "scanner's depth to a detector that was trained on perfect depth.",
     )
     detect.add_argument(
         "--scale",
         type=above_zero,
         metavar="METRES",
-        help="Metres per unit of depth files that are no dataset; floats need none.",
+        help="How many metres one unit of depth is in files that belong to no dataset: "
+        "0.001 for millimetres. Floats are metres without it.",
     )
     detect.add_argument(
-        "--most", type=positive, default=300, help="Detections in a picture at most (default: 300)."
+        "--most",
+        type=positive,
+        default=300,
+        help="How many detections a picture has at most (default: 300).",
     )
     detect.add_argument(
         "--least-score",
@@ -201,7 +221,9 @@ def _add_device(parser: argparse.ArgumentParser) -> None:
         help="Where the network runs; auto takes the GPU where there is one (default: auto).",
     )
     parser.add_argument(
-        "--threads", type=positive, help="Processor threads of the network (default: torch's own)."
+        "--threads",
+        type=positive,
+        help="How many processor threads the network uses (default: torch's own choice).",
     )
 
 

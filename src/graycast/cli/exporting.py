@@ -75,15 +75,17 @@ def add_commands(commands) -> None:
         "--polygons",
         action="store_true",
         default=None,
-        help="COCO only: write masks as polygons, not as run lengths.",
+        help="Write masks as polygons instead of run lengths; for coco only.",
     )
     export.add_argument(
         "--labels",
         choices=("segments", "boxes"),
-        help="YOLO only: write each part as its outline or as its box (default: segments).",
+        help="Write each part as its outline or as its box; for yolo only (default: segments).",
     )
     export.add_argument(
-        "--cloud", choices=("ply", "pcd"), help="Clouds only: the kind of file (default: ply)."
+        "--cloud",
+        choices=("ply", "pcd"),
+        help="The kind of file that holds a point cloud; for clouds only (default: ply).",
     )
     export.add_argument(
         "--organised",

@@ -61,12 +61,14 @@ def add_commands(commands) -> None:
     fit.add_argument(
         "--white",
         type=Path,
-        help="A linear frame with the projector white; with --black it gives the lamps' level.",
+        help="A linear picture of the bin while the projector shows white. With --black "
+        "it tells how bright the lamps are.",
     )
     fit.add_argument(
         "--black",
         type=Path,
-        help="A linear frame with the projector black, of the same exposure as --white.",
+        help="A linear picture of the bin while the projector shows black, taken with the "
+        "exposure of --white.",
     )
     fit.add_argument(
         "--pose-only",
@@ -126,6 +128,7 @@ def _fit_bin(options: argparse.Namespace) -> int:
         write_fit,
     )
     from ..realism import read_intrinsics
+    from ..scene import bin_of
 
     refuse_existing(options.out, options.config)
     if (options.white is None) != (options.black is None):
@@ -150,7 +153,7 @@ def _fit_bin(options: argparse.Namespace) -> int:
         size_px=options.size,
     )
     views = read_views(options.real, rgb=options.rgb, said=said, own=cell.scene.rig.camera)
-    shape = shape_of(cell.scene.bin, wall_known=bool(known))
+    shape = shape_of(bin_of(cell.scene), wall_known=bool(known))
     azimuth = azimuth_of(config) if options.azimuth is None else math.radians(options.azimuth)
     fit = fit_pose(views, shape, azimuth_rad=azimuth, seed=options.seed)
     paired = options.white is not None

@@ -66,14 +66,18 @@ def add_commands(commands) -> None:
     )
 
     rerender = add_command(
-        commands, "rerender", _rerender, "Make a scene of a dataset again, and compare the two."
+        commands,
+        "rerender",
+        _rerender,
+        "Make a scene of a dataset again, and list the files that differ.",
     )
     rerender.add_argument("dataset", type=Path, help="The dataset's folder.")
     rerender.add_argument("scene_id", type=seed, help="The scene's number.")
     rerender.add_argument(
         "--config",
         type=Path,
-        help="The configuration that made the dataset; needed where it names files, as meshes.",
+        help="The configuration that made the dataset. It is needed where the "
+        "configuration names files, such as meshes.",
     )
     add_device(rerender)
 

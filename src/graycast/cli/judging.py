@@ -46,7 +46,7 @@ def add_commands(commands) -> None:
         "--split-seed",
         type=seed,
         default=0,
-        help="The seed of that division (default: 0).",
+        help="The seed of the division that --shares makes (default: 0).",
     )
     evaluate.add_argument(
         "--against",
@@ -57,12 +57,13 @@ def add_commands(commands) -> None:
     evaluate.add_argument(
         "--kind",
         choices=("box", "mask"),
-        help="Compare boxes or masks alone (default: boxes, and masks where both sides have them).",
+        help="Compare only boxes, or only masks (default: boxes, and masks where both "
+        "sides have them).",
     )
     evaluate.add_argument(
         "--one-class",
         action="store_true",
-        help="Take all parts for one: it does not matter which of them a detection says it is.",
+        help="Treat all parts as one class: it does not matter which part a detection names.",
     )
     evaluate.add_argument(
         "--min-visibility",
@@ -83,10 +84,13 @@ def add_commands(commands) -> None:
         type=positive,
         default=1000,
         metavar="N",
-        help="How many draws of scenes the intervals are from (default: 1000).",
+        help="How many times the scenes are drawn anew for the intervals (default: 1000).",
     )
     evaluate.add_argument(
-        "--seed", type=seed, default=0, help="The seed of those draws (default: 0)."
+        "--seed",
+        type=seed,
+        default=0,
+        help="The seed of the draws that --draws counts (default: 0).",
     )
     evaluate.add_argument(
         "--depth",

@@ -88,14 +88,14 @@ def add_commands(commands) -> None:
         type=Path,
         nargs="+",
         default=(),
-        help="The grey pictures of the depth maps, one for each.",
+        help="The grey pictures that belong to the depth maps, one for each map.",
     )
     realism.add_argument(
         "--reason",
         type=Path,
         nargs="+",
         default=(),
-        help="The maps of reasons of the depth maps, one for each.",
+        help="The maps of reasons that belong to the depth maps, one for each map.",
     )
     realism.add_argument(
         "--out",

@@ -5,6 +5,25 @@ for training (`dataset.stored`) need not have what writing and checking take.
 """
 
 from importlib import import_module
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:  # for type checkers and editors; `_MODULE` says the same to Python
+    from .bop import depth_scale_mm as depth_scale_mm
+    from .bop import scene_files as scene_files
+    from .checking import Problem as Problem
+    from .checking import has_sums as has_sums
+    from .checking import validate as validate
+    from .claim import described_values as described_values
+    from .compare import differing_files as differing_files
+    from .raw import read_capture as read_capture
+    from .raw import read_code_maps as read_code_maps
+    from .sample import Raw as Raw
+    from .sample import Sample as Sample
+    from .sample import labelled as labelled
+    from .store import SetAside as SetAside
+    from .store import Store as Store
+    from .store import open_store as open_store
+    from .store import refuse_other_dataset as refuse_other_dataset
 
 _MODULE = {
     "Problem": "checking",

@@ -346,7 +346,7 @@ def _disk_errors(out: Path) -> Iterator[None]:
             errno.EDQUOT: "free space in your quota",
             errno.EACCES: "make the folder writable",
             errno.EROFS: "choose a folder on a writable disk",
-        }.get(error.errno or 0, "see to it")
+        }.get(error.errno or 0, "find out why the disk refuses")
         raise DatasetError(
             f"cannot write to {out} ({error.strerror or error}{_free(out)}): {remedy} and run the "
             "same command again; finished scenes are kept"

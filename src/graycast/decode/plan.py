@@ -58,7 +58,7 @@ class AxisPlan:
     periods: tuple[Period, ...]  # the shortest full one first
 
 
-def read_frames(plans: dict[Axis, AxisPlan], count: int) -> Bool[np.ndarray, "n"]:
+def read_frames(plans: dict[Axis, AxisPlan], count: int) -> Bool[np.ndarray, " n"]:
     """Which of `count` frames places are read from: a bit without inverse is held against all."""
     read = np.zeros(count, dtype=bool)
     for plan in plans.values():

@@ -14,7 +14,7 @@ from jaxtyping import Float
 
 from ..errors import ConfigError
 from ..optics import Optics, rays
-from ..scene import Lamp, Scene
+from ..scene import Lamp, Scene, bin_of
 from .files import Domain
 from .sections import (
     AdaptedSection,
@@ -222,7 +222,7 @@ def _widest_rad(lens: Optics) -> float:
 def in_the_way(lamp: Lamp, scene: Scene, cones: tuple[_Cone, ...]) -> bool:
     """Whether the ball around a lamp meets the one around the bin, or a cone around a view."""
     center_m, reach_m = np.array(lamp.center_m), lamp.size_m * math.sqrt(0.5)
-    low_m, high_m = scene.bin.bounds_m
+    low_m, high_m = bin_of(scene).bounds_m
     bin_reach_m = np.linalg.norm(high_m - low_m) / 2
     if np.linalg.norm(center_m - (low_m + high_m) / 2) < reach_m + bin_reach_m:
         return True

@@ -6,7 +6,7 @@ from pathlib import Path
 from ..errors import ConfigError
 from ..parts import Part, builtin_part
 from ..parts.sections import resolve_part
-from ..scene import Scene
+from ..scene import Scene, bin_of
 from .sections import AdaptedSection, DistractorRanges, RandomizedSection
 
 MAPS, PICTURES = (".exr", ".hdr"), (".png", ".jpg", ".jpeg")
@@ -93,7 +93,7 @@ def _distractors(
         return (), ()
     taken = {part.name for part in scene.parts}
     if ranges.parts is None:
-        opening_m = min(scene.bin.inner_m[:2])
+        opening_m = min(bin_of(scene).inner_m[:2])
         others = (builtin_part(name) for name in METAL_PARTS if name not in taken)
         small = tuple(part for part in others if part.mesh.extent_m.max() <= SMALL * opening_m)
         return tuple(replace(part, labelled=False) for part in small), ()

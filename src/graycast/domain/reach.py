@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Float
 
 from ..frames import axis_rotation, inverse, rigid, transform_points
-from ..scene import Scene
+from ..scene import Scene, bin_of
 from .sections import AdaptedSection, RandomizedSection
 from .vary import moved_rig
 
@@ -17,7 +17,7 @@ _AZIMUTHS = 37  # 10 degrees apart over a whole turn, which costs up to 0.4 % of
 
 def deepest_m(section: AdaptedSection | RandomizedSection | None, scene: Scene) -> float:
     """z in the camera frame of the bin's deepest corner, over all that the domain may draw [m]."""
-    corner_m = np.array(list(itertools.product(*scene.bin.bounds_m.T)))
+    corner_m = np.array(list(itertools.product(*bin_of(scene).bounds_m.T)))
     if isinstance(section, AdaptedSection):
         return _within_tolerances(section, scene, corner_m)
     if section is None or section.camera is None:

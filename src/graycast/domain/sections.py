@@ -9,18 +9,21 @@ from typing import Annotated, Any, Literal
 from pydantic import BeforeValidator, Field
 
 from ..parts.sections import PartSection
-from ..settings import Level, PositiveSpan, Settings, Share, ShareSpan, Span, span_of
+from ..settings import Level, PositiveSpan, Settings, Share, ShareSpan, Span, SpanOf
 
 KINDS = ("adapted", "randomized")
 
 
-def _between(low: float | int, high: float | int) -> Any:
-    return span_of(Annotated[float, Field(ge=low, le=high)])
-
-
-Angle = _between(-360, 360)
-Kelvins = _between(1667, 25000)
-Counts = span_of(Annotated[int, Field(ge=0, le=255)])
+Hue = SpanOf[Annotated[float, Field(ge=0, le=360)]]
+Roughness = SpanOf[Annotated[float, Field(ge=0.05, le=1)]]
+SizeFactor = SpanOf[Annotated[float, Field(ge=0.5, le=2)]]
+DistanceFactor = SpanOf[Annotated[float, Field(ge=0.2, le=5)]]
+Tilt = SpanOf[Annotated[float, Field(ge=-80, le=80)]]
+Elevation = SpanOf[Annotated[float, Field(ge=5, le=90)]]
+CountShare = SpanOf[Annotated[float, Field(ge=0.01, le=1)]]
+Angle = SpanOf[Annotated[float, Field(ge=-360, le=360)]]
+Kelvins = SpanOf[Annotated[float, Field(ge=1667, le=25000)]]
+Counts = SpanOf[Annotated[int, Field(ge=0, le=255)]]
 
 # --- adapted -----------------------------------------------------------------------------------
 
@@ -70,7 +73,7 @@ class AdaptedSection(Settings):
 class ColorRanges(Settings):
     """A colour by hue, saturation and value of its sRGB encoding."""
 
-    hue_deg: _between(0, 360) = Field((0.0, 360.0), description="0 red, 120 green")
+    hue_deg: Hue = Field((0.0, 360.0), description="0 red, 120 green")
     saturation: ShareSpan = Field((0.0, 1.0), description="0 grey")
     value: ShareSpan = Field((0.1, 0.9), description="of the strongest band, sRGB encoded")
 
@@ -86,14 +89,14 @@ class SurfaceRanges(Settings):
     texture_size_m: PositiveSpan = Field(
         (0.2, 1.0), description="that a picture covers before it repeats; log-uniform"
     )
-    roughness: _between(0.05, 1) = Field((0.3, 1.0), description="0.05 polished to 1 matt")
+    roughness: Roughness = Field((0.3, 1.0), description="0.05 polished to 1 matt")
     metal_share: Share = Field(0.0, description="of the scenes in which it is bare metal")
 
 
 class BinRanges(SurfaceRanges):
     """The bin's look, inside and outside alike, and its size."""
 
-    size_factor: _between(0.5, 2) = Field(
+    size_factor: SizeFactor = Field(
         (1.0, 1.0), description="of the inner size, one factor for all three; log-uniform"
     )
 
@@ -101,10 +104,10 @@ class BinRanges(SurfaceRanges):
 class CameraRanges(Settings):
     """How the rig moves from where the view has it, about the point that it looks at."""
 
-    distance_factor: _between(0.2, 5) = Field(
+    distance_factor: DistanceFactor = Field(
         (0.9, 1.1), description="of the distance to that point; log-uniform"
     )
-    tilt_deg: _between(-80, 80) = Field((-10.0, 10.0), description="added to the view's")
+    tilt_deg: Tilt = Field((-10.0, 10.0), description="added to the view's")
     azimuth_deg: Angle = Field((-180.0, 180.0), description="added to the view's")
     roll_deg: Angle = Field((0.0, 0.0), description="about the rig's own axis")
     shift_m: Span = Field((-0.02, 0.02), description="of the point, along each of the world's axes")
@@ -128,7 +131,7 @@ class LampRanges(Settings):
 
     count: Counts = Field((1, 3), description="lowest and highest number")
     distance_m: PositiveSpan = Field((1.0, 2.5), description="to the middle of the bin")
-    elevation_deg: _between(5, 90) = Field(
+    elevation_deg: Elevation = Field(
         (30.0, 80.0), description="above the horizon; directions are uniform over solid angle"
     )
     azimuth_deg: Angle = Field((-180.0, 180.0), description="0 is the world's +x, 90 its +y")
@@ -177,7 +180,7 @@ class RandomizedSection(Settings):
     bin: BinRanges | None = BinRanges()
     table: SurfaceRanges | None = SurfaceRanges()
     parts: PartRanges | None = PartRanges()
-    count_share: _between(0.01, 1) = Field(
+    count_share: CountShare = Field(
         (0.5, 1.0), description="of the parts that count says; rounded, at least 1 of each kind"
     )
     distractors: DistractorRanges | None = DistractorRanges()

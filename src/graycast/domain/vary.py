@@ -16,7 +16,7 @@ from ..frames import axis_rotation, inverse, rigid, transform_points
 from ..parts import Part
 from ..parts.sections import read_texture
 from ..rig import frame_in_camera, standoff_m
-from ..scene import Bin, Environment, Lamp, Scene
+from ..scene import Bin, Environment, Lamp, Scene, bin_of
 from .files import Domain
 from .looks import drawn_color, light_of, painted, retouched
 
@@ -154,7 +154,7 @@ def with_rig_and_bin(domain: Domain, scene: Scene, record: Record) -> Scene:
     Raises:
         ConfigError: camera or projector is not above the bin's rim.
     """
-    box, T_world_cam = scene.bin, scene.T_world_cam
+    box, T_world_cam = bin_of(scene), scene.T_world_cam
     if "camera" in record:
         T_world_cam = moved_rig(scene, record["camera"])
     if "bin" in record:
@@ -191,7 +191,7 @@ def _looked_at(T_world_rig: Float[np.ndarray, "4 4"], scene: Scene) -> Float[np.
     Of a rig that does not look down there, the point where its axes come closest.
     """
     middle, axis = T_world_rig[:3, 3], T_world_rig[:3, 2]
-    drop_m = scene.bin.inner_m[2] / 3 - middle[2]
+    drop_m = bin_of(scene).inner_m[2] / 3 - middle[2]
     looks_down = drop_m < 0 and axis[2] < -1e-3
     distance_m = drop_m / axis[2] if looks_down else np.inf
     if distance_m > 2 * scene.rig.far_m:
@@ -219,7 +219,7 @@ def lamp_of(drawn: Record, scene: Scene) -> Lamp:
     The radiance is that of a small lamp: L = E d^2 / a^2. A lamp with an edge of half its distance
     gives 8 % less than stated.
     """
-    target = (0.0, 0.0, scene.bin.inner_m[2] / 3)
+    target = (0.0, 0.0, bin_of(scene).inner_m[2] / 3)
     around, up = drawn["azimuth_rad"], drawn["elevation_rad"]
     away = np.array([np.cos(up) * np.cos(around), np.cos(up) * np.sin(around), np.sin(up)])
     x, y, z = (target + drawn["distance_m"] * away).tolist()

@@ -70,7 +70,7 @@ def body_of(part: Part, hulls: tuple[Hull, ...]) -> Body:
 
 def motion_m(
     T_world_part: Float[np.ndarray, "t n 4 4"], box_m: Float[np.ndarray, "n 8 3"]
-) -> Float[np.ndarray, "n"]:
+) -> Float[np.ndarray, " n"]:
     """How far a point of each part was at most from where it is in the last of the poses [m].
 
     `box_m` are corners of a box about each part, in its frame. Distance from a fixed pose is a
@@ -85,8 +85,8 @@ def parts_outside(
     box: Bin,
     bodies: tuple[Body, ...],
     T_world_part: Float[np.ndarray, "n 4 4"],
-    part_index: Int[np.ndarray, "n"],
-) -> Bool[np.ndarray, "n"]:
+    part_index: Int[np.ndarray, " n"],
+) -> Bool[np.ndarray, " n"]:
     """Which parts are not in the bin.
 
     A part is in the bin if its centre of mass is above the inner floor's rectangle and its lowest

@@ -20,7 +20,7 @@ def start_poses(
     corners_m: tuple[Float[np.ndarray, "_ 3"], ...],
     counts: tuple[int, ...],
     rng: np.random.Generator,
-) -> tuple[Float[np.ndarray, "n 4 4"], Int[np.ndarray, "n"]]:
+) -> tuple[Float[np.ndarray, "n 4 4"], Int[np.ndarray, " n"]]:
     """Start poses that touch neither each other nor the bin's walls carried upwards.
 
     A cell is as large as the largest part's bounding sphere, about the middle of its box. Cells

@@ -69,7 +69,7 @@ def lift(
     box: Bin,
     bodies: tuple[Body, ...],
     T_world_part: Float[np.ndarray, "n 4 4"],
-    part_index: Int[np.ndarray, "n"],
+    part_index: Int[np.ndarray, " n"],
     number: int,
     hold: Hold,
     T_world_tool: Float[np.ndarray, "t 4 4"],

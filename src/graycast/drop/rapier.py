@@ -117,7 +117,7 @@ def open_heap(
     box: Bin,
     kinds: list[Kind],
     T_world_part: Float[np.ndarray, "n 4 4"],
-    part_index: Int[np.ndarray, "n"],
+    part_index: Int[np.ndarray, " n"],
 ) -> Heap:
     """A fresh world: no speed, no force and no contact is remembered from an earlier stage."""
     world = _world(terms)
@@ -198,7 +198,7 @@ def _add_parts(
     world: rapier3d.PhysicsWorld,
     kinds: list[Kind],
     T_world_part: Float[np.ndarray, "n 4 4"],
-    part_index: Int[np.ndarray, "n"],
+    part_index: Int[np.ndarray, " n"],
     terms: Terms,
     *,
     first_label: int,

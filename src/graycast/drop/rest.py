@@ -59,7 +59,7 @@ def simulate(
     box: Bin,
     bodies: tuple[Body, ...],
     T_world_part: Float[np.ndarray, "n 4 4"],
-    part_index: Int[np.ndarray, "n"],
+    part_index: Int[np.ndarray, " n"],
     *,
     simulated_s: float,
     attempt: int = 0,

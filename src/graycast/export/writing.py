@@ -57,8 +57,8 @@ def export(
             on_progress(done, total)
 
     with new_folder(out) as folder:
-        for split, scene_ids in splits.items():
-            write_split(folder, split, counted(scene_ids), stored, chosen)
+        for split, chosen_ids in splits.items():
+            write_split(folder, split, counted(chosen_ids), stored, chosen)
         write_rest(folder, splits, stored, chosen)
         return write_record(folder, stored, chosen, splits)
 

@@ -30,15 +30,15 @@ class OpenBox:
     names: tuple[str, ...]
     low_m: Float[np.ndarray, "f 3"]
     high_m: Float[np.ndarray, "f 3"]
-    axis: Int[np.ndarray, "f"]
-    side: Float[np.ndarray, "f"]
+    axis: Int[np.ndarray, " f"]
+    side: Float[np.ndarray, " f"]
 
     def __post_init__(self) -> None:
         for array in (self.low_m, self.high_m, self.axis, self.side):
             array.flags.writeable = False
 
     @property
-    def surface(self) -> Int[np.ndarray, "f"]:
+    def surface(self) -> Int[np.ndarray, " f"]:
         return np.arange(len(self.names))
 
     @property
@@ -46,7 +46,7 @@ class OpenBox:
         return np.eye(3)[self.axis] * self.side[:, None]
 
     @property
-    def offset_m(self) -> Float[np.ndarray, "f"]:
+    def offset_m(self) -> Float[np.ndarray, " f"]:
         return self.side * self.low_m[np.arange(len(self.axis)), self.axis]
 
     @property
@@ -63,7 +63,7 @@ class OpenBox:
         point: Float[np.ndarray, "n 3"],
         normal: Float[np.ndarray, "n 3"],
         eye_m: Float[np.ndarray, "3"],
-    ) -> tuple[Int[np.ndarray, "n"], Float[np.ndarray, "n"]]:
+    ) -> tuple[Int[np.ndarray, " n"], Float[np.ndarray, " n"]]:
         facing = self.normal @ eye_m > self.offset_m
         return _nearest(point, normal, self.low_m, self.high_m, self.axis, self.side, facing)
 
@@ -86,7 +86,7 @@ class OpenBox:
 
     def votes(
         self, T_world_cam: Float[np.ndarray, "p 4 4"], grid: Grid, tolerance_m: float
-    ) -> Float[np.ndarray, "p"]:
+    ) -> Float[np.ndarray, " p"]:
         known = np.isfinite(grid.depth_m)
         score = self.evidence(T_world_cam, grid.ray[known], grid.depth_m[known], tolerance_m)
         return known.sum() * score
@@ -95,11 +95,11 @@ class OpenBox:
         self,
         T_world_cam: Float[np.ndarray, "p 4 4"],
         ray: Float[np.ndarray, "n 3"],
-        depth_m: Float[np.ndarray, "n"],
-        tolerance_m: float | Float[np.ndarray, "f"],
+        depth_m: Float[np.ndarray, " n"],
+        tolerance_m: float | Float[np.ndarray, " f"],
         *,
         content: float = 0.0,
-    ) -> Float[np.ndarray, "p"]:
+    ) -> Float[np.ndarray, " p"]:
         """`votes` as a mean over camera rays of unit z, none of them without depth.
 
         Args:

@@ -43,7 +43,7 @@ def hold_by_edges(
     grids = [view.grid(_ACROSS_PX) for view in views]
     tolerance_m = max(_LEAST_TOLERANCE_M, 4 * noise_m)
 
-    def votes(poses: list[np.ndarray]) -> Float[np.ndarray, "p"]:
+    def votes(poses: list[np.ndarray]) -> Float[np.ndarray, " p"]:
         return sum(shape.votes(np.stack(poses), grid, tolerance_m) for grid in grids)
 
     best, step_m = T_world_cam, _FIRST_M

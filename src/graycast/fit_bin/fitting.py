@@ -16,7 +16,7 @@ from ..errors import GraycastError
 from ..folder import whole_folder
 from ..parts import Material
 from ..realism.reading import read_gray
-from ..scene import Bin
+from ..scene import Bin, bin_of
 from ..settings import read_text
 from .box import open_box
 from .look import Frames, Look, fit_look
@@ -80,7 +80,7 @@ def with_look(
     with open_cell_renderer(cell, device=device) as renderer:
         look = fit_look(
             cell,
-            shape_of(cell.scene.bin),
+            shape_of(bin_of(cell.scene)),
             views,
             fit.pose.T_world_cam,
             floor_reflectance=floor_reflectance,
@@ -141,8 +141,8 @@ def azimuth_of(config: Config) -> float:
 def sections(fit: BinFit, cell: Cell) -> dict[str, Mapping[str, Any]]:
     """The keys of a configuration that were fitted, with their new values."""
     box = cell.config.bin.model_dump(mode="json", exclude_none=True)
-    if cell.scene.bin.mesh is None:
-        box |= {"inner_m": list(cell.scene.bin.inner_m), "wall_m": cell.scene.bin.wall_m}
+    if bin_of(cell.scene).mesh is None:
+        box |= {"inner_m": list(bin_of(cell.scene).inner_m), "wall_m": bin_of(cell.scene).wall_m}
     else:
         box = {key: value for key, value in box.items() if key not in ("inner_m", "wall_m")}
     made: dict[str, Mapping[str, Any]] = {
@@ -151,8 +151,8 @@ def sections(fit: BinFit, cell: Cell) -> dict[str, Mapping[str, Any]]:
     }
     if fit.look is None:
         return made
-    color, walls = fit.look.reflectance, cell.scene.bin.material
-    box["floor"] = _words(cell.scene.bin.floor or walls, color["floor"])
+    color, walls = fit.look.reflectance, bin_of(cell.scene).material
+    box["floor"] = _words(bin_of(cell.scene).floor or walls, color["floor"])
     if "walls" in color:
         box["material"] = _words(walls, color["walls"])
     if "table" in color:

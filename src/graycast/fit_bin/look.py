@@ -29,7 +29,7 @@ from ..parts import Material
 from ..picture import idle_share
 from ..render import Quality, Renderer, Rendering
 from ..rig import Rig
-from ..scene import EMPTY_LAYOUT, Scene
+from ..scene import EMPTY_LAYOUT, Scene, bin_of
 from .reading import Grid, View
 from .shape import NO_FACE, BinShape, height_over, is_floor
 
@@ -97,7 +97,7 @@ def fit_look(
     if not views:
         raise GraycastError("no view has a colour picture: give --rgb, or leave the look out")
     step, grid = views[0].step(_ACROSS_PX), views[0].grid(_ACROSS_PX)
-    floor_m = cell.scene.bin.floor_m
+    floor_m = bin_of(cell.scene).floor_m
     masks = [_masks(view, shape, floor_m, T_world_cam) for view in views]
     pixels = {name: sum(int(mask[name].sum()) for mask in masks) for name in SURFACES}
     shown = [name for name in SURFACES if all(m[name].sum() >= _LEAST_PX for m in masks)]
@@ -143,8 +143,8 @@ def painted(material: Material, color: Color) -> Material:
 
 
 def _materials(scene: Scene) -> dict[str, Material]:
-    walls = scene.bin.material
-    return {"walls": walls, "floor": scene.bin.floor or walls, "table": scene.table}
+    walls = bin_of(scene).material
+    return {"walls": walls, "floor": bin_of(scene).floor or walls, "table": scene.table}
 
 
 def _seen_scene(scene: Scene, grid: Grid, T_world_cam: Float[np.ndarray, "4 4"]) -> Scene:
@@ -158,7 +158,7 @@ def _render(
 ) -> Rendering:
     own = _materials(scene)
     box = replace(
-        scene.bin,
+        bin_of(scene),
         material=painted(own["walls"], color["walls"]),
         floor=painted(own["floor"], color["floor"]),
     )

@@ -41,13 +41,13 @@ class MeshShape:
     mesh: Mesh
     inner_m: tuple[float, float, float]
     names: tuple[str, ...]
-    surface: Int[np.ndarray, "f"]
+    surface: Int[np.ndarray, " f"]
     normal: Float[np.ndarray, "f 3"]
-    offset_m: Float[np.ndarray, "f"]
-    axis: Int[np.ndarray, "f"]
+    offset_m: Float[np.ndarray, " f"]
+    axis: Int[np.ndarray, " f"]
     spacing_m: float
     # Faces that look along one axis the same way: their samples, and whose they are.
-    trees: tuple[tuple[cKDTree, Int[np.ndarray, "_"]] | None, ...] = field(repr=False)
+    trees: tuple[tuple[cKDTree, Int[np.ndarray, " _"]] | None, ...] = field(repr=False)
 
     @property
     def bounds_m(self) -> Float[np.ndarray, "2 3"]:
@@ -58,7 +58,7 @@ class MeshShape:
         point: Float[np.ndarray, "n 3"],
         normal: Float[np.ndarray, "n 3"],
         eye_m: Float[np.ndarray, "3"],
-    ) -> tuple[Int[np.ndarray, "n"], Float[np.ndarray, "n"]]:
+    ) -> tuple[Int[np.ndarray, " n"], Float[np.ndarray, " n"]]:
         face, distance_m = np.full(len(point), NO_FACE), np.full(len(point), np.inf)
         facing = self.normal @ eye_m > self.offset_m
         for way, tree in zip(_ways(normal), self.trees, strict=True):
@@ -86,7 +86,7 @@ class MeshShape:
 
     def votes(
         self, T_world_cam: Float[np.ndarray, "p 4 4"], grid: Grid, tolerance_m: float
-    ) -> Float[np.ndarray, "p"]:
+    ) -> Float[np.ndarray, " p"]:
         known = np.isfinite(grid.depth_m)
         sums = []
         for T in T_world_cam:
@@ -97,8 +97,14 @@ class MeshShape:
 
 
 def mesh_shape(box: Bin) -> MeshShape:
-    """The faces of a bin that is a mesh."""
+    """The faces of a bin that is a mesh.
+
+    Raises:
+        ValueError: the bin is a box.
+    """
     mesh = box.mesh
+    if mesh is None:
+        raise ValueError("the bin is a box, not a mesh: open_box gives its faces")
     corner = mesh.vertices_m[mesh.faces]
     cross = mesh.face_cross_m2
     area_m2 = np.linalg.norm(cross, axis=1) / 2
@@ -121,7 +127,7 @@ def mesh_shape(box: Bin) -> MeshShape:
     )
 
 
-def _ways(normal: Float[np.ndarray, "n 3"]) -> list[Bool[np.ndarray, "n"]]:
+def _ways(normal: Float[np.ndarray, "n 3"]) -> list[Bool[np.ndarray, " n"]]:
     """Which normals are nearest to +x, -x, +y, -y, +z, -z."""
     axis = np.abs(normal).argmax(axis=1)
     positive = normal[np.arange(len(normal)), axis] > 0
@@ -129,8 +135,8 @@ def _ways(normal: Float[np.ndarray, "n 3"]) -> list[Bool[np.ndarray, "n"]]:
 
 
 def _spread(
-    corner: Float[np.ndarray, "f 3 3"], area_m2: Float[np.ndarray, "f"]
-) -> tuple[Float[np.ndarray, "n 3"], Int[np.ndarray, "n"]]:
+    corner: Float[np.ndarray, "f 3 3"], area_m2: Float[np.ndarray, " f"]
+) -> tuple[Float[np.ndarray, "n 3"], Int[np.ndarray, " n"]]:
     """Points spread evenly over the faces, and the middle of each, with the faces' numbers."""
     rng = np.random.default_rng(0)  # fixed: a fit depends on its input alone
     place = (np.arange(_SAMPLES) + rng.random(_SAMPLES)) / _SAMPLES
@@ -145,7 +151,7 @@ def _spread(
 
 def _surfaces(
     box: Bin, middle_m: Float[np.ndarray, "f 3"], normal: Float[np.ndarray, "f 3"]
-) -> Int[np.ndarray, "f"]:
+) -> Int[np.ndarray, " f"]:
     """Indices into `NAMES`."""
     axis = np.abs(normal).argmax(axis=1)
     each = np.arange(len(normal))

@@ -148,7 +148,7 @@ def register(
     *,
     first_m: float = _FIRST_M,
     iterations: int = 60,
-    trust: Float[np.ndarray, "s"] | None = None,
+    trust: Float[np.ndarray, " s"] | None = None,
 ) -> Float[np.ndarray, "4 4"]:
     """The pose near a first one in which a cloud lies best on the bin's faces.
 
@@ -194,7 +194,7 @@ def judge(
     shape: BinShape,
     T_world_cam: Float[np.ndarray, "4 4"],
     *,
-    trust: Float[np.ndarray, "s"] | None = None,
+    trust: Float[np.ndarray, " s"] | None = None,
 ) -> PoseFit:
     """What residuals and geometry say about a pose; `trust` as of `register`.
 
@@ -248,9 +248,9 @@ class _Pairs:
     """The face of each point, its height over it, and its weight [1 / m^2], 0 of what is not it."""
 
     point: Float[np.ndarray, "n 3"]  # in the world
-    face: Int[np.ndarray, "n"]
-    height_m: Float[np.ndarray, "n"]
-    weight: Float[np.ndarray, "n"]
+    face: Int[np.ndarray, " n"]
+    height_m: Float[np.ndarray, " n"]
+    weight: Float[np.ndarray, " n"]
 
 
 def _pairs(
@@ -258,7 +258,7 @@ def _pairs(
     T_world_cam: Float[np.ndarray, "4 4"],
     cloud: Float[np.ndarray, "n 6"],
     reach_m: float,
-    trust: Float[np.ndarray, "s"] | None,
+    trust: Float[np.ndarray, " s"] | None,
 ) -> _Pairs:
     point = transform_points(T_world_cam, cloud[:, :3])
     normal = cloud[:, 3:] @ T_world_cam[:3, :3].T
@@ -323,9 +323,9 @@ def _turned(
 class _Seen:
     """Of a view's pixels: the surface that each should show, and what was measured there."""
 
-    surface: Int[np.ndarray, "n"]
-    measured: Bool[np.ndarray, "n"]
-    agrees: Bool[np.ndarray, "n"]
+    surface: Int[np.ndarray, " n"]
+    measured: Bool[np.ndarray, " n"]
+    agrees: Bool[np.ndarray, " n"]
 
 
 def _seen(shape: BinShape, T_world_cam: Float[np.ndarray, "4 4"], grid: Grid) -> _Seen:
@@ -369,7 +369,7 @@ def _face_fit(shape: BinShape, k: int, seen: Sequence[_Seen], pairs: _Pairs) -> 
     )
 
 
-def _in_bin(shape: BinShape, point: Float[np.ndarray, "n 3"]) -> Bool[np.ndarray, "n"]:
+def _in_bin(shape: BinShape, point: Float[np.ndarray, "n 3"]) -> Bool[np.ndarray, " n"]:
     margin = np.array([0.01, 0.01, 0.02])
     low, high = shape.bounds_m
     return ((point > low - margin) & (point < high + margin)).all(axis=1)

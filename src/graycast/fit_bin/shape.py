@@ -19,11 +19,16 @@ class BinShape(Protocol):
     can be seen from.
     """
 
-    inner_m: tuple[float, float, float]
-    names: tuple[str, ...]  # of the surfaces: floor, wall +x, ...
+    @property
+    def inner_m(self) -> tuple[float, float, float]: ...
 
     @property
-    def surface(self) -> Int[np.ndarray, "f"]:
+    def names(self) -> tuple[str, ...]:
+        """Of the surfaces: floor, wall +x, ..."""
+        ...
+
+    @property
+    def surface(self) -> Int[np.ndarray, " f"]:
         """Which surface each face belongs to."""
         ...
 
@@ -31,10 +36,10 @@ class BinShape(Protocol):
     def normal(self) -> Float[np.ndarray, "f 3"]: ...
 
     @property
-    def offset_m(self) -> Float[np.ndarray, "f"]: ...
+    def offset_m(self) -> Float[np.ndarray, " f"]: ...
 
     @property
-    def axis(self) -> Int[np.ndarray, "f"]:
+    def axis(self) -> Int[np.ndarray, " f"]:
         """The world's axis that each face lies across, or nearly."""
         ...
 
@@ -46,7 +51,7 @@ class BinShape(Protocol):
         point: Float[np.ndarray, "n 3"],
         normal: Float[np.ndarray, "n 3"],
         eye_m: Float[np.ndarray, "3"],
-    ) -> tuple[Int[np.ndarray, "n"], Float[np.ndarray, "n"]]:
+    ) -> tuple[Int[np.ndarray, " n"], Float[np.ndarray, " n"]]:
         """The nearest face to each point and its distance [m].
 
         Of those that can be seen from `eye_m` and lie within 45 degrees of the point's own normal;
@@ -65,7 +70,7 @@ class BinShape(Protocol):
 
     def votes(
         self, T_world_cam: Float[np.ndarray, "p 4 4"], grid: Grid, tolerance_m: float
-    ) -> Float[np.ndarray, "p"]:
+    ) -> Float[np.ndarray, " p"]:
         """Sum over what is measured of what speaks for each pose.
 
         1 where it agrees (falling to 0 over `tolerance_m`), -1 where it lies behind a face through
@@ -81,6 +86,6 @@ def height_over(
     return (shape.normal[face] * point).sum(axis=-1) - shape.offset_m[face]
 
 
-def is_floor(shape: BinShape) -> Bool[np.ndarray, "f"]:
+def is_floor(shape: BinShape) -> Bool[np.ndarray, " f"]:
     """Which faces are the inner floor's."""
     return np.array(shape.names)[shape.surface] == "floor"

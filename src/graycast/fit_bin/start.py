@@ -48,7 +48,7 @@ def start_poses(
 
     def score(
         T_world_cam: Float[np.ndarray, "p 4 4"], step: int, floor_m: float
-    ) -> Float[np.ndarray, "p"]:
+    ) -> Float[np.ndarray, " p"]:
         # A plane is known better than the place on it.
         tolerance_m = np.where(is_floor(inside), floor_m, _coarse_m(box))
         some, z = ray[::step], depth_m[::step]
@@ -70,8 +70,8 @@ def start_poses(
 def _climbed(
     box: OpenBox,
     T_world_cam: Float[np.ndarray, "p 4 4"],
-    score: Callable[[Float[np.ndarray, "p 4 4"]], Float[np.ndarray, "p"]],
-) -> tuple[Float[np.ndarray, "p 4 4"], Float[np.ndarray, "p"]]:
+    score: Callable[[Float[np.ndarray, "p 4 4"]], Float[np.ndarray, " p"]],
+) -> tuple[Float[np.ndarray, "p 4 4"], Float[np.ndarray, " p"]]:
     """Each pose moved about, in ever smaller steps, while that is better; with its score.
 
     A grid that is coarse enough to be quick may miss the one place where floor and walls fit.
@@ -108,7 +108,7 @@ def planes(
     rest = point[np.isfinite(point[..., 2])]
     least = _LEAST_SHARE * len(rest)
     candidate = _local_planes(point, rng)
-    found = []
+    found: list[tuple[np.ndarray, float]] = []
     while len(found) < PLANES and len(candidate):
         near = np.abs(rest @ candidate[:, :3].T - candidate[:, 3]) < _PLANE_M
         support = near.sum(axis=0)
@@ -189,7 +189,8 @@ def _distinct(
     """The first poses that are not nearly one of those before."""
     apart_m = _APART * min(box.inner_m[:2])
     corner = np.array([[x, y, 0.0] for x in (-1, 1) for y in (-1, 1)]) * np.array(box.inner_m) / 2
-    kept, seen = [], []
+    kept: list[Float[np.ndarray, "4 4"]] = []
+    seen: list[Float[np.ndarray, "corners 3"]] = []
     for T in T_world_cam:
         places = transform_points(inverse(T), corner)  # of the floor's corners before the camera
         if all(_shift_m(places, other) > apart_m for other in seen):

@@ -46,7 +46,7 @@ class Jaws:
 
 def jaw_load_factor(
     jaws: Jaws, force_n: Float[np.ndarray, "k 3"], moment_nm: Float[np.ndarray, "k 3"]
-) -> Float[np.ndarray, "k"]:
+) -> Float[np.ndarray, " k"]:
     """How many times a load two pads hold by friction; below 1 it slips or turns.
 
     Both pads together carry 2 friction force across their axis, and about it the moment of two

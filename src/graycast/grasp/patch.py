@@ -59,7 +59,7 @@ class Patch:
 
     def open_share(
         self, radius_m: float, about_m: Float[np.ndarray, "k 2"]
-    ) -> Float[np.ndarray, "k"]:
+    ) -> Float[np.ndarray, " k"]:
         """The share of missing nodes within a radius about each place."""
         missing = np.isnan(self.height_m).ravel()
         if not missing.any():

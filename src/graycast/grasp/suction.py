@@ -85,7 +85,7 @@ def seals(
     *,
     aside_m: Float[np.ndarray, "k 2"],
     lean: Float[np.ndarray, "k 2"],
-) -> tuple[Float[np.ndarray, "k"], Float[np.ndarray, "k"]]:
+) -> tuple[Float[np.ndarray, " k"], Float[np.ndarray, " k"]]:
     """`Seal`'s two numbers for a cup that is set down otherwise than the tool's axis says.
 
     Args:
@@ -131,8 +131,8 @@ def load_factor(
     force_n: Float[np.ndarray, "k 3"],
     moment_nm: Float[np.ndarray, "k 3"],
     *,
-    friction: Float[np.ndarray, "k"] | None = None,
-) -> Float[np.ndarray, "k"]:
+    friction: Float[np.ndarray, " k"] | None = None,
+) -> Float[np.ndarray, " k"]:
     """How many times a load a sealed cup holds; below 1 it lets go.
 
     The lip is a ring that is pressed on the surface with N: the vacuum's pull and what the load

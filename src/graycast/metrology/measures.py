@@ -98,7 +98,7 @@ def fit_sphere(point: Float[np.ndarray, "n 3"]) -> SphereFit:
     )
 
 
-def without_worst(distance: Float[np.ndarray, "n"]) -> Bool[np.ndarray, "n"]:
+def without_worst(distance: Float[np.ndarray, " n"]) -> Bool[np.ndarray, " n"]:
     """All but the 3 points in 1000 (rounded down) that lie farthest from the shape."""
     worst = len(distance) * DROPPED_SHARE[0] // DROPPED_SHARE[1]
     keep = np.ones(len(distance), dtype=bool)
@@ -125,7 +125,7 @@ def probing(point: Float[np.ndarray, "n 3"]) -> tuple[SphereFit, Deviations]:
     return fit, _deviations(fit.distance_m(point[keep]), len(point))
 
 
-def _deviations(distance: Float[np.ndarray, "n"], measured: int) -> Deviations:
+def _deviations(distance: Float[np.ndarray, " n"], measured: int) -> Deviations:
     return Deviations(
         range_m=float(np.ptp(distance)),
         std_m=float(distance.std()),
@@ -205,10 +205,10 @@ def modulation(
 
 def _swing(
     frame: Frame,
-    picture: Float[np.ndarray, "n"],
-    shown: dict[Frame, Float[np.ndarray, "n"]],
-    both_ends: Float[np.ndarray, "n"],
-) -> Float[np.ndarray, "n"] | None:
+    picture: Float[np.ndarray, " n"],
+    shown: dict[Frame, Float[np.ndarray, " n"]],
+    both_ends: Float[np.ndarray, " n"],
+) -> Float[np.ndarray, " n"] | None:
     """Bright less dark, once per bit and set of phases: the frame that speaks for it has one."""
     if frame.kind in ("gray", "complementary") and not frame.inverse:
         inverted = [other for other in shown if _is_inverse(other, frame)]

@@ -41,7 +41,7 @@ def load_part(
     """A part from an OBJ, PLY, STL or GLB file.
 
     Args:
-        path, unit, material: see `load_mesh`.
+        path: as of `load_mesh`, and so are `unit` and `material`.
         name: of the part; None takes the file's name without its ending.
         symmetry: in the file's own frame, lengths in metres.
 

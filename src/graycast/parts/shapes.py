@@ -48,8 +48,8 @@ def loft(sections: Float[np.ndarray, "s n 3"]) -> Surface:
 
 def _band(rows: int, columns: int, *, closed: bool) -> Int[np.ndarray, "f 3"]:
     """Two triangles per cell of a grid of vertices that is round along its columns."""
-    i, a = np.meshgrid(np.arange(rows if closed else rows - 1), np.arange(columns), indexing="ij")
-    i, a = i.ravel(), a.ravel()
+    grid = np.meshgrid(np.arange(rows if closed else rows - 1), np.arange(columns), indexing="ij")
+    i, a = (place.ravel() for place in grid)
     j, b = (i + 1) % rows, (a + 1) % columns
     corners = [i * columns + a, i * columns + b, j * columns + b, j * columns + a]
     lower = np.stack(corners[:3], axis=1)
@@ -86,7 +86,8 @@ def rounded_box(
     side = np.concatenate([-np.ones(steps + 1), np.ones(steps + 1)])
     count = len(offset)
     index: list[Int[np.ndarray, "n 3"]] = []
-    faces, panel_of_face = [], []
+    faces: list[Int[np.ndarray, "f 3"]] = []
+    panel_of_face: list[str] = []
     for panel, (_, right, up) in PANELS.items():
         i, j = np.meshgrid(np.arange(count), np.arange(count), indexing="ij")
         index.append(_cube_grid(i.ravel(), j.ravel(), np.array(right), np.array(up), count))
@@ -104,8 +105,8 @@ def rounded_box(
 
 
 def _cube_grid(
-    i: Int[np.ndarray, "n"],
-    j: Int[np.ndarray, "n"],
+    i: Int[np.ndarray, " n"],
+    j: Int[np.ndarray, " n"],
     right: Int[np.ndarray, "3"],
     up: Int[np.ndarray, "3"],
     count: int,

@@ -31,7 +31,7 @@ class Surface:
     findings: tuple[str, ...] = ()
 
     @property
-    def used(self) -> Bool[np.ndarray, "v"]:
+    def used(self) -> Bool[np.ndarray, " v"]:
         """Which vertices any face has."""
         used = np.zeros(len(self.vertices), dtype=bool)
         used[self.faces] = True
@@ -102,7 +102,7 @@ def welded(surface: Surface, findings: list[str]) -> Surface:
 
 def _distinct(
     rows: Shaped[np.ndarray, "n k"],
-) -> tuple[Int[np.ndarray, "m"], Int[np.ndarray, "n"]]:
+) -> tuple[Int[np.ndarray, " m"], Int[np.ndarray, " n"]]:
     """Where each distinct row stands first, in the rows' order of size; which one each row is.
 
     As `np.unique` with `axis=0`, in a tenth of its time.

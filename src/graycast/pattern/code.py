@@ -13,7 +13,7 @@ import numpy as np
 from jaxtyping import Float, UInt8
 from PIL import Image
 
-from .frame import AXES, Axis, Frame, level_share
+from .frame import AXES, Axis, Frame, Kind, level_share
 
 GreyLevels = Callable[[Float[np.ndarray, "*n"]], UInt8[np.ndarray, "*n"]]
 
@@ -296,7 +296,7 @@ def _gray_bits(axis: Axis, values: int, inverses: bool) -> list[Frame]:
     ]
 
 
-def _steps(kind: str, axis: Axis, period_px: float, steps: int) -> list[Frame]:
+def _steps(kind: Kind, axis: Axis, period_px: float, steps: int) -> list[Frame]:
     return [
         Frame(kind=kind, axis=axis, period_px=period_px, step=step, steps=steps)
         for step in range(steps)

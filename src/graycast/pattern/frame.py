@@ -86,7 +86,7 @@ class Frame:
 
 def level_share(
     frame: Frame, size_px: int, *, offset_px: float = 0.0, stride_px: float = 1.0
-) -> Float[np.ndarray, "size"]:
+) -> Float[np.ndarray, " size"]:
     """What a frame shows along its axis, 0 dark to 1 bright, one number per projector pixel.
 
     Args:

@@ -1,6 +1,7 @@
 """A code by its name and few numbers, before it is known for which projector."""
 
 import inspect
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Literal, get_args
 
@@ -19,7 +20,7 @@ Codec = Literal[
     "gray", "gray_phase", "gray_line_shift", "multi_frequency", "micro_phase", "xor_gray"
 ]
 CODECS: tuple[Codec, ...] = get_args(Codec)
-_MAKERS = {
+_MAKERS: dict[Codec, Callable[..., Code]] = {
     "gray": gray,
     "gray_phase": gray_phase,
     "gray_line_shift": gray_line_shift,

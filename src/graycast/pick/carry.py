@@ -31,7 +31,7 @@ class World:
     """
 
     layout: Layout
-    numbers: Int[np.ndarray, "n"]
+    numbers: Int[np.ndarray, " n"]
     hand_eye: Float[np.ndarray, "4 4"]
     q: Joints
     tabu: tuple[Float[np.ndarray, "3"], ...] = ()
@@ -89,7 +89,7 @@ def _told(
     ready: Ready,
     met: Touch,
     lifted: Lift,
-    outside: Bool[np.ndarray, "n"],
+    outside: Bool[np.ndarray, " n"],
     error: tuple[float, float] | None,
 ) -> Carried:
     others = int(outside.sum()) - int(outside[met.part])

@@ -172,7 +172,7 @@ def _attempt(
     return attempt, seen, after
 
 
-def _shown(ways: Ways) -> tuple[Float[np.ndarray, "t"], Float[np.ndarray, "t joints"]]:
+def _shown(ways: Ways) -> tuple[Float[np.ndarray, " t"], Float[np.ndarray, "t joints"]]:
     """The whole motion, a pose every `SHOWN_S`."""
     times, angles, before = [], [], 0.0
     for way in (ways.to, ways.down, ways.up, ways.away):

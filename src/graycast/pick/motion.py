@@ -30,7 +30,7 @@ Free = Callable[[Joints], bool]
 class Trajectory:
     """Joint angles at times from 0 on, evenly spaced."""
 
-    time_s: Float[np.ndarray, "t"]
+    time_s: Float[np.ndarray, " t"]
     q: Float[np.ndarray, "t joints"]
 
     def __post_init__(self) -> None:

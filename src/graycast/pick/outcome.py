@@ -73,7 +73,7 @@ class Attempt:
     opening_m: float | None = None
     pose_error: tuple[float, float] | None = None
     least_factor: float | None = None
-    time_s: Float[np.ndarray, "t"] | None = None
+    time_s: Float[np.ndarray, " t"] | None = None
     q: Float[np.ndarray, "t joints"] | None = None
 
     def as_dict(self) -> dict[str, Any]:

@@ -56,7 +56,7 @@ def touch(
     T_world_tool: Float[np.ndarray, "4 4"],
     kinds: Sequence[Kind],
     T_world_part: Float[np.ndarray, "n 4 4"],
-    part_index: Int[np.ndarray, "n"],
+    part_index: Int[np.ndarray, " n"],
     *,
     opening_m: float | None = None,
 ) -> Touch:
@@ -82,7 +82,7 @@ def _pushed(
     T_world_tool: Float[np.ndarray, "4 4"],
     kinds: Sequence[Kind],
     T_world_part: Float[np.ndarray, "n 4 4"],
-    part_index: Int[np.ndarray, "n"],
+    part_index: Int[np.ndarray, " n"],
     opening_m: float | None,
 ) -> Touch | None:
     """The stiff pieces of a tool against every part; None where none is in the way."""
@@ -115,7 +115,7 @@ def _lay(
     T_world_tool: Float[np.ndarray, "4 4"],
     parts: Sequence[Part],
     T_world_part: Float[np.ndarray, "n 4 4"],
-    part_index: Int[np.ndarray, "n"],
+    part_index: Int[np.ndarray, " n"],
 ) -> Touch:
     cup = tool.cup
     height_m, number = _under(T_world_tool, parts, T_world_part, part_index, cup.radius_m)
@@ -156,7 +156,7 @@ def _under(
     T_world_tool: Float[np.ndarray, "4 4"],
     parts: Sequence[Part],
     T_world_part: Float[np.ndarray, "n 4 4"],
-    part_index: Int[np.ndarray, "n"],
+    part_index: Int[np.ndarray, " n"],
     radius_m: float,
 ) -> tuple[Float[np.ndarray, "k k"], Int[np.ndarray, "k k"]]:
     """The highest surface under a tool, and whose it is; -1 is nobody's."""
@@ -186,7 +186,7 @@ def _close(
     T_world_tool: Float[np.ndarray, "4 4"],
     parts: Sequence[Part],
     T_world_part: Float[np.ndarray, "n 4 4"],
-    part_index: Int[np.ndarray, "n"],
+    part_index: Int[np.ndarray, " n"],
 ) -> Touch:
     jaws = tool.jaws
     met = []

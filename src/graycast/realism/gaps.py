@@ -41,28 +41,28 @@ _FORWARD = 0.5  # and t what it is for axes that meet in the middle distance, re
 class Gaps:
     """Shadows along the rows (or columns) of a map, from their near to their far rim."""
 
-    near: Float[np.ndarray, "n"]  # x / z (or y / z) in the middle of the rims
-    far: Float[np.ndarray, "n"]
-    near_m: Float[np.ndarray, "n"]
-    far_m: Float[np.ndarray, "n"]
-    focal_px: Float[np.ndarray, "n"]
-    weight: Float[np.ndarray, "n"]  # 1 over the rows that cut the same edge
+    near: Float[np.ndarray, " n"]  # x / z (or y / z) in the middle of the rims
+    far: Float[np.ndarray, " n"]
+    near_m: Float[np.ndarray, " n"]
+    far_m: Float[np.ndarray, " n"]
+    focal_px: Float[np.ndarray, " n"]
+    weight: Float[np.ndarray, " n"]  # 1 over the rows that cut the same edge
 
     @property
-    def step(self) -> Float[np.ndarray, "n"]:
+    def step(self) -> Float[np.ndarray, " n"]:
         """1/z_near - 1/z_far [1/m]."""
         return 1 / self.near_m - 1 / self.far_m
 
     @property
-    def baseline_m(self) -> Float[np.ndarray, "n"]:
+    def baseline_m(self) -> Float[np.ndarray, " n"]:
         """b of each gap for t = 0, negative where the near rim is on the left (or above)."""
         return (self.near - self.far) / self.step
 
-    def shadow(self, across_m: float, forward_m: float) -> Float[np.ndarray, "n"]:
+    def shadow(self, across_m: float, forward_m: float) -> Float[np.ndarray, " n"]:
         """x'_n - x'_f for a projector at (across, 0, forward)."""
         return across_m * self.step - forward_m * (self.far / self.near_m - self.near / self.far_m)
 
-    def chosen(self, which: Bool[np.ndarray, "n"]) -> "Gaps":
+    def chosen(self, which: Bool[np.ndarray, " n"]) -> "Gaps":
         return Gaps(**{f.name: getattr(self, f.name)[which] for f in fields(self)})
 
 
@@ -128,7 +128,7 @@ def _agreed(gaps: Gaps, sides: tuple[str, str], known_m: float | None) -> Baseli
     )
 
 
-def _mode(estimate_m: Float[np.ndarray, "n"], weight: Float[np.ndarray, "n"]) -> float:
+def _mode(estimate_m: Float[np.ndarray, " n"], weight: Float[np.ndarray, " n"]) -> float:
     """The estimate with most others of its sign within 10 %, the middle one of equals."""
     best, most = 0.0, 0.0
     for sign in (-1, 1):
@@ -150,7 +150,7 @@ def _solve(gaps: Gaps, start_m: float) -> tuple[float, float, float, float]:
     middle_m = float(np.median((gaps.near_m + gaps.far_m) / 2))
     usual_m = start_m**2 / (2 * middle_m)
 
-    def misfit(p: Float[np.ndarray, "3"]) -> Float[np.ndarray, "m"]:
+    def misfit(p: Float[np.ndarray, "3"]) -> Float[np.ndarray, " m"]:
         b, t, eaten_px = p
         rest_px = gaps.focal_px * (gaps.near - gaps.far - gaps.shadow(b, t)) - side * eaten_px
         held = [(t / usual_m - 1) / _FORWARD, eaten_px / _EATEN_PX]
@@ -164,7 +164,7 @@ def _solve(gaps: Gaps, start_m: float) -> tuple[float, float, float, float]:
     return b, t, eaten_px, float(np.sqrt(along @ covariance[:2, :2] @ along))
 
 
-def _softened(rest: Float[np.ndarray, "n"]) -> Float[np.ndarray, "n"]:
+def _softened(rest: Float[np.ndarray, " n"]) -> Float[np.ndarray, " n"]:
     """Residuals whose squares grow like |rest| where it is large: sqrt(2 (sqrt(1 + r^2) - 1))."""
     return rest * np.sqrt(2 / (1 + np.sqrt(1 + rest**2)))
 
@@ -198,8 +198,8 @@ def _along_rows(
 
 
 def _rows_of_edges(
-    shape: tuple[int, ...], y: Int[np.ndarray, "n"], x: Int[np.ndarray, "n"]
-) -> Int[np.ndarray, "n"]:
+    shape: tuple[int, ...], y: Int[np.ndarray, " n"], x: Int[np.ndarray, " n"]
+) -> Int[np.ndarray, " n"]:
     """In how many rows the edge goes on of which a gap's near rim is part.
 
     It may step by 3 px from row to row, and be torn over 10 rows: where noise does that, its pieces
@@ -214,11 +214,11 @@ def _rows_of_edges(
 
 def _smooth_rims(
     depth_m: Float[np.ndarray, "h w"],
-    y: Int[np.ndarray, "n"],
-    left: Int[np.ndarray, "n"],
-    right: Int[np.ndarray, "n"],
+    y: Int[np.ndarray, " n"],
+    left: Int[np.ndarray, " n"],
+    right: Int[np.ndarray, " n"],
     jump_share: float,
-) -> Bool[np.ndarray, "n"]:
+) -> Bool[np.ndarray, " n"]:
     """Whether gaps have one surface on each side, and not the border of the image."""
     last = depth_m.shape[1] - 1
     smooth = (left >= _RIM_PX - 1) & (right <= last - (_RIM_PX - 1))

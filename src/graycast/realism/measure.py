@@ -111,7 +111,7 @@ def _noise(maps: Sequence[PatchNoise]) -> Noise:
 
 
 def _bins(
-    of: Float[np.ndarray, "n"], sigma_m: Float[np.ndarray, "n"], edges: Float[np.ndarray, "e"]
+    of: Float[np.ndarray, " n"], sigma_m: Float[np.ndarray, " n"], edges: Float[np.ndarray, " e"]
 ) -> list[Bin]:
     """Median noise between the edges."""
     place = np.digitize(of, edges) - 1

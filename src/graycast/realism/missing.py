@@ -26,10 +26,10 @@ class MissingCounts:
     pixels: int
     missing: int
     reasons: dict[str, int]
-    total_at: Int[np.ndarray, "levels"] | None  # pixels per level of brightness
-    missing_at: Int[np.ndarray, "levels"] | None
-    hole_sizes_px: Int[np.ndarray, "holes"]
-    speck_sizes_px: Int[np.ndarray, "specks"]
+    total_at: Int[np.ndarray, " levels"] | None  # pixels per level of brightness
+    missing_at: Int[np.ndarray, " levels"] | None
+    hole_sizes_px: Int[np.ndarray, " holes"]
+    speck_sizes_px: Int[np.ndarray, " specks"]
 
 
 def count_missing(scan: Scan) -> MissingCounts:
@@ -101,7 +101,7 @@ def summarise_islands(counts: Sequence[MissingCounts]) -> Islands:
 
 
 def drop_out_step(
-    total_at: Int[np.ndarray, "levels"], missing_at: Int[np.ndarray, "levels"]
+    total_at: Int[np.ndarray, " levels"], missing_at: Int[np.ndarray, " levels"]
 ) -> DropOut | None:
     """Where the missing share falls in a step from dark to bright, if it does.
 
@@ -133,15 +133,15 @@ def drop_out_step(
 
 
 def _binomial(
-    total: Float[np.ndarray, "n"], missing: Float[np.ndarray, "n"]
-) -> Float[np.ndarray, "n"]:
+    total: Float[np.ndarray, " n"], missing: Float[np.ndarray, " n"]
+) -> Float[np.ndarray, " n"]:
     """The greatest log likelihood of a constant share."""
     share = np.clip(missing / total, 1e-12, 1 - 1e-12)
     return missing * np.log(share) + (total - missing) * np.log1p(-share)
 
 
 def _crossing(
-    level: Float[np.ndarray, "n"], falling: Float[np.ndarray, "n"], value: float
+    level: Float[np.ndarray, " n"], falling: Float[np.ndarray, " n"], value: float
 ) -> float:
     """Half way between the last level above the value and the first below."""
     after = int(np.argmax(falling <= value))
@@ -149,7 +149,7 @@ def _crossing(
 
 
 def _by_brightness(
-    total_at: Int[np.ndarray, "levels"], missing_at: Int[np.ndarray, "levels"]
+    total_at: Int[np.ndarray, " levels"], missing_at: Int[np.ndarray, " levels"]
 ) -> list[Bin]:
     place = np.digitize(np.arange(LEVELS + 1) / LEVELS, BRIGHTNESS_EDGES) - 1
     count = len(BRIGHTNESS_EDGES) - 1
@@ -172,5 +172,5 @@ def _reasons(scan: Scan) -> dict[str, int]:
     return {name: int(n) for name, n in zip(names, count, strict=True)}
 
 
-def _sizes(label: Int[np.ndarray, "h w"]) -> Int[np.ndarray, "groups"]:
+def _sizes(label: Int[np.ndarray, "h w"]) -> Int[np.ndarray, " groups"]:
     return np.bincount(label.ravel())[1:]

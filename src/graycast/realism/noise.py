@@ -40,12 +40,12 @@ class PatchNoise:
     candidates: int
     outliers: int
     pixels: int  # of the flat patches
-    sigma_m: Float[np.ndarray, "n"]
-    depth_m: Float[np.ndarray, "n"]
-    incidence_rad: Float[np.ndarray, "n"]
-    brightness: Float[np.ndarray, "n"]  # NaN without a picture
+    sigma_m: Float[np.ndarray, " n"]
+    depth_m: Float[np.ndarray, " n"]
+    incidence_rad: Float[np.ndarray, " n"]
+    brightness: Float[np.ndarray, " n"]  # NaN without a picture
     whole: int  # flat patches without a hole
-    products: Float[np.ndarray, "lags"]  # sums over them of the products of residuals
+    products: Float[np.ndarray, " lags"]  # sums over them of the products of residuals
 
 
 def measure_noise(scan: Scan) -> PatchNoise:
@@ -81,8 +81,8 @@ def measure_noise(scan: Scan) -> PatchNoise:
 
 
 def autocorrelation(
-    products: Float[np.ndarray, "lags"], terms: int = _PLANE
-) -> Float[np.ndarray, "lags"]:
+    products: Float[np.ndarray, " lags"], terms: int = _PLANE
+) -> Float[np.ndarray, " lags"]:
     """The noise's autocorrelation at `LAGS` from the mean products of a fit's residuals.
 
     The residuals of noise n are r = M n with M = 1 - H, so their covariance is M C M: the mean
@@ -100,10 +100,10 @@ class _Fit:
     """Least-squares fits to n patches of inverse depth [1/m]."""
 
     used: Bool[np.ndarray, "n pixels"]  # valid and no outlier
-    outliers: Float[np.ndarray, "n"]
+    outliers: Float[np.ndarray, " n"]
     plane: Float[np.ndarray, "n 3"]  # in terms of the basis
-    plane_power: Float[np.ndarray, "n"]  # sum of squares that the plane leaves
-    rest_power: Float[np.ndarray, "n"]  # and that the full fit leaves
+    plane_power: Float[np.ndarray, " n"]  # sum of squares that the plane leaves
+    rest_power: Float[np.ndarray, " n"]  # and that the full fit leaves
     plane_rest: Float[np.ndarray, "n pixels"]
     rest: Float[np.ndarray, "n pixels"]  # what the full fit leaves
 
@@ -157,7 +157,7 @@ def _basis() -> Float[np.ndarray, "pixels terms"]:
     return q * np.sign(np.diag(r))
 
 
-def _flat(fit: _Fit) -> tuple[Bool[np.ndarray, "n"], Float[np.ndarray, "lags"]]:
+def _flat(fit: _Fit) -> tuple[Bool[np.ndarray, " n"], Float[np.ndarray, " lags"]]:
     """Which patches are planes, and the noise's autocorrelation."""
     smooth = (fit.outliers <= _MOST_OUTLIERS * PATCH_PX**2) & (fit.rest_power > 0)
     bend = (fit.plane_power - fit.rest_power) / np.where(smooth, fit.rest_power, np.nan)
@@ -172,7 +172,7 @@ def _flat(fit: _Fit) -> tuple[Bool[np.ndarray, "n"], Float[np.ndarray, "lags"]]:
     return flat, correlation
 
 
-def _most_bend(correlation: Float[np.ndarray, "lags"]) -> float:
+def _most_bend(correlation: Float[np.ndarray, " lags"]) -> float:
     """The bend, as a share of the full fit's residual power, that noise alone hardly exceeds.
 
     The bending terms' power is a sum of chi-squares with the eigenvalues of their covariance as
@@ -185,13 +185,13 @@ def _most_bend(correlation: Float[np.ndarray, "lags"]) -> float:
     return float(most / (PATCH_PX**2 - _fit_loss(correlation, _TERMS)))
 
 
-def _fit_loss(correlation: Float[np.ndarray, "lags"], terms: int) -> float:
+def _fit_loss(correlation: Float[np.ndarray, " lags"], terms: int) -> float:
     """How many pixels' worth of the noise's variance a fit takes: 3 for a plane in white noise."""
     return float(np.trace(_coefficient_covariance(correlation)[:terms, :terms]))
 
 
 def _coefficient_covariance(
-    correlation: Float[np.ndarray, "lags"],
+    correlation: Float[np.ndarray, " lags"],
 ) -> Float[np.ndarray, "terms terms"]:
     """Of a fit's coefficients in noise of unit variance."""
     return np.tensordot(correlation, _lags_in_basis(), axes=1)
@@ -230,7 +230,7 @@ def _lag_matrix(terms: int) -> Float[np.ndarray, "lags lags"]:
     return sums / pairs[:, None]
 
 
-def _lag_products(rest: Float[np.ndarray, "n pixels"]) -> Float[np.ndarray, "lags"]:
+def _lag_products(rest: Float[np.ndarray, "n pixels"]) -> Float[np.ndarray, " lags"]:
     """Sums over patches of the mean product of residuals at `LAGS`, each patch brought to unit
     power: a noisy patch counts no more than a quiet one."""
     power = (rest**2).mean(axis=1, keepdims=True)
@@ -265,7 +265,7 @@ def _incidence(
     K: Float[np.ndarray, "3 3"],
     plane: Float[np.ndarray, "n 3"],
     centre_px: Float[np.ndarray, "n 2"],
-) -> tuple[Float[np.ndarray, "n"], Float[np.ndarray, "n"]]:
+) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, " n"]]:
     """Angle between the planes' normals and the camera's rays, and depth, at the patches' centres.
 
     With 1/z = g . (x, y, 1) and the ray r = K^-1 (x, y, 1) the plane's normal is along K^T g.

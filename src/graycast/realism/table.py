@@ -1,6 +1,6 @@
 """A record as a table in plain text, alone or beside another."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from typing import NamedTuple
 
 from .record import Bin, Realism
@@ -26,7 +26,7 @@ def figures(record: Realism) -> Iterator[Figure]:
     section = f"noise about planes ({noise.patch_px} x {noise.patch_px} px patches)"
     yield Figure(section, "flat patches", f"{noise.patches}")
     yield Figure(section, "left out as bent", _percent(noise.bent))
-    percentiles = noise.percentiles_m or [None] * 5
+    percentiles: Sequence[float | None] = noise.percentiles_m or [None] * 5
     for name, value in zip(("5 %", "25 %", "median", "75 %", "95 %"), percentiles, strict=True):
         yield Figure(section, f"sigma of z, {name}", _mm(value))
     relative = _UNKNOWN if noise.relative is None else f"{1e6 * noise.relative:.0f} ppm"

@@ -2,6 +2,7 @@
 
 from .radiance import (
     Denoiser,
+    FrameByFrame,
     GroundTruth,
     OnFrame,
     Quality,
@@ -13,6 +14,7 @@ from .radiance import (
 
 __all__ = [
     "Denoiser",
+    "FrameByFrame",
     "GroundTruth",
     "OnFrame",
     "Quality",

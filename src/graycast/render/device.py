@@ -66,7 +66,7 @@ def list_llvm(folders: Iterable[Path] | None = None) -> tuple[LlvmLibrary, ...]:
     Args:
         folders: where to look; None is the usual places of Linux, the linker's cache and conda.
     """
-    found = {}
+    found: dict[Path, None] = {}  # in this order
     for path in _linker_cache() if folders is None else ():
         found[path.resolve()] = None
     for folder in _usual_folders() if folders is None else folders:

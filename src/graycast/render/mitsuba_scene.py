@@ -50,14 +50,17 @@ def build(scene: Scene, layout: Layout) -> tuple[mi.Scene, tuple[PartShape, ...]
         shape = _mesh(f"part{index}", part.mesh, part.material, layout.T_world_part[instances])
         part_shapes.append(PartShape(shape, len(part.mesh.faces), instances))
         world[f"part{index}"] = shape
-    if scene.bin is not None:
+    table = table_quad(scene)
+    if scene.bin is not None and table is not None:
         for name, mesh, material in bin_surfaces(scene.bin):
             world[name] = _mesh(name, mesh, material, np.eye(4)[None])
-        world["table"] = _flat_surface("table", table_quad(scene))
+        world["table"] = _flat_surface("table", table)
     for index, surface in enumerate(scene.surfaces):
         name = f"surface{index}"
-        is_flat = isinstance(surface, Quad)
-        world[name] = _flat_surface(name, surface) if is_flat else _ball(surface)
+        if isinstance(surface, Quad):
+            world[name] = _flat_surface(name, surface)
+        else:
+            world[name] = _ball(surface)
     environment = _environment(scene)
     if environment is not None:
         world["environment"] = environment

@@ -158,12 +158,20 @@ class Renderer(Protocol):
 
     def close(self) -> None:
         """Let go of what it holds; closing again does nothing."""
+        return  # a body of its own, so that type checkers do not take it for abstract
 
     def __enter__(self) -> "Renderer":
         return self
 
     def __exit__(self, *error: object) -> None:
         self.close()
+
+
+class FrameByFrame(Renderer, Protocol):
+    """A renderer that renders each pattern by itself, or three at a time, and tells of each."""
+
+    patterns_per_render: int
+    on_frame: OnFrame
 
 
 def refuse_other_size(pattern: UInt8[np.ndarray, "n ph pw"], projector: Optics) -> None:

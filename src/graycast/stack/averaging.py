@@ -30,7 +30,7 @@ class Cells:
 
     camera_px: Float[np.ndarray, "n 2"]
     projector_px: Float[np.ndarray, "n 2"]
-    sure_pixels: Int[np.ndarray, "n"]
+    sure_pixels: Int[np.ndarray, " n"]
 
     def __post_init__(self) -> None:
         for name in self.__dataclass_fields__:
@@ -75,7 +75,7 @@ def join_pixels(codes: CodeMap, code: Code, *, fine_bits: int) -> Cells:
 
 
 def _two_rounds(
-    cell: Int[np.ndarray, "k"], seen: Float[np.ndarray, "k 4"], wrong: Float[np.ndarray, "k"]
+    cell: Int[np.ndarray, " k"], seen: Float[np.ndarray, "k 4"], wrong: Float[np.ndarray, " k"]
 ) -> Cells:
     """Means over the sure pixels; then over the others, of the cells that had none."""
     count = int(cell.max(initial=-1)) + 1
@@ -89,12 +89,12 @@ def _two_rounds(
     )
 
 
-def _means(cell, seen, chosen: Bool[np.ndarray, "k"], count: int):
+def _means(cell, seen, chosen: Bool[np.ndarray, " k"], count: int):
     """Mean of each cell's chosen pixels, their number, and whether they lie together."""
     cell, seen = cell[chosen], seen[chosen]
     pixels = np.bincount(cell, minlength=count)
 
-    def mean(value) -> Float[np.ndarray, "n"]:
+    def mean(value) -> Float[np.ndarray, " n"]:
         return np.bincount(cell, value, count) / np.maximum(pixels, 1)
 
     centre = np.stack([mean(value) for value in seen.T], axis=-1)
@@ -105,7 +105,7 @@ def _means(cell, seen, chosen: Bool[np.ndarray, "k"], count: int):
 
 def meet_rays(
     camera_px: Float[np.ndarray, "n 2"], projector_px: Float[np.ndarray, "n 2"], rig: Rig
-) -> tuple[Float[np.ndarray, "n 3"], Float[np.ndarray, "n"]]:
+) -> tuple[Float[np.ndarray, "n 3"], Float[np.ndarray, " n"]]:
     """The point halfway between two rays where they are nearest, and how far they miss.
 
     Returns:

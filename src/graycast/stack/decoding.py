@@ -52,8 +52,8 @@ class Cloud:
 
     point_m: Float[np.ndarray, "n 3"]
     color: UInt8[np.ndarray, "n 3"]
-    sure_pixels: Int[np.ndarray, "n"] | None = None
-    sigma_m: Float[np.ndarray, "n"] | None = None
+    sure_pixels: Int[np.ndarray, " n"] | None = None
+    sigma_m: Float[np.ndarray, " n"] | None = None
 
     def __post_init__(self) -> None:
         for name in self.__dataclass_fields__:
@@ -242,7 +242,7 @@ def _check_light(pictures: Pictures, codes: CodeMap, found: list[str], path: Pat
     reason = codes.reason[codes.reason != Reason.SHADOW]
     if (reason == Reason.DECODED).mean() > DECODED_AT_LEAST:
         return
-    main = Reason(np.bincount(reason).argmax())
+    main = Reason(int(np.bincount(reason).argmax()))
     share = f"{100 * (reason == main).mean():.0f} %"
     words = f"of the lit pixels are {main.name.lower().replace('_', ' ')}"
     raise DecodeError(

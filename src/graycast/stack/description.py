@@ -138,8 +138,8 @@ class StackDescription(Settings):
         for section in self.frames:
             frame = section.frame()
             if frame in seen:
-                files = f"{seen[frame]} and {section.file}"
-                raise ValueError(f"{files} are both {frame.name}: each frame once")
+                both = f"{seen[frame]} and {section.file}"
+                raise ValueError(f"{both} are both {frame.name}: each frame once")
             seen[frame] = section.file
         files = [section.file for section in self.frames]
         twice = [file for file in files if files.count(file) > 1]

@@ -49,14 +49,19 @@ def line(
             y.append(_trimmed_mean(square_dn2[inside]) / TRIMMED_SHARE)
     if not x:
         return None
-    x, y = np.array(x), np.array(y)
+    light, square = np.array(x), np.array(y)
     slope = 0.0
-    if np.ptp(x) > 0:
-        slope = max(float(np.polyfit(x, y, 1, w=1 / (y + y.mean() + QUANTISATION_DN2))[0]), 0.0)
-    floor = float(np.median(y - slope * x))
+    if np.ptp(light) > 0:
+        slope = max(
+            float(
+                np.polyfit(light, square, 1, w=1 / (square + square.mean() + QUANTISATION_DN2))[0]
+            ),
+            0.0,
+        )
+    floor = float(np.median(square - slope * light))
     return max(floor, QUANTISATION_DN2), slope
 
 
-def _trimmed_mean(value: Float[np.ndarray, "n"]) -> float:
+def _trimmed_mean(value: Float[np.ndarray, " n"]) -> float:
     kept = np.sort(value)[: max(1, round(TRIM * len(value)))]
     return float(kept.mean())

@@ -30,8 +30,8 @@ USUAL_PERIODS = 0.02  # and one this near to a whole step or a quarter of a peri
 class _Edges:
     """Where one neighbour sees one Gray cell and the other the next, which is between the two."""
 
-    place: Float[np.ndarray, "n"]  # [periods]
-    phase: Float[np.ndarray, "n"]  # there [periods], as the stated steps make it
+    place: Float[np.ndarray, " n"]  # [periods]
+    phase: Float[np.ndarray, " n"]  # there [periods], as the stated steps make it
     forwards: float  # mean of sin(its change), counted towards higher places
 
     @property
@@ -79,7 +79,7 @@ def phase_faults(
                 yield from _judge(seen, rows, place_px, code, axis, plan, period)
 
 
-def _rows(height: int, width: int) -> Int[np.ndarray, "n"]:
+def _rows(height: int, width: int) -> Int[np.ndarray, " n"]:
     """Bands of rows, evenly over the picture."""
     bands = max(1, MAX_SAMPLES // (BAND_PX * width))
     if bands * BAND_PX >= height:

@@ -88,6 +88,6 @@ def _less_harmonics(
         share = size / max(float(size.max()), 1e-6)
         for strength in (share, share**2, np.sqrt(share)):
             terms += [(strength * turned.real).ravel(), (strength * turned.imag).ravel()]
-    terms = np.array(terms, dtype=np.float64)
-    weights = np.linalg.lstsq(terms @ terms.T, terms @ value.ravel().astype(np.float64), rcond=1e-9)
-    return value - (weights[0] @ terms).reshape(value.shape).astype(np.float32)
+    term = np.array(terms, dtype=np.float64)
+    weights = np.linalg.lstsq(term @ term.T, term @ value.ravel().astype(np.float64), rcond=1e-9)
+    return value - (weights[0] @ term).reshape(value.shape).astype(np.float32)

@@ -45,9 +45,9 @@ class ClassFigures:
     scenes: int
     instances: int
     visible: int  # by 10 % or more: what detectors are scored on
-    visib_fract: Int[np.ndarray, "bins"]  # histogram over 0 to 1
-    side_px: Int[np.ndarray, "sides"]  # root of the visible area, over SIDE_EDGES_PX
-    box_px: Int[np.ndarray, "sides"]  # longer side of the visible box
+    visib_fract: Int[np.ndarray, " bins"]  # histogram over 0 to 1
+    side_px: Int[np.ndarray, " sides"]  # root of the visible area, over SIDE_EDGES_PX
+    box_px: Int[np.ndarray, " sides"]  # longer side of the visible box
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -65,7 +65,7 @@ class Statistics:
     depth_bin: dict[int, int]
     reason: dict[str, float]  # share of all pixels
     part_reason: dict[str, float]  # share of the parts' visible pixels
-    decoded_share: Int[np.ndarray, "scenes_per_bin"]  # scenes per share of decoded pixels
+    decoded_share: Int[np.ndarray, " scenes_per_bin"]  # scenes per share of decoded pixels
     error_step: dict[int, int]
     part_error_step: dict[int, int]
     error: ErrorFigures
@@ -179,7 +179,7 @@ def error_figures(step: dict[int, int], scale_mm: float) -> ErrorFigures:
 
 def _quantiles(
     counts: dict[int, int], shares: tuple[float, ...], *, continuous: bool = False
-) -> Float[np.ndarray, "shares"]:
+) -> Float[np.ndarray, " shares"]:
     """Quantiles of a histogram over whole numbers.
 
     `continuous` takes a number k for all values from k - 1/2 to k + 1/2, spread evenly: what

@@ -78,7 +78,7 @@ def scene_figures(scene: SceneContent) -> SceneFigures:
     )
 
 
-def _luma(rgb: UInt8[np.ndarray, "h w 3"]) -> Int[np.ndarray, "n"]:
+def _luma(rgb: UInt8[np.ndarray, "h w 3"]) -> Int[np.ndarray, " n"]:
     return np.rint(rgb @ np.array([0.2126, 0.7152, 0.0722])).astype(np.int64).ravel()
 
 

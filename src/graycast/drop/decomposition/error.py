@@ -44,11 +44,11 @@ class Surface:
 
     corner: Float[np.ndarray, "f 3 3"]
     point: Float[np.ndarray, "n 3"]
-    face: Int[np.ndarray, "n"]  # that each point lies on
+    face: Int[np.ndarray, " n"]  # that each point lies on
     normal: Float[np.ndarray, "f 3"]
     tree: cKDTree
 
-    def distance_m(self, point: Float[np.ndarray, "m 3"]) -> Float[np.ndarray, "m"]:
+    def distance_m(self, point: Float[np.ndarray, "m 3"]) -> Float[np.ndarray, " m"]:
         """Distance to the triangles of the `NEAR` nearest samples: exact, or a little too large."""
         _, near = self.tree.query(point, k=min(NEAR, len(self.face)))
         return _nearest_m(point, self.face[near.reshape(len(point), -1)], self.corner)
@@ -67,7 +67,9 @@ class Surface:
         steep = before > STEEP * apart
         return self._farthest_m(point[steep], apart[steep])
 
-    def _farthest_m(self, point: Float[np.ndarray, "m 3"], most_m: Float[np.ndarray, "m"]) -> float:
+    def _farthest_m(
+        self, point: Float[np.ndarray, "m 3"], most_m: Float[np.ndarray, " m"]
+    ) -> float:
         """No distance is larger than that to the nearest sample, so few have to be asked for."""
         order = np.argsort(-most_m)
         farthest, done = 0.0, 0
@@ -88,7 +90,7 @@ def surface_samples(solid: Manifold) -> Surface:
 
 def spread(
     solid: Manifold, count: int
-) -> tuple[Float[np.ndarray, "n 3"], Int[np.ndarray, "n"], Float[np.ndarray, "f 3 3"]]:
+) -> tuple[Float[np.ndarray, "n 3"], Int[np.ndarray, " n"], Float[np.ndarray, "f 3 3"]]:
     """Points at random by area, and the triangles' middles; their triangles; all triangles.
 
     The random numbers are fixed: what is made of them is a function of the solid alone.

@@ -33,7 +33,7 @@ def hull_solid(points: Float[np.ndarray, "v 3"]) -> Manifold:
 
 def height_m(
     point: Float[np.ndarray, "n 3"], vertices: Float[np.ndarray, "v 3"]
-) -> Float[np.ndarray, "n"]:
+) -> Float[np.ndarray, " n"]:
     """Largest signed distance to the planes of the vertices' hull; negative inside."""
     plane = _planes(vertices)
     return (point @ plane[:, :3].T + plane[:, 3]).max(axis=1)

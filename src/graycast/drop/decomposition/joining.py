@@ -63,7 +63,7 @@ def joined(
     return list(alive.values())
 
 
-def _near(others: list[Points], one: Points, gap_m: float) -> Int[np.ndarray, "n"]:
+def _near(others: list[Points], one: Points, gap_m: float) -> Int[np.ndarray, " n"]:
     """Which hulls have bounding boxes no farther than a gap from that of one."""
     if not others:
         return np.empty(0, dtype=np.int64)

@@ -73,7 +73,7 @@ class _Placed:
     mesh: Mesh
     material: Material
     T_world: Float[np.ndarray, "n 4 4"]
-    instances: Int[np.ndarray, "n"]
+    instances: Int[np.ndarray, " n"]
     radiance: tuple[float, float, float] | None = None
 
 

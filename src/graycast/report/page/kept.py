@@ -88,7 +88,7 @@ def _packed(image: Float32[np.ndarray, "h w"]) -> dict[str, Any]:
     }
 
 
-def _grey_levels(sensor: SensorSpec) -> UInt8[np.ndarray, "n"]:
+def _grey_levels(sensor: SensorSpec) -> UInt8[np.ndarray, " n"]:
     """The grey level of each digital number."""
     dn = np.arange(sensor.max_dn + 1)
     share = (dn - sensor.offset_dn) / (sensor.saturation_dn - sensor.offset_dn)

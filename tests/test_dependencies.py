@@ -1,0 +1,74 @@
+"""What pyproject.toml asks for is what the package imports, in versions that were tested."""
+
+import ast
+import re
+import sys
+import tomllib
+from pathlib import Path
+
+import pytest
+from packaging.requirements import Requirement
+
+ROOT = Path(__file__).resolve().parents[1]
+PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+EXTRAS = PROJECT["optional-dependencies"]
+# Names in the registry where they are not those that Python imports.
+IMPORTED = {
+    "PyYAML": "yaml",
+    "opencv-python-headless": "cv2",
+    "pillow": "PIL",
+    "pin": "pinocchio",
+}
+# Blender's Python, and what comes with a package above: Coal with Pinocchio.
+ELSEWHERE = {"bpy", "mathutils", "_cycles", "coal"}
+BY_HAND = {"libreyolo"}  # pyproject.toml says why
+OF_TESTS = {"mujoco"}  # `graycast bench zoo` judges balance by it, where it is installed
+UNIMPORTED = {"tensorboard"}  # PyTorch's SummaryWriter needs it
+
+
+def wanted(*lists):
+    return [Requirement(text) for names in lists for text in names]
+
+
+def imported_by(folder):
+    """First words of what is imported from elsewhere, anywhere in a folder's files."""
+    found = set()
+    for file in folder.rglob("*.py"):
+        if "worker" in file.parts:  # scripts of Blender's Python, which import each other
+            continue
+        for node in ast.walk(ast.parse(file.read_text(encoding="utf-8"))):
+            if isinstance(node, ast.Import):
+                found |= {alias.name.split(".")[0] for alias in node.names}
+            elif isinstance(node, ast.ImportFrom) and not node.level:
+                found.add(node.module.split(".")[0])
+    return found - set(sys.stdlib_module_names) - {"graycast"}
+
+
+def test_each_dependency_is_imported_and_each_import_is_a_dependency():
+    """lxml, networkx and mapbox-earcut were asked for, and nothing imported them."""
+    of_use = [EXTRAS[name] for name in ("parquet", "ray", "detect", "rf-detr", "pick")]
+    asked = {IMPORTED.get(r.name, r.name) for r in wanted(PROJECT["dependencies"], *of_use)}
+    asked = {name.replace("-", "_") for name in asked}
+    assert imported_by(ROOT / "src") - ELSEWHERE - BY_HAND - OF_TESTS == asked - UNIMPORTED
+
+
+def test_constraints_are_names_and_versions_alone():
+    """No address of a registry, no option, no line twice."""
+    lines = (ROOT / "constraints.txt").read_text(encoding="utf-8").splitlines()
+    assert all(re.fullmatch(r"[A-Za-z0-9._-]+==[0-9][0-9A-Za-z.+]*", line) for line in lines)
+    assert len({line.split("==")[0].lower() for line in lines}) == len(lines)
+
+
+def test_a_tested_version_of_each_dependency_is_stated_and_is_one_that_is_asked_for():
+    stated = dict(line.split("==") for line in (ROOT / "constraints.txt").read_text().split())
+    stated = {name.lower().replace("_", "-"): version for name, version in stated.items()}
+    extras = [EXTRAS[name] for name in EXTRAS if name != "rf-detr"]  # no make target installs it
+    for requirement in wanted(PROJECT["dependencies"], *extras):
+        version = stated[requirement.name.lower()]
+        assert requirement.specifier.contains(version), f"{requirement} is constrained to {version}"
+
+
+@pytest.mark.parametrize("name", ["mitsuba", "drjit", "rapier3d"])
+def test_what_changes_pictures_or_layouts_of_a_seed_has_an_upper_bound(name):
+    (requirement,) = (r for r in wanted(PROJECT["dependencies"]) if r.name == name)
+    assert {"<", ">="} == {part.operator for part in requirement.specifier}

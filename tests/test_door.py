@@ -1,0 +1,93 @@
+"""`import graycast` shows the whole line, and costs nothing until it is used."""
+
+import ast
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from small_cell import content, write_cell
+
+import graycast
+from graycast.dataset import validate
+from graycast.errors import DatasetError
+from graycast.generate import generate
+
+SOURCE = Path(graycast.__file__)
+
+
+def test_opening_the_door_loads_neither_a_room_nor_another_package():
+    """In a fresh process: what is new in `sys.modules` belongs to Python or is the door itself."""
+    code = (
+        "import sys, typing, importlib; before = set(sys.modules); import graycast;"
+        "new = {m for m in set(sys.modules) - before};"
+        "print(sorted(m for m in new if m.split('.')[0] not in sys.stdlib_module_names))"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "['graycast']"
+
+
+def test_every_name_of_the_door_is_its_rooms_own():
+    """Python is told by `_MODULE`, type checkers by the imports: both must say the same."""
+    tree = ast.parse(SOURCE.read_text(encoding="utf-8"))
+    told = {
+        alias.asname: node.module
+        for node in ast.walk(tree)
+        if isinstance(node, ast.ImportFrom) and node.level
+        for alias in node.names
+    }
+    assert told == graycast._MODULE
+    assert {"__version__", *told} == set(graycast.__all__) <= set(dir(graycast))
+    for name, module in told.items():
+        room = getattr(graycast, module)
+        assert name in room.__all__ if hasattr(room, "__path__") else hasattr(room, name)
+        assert getattr(graycast, name) is getattr(room, name)
+
+
+def test_no_name_of_the_door_is_a_room_too():
+    """Once `graycast.decode` the module is loaded, it would hide a function of that name."""
+    rooms = {path.stem for path in SOURCE.parent.iterdir()}
+    assert not rooms & set(graycast.__all__)
+
+
+def test_a_name_that_the_door_lacks_is_an_attribute_error_and_a_broken_room_is_not(monkeypatch):
+    with pytest.raises(AttributeError, match="'graycast' has no attribute 'scenes'"):
+        _ = graycast.scenes
+    assert not hasattr(graycast, "__wrapped__")
+    monkeypatch.delattr(graycast, "card")  # which loads it first
+    monkeypatch.delitem(sys.modules, "graycast.card")
+    monkeypatch.setitem(sys.modules, "packaging.licenses", None)  # what the room needs is missing
+    with pytest.raises(ModuleNotFoundError, match="packaging"):
+        _ = graycast.card
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory, mitsuba_renderer):
+    """A small cell, and one scene of it made by hand."""
+    path = write_cell(tmp_path_factory.mktemp("cell"))
+    cell = graycast.resolve_cell(graycast.load_config(path), path.parent)
+    return cell, graycast.make_scene(cell, 0, seed=5, renderer=mitsuba_renderer)
+
+
+def test_a_scene_saved_by_hand_is_the_one_that_generate_writes(made, tmp_path):
+    """Byte for byte but for the timings, and `generate` goes on with the folder."""
+    cell, shot = made
+    saved = graycast.save_scene(cell, shot, tmp_path / "hand")
+    assert saved == tmp_path / "hand/train/000000" and not validate(tmp_path / "hand")
+    run = generate(cell, tmp_path / "hand", scenes=2, seed=5, device="cpu")
+    assert (run.found, run.written) == (1, 1)
+    generate(cell, tmp_path / "run", scenes=2, seed=5, device="cpu")
+    assert content(tmp_path / "hand") == content(tmp_path / "run")
+
+
+def test_a_scene_is_saved_once_and_with_its_own_cell(made, tmp_path):
+    cell, shot = made
+    graycast.save_scene(cell, shot, tmp_path / "out")
+    before = content(tmp_path / "out")
+    with pytest.raises(DatasetError, match="000000"):
+        graycast.save_scene(cell, shot, tmp_path / "out")
+    other = write_cell(tmp_path, count=4)
+    other = graycast.resolve_cell(graycast.load_config(other), tmp_path)
+    with pytest.raises(ValueError, match="another configuration than this cell's"):
+        graycast.save_scene(other, shot, tmp_path / "other")
+    assert content(tmp_path / "out") == before and not (tmp_path / "other").exists()

@@ -1,0 +1,135 @@
+"""The documentation: every block of code is one that works, and the site is built and whole."""
+
+import html
+import json
+import re
+import shlex
+import subprocess
+import sys
+from html.parser import HTMLParser
+from pathlib import Path
+from urllib.parse import unquote, urlsplit
+
+import pytest
+import yaml
+
+from graycast.cli.command import _parser
+
+ROOT = Path(__file__).resolve().parents[1]
+PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").rglob("*.md"))]
+FENCE = re.compile(r"^```(\w+)\n(.*?)^```$", re.DOTALL | re.MULTILINE)
+
+
+def blocks(*languages):
+    """(page, code) of the fenced blocks in a language."""
+    for page in PAGES:
+        for language, code in FENCE.findall(page.read_text(encoding="utf-8")):
+            if language in languages:
+                yield page.relative_to(ROOT), code
+
+
+def commands():
+    """Each `graycast ...` that a page tells to run, joined where a backslash breaks it."""
+    for page, code in blocks("sh"):
+        for line in code.replace("\\\n", " ").splitlines():
+            for command in re.split(r"&&|;|\|", re.sub(r"(^|\s)#.*", "", line)):
+                words = shlex.split(command)
+                if words and words[0] in ("graycast", ".venv/bin/graycast"):
+                    yield page, words[1:]
+
+
+def test_every_command_on_the_pages_is_one_that_the_parser_takes():
+    """An option that was renamed would be told to readers for ever."""
+    found = list(commands())
+    assert len(found) > 40
+    for page, words in found:
+        try:
+            _parser().parse_args(words)
+        except SystemExit as stopped:
+            assert stopped.code == 0, f"{page}: graycast {' '.join(words)}"
+
+
+def test_every_python_and_yaml_block_can_be_read():
+    for page, code in blocks("python"):
+        compile(code, str(page), "exec")
+    for _, code in blocks("yaml"):
+        yaml.safe_load(code)
+    for _, code in blocks("json"):
+        json.loads(code)
+
+
+def test_every_file_that_a_page_names_is_there():
+    """Paths of the repository in code words: examples, configurations, scripts, tests, sources."""
+    named = re.compile(r"`((?:examples|configs|scripts|tests|docs|src)/[\w./-]+\.[a-z]+)`")
+    for page in PAGES:
+        for path in named.findall(page.read_text(encoding="utf-8")):
+            assert (ROOT / path).exists(), f"{page.name} names {path}"
+
+
+class Links(HTMLParser):
+    """What a page links to and loads, and the anchors that it has."""
+
+    def __init__(self, text):
+        super().__init__()
+        self.links, self.loads, self.anchors = [], [], {""}
+        self.feed(text)
+
+    def handle_starttag(self, tag, attrs):
+        said = dict(attrs)
+        self.anchors.update(said[key] for key in ("id", "name") if said.get(key))
+        if tag == "a" and said.get("href"):
+            self.links.append(said["href"])
+        if tag in ("script", "img", "iframe") and said.get("src"):
+            self.loads.append(said["src"])
+        if tag == "link" and said.get("rel") in ("stylesheet", "icon", "preload"):
+            self.loads.append(said["href"])
+
+
+@pytest.mark.slow
+def test_the_site_is_built_strictly_and_is_whole_without_a_network(tmp_path):
+    """Every link and anchor leads somewhere; nothing is loaded from elsewhere; no raw equation."""
+    pytest.importorskip("mkdocs", reason="needs MkDocs: pip install 'graycast[docs]'")
+    command = [sys.executable, "-m", "mkdocs", "build", "--strict", "--site-dir", tmp_path / "site"]
+    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=300)
+    assert done.returncode == 0, done.stderr
+    pages = {
+        path.relative_to(tmp_path / "site").as_posix(): Links(path.read_text(encoding="utf-8"))
+        for path in (tmp_path / "site").rglob("*.html")
+        if path.name != "404.html"  # its paths are those of a server's root
+    }
+    told = {path.relative_to(ROOT / "docs").with_suffix(".html") for path in PAGES[2:]}
+    assert {path.as_posix() for path in told} == set(pages)
+    broken = []
+    for name, page in pages.items():
+        for link in page.links + page.loads:
+            parts = urlsplit(link)
+            if parts.scheme in ("http", "https", "mailto"):
+                assert link not in page.loads, f"{name} loads {link}"
+                continue
+            base = (tmp_path / "site" / name).parent
+            target = (base / unquote(parts.path)).resolve() if parts.path else None
+            there = name if target is None else str(target.relative_to(tmp_path / "site"))
+            if there in pages and unquote(parts.fragment) not in pages[there].anchors:
+                broken.append(f"{name}: {link} has no such anchor")
+            elif there not in pages and not (tmp_path / "site" / there).exists():
+                broken.append(f"{name}: {link} is not there")
+    assert not broken, "\n".join(broken)
+    equations = (tmp_path / "site/derivations.html").read_text(encoding="utf-8")
+    assert equations.count("<math") > 300
+    assert "arithmatex" not in equations and r"\frac" not in html.unescape(equations)
+
+
+@pytest.mark.slow
+def test_the_reference_shows_every_name_of_the_door(tmp_path):
+    """What `graycast` has as an attribute, a reader can look up."""
+    import graycast
+
+    text = "\n".join(path.read_text(encoding="utf-8") for path in (ROOT / "docs/api").glob("*.md"))
+    told = re.findall(r"^::: graycast\.([\w.]+)$", text, re.MULTILINE)
+    modules = {name for name in told if name in ("scene", "errors", "pose", "grasp")}
+    whole = {
+        name
+        for name, module in graycast._MODULE.items()
+        if module in modules or any(entry.split(".")[-1] == name for entry in told)
+    }
+    assert set(graycast._MODULE) - whole == set()

@@ -1,0 +1,70 @@
+"""The package as others get it: a wheel in a fresh environment makes a scene."""
+
+import os
+import subprocess
+import sys
+import sysconfig
+import zipfile
+from pathlib import Path
+
+import pytest
+from small_cell import write_cell
+
+ROOT = Path(__file__).resolve().parents[1]
+BUILD = "import sys; from setuptools import build_meta; print(build_meta.build_wheel(sys.argv[1]))"
+
+
+def run(command, folder, **environment):
+    """In a clean environment: neither the sources nor this process's settings are seen."""
+    kept = {key: os.environ[key] for key in ("PATH", "HOME", "LANG") if key in os.environ}
+    done = subprocess.run(
+        list(map(str, command)),
+        cwd=folder,
+        capture_output=True,
+        text=True,
+        timeout=600,
+        env=kept | environment,
+    )
+    assert done.returncode == 0, done.stdout + done.stderr
+    return done.stdout
+
+
+@pytest.fixture(scope="module")
+def wheel(tmp_path_factory):
+    """Built from a copy of what a clone has, by the back end that pyproject.toml names."""
+    pytest.importorskip("setuptools", minversion="77", reason="needs setuptools 77: see make test")
+    copy = tmp_path_factory.mktemp("clone")
+    tracked = run(["git", "ls-files", "src", "pyproject.toml", "README.md", "LICENSE"], ROOT)
+    for name in tracked.splitlines():
+        (copy / name).parent.mkdir(parents=True, exist_ok=True)
+        (copy / name).write_bytes((ROOT / name).read_bytes())
+    folder = tmp_path_factory.mktemp("wheel")
+    run([sys.executable, "-c", BUILD, folder], copy)
+    (made,) = folder.glob("graycast-*.whl")
+    return made
+
+
+@pytest.mark.slow
+def test_the_wheel_holds_every_file_of_the_package(wheel):
+    """Templates of the page, Blender's scripts and the marker of types are no Python modules."""
+    tracked = run(["git", "ls-files", "src/graycast"], ROOT).splitlines()
+    inside = {name for name in zipfile.ZipFile(wheel).namelist() if ".dist-info/" not in name}
+    assert inside == {name.removeprefix("src/") for name in tracked}
+
+
+@pytest.mark.slow
+def test_the_wheel_in_a_fresh_environment_makes_a_scene(wheel, tmp_path):
+    """The dependencies are this environment's, so that nothing is downloaded."""
+    run([sys.executable, "-m", "venv", "--without-pip", tmp_path / "fresh"], tmp_path)
+    python = tmp_path / "fresh/bin/python"
+    here = sysconfig.get_path("purelib")
+    pip = [sys.executable, "-m", "pip", "--python", python, "--disable-pip-version-check"]
+    run([*pip, "install", "--quiet", "--no-deps", "--no-index", wheel], tmp_path)
+    said = "import graycast, sys; print(graycast.__file__)"
+    where = run([python, "-c", said], tmp_path, PYTHONPATH=here)
+    assert Path(where.strip()).is_relative_to(tmp_path / "fresh")
+    cell, out = write_cell(tmp_path), tmp_path / "out"
+    command = tmp_path / "fresh/bin/graycast"
+    run([command, "generate", cell, "--scenes", "1", "--out", out], tmp_path, PYTHONPATH=here)
+    told = run([command, "validate", out], tmp_path, PYTHONPATH=here)
+    assert told.strip() == f"{out}: valid"

@@ -5,7 +5,6 @@ import math
 import os
 import socket
 import uuid
-from dataclasses import replace
 from typing import Any
 
 from .. import __version__
@@ -36,7 +35,7 @@ class RayPool:
                 "'ray start --head', or check --address"
             ) from error
         if task.device == "auto":
-            task = replace(task, device="cuda" if ray.cluster_resources().get("GPU") else "cpu")
+            task = task.on("cuda" if ray.cluster_resources().get("GPU") else "cpu")
         self._gpus = int(task.device in GPU_DEVICES)
         remote = ray.remote(num_cpus=threads, num_gpus=self._gpus, max_retries=0)
         self._make = remote(_make_on_node)

@@ -2,7 +2,7 @@
 
 import time
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from types import TracebackType
 
 import numba
@@ -31,6 +31,9 @@ class Task:
     device: str
     depth_scale_mm: float
     graycast: str = __version__
+
+    def on(self, device: str) -> "Task":
+        return replace(self, device=device)
 
     def open(
         self,

@@ -49,6 +49,10 @@ class Job(Protocol):
     @property
     def graycast(self) -> str: ...
 
+    def on(self, device: str) -> "Job":
+        """The same job on another device."""
+        ...
+
     def open(
         self,
         *,

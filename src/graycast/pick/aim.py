@@ -34,11 +34,15 @@ class Target:
     box_px: Float[np.ndarray, "4"] | None = None
     T_cam_part: Float[np.ndarray, "4 4"] | None = None
 
+    def __post_init__(self) -> None:
+        if self.mask is None and self.box_px is None:
+            raise ValueError("a target has a mask or a box")
+
     def inside(self, shape: tuple[int, ...]) -> Bool[np.ndarray, "h w"]:
         if self.mask is not None:
             return self.mask
         inside = np.zeros(shape, bool)
-        left, top, columns, rows = np.rint(self.box_px).astype(int)
+        left, top, columns, rows = np.rint(np.asarray(self.box_px)).astype(int)
         inside[max(top, 0) : top + rows, max(left, 0) : left + columns] = True
         return inside
 
@@ -136,7 +140,8 @@ def _pose(model: PoseModel, target: Target, view: View) -> Float[np.ndarray, "4 
     if target.mask is not None:
         found = find_pose(model, view.depth_m, view.camera, target.mask)
     else:
-        found = find_pose_in_box(model, view.depth_m, view.camera, target.box_px)
+        box_px = np.asarray(target.box_px)
+        found = find_pose_in_box(model, view.depth_m, view.camera, box_px)
     return None if found.score < LEAST_POSE else found.T_cam_part
 
 

@@ -17,7 +17,7 @@ from .outcome import TAKEN, WRONG_M, WRONG_RAD, Outcome
 from .ready import Ready
 from .robot import Joints
 from .tools import SuctionTool
-from .touch import Touch, touch
+from .touch import Held, NotHeld, touch
 from .ways import Ways
 
 
@@ -61,13 +61,13 @@ def carry_out(ready: Ready, world: World, choice: Choice) -> tuple[Carried, Worl
     )
     error = _pose_error(ready, layout, aim)
     world = replace(world, q=choice.ways.away.q[-1])
-    if met.hold is None:
+    if isinstance(met, NotHeld):
         carried = Carried(
             outcome=_blamed(met.outcome, error), detail=met.detail, part=met.part, pose_error=error
         )
         return carried, replace(world, tabu=(*world.tabu, aim.place_m))
     lifted = lift(
-        ready.cell.cell.scene.bin,
+        ready.cell.box,
         ready.bodies,
         layout.T_world_part,
         layout.part_index,
@@ -75,9 +75,7 @@ def carry_out(ready: Ready, world: World, choice: Choice) -> tuple[Carried, Worl
         met.hold,
         _path(ready, choice.ways, met.T_world_tool),
     )
-    outside = parts_outside(
-        ready.cell.cell.scene.bin, ready.bodies, lifted.T_world_part, layout.part_index
-    )
+    outside = parts_outside(ready.cell.box, ready.bodies, lifted.T_world_part, layout.part_index)
     carried = _told(ready, met, lifted, outside, error)
     gone = outside.copy()
     gone[met.part] |= lifted.lost_s is None
@@ -87,7 +85,7 @@ def carry_out(ready: Ready, world: World, choice: Choice) -> tuple[Carried, Worl
 
 def _told(
     ready: Ready,
-    met: Touch,
+    met: Held,
     lifted: Lift,
     outside: Bool[np.ndarray, " n"],
     error: tuple[float, float] | None,
@@ -130,7 +128,7 @@ def _settled(
     ready: Ready, world: World, T_world_part: Float[np.ndarray, "n 4 4"], kept: np.ndarray
 ) -> World:
     """What is left, at rest again; what falls out of the bin meanwhile is gone, too."""
-    box, limits = ready.cell.cell.scene.bin, resolve_limits(ready.cell.config)
+    box, limits = ready.cell.box, resolve_limits(ready.cell.config)
     numbers, index, poses = world.numbers[kept], world.layout.part_index[kept], T_world_part[kept]
     if not len(numbers):
         return replace(world, numbers=numbers, layout=Layout(T_world_part=poses, part_index=index))

@@ -10,6 +10,7 @@ from ..cell import Cell, resolve_cell
 from ..drop import OnStage
 from ..errors import ConfigError
 from ..frames import axis_rotation, rigid
+from ..scene import Bin, bin_of
 from .sections import PickConfig
 
 
@@ -23,6 +24,11 @@ class PickCell:
     cell: Cell
     config: PickConfig
     folder: Path
+
+    @property
+    def box(self) -> Bin:
+        """The bin that is emptied."""
+        return bin_of(self.cell.scene)
 
     @property
     def T_world_base(self) -> Float[np.ndarray, "4 4"]:
@@ -54,7 +60,7 @@ def resolve_pick_cell(
             "written, or truth or none"
         )
     place_m = np.array(config.picking.place_m)
-    half = np.array(cell.cell.scene.bin.bounds_m)
+    half = cell.box.bounds_m
     if ((place_m[:2] > half[0, :2]) & (place_m[:2] < half[1, :2])).all():
         raise ConfigError(
             f"picking.place_m is {config.picking.place_m}, over the bin itself: give a place "

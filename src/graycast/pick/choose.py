@@ -25,7 +25,7 @@ from .obstacles import heap_obstacle
 from .outcome import Outcome
 from .ready import Ready
 from .robot import Joints, Mounted, Obstacle, tool_touches
-from .tools import pieces
+from .tools import SuctionTool, pieces
 from .ways import Blocked, Load, Ways, ways
 
 TABU_M = 0.015  # about a grip that failed, where none is tried before something was picked
@@ -89,7 +89,7 @@ def _near(place_m: Float[np.ndarray, "3"], tabu: Sequence[Float[np.ndarray, "3"]
 def _aims(ready: Ready, found: Sequence[Target], view: View, seed: int) -> list[Aim]:
     picking = ready.cell.config.picking
     lean_rad = float(np.radians(picking.most_lean_deg))
-    if picking.knows == "part":
+    if not isinstance(ready.tool, SuctionTool) or picking.knows == "part":
         return aims_by_pose(found, view, ready.known, most_lean_rad=lean_rad)
     return aims_in_depth(
         found,
@@ -128,7 +128,7 @@ class _Heaps:
             view.depth_m,
             view.camera,
             view.T_world_cam,
-            self._ready.cell.cell.scene.bin,
+            self._ready.cell.box,
             without=None if aim.opening_m is None else aim.target.inside(view.depth_m.shape),
         )
         return _Heap(
@@ -154,7 +154,7 @@ def _blocked_tool(ready: Ready, aim: Aim, heap: _Heap) -> Blocked | None:
 
 def _ways(ready: Ready, q: Joints, aim: Aim, heap: _Heap, seed: int) -> Ways | Blocked:
     load = _load(ready, aim)
-    highest_m = max(ready.cell.cell.scene.bin.inner_m[2], heap.highest_m)
+    highest_m = max(ready.cell.box.inner_m[2], heap.highest_m)
     clear_m = highest_m + load.below_m + ready.cell.config.picking.clear_m
     jaws = aim.opening_m is not None
     return ways(

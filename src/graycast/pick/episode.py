@@ -5,8 +5,7 @@ the rest come to rest again before the next scan. A failed grip leaves its part 
 where it fell.
 """
 
-from dataclasses import dataclass
-from typing import Any
+from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Float, UInt8
@@ -84,7 +83,9 @@ def empty_bin(
         hand_eye=_hand_eye(config.picking, np.random.default_rng(streams["calibration"])),
         q=ready.robot.home,
     )
-    attempts, pictures, depths_m = [], [], []
+    attempts: list[Attempt] = []
+    pictures: list[UInt8[np.ndarray, "h w 3"]] = []
+    depths_m: list[Float[np.ndarray, "h w"]] = []
     taken = failures = 0
     while len(world.numbers) and failures < config.picking.failures:
         on_stage(f"bin {bin_id}, scan {len(attempts) + 1}: {len(world.numbers)} parts are left")
@@ -140,21 +141,22 @@ def _attempt(
         seed=int(plan_seed.generate_state(1)[0]),
         clock=clock,
     )
-    facts: dict[str, Any] = {
-        "T_world_part": world.layout.T_world_part,
-        "present": tuple(world.numbers.tolist()),
-        "targets": len(found),
-        "work_s": clock.seconds,
-    }
+    attempt = Attempt(
+        outcome=Outcome.NOTHING_FOUND,
+        T_world_part=world.layout.T_world_part,
+        present=tuple(world.numbers.tolist()),
+        targets=len(found),
+        seconds={"scan": seen.seconds, "motion": 0.0},
+        work_s=clock.seconds,
+    )
     if isinstance(choice, Blocked):
-        seconds = {"scan": seen.seconds, "motion": 0.0}
-        told = {"outcome": choice.outcome, "detail": choice.detail, "seconds": seconds}
-        return Attempt(**told, **facts), seen, world
+        return replace(attempt, outcome=choice.outcome, detail=choice.detail), seen, world
     with clock("physics"):
         carried, after = carry_out(ready, world, choice)
     time_s, q = _shown(choice.ways)
     aim = choice.aim
-    attempt = Attempt(
+    attempt = replace(
+        attempt,
         outcome=carried.outcome,
         detail=carried.detail,
         part=None if carried.part is None else int(world.numbers[carried.part]),
@@ -167,7 +169,6 @@ def _attempt(
         seconds={"scan": seen.seconds, "motion": choice.ways.seconds},
         time_s=time_s,
         q=q,
-        **facts,
     )
     return attempt, seen, after
 

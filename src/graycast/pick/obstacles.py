@@ -7,7 +7,7 @@ from jaxtyping import Float
 
 from ..frames import rigid
 from ..parts import Mesh
-from ..scene import TABLE_HALF_M, Scene, bin_mesh
+from ..scene import TABLE_HALF_M, Scene, bin_mesh, bin_of
 from .heap import BELOW_M, CELL_M, MeasuredHeap
 from .robot import Obstacle
 
@@ -18,7 +18,8 @@ def standing(scene: Scene, T_base_world: Float[np.ndarray, "4 4"]) -> tuple[Obst
     """The table, which carries the robot, the bin, and a box about the rig."""
     import coal
 
-    table = rigid(np.eye(3), np.array([0.0, 0.0, -scene.bin.floor_m - BELOW_M / 2]))
+    box = bin_of(scene)
+    table = rigid(np.eye(3), np.array([0.0, 0.0, -box.floor_m - BELOW_M / 2]))
     half = scene.rig.T_cam_proj[:3, 3] / 2
     low, high = np.minimum(half, -half) - RIG_M, np.maximum(half, -half) + RIG_M
     rig = scene.T_world_cam @ rigid(np.eye(3), half)
@@ -29,7 +30,7 @@ def standing(scene: Scene, T_base_world: Float[np.ndarray, "4 4"]) -> tuple[Obst
             T_base_shape=T_base_world @ table,
             carries=True,
         ),
-        Obstacle(name="the bin", shape=triangles(bin_mesh(scene.bin)), T_base_shape=T_base_world),
+        Obstacle(name="the bin", shape=triangles(bin_mesh(box)), T_base_shape=T_base_world),
         Obstacle(
             name="the rig",
             shape=coal.Box(*(high - low).tolist()),

@@ -3,7 +3,7 @@
 import time
 from collections.abc import Callable
 from contextlib import closing
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numba
@@ -32,6 +32,9 @@ class PickTask:
     seed: int
     device: str
     graycast: str = __version__
+
+    def on(self, device: str) -> "PickTask":
+        return replace(self, device=device)
 
     def open(
         self,

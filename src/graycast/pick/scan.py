@@ -81,9 +81,10 @@ def _acted_on(
     if picking.depth == "scanner":
         return measured.depth_m
     perfect = rendering.truth.depth_m.astype(np.float64)
-    if picking.depth == "perfect":
+    if picking.depth_noise_m is None:
         return perfect
-    return perfect + np.random.default_rng(seed).normal(0, picking.depth_noise_m, perfect.shape)
+    noise_m = np.random.default_rng(seed).normal(0, picking.depth_noise_m, perfect.shape)
+    return np.asarray(perfect + noise_m)
 
 
 def _picture(
@@ -104,7 +105,7 @@ def targets(cell: PickCell, seen: Scan, layout: Layout, detector: Any | None) ->
     """
     picking = cell.config.picking
     if picking.detector == "none":
-        return (Target(kind=None, score=1.0, mask=whole_bin(seen.view, cell.cell.scene.bin)),)
+        return (Target(kind=None, score=1.0, mask=whole_bin(seen.view, cell.box)),)
     found = _true_targets(seen, layout) if detector is None else _detected(cell, seen, detector)
     if picking.pose == "truth":
         found = [_with_true_pose(target, seen, layout) for target in found]

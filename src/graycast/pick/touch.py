@@ -25,18 +25,21 @@ STEP_M = 0.5e-3
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Touch:
-    """What became of setting a tool down.
+class Held:
+    """A tool that holds a part: which, how, and where its tip came to rest."""
 
-    `outcome` is None where the tool holds: then `hold` says how, and `T_world_tool` is where the
-    tip came to rest. `part` is the part that it met.
-    """
+    part: int
+    hold: Hold
+    T_world_tool: Float[np.ndarray, "4 4"]
 
-    outcome: Outcome | None
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class NotHeld:
+    """A tool that holds nothing: why, and the part that it met, if any."""
+
+    outcome: Outcome
     detail: str = ""
     part: int | None = None
-    hold: Hold | None = None
-    T_world_tool: Float[np.ndarray, "4 4"] | None = None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -59,7 +62,7 @@ def touch(
     part_index: Int[np.ndarray, " n"],
     *,
     opening_m: float | None = None,
-) -> Touch:
+) -> Held | NotHeld:
     """Set a tool down where it was sent, among the true parts.
 
     Args:
@@ -84,7 +87,7 @@ def _pushed(
     T_world_part: Float[np.ndarray, "n 4 4"],
     part_index: Int[np.ndarray, " n"],
     opening_m: float | None,
-) -> Touch | None:
+) -> NotHeld | None:
     """The stiff pieces of a tool against every part; None where none is in the way."""
     import coal
 
@@ -102,7 +105,7 @@ def _pushed(
                     continue
                 deep_m = abs(result.getContact(0).penetration_depth)
                 if deep_m > PUSHED_M:
-                    return Touch(
+                    return NotHeld(
                         outcome=Outcome.COLLISION_UNSEEN,
                         detail=f"the {piece.name} pushes {1e3 * deep_m:.0f} mm into a part",
                         part=i,
@@ -116,15 +119,15 @@ def _lay(
     parts: Sequence[Part],
     T_world_part: Float[np.ndarray, "n 4 4"],
     part_index: Int[np.ndarray, " n"],
-) -> Touch:
+) -> Held | NotHeld:
     cup = tool.cup
     height_m, number = _under(T_world_tool, parts, T_world_part, part_index, cup.radius_m)
     middle = len(height_m) // 2
     part, at_m = int(number[middle, middle]), float(height_m[middle, middle])
     if part < 0 or at_m < -tool.stroke_m:
-        return Touch(outcome=Outcome.MISSED, detail="nothing is under the cup")
+        return NotHeld(outcome=Outcome.MISSED, detail="nothing is under the cup")
     if at_m > tool.stroke_m:
-        return Touch(
+        return NotHeld(
             outcome=Outcome.COLLISION_UNSEEN,
             detail=f"a part stands {1e3 * at_m:.0f} mm higher than the cup was sent",
             part=part,
@@ -138,7 +141,7 @@ def _lay(
             if lies.open_share
             else f"its springs would change by {lies.strain:.0%}"
         )
-        return Touch(outcome=Outcome.NOT_HELD, detail=how, part=part)
+        return NotHeld(outcome=Outcome.NOT_HELD, detail=how, part=part)
     set_down = T_world_tool @ rigid(np.eye(3), np.array([0.0, 0.0, at_m]))
 
     def factor(force_n: np.ndarray, moment_nm: np.ndarray) -> float:
@@ -149,7 +152,7 @@ def _lay(
         factor=factor,
         stiffness_n_m=tool.stiffness_n_m,
     )
-    return Touch(outcome=None, part=part, hold=hold, T_world_tool=set_down)
+    return Held(part=part, hold=hold, T_world_tool=set_down)
 
 
 def _under(
@@ -187,7 +190,7 @@ def _close(
     parts: Sequence[Part],
     T_world_part: Float[np.ndarray, "n 4 4"],
     part_index: Int[np.ndarray, " n"],
-) -> Touch:
+) -> Held | NotHeld:
     jaws = tool.jaws
     met = []
     for i, (T, kind) in enumerate(zip(T_world_part, part_index, strict=True)):
@@ -196,14 +199,14 @@ def _close(
             if found is not None:
                 met.append((i, found))
     if not met:
-        return Touch(outcome=Outcome.MISSED, detail="nothing is between the pads")
+        return NotHeld(outcome=Outcome.MISSED, detail="nothing is between the pads")
     if len(met) > 1:
-        return Touch(
+        return NotHeld(
             outcome=Outcome.NOT_HELD, detail="two parts are between the pads", part=met[0][0]
         )
     part, (aside_m, slope) = met[0]
     if slope > jaws.friction:
-        return Touch(
+        return NotHeld(
             outcome=Outcome.NOT_HELD,
             detail=f"the pads lie at a slope of {slope:.2f}, friction is {jaws.friction:.2f}",
             part=part,
@@ -219,4 +222,4 @@ def _close(
         factor=factor,
         stiffness_n_m=tool.stiffness_n_m,
     )
-    return Touch(outcome=None, part=part, hold=hold, T_world_tool=set_down)
+    return Held(part=part, hold=hold, T_world_tool=set_down)

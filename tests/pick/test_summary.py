@@ -5,7 +5,7 @@ import pytest
 from graycast.errors import GraycastError
 from graycast.evaluate import mcnemar, wilson
 from graycast.pick.files import StoredEpisode
-from graycast.pick.summary import pair, summarize
+from graycast.pick.summary import compared, pair, summarize
 
 
 def episode(bin_id, *outcomes, left=0, spilled=0):
@@ -57,3 +57,15 @@ def test_nothing_to_tell_is_said():
         summarize([])
     with pytest.raises(GraycastError, match="share no bin"):
         pair([episode(0, "picked")], [episode(1, "picked")])
+
+
+def test_runs_are_set_beside_the_first_in_a_table():
+    runs = {
+        "scanner": [episode(0, "picked", "lost seal")],
+        "perfect": [episode(0, "picked", "picked")],
+    }
+    head, _, first, second = compared(runs).splitlines()
+    cells = [[cell.strip() for cell in line.strip("|").split("|")] for line in (first, second)]
+    assert len(head.strip("|").split("|")) == len(cells[0]) == len(cells[1]) == 10
+    assert cells[0][:3] == ["scanner", "2", "50.0%"] and cells[0][6:] == [""] * 4
+    assert cells[1][:3] == ["perfect", "2", "100.0%"] and cells[1][6:] == ["2", "1", "0", "1"]

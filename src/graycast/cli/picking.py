@@ -23,8 +23,9 @@ needs pip install 'graycast[pick]'."""
 
 PICKS = """\
 Tell what became of picks: success rate with its 95 % interval (Wilson), outcomes, bins cleared,
-picks per hour, seconds by stage. With a second folder of the same bins, made with another detector
-or another kind of depth, both are set side by side, and McNemar's test says whether they differ."""
+picks per hour, seconds by stage. Further folders of the same bins, made with another detector or
+another kind of depth, are set beside the first one in a table, and McNemar's test says whether
+they differ from it."""
 
 
 def add_commands(commands) -> None:
@@ -69,10 +70,9 @@ def add_commands(commands) -> None:
     pick.add_argument(
         "--address", help="The Ray cluster's address, host:port (default: Ray on this machine)."
     )
-    picks = add_command(commands, "picks", _picks, "Tell what became of picks, of one arm or two.")
+    picks = add_command(commands, "picks", _picks, "Tell what became of picks, and compare runs.")
     picks.description = PICKS
-    picks.add_argument("folder", type=Path, help="A folder of picks.")
-    picks.add_argument("other", type=Path, nargs="?", help="Another one of the same bins.")
+    picks.add_argument("folders", type=Path, nargs="+", help="Folders of picks.")
 
 
 def _pick(options: argparse.Namespace) -> int:
@@ -164,20 +164,13 @@ def _depth(text: str) -> dict[str, object]:
 
 
 def _picks(options: argparse.Namespace) -> int:
-    from ..pick import pair, read_episodes, summarize
+    from ..pick import compared, read_episodes, summarize
 
-    first = read_episodes(options.folder)
-    _tell(summarize(first))
-    if options.other is None:
-        return 0
-    second = read_episodes(options.other)
-    print(f"\n{options.other}:")
-    _tell(summarize(second))
-    paired = pair(first, second)
-    print(
-        f"\n{paired.pairs} pairs: both picked {paired.both}, the first alone {paired.only_first}, "
-        f"the second alone {paired.only_second}; McNemar's p is {paired.p:.3g}"
-    )
+    episodes = [read_episodes(folder) for folder in options.folders]
+    _tell(summarize(episodes[0]))
+    if len(episodes) > 1:
+        names = [str(folder) for folder in options.folders]
+        print(f"\n{compared(dict(zip(names, episodes, strict=True)))}")
     return 0
 
 

@@ -5,7 +5,7 @@ from .files import StoredEpisode, read_episodes
 from .outcome import Attempt, Outcome
 from .running import pick_bins
 from .sections import PickConfig, load_pick_config
-from .summary import Paired, Summary, pair, summarize
+from .summary import Paired, Summary, compared, pair, summarize
 
 __all__ = [
     "Attempt",
@@ -15,6 +15,7 @@ __all__ = [
     "PickConfig",
     "StoredEpisode",
     "Summary",
+    "compared",
     "load_pick_config",
     "pair",
     "pick_bins",

@@ -1,7 +1,7 @@
 """What became of many picks: rates with intervals, reasons, times; and two arms side by side."""
 
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from statistics import median
 
@@ -126,3 +126,30 @@ def _grips(episode: StoredEpisode) -> list[bool]:
     return [
         attempt["outcome"] in _TAKEN for attempt in episode.attempts if attempt["outcome"] in _MOVED
     ]
+
+
+def compared(runs: Mapping[str, Sequence[StoredEpisode]]) -> str:
+    """Runs over the same bins as a Markdown table; each is paired with the first.
+
+    Raises:
+        GraycastError: one has no bin, or none that it shares with the first.
+    """
+    lines = [
+        "| run | grips | success | 95 % | cleared | picks an hour | pairs | only here | only first | p |",
+        "|---|---|---|---|---|---|---|---|---|---|",
+    ]
+    first = next(iter(runs.values()))
+    for name, episodes in runs.items():
+        told = summarize(episodes)
+        rate, low, high = told.rate
+        beside = "| | | | |"
+        if episodes is not first:
+            paired = pair(first, episodes)
+            beside = (
+                f"| {paired.pairs} | {paired.only_second} | {paired.only_first} | {paired.p:.2g} |"
+            )
+        lines.append(
+            f"| {name} | {told.grips} | {rate:.1%} | {low:.1%} to {high:.1%} | "
+            f"{told.cleared} of {told.bins} | {told.picks_per_hour:.0f} {beside}"
+        )
+    return "\n".join(lines)

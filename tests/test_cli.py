@@ -44,6 +44,9 @@ OPTIONS = {
     "study": "study --out --list --device --threads",
     "evaluate": "results --on --split --shares --split-seed --against --kind --one-class "
     "--min-visibility --most --draws --seed --depth --out",
+    "pick": "config --out --bins --seed --device --detector --pose --depth --workers --threads "
+    "--engine --address",
+    "picks": "folders",
     "import-real": "folder --out --intrinsics --distortion --scale --size --annotations "
     "--unlabelled --like",
     "fit-bin": "real --config --out --rgb --intrinsics --distortion --scale --size --inner --wall "

@@ -135,7 +135,8 @@ def compared(runs: Mapping[str, Sequence[StoredEpisode]]) -> str:
         GraycastError: one has no bin, or none that it shares with the first.
     """
     lines = [
-        "| run | grips | success | 95 % | cleared | picks an hour | pairs | only here | only first | p |",
+        "| run | grips | success | 95 % | cleared | picks an hour "
+        "| pairs | only here | only first | p |",
         "|---|---|---|---|---|---|---|---|---|---|",
     ]
     first = next(iter(runs.values()))

@@ -18,6 +18,7 @@ ORDER = (
     "color",
     "frames",
     "lens_inverse",
+    "mask_box",
     "optics",
     "raster",
     "pattern",

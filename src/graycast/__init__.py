@@ -24,6 +24,7 @@ What all rooms use:
     color            the one colour encoding of pictures on disk
     frames           rigid transforms, rotations and the pixel grid
     lens_inverse     the inverse of lens distortion, compiled
+    mask_box         the box about a mask's pixels
     optics           camera and projector: distortion both ways, thin lens, vignetting
     raster           depth of a mesh at pixel centres, for checking
 

@@ -54,6 +54,11 @@ class Rig:
     veil: float = 0.0
     speckle_contrast: float = 0.0
 
+    @property
+    def T_proj_cam(self) -> Float[np.ndarray, "4 4"]:
+        """Maps camera coordinates to projector coordinates [m]."""
+        return inverse(self.T_cam_proj)
+
     def __post_init__(self) -> None:
         self.T_cam_proj.flags.writeable = False
         if not is_rigid(self.T_cam_proj):
@@ -233,7 +238,7 @@ def _depth_per_line_m(rig: Rig, z_m: float, *, across: int) -> float:
     centre = np.array([[rig.camera.cx_px, rig.camera.cy_px]])
     ray = rays(rig.camera, centre)[0]
     point = np.stack([ray * (z_m - step_m), ray * (z_m + step_m)])
-    T_proj_cam = inverse(rig.T_cam_proj)
+    T_proj_cam = rig.T_proj_cam
     line = project(rig.projector, transform_points(T_proj_cam, point))[:, across]
     size_px = (rig.projector.width_px, rig.projector.height_px)[across]
     lit = -0.5 <= line.mean() <= size_px - 0.5

@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 from matplotlib.colors import to_rgb
 from PIL import Image
-from pycocotools import mask as coco_mask
 
 from graycast.dataset import Sample
 from graycast.decode import CodeMap, DepthMap, Reason
@@ -326,15 +325,6 @@ def test_box_edges_are_where_opencv_projects_them(distortion):
     middle = edges.shape[1] // 2
     got = {tuple(np.round(edge[[0, middle, -1]].ravel(), 5)) for edge in edges}
     assert got == expected
-
-
-def test_visible_boxes_are_those_of_pycocotools():
-    rng = np.random.default_rng(0)
-    for _ in range(20):
-        mask = np.zeros((HEIGHT, WIDTH), dtype=bool)
-        mask[rng.integers(0, HEIGHT, 3), rng.integers(0, WIDTH, 3)] = True
-        box = coco_mask.toBbox(coco_mask.encode(np.asfortranarray(mask, dtype=np.uint8)))
-        assert preview.visible_box(mask) == tuple(box.astype(int))
 
 
 def test_maps_have_the_published_colours():

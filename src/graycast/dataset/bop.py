@@ -23,6 +23,7 @@ from scipy import ndimage
 from ..decode import Reason
 from ..errors import DatasetError
 from ..frames import inverse
+from ..mask_box import mask_box
 from ..optics import Optics
 from ..render.radiance import Silhouette
 from .coco import run_lengths, scene_annotation, scene_coco
@@ -292,9 +293,8 @@ def _info(seen: _Seen, depth: UInt16[np.ndarray, "h w"]) -> dict[str, Any]:
 
 def _span(crop: Silhouette) -> list[int]:
     """BOP's box [x, y, w, h] of a mask: w is the last column minus the first, not their number."""
-    rows, columns = np.flatnonzero(crop.mask.any(axis=1)), np.flatnonzero(crop.mask.any(axis=0))
-    left, top = int(columns[0]) + crop.left_px, int(rows[0]) + crop.top_px
-    return [left, top, int(columns[-1] - columns[0]), int(rows[-1] - rows[0])]
+    x, y, columns, rows = mask_box(crop.mask)
+    return [x + crop.left_px, y + crop.top_px, columns - 1, rows - 1]
 
 
 def _coco(sample: Sample, seen: list[_Seen], file_name: str) -> dict[str, Any]:

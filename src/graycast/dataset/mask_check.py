@@ -7,6 +7,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int, UInt16
 from pycocotools import mask as coco_mask
 
+from ..mask_box import mask_box
 from ..raster import Raster, rasterize
 from . import records
 from .plain_scene import Model, Plain, optics_of, transform_of
@@ -63,7 +64,7 @@ def mask_problems(
                 yield f"instance {i}: {what}"
         if visible.any():
             runs = coco_mask.encode(np.asfortranarray(visible, dtype=np.uint8))
-            seen.append((i, {"runs": runs["counts"], "box": _pixel_box(mask)}))
+            seen.append((i, {"runs": runs["counts"], "box": list(mask_box(mask))}))
     for suffix, coco in scene.coco.items():
         image = f"{'gray_sl' if suffix else 'rgb'}/000000.png"
         for what in _coco_problems(scene, coco, seen, image, size):
@@ -231,13 +232,5 @@ def _outline_px(mask: Bool[np.ndarray, "h w"]) -> int:
 
 def _bop_box(mask: Bool[np.ndarray, "h w"]) -> list[int]:
     """BOP's [x, y, last column - first, last row - first]; -1 for an empty mask."""
-    rows, columns = np.flatnonzero(mask.any(axis=1)), np.flatnonzero(mask.any(axis=0))
-    if len(rows) == 0:
-        return [-1, -1, -1, -1]
-    return [int(columns[0]), int(rows[0]), int(np.ptp(columns)), int(np.ptp(rows))]
-
-
-def _pixel_box(mask: Bool[np.ndarray, "h w"]) -> list[int]:
-    """COCO's [x, y, columns, rows]."""
-    x, y, w, h = _bop_box(mask)
-    return [x, y, w + 1, h + 1]
+    x, y, columns, rows = mask_box(mask)
+    return [x, y, columns - 1, rows - 1] if columns else [-1, -1, -1, -1]

@@ -15,8 +15,8 @@ import numpy as np
 from pycocotools import mask as coco_mask
 from pydantic import Field
 
-from ..array_types import Bool
 from ..errors import DatasetError
+from ..mask_box import mask_box
 from .places import finished_scenes
 from .reading import Unreadable, read_json, read_png
 from .records import (
@@ -192,7 +192,7 @@ def _mask_problems(folder: Path, claim: RealClaim, size: tuple[int, int]) -> Ite
         if mask.shape != size or not mask.any():
             yield f"mask_visib/000000_{i:06d}.png is empty, or not {size[1]} x {size[0]} pixels"
             continue
-        x, y, w, h = pixel_box(mask)
+        x, y, w, h = mask_box(mask)
         if pose.obj_id not in known or entry.category_id != pose.obj_id:
             yield f"instance {i} is of object {pose.obj_id}, its annotation {entry.category_id}"
         if sum(entry.segmentation.counts) != mask.size or not np.array_equal(
@@ -240,9 +240,3 @@ def split_entry(annotation: dict[str, Any], scene_id: int) -> dict[str, Any]:
         "bbox": list(annotation["bbox"]),
         "segmentation": {"counts": compressed["counts"].decode(), "size": list(runs["size"])},
     }
-
-
-def pixel_box(mask: Bool[np.ndarray, "h w"]) -> list[int]:
-    """COCO's [x, y, columns, rows] of a mask that is not empty."""
-    rows, columns = np.flatnonzero(mask.any(axis=1)), np.flatnonzero(mask.any(axis=0))
-    return [int(columns[0]), int(rows[0]), int(np.ptp(columns)) + 1, int(np.ptp(rows)) + 1]

@@ -3,7 +3,7 @@
 import numpy as np
 from jaxtyping import Float
 
-from ..frames import inverse, pixel_grid, transform_points
+from ..frames import pixel_grid, transform_points
 from ..optics import project, rays, undistort
 from ..pattern import Axis
 from ..rig import Rig
@@ -14,7 +14,7 @@ DISTORTION_ITERATIONS = 5
 
 def triangulation_axis(rig: Rig) -> Axis:
     """The projector axis that the baseline runs along; only its code tells depth."""
-    camera_in_proj = inverse(rig.T_cam_proj)[:3, 3]
+    camera_in_proj = rig.T_proj_cam[:3, 3]
     return "column" if abs(camera_in_proj[0]) >= abs(camera_in_proj[1]) else "row"
 
 
@@ -91,7 +91,7 @@ def _by_axis(codes: CodeMap, axis: Axis) -> tuple:
 
 
 def _off_the_line_px(point, along, rig: Rig, axis: Axis) -> Float[np.ndarray, "*n"]:
-    expected = project(rig.projector, transform_points(inverse(rig.T_cam_proj), point))
+    expected = project(rig.projector, transform_points(rig.T_proj_cam, point))
     return along - expected[..., 1 if axis == "column" else 0]
 
 
@@ -100,7 +100,7 @@ def _meet(
 ) -> tuple[Float[np.ndarray, "*n"], Float[np.ndarray, "*n"]]:
     """Depth [m], and how it changes with the position across [m/px]."""
     projector = rig.projector
-    T_proj_cam = inverse(rig.T_cam_proj)
+    T_proj_cam = rig.T_proj_cam
     i = 0 if axis == "column" else 1
     focal = (projector.fx_px, projector.fy_px)
     centre = (projector.cx_px, projector.cy_px)

@@ -17,10 +17,11 @@ from ..dataset.claim import FORMAT_VERSION
 from ..dataset.coco import run_lengths, scene_annotation, scene_coco
 from ..dataset.json_text import json_bytes
 from ..dataset.places import CLAIM
-from ..dataset.real import pixel_box, split_entry
+from ..dataset.real import split_entry
 from ..dataset.seal import sealed
 from ..errors import DatasetError
 from ..folder import new_folder
+from ..mask_box import mask_box
 from ..render.radiance import Silhouette
 from .annotations import Drawn, read_annotations
 from .pictures import Seen, Shot, depth_step_mm, depth_steps, find_shots, read_shot
@@ -239,7 +240,7 @@ class _Writer:
         files, infos, entries = {}, [], []
         for i, obj_id in enumerate(obj_ids):
             mask = drawn.mask(i)
-            x, y, w, h = pixel_box(mask)
+            x, y, w, h = mask_box(mask)
             area_px = int(mask.sum())
             infos.append({"bbox_visib": [x, y, w - 1, h - 1], "px_count_visib": area_px})
             whole = Silhouette(left_px=0, top_px=0, mask=mask)

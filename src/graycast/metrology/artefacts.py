@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Float
 
-from ..frames import inverse, pixel_grid, transform_points
+from ..frames import pixel_grid, transform_points
 from ..optics import project, rays
 from ..parts import Material
 from ..rig import Rig
@@ -96,7 +96,7 @@ def common_rectangle_m(
 def in_view(rig: Rig, point: Float[np.ndarray, "*n 3"]) -> Bool[np.ndarray, "*n"]:
     """Whether camera and projector both have a point in their fields; depth is not asked."""
     seen = _in_picture(project(rig.camera, point), rig.camera)
-    lit = project(rig.projector, transform_points(inverse(rig.T_cam_proj), point))
+    lit = project(rig.projector, transform_points(rig.T_proj_cam, point))
     return seen & _in_picture(lit, rig.projector)
 
 

@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from ..frames import inverse, transform_points
+from ..frames import transform_points
 from ..optics import Optics, blur_radius_px
 from ..rig import Rig
 from .artefacts import common_rectangle_m
@@ -18,7 +18,7 @@ BLUR_DEPTHS = 21
 def blur(lab: Lab) -> tuple[BlurResult, ...]:
     z_m = np.linspace(lab.volume.near_m, lab.volume.far_m, BLUR_DEPTHS)
     axis = np.stack([0 * z_m, 0 * z_m, z_m], axis=-1)
-    z_projector_m = transform_points(inverse(lab.rig.T_cam_proj), axis)[:, 2]
+    z_projector_m = transform_points(lab.rig.T_proj_cam, axis)[:, 2]
     rows = zip(
         z_m,
         blur_radius_px(lab.rig.camera, z_m),

@@ -8,7 +8,7 @@ from scipy.ndimage import binary_erosion
 
 from ..camera_light import camera_light
 from ..decode import DepthMap, Reason
-from ..frames import inverse, pixel_grid, transform_points
+from ..frames import pixel_grid, transform_points
 from ..optics import rays
 from ..parts import Material
 from ..pattern import Code
@@ -161,7 +161,7 @@ def _metered(
 def incidence_rad(lab: Lab, shots: Shots) -> Float[np.ndarray, "h w"]:
     """Angle of incidence of the camera's ray or of the projector's, the steeper one."""
     point = lab.ray * shots.truth_m[..., None]
-    to_projector = transform_points(inverse(lab.rig.T_cam_proj), point)
+    to_projector = transform_points(lab.rig.T_proj_cam, point)
     normal_proj = shots.normal @ lab.rig.T_cam_proj[:3, :3]
     cosine = [
         -(way * normal).sum(axis=-1) / np.linalg.norm(way, axis=-1)

@@ -8,6 +8,7 @@ import numba
 import numpy as np
 from jaxtyping import Bool, Float, Float32
 
+from ..mask_box import mask_box
 from ..optics import Optics, rays
 
 OUTLIER_SIGMAS = 2.5  # neighbours farther off a first plane are no part of the second
@@ -61,10 +62,8 @@ def crop(
         reach_m: how far around the detection the part may reach.
         window_m: half the width of the windows in which planes are laid.
     """
-    rows, columns = np.flatnonzero(inside.any(axis=1)), np.flatnonzero(inside.any(axis=0))
-    if not len(rows):
-        return None
-    box = np.s_[rows[0] : rows[-1] + 1, columns[0] : columns[-1] + 1]
+    x, y, columns, rows = mask_box(inside)
+    box = np.s_[y : y + rows, x : x + columns]
     held = depth_m[box][inside[box]]
     held = held[np.isfinite(held)]
     if not len(held):
@@ -72,10 +71,10 @@ def crop(
     f_px = math.sqrt(camera.fx_px * camera.fy_px)
     middle_m = float(np.median(held))
     beyond = math.ceil(reach_m / middle_m * f_px)
-    top, bottom = max(rows[0] - beyond, 0), min(rows[-1] + 1 + beyond, camera.height_px)
-    left, right = max(columns[0] - beyond, 0), min(columns[-1] + 1 + beyond, camera.width_px)
-    y, x = np.mgrid[top:bottom, left:right].astype(np.float64)
-    ray = np.ascontiguousarray(rays(camera, np.stack([x, y], axis=-1))[..., :2])
+    top, bottom = max(y - beyond, 0), min(y + rows + beyond, camera.height_px)
+    left, right = max(x - beyond, 0), min(x + columns + beyond, camera.width_px)
+    v, u = np.mgrid[top:bottom, left:right].astype(np.float64)
+    ray = np.ascontiguousarray(rays(camera, np.stack([u, v], axis=-1))[..., :2])
     z = depth_m[top:bottom, left:right].astype(np.float64)
     radius_px = int(np.clip(round(window_m / middle_m * f_px), 2, 12))
     spacing_m = middle_m / f_px

@@ -8,6 +8,7 @@ import mitsuba as mi
 import numpy as np
 
 from ..frames import inverse, transform_points
+from ..mask_box import mask_box
 from ..optics import fold_radius2, project
 from ..scene import Layout, Scene
 from .mitsuba_lens import camera_ray, distorted
@@ -179,8 +180,6 @@ def _silhouette(
     x0, y0, x1, y1 = box
     word = bits[index // 32, y0 - top : y1 - top, x0 - left : x1 - left]
     mask = (word >> np.uint32(index % 32)) & np.uint32(1) == 1
-    rows, columns = np.flatnonzero(mask.any(axis=1)), np.flatnonzero(mask.any(axis=0))
-    if len(rows) == 0:
-        return Silhouette(left_px=x0, top_px=y0, mask=np.zeros((0, 0), dtype=bool))
-    mask = mask[rows[0] : rows[-1] + 1, columns[0] : columns[-1] + 1]
-    return Silhouette(left_px=x0 + int(columns[0]), top_px=y0 + int(rows[0]), mask=mask.copy())
+    x, y, columns, rows = mask_box(mask)
+    crop = mask[y : y + rows, x : x + columns]
+    return Silhouette(left_px=x0 + x, top_px=y0 + y, mask=crop.copy())

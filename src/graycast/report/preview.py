@@ -9,7 +9,7 @@ from colorsys import hls_to_rgb
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import Bool, Float, Int, UInt8
+from jaxtyping import Float, Int, UInt8
 from matplotlib import colormaps
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
@@ -23,6 +23,7 @@ from ..color import srgb
 from ..dataset import labelled
 from ..decode import REASON_COLOR, Reason, triangulation_axis
 from ..frames import inverse, transform_points
+from ..mask_box import mask_box
 from ..optics import Optics, project
 from ..parts import Part
 from ..pattern import Axis, Code, Frame
@@ -305,7 +306,7 @@ def _draw_instances(sheet: _Sheet, shot: Shot) -> None:
     _note(ax, f"{len(seen)} instances visible, {len(color) - len(seen)} hidden")
     ax = sheet.picture("boxes of the visible masks", sample.rgb)
     for i in seen:
-        ax.add_patch(_rectangle(*visible_box(instance == i), color=color[i], width_pt=width))
+        ax.add_patch(_rectangle(*mask_box(instance == i), color=color[i], width_pt=width))
     ax = sheet.picture("oriented boxes", sample.rgb)
     T_cam_world = inverse(sample.scene.T_world_cam)
     for i in seen:
@@ -340,13 +341,6 @@ def tinted(
     shaded = own * (0.6 * 255 + 0.4 * picture)
     image = np.where(instance[..., None] >= 0, shaded, picture.astype(np.float64))
     return np.round(image).astype(np.uint8)
-
-
-def visible_box(mask: Bool[np.ndarray, "h w"]) -> tuple[int, int, int, int]:
-    """Left, top, width and height of the pixels of a mask, which has some."""
-    rows, columns = np.flatnonzero(mask.any(axis=1)), np.flatnonzero(mask.any(axis=0))
-    left, top = int(columns[0]), int(rows[0])
-    return left, top, int(columns[-1]) - left + 1, int(rows[-1]) - top + 1
 
 
 def box_edges_px(

@@ -13,7 +13,7 @@ from collections.abc import Iterator
 import numpy as np
 from jaxtyping import Float
 
-from ...frames import inverse, transform_points
+from ...frames import transform_points
 from ...optics import project
 from .evidence import Evidence
 
@@ -63,7 +63,7 @@ def _errors(
     """Of each pixel: error along its epipolar line [projector px], and how deep one px is [mm]."""
     scale_m = scene.view.depth_scale / 1e3
     z_m, measured_m = scene.depth[both] * scale_m, scene.depth_sl[both] * scale_m
-    T_proj_cam, ray = inverse(scene.rig.T_cam_proj), scene.ray[both]
+    T_proj_cam, ray = scene.rig.T_proj_cam, scene.ray[both]
 
     def seen(z: Float[np.ndarray, " n"]) -> Float[np.ndarray, "n 2"]:
         return project(scene.rig.projector, transform_points(T_proj_cam, ray * z[:, None]))

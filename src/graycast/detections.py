@@ -15,6 +15,7 @@ from .errors import GraycastError
 
 # What `graycast detect` leaves in a folder: the results, and what was looked at by what.
 RESULTS, LOOKED = "results.json", "detect.json"
+WEIGHTS = "detector.pt"  # what `graycast train` leaves in a folder
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -266,7 +266,7 @@ def _claimed(task: Task) -> dict[str, Any]:
     """What a dataset's folder is claimed for."""
     cell = task.cell
     config = cell.config.model_dump(mode="json", exclude={"scenes", "seed"})
-    beside = (cell.file_digests, _identity(cell.scanner))
+    beside = (cell.file_digests, described_scanner(cell.scanner))
     return {
         "config": config | dict(zip(BESIDE_CONFIG, beside, strict=True)),
         "seed": task.seed,
@@ -276,7 +276,7 @@ def _claimed(task: Task) -> dict[str, Any]:
     }
 
 
-def _identity(scanner: Scanner) -> dict[str, Any]:
+def described_scanner(scanner: Scanner) -> dict[str, Any]:
     """What a preset or a rig file says beside its rig, which the store keeps itself."""
     names = ("code", "sensor", "exposure", "decode", "filters")
     return {name: described_values(getattr(scanner, name)) for name in names}

@@ -16,14 +16,13 @@ from pycocotools import mask as coco_mask
 
 from .. import __version__
 from ..dataset.example import Example
-from ..detections import Detections
+from ..detections import WEIGHTS, Detections
 from ..errors import GraycastError
 from ..folder import fill_whole
 from .encoding import Encoding, encoding_from
 from .network import Found, Network
 from .networks import open_network
 
-WEIGHTS = "detector.pt"
 ONE_CLASS = "part"  # what all parts are to a detector that does not tell them apart
 _FORM = 1
 

@@ -1,5 +1,6 @@
 """A robot's cell with its files read: what all bins share, and may travel to a worker."""
 
+import hashlib
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -7,10 +8,12 @@ import numpy as np
 from jaxtyping import Float
 
 from ..cell import Cell, resolve_cell
+from ..detections import WEIGHTS
 from ..drop import OnStage
 from ..errors import ConfigError
 from ..frames import axis_rotation, rigid
 from ..scene import Bin, bin_of
+from .arms import ARMS
 from .sections import PickConfig
 
 
@@ -35,6 +38,20 @@ class PickCell:
         robot = self.config.robot
         turn = axis_rotation("z", np.radians(robot.base_yaw_deg))
         return rigid(turn, np.array(robot.base_m, dtype=np.float64))
+
+    @property
+    def file_digests(self) -> dict[str, str]:
+        """SHA-256 of every file that the cell names, so that a changed one is noticed."""
+        robot, detector = self.folder / self.config.robot.arm, self.detector
+        named = [] if self.config.robot.arm in ARMS else [robot]
+        if detector is not None:
+            named.append(detector / WEIGHTS if detector.is_dir() else detector)
+        own = {
+            str(path): hashlib.sha256(path.read_bytes()).hexdigest()
+            for path in named
+            if path.is_file()
+        }
+        return self.cell.file_digests | own
 
     @property
     def detector(self) -> Path | None:

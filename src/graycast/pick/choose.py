@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Float
 
 from ..frames import inverse, transform_points
-from ..grasp import CLEARANCE_M, Doubt
+from ..grasp import CLEARANCE_M, Doubt, patch_of_depth
 from .aim import (
     PLACES,
     Aim,
@@ -31,6 +31,8 @@ from .ways import Blocked, Load, Ways, ways
 TABU_M = 0.015  # about a grip that failed, where none is tried before something was picked
 ALIKE_M = 0.008  # grips nearer than this are one, as far as planning goes
 LEAST_UP_M = 0.02
+# What was measured so far off the part's surface under so large a share of a cup is another.
+UNLIKE_M, UNLIKE_SHARE = 4e-3, 0.02
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -72,7 +74,7 @@ def choose(
         for aim in spread(best_first(fresh), ALIKE_M):
             with clock("plan"):
                 heap = heaps.of(aim)
-                blocked = _blocked_tool(ready, aim, heap)
+                blocked = _unlike(ready, view, aim) or _blocked_tool(ready, aim, heap)
                 tried = blocked or _ways(ready, q, aim, heap, seed)
             if isinstance(tried, Ways):
                 return Choice(aim=aim, ways=tried)
@@ -141,6 +143,32 @@ def _pieces(ready: Ready, aim: Aim) -> tuple[Mounted, ...]:
     """The tool; jaws are open as wide as this grip needs."""
     opening_m = None if aim.opening_m is None else aim.opening_m + 2 * CLEARANCE_M
     return pieces(ready.tool, opening_m=opening_m)
+
+
+def _unlike(ready: Ready, view: View, aim: Aim) -> Blocked | None:
+    """Whether the surface under a cup was measured otherwise than the part's pose says.
+
+    Another part lies on it, or the pose is wrong.
+    """
+    if not isinstance(ready.tool, SuctionTool) or aim.T_cam_part is None:
+        return None
+    cup = ready.tool.cup
+    patch = patch_of_depth(
+        view.depth_m,
+        view.camera,
+        inverse(view.T_world_cam) @ aim.T_world_tool,
+        radius_m=cup.radius_m,
+        step_m=cup.radius_m / 10,
+    )
+    under = np.linalg.norm(patch.node_m, axis=-1) <= cup.radius_m
+    height_m = patch.height_m[under]  # NaN is neither above nor below
+    if np.mean(height_m > UNLIKE_M) > UNLIKE_SHARE:
+        detail = "something lies where the cup would go"
+        return Blocked(outcome=Outcome.COLLISION_SEEN, detail=detail)
+    if np.mean(height_m < -UNLIKE_M) > UNLIKE_SHARE:
+        detail = "the part is not where the cup would go"
+        return Blocked(outcome=Outcome.NOTHING_FOUND, detail=detail)
+    return None
 
 
 def _blocked_tool(ready: Ready, aim: Aim, heap: _Heap) -> Blocked | None:

@@ -10,9 +10,6 @@ bins/000000/
 """
 
 import json
-import os
-import secrets
-import shutil
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
@@ -26,13 +23,14 @@ from jaxtyping import Float
 from ..dataset.claim import BESIDE_CONFIG, make_claim, refuse_other
 from ..dataset.json_text import json_bytes
 from ..errors import DatasetError, GraycastError
-from ..folder import take_lock, write_whole
+from ..folder import new_folder, take_lock, write_whole
+from ..generate import described_scanner
+from .cell import PickCell
 from .episode import Episode
 
 CLAIM, BINS = "picks.json", "bins"
 EPISODE, MOTION, WORK = "episode.json", "motion.json", "work.json"
 DEPTH_STEP_M = 1e-4
-_ASIDE = ".tmp-"
 _LOCK = ".lock"
 
 
@@ -89,43 +87,27 @@ class PickFolder:
         """One bin, all of it or nothing.
 
         Raises:
-            DatasetError: the disk refuses.
+            GraycastError: the disk refuses, or the bin is there already.
         """
-        aside = self.out / BINS / f"{_ASIDE}{bin_id:06d}-{secrets.token_hex(4)}"
-        try:
+        with new_folder(self.out / BINS / f"{bin_id:06d}") as folder:
             for name, content in files:
-                path = aside / name
+                path = folder / name
                 path.parent.mkdir(parents=True, exist_ok=True)
-                with open(path, "wb") as file:
-                    file.write(content)
-                    file.flush()
-                    os.fsync(file.fileno())
-            aside.rename(self.out / BINS / f"{bin_id:06d}")
-        except OSError as error:
-            raise DatasetError(
-                f"{self.out}: cannot be written ({error.strerror or error}): make room there, and "
-                "run the same command again; finished bins are kept"
-            ) from error
-        finally:
-            shutil.rmtree(aside, ignore_errors=True)
+                path.write_bytes(content)
 
 
 @contextmanager
-def open_picks(
-    out: Path, *, config: Mapping[str, Any], digests: Mapping[str, str], seed: int, **beside: Any
-) -> Iterator[PickFolder]:
-    """Make a folder of picks, or go on with one of the same cell.
-
-    Args:
-        config: the cell's, as JSON has it.
-        digests: of the files that it names.
-        beside: what `make_claim` wants of parts and rig.
+def open_picks(out: Path, cell: PickCell, *, seed: int) -> Iterator[PickFolder]:
+    """Make a folder of picks, or go on with one of the same cell and seed.
 
     Raises:
         DatasetError: the folder is another cell's, holds something else, or is in use.
     """
-    told = dict(config) | dict(zip(BESIDE_CONFIG, (dict(digests), {}), strict=True))
-    claim = make_claim(told, seed, beside["parts"], beside["rig"], 1e3 * DEPTH_STEP_M)
+    base = cell.cell
+    told = cell.config.model_dump(mode="json", exclude={"scenes", "seed"})
+    beside = (cell.file_digests, described_scanner(base.scanner))
+    told |= dict(zip(BESIDE_CONFIG, beside, strict=True))
+    claim = make_claim(told, seed, base.scene.parts, base.scene.rig, 1e3 * DEPTH_STEP_M)
     if out.is_file():
         raise DatasetError(f"{out} is a file: give a folder for the picks")
     if out.is_dir() and not (out / CLAIM).exists():
@@ -144,8 +126,6 @@ def open_picks(
     if lock is None:
         raise DatasetError(f"another run is writing to {out}: wait for it, or choose another")
     with lock:
-        for left in (out / BINS).glob(f"{_ASIDE}*"):
-            shutil.rmtree(left)
         if (out / CLAIM).exists():
             refuse_other(out / CLAIM, claim)
         else:

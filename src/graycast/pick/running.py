@@ -128,18 +128,11 @@ def pick_bins(
         DeviceError: no such device here.
         GraycastError, ValueError: nothing came out, for this reason.
     """
-    config = cell.config
-    chosen = device if workers.engine == "ray" else choose_device(config.render.backend, device)
+    backend = cell.config.render.backend
+    chosen = device if workers.engine == "ray" else choose_device(backend, device)
     task = PickTask(cell=cell, seed=seed, device=chosen)
     lost: list[int] = []
-    with open_picks(
-        out,
-        config=config.model_dump(mode="json", exclude={"scenes", "seed"}),
-        digests=cell.cell.file_digests,
-        seed=seed,
-        parts=cell.cell.scene.parts,
-        rig=cell.cell.scene.rig,
-    ) as folder:
+    with open_picks(out, cell, seed=seed) as folder:
         found = folder.finished()
         todo = [bin_id for bin_id in range(bins) if bin_id not in found]
         on_start(bins - len(todo))

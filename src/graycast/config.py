@@ -88,9 +88,9 @@ class EnvironmentSection(Settings):
     """Light from all around."""
 
     radiance: tuple[Level, Level, Level] = Field(
-        (0.2, 0.2, 0.2), description="W/(sr m^2) per band; scales the map where there is one"
+        (0.2, 0.2, 0.2), description="The radiance of each band, in W/(sr m^2). It scales the map."
     )
-    map: Path | None = Field(None, description="latitude-longitude EXR or HDR picture")
+    map: Path | None = Field(None, description="An EXR or HDR picture by latitude and longitude.")
 
 
 class LampSection(Settings):
@@ -112,13 +112,13 @@ class ViewSection(Settings):
 
     distance_m: Positive | None = Field(
         None,
-        description="From the baseline to the target; left out, the axes cross at the target.",
+        description="From the baseline's middle to the target. Left out, the axes meet there.",
     )
     tilt_deg: float = Field(0.0, ge=0, le=80)
     azimuth_deg: float = 0.0
     target_m: Vector | None = Field(
         None,
-        description="What the rig looks at; left out: a third of the bin's height up.",
+        description="What the rig looks at. Left out, it is a third of the bin's height up.",
     )
     T_world_cam: tuple[float, ...] | None = Field(
         None,
@@ -150,16 +150,18 @@ class CyclesSection(Settings):
         description="What cleans each picture, as the paper does; optix needs a GPU.",
     )
     patterns_per_render: Literal[1, 3] = Field(
-        1, description="3: a pattern each in R, G and B, where light is of one wavelength"
+        1, description="With 3, red, green and blue bear a pattern each."
     )
 
 
 class RenderSection(Settings):
     backend: Literal["mitsuba", "cycles"] = Field(
-        "mitsuba", description="all patterns in one pass, or each by itself in Blender"
+        "mitsuba", description="Mitsuba renders all patterns in one pass, Cycles each by itself."
     )
-    samples: int = Field(16, ge=1, le=65536, description="paths per pixel")
-    depth: int = Field(4, ge=1, le=64, description="vertices per path; 1 is direct light alone")
+    samples: int = Field(16, ge=1, le=65536, description="How many light paths a pixel has.")
+    depth: int = Field(
+        4, ge=1, le=64, description="How many surfaces a path meets. 1 is direct light."
+    )
     denoise: bool = Field(True, description="Clean the colour picture, and it alone.")
     cycles: CyclesSection = CyclesSection()
 
@@ -182,17 +184,17 @@ class StoreSection(Settings):
     """What a scene's folder keeps beside pictures, depth and labels."""
 
     frames: bool = Field(
-        False, description="every captured picture as the sensor stored it, for graycast decode"
+        False, description="Keep every picture as the sensor stored it, for graycast decode."
     )
     columns: bool = Field(
-        False, description="decoded projector columns and rows with their standard deviations"
+        False, description="Keep the decoded projector columns and rows with their deviations."
     )
     depth_step_mm: float | None = Field(
         None,
         gt=0,
         le=1000,
         exclude=True,  # a dataset says it as its depth_scale, chosen or not
-        description="One step of depth pictures; left out: 16 bits span the range.",
+        description="One step of depth pictures. Left out, 16 bits span the range.",
     )
 
 
@@ -205,7 +207,7 @@ class Config(ScannerSections):
     parts: tuple[PartSection, ...] = Field(min_length=1)
     mix: bool = Field(
         False,
-        description="Each scene has parts of all kinds.",
+        description="Each scene has parts of all kinds. Else it has one kind, in turn.",
     )
     count: int | tuple[int, int] = Field(
         30, description="How many parts a scene has, or the lowest and the highest number."

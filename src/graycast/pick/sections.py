@@ -15,14 +15,15 @@ class RobotSection(Settings):
     """An arm and where it stands."""
 
     arm: str = Field(
-        "ur5e", description=f"{', '.join(ARMS)}, or a URDF file with a link called flange"
+        "ur5e",
+        description=f"The arm is {', '.join(ARMS)}, or a URDF file with a link called flange.",
     )
     base_m: Vector = Field(
-        (-0.45, 0.0, 0.0), description="where its base stands, from the middle of the bin's floor"
+        (-0.45, 0.0, 0.0), description="Where its base stands, from the middle of the bin's floor."
     )
     base_yaw_deg: float = 0.0
     home_rad: tuple[float, ...] | None = Field(
-        None, description="joint angles at the start; left out: the arm's own"
+        None, description="The joint angles at the start. Left out, they are the arm's own."
     )
 
 
@@ -30,32 +31,45 @@ class PickingSection(Settings):
     """How parts are found, gripped and put away."""
 
     knows: Literal["part", "depth"] = Field(
-        "part", description="part: grips of the model, by its pose; depth: suction on what is seen"
+        "part",
+        description="Grips come from the part's model and pose, or from the depth alone.",
     )
     detector: str = Field(
-        "truth", description="truth, none, or a folder that graycast train has written"
+        "truth",
+        description="What finds parts: truth, none, or a folder that graycast train has written.",
     )
-    pose: Literal["found", "truth"] = Field("found", description="where a part's pose comes from")
+    pose: Literal["found", "truth"] = Field("found", description="Where a part's pose comes from.")
     depth: Literal["scanner", "perfect", "noisy"] = Field(
-        "scanner", description="what the robot acts on; noisy: perfect depth and Gaussian noise"
+        "scanner",
+        description="What the robot acts on. Noisy is perfect depth with Gaussian noise.",
     )
-    depth_noise_m: Positive | None = Field(None, description="standard deviation of noisy depth")
-    place_m: Vector = Field((0.0, -0.45, 0.15), description="where the tool's tip lets a part go")
-    approach_m: Positive = Field(0.06, description="straight way along the tool's axis to a grip")
+    depth_noise_m: Positive | None = Field(
+        None, description="The standard deviation of noisy depth."
+    )
+    place_m: Vector = Field((0.0, -0.45, 0.15), description="Where the tool's tip lets a part go.")
+    approach_m: Positive = Field(
+        0.06, description="How long the straight way along the tool's axis to a grip is."
+    )
     clear_m: Level = Field(
-        0.05, description="height of a lifted part's lowest point above rim and heap"
+        0.05, description="How far a part is lifted above rim and heap before it is carried away."
     )
-    straight_m_s: Positive = Field(0.25, description="speed on straight ways")
+    straight_m_s: Positive = Field(0.25, description="The speed on straight ways.")
     most_lean_deg: float = Field(
-        40.0, gt=0, le=80, description="between the tool's axis and the vertical"
+        40.0, gt=0, le=80, description="The largest angle between the tool's axis and the vertical."
     )
-    least_score: Share = Field(0.25, description="of a grip that is tried")
-    targets: int = Field(3, ge=1, description="detections that are looked at together, top first")
-    grips: int = Field(12, ge=1, description="grips that are planned for each scan at most")
-    failures: int = Field(5, ge=1, description="scans in a row without a pick that end a bin")
-    hand_eye_m: Level = Field(0.5e-3, description="calibration's error, each way, 1 sigma")
-    hand_eye_rad: Level = Field(1e-3, description="the same about each axis")
-    readout_s: Level = Field(0.010, description="of the scanner, for each frame, beside exposure")
+    least_score: Share = Field(0.25, description="The least score of a grip that is tried.")
+    targets: int = Field(
+        3, ge=1, description="How many detections are looked at together, the highest first."
+    )
+    grips: int = Field(12, ge=1, description="How many grips are planned for each scan at most.")
+    failures: int = Field(5, ge=1, description="How many scans in a row without a pick end a bin.")
+    hand_eye_m: Level = Field(
+        0.5e-3, description="The calibration's error along each axis, as one standard deviation."
+    )
+    hand_eye_rad: Level = Field(1e-3, description="The same about each axis.")
+    readout_s: Level = Field(
+        0.010, description="How long the scanner reads a frame out, beside its exposure."
+    )
 
     @model_validator(mode="after")
     def _whole(self) -> "PickingSection":

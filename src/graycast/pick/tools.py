@@ -21,10 +21,12 @@ class SuctionTool(Settings):
 
     kind: Literal["suction"] = "suction"
     cup: Cup = Cup()
-    length_m: Positive = Field(0.20, description="from the flange to the cup's lip")
-    tube_m: Positive = Field(0.012, description="radius of the tube that carries the cup")
-    stroke_m: Positive = Field(0.010, description="how far the cup's holder springs back")
-    stiffness_n_m: Positive = Field(2000.0, description="of the bellows, along each axis [N/m]")
+    length_m: Positive = Field(0.20, description="The way from the flange to the cup's lip.")
+    tube_m: Positive = Field(0.012, description="The radius of the tube that carries the cup.")
+    stroke_m: Positive = Field(0.010, description="How far the cup's holder springs back.")
+    stiffness_n_m: Positive = Field(
+        2000.0, description="The stiffness of the bellows along each axis [N/m]."
+    )
 
 
 class JawTool(Settings):
@@ -32,11 +34,15 @@ class JawTool(Settings):
 
     kind: Literal["jaws"]
     jaws: Jaws = Jaws()
-    length_m: Positive = Field(0.16, description="from the flange to the middle between the pads")
-    palm_m: tuple[Positive, Positive] = Field(
-        (0.12, 0.06), description="size of the palm along the closing axis and across it"
+    length_m: Positive = Field(
+        0.16, description="The way from the flange to the middle between the pads."
     )
-    stiffness_n_m: Positive = Field(20_000.0, description="of the fingers, along each axis [N/m]")
+    palm_m: tuple[Positive, Positive] = Field(
+        (0.12, 0.06), description="The size of the palm along the closing axis and across it."
+    )
+    stiffness_n_m: Positive = Field(
+        20_000.0, description="The stiffness of the fingers along each axis [N/m]."
+    )
 
 
 Tool = SuctionTool | JawTool

@@ -75,13 +75,31 @@ def add_commands(commands) -> None:
     picks.add_argument("other", type=Path, nargs="?", help="Another one of the same bins.")
 
 
-def _pick(options: argparse.Namespace) -> int:
+def add_cell(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument(
+        "--cell",
+        type=Path,
+        help="The cell's file that picks were made of, where it names files of its own.",
+    )
+
+
+def cell_folder(options: argparse.Namespace) -> Path:
+    """Where the relative paths of the cell of picks start."""
+    return Path.cwd() if options.cell is None else options.cell.absolute().parent
+
+
+def need_robot() -> None:
+    """Raises GraycastError: the robot's libraries are not installed."""
     try:
         import pinocchio  # noqa: F401
     except ImportError as error:
         raise GraycastError(
             "a robot needs its libraries: run pip install 'graycast[pick]'"
         ) from error
+
+
+def _pick(options: argparse.Namespace) -> int:
+    need_robot()
     from ..generate import Workers
     from ..pick import load_pick_config, pick_bins, read_episodes, resolve_pick_cell, summarize
 

@@ -72,6 +72,15 @@ class Replay:
         """How many of `limbs` are the arm's."""
         return len(self.limbs) - len(_tool_limbs(self.cell.config.tool))
 
+    def T_world_limb(
+        self, q: Float[np.ndarray, "joints"], opening_m: float | None = None
+    ) -> Float[np.ndarray, "limbs 4 4"]:
+        """Where the limbs are at joint angles [rad], with jaws open so far."""
+        T_world_base, tool = self.cell.T_world_base, self.cell.config.tool
+        arm = T_world_base @ self.robot.places(q)
+        T_world_flange = T_world_base @ self.robot.flange(q)
+        return np.concatenate([arm, T_world_flange @ np.stack(_tool_places(tool, opening_m))])
+
     def kinds(self, episode: StoredEpisode) -> tuple[int, ...]:
         """Which of the cell's parts each part of a bin is.
 
@@ -165,13 +174,9 @@ def _motion(replay: Replay, attempt: Mapping[str, Any], told: Mapping[str, Any])
     grip = int(off_m.argmin())
     if off_m[grip] > AT_GRIP_M:
         raise ValueError(f"the tool comes no nearer than {1e3 * off_m[grip]:.1f} mm to its grip")
-    limbs = []
-    for i, T in enumerate(T_world_flange):
-        opening_m = attempt["opening_m"]
-        if opening_m is not None and i < grip:
-            opening_m += 2 * CLEARANCE_M
-        places = [T_world_base @ place for place in robot.places(q[i])]
-        limbs.append([*places, *(T @ one for one in _tool_places(tool, opening_m))])
+    width_m = attempt["opening_m"]
+    open_m = None if width_m is None else width_m + 2 * CLEARANCE_M  # until the jaws close
+    limbs = [replay.T_world_limb(one, open_m if i < grip else width_m) for i, one in enumerate(q)]
     return Motion(
         time_s=time_s,
         T_world_limb=np.array(limbs),

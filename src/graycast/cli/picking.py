@@ -1,10 +1,11 @@
-"""Commands of robots: pick, picks."""
+"""Commands of robots: pick, picks, replay."""
 
 import argparse
 from pathlib import Path
 
 from ..errors import GraycastError
 from .arguments import (
+    above_zero,
     add_command,
     add_device,
     add_seed,
@@ -25,6 +26,12 @@ PICKS = """\
 Tell what became of picks: success rate with its 95 % interval (Wilson), outcomes, bins cleared,
 picks per hour, seconds by stage. With a second folder of the same bins, made with another detector
 or another kind of depth, both are set side by side, and McNemar's test says whether they differ."""
+
+
+REPLAY = """\
+Make a film of how a bin was emptied, one attempt after the other: the robot over what the scanner
+measured, the part that it takes, and the outcome. To look closer, make a page with graycast report.
+The robot needs pip install 'graycast[pick]'."""
 
 
 def add_commands(commands) -> None:
@@ -73,6 +80,19 @@ def add_commands(commands) -> None:
     picks.description = PICKS
     picks.add_argument("folder", type=Path, help="A folder of picks.")
     picks.add_argument("other", type=Path, nargs="?", help="Another one of the same bins.")
+    replay = add_command(commands, "replay", _replay, "Make a film of how a bin was emptied.")
+    replay.description = REPLAY
+    replay.add_argument("folder", type=Path, help="A folder of picks.")
+    replay.add_argument("--bin", type=int, default=0, help="Its number (default: 0).")
+    replay.add_argument("--out", type=Path, required=True, help="The film, a .gif or .webp file.")
+    replay.add_argument(
+        "--speed",
+        type=above_zero,
+        default=2.0,
+        help="How much faster than the robot (default: 2).",
+    )
+    replay.add_argument("--width", type=positive, help="Of the picture in pixels (default: 480).")
+    add_cell(replay)
 
 
 def add_cell(parser: argparse.ArgumentParser) -> None:
@@ -196,6 +216,27 @@ def _picks(options: argparse.Namespace) -> int:
         f"\n{paired.pairs} pairs: both picked {paired.both}, the first alone {paired.only_first}, "
         f"the second alone {paired.only_second}; McNemar's p is {paired.p:.3g}"
     )
+    return 0
+
+
+def _replay(options: argparse.Namespace) -> int:
+    need_robot()
+    from ..report.picks.film import WIDTH_PX, write_film
+
+    with progress_bar() as bar:
+        task = bar.add_task("attempts", total=None)
+        count = write_film(
+            options.folder,
+            options.bin,
+            options.out,
+            cell_folder=cell_folder(options),
+            speed=options.speed,
+            width_px=options.width or WIDTH_PX,
+            on_start=lambda total: bar.update(task, total=total),
+            on_attempt=lambda: bar.update(task, advance=1),
+        )
+    size_mb = options.out.stat().st_size / 1e6
+    print(f"{options.out}: {count} pictures, {size_mb:.1f} MB")
     return 0
 
 

@@ -14,6 +14,16 @@ from ..page.packing import pack_bytes
 
 UPRIGHT = 0.9  # cosine to the vertical from which a face looks up
 TABLE_BEYOND_M = 0.25
+# Colours of films (RGB from 0 to 1); the page has its own, which follow light and dark.
+TINT = {
+    "arm": (0.66, 0.70, 0.76),
+    "tool": (0.19, 0.21, 0.25),
+    "bin": (0.72, 0.58, 0.40),
+    "table": (0.83, 0.83, 0.81),
+    "part": (0.89, 0.35, 0.62),
+    "point": (0.69, 0.70, 0.71),
+    "sky": (0.93, 0.94, 0.95),
+}
 
 
 def open_bin(replay: Replay) -> Mesh:
@@ -38,6 +48,22 @@ def table(replay: Replay) -> Mesh:
     z = -scene.bin.floor_m - 1e-3  # below the bin's own floor
     corners = np.array([[x0, y0, z], [x1, y0, z], [x1, y1, z], [x0, y1, z]])
     return Mesh(vertices_m=corners, faces=np.array([[0, 1, 2], [0, 2, 3]]))
+
+
+def look(replay: Replay) -> dict[str, Any]:
+    """Where one looks from: opposite the robot, a little from the side where parts are put."""
+    config, box = replay.cell.config, replay.cell.cell.scene.bin
+    base, place = np.array(config.robot.base_m[:2]), np.array(config.picking.place_m[:2])
+    far = max(float(np.linalg.norm(base)), 0.3)
+    aside = -base / max(float(np.linalg.norm(base)), 1e-9)
+    aside = aside + 0.6 * place / max(float(np.linalg.norm(place)), 1e-9)
+    high_m = float(box.bounds_m[1, 2])
+    return {
+        "middle": (1e3 * np.array([*(base + place) / 4, 2.0 * high_m])).tolist(),
+        "bin": (1e3 * np.array([0.0, 0.0, high_m / 2])).tolist(),
+        "yaw": float(np.arctan2(aside[1], aside[0])),
+        "reach": 1e3 * far,
+    }
 
 
 def packed_mesh(mesh: Mesh) -> dict[str, Any]:

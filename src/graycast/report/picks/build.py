@@ -6,8 +6,6 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from ... import __version__
 from ...folder import write_whole
 from ...frames import inverse
@@ -18,7 +16,7 @@ from ..page import __name__ as PAGE
 from ..page.packing import color_table
 from ..page.pieces import write_pieces, write_web, writing_page
 from .bin_files import BinPiece, bin_key
-from .bodies import open_bin, packed_mesh, table
+from .bodies import look, open_bin, packed_mesh, table
 from .words import outcome_words
 
 # Of the page of a dataset: elements, plots, the 3D view, styles.
@@ -99,22 +97,6 @@ def _cell(replay: Replay) -> dict[str, Any]:
         "bin": packed_mesh(open_bin(replay)),
         "table": packed_mesh(table(replay)),
         "look": look(replay),
-    }
-
-
-def look(replay: Replay) -> dict[str, Any]:
-    """Where one looks from: opposite the robot, a little from the side where parts are put."""
-    config, box = replay.cell.config, replay.cell.cell.scene.bin
-    base, place = np.array(config.robot.base_m[:2]), np.array(config.picking.place_m[:2])
-    far = max(float(np.linalg.norm(base)), 0.3)
-    aside = -base / max(float(np.linalg.norm(base)), 1e-9)
-    aside = aside + 0.6 * place / max(float(np.linalg.norm(place)), 1e-9)
-    high_m = float(box.bounds_m[1, 2])
-    return {
-        "middle": (1e3 * np.array([*(base + place) / 4, 1.3 * high_m])).tolist(),
-        "bin": (1e3 * np.array([0.0, 0.0, high_m / 2])).tolist(),
-        "yaw": float(np.arctan2(aside[1], aside[0])),
-        "reach": 1e3 * far,
     }
 
 

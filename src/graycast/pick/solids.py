@@ -31,13 +31,8 @@ def shape_mesh(shape: Any) -> Mesh:
             made = creation.box(2 * np.asarray(shape.halfSide))
         case coal.BVHModelBase():
             return _listed(
-                [shape.vertices(i) for i in range(shape.num_vertices)],
+                [shape.vertex(i) for i in range(shape.num_vertices)],
                 [shape.tri_indices(i) for i in range(shape.num_tris)],
-            )
-        case coal.Convex():
-            return _listed(
-                [shape.point(i) for i in range(shape.num_points)],
-                [shape.polygons(i) for i in range(shape.num_polygons)],
             )
         case _:
             raise ConfigError(

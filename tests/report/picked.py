@@ -42,8 +42,8 @@ def write_picks(folder, *, bins=(0, 2), **changes):
 
 def episode(cell, bin_id):
     robot = open_robot(cell.config.robot.arm, folder=cell.folder)
-    first, T_first = motion(robot, cell, turn=0.1 + 0.1 * bin_id)
-    second, T_second = motion(robot, cell, turn=-0.2)
+    first, T_first = motion(robot, cell, place_m=(0.05, 0.03 + 0.01 * bin_id, 0.03))
+    second, T_second = motion(robot, cell, place_m=(-0.06, -0.03, 0.03))
     lay = np.stack([T @ FROM_GRIP_TO_PART for T in (T_first, T_second)])
     fell = rigid(np.eye(3), np.array([0.03, 0.02, 0.015]))
     told = {"targets": 2, "kind": 0, "score": 0.9, "least_factor": 1.4}
@@ -84,13 +84,14 @@ def attempt(outcome, lay, present, *, T=None, moved=None, **told):
     )
 
 
-def motion(robot, cell, *, turn):
+def motion(robot, cell, *, place_m):
     """Angles from home down to a grip and up to the other side, and `T_world_tip` at the grip."""
-    down = robot.home + np.resize([turn, 0.5, 0.35, 0.3, 0.2 * turn, 0.4], len(robot.home))
+    T = rigid(axis_rotation("z", 0.4), np.array(place_m))
+    T_flange = inverse(cell.T_world_base) @ T @ inverse(T_flange_tip(cell.config.tool))
+    down = robot.reach(T_flange, robot.home, seed=0)
     away = robot.home + np.resize([-1.2, 0.1, 0.1, -0.2, 0.1, -0.6], len(robot.home))
     to = np.linspace(robot.home, down, GRIP, endpoint=False)
-    q = np.vstack([to, np.linspace(down, away, STEPS - GRIP)])
-    return q, cell.T_world_base @ robot.flange(down) @ T_flange_tip(cell.config.tool)
+    return np.vstack([to, np.linspace(down, away, STEPS - GRIP)]), T
 
 
 def depth(cell, T_world_part):

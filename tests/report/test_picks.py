@@ -23,8 +23,8 @@ from graycast.pick import Outcome, read_episodes
 from graycast.pick.replay import open_replay, read_motions
 from graycast.pick.tools import T_flange_tip
 from graycast.report.picks import film, write_film, write_pick_report
-from graycast.report.picks.bodies import open_bin, packed_places
-from graycast.report.picks.words import outcome_words
+from graycast.report.picks.bodies import look, open_bin, packed_places
+from graycast.report.picks.words import OUTCOME_COLOR, outcome_words
 
 from .picked import FROM_GRIP_TO_PART, GRIP, LOST_S, STEP_S, STEPS, write_picks
 
@@ -153,15 +153,18 @@ def test_the_page_holds_the_bins_and_is_made_anew_where_they_change(copied, tmp_
 def test_the_film_lasts_as_long_as_the_motion(picks, tmp_path):
     """Law: the pictures' times add up to the motions, at the speed asked for, and the outcomes."""
     count = write_film(
-        picks, 0, tmp_path / "bin.gif", cell_folder=picks.parent, speed=6.0, width_px=80
+        picks, 0, tmp_path / "bin.gif", cell_folder=picks.parent, speed=6.0, width_px=280
     )
     moving_s = 2 * STEP_S * (STEPS - 1) / 6.0
     with Image.open(tmp_path / "bin.gif") as gif:
-        assert gif.size == (80, 60 + 26)
-        lasts_ms = 0
+        assert gif.size == (280, 210 + 26)
+        lasts_ms, inks = 0, set()
         for k in range(gif.n_frames):
             gif.seek(k)
             lasts_ms += gif.info["duration"]
+            inks |= {ink for _, ink in gif.convert("RGB").getcolors(10_000)}
+    wanted = {OUTCOME_COLOR[name] for name in ("picked", "lost seal", "nothing found")}
+    assert {tuple(bytes.fromhex(ink[1:])) for ink in wanted} <= inks
     ends_ms = film.FRAME_MS * (3 * 8 + 3)  # each attempt's outcome, and its last picture
     assert lasts_ms == count * film.FRAME_MS
     assert abs(lasts_ms - 1e3 * moving_s - ends_ms) <= 2 * film.FRAME_MS
@@ -178,6 +181,19 @@ def test_the_film_shows_the_arm_where_the_camera_model_puts_it(replay, motions):
         assert all(seen[int(v), int(u)] for u, v in at)
         assert 0.01 < seen.mean() < 0.2
         assert not seen[[0, 0, -1, -1], [0, -1, 0, -1]].any()
+
+
+def test_the_film_looks_down_into_the_bin_with_what_is_high_on_top(replay):
+    eye = film._eye(replay, 240)
+    line = np.array([1.0, 1.0, 0.0]) * 1e-3 * np.array(look(replay)["middle"])
+    line = line + np.array([[0.0, 0.0, z] for z in (0.0, 0.2, 0.4)])
+    at = project(eye.camera, transform_points(inverse(eye.T_world_eye), line))
+    assert (np.diff(at[:, 1]) < -5).all() and np.ptp(at[:, 0]) < 1e-6
+    rim_m = replay.cell.cell.scene.bin.bounds_m[1, 2]
+    assert eye.T_world_eye[2, 3] > rim_m + 0.2
+    base = transform_points(inverse(eye.T_world_eye), replay.cell.T_world_base[None, :3, 3])
+    middle = transform_points(inverse(eye.T_world_eye), np.zeros((1, 3)))
+    assert base[0, 2] > middle[0, 2]  # the robot stands behind the bin
 
 
 def test_nearer_things_hide_farther_ones(replay):
@@ -246,6 +262,7 @@ def test_damaged_picks_are_told_in_one_line(copied, tmp_path, capfd, damage, sai
     [
         (["replay", "{picks}", "--out", "{out}.gif", "--bin", "1"], "no bin 1: it has 0 to 2"),
         (["replay", "{picks}", "--out", "{out}.mp4"], "is a .gif or .webp file"),
+        (["replay", "{picks}", "--out", "{out}.gif", "--width", "100"], "at least 280"),
         (["report", "{picks}", "--out", "{out}", "--detections", "x"], "--detections is of"),
         (["report", "{picks}", "--out", "{picks}"], "page a folder of its own"),
         (["replay", "{out}", "--out", "{out}.gif"], "holds no picks"),

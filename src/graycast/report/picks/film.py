@@ -5,7 +5,6 @@ part that was let go falls; it is shown where it was found next.
 """
 
 import io
-import itertools
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -32,7 +31,7 @@ from .bodies import TINT, look, open_bin, table
 from .words import OUTCOME_COLOR
 
 KINDS = {".gif": "GIF", ".webp": "WEBP"}
-WIDTH_PX = 480
+WIDTH_PX, LEAST_PX = 480, 280  # narrower, the words would lie over each other
 FRAME_MS = 100  # GIF counts hundredths of a second
 _END_FRAMES = 8  # for which an attempt's outcome stands
 _FIELD_RAD = 0.55  # as the page's
@@ -92,10 +91,14 @@ def write_film(
         The number of pictures.
 
     Raises:
-        GraycastError: no such bin, a damaged one, or a file of another kind.
+        GraycastError: no such bin, a damaged one, a file of another kind, or too small a picture.
     """
     if out.suffix.lower() not in KINDS:
         raise GraycastError(f"{out}: a film is a {' or '.join(KINDS)} file: give it such a name")
+    if width_px < LEAST_PX:
+        raise GraycastError(
+            f"a film of {width_px} pixels has no room for words: at least {LEAST_PX}"
+        )
     episodes = {episode.bin_id: episode for episode in read_episodes(picks)}
     if bin_id not in episodes:
         held = f"it has {min(episodes)} to {max(episodes)}" if episodes else "none is finished yet"
@@ -287,12 +290,21 @@ def _picture(layer: _Layer, words: str, ended: Mapping[str, Any] | None) -> Imag
     return image
 
 
+def _palette(frames: list[Image.Image]) -> Image.Image:
+    """The most frequent colours of some pictures, and those of the outcomes, which are rare."""
+    every = max(len(frames) // _PALETTE_FRAMES, 1)
+    some = np.vstack([np.asarray(frame) for frame in frames[::every]])
+    rare = [value for ink in OUTCOME_COLOR.values() for value in bytes.fromhex(ink[1:])]
+    often = Image.fromarray(some).quantize(255 - len(OUTCOME_COLOR), dither=Image.Dither.NONE)
+    palette = Image.new("P", (1, 1))
+    palette.putpalette([*(often.getpalette() or []), *rare])
+    return palette
+
+
 def _encoded(frames: list[Image.Image], kind: str) -> bytes:
     """All pictures of a GIF have one palette, so that what stands still costs nothing."""
     if kind == "GIF":
-        every = max(len(frames) // _PALETTE_FRAMES, 1)
-        some = [np.asarray(frame) for frame in itertools.islice(frames, 0, None, every)]
-        palette = Image.fromarray(np.vstack(some)).quantize(255, dither=Image.Dither.NONE)
+        palette = _palette(frames)
         frames = [frame.quantize(palette=palette, dither=Image.Dither.NONE) for frame in frames]
     told = {"quality": 70, "method": 4} if kind == "WEBP" else {"optimize": False}
     file = io.BytesIO()

@@ -164,7 +164,9 @@ def test_the_film_lasts_as_long_as_the_motion(picks, tmp_path):
             lasts_ms += gif.info["duration"]
             inks |= {ink for _, ink in gif.convert("RGB").getcolors(10_000)}
     wanted = {OUTCOME_COLOR[name] for name in ("picked", "lost seal", "nothing found")}
-    assert {tuple(bytes.fromhex(ink[1:])) for ink in wanted} <= inks
+    for ink in wanted:  # the palette may have a grey beside a grey
+        off = np.abs(np.array(list(inks)) - list(bytes.fromhex(ink[1:]))).max(axis=1)
+        assert off.min() <= 4
     ends_ms = film.FRAME_MS * (3 * 8 + 3)  # each attempt's outcome, and its last picture
     assert lasts_ms == count * film.FRAME_MS
     assert abs(lasts_ms - 1e3 * moving_s - ends_ms) <= 2 * film.FRAME_MS

@@ -9,6 +9,7 @@ from scipy.spatial.transform import Rotation
 
 from ...parts import Mesh
 from ...pick.replay import Replay
+from ...pick.solids import joined
 from ...scene import bin_mesh
 from ..page.packing import pack_bytes
 
@@ -54,12 +55,14 @@ def look(replay: Replay) -> dict[str, Any]:
     """Where one looks from: opposite the robot, a little from the side where parts are put."""
     config, box = replay.cell.config, replay.cell.cell.scene.bin
     base, place = np.array(config.robot.base_m[:2]), np.array(config.picking.place_m[:2])
-    far = max(float(np.linalg.norm(base)), 0.3)
+    home = zip(replay.limbs, replay.T_world_limb(replay.robot.home), strict=True)
+    top_m = float(joined(home).bounds_m[1, 2])  # tall arms are looked at from farther away
+    far = max(float(np.linalg.norm(base)), 0.75 * top_m, 0.3)
     aside = -base / max(float(np.linalg.norm(base)), 1e-9)
     aside = aside + 0.6 * place / max(float(np.linalg.norm(place)), 1e-9)
     high_m = float(box.bounds_m[1, 2])
     return {
-        "middle": (1e3 * np.array([*(base + place) / 4, 2.0 * high_m])).tolist(),
+        "middle": (1e3 * np.array([*(base + place) / 4, 0.45 * top_m])).tolist(),
         "bin": (1e3 * np.array([0.0, 0.0, high_m / 2])).tolist(),
         "yaw": float(np.arctan2(aside[1], aside[0])),
         "reach": 1e3 * far,

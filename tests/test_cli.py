@@ -33,7 +33,8 @@ OPTIONS = {
     "validate": "dataset --fast",
     "parts": "config --out --device",
     "stats": "dataset --workers --out --card --licence",
-    "report": "dataset --workers --out --detections --width",
+    "report": "dataset --workers --out --detections --width --cell",
+    "replay": "folder --bin --out --speed --width --cell",
     "export": "dataset --format --out --scenes --split --split-seed --image --depth --polygons "
     "--labels --cloud --organised --pixel-origin --shard-scenes --link --min-visibility",
     "train": "datasets --out --model --input --one-class --backbone --weights --size --epochs "

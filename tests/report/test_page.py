@@ -5,6 +5,7 @@ import json
 import re
 import shutil
 import zlib
+from importlib import resources
 
 import cv2
 import numpy as np
@@ -168,5 +169,5 @@ def test_pages_of_real_pictures_are_built(dataset, tmp_path):
 
 
 def test_every_file_of_the_page_is_in_the_package():
-    names = {path.name for path in (build.resources.files(build.__package__) / "web").iterdir()}
+    names = {path.name for path in (resources.files(build.__package__) / "web").iterdir()}
     assert {"index.html", "style.css", "app.js", "cloud.js"} <= names

@@ -1,16 +1,17 @@
-"""Commands that look at a dataset: stats and report."""
+"""Commands that look at what was made: stats and report."""
 
 import argparse
 from pathlib import Path
 
 from .arguments import add_command, positive, progress_bar
+from .picking import add_cell, cell_folder, need_robot
 
 # Heavy modules are imported by the command that needs them, so that --help answers at once.
 
 
 def add_commands(commands) -> None:
     stats = add_command(commands, "stats", _stats, "Count what a dataset holds, from its files.")
-    _add_dataset(stats)
+    _add_dataset(stats, "The dataset's folder.")
     stats.add_argument(
         "--out", type=Path, help="Also write stats.json and stats.png into this folder."
     )
@@ -27,10 +28,10 @@ def add_commands(commands) -> None:
         commands,
         "report",
         _report,
-        "Write a web page to look at a dataset; it opens from the disk.",
+        "Write a web page to look at a dataset or at picks; it opens from the disk.",
     )
-    report.set_defaults(when_stopped="finished scenes are kept; the same command goes on")
-    _add_dataset(report)
+    report.set_defaults(when_stopped="what is finished is kept; the same command goes on")
+    _add_dataset(report, "The folder of a dataset, or of picks.")
     report.add_argument("--out", type=Path, required=True, help="The page's folder.")
     report.add_argument(
         "--detections",
@@ -44,10 +45,11 @@ def add_commands(commands) -> None:
         type=positive,
         help="Thin out maps that are wider than this many pixels (default: 1300).",
     )
+    add_cell(report)
 
 
-def _add_dataset(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("dataset", type=Path, help="The dataset's folder.")
+def _add_dataset(parser: argparse.ArgumentParser, told: str) -> None:
+    parser.add_argument("dataset", type=Path, help=told)
     parser.add_argument(
         "--workers",
         type=positive,
@@ -88,8 +90,13 @@ def _stats(options: argparse.Namespace) -> int:
 
 
 def _report(options: argparse.Namespace) -> int:
+    from ..errors import GraycastError
     from ..report.page import WIDTH_PX, write_report
 
+    if (options.dataset / "picks.json").exists():
+        return _report_picks(options)
+    if options.cell is not None:
+        raise GraycastError(f"--cell is of picks, and {options.dataset} holds none: leave it out")
     with progress_bar() as bar:
         task = bar.add_task("scenes", total=None)
         summary = write_report(
@@ -102,4 +109,27 @@ def _report(options: argparse.Namespace) -> int:
             on_scene=lambda _: bar.update(task, advance=1),
         )
     print(f"{summary.built} scenes made, {summary.kept} were there; open {summary.page.resolve()}")
+    return 0
+
+
+def _report_picks(options: argparse.Namespace) -> int:
+    from ..errors import GraycastError
+    from ..report.page import WIDTH_PX
+    from ..report.picks import write_pick_report
+
+    if options.detections is not None:
+        raise GraycastError("--detections is of a dataset: leave it out for picks")
+    need_robot()
+    with progress_bar() as bar:
+        task = bar.add_task("bins", total=None)
+        summary = write_pick_report(
+            options.dataset,
+            options.out,
+            cell_folder=cell_folder(options),
+            workers=options.workers,
+            width_px=options.width or WIDTH_PX,
+            on_start=lambda total, found: bar.update(task, total=total, completed=found),
+            on_bin=lambda _: bar.update(task, advance=1),
+        )
+    print(f"{summary.built} bins made, {summary.kept} were there; open {summary.page.resolve()}")
     return 0

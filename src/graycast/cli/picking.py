@@ -1,10 +1,11 @@
-"""Commands of robots: pick, picks."""
+"""Commands of robots: pick, picks, replay."""
 
 import argparse
 from pathlib import Path
 
 from ..errors import GraycastError
 from .arguments import (
+    above_zero,
     add_command,
     add_device,
     add_seed,
@@ -26,6 +27,12 @@ Tell what became of picks: success rate with its 95 % interval (Wilson), outcome
 picks per hour, seconds by stage. Further folders of the same bins, made with another detector or
 another kind of depth, are set beside the first one in a table, and McNemar's test says whether
 they differ from it."""
+
+
+REPLAY = """\
+Make a film of how a bin was emptied, one attempt after the other: the robot over what the scanner
+measured, the part that it takes, and the outcome. To look closer, make a page with graycast report.
+The robot needs pip install 'graycast[pick]'."""
 
 
 def add_commands(commands) -> None:
@@ -73,15 +80,46 @@ def add_commands(commands) -> None:
     picks = add_command(commands, "picks", _picks, "Tell what became of picks, and compare runs.")
     picks.description = PICKS
     picks.add_argument("folders", type=Path, nargs="+", help="Folders of picks.")
+    replay = add_command(commands, "replay", _replay, "Make a film of how a bin was emptied.")
+    replay.description = REPLAY
+    replay.add_argument("folder", type=Path, help="A folder of picks.")
+    replay.add_argument("--bin", type=int, default=0, help="The number of the bin (default: 0).")
+    replay.add_argument("--out", type=Path, required=True, help="The film, a GIF or WebP file.")
+    replay.add_argument(
+        "--speed",
+        type=above_zero,
+        default=2.0,
+        help="How much faster than the robot the film runs (default: 2).",
+    )
+    replay.add_argument("--width", type=positive, help="The film's width in pixels (default: 480).")
+    add_cell(replay)
 
 
-def _pick(options: argparse.Namespace) -> int:
+def add_cell(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument(
+        "--cell",
+        type=Path,
+        help="The cell's file that the picks were made of. Needed where it names files.",
+    )
+
+
+def cell_folder(options: argparse.Namespace) -> Path:
+    """Where the relative paths of the cell of picks start."""
+    return Path.cwd() if options.cell is None else options.cell.absolute().parent
+
+
+def need_robot() -> None:
+    """Raises GraycastError: the robot's libraries are not installed."""
     try:
         import pinocchio  # noqa: F401
     except ImportError as error:
         raise GraycastError(
             "a robot needs its libraries: run pip install 'graycast[pick]'"
         ) from error
+
+
+def _pick(options: argparse.Namespace) -> int:
+    need_robot()
     from ..generate import Workers
     from ..pick import load_pick_config, pick_bins, read_episodes, resolve_pick_cell, summarize
 
@@ -171,6 +209,27 @@ def _picks(options: argparse.Namespace) -> int:
     if len(episodes) > 1:
         names = [str(folder) for folder in options.folders]
         print(f"\n{compared(dict(zip(names, episodes, strict=True)))}")
+    return 0
+
+
+def _replay(options: argparse.Namespace) -> int:
+    need_robot()
+    from ..report.picks.film import WIDTH_PX, write_film
+
+    with progress_bar() as bar:
+        task = bar.add_task("attempts", total=None)
+        count = write_film(
+            options.folder,
+            options.bin,
+            options.out,
+            cell_folder=cell_folder(options),
+            speed=options.speed,
+            width_px=options.width or WIDTH_PX,
+            on_start=lambda total: bar.update(task, total=total),
+            on_attempt=lambda: bar.update(task, advance=1),
+        )
+    size_mb = options.out.stat().st_size / 1e6
+    print(f"{options.out}: {count} pictures, {size_mb:.1f} MB")
     return 0
 
 

@@ -46,6 +46,7 @@ class Carried:
     part: int | None = None
     pose_error: tuple[float, float] | None = None
     least_factor: float | None = None
+    lost_s: float | None = None
 
 
 def carry_out(ready: Ready, world: World, choice: Choice) -> tuple[Carried, World]:
@@ -105,6 +106,7 @@ def _told(
         part=met.part,
         pose_error=error,
         least_factor=float(lifted.least_factor),
+        lost_s=lifted.lost_s,
     )
 
 

@@ -42,14 +42,16 @@ class PickCell:
     @property
     def file_digests(self) -> dict[str, str]:
         """SHA-256 of every file that the cell names, so that a changed one is noticed."""
-        robot, detector = self.folder / self.config.robot.arm, self.detector
-        named = [] if self.config.robot.arm in ARMS else [robot]
-        if detector is not None:
-            named.append(detector / WEIGHTS if detector.is_dir() else detector)
+        named = {}  # as the configuration says it, so that a folder may move
+        if self.config.robot.arm not in ARMS:
+            named[self.config.robot.arm] = self.folder / self.config.robot.arm
+        if self.detector is not None:
+            weights = self.detector / WEIGHTS if self.detector.is_dir() else self.detector
+            named[self.config.picking.detector] = weights
         own = {
-            str(path): hashlib.sha256(path.read_bytes()).hexdigest()
-            for path in named
-            if path.is_file()
+            name: hashlib.sha256(path.read_bytes()).hexdigest()
+            for name, path in named.items()
+            if path.is_file()  # else opening it says what is missing
         }
         return self.cell.file_digests | own
 

@@ -36,10 +36,11 @@ class Episode:
 
     `filled` is how many parts there were, `taken` how many the tool took out, `left` how many lie
     in the bin at the end; the rest fell beside it. `pictures` (RGB) and `depths_m` (what the robot
-    acted on) are of each attempt.
+    acted on) are of each attempt. `kinds` says of each part which of the cell's parts it is.
     """
 
     bin_id: int
+    kinds: tuple[int, ...]
     attempts: tuple[Attempt, ...]
     pictures: tuple[UInt8[np.ndarray, "h w 3"], ...]
     depths_m: tuple[Float[np.ndarray, "h w"], ...]
@@ -101,6 +102,7 @@ def empty_bin(
         failures = 0 if attempt.outcome in TAKEN else failures + 1
     return Episode(
         bin_id=bin_id,
+        kinds=tuple(layout.part_index.tolist()),
         attempts=tuple(attempts),
         pictures=tuple(pictures),
         depths_m=tuple(depths_m),
@@ -166,6 +168,7 @@ def _attempt(
         opening_m=aim.opening_m,
         pose_error=carried.pose_error,
         least_factor=carried.least_factor,
+        lost_s=carried.lost_s,
         seconds={"scan": seen.seconds, "motion": choice.ways.seconds},
         time_s=time_s,
         q=q,

@@ -39,6 +39,7 @@ def episode_files(episode: Episode) -> tuple[tuple[str, bytes], ...]:
     attempts = episode.attempts
     told = {
         "bin_id": episode.bin_id,
+        "kinds": list(episode.kinds),
         "filled": episode.filled,
         "taken": episode.taken,
         "left": episode.left,
@@ -148,13 +149,18 @@ def _tidy(out: Path) -> None:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class StoredEpisode:
-    """A bin's `episode.json`, and this machine's seconds beside it."""
+    """A bin's `episode.json`, and this machine's seconds beside it.
+
+    `kinds` says of each part which of the cell's parts it is; empty where that was not
+    kept.
+    """
 
     bin_id: int
     filled: int
     taken: int
     left: int
     spilled: int
+    kinds: tuple[int, ...]
     attempts: tuple[Mapping[str, Any], ...]
     work_s: tuple[Mapping[str, float], ...]
 
@@ -179,6 +185,7 @@ def _read(folder: Path) -> StoredEpisode:
         return StoredEpisode(
             attempts=tuple(told["attempts"]),
             work_s=tuple(work["attempts"]),
+            kinds=tuple(told.get("kinds", ())),
             **{name: int(told[name]) for name in ("bin_id", "filled", "taken", "left", "spilled")},
         )
     except (OSError, ValueError, KeyError, TypeError) as error:

@@ -53,6 +53,7 @@ class Attempt:
         opening_m: of jaws.
         pose_error: angle [rad] and distance [m] of the pose that the grip came from.
         least_factor: the least by which the load was held.
+        lost_s: when the tool let go, from the start of the lift; None where it did not.
         seconds: simulated: `scan` and `motion`.
         work_s: of this machine, by stage; no part of what one seed makes again.
         time_s, q: the arm's motion, joint angles [rad] over times [s].
@@ -73,6 +74,7 @@ class Attempt:
     opening_m: float | None = None
     pose_error: tuple[float, float] | None = None
     least_factor: float | None = None
+    lost_s: float | None = None
     time_s: Float[np.ndarray, " t"] | None = None
     q: Float[np.ndarray, "t joints"] | None = None
 
@@ -91,6 +93,7 @@ class Attempt:
             if self.pose_error is None
             else {"angle_rad": self.pose_error[0], "distance_m": self.pose_error[1]},
             "least_factor": None if self.least_factor == np.inf else self.least_factor,
+            "lost_s": self.lost_s,
             "seconds": self.seconds,
             "present": list(self.present),
             "T_world_part": self.T_world_part.tolist(),

@@ -95,6 +95,20 @@ class Robot:
         pin.framesForwardKinematics(self._model, self._data, q)
         return self._data.oMf[self._flange].homogeneous.copy()
 
+    def limbs(self) -> tuple[tuple[int, Any, Float[np.ndarray, "4 4"]], ...]:
+        """What it is made of: the place in `places`, a shape of Coal's, and `T_joint_shape`."""
+        return tuple(
+            (int(thing.parentJoint), thing.geometry, thing.placement.homogeneous.copy())
+            for thing in self._geometry.geometryObjects
+        )
+
+    def places(self, q: Joints) -> Float[np.ndarray, "joints 4 4"]:
+        """`T_base_joint` of the base and of every joint, at joint angles [rad]."""
+        import pinocchio as pin
+
+        pin.forwardKinematics(self._model, self._data, q)
+        return np.stack([place.homogeneous for place in self._data.oMi])
+
     def reach(
         self, T_base_flange: Float[np.ndarray, "4 4"], near: Joints, *, seed: int
     ) -> list[Joints]:

@@ -6,7 +6,6 @@ from collections.abc import Iterable, Iterator, Mapping
 from typing import Any
 
 import numpy as np
-from matplotlib import colormaps
 
 from ... import __version__
 from ...dataset.stored import NO_REASON, StoredDataset
@@ -15,6 +14,7 @@ from ...pattern import Code, CodeSpec
 from ...stats import SceneFigures, Statistics, statistics_json, tally
 from ...stats.gather import error_figures
 from ...stats.scene import DEPTH_BIN_MM
+from .packing import color_table
 from .scene_files import MISSING_COLOR, REASON_MEANING
 
 # Depth, column, difference as in previews; captured frames.
@@ -46,7 +46,7 @@ def index_script(
         "claim": _claim(stored.claim),
         "classes": {str(one.obj_id): one.name for one in statistics.classes},
         "reasons": _reasons(statistics),
-        "colormaps": {name: _table(name) for name in _COLORMAPS},
+        "colormaps": {name: color_table(name) for name in _COLORMAPS},
         "code": _code(stored.claim),
         "statistics": statistics_json(statistics),
         "columns": _COLUMNS,
@@ -132,11 +132,6 @@ def _reasons(statistics: Statistics) -> list[dict[str, Any]]:
             {"number": NO_REASON, "name": "missing", "color": MISSING_COLOR, "meaning": meaning}
         )
     return listed
-
-
-def _table(name: str) -> str:
-    """256 colours of a colour map as hexadecimal digits."""
-    return (colormaps[name](np.arange(256))[:, :3] * 255).round().astype(np.uint8).tobytes().hex()
 
 
 def _code(claim: Mapping[str, Any]) -> dict[str, Any] | None:

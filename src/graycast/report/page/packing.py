@@ -11,6 +11,7 @@ import zlib
 import cv2
 import numpy as np
 from jaxtyping import Int, UInt8, UInt16
+from matplotlib import colormaps
 
 _LEVEL = 6
 _WHOLE = 65536
@@ -74,6 +75,11 @@ def palette_picture(
     for number, color in colors.items():
         table[number] = list(bytes.fromhex(color[1:]))
     return table[index]
+
+
+def color_table(name: str) -> str:
+    """256 colours of a colour map as hexadecimal digits."""
+    return (colormaps[name](np.arange(256))[:, :3] * 255).round().astype(np.uint8).tobytes().hex()
 
 
 def _text(data: bytes, level: int = _LEVEL) -> str:

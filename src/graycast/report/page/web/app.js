@@ -5,36 +5,6 @@
   const { el } = Graycast;
   const main = document.getElementById("main"),
     help = document.getElementById("help");
-  const KEYS = {
-    "All scenes": [
-      ["← → ↑ ↓", "from scene to scene; Enter opens it"],
-      ["/", "find scenes by number, part or tag"],
-      ["x", "tick the scene; with shift, all from the last one"],
-      ["g", "tag the ticked scenes"],
-      ["Esc", "untick all"],
-    ],
-    "One scene": [
-      ["1 … 9", "its views"],
-      ["space", "back to the last view: flips between two"],
-      ["c", "compare two views"],
-      ["shift 1 … 8", "compare with that view"],
-      ["v", "compare by swipe or side by side"],
-      ["← →", "previous, next scene of the list"],
-      ["m b", "masks, boxes"],
-      ["d", "detections, where the page has any"],
-      ["+ − 0", "zoom in, out, whole picture"],
-      ["↑ ↓ or [ ]", "previous, next pattern frame"],
-      ["p", "pattern frames: play, stop"],
-      ["s p", "3D: perfect surface, scanner points"],
-      ["x", "tick the scene"],
-      ["g", "tag the scene"],
-      ["Esc", "back to all scenes"],
-    ],
-    "Everywhere": [
-      ["t", "light or dark"],
-      ["?", "these keys"],
-    ],
-  };
   const table = ([title, keys]) =>
     el(
       "section",
@@ -46,7 +16,7 @@
         keys.map(([key, text]) => el("tr", {}, el("th", {}, el("kbd", {}, key)), el("td", {}, text))),
       ),
     );
-  const [first, ...rest] = Object.entries(KEYS).map(table);
+  const [first, ...rest] = Object.entries(Graycast.KEYS).map(table);
   help.append(
     el("div", { class: "key-lists" }, el("div", {}, first, rest.pop()), rest),
     el("form", { method: "dialog" }, el("button", {}, "close")),

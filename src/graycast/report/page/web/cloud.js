@@ -1,5 +1,6 @@
 "use strict";
-// The scene in 3D, plain WebGL 2: the perfect surface as a mesh, the scanner's points over it.
+// The scene in 3D, plain WebGL 2: the perfect surface as a mesh, the scanner's points over it, and
+// bodies that move.
 // Frame: the world's axes (z up), millimetres, about the middle of what the camera sees.
 
 {
@@ -8,6 +9,7 @@
   const LIT = ["instance", "plain"]; // points of these paints are shaded as the surface is
   const VERTEX = `#version 300 es
     uniform mat4 uClip;
+    uniform mat4 uPlace;
     uniform float uSize;
     in vec3 aPlace;
     in vec4 aColor;
@@ -16,28 +18,38 @@
     out vec3 vNormal;
     out vec4 vColor;
     void main() {
-      vPlace = aPlace;
+      vPlace = (uPlace * vec4(aPlace, 1.0)).xyz;
       vNormal = aNormal;
       vColor = aColor;
-      gl_Position = uClip * vec4(aPlace, 1.0);
+      gl_Position = uClip * vec4(vPlace, 1.0);
       gl_PointSize = uSize;
     }`;
-  // Lines have no normal: NaN times 0 is NaN, so they are told apart.
+  // Lines have no normal: NaN times 0 is NaN, so they are told apart. Bodies (2) are flat and of one
+  // colour: a face's normal is that of its own points.
   const FRAGMENT = `#version 300 es
     precision highp float;
     uniform vec3 uEye;
     uniform float uShade;
+    uniform vec3 uTint;
     in vec3 vPlace;
     in vec3 vNormal;
     in vec4 vColor;
     out vec4 color;
     void main() {
-      float facing = abs(dot(normalize(vNormal), normalize(uEye - vPlace)));
-      color = vec4(vColor.rgb * (uShade > 0.5 ? 0.45 + 0.55 * facing : 1.0), 1.0);
+      bool body = uShade > 1.5;
+      vec3 normal = body ? cross(dFdx(vPlace), dFdy(vPlace)) : vNormal;
+      float facing = abs(dot(normalize(normal), normalize(uEye - vPlace)));
+      color = vec4((body ? uTint : vColor.rgb) * (uShade > 0.5 ? 0.45 + 0.55 * facing : 1.0), 1.0);
     }`;
 
-  /** Makes a 3D view of a scene: {stage, draw(prefs), look(name), close()}. */
-  Graycast.makeCloud = (scene) => {
+  const STILL = Float32Array.of(1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1);
+
+  /**
+   * Makes a 3D view of a scene: {stage, draw(prefs), look(name), swap(scene), close()}.
+   * space: as of `shapes.space`, where the scene's own will not do. bodies(gl): what gives, at each
+   * picture, a list of {thing, place (a matrix), tint, open (only its front is drawn)}.
+   */
+  Graycast.makeCloud = (scene, { space = Graycast.shapes.space(scene), bodies = null } = {}) => {
     const canvas = el("canvas", { id: "cloud" }),
       stage = el("div", { class: "stage cloud" }, canvas);
     const gl = canvas.getContext("webgl2", { antialias: true, preserveDrawingBuffer: true });
@@ -45,21 +57,21 @@
       stage.append(
         el("p", { class: "sorry" }, "This browser gives no WebGL 2, which the 3D view needs."),
       );
-      return { stage, draw() {}, look() {}, close() {} };
+      return { stage, draw() {}, look() {}, swap() {}, close() {} };
     }
     const program = link(gl),
       shapes = Graycast.shapes,
-      space = shapes.space(scene);
+      moving = bodies?.(gl);
     const where = Object.fromEntries(
-      ["uClip", "uSize", "uEye", "uShade"].map((name) => [
+      ["uClip", "uPlace", "uSize", "uEye", "uShade", "uTint"].map((name) => [
         name,
         gl.getUniformLocation(program, name),
       ]),
     );
     const surface = scene.has.depth ? shapes.mesh(gl, scene, space) : null;
-    const points = scene.has.scanner ? shapes.cloud(gl, scene, space) : null;
+    let points = scene.has.scanner ? shapes.cloud(gl, scene, space) : null;
     const boxes = scene.instances[0]?.box3d ? shapes.edges(gl, scene, space) : null;
-    const eye = { ...space.start, pan: [0, 0, 0] };
+    const eye = { pan: [0, 0, 0], ...space.start };
     let prefs = {},
       queued = false;
 
@@ -77,6 +89,7 @@
       gl.useProgram(program);
       gl.uniformMatrix4fv(where.uClip, false, clip(eye, place, w / h, space.reach));
       gl.uniform3fv(where.uEye, place);
+      gl.uniformMatrix4fv(where.uPlace, false, STILL);
       const put = (thing, kind, shade) => {
         gl.uniform1f(where.uShade, shade);
         gl.uniform1f(where.uSize, (prefs.pointSize ?? 2) * devicePixelRatio);
@@ -89,6 +102,13 @@
       gl.disable(gl.CULL_FACE);
       if (points && prefs.points !== false) put(points, gl.POINTS, LIT.includes(prefs.pointPaint) ? 1 : 0);
       if (boxes && prefs.boxes) put(boxes, gl.LINES, 0);
+      for (const body of moving?.(prefs) ?? []) {
+        gl.uniformMatrix4fv(where.uPlace, false, body.place);
+        gl.uniform3fv(where.uTint, body.tint);
+        if (body.open) gl.enable(gl.CULL_FACE);
+        else gl.disable(gl.CULL_FACE);
+        put(body.thing, gl.TRIANGLES, 2);
+      }
     };
     const ask = () => {
       if (!queued) {
@@ -97,7 +117,7 @@
       }
     };
     steer(stage, eye, ask, () => {
-      Object.assign(eye, space.start, { pan: [0, 0, 0] });
+      Object.assign(eye, { pan: [0, 0, 0] }, space.start);
       ask();
     });
     const watch = new ResizeObserver(ask);
@@ -115,8 +135,14 @@
         prefs = next;
         ask();
       },
+      /** The points of another scan from the same place; the eye stays. */
+      swap(next) {
+        scene = next;
+        if (points) shapes.drop(gl, points);
+        points = scene.has.scanner ? shapes.cloud(gl, scene, space) : null;
+      },
       look(name) {
-        Object.assign(eye, space.views[name], { pan: [0, 0, 0] });
+        Object.assign(eye, { pan: [0, 0, 0] }, space.views[name]);
         ask();
       },
       close() {

@@ -203,6 +203,8 @@ Graycast.letGo = (scene) => {
   scene.frames = scene.columns = scene.shown = null;
 };
 
+Object.assign(Graycast, { bring, inflate, pixels, unpackWords: words });
+
 async function inflate(text) {
   const packed = Uint8Array.from(atob(text), (c) => c.charCodeAt(0));
   const stream = new Blob([packed]).stream().pipeThrough(new DecompressionStream("deflate"));

@@ -94,8 +94,9 @@
 
   /** The limit in force: as chosen, else the first that holds two sigma of the dataset. */
   Graycast.errorLimit = (prefs) => {
+    if (prefs.limit) return prefs.limit;
     const sigma = Graycast.report.statistics.part_error.sigma_mm ?? 0.3;
-    return prefs.limit || (LIMITS_MM.find((l) => l >= 2 * sigma) ?? 50);
+    return LIMITS_MM.find((l) => l >= 2 * sigma) ?? 50;
   };
   Graycast.ERROR_LIMITS_MM = LIMITS_MM;
 

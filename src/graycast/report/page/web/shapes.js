@@ -7,14 +7,19 @@
     FAR_PX = 6; // at most, between the neighbours that a normal is taken from
   const shapes = (Graycast.shapes = {});
 
-  shapes.space = (scene) => {
-    const rays = Graycast.rays(scene),
-      steps = scene.has.depth ? scene.depth : scene.scanner,
-      some = [[], [], []];
-    const point = (i, step) => {
+  /** Makes a pixel and its steps of depth a point of the world. */
+  shapes.pointOf = (scene) => {
+    const rays = Graycast.rays(scene);
+    return (i, step) => {
       const z = step * scene.depth_scale_mm;
       return Graycast.toWorld(scene, rays[2 * i] * z, rays[2 * i + 1] * z, z);
     };
+  };
+
+  shapes.space = (scene) => {
+    const point = shapes.pointOf(scene),
+      steps = scene.has.depth ? scene.depth : scene.scanner,
+      some = [[], [], []];
     const anyPart = scene.instance.some((k) => k > 0);
     for (let i = 0; i < scene.n; i += 23)
       if (steps[i] && (!anyPart || scene.instance[i]))
@@ -94,6 +99,19 @@
     const place = new Float32Array(3 * from.length);
     from.forEach((i, k) => place.set(space.point(i, scene.scanner[i]), 3 * k));
     return { ...arrays(gl, place, null, shapes.normals(scene, from)), from, count: from.length };
+  };
+
+  /** A mesh in a frame of its own, for bodies. */
+  shapes.body = (gl, vertices, faces) => {
+    const made = arrays(gl, vertices, faces, null);
+    upload(gl, made, new Uint8Array((4 * vertices.length) / 3)); // not looked at, but has to be there
+    return { ...made, count: faces.length };
+  };
+
+  /** Give back what the GPU holds of a thing. */
+  shapes.drop = (gl, thing) => {
+    gl.deleteVertexArray(thing.array);
+    for (const buffer of thing.buffers) gl.deleteBuffer(buffer);
   };
 
   shapes.edges = (gl, scene, space) => {
@@ -211,9 +229,14 @@
 
   function arrays(gl, place, index, normal) {
     const array = gl.createVertexArray(),
-      color = gl.createBuffer();
+      color = gl.createBuffer(),
+      buffers = [color];
+    const buffer = () => {
+      buffers.push(gl.createBuffer());
+      return buffers.at(-1);
+    };
     gl.bindVertexArray(array);
-    gl.bindBuffer(gl.ARRAY_BUFFER, gl.createBuffer());
+    gl.bindBuffer(gl.ARRAY_BUFFER, buffer());
     gl.bufferData(gl.ARRAY_BUFFER, place, gl.STATIC_DRAW);
     gl.enableVertexAttribArray(0);
     gl.vertexAttribPointer(0, 3, gl.FLOAT, false, 0, 0);
@@ -221,17 +244,17 @@
     gl.enableVertexAttribArray(1);
     gl.vertexAttribPointer(1, 4, gl.UNSIGNED_BYTE, true, 0, 0);
     if (normal) {
-      gl.bindBuffer(gl.ARRAY_BUFFER, gl.createBuffer());
+      gl.bindBuffer(gl.ARRAY_BUFFER, buffer());
       gl.bufferData(gl.ARRAY_BUFFER, normal, gl.STATIC_DRAW);
       gl.enableVertexAttribArray(2);
       gl.vertexAttribPointer(2, 3, gl.BYTE, true, 0, 0);
     }
     if (index) {
-      gl.bindBuffer(gl.ELEMENT_ARRAY_BUFFER, gl.createBuffer());
+      gl.bindBuffer(gl.ELEMENT_ARRAY_BUFFER, buffer());
       gl.bufferData(gl.ELEMENT_ARRAY_BUFFER, index, gl.STATIC_DRAW);
     }
     gl.bindVertexArray(null);
-    return { array, color, index: !!index };
+    return { array, color, buffers, index: !!index };
   }
 
   function upload(gl, thing, color) {

@@ -1,0 +1,38 @@
+"use strict";
+// How attempts end: which ends are looked for, and the buttons that choose them.
+
+{
+  const { el } = Graycast;
+  const outcomes = (Graycast.outcomes = {});
+  const chosen = new Set(); // numbers of outcomes; none: all are looked at
+
+  outcomes.of = (k) => Graycast.report.outcomes[k];
+  outcomes.named = (name) => Graycast.report.outcomes.find((one) => one.name === name);
+  outcomes.number = (name) => Graycast.report.outcomes.findIndex((one) => one.name === name);
+  outcomes.looked = (k) => !chosen.size || chosen.has(k);
+  outcomes.any = () => chosen.size > 0;
+  outcomes.clear = () => chosen.clear();
+
+  outcomes.swatch = (one) => el("i", { class: "swatch", style: `background:${one.color}` });
+
+  /** A button for every outcome of some counts; `changed` is called after a press. */
+  outcomes.buttons = (counts, changed) =>
+    Object.entries(counts).map(([name, count]) => {
+      const k = outcomes.number(name);
+      return el(
+        "button",
+        {
+          class: "outcome",
+          "data-outcome": name,
+          "aria-pressed": String(chosen.has(k)),
+          title: outcomes.of(k).meaning,
+          onclick: () => {
+            if (!chosen.delete(k)) chosen.add(k);
+            changed();
+          },
+        },
+        outcomes.swatch(outcomes.of(k)),
+        `${name} ${count}`,
+      );
+    });
+}

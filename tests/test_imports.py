@@ -60,6 +60,7 @@ ORDER = (
     "calibrate",
     "report",
     "pick",
+    "grasp_labels",
     "doctor",
     "bench",
     "cli",

@@ -226,3 +226,18 @@ def test_places_are_grips_and_those_that_do_not_hold(kind):
     held = [place for place in places if place.score > 0]
     assert sorted((g.score for g in grips), reverse=True) == [g.score for g in grips]
     assert {g.T_part_tool.tobytes() for g in grips} == {g.T_part_tool.tobytes() for g in held}
+
+
+@pytest.mark.parametrize(("hole_m", "inside"), [(0.020, True), (0.007, False)])
+def test_a_wall_is_gripped_from_inside_where_the_hole_leaves_a_finger_room(hole_m, inside):
+    """A square tube of 4 mm walls; a finger of 6 mm needs 2 mm more beside it."""
+    outer = trimesh.creation.box((hole_m + 0.008, hole_m + 0.008, 0.03))
+    tube = mesh_of(outer.difference(trimesh.creation.box((hole_m, hole_m, 0.04))))
+    grips = jaw_grips(tube, JAWS, weight_n=0.2, center_m=np.zeros(3), doubt=SURE, count=300)
+    walls = [grip for grip in grips if grip.opening_m == pytest.approx(0.004)]
+    assert bool(walls) == inside
+    for grip in walls:
+        assert abs(grip.T_part_tool[2, 2]) > 0.7  # through the hole's mouth, not through the wall
+        aside_m, _ = closing(tube, JAWS, grip.T_part_tool, opening_m=0.008)
+        assert aside_m == pytest.approx(0, abs=1e-9)
+    assert any(grip.opening_m == pytest.approx(hole_m + 0.008) for grip in grips)

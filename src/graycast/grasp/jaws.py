@@ -106,11 +106,11 @@ def jaw_places(
 ) -> list[Grip]:
     """Every place that open fingers fit round, also where they do not hold.
 
-    They hold where both normals lie in the cone of friction about the line between the pads,
-    nothing of the part lies beyond them, and no point of the part lies in an open finger or in the
-    palm. The score is then the share of chances (friction, centre of mass) in which the normals
-    stay in the cone and the burden is held, the least over an upright tool and one that leans to
-    four sides; elsewhere it is 0.
+    They hold where both normals lie in the cone of friction about the line between the pads, and no
+    point of the part lies in an open finger or in the palm: so one finger may stand in a hole or
+    between two walls that leave it room. The score is then the share of chances (friction, centre
+    of mass) in which the normals stay in the cone and the burden is held, the least over an upright
+    tool and one that leans to four sides; elsewhere it is 0.
 
     Args:
         mesh: of the part.
@@ -129,12 +129,11 @@ def jaw_places(
     friction = jaws.friction * np.maximum(1 + doubt.friction_share * off[:, 0], 0)
     a, b, c = np.moveaxis(mesh.vertices_m[mesh.faces].astype(np.float64), 1, 0)
     through_m, face = _far_side(point, -normal, a, b - a, c - a)
-    outside_m, _ = _far_side(point, normal, a, b - a, c - a)
     cross = mesh.face_cross_m2
     far_normal = (cross / np.linalg.norm(cross, axis=1, keepdims=True))[face]
     slope = np.tan(np.arccos(np.clip(-np.einsum("ni,ni->n", far_normal, normal), 0, 1)))
     fits = (through_m > 1e-4) & (through_m + 2 * CLEARANCE_M <= jaws.opening_m)
-    closes = (outside_m < 1e-6) & (slope <= jaws.friction)
+    closes = slope <= jaws.friction
     places = []
     for i in np.flatnonzero(fits):
         held = friction >= slope[i]

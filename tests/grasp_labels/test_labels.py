@@ -102,7 +102,7 @@ def test_a_cup_over_the_edge_or_over_a_neighbour_s_does_not_seal(suction):
 
 @pytest.mark.parametrize(("stroke_m", "told"), [(0.015, "other part"), (0.005, None)])
 def test_a_place_under_another_part_is_no_success(stroke_m, told):
-    """A plate of 10 mm on a plate: met instead where the cup springs back so far, else in the way."""
+    """A plate of 10 mm on a plate: met where the cup springs back so far, else in the way."""
     world = world_of(SUCTION.model_copy(update={"stroke_m": stroke_m}))
     two = heap_of(lying(), lying(z=1.5 * SIDES_M[2] + 2 * SKIN_M))
     label = _label(world, two, around(world, two), 0, on_top())

@@ -48,6 +48,7 @@ OPTIONS = {
     "pick": "config --out --bins --seed --device --detector --pose --depth --workers --threads "
     "--engine --address",
     "picks": "folders",
+    "grasps": "dataset --tool --name --per-instance --simulate --places --seed --files --workers",
     "import-real": "folder --out --intrinsics --distortion --scale --size --annotations "
     "--unlabelled --like",
     "fit-bin": "real --config --out --rgb --intrinsics --distortion --scale --size --inner --wall "

@@ -61,6 +61,7 @@ ORDER = (
     "fit_bin",
     "calibrate",
     "pick",
+    "grasp_labels",
     "report",
     "doctor",
     "bench",

@@ -75,8 +75,9 @@ What is measured, learnt and judged:
     study            models x inputs x training sets x worlds x seeds, in one table
     fit_bin          pose, colours and light of a real, empty bin
     calibrate        a rig from pictures of a board
-    report           pictures of what the program works with and makes; the web page
     pick             a robot that empties the bin
+    grasp_labels     where tools hold the parts of a dataset, and whether they do
+    report           pictures of what the program works with and makes; the web page
     doctor           what is installed here, and what each missing thing would give
     bench            speed and memory, and studies of renderers, drops and poses
     cli              the command `graycast`: files in, files out

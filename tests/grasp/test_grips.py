@@ -12,12 +12,15 @@ from graycast.grasp import (
     Cup,
     Doubt,
     Jaws,
+    closing,
     jaw_grips,
     jaw_load_factor,
+    jaw_places,
     patch_of_mesh,
     robustness,
     suction_grips,
     suction_in_depth,
+    suction_places,
 )
 from graycast.optics import Optics, rays
 from graycast.parts import Mesh
@@ -191,3 +194,50 @@ def test_the_same_seed_gives_the_same_grips():
     )
     assert [g.score for g in first] == [g.score for g in second]
     assert all((a.T_cam_tool == b.T_cam_tool).all() for a, b in zip(first, second, strict=True))
+
+
+def test_what_lies_beyond_an_open_pad_is_not_between_the_pads():
+    """A plate 10 mm thick between pads 20 mm apart, and another one 6 mm beyond a pad."""
+    near = trimesh.creation.box((0.010, 0.04, 0.04))
+    far = trimesh.creation.box((0.004, 0.04, 0.04), rigid(np.eye(3), np.array([0.018, 0.0, 0.0])))
+    both = mesh_of(trimesh.util.concatenate([near, far]))
+    jaws = Jaws(opening_m=0.06)
+    T = rigid(np.eye(3), np.array([0.002, 0.0, 0.0]))  # 2 mm beside the plate's middle
+    aside_m, slope = closing(both, jaws, T, opening_m=0.020)
+    assert aside_m == pytest.approx(-0.002)
+    assert slope == pytest.approx(0, abs=1e-6)
+    aside_m, _ = closing(both, jaws, T, opening_m=0.040)  # now it is: from -5 to 20 mm
+    assert aside_m == pytest.approx(0.0075 - 0.002)
+    beyond = rigid(np.eye(3), np.array([-0.020, 0.0, 0.0]))
+    assert closing(both, jaws, beyond, opening_m=0.020) is None
+
+
+@pytest.mark.parametrize("kind", ["suction", "jaws"])
+def test_places_are_grips_and_those_that_do_not_hold(kind):
+    known = {"weight_n": 0.5, "center_m": np.zeros(3), "doubt": DOUBT, "count": 60}
+    if kind == "suction":
+        places, grips = suction_places(box(), CUP, **known), suction_grips(box(), CUP, **known)
+        assert len(places) == 60
+    else:
+        places, grips = jaw_places(box(), JAWS, **known), jaw_grips(box(), JAWS, **known)
+        # All sides but the longest leave room; fingers may come from 8 ways.
+        assert len(places) % 8 == 0
+    assert 0 < len(grips) < len(places)
+    held = [place for place in places if place.score > 0]
+    assert sorted((g.score for g in grips), reverse=True) == [g.score for g in grips]
+    assert {g.T_part_tool.tobytes() for g in grips} == {g.T_part_tool.tobytes() for g in held}
+
+
+@pytest.mark.parametrize(("hole_m", "inside"), [(0.020, True), (0.007, False)])
+def test_a_wall_is_gripped_from_inside_where_the_hole_leaves_a_finger_room(hole_m, inside):
+    """A square tube of 4 mm walls; a finger of 6 mm needs 2 mm more beside it."""
+    outer = trimesh.creation.box((hole_m + 0.008, hole_m + 0.008, 0.03))
+    tube = mesh_of(outer.difference(trimesh.creation.box((hole_m, hole_m, 0.04))))
+    grips = jaw_grips(tube, JAWS, weight_n=0.2, center_m=np.zeros(3), doubt=SURE, count=300)
+    walls = [grip for grip in grips if grip.opening_m == pytest.approx(0.004)]
+    assert bool(walls) == inside
+    for grip in walls:
+        assert abs(grip.T_part_tool[2, 2]) > 0.7  # through the hole's mouth, not through the wall
+        aside_m, _ = closing(tube, JAWS, grip.T_part_tool, opening_m=0.008)
+        assert aside_m == pytest.approx(0, abs=1e-9)
+    assert any(grip.opening_m == pytest.approx(hole_m + 0.008) for grip in grips)

@@ -15,6 +15,7 @@ def episode(bin_id, *outcomes, left=0, spilled=0):
     taken = sum(outcome == "picked" for outcome in outcomes)
     return StoredEpisode(
         bin_id=bin_id,
+        kinds=(0,) * (taken + left + spilled),
         filled=taken + left + spilled,
         taken=taken,
         left=left,

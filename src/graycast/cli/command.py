@@ -15,6 +15,7 @@ from . import (
     fitting,
     generating,
     judging,
+    labelling,
     looking,
     machine,
     measuring,
@@ -33,6 +34,7 @@ examples:
   graycast export out/demo --format coco --out out/coco  the same for a trainer, in its format
   graycast evaluate run --on out/demo --out out/scores   how good detections are
   graycast pick configs/cells/ur5e_suction.yaml --out p  a simulated robot that empties bins
+  graycast grasps out/demo --tool tool.yaml              label where a gripper holds the parts
   graycast decode stack.yaml --rig rig.yaml --out cloud  depth from a real scanner's pictures
   graycast certify phoxi-l --out sheet                   what a virtual scanner is worth
   graycast realism real/ --intrinsics K.json --out r     how real depth maps look, in figures
@@ -90,6 +92,7 @@ def _parser() -> argparse.ArgumentParser:
     detecting.add_commands(commands)
     judging.add_commands(commands)
     picking.add_commands(commands)
+    labelling.add_commands(commands)
     fitting.add_commands(commands)
     rigs.add_commands(commands)
     measuring.add_commands(commands)

@@ -14,6 +14,7 @@ from ..frames import is_rigid
 from . import records
 from .bop import camera_json
 from .claim import FORMAT_VERSION, SEALED_SINCE, fingerprint, rig_of
+from .grasp_files import grasp_problems
 from .models import diameter
 from .places import CLAIM, finished_scenes
 from .plain_scene import Model
@@ -45,6 +46,8 @@ def validate(out: Path, *, fast: bool = False) -> tuple[Problem, ...]:
     Poses are checked against masks and depth by rendering every model at its pose with a
     rasteriser of this package's own; masks must be a partition, and every count, box and run
     length must follow from them.
+
+    Grasp labels, where there are any, must be of the dataset's own instances and poses.
 
     Of real pictures only what they hold is checked: pictures, masks, counts and run lengths.
 
@@ -93,6 +96,9 @@ def validate(out: Path, *, fast: bool = False) -> tuple[Problem, ...]:
         problems += [Problem(scene=scene_id, what=what) for what in found]
     problems += [
         Problem(scene=None, what=what) for what in _split_problems(out, camera, finished, claim)
+    ]
+    problems += [
+        Problem(scene=None, what=what) for what in grasp_problems(out, claim.fingerprint, models)
     ]
     return tuple(problems)
 

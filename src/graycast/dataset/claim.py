@@ -33,11 +33,11 @@ def make_claim(
     """What `graycast.json` says of a run; the fingerprint covers all but versions and sources."""
     known = [part for part in parts if part.labelled]
     described = [
-        {"obj_id": obj_id, "name": part.name, "content": _digest(part)}
+        {"obj_id": obj_id, "name": part.name, "content": part_digest(part)}
         for obj_id, part in enumerate(known, start=1)
     ]
     distractors = [
-        {"name": part.name, "content": _digest(part)} for part in parts if not part.labelled
+        {"name": part.name, "content": part_digest(part)} for part in parts if not part.labelled
     ]
     claim = plain(
         {
@@ -110,7 +110,7 @@ def _unworded(item: Any) -> Any:
     return math.inf if item == "inf" else item
 
 
-def _digest(part: Part) -> str:
+def part_digest(part: Part) -> str:
     """SHA-256 over a part's shape, material, density, friction and symmetries."""
     digest = hashlib.sha256()
     mesh, material = part.mesh, part.material
@@ -147,7 +147,7 @@ def refuse_other(path: Path, claim: Mapping[str, Any]) -> None:
             (
                 found
                 for key in _CLAIMED
-                if (found := _difference(held.get(key), claim.get(key), key)) is not None
+                if (found := difference(held.get(key), claim.get(key), key)) is not None
             ),
             "the fingerprint",
         )
@@ -157,7 +157,7 @@ def refuse_other(path: Path, claim: Mapping[str, Any]) -> None:
         )
 
 
-def _difference(a: Any, b: Any, where: str) -> str | None:
+def difference(a: Any, b: Any, where: str) -> str | None:
     """The first place where two JSON values differ, as `key.key[index]` with both values."""
     if a == b:
         return None
@@ -167,7 +167,7 @@ def _difference(a: Any, b: Any, where: str) -> str | None:
         pairs = ((x, y, f"{where}[{i}]") for i, (x, y) in enumerate(zip(a, b, strict=True)))
     else:
         return f"{where} ({_short(a)} there, {_short(b)} here)"
-    return next((found for x, y, key in pairs if (found := _difference(x, y, key))), where)
+    return next((found for x, y, key in pairs if (found := difference(x, y, key))), where)
 
 
 def _short(value: Any) -> str:

@@ -3,6 +3,7 @@
 from pathlib import Path
 
 CLAIM = "graycast.json"
+SPLITS = ("train", "val", "test")
 
 
 def finished_scenes(out: Path, split: str = "train") -> set[int]:

@@ -17,11 +17,10 @@ from ..array_types import Bool, Float32, Int, UInt8, UInt16
 from ..errors import DatasetError
 from . import records
 from .example import Example, Label, label_arrays, metres
-from .places import CLAIM, finished_scenes
+from .places import CLAIM, SPLITS, finished_scenes
 from .reading import Unreadable, read_json, read_png
 from .real import RealClaim, RealSceneCamera, RealSceneGt, RealSceneGtInfo, is_real
 
-SPLITS = ("train", "val", "test")
 NO_REASON = 255  # a pixel without scanner depth in a dataset that does not say why
 _HELD = frozenset({"rgb", "gray_sl", "depth", "depth_sl", "masks", "amodal", "poses", "shares"})
 _PIXELS = {"rgb": (3, np.uint8), "gray_sl": (2, np.uint8), "reason_sl": (2, np.uint8)}
@@ -104,7 +103,7 @@ class StoredScene:
 
     def obj_ids(self) -> tuple[int, ...]:
         """What each instance is, seen or not: all that one small file tells."""
-        return tuple(pose.obj_id for pose in self._poses()) if "masks" in self.holds else ()
+        return tuple(pose.obj_id for pose in self.poses()) if "masks" in self.holds else ()
 
     def labels(self, *, min_visibility: float = 0.0) -> list[Label]:
         """The visible instances, or those visible for at least a share; none without masks."""
@@ -141,7 +140,7 @@ class StoredScene:
 
     def masks(self, name: str) -> list[Bool[np.ndarray, "h w"]]:
         """All masks of `mask` or `mask_visib`, of hidden instances too."""
-        return [self._mask(f"{name}/000000_{i:06d}.png") for i in range(len(self._poses()))]
+        return [self._mask(f"{name}/000000_{i:06d}.png") for i in range(len(self.poses()))]
 
     def example(self, *, min_visibility: float = 0.0) -> Example:
         """What a trainer wants of it."""
@@ -185,7 +184,8 @@ class StoredScene:
             why = f"cannot be read ({error.strerror}): run graycast validate"
             raise DatasetError(f"{self.folder / name}: {why}") from error
 
-    def _poses(self) -> list[Any]:
+    def poses(self) -> list[Any]:
+        """What `scene_gt.json` says of every instance, seen or not."""
         form = RealSceneGt if self.real else records.SceneGt
         poses = self._read("scene_gt.json", form).image
         for obj_id in {pose.obj_id for pose in poses}.difference(self.categories):
@@ -200,7 +200,7 @@ class StoredScene:
         if "masks" not in self.holds:
             return [], [], []
         form = RealSceneGtInfo if self.real else records.SceneGtInfo
-        poses = self._poses()
+        poses = self.poses()
         infos = self._read("scene_gt_info.json", form).image
         annotations = self._read("scene_gt_coco.json", records.SceneCoco).annotations
         seen = sum(info.px_count_visib > 0 for info in infos)

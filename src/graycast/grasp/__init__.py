@@ -1,8 +1,8 @@
 """Where a part can be gripped: surfaces under a tool, seals of suction cups, what a grip holds."""
 
 from .grip import Grip
-from .jaws import CLEARANCE_M, Jaws, closing, jaw_grips, jaw_load_factor
-from .known import suction_grips
+from .jaws import CLEARANCE_M, Jaws, closing, jaw_grips, jaw_load_factor, jaw_places
+from .known import suction_grips, suction_places
 from .patch import Patch, patch_of_depth, patch_of_mesh
 from .robust import CARRIED_M_S2, Burden, Doubt, patch_radius_m, robustness
 from .suction import Cup, Seal, load_factor, seal
@@ -22,6 +22,7 @@ __all__ = [
     "closing",
     "jaw_grips",
     "jaw_load_factor",
+    "jaw_places",
     "load_factor",
     "patch_of_depth",
     "patch_of_mesh",
@@ -30,4 +31,5 @@ __all__ = [
     "seal",
     "suction_grips",
     "suction_in_depth",
+    "suction_places",
 ]

@@ -79,12 +79,38 @@ def jaw_grips(
     chances: int = 24,
     seed: int = 0,
 ) -> list[Grip]:
-    """Where two fingers close on a part, best first.
+    """Where two fingers close on a part, best first: `jaw_places` whose score is above 0."""
+    places = jaw_places(
+        mesh,
+        jaws,
+        weight_n=weight_n,
+        center_m=center_m,
+        doubt=doubt,
+        count=count,
+        chances=chances,
+        seed=seed,
+    )
+    return sorted((grip for grip in places if grip.score > 0), key=lambda grip: -grip.score)
 
-    Both normals lie in the cone of friction about the line between the pads, nothing of the part
-    lies beyond them, and no point of the part lies in an open finger or in the palm. A grip's score
-    is the share of chances (friction, centre of mass) in which the normals stay in the cone and the
-    burden is held, the least over an upright tool and one that leans to four sides.
+
+def jaw_places(
+    mesh: Mesh,
+    jaws: Jaws,
+    *,
+    weight_n: float,
+    center_m: Float[np.ndarray, "3"],
+    doubt: Doubt,
+    count: int = 200,
+    chances: int = 24,
+    seed: int = 0,
+) -> list[Grip]:
+    """Every place that open fingers fit round, also where they do not hold.
+
+    They hold where both normals lie in the cone of friction about the line between the pads, and no
+    point of the part lies in an open finger or in the palm: so one finger may stand in a hole or
+    between two walls that leave it room. The score is then the share of chances (friction, centre
+    of mass) in which the normals stay in the cone and the burden is held, the least over an upright
+    tool and one that leans to four sides; elsewhere it is 0.
 
     Args:
         mesh: of the part.
@@ -103,18 +129,19 @@ def jaw_grips(
     friction = jaws.friction * np.maximum(1 + doubt.friction_share * off[:, 0], 0)
     a, b, c = np.moveaxis(mesh.vertices_m[mesh.faces].astype(np.float64), 1, 0)
     through_m, face = _far_side(point, -normal, a, b - a, c - a)
-    outside_m, _ = _far_side(point, normal, a, b - a, c - a)
     cross = mesh.face_cross_m2
     far_normal = (cross / np.linalg.norm(cross, axis=1, keepdims=True))[face]
     slope = np.tan(np.arccos(np.clip(-np.einsum("ni,ni->n", far_normal, normal), 0, 1)))
     fits = (through_m > 1e-4) & (through_m + 2 * CLEARANCE_M <= jaws.opening_m)
-    fits &= (outside_m < 1e-6) & (slope <= jaws.friction)
-    grips = []
+    closes = slope <= jaws.friction
+    places = []
     for i in np.flatnonzero(fits):
         held = friction >= slope[i]
         for turn in 2 * np.pi * np.arange(TURNS) / TURNS:
             T = _closed_on(point[i] - normal[i] * through_m[i] / 2, normal[i], turn)
-            if _in_the_way(jaws, probes, T, through_m[i]):
+            opening_m = float(through_m[i])
+            if not closes[i] or _in_the_way(jaws, probes, T, opening_m):
+                places.append(Grip(T_part_tool=T, score=0.0, opening_m=opening_m))
                 continue
             centers = (center_m + doubt.center_m * off[:, 1:] - T[:3, 3]) @ T[:3, :3]
             loads_n = SHAKE * weight_n * downs()[:, None].repeat(chances, axis=1)
@@ -122,18 +149,28 @@ def jaw_grips(
                 [jaw_load_factor(jaws, each_n, np.cross(centers, each_n)) for each_n in loads_n]
             )
             score = np.mean(held & (factor * friction / jaws.friction >= 1), axis=1).min()
-            if score > 0:
-                grips.append(Grip(T_part_tool=T, score=float(score), opening_m=float(through_m[i])))
-    return sorted(grips, key=lambda grip: -grip.score)
+            places.append(Grip(T_part_tool=T, score=float(score), opening_m=opening_m))
+    return places
 
 
 def closing(
-    mesh: Mesh, jaws: Jaws, T_mesh_tool: Float[np.ndarray, "4 4"]
+    mesh: Mesh,
+    jaws: Jaws,
+    T_mesh_tool: Float[np.ndarray, "4 4"],
+    *,
+    opening_m: float | None = None,
 ) -> tuple[float, float] | None:
     """What jaws meet that close on a mesh: the middle between the pads, and the steeper slope.
 
-    Lines parallel to the jaws' axis through both pads are followed to the outermost surface on
-    either side. The slope is the tangent between the axis and the mean normal under a pad.
+    Lines parallel to the jaws' axis are followed from each open pad to the other: the first surface
+    that a pad meets. What lies beyond an open pad is not between them. The slope is the tangent
+    between the axis and the mean normal under a pad.
+
+    Args:
+        mesh: what they close on.
+        jaws: the tool.
+        T_mesh_tool: where it is.
+        opening_m: between the open pads; left out: as far as they open.
 
     Returns:
         How far aside the part's middle lies along x [m], and the slope; None where a pad meets
@@ -146,8 +183,8 @@ def closing(
         for share in (0.5, 0.95)
     ]
     line = np.concatenate(across)
-    reach_m = jaws.opening_m  # beyond both open fingers
-    start = np.column_stack([np.full(len(line), -reach_m), line])
+    open_m = jaws.opening_m if opening_m is None else opening_m
+    start = np.column_stack([np.full(len(line), -open_m / 2), line])
     R = T_mesh_tool[:3, :3]
     a, b, c = np.moveaxis(mesh.vertices_m[mesh.faces].astype(np.float64), 1, 0)
     cross = mesh.face_cross_m2
@@ -155,7 +192,7 @@ def closing(
     for side in (1.0, -1.0):
         origin = np.ascontiguousarray((start * [side, 1, 1]) @ R.T + T_mesh_tool[:3, 3])
         way = np.ascontiguousarray(np.tile(side * R[:, 0], (len(line), 1)))
-        far_m, face = _far_side(origin, way, a, b - a, c - a)
+        far_m, face = _far_side(origin, way, a, b - a, c - a, most_m=open_m)
         hit = far_m >= 0
         if hit.sum() < len(line) / 2:
             return None
@@ -163,7 +200,7 @@ def closing(
         mean = R.T @ normal.mean(axis=0)
         along = side * mean[0] / np.linalg.norm(mean)
         slopes.append(float(np.tan(np.arccos(np.clip(along, 1e-6, 1)))))
-        outermost_m.append(side * float(far_m[hit].max() - reach_m))
+        outermost_m.append(side * float(far_m[hit].max() - open_m / 2))
     return sum(outermost_m) / 2, max(slopes)
 
 
@@ -196,8 +233,8 @@ def _in_the_way(
 
 @numba.njit(cache=True)
 @no_type_check  # the tests' type checker would wrap the function, which numba cannot compile
-def _far_side(origin, way, a, ab, ac):
-    """Distance along each ray to the last triangle that it crosses, and which; -1 for none."""
+def _far_side(origin, way, a, ab, ac, most_m=np.inf):
+    """Distance along each ray to the last triangle that it crosses up to there; -1 for none."""
     distance, face = np.full(len(origin), -1.0), np.full(len(origin), -1)
     for i in range(len(origin)):
         for f in range(len(a)):
@@ -216,6 +253,6 @@ def _far_side(origin, way, a, ab, ac):
             if u < 0 or v < 0 or u + v > 1:
                 continue
             t = (ac[f, 0] * qx + ac[f, 1] * qy + ac[f, 2] * qz) / det
-            if t > distance[i]:
+            if distance[i] < t <= most_m:
                 distance[i], face[i] = t, f
     return distance, face

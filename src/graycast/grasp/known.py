@@ -24,7 +24,24 @@ def suction_grips(
     count: int = 200,
     seed: int = 0,
 ) -> list[Grip]:
-    """Places where a cup holds a part, best first.
+    """Places where a cup holds a part, best first: `suction_places` whose score is above 0."""
+    places = suction_places(
+        mesh, cup, weight_n=weight_n, center_m=center_m, doubt=doubt, count=count, seed=seed
+    )
+    return sorted((grip for grip in places if grip.score > 0), key=lambda grip: -grip.score)
+
+
+def suction_places(
+    mesh: Mesh,
+    cup: Cup,
+    *,
+    weight_n: float,
+    center_m: Float[np.ndarray, "3"],
+    doubt: Doubt,
+    count: int = 200,
+    seed: int = 0,
+) -> list[Grip]:
+    """Every place that is tried, also where a cup does not hold, in the order over the surface.
 
     A place's score is its robustness with the tool's axis upright and leaning by up to
     30 degrees to four sides, the least of the five: how the part will lie is not known yet.
@@ -39,13 +56,12 @@ def suction_grips(
         seed: of the doubts.
     """
     points, normals = spread_points(mesh, count)
-    held = []
+    places = []
     for point, normal in zip(points, normals, strict=True):
         T_part_tool = frame_on(point, normal)
         patch = patch_of_mesh(mesh, T_part_tool, radius_m=patch_radius_m(cup, doubt), step_m=STEP_M)
         center = T_part_tool[:3, :3].T @ (center_m - point)
         burdens = [Burden(weight_n=weight_n, center_m=center, down=down) for down in downs()]
         score = robustness(cup, patch, burdens, doubt, seed=seed)
-        if score > 0:
-            held.append(Grip(T_part_tool=T_part_tool, score=score))
-    return sorted(held, key=lambda grip: -grip.score)
+        places.append(Grip(T_part_tool=T_part_tool, score=score))
+    return places

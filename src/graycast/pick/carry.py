@@ -10,6 +10,7 @@ from ..drop import Lift, lift, parts_outside, simulate
 from ..drop.rapier import STEP_S
 from ..evaluate.pose_errors import rotation_translation
 from ..frames import inverse
+from ..grasp import CLEARANCE_M
 from ..scene import Layout
 from .aim import Aim
 from .choose import Choice
@@ -58,7 +59,7 @@ def carry_out(ready: Ready, world: World, choice: Choice) -> tuple[Carried, Worl
         ready.kinds,
         layout.T_world_part,
         layout.part_index,
-        opening_m=aim.opening_m,
+        opening_m=None if aim.opening_m is None else aim.opening_m + 2 * CLEARANCE_M,
     )
     error = _pose_error(ready, layout, aim)
     world = replace(world, q=choice.ways.away.q[-1])

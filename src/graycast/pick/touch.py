@@ -77,7 +77,7 @@ def touch(
     parts = [kind.part for kind in kinds]
     if isinstance(tool, SuctionTool):
         return _lay(tool, T_world_tool, parts, T_world_part, part_index)
-    return _close(tool, T_world_tool, parts, T_world_part, part_index)
+    return _close(tool, T_world_tool, parts, T_world_part, part_index, opening_m)
 
 
 def _pushed(
@@ -190,12 +190,13 @@ def _close(
     parts: Sequence[Part],
     T_world_part: Float[np.ndarray, "n 4 4"],
     part_index: Int[np.ndarray, " n"],
+    opening_m: float | None,
 ) -> Held | NotHeld:
     jaws = tool.jaws
     met = []
     for i, (T, kind) in enumerate(zip(T_world_part, part_index, strict=True)):
         if _near(T_world_tool, T, parts[kind], jaws.opening_m):
-            found = closing(parts[kind].mesh, jaws, inverse(T) @ T_world_tool)
+            found = closing(parts[kind].mesh, jaws, inverse(T) @ T_world_tool, opening_m=opening_m)
             if found is not None:
                 met.append((i, found))
     if not met:

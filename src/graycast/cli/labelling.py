@@ -1,0 +1,144 @@
+"""The command that labels grasps: grasps."""
+
+import argparse
+from pathlib import Path
+
+from ..errors import GraycastError
+from .arguments import add_command, add_seed, positive, progress_bar
+from .arguments import seed as whole
+
+# Heavy modules are imported by the command that needs them, so that --help answers at once.
+
+GRASPS = """\
+Write into a dataset where a tool would hold its parts: for each instance places with the analytic
+score, whether the tool gets there past bin and parts, and, of some in each scene, whether physics
+lifts the part out of the heap with it. The labels go to DATASET/grasps/NAME; nothing else of the
+dataset changes. The same command goes on where it was stopped. At the end it tells how well the
+score ranks what physics held. Needs pip install 'graycast[pick]'."""
+
+
+def add_commands(commands) -> None:
+    grasps = add_command(commands, "grasps", _grasps, "Label where a gripper holds the parts.")
+    grasps.description = GRASPS
+    grasps.set_defaults(when_stopped="labelled scenes are kept")
+    grasps.add_argument("dataset", type=Path, help="The dataset's folder.")
+    grasps.add_argument(
+        "--tool",
+        type=Path,
+        required=True,
+        help="A robot's cell, such as configs/cells/ur5e_suction.yaml, or its section tool alone.",
+    )
+    grasps.add_argument(
+        "--name", help="Name of this set of labels (default: suction or jaws, as the tool is)."
+    )
+    grasps.add_argument(
+        "--per-instance",
+        type=positive,
+        default=20,
+        help="How many labels each instance gets at most (default: 20).",
+    )
+    grasps.add_argument(
+        "--simulate",
+        type=whole,
+        default=10,
+        help="How many labels of each scene physics carries out (default: 10).",
+    )
+    grasps.add_argument(
+        "--places",
+        type=positive,
+        default=400,
+        help="How many places are tried on each kind of part (default: 400).",
+    )
+    add_seed(grasps, 0)
+    grasps.add_argument(
+        "--files",
+        type=Path,
+        default=Path(),
+        help="The folder where the dataset's configuration lay, if it names files of your own "
+        "(default: this folder).",
+    )
+    grasps.add_argument(
+        "--workers", type=positive, default=1, help="Scenes at a time (default: 1)."
+    )
+
+
+def _grasps(options: argparse.Namespace) -> int:
+    try:
+        import coal  # noqa: F401
+    except ImportError as error:
+        raise GraycastError(
+            "what a tool would touch is found by a library of robots: run "
+            "pip install 'graycast[pick]'"
+        ) from error
+    from ..grasp_labels import Labelling, label_dataset, rank, read_tool
+
+    tool = read_tool(options.tool)
+    labelling = Labelling(
+        tool=tool,
+        places=options.places,
+        per_instance=options.per_instance,
+        simulate=options.simulate,
+    )
+    name = options.name or tool.kind
+    if Path(name).name != name or name.startswith("."):
+        raise GraycastError(f"--name is {name!r}: give a plain word; it names a folder")
+    with progress_bar() as bar:
+        scenes = bar.add_task("scenes", total=None)
+        stage = bar.add_task("", total=None, visible=False)
+
+        def made(key, outcome) -> None:
+            bar.update(scenes, advance=1)
+            told = {word: int(count) for word, count in outcome.reasons.items()}
+            bar.console.print(
+                f"{key}  {outcome.seconds:6.1f} s  {told['grasps']} labels, "
+                f"{told['held']} of {told['simulated']} lifted"
+            )
+
+        def failed(key, outcome) -> None:
+            told = " ".join(str(outcome.error).split()) or type(outcome.error).__name__
+            bar.console.print(f"{key}  failed: {told}", markup=False)
+
+        lost = label_dataset(
+            options.dataset,
+            labelling,
+            name=name,
+            seed=options.seed,
+            files=options.files,
+            workers=options.workers,
+            on_start=lambda found, total: bar.update(scenes, completed=found, total=total),
+            on_made=made,
+            on_failed=failed,
+            on_stage=lambda text: bar.reset(stage, description=text, total=None, visible=True),
+        )
+    _tell(rank(options.dataset, name))
+    print(f"{options.dataset / 'grasps' / name}: the labels; docs/formats.md describes them")
+    return 1 if lost else 0
+
+
+def _tell(ranking) -> None:
+    reach = ", ".join(f"{count} {name}" for name, count in ranking.reach.items())
+    print(f"{ranking.labels} labels in {ranking.scenes} scenes: {reach}")
+    if not ranking.simulated:
+        return
+    ended = ", ".join(f"{count} {name}" for name, count in ranking.ended.items())
+    rate, low, high = ranking.rate
+    print(
+        f"{ranking.simulated} carried out: {rate:.1%} held (95 % interval {low:.1%} to "
+        f"{high:.1%}); {ended}"
+    )
+    for band in ranking.bands:
+        if band.grips:
+            span = "0" if band.high == 0 else f"above {band.low:g} to {band.high:g}"
+            rate, low, high = band.rate
+            print(
+                f"  score {span:18} {band.held:4d} of {band.grips:4d} held, {rate:6.1%} "
+                f"({low:.1%} to {high:.1%})"
+            )
+    print(f"the score ranks success with ROC AUC {_interval(ranking.auc)}")
+    print(f"  among scores above 0               {_interval(ranking.auc_above_0)}")
+
+
+def _interval(figure) -> str:
+    if figure.value != figure.value:
+        return "unknown: all were held, or none"
+    return f"{figure.value:.3f} (95 % interval {figure.low:.3f} to {figure.high:.3f})"

@@ -1,0 +1,148 @@
+"""Grasp labels beside a dataset's scenes: their files as values, read and checked.
+
+grasps/suction/grasps.json         of which dataset, tool and options they are
+grasps/suction/train/000000.json   the labels of one scene, whole or not there
+
+They are no part of the scenes: whoever adds or removes them changes no byte of the dataset.
+"""
+
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import numpy as np
+from pydantic import Field
+
+from ..frames import is_rigid
+from .places import SPLITS
+from .plain_scene import Model, transform_of
+from .reading import Unreadable, read_json
+from .records import Matrix3, Pose, Positive, Record, SceneGt, Vector
+
+GRASPS, GRASP_CLAIM = "grasps", "grasps.json"
+GRASP_FORMAT = 1
+POSE_MM, POSE_TURN = 1e-6, 1e-9  # of poses that are computed twice from the same numbers
+BOX_MM = 1e-3  # of models, whose PLY has nine digits
+
+Reach = Literal["free", "part", "bin", "table", "rig"]
+Ended = Literal["held", "lost seal", "slipped", "not held", "missed", "other part"]
+
+
+class GraspClaim(Record):
+    """`grasps.json`. `dataset` is the fingerprint of `graycast.json`."""
+
+    format_version: Literal[1]
+    config: dict[str, Any]
+    seed: Annotated[int, Field(ge=0)]
+    dataset: str
+    versions: dict[str, str]
+
+    @property
+    def opening_mm(self) -> float | None:
+        """How far jaws open; None of a suction cup."""
+        jaws = self.config.get("tool", {}).get("jaws")
+        return None if jaws is None else 1e3 * float(jaws["opening_m"])
+
+
+class Simulated(Record):
+    """What became of a grasp that was carried out in physics."""
+
+    success: bool
+    ended: Ended
+    least_factor: Annotated[float, Field(ge=0)] | None
+
+
+class Grasp(Record):
+    """Where a tool goes: its frame in the model's [mm] and in the camera's, and what it is worth.
+
+    `opening` [mm] is between the pads of jaws that touch the part.
+    """
+
+    R_t2m: Matrix3
+    t_t2m: Vector
+    cam_R_t2c: Matrix3
+    cam_t_t2c: Vector
+    opening: Positive | None
+    score: Annotated[float, Field(ge=0, le=1)]
+    reach: Reach
+    simulated: Simulated | None
+
+
+class InstanceGrasps(Record):
+    obj_id: Annotated[int, Field(ge=1)]
+    grasps: list[Grasp]
+
+
+class SceneGrasps(Record):
+    """The labels of one scene, an entry per instance of `scene_gt.json`."""
+
+    image: Annotated[list[InstanceGrasps], Field(alias="0")]
+
+
+def grasp_problems(out: Path, fingerprint: str, models: Mapping[int, Model]) -> Iterator[str]:
+    """All that is wrong with the grasp labels of a dataset; scenes need not have any.
+
+    Args:
+        out: the dataset.
+        fingerprint: its own.
+        models: as read from it.
+    """
+    for folder in sorted((out / GRASPS).glob("*")):
+        if folder.name.startswith("."):
+            continue
+        try:
+            claim = read_json(folder / GRASP_CLAIM, GraspClaim)
+        except Unreadable as error:
+            yield f"{GRASPS}/{folder.name}: {error}"
+            continue
+        if claim.dataset != fingerprint:
+            yield f"{GRASPS}/{folder.name}: {GRASP_CLAIM} is of another dataset"
+        for path in sorted(path for split in SPLITS for path in (folder / split).glob("*")):
+            if not path.name.startswith("."):
+                where = path.relative_to(out)
+                for what in _file_problems(out, path, claim.opening_mm, models):
+                    yield f"{where}: {what}"
+
+
+def _file_problems(
+    out: Path, path: Path, opening_mm: float | None, models: Mapping[int, Model]
+) -> Iterator[str]:
+    try:
+        labels = read_json(path, SceneGrasps).image
+        poses = read_json(out / path.parent.name / path.stem / "scene_gt.json", SceneGt).image
+    except Unreadable as error:
+        yield str(error)
+        return
+    if [entry.obj_id for entry in labels] != [pose.obj_id for pose in poses]:
+        yield f"its {len(labels)} instances are not the {len(poses)} of scene_gt.json"
+        return
+    for i, (entry, pose) in enumerate(zip(labels, poses, strict=True)):
+        for k, grasp in enumerate(entry.grasps):
+            for what in _grasp_problems(grasp, pose, opening_mm, models.get(pose.obj_id)):
+                yield f"instance {i}, grasp {k}: {what}"
+
+
+def _grasp_problems(
+    grasp: Grasp, pose: Pose, opening_mm: float | None, model: Model | None
+) -> Iterator[str]:
+    T_part_tool = transform_of(grasp.R_t2m, grasp.t_t2m)
+    T_cam_tool = transform_of(grasp.cam_R_t2c, grasp.cam_t_t2c)
+    if not (is_rigid(T_part_tool) and is_rigid(T_cam_tool)):
+        yield "R_t2m or cam_R_t2c is not a rotation"
+        return
+    off = np.abs(transform_of(pose.cam_R_m2c, pose.cam_t_m2c) @ T_part_tool - T_cam_tool)
+    if off[:3, 3].max() > POSE_MM or off[:3, :3].max() > POSE_TURN:
+        yield "cam_R_t2c and cam_t_t2c are not its pose on the model, at the model's pose"
+    if model is not None:
+        low, high = model.vertices.min(axis=0) - BOX_MM, model.vertices.max(axis=0) + BOX_MM
+        if (T_part_tool[:3, 3] < low).any() or (T_part_tool[:3, 3] > high).any():
+            yield f"t_t2m {grasp.t_t2m} is outside of the model's box"
+    if (grasp.opening is None) != (opening_mm is None):
+        yield f"opening is {grasp.opening}, which only jaws have, and always"
+    elif grasp.opening is not None and opening_mm is not None and grasp.opening > opening_mm:
+        yield f"opening is {grasp.opening:g} mm, the jaws open {opening_mm:g} mm"
+    told = grasp.simulated
+    if told is not None and grasp.reach != "free":
+        yield f"it is simulated, and its reach is {grasp.reach}"
+    if told is not None and told.success != (told.ended == "held"):
+        yield f"success is {told.success} and ended is {told.ended}"

@@ -1,0 +1,37 @@
+"""How well a score ranks what succeeds: the area under the ROC curve."""
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+from scipy.stats import rankdata
+
+from .intervals import Interval, draw_scenes, interval_of
+
+
+def roc_auc(score: Float[np.ndarray, " n"], success: Bool[np.ndarray, " n"]) -> float:
+    """The chance that of a success and a failure the success has the higher score; ties are half.
+
+    NaN where nothing succeeds, or everything. It is Mann and Whitney's U, as a share of all pairs:
+    the sum of the successes' ranks, less the least that it can be.
+    """
+    good = int(success.sum())
+    bad = len(success) - good
+    if not good or not bad:
+        return float("nan")
+    u = rankdata(score)[success].sum() - good * (good + 1) / 2
+    return float(u / (good * bad))
+
+
+def roc_auc_of_scenes(
+    score: Float[np.ndarray, " n"],
+    success: Bool[np.ndarray, " n"],
+    scene: Int[np.ndarray, " n"],
+    *,
+    seed: int,
+) -> Interval:
+    """The same with its interval: what is of one scene is drawn together."""
+    ids, place = np.unique(scene, return_inverse=True)
+    drawn = []
+    for times in draw_scenes(len(ids), seed=seed) if len(ids) > 1 else ():
+        chosen = np.repeat(np.arange(len(score)), times[place])
+        drawn.append(roc_auc(score[chosen], success[chosen]))
+    return interval_of(roc_auc(score, success), np.array(drawn), len(ids))

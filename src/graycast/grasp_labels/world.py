@@ -1,0 +1,160 @@
+"""A stored dataset as a world: its bin and parts as they were, and where a tool holds these."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float, Int
+from pydantic import ValidationError
+
+from ..config import Config, resolve_bin, resolve_parts
+from ..dataset.claim import BESIDE_CONFIG, part_digest, rig_of
+from ..dataset.stored import StoredDataset, StoredScene
+from ..drop import Body, OnStage, make_bodies
+from ..drop.rapier import GRAVITY_M_S2
+from ..errors import ConfigError, DatasetError
+from ..frames import inverse, rigid
+from ..grasp import Doubt, Grip, jaw_places, suction_places
+from ..parts import Part
+from ..pick.obstacles import standing
+from ..pick.robot import Obstacle
+from ..pick.tools import SuctionTool, Tool
+from ..pick.touch import Kind
+from ..rig import Rig
+from ..scene import Bin, Scene
+from .options import Labelling
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Stock:
+    """What the scenes of a dataset are made of."""
+
+    bin: Bin
+    parts: tuple[Part, ...]
+    rig: Rig
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class World:
+    """The same with bodies, and with every place that was tried on each kind of part."""
+
+    stock: Stock
+    tool: Tool
+    bodies: tuple[Body, ...]
+    kinds: tuple[Kind, ...]
+    places: tuple[tuple[Grip, ...], ...]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Heap:
+    """Where the parts of a scene lie, and the camera."""
+
+    T_world_cam: Float[np.ndarray, "4 4"]
+    T_world_part: Float[np.ndarray, "n 4 4"]
+    T_cam_part: Float[np.ndarray, "n 4 4"]
+    part_index: Int[np.ndarray, " n"]
+
+
+def read_stock(dataset: StoredDataset, files: Path) -> Stock:
+    """Parts and bin from the configuration that a dataset holds.
+
+    Args:
+        files: the folder from which the configuration's paths start.
+
+    Raises:
+        DatasetError: it tells nothing of physics, or its parts are not these any more.
+        GraycastError: a file that the configuration names cannot be used.
+    """
+    claim = dataset.claim
+    if dataset.real:
+        raise DatasetError(f"{dataset.folder}: holds real pictures, whose poses nobody knows")
+    if claim["distractors"]:
+        raise DatasetError(
+            f"{dataset.folder}: has foreign parts among its own, and no file says where they lie: "
+            "make a dataset without domain.distractors"
+        )
+    told = {key: value for key, value in claim["config"].items() if key not in BESIDE_CONFIG}
+    try:
+        config = Config.model_validate(told)
+    except ValidationError as error:
+        raise DatasetError(
+            f"{dataset.folder}: its configuration is of another version of Graycast: "
+            f"{error.errors()[0]['msg']}"
+        ) from error
+    parts, _ = resolve_parts(config, files)
+    for part, held in zip(parts, claim["parts"], strict=True):
+        if part_digest(part) != held["content"]:
+            raise DatasetError(
+                f"{dataset.folder}: part {held['name']} is not what it was when the dataset was "
+                "made: give its files as they were, or the version of Graycast that made it"
+            )
+    return Stock(bin=resolve_bin(config.bin, files)[0], parts=parts, rig=rig_of(claim["rig"]))
+
+
+def make_world(
+    stock: Stock, labelling: Labelling, *, on_stage: OnStage = lambda stage: None
+) -> World:
+    """Look for places on every kind of part.
+
+    Raises:
+        ConfigError: the tool fits round no part at all.
+    """
+    bodies = make_bodies(stock.parts, on_stage=on_stage)
+    places = []
+    for part, body in zip(stock.parts, bodies, strict=True):
+        on_stage(f"{part.name}: places to grip it are looked for")
+        places.append(tuple(_places(labelling, part, body)))
+    if not any(places):
+        raise ConfigError(f"tool: its jaws fit round none of {_named(stock.parts)}: open them more")
+    return World(
+        stock=stock,
+        tool=labelling.tool,
+        bodies=bodies,
+        kinds=tuple(Kind.of(part, body) for part, body in zip(stock.parts, bodies, strict=True)),
+        places=tuple(places),
+    )
+
+
+def _named(parts: Sequence[Part]) -> str:
+    return ", ".join(part.name for part in parts)
+
+
+def _places(labelling: Labelling, part: Part, body: Body) -> list[Grip]:
+    tool, weight_n = labelling.tool, body.mass_kg * GRAVITY_M_S2
+    known: dict[str, Any] = {
+        "weight_n": weight_n, "center_m": body.center_m, "doubt": Doubt(), "count": labelling.places
+    }  # fmt: skip
+    if isinstance(tool, SuctionTool):
+        return suction_places(part.mesh, tool.cup, **known)
+    return jaw_places(part.mesh, tool.jaws, **known)
+
+
+def read_heap(scene: StoredScene) -> Heap:
+    """Where the parts of a scene lie.
+
+    Raises:
+        DatasetError: a file is missing or damaged.
+    """
+    view, poses = scene.view(), scene.poses()
+    T_world_cam = inverse(_metres(view.cam_R_w2c, view.cam_t_w2c))
+    T_cam_part = np.array([_metres(pose.cam_R_m2c, pose.cam_t_m2c) for pose in poses])
+    T_cam_part = T_cam_part.reshape(-1, 4, 4)
+    return Heap(
+        T_world_cam=T_world_cam,
+        T_world_part=T_world_cam @ T_cam_part,
+        T_cam_part=T_cam_part,
+        part_index=np.array([pose.obj_id - 1 for pose in poses], dtype=np.int64),
+    )
+
+
+def _metres(rotation: list[float], translation_mm: list[float]) -> Float[np.ndarray, "4 4"]:
+    return rigid(np.reshape(rotation, (3, 3)), np.array(translation_mm) / 1e3)
+
+
+def around(world: World, heap: Heap) -> tuple[Obstacle, ...]:
+    """Bin, table and rig."""
+    stock = world.stock
+    scene = Scene(rig=stock.rig, T_world_cam=heap.T_world_cam, parts=stock.parts, bin=stock.bin)
+    return standing(scene, np.eye(4))

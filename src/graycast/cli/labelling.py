@@ -10,11 +10,11 @@ from .arguments import seed as whole
 # Heavy modules are imported by the command that needs them, so that --help answers at once.
 
 GRASPS = """\
-Write into a dataset where a tool would hold its parts: for each instance places with the analytic
-score, whether the tool gets there past bin and parts, and, of some in each scene, whether physics
-lifts the part out of the heap with it. The labels go to DATASET/grasps/NAME; nothing else of the
-dataset changes. The same command goes on where it was stopped. At the end it tells how well the
-score ranks what physics held. Needs pip install 'graycast[pick]'."""
+Write beside a dataset where a tool would hold its parts. Each instance gets places with the
+analytic score, and whether the tool gets there past bin and parts; some in each scene are tried in
+physics, which says whether the part is lifted out of the heap. Labels go to DATASET/grasps/NAME,
+and all else in the folder stays as it is. The same command goes on where it was stopped. At the
+end it tells how well the score ranks what physics held. It needs pip install 'graycast[pick]'."""
 
 
 def add_commands(commands) -> None:

@@ -1,5 +1,6 @@
 """What a study's YAML file says."""
 
+import os
 from pathlib import Path
 from typing import Any, Literal
 
@@ -80,20 +81,24 @@ class StudySpec(Settings):
 
 
 def read_study(path: Path) -> StudySpec:
-    """Read and check a study; its paths become absolute.
+    """Read and check a study; its paths become absolute, and one folder has one spelling.
 
     Raises:
         ConfigError: the file is missing, or has an unknown, missing or wrong key.
     """
     said = read_settings(path, StudySpec)
     base = path.parent.absolute()
+
+    def spelt(folder: Path) -> Path:
+        return Path(os.path.normpath(base / folder))
+
     changes: dict[str, Any] = {
         "training": {
-            name: tuple(base / folder for folder in folders)
+            name: tuple(map(spelt, folders))
             for name, folders in said.training.items()
         },
         "tests": {
-            name: world.model_copy(update={"datasets": tuple(base / d for d in world.datasets)})
+            name: world.model_copy(update={"datasets": tuple(map(spelt, world.datasets))})
             for name, world in said.tests.items()
         },
     }

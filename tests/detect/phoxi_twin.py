@@ -170,7 +170,10 @@ def write_real(out: Path) -> None:
 
 STUDY = {
     "title": "Five real scans: detectors trained in the twin",
-    "models": [{"model": "mask-rcnn", "backbone": "resnet18"}],
+    "models": [
+        {"model": "yolov3", "backbone": "mobilenet-v3-small", "epochs": 40},
+        {"model": "mask-rcnn", "backbone": "resnet18"},
+    ],
     "inputs": ["depth_sl", "depth", "depth_noisy", "rgb"],
     "training": {"twin": ["twin"]},
     "tests": {

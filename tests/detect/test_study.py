@@ -49,6 +49,14 @@ def written(folder, **changed):
     return path
 
 
+def test_a_folder_has_one_spelling_wherever_the_study_s_file_lies(tmp_path):
+    """Else a run that another file began would be taken for another one."""
+    (tmp_path / "configs").mkdir()
+    training = {"five": ["../sets/a", "./b/../../sets/b"]}
+    spec = read_study(written(tmp_path / "configs", training=training))
+    assert spec.training["five"] == (tmp_path / "sets/a", tmp_path / "sets/b")
+
+
 def test_every_combination_comes_once(tmp_path):
     encodings = [{"name": "channel"}, {"name": "zero", "holes": "zero"}]
     spec = read_study(written(tmp_path, encodings=encodings, seeds=[0, 1]))

@@ -93,10 +93,7 @@ def read_study(path: Path) -> StudySpec:
         return Path(os.path.normpath(base / folder))
 
     changes: dict[str, Any] = {
-        "training": {
-            name: tuple(map(spelt, folders))
-            for name, folders in said.training.items()
-        },
+        "training": {name: tuple(map(spelt, folders)) for name, folders in said.training.items()},
         "tests": {
             name: world.model_copy(update={"datasets": tuple(map(spelt, world.datasets))})
             for name, world in said.tests.items()

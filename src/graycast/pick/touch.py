@@ -5,8 +5,9 @@ under its middle; jaws close until both pads touch. What stands in the way of a 
 by more than `PUSHED_M` is a collision that the scanner did not show.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -143,16 +144,7 @@ def _lay(
         )
         return NotHeld(outcome=Outcome.NOT_HELD, detail=how, part=part)
     set_down = T_world_tool @ rigid(np.eye(3), np.array([0.0, 0.0, at_m]))
-
-    def factor(force_n: np.ndarray, moment_nm: np.ndarray) -> float:
-        return float(load_factor(cup, force_n[None], moment_nm[None])[0])
-
-    hold = Hold(
-        T_part_tool=inverse(T_world_part[part]) @ set_down,
-        factor=factor,
-        stiffness_n_m=tool.stiffness_n_m,
-    )
-    return Held(part=part, hold=hold, T_world_tool=set_down)
+    return _held(tool, part, T_world_part[part], set_down, partial(load_factor, cup))
 
 
 def _under(
@@ -214,12 +206,23 @@ def _close(
         )
     # The jaws close about the tool's middle: the part is drawn there, or the arm gives way.
     set_down = T_world_tool @ rigid(np.eye(3), np.array([aside_m, 0.0, 0.0]))
+    return _held(tool, part, T_world_part[part], set_down, partial(jaw_load_factor, jaws))
+
+
+def _held(
+    tool: Tool,
+    part: int,
+    T_world_part: Float[np.ndarray, "4 4"],
+    set_down: Float[np.ndarray, "4 4"],
+    law: Callable[[np.ndarray, np.ndarray], np.ndarray],
+) -> Held:
+    """A part in a tool whose law says of many loads how many times each it would hold."""
 
     def factor(force_n: np.ndarray, moment_nm: np.ndarray) -> float:
-        return float(jaw_load_factor(jaws, force_n[None], moment_nm[None])[0])
+        return float(law(force_n[None], moment_nm[None])[0])
 
     hold = Hold(
-        T_part_tool=inverse(T_world_part[part]) @ set_down,
+        T_part_tool=inverse(T_world_part) @ set_down,
         factor=factor,
         stiffness_n_m=tool.stiffness_n_m,
     )

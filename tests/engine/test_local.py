@@ -1,5 +1,6 @@
 """Worker processes of this machine: killed, starved, stopped. What comes out stays the same."""
 
+import multiprocessing
 import os
 import signal
 import subprocess
@@ -98,7 +99,8 @@ def test_a_worker_that_grows_beyond_its_share_is_replaced_between_scenes(task, m
         try:
             for scene_id in range(3):
                 pool.submit(scene_id)
-                seen += workers_of(os.getpid())
+                # By number: a process that has just been forked does not bear its name yet.
+                seen += [child.pid for child in multiprocessing.active_children()]
                 assert isinstance(pool.gather(), Made)
         finally:
             pool.close()

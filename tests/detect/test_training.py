@@ -258,6 +258,29 @@ def test_the_bare_network_is_timed_in_the_arithmetic_of_detections(dataset, run,
     assert len(seen) >= 2 * 5 and all(cast and flushed for cast, flushed in seen)
 
 
+@pytest.mark.parametrize(
+    ("capabilities", "mixed"),
+    [({"avx512_bf16": True}, True), ({"amx_bf16": True}, True), ({"avx512_f": True}, False)],
+)
+def test_a_processor_trains_in_bfloat16_where_it_has_it(
+    dataset, tmp_path, monkeypatch, capabilities, mixed
+):
+    monkeypatch.setattr(torch.cpu, "get_capabilities", lambda: capabilities, raising=False)
+    seen, conv2d = set(), torch.nn.functional.conv2d
+    monkeypatch.setattr(
+        torch.nn.functional,
+        "conv2d",
+        lambda *args, **kwargs: (
+            seen.add(torch.is_autocast_enabled("cpu")) or conv2d(*args, **kwargs)
+        ),
+    )
+    detector = train([dataset], tmp_path / "run", replace(SMALL, epochs=1))
+    assert seen == {mixed}
+    kernels = [w for w in detector.network.parameters() if w.ndim == 4 and min(w.shape) > 1]
+    assert kernels and all(w.is_contiguous(memory_format=torch.channels_last) for w in kernels)
+    assert {w.dtype for w in detector.network.parameters()} == {torch.float32}
+
+
 def test_the_mode_of_the_processor_may_be_asked_for_twice():
     torch.set_flush_denormal(False)
     tiny = np.full(1, np.finfo(float).tiny)

@@ -10,7 +10,7 @@ import numpy as np
 import torch
 
 from ..detect import Augmentation, Detector, load_detector
-from ..detect.detector import without_denormals
+from ..detect.detector import autocast, without_denormals
 from ..detect.pictures import Pictures, collate
 from ..errors import GraycastError
 from ..training import open_examples
@@ -105,8 +105,10 @@ def _step(detector: Detector, dataset: Path) -> Figures:
                 )
                 image, targets = batch
                 targets = [target.to(detector.device) for target in targets]
-                losses = network.losses(image.to(detector.device), targets)
-                torch.stack(list(losses.values())).sum().backward()
+                with autocast(detector.device):
+                    losses = network.losses(image.to(detector.device), targets)
+                    loss = torch.stack(list(losses.values())).sum()
+                loss.backward()
                 optimizer.step()
                 optimizer.zero_grad()
                 times[name].append(time.perf_counter() - start)

@@ -254,7 +254,7 @@ def load_detector(path: Path, *, device: str = "auto") -> Detector:
         ) from error
     network.eval()
     chosen = choose_device(device)
-    return Detector(about=about, network=network.to(chosen), device=chosen)
+    return Detector(about=about, network=put_on(network, chosen), device=chosen)
 
 
 def choose_device(name: str) -> torch.device:
@@ -285,6 +285,26 @@ def without_denormals() -> Iterator[None]:
         torch.set_flush_denormal(before)
 
 
+def put_on(network: Network, device: torch.device) -> Network:
+    """The network itself on a device, its kernels in the order in which processors read a picture.
+
+    A training of Mask R-CNN on a processor takes two thirds of the time in that order.
+    """
+    return network.to(device, memory_format=torch.channels_last)
+
+
 def autocast(device: torch.device):
-    """Mixed precision on a GPU, where it is faster; plain numbers on a processor."""
-    return torch.autocast(device.type, torch.bfloat16, enabled=device.type == "cuda")
+    """Mixed precision where the device has it: a GPU, and processors that multiply in bfloat16.
+
+    On a processor that has to emulate bfloat16 it would be slower than plain numbers.
+    """
+    return torch.autocast(
+        device.type,
+        torch.bfloat16,
+        enabled=device.type == "cuda" or _processor_has_bfloat16(),
+    )
+
+
+def _processor_has_bfloat16() -> bool:
+    can = getattr(torch.cpu, "get_capabilities", dict)()  # older releases of torch do not tell
+    return bool(can.get("avx512_bf16") or can.get("amx_bf16"))

@@ -25,6 +25,7 @@ from .detector import (
     autocast,
     choose_device,
     load_detector,
+    put_on,
     save_detector,
     without_denormals,
 )
@@ -152,7 +153,7 @@ def train(
         load_weights(network, spec.weights)
     run = RunFolder(out)
     with run.claimed(about.as_dict()):
-        network.to(device)
+        put_on(network, device)
         return _Training(
             spec=spec,
             about=about,

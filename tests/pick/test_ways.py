@@ -1,5 +1,7 @@
 """Ways of a pick: where they begin and end, how a part is carried, and why there is none."""
 
+from itertools import pairwise
+
 import numpy as np
 import pytest
 
@@ -36,6 +38,7 @@ def here(arm):
         q_place=arm.home,
         approach_m=0.06,
         straight_m_s=0.25,
+        lift_off_m_s=0.05,
     )
     place = rigid(np.eye(3), np.array([-0.1, -0.5, 0.25]))
     loaded = arm.mount((LOAD.piece(flat.T_flange_tip),))
@@ -43,7 +46,7 @@ def here(arm):
     q = next(q for q in reached if loaded.touches(q, ()) is None)
     return Surroundings(
         T_base_world=np.eye(4), T_flange_tip=flat.T_flange_tip, standing=(), q_place=q,
-        approach_m=0.06, straight_m_s=0.25,
+        approach_m=0.06, straight_m_s=0.25, lift_off_m_s=0.05,
     )  # fmt: skip
 
 
@@ -62,7 +65,7 @@ def tip(arm, here, q):
 
 def test_the_ways_join_and_end_where_they_should(arm, here):
     way = found(arm, here)
-    for before, after in ((way.to, way.down), (way.down, way.up), (way.up, way.away)):
+    for before, after in pairwise(way.all):
         np.testing.assert_allclose(before.q[-1], after.q[0], atol=1e-6)
     np.testing.assert_allclose(way.to.q[0], arm.home, atol=1e-9)
     np.testing.assert_allclose(way.away.q[-1], here.q_place, atol=1e-6)
@@ -79,7 +82,7 @@ def test_the_ways_join_and_end_where_they_should(arm, here):
 def test_a_part_is_carried_no_harder_than_its_grip_was_judged(arm, here):
     """By the engine's own steps of 2 ms, smoothed over 20: a coarser law would hide spikes."""
     way = found(arm, here)
-    for carried in (way.up, way.away):
+    for carried in way.loaded:
         time_s = np.arange(0, carried.seconds, 0.002)
         for below in (0.0, LOAD.below_m):
             place = np.stack(
@@ -96,6 +99,7 @@ def test_a_part_is_carried_no_harder_than_its_grip_was_judged(arm, here):
 def test_straight_ways_are_no_faster_than_they_may_be(arm, here):
     way = found(arm, here)
     assert way.down.seconds >= 0.06 / 0.25
+    assert way.off.seconds >= 0.01 / 0.05
     assert way.up.seconds >= 0.25 / 0.25
 
 

@@ -5,10 +5,11 @@ from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Bool, Float
+from scipy import ndimage
 
-from ..frames import pixel_grid, transform_points
+from ..frames import inverse, pixel_grid, transform_points
 from ..grasp import Doubt, Grip, suction_in_depth
-from ..optics import Optics, rays
+from ..optics import Optics, project, rays
 from ..pose import PoseModel, find_pose, find_pose_in_box
 from ..scene import Bin
 from .tools import SuctionTool
@@ -17,6 +18,9 @@ LEAST_AREA = 0.3  # of the largest detection's pixels, which a detection must ha
 FLOOR_M = 3e-3  # what lies lower than this above the bin's floor is the floor
 WALL_M = 5e-3  # what lies nearer to a wall is the wall
 LEAST_POSE = 0.3  # a pose's score below which no grip is taken from it
+BESIDE_PX = 2  # so near an outline, what covers a part is looked for
+COVERED_M = 8e-3  # what is nearer to the camera by more than this lies on the part
+COVERED_SHARE = 0.08  # of an outline, by which a part counts as covered
 PLACES = 40  # in each round of the search for suction places, for each detection
 
 
@@ -80,8 +84,14 @@ class KnownPart:
     grips: tuple[Grip, ...]
 
 
-def top_first(targets: Sequence[Target], view: View) -> list[Target]:
-    """Detections in the order in which a bin is emptied: what is seen well and lies high first."""
+def ranked(
+    targets: Sequence[Target], view: View, failed: Sequence[Float[np.ndarray, "3"]] = ()
+) -> list[list[Target]]:
+    """Detections that are seen well, in the order in which a bin is emptied.
+
+    First those that lie free, then those that another part covers, then those on which a grip has
+    failed, because what held the part may hold it still; in each group the highest first.
+    """
     ray = rays(view.camera, pixel_grid(view.camera.height_px, view.camera.width_px))
     area, height = [], []
     for target in targets:
@@ -91,7 +101,37 @@ def top_first(targets: Sequence[Target], view: View) -> list[Target]:
         height.append(float(np.median(point[:, 2])) if len(point) else -np.inf)
     least = LEAST_AREA * max(area, default=0)
     order = sorted(range(len(targets)), key=lambda i: -height[i])
-    return [targets[i] for i in order if area[i] > 0 and area[i] >= least]
+    groups: list[list[Target]] = [[], [], []]
+    for i in order:
+        if area[i] > 0 and area[i] >= least:
+            again = _holds_any(targets[i], view, failed)
+            covered = covered_share(targets[i].inside(view.depth_m.shape), view.depth_m)
+            groups[2 if again else int(covered > COVERED_SHARE)].append(targets[i])
+    return groups
+
+
+def covered_share(inside: Bool[np.ndarray, "h w"], depth_m: Float[np.ndarray, "h w"]) -> float:
+    """Of an outline's pixels, the share beside which something nearer to the camera is seen.
+
+    There another part covers this one, or stands close before it.
+    """
+    around = np.ones((3, 3), bool)
+    rim = inside & ~ndimage.binary_erosion(inside, around) & np.isfinite(depth_m)
+    outside_m = np.where(inside | np.isnan(depth_m), np.inf, depth_m)
+    nearest_m = ndimage.minimum_filter(outside_m, size=2 * BESIDE_PX + 1)
+    covered = rim & (nearest_m < depth_m - COVERED_M)
+    return float(covered.sum() / max(int(rim.sum()), 1))
+
+
+def _holds_any(target: Target, view: View, place_m: Sequence[Float[np.ndarray, "3"]]) -> bool:
+    """Whether a place in the world is seen within a detection's outline."""
+    if not len(place_m):
+        return False
+    inside = target.inside(view.depth_m.shape)
+    at = project(view.camera, transform_points(inverse(view.T_world_cam), np.stack(place_m)))
+    column, row = np.rint(at).astype(int).T
+    within = (row >= 0) & (row < len(inside)) & (column >= 0) & (column < inside.shape[1])
+    return bool(inside[row[within], column[within]].any())
 
 
 def whole_bin(view: View, box: Bin) -> Bool[np.ndarray, "h w"]:

@@ -121,7 +121,7 @@ def _path(
     """
     T_tip_true = inverse(ready.tip(ways.down.q[-1])) @ T_world_tool
     poses = []
-    for way in (ways.up, ways.away):
+    for way in ways.loaded:
         count = max(round(way.seconds / STEP_S), 1)
         poses += [ready.tip(way.at(way.seconds * i / count)) @ T_tip_true for i in range(count)]
     return np.stack(poses)

@@ -1,7 +1,7 @@
 """Which grip is taken: the surest that can be reached, of the parts that lie highest."""
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Float
@@ -16,8 +16,8 @@ from .aim import (
     aims_by_pose,
     aims_in_depth,
     best_first,
+    ranked,
     spread,
-    top_first,
 )
 from .clock import Clock
 from .heap import measured_heap
@@ -31,6 +31,8 @@ from .ways import Blocked, Load, Ways, ways
 TABU_M = 0.015  # about a grip that failed, where none is tried before something was picked
 ALIKE_M = 0.008  # grips nearer than this are one, as far as planning goes
 LEAST_UP_M = 0.02
+# How far the middle of what is seen of an unknown part may be from its centre of mass, each way.
+UNKNOWN_CENTER_M = 0.01
 # What was measured so far off the part's surface under so large a share of a cup is another.
 UNLIKE_M, UNLIKE_SHARE = 4e-3, 0.02
 
@@ -61,12 +63,11 @@ def choose(
         seed: of places and plans.
     """
     picking = ready.cell.config.picking
-    order = top_first(found, view)
     why, planned = Blocked(outcome=Outcome.NOTHING_FOUND), 0
     heaps = _Heaps(ready, view)
-    for start in range(0, len(order), picking.targets):
+    for together in _together(ranked(found, view, tabu), picking.targets):
         with clock("grips"):
-            aims = _aims(ready, order[start : start + picking.targets], view, seed)
+            aims = _aims(ready, together, view, seed)
             aims = [aim for aim in aims if aim.score >= picking.least_score]
         fresh = [aim for aim in aims if not _near(aim.place_m, tabu)]
         if aims and not fresh and why.outcome is Outcome.NOTHING_FOUND:
@@ -84,6 +85,13 @@ def choose(
     return why
 
 
+def _together(groups: Sequence[Sequence[Target]], count: int) -> Iterator[Sequence[Target]]:
+    """So many at once, those of one group."""
+    for group in groups:
+        for start in range(0, len(group), count):
+            yield group[start : start + count]
+
+
 def _near(place_m: Float[np.ndarray, "3"], tabu: Sequence[Float[np.ndarray, "3"]]) -> bool:
     return any(np.linalg.norm(place_m - failed) < TABU_M for failed in tabu)
 
@@ -98,7 +106,7 @@ def _aims(ready: Ready, found: Sequence[Target], view: View, seed: int) -> list[
         view,
         ready.tool,
         weight_n=ready.weight_n,
-        doubt=Doubt(),
+        doubt=Doubt(center_m=UNKNOWN_CENTER_M),
         most_lean_rad=lean_rad,
         places=PLACES * (picking.targets if picking.detector == "none" else 1),
         seed=seed,
@@ -199,9 +207,15 @@ def _ways(ready: Ready, q: Joints, aim: Aim, heap: _Heap, seed: int) -> Ways | B
 
 
 def _load(ready: Ready, aim: Aim) -> Load:
-    """How far the part reaches from the tip; an unknown one as far as any may."""
+    """How far the part reaches from the tip.
+
+    An unknown one reaches as far as any may, but not through the floor on which it lies: from a
+    place h above it, h cos a + size sin a below the tip once a tool that leans by a is upright.
+    """
     if aim.T_part_tool is None:
-        return ready.load
+        size_m, axis = ready.load.below_m, aim.T_world_tool[:3, 2]
+        deep_m = aim.place_m[2] * axis[2] + size_m * np.hypot(axis[0], axis[1])
+        return replace(ready.load, below_m=float(np.clip(deep_m, LEAST_UP_M, size_m)))
     kind = 0 if aim.target.kind is None else aim.target.kind
     mesh = ready.cell.cell.scene.parts[kind].mesh
     corner = transform_points(inverse(aim.T_part_tool), mesh.vertices_m)

@@ -179,7 +179,7 @@ def _attempt(
 def _shown(ways: Ways) -> tuple[Float[np.ndarray, " t"], Float[np.ndarray, "t joints"]]:
     """The whole motion, a pose every `SHOWN_S`."""
     times, angles, before = [], [], 0.0
-    for way in (ways.to, ways.down, ways.up, ways.away):
+    for way in ways.all:
         for t in np.arange(0.0, way.seconds, SHOWN_S):
             times.append(before + t)
             angles.append(way.at(float(t)))

@@ -107,6 +107,7 @@ def _surroundings(cell: PickCell, robot: Robot, load: Load) -> Surroundings:
         q_place=robot.home,
         approach_m=picking.approach_m,
         straight_m_s=picking.straight_m_s,
+        lift_off_m_s=picking.lift_off_m_s,
     )
     place = rigid(np.eye(3), np.array(picking.place_m, dtype=np.float64))
     reached = robot.reach(here.flange(place), robot.home, seed=0)

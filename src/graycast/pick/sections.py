@@ -54,6 +54,9 @@ class PickingSection(Settings):
         0.05, description="How far a part is lifted above rim and heap before it is carried away."
     )
     straight_m_s: Positive = Field(0.25, description="The speed on straight ways.")
+    lift_off_m_s: Positive = Field(
+        0.05, description="The speed of the first 10 mm up, while the weight comes on the tool."
+    )
     most_lean_deg: float = Field(
         40.0, gt=0, le=80, description="The largest angle between the tool's axis and the vertical."
     )

@@ -1,6 +1,5 @@
 """The arm's ways of one pick: to before the grip, down to it, up, and away to where parts go."""
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -13,24 +12,36 @@ from .outcome import Outcome
 from .robot import Joints, Mounted, Obstacle, Robot
 
 TURNS = 4  # of a round cup about its axis, which all hold alike
+OFF_M = 0.01  # on which the load comes on the tool: bellows stretch by less
 ELBOWS = 3  # ways to hold the arm that are tried before a grip
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Ways:
-    """`to` ends before the grip, `down` at it; `up` and `away` carry the part.
+    """`to` ends before the grip, `down` at it; `off`, `up` and `away` carry the part.
 
-    A leaning tool is set upright on its way up: a heavy part would turn it out of its seal.
+    `off` is a short and slow way: a tool that is fast when the part's weight comes on it has to
+    pull it along with a jerk. A leaning tool is set upright on its way up: a heavy part would turn
+    it out of its seal.
     """
 
     to: Trajectory
     down: Trajectory
+    off: Trajectory
     up: Trajectory
     away: Trajectory
 
     @property
+    def loaded(self) -> tuple[Trajectory, ...]:
+        return (self.off, self.up, self.away)
+
+    @property
+    def all(self) -> tuple[Trajectory, ...]:
+        return (self.to, self.down, *self.loaded)
+
+    @property
     def seconds(self) -> float:
-        return sum(way.seconds for way in (self.to, self.down, self.up, self.away))
+        return sum(way.seconds for way in self.all)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -67,6 +78,7 @@ class Surroundings:
     q_place: Joints
     approach_m: float
     straight_m_s: float
+    lift_off_m_s: float
 
     def flange(self, T_world_tip: Float[np.ndarray, "4 4"]) -> Float[np.ndarray, "4 4"]:
         """`T_base_flange` that brings the tip there."""
@@ -146,11 +158,13 @@ class _Search:
     def _by(self, q: Joints, q_before: Joints, tip: Float[np.ndarray, "4 4"]) -> Ways | Blocked:
         """With the arm held so before the grip."""
         here, robot = self.here, self.robot
-        raised = tip.copy()
-        raised[2, 3] += self.up_m
+        off, raised = tip.copy(), tip.copy()
+        off[2, 3] += OFF_M
+        raised[2, 3] += max(self.up_m, OFF_M)
         lines: dict[str, Float[np.ndarray, "k joints"]] = {}
         last = q_before
-        for name, end in (("down", tip), ("up", raised), ("upright", _upright(raised))):
+        straights = {"down": tip, "off": off, "up": raised, "upright": _upright(raised)}
+        for name, end in straights.items():
             line = straight(robot, last, here.flange(end), self.obstacles)
             if line is None:
                 return self._why(last, here.flange(end), name)
@@ -167,6 +181,7 @@ class _Search:
         return Ways(
             to=drive(robot, to),
             down=_slowly(drive(robot, lines["down"]), down_s),
+            off=_slowly(drive(robot, lines["off"]), OFF_M / here.lift_off_m_s),
             up=_gently(robot, here, _slowly(drive(robot, up), up_s), self.load),
             away=_gently(robot, here, drive(robot, away), self.load),
         )
@@ -186,24 +201,6 @@ def _upright(T: Float[np.ndarray, "4 4"]) -> Float[np.ndarray, "4 4"]:
     x = np.cross(T[:3, 1], [0.0, 0.0, 1.0])
     x /= np.linalg.norm(x)
     return rigid(np.stack([x, np.cross([0.0, 0.0, 1.0], x), [0.0, 0.0, 1.0]], axis=1), T[:3, 3])
-
-
-def _why(
-    robot: Robot,
-    q: Joints,
-    T_base_flange: Float[np.ndarray, "4 4"],
-    obstacles: Sequence[Obstacle],
-    name: str,
-) -> Blocked:
-    """A straight way fails by what is touched, or by the arm's own limits."""
-    for obstacle in obstacles:
-        if straight(robot, q, T_base_flange, (obstacle,)) is None:
-            free = straight(robot, q, T_base_flange, ()) is not None
-            if free:
-                detail = f"the way {name} is through {obstacle.name}"
-                return Blocked(outcome=Outcome.COLLISION_SEEN, detail=detail)
-            break
-    return Blocked(outcome=Outcome.UNREACHABLE, detail=f"no straight way {name}")
 
 
 def _slowly(way: Trajectory, least_s: float) -> Trajectory:

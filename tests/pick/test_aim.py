@@ -45,9 +45,7 @@ def test_nothing_covers_what_lies_highest_or_alone():
 def test_what_is_free_comes_before_what_is_covered_although_that_is_higher():
     strip = np.zeros((60, 80), bool)
     strip[18:21, 0:30] = True
-    view, (covered, free, top) = scene(
-        (square(5, 20), 0.90), (square(50, 20), 0.95), (strip, 0.85)
-    )
+    view, (covered, free, top) = scene((square(5, 20), 0.90), (square(50, 20), 0.95), (strip, 0.85))
     groups = ranked([covered, free, top], view)
     assert groups == [[free], [covered], []]  # the strip is too small beside the others
 
@@ -57,7 +55,7 @@ def test_where_a_grip_failed_is_tried_last():
     assert ranked([left, right], view)[0] == [left, right]
     failed = np.array([(14.5 - 39.5) / 100 * 0.9, (29.5 - 29.5) / 100, 0.1])
     assert ranked([left, right], view, [failed]) == [[right], [], [left]]
-    beside = failed + [0.15, 0.0, 0.0]
+    beside = failed + np.array([0.15, 0.0, 0.0])
     assert ranked([left, right], view, [beside])[0] == [left, right]
-    outside = failed - [10.0, 0.0, 0.0]
+    outside = failed - np.array([10.0, 0.0, 0.0])
     assert ranked([left, right], view, [outside])[0] == [left, right]

@@ -53,6 +53,14 @@ def test_heights_are_those_of_the_world(heap):
         assert at(heap, x, y) == pytest.approx(0.0, abs=1e-3)
 
 
+def test_a_rim_reaches_as_far_beyond_the_part_as_a_tool_keeps_away(heap):
+    """The camera sees the block's faces at x = 70 mm and y = 50 mm; a cell is 4 mm."""
+    high = heap.height_m > 0.02
+    y, x = (np.argwhere(high) - (np.array(high.shape) - 1) / 2).T * CELL_M
+    assert x.max() == pytest.approx(0.07 + CELL_M, abs=CELL_M / 2 + 1e-9)
+    assert y.max() == pytest.approx(0.05 + CELL_M, abs=CELL_M / 2 + 1e-9)
+
+
 def test_what_was_not_seen_is_as_high_as_what_was_seen_beside_it():
     depth = depth_of(block)
     inside = np.zeros(depth.shape, bool)

@@ -21,6 +21,8 @@ from .tools import SuctionTool
 from .touch import Held, NotHeld, touch
 from .ways import Ways
 
+FREED_M = 0.1  # about a part that was taken, where failed grips may be tried again
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class World:
@@ -28,7 +30,7 @@ class World:
 
     `numbers` are of the parts that lie in it, in the layout's order. `hand_eye` maps planned places
     of the tip to true ones: the calibration's error. `q` is where the arm is, `tabu` where grips
-    failed since something was picked.
+    failed since something was picked near by.
     """
 
     layout: Layout
@@ -81,8 +83,17 @@ def carry_out(ready: Ready, world: World, choice: Choice) -> tuple[Carried, Worl
     carried = _told(ready, met, lifted, outside, error)
     gone = outside.copy()
     gone[met.part] |= lifted.lost_s is None
-    tabu = () if carried.outcome in TAKEN else (*world.tabu, aim.place_m)
+    tabu = _tabu(world.tabu, aim.place_m, taken=carried.outcome in TAKEN)
     return carried, replace(_settled(ready, world, lifted.T_world_part, ~gone), tabu=tabu)
+
+
+def _tabu(
+    tabu: tuple[Float[np.ndarray, "3"], ...], place_m: Float[np.ndarray, "3"], *, taken: bool
+) -> tuple[Float[np.ndarray, "3"], ...]:
+    """Where grips failed; a pick frees what was near it, and leaves the rest as it was."""
+    if not taken:
+        return (*tabu, place_m)
+    return tuple(failed for failed in tabu if np.linalg.norm(failed - place_m) > FREED_M)
 
 
 def _told(

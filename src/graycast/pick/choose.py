@@ -28,7 +28,7 @@ from .robot import Joints, Mounted, Obstacle, tool_touches
 from .tools import SuctionTool, pieces
 from .ways import Blocked, Load, Ways, ways
 
-TABU_M = 0.015  # about a grip that failed, where none is tried before something was picked
+TABU_M = 0.015  # about a grip that failed, where none is tried before something near was picked
 ALIKE_M = 0.008  # grips nearer than this are one, as far as planning goes
 LEAST_UP_M = 0.02
 # How far the middle of what is seen of an unknown part may be from its centre of mass, each way.

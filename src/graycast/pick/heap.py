@@ -4,7 +4,8 @@ Measured points become heights over a grid on the bin's floor. Where the scanner
 may be a part: such a place is taken to be as high as the highest that was seen within `GUESSED_M`
 of the nearest place that was seen. So a shadow beside a part is as high as the part, and
 the middle of a dark, wide hole as high as its rim. A point that stands alone, as spikes do, is not
-believed.
+believed. Each place is as high as the highest beside it, for a scanner loses the rim of a part and
+the grid rounds: so a tool keeps `CELL_M` away from what it could brush.
 """
 
 from dataclasses import dataclass
@@ -19,6 +20,7 @@ from ..optics import Optics, rays
 from ..scene import Bin
 
 CELL_M = 4e-3
+BESIDE = ndimage.generate_binary_structure(2, 1)  # a node is as high as the four beside it
 GUESSED_M = 8e-3
 NEIGHBOURS, STEP_M = 3, 6e-3  # a point is believed where so many beside it are so near in depth
 BELOW_M = 0.05  # what stands on the table is solid so far down
@@ -87,4 +89,5 @@ def _guessed(
     reach = int(np.ceil(GUESSED_M / CELL_M))
     around = ndimage.maximum_filter(height, size=2 * reach + 1, mode="nearest")
     nearest = ndimage.distance_transform_edt(~seen, return_distances=False, return_indices=True)
-    return np.where(seen, height, around[tuple(nearest)])
+    whole = np.where(seen, height, around[tuple(nearest)])
+    return np.asarray(ndimage.maximum_filter(whole, footprint=BESIDE, mode="nearest"))

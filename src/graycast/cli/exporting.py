@@ -186,8 +186,8 @@ def _export(options: argparse.Namespace) -> int:
 def _import_real(options: argparse.Namespace) -> int:
     from ..dataset.real import absent
     from ..dataset.stored import open_dataset
-    from ..import_real import import_real
-    from ..realism import read_intrinsics
+    from ..real.depth_file import read_intrinsics
+    from ..real.import_real import import_real
 
     names = None
     if options.like is not None:

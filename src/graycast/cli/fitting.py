@@ -115,7 +115,8 @@ def _add_files(fit: argparse.ArgumentParser) -> None:
 def _fit_bin(options: argparse.Namespace) -> int:
     from ..cell import resolve_cell
     from ..config import load_config
-    from ..fit_bin import (
+    from ..real.depth_file import read_intrinsics
+    from ..real.fit_bin import (
         Said,
         azimuth_of,
         fit_pose,
@@ -127,7 +128,6 @@ def _fit_bin(options: argparse.Namespace) -> int:
         with_look,
         write_fit,
     )
-    from ..realism import read_intrinsics
     from ..scene import bin_of
 
     refuse_existing(options.out, options.config)

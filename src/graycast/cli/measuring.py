@@ -160,11 +160,11 @@ def _certify(options: argparse.Namespace) -> int:
 
 def _realism(options: argparse.Namespace) -> int:
     from ..decode import Reason
-    from ..realism import (
+    from ..real.depth_file import read_intrinsics
+    from ..real.realism import (
         RECORD_FILE,
         measure,
         pool,
-        read_intrinsics,
         read_scans,
         table,
         write_record,
@@ -209,7 +209,7 @@ def _realism(options: argparse.Namespace) -> int:
 
 
 def _write_table(records: list, folder: Path) -> None:
-    from ..realism import draw_realism, table
+    from ..real.realism import draw_realism, table
 
     (folder / TABLE).write_text(table(*records) + "\n", encoding="utf-8")
     draw_realism(records, folder / "plots.png")
@@ -217,7 +217,7 @@ def _write_table(records: list, folder: Path) -> None:
 
 def _record(path: Path):
     """A measured set, or one to measure: a dataset or a folder that states its own intrinsics."""
-    from ..realism import RECORD_FILE, measure, pool, read_record, read_scans
+    from ..real.realism import RECORD_FILE, measure, pool, read_record, read_scans
 
     if path.is_file() or (path / RECORD_FILE).is_file():
         return read_record(path)

@@ -1,0 +1,146 @@
+"""Depth maps one after another, from files and from the scene folders of BOP datasets."""
+
+from collections.abc import Iterator, Mapping, Sequence
+from itertools import zip_longest
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float, UInt8
+
+from ...errors import DatasetError
+from ..depth_file import (
+    PICTURES,
+    depth_files,
+    load_json,
+    load_npy,
+    metres,
+    read_depth,
+    read_gray,
+    read_image,
+)
+from .scan import Scan
+
+_SCANNER = "_sl"  # of the camera type that our own datasets add
+_M_PER_MM = 1e-3
+
+
+def read_scans(
+    paths: Sequence[Path],
+    *,
+    K: Float[np.ndarray, "3 3"] | None = None,
+    gray: Sequence[Path] = (),
+    reason: Sequence[Path] = (),
+    reason_names: Mapping[int, str] | None = None,
+    scale_m: float | None = None,
+    size_px: tuple[int, int] | None = None,
+) -> Iterator[Scan]:
+    """Depth maps one after another, each read when it is asked for.
+
+    Args:
+        paths: depth files, folders of them (taken in the order of their names), and BOP datasets or
+            scene folders, which bring their own intrinsics, scale, pictures and reasons.
+        K: intrinsics of all depth files [px]; an organised PLY has its own where this is None.
+        gray: a picture per depth file in the same order, or none. 8- and 16-bit ones are taken as
+            shares of their type's range, colours are averaged.
+        reason: an 8-bit image per depth file in the same order, or none.
+        reason_names: what its numbers mean.
+        scale_m: metres per unit of the depth files; integers need one, floats are metres.
+        size_px: width and height of PLYs that do not say it.
+
+    Raises:
+        DatasetError: a file is missing, damaged or of another form, or something is not given.
+    """
+    files: list[Path] = []
+    for path in paths:
+        if scenes := _scenes(path):
+            for scene in scenes:
+                yield from _read_scene(scene)
+        elif path.is_dir():
+            files += depth_files(path)
+        else:
+            files.append(path)
+    for name, pictures in (("gray", gray), ("reason", reason)):
+        if pictures and len(pictures) != len(files):
+            counts = f"{len(pictures)} {name} images for {len(files)} depth files"
+            raise DatasetError(f"{counts}: give one each, in the same order, or none")
+    for file, gray_file, reason_file in zip_longest(files, gray, reason):
+        depth_m, own_gray, own_K = read_depth(file, scale_m, size_px, K)
+        yield _scan(
+            name=str(file),
+            depth_m=depth_m,
+            K=own_K,
+            gray=own_gray if gray_file is None else read_gray(gray_file),
+            reason=None if reason_file is None else _read_reason(reason_file),
+            reason_names=reason_names or {},
+        )
+
+
+def _scenes(path: Path) -> list[Path]:
+    """Scene folders at, in, or two levels below a folder."""
+    for pattern in (".", "*", "*/*"):
+        if found := sorted({f.parent for f in path.glob(f"{pattern}/scene_camera*.json")}):
+            return found
+    return []
+
+
+def _read_scene(scene: Path) -> Iterator[Scan]:
+    """All images of a scene folder, the scanner's where there is one beside the colour camera."""
+    suffix = _SCANNER if (scene / f"scene_camera{_SCANNER}.json").is_file() else ""
+    views = load_json(scene / f"scene_camera{suffix}.json")
+    own = scene / f"scene{_SCANNER}.json"
+    scanner = load_json(own) if suffix and own.is_file() else {}
+    baseline_m = _baseline_m(scene)
+    for image_id in sorted(views, key=int):
+        view, stem = views[image_id], f"{int(image_id):06d}"
+        path = scene / f"depth{suffix}" / f"{stem}.png"
+        try:
+            scale_m = float(view["depth_scale"]) * _M_PER_MM
+            K = np.array(view["cam_K"], dtype=np.float64).reshape(3, 3)
+        except (KeyError, TypeError, ValueError) as error:
+            where = f"{scene / f'scene_camera{suffix}.json'}: image {image_id}"
+            raise DatasetError(f"{where} needs cam_K (9) and depth_scale") from error
+        picture = _picture(scene, (f"gray{suffix}", f"rgb{suffix}"), stem)
+        why = scene / f"reason{suffix}" / f"{stem}.png"
+        names = scanner.get(image_id, {}).get("reasons", {})
+        yield _scan(
+            name=str(path),
+            depth_m=metres(read_image(path), scale_m, str(path)),
+            K=K,
+            gray=None if picture is None else read_gray(picture),
+            reason=_read_reason(why) if suffix and why.is_file() else None,
+            reason_names={number: name for name, number in names.items()},
+            baseline_m=baseline_m,
+        )
+
+
+def _picture(scene: Path, folders: Sequence[str], stem: str) -> Path | None:
+    files = (scene / folder / f"{stem}{end}" for folder in folders for end in PICTURES)
+    return next((file for file in files if file.is_file()), None)
+
+
+def _baseline_m(scene: Path) -> float | None:
+    """Of the rig that made a dataset of ours."""
+    claim = scene.parent.parent / "graycast.json"
+    if not claim.is_file():
+        return None
+    T_cam_proj = load_json(claim).get("rig", {}).get("T_cam_proj")
+    if np.shape(T_cam_proj) != (4, 4):
+        return None
+    return float(np.linalg.norm(np.array(T_cam_proj)[:3, 3]))
+
+
+def _scan(**fields: Any) -> Scan:
+    try:
+        return Scan(**fields)
+    except ValueError as error:
+        raise DatasetError(str(error)) from error
+
+
+def _read_reason(path: Path) -> UInt8[np.ndarray, "h w"]:
+    image = load_npy(path) if path.suffix == ".npy" else read_image(path)
+    if image.ndim != 2 or image.dtype != np.uint8:
+        raise DatasetError(
+            f"{path}: is {image.dtype} {image.shape}: reasons are 8 bit, one channel"
+        )
+    return image

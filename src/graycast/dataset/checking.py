@@ -21,6 +21,7 @@ from .plain_scene import Model
 from .reading import Unreadable, read_json
 from .real import is_real, real_problems
 from .scene_check import scene_problems
+from .scene_folder import SceneFolder
 from .seal import MANIFEST, seal_problems, sum_problems
 
 _MODEL_MM = 1e-3  # nine digits in a PLY, read back in single precision
@@ -272,10 +273,10 @@ def _split_problems(
 def _split_scene_problems(
     out: Path, scene_id: int, entries: list[records.SplitAnnotation]
 ) -> Iterator[str]:
-    folder = out / "train" / f"{scene_id:06d}"
+    scene = SceneFolder(out / "train" / f"{scene_id:06d}")
     try:
-        annotations = read_json(folder / "scene_gt_coco.json", records.SceneCoco).annotations
-        infos = read_json(folder / "scene_gt_info.json", records.SceneGtInfo).image
+        annotations = scene.record("scene_gt_coco", records.SceneCoco).annotations
+        infos = scene.record("scene_gt_info", records.OneImage[list[records.Info]]).image
     except Unreadable:
         return  # told where the scene is checked
     seen = [info.visib_fract for info in infos if info.px_count_visib > 0]

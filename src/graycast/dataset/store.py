@@ -9,7 +9,6 @@ by one (a thousand files a scene); `validate` finds such scenes.
 """
 
 import errno
-import json
 import os
 import secrets
 import shutil
@@ -29,7 +28,10 @@ from .coco import split_coco
 from .json_text import json_bytes
 from .models import model_files, models_info
 from .places import CLAIM, finished_scenes
+from .reading import Unreadable
+from .records import Manifest, OneImage
 from .sample import Sample
+from .scene_folder import SceneFolder
 from .seal import SUMS, sha256
 
 _ASIDE = ".tmp-"
@@ -243,15 +245,14 @@ def _commit(aside: Path, place: Path) -> None:
 def _annotations(
     out: Path, scene_id: int
 ) -> tuple[int, Mapping[str, Any], list[Mapping[str, Any]]]:
-    scene = out / "train" / f"{scene_id:06d}"
+    scene = SceneFolder(out / "train" / f"{scene_id:06d}")
     try:
-        coco = json.loads((scene / "scene_gt_coco.json").read_bytes())
-        infos = json.loads((scene / "scene_gt_info.json").read_bytes())["0"]
-    except (OSError, ValueError, KeyError) as error:
+        infos = scene.record("scene_gt_info", OneImage[list[Mapping[str, Any]]]).image
+        return scene_id, scene.record("scene_gt_coco", Manifest).root, infos
+    except Unreadable as error:
         raise DatasetError(
-            f"{scene} cannot be read back ({error}): remove this folder and run again"
+            f"{scene.path} cannot be read back ({error}): remove this folder and run again"
         ) from error
-    return scene_id, coco, infos
 
 
 def _refuse_foreign(out: Path) -> None:

@@ -12,7 +12,7 @@ from jaxtyping import Bool, Float, Float32, UInt8
 
 from ..dataset.stored import StoredDataset, StoredScene
 from ..frames import pixel_grid
-from ..optics import Optics, rays
+from ..optics import Optics, optics_of, rays
 from .options import Options
 
 _NAMES = {"depth": "perfect", "depth_sl": "scanner"}
@@ -29,7 +29,9 @@ def write_split(
         color = _color(scene, options)
         for depth in options.depths:
             depth_m = scene.depth_m(depth)
-            point_m = points(depth_m, _optics(scene))
+            view = scene.view()
+            camera = optics_of(view.cam_K, scene.size_px, view.distortion)
+            point_m = points(depth_m, camera)
             name = f"{scene.scene_id:06d}_{_NAMES[depth]}.{options.cloud}"
             kept = np.ones_like(depth_m, dtype=bool) if options.organised else depth_m > 0
             width_px = depth_m.shape[1] if options.organised else None
@@ -130,17 +132,3 @@ def _color(scene: StoredScene, options: Options) -> UInt8[np.ndarray, "h w 3"] |
         case "gray":
             return np.repeat(scene.gray()[..., None], 3, axis=-1)
     return None
-
-
-def _optics(scene: StoredScene) -> Optics:
-    view, (height_px, width_px) = scene.view(), scene.size_px
-    k1, k2, p1, p2, k3 = view.distortion
-    return Optics(
-        width_px=width_px,
-        height_px=height_px,
-        fx_px=view.cam_K[0],
-        fy_px=view.cam_K[4],
-        cx_px=view.cam_K[2],
-        cy_px=view.cam_K[5],
-        distortion=(k1, k2, p1, p2, k3),
-    )

@@ -12,7 +12,6 @@ from ..errors import DatasetError
 from .ply import camera_of, read_ply
 
 DEPTH_FILES = (".npy", ".png", ".ply", ".tif", ".tiff")
-PICTURES = (".png", ".jpg", ".jpeg", ".tif", ".tiff")
 _FARTHEST_M = 100.0
 
 

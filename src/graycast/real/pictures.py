@@ -11,10 +11,10 @@ from PIL import Image, UnidentifiedImageError
 
 from ..dataset.bop import DEPTH_MAX, depth_scale_mm
 from ..dataset.reading import Unreadable, read_png
+from ..dataset.scene_folder import PICTURES
 from ..errors import DatasetError
 from .depth_file import (
     DEPTH_FILES,
-    PICTURES,
     load_npy,
     read_depth,
     read_gray,

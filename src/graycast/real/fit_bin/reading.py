@@ -7,14 +7,14 @@ from pathlib import Path
 
 import numpy as np
 from jaxtyping import Float, UInt8
-from pydantic import BaseModel, ConfigDict
 
-from ...dataset.reading import Unreadable, held
-from ...dataset.records import Matrix3, Positive
+from ...dataset.reading import Unreadable
+from ...dataset.records import Images
+from ...dataset.scene_folder import AnyView, SceneFolder
 from ...errors import DatasetError
 from ...frames import pixel_grid
-from ...optics import Optics, rays
-from ..depth_file import DEPTH_FILES, load_json
+from ...optics import Optics, optics_of, rays
+from ..depth_file import DEPTH_FILES
 from ..pictures import Seen, Shot, find_shots, read_shot
 
 _NO_DISTORTION = (0.0, 0.0, 0.0, 0.0, 0.0)
@@ -30,16 +30,6 @@ class Said:
     distortion: tuple[float, float, float, float, float] | None = None
     scale_m: float | None = None
     size_px: tuple[int, int] | None = None
-
-
-class _SceneView(BaseModel):
-    """What a view needs of an image in `scene_camera_sl.json`."""
-
-    model_config = ConfigDict(frozen=True, extra="ignore", allow_inf_nan=False)
-
-    cam_K: Matrix3
-    depth_scale: Positive
-    distortion: tuple[float, float, float, float, float] = _NO_DISTORTION
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -184,19 +174,18 @@ def _read_scene(scene: Path) -> list[View]:
     Raises:
         DatasetError: `scene_camera_sl.json` is damaged, or says too little of a camera.
     """
-    path, views = scene / "scene_camera_sl.json", []
-    for image_id, content in load_json(path).items():
-        try:
-            stem = f"{int(image_id):06d}"
-            said = held(content, _SceneView, f"image {image_id}")
-        except (Unreadable, ValueError) as error:
-            raise DatasetError(
-                f"{path}: {error}: an image's key is its number, and it needs cam_K (9 numbers), "
-                "depth_scale and, where the lens has distortion, 5 terms of it"
-            ) from error
-        rgb, depth = scene / "rgb" / f"{stem}.png", scene / "depth_sl" / f"{stem}.png"
+    files, views = SceneFolder(scene), []
+    try:
+        cameras = files.record("scene_camera_sl", Images[AnyView]).root
+    except Unreadable as error:
+        raise DatasetError(
+            f"{scene}/{error}: an image's key is its number, and it needs cam_K (9 numbers), "
+            "depth_scale and, where the lens has distortion, 5 terms of it"
+        ) from error
+    for number, said in cameras.items():
+        depth = files.png_path("depth_sl", number)
         seen = read_shot(
-            Shot(stem=str(scene), rgb=rgb if rgb.is_file() else None, gray=None, depth=depth),
+            Shot(stem=str(scene), rgb=files.find_picture("rgb", number), gray=None, depth=depth),
             K=np.reshape(said.cam_K, (3, 3)),
             scale_m=said.depth_scale * 1e-3,
             size_px=None,
@@ -205,18 +194,9 @@ def _read_scene(scene: Path) -> list[View]:
     return views
 
 
-def _view(name: str, seen: Seen, distortion: tuple[float, float, float, float, float]) -> View:
-    height_px, width_px = seen.size_px
+def _view(name: str, seen: Seen, distortion: Sequence[float]) -> View:
     try:
-        camera = Optics(
-            width_px=width_px,
-            height_px=height_px,
-            fx_px=float(seen.K[0, 0]),
-            fy_px=float(seen.K[1, 1]),
-            cx_px=float(seen.K[0, 2]),
-            cy_px=float(seen.K[1, 2]),
-            distortion=distortion,
-        )
+        camera = optics_of(seen.K, seen.size_px, distortion)
     except ValueError as error:
         raise DatasetError(f"{name}: its camera is none that can be used: {error}") from error
     return View(name=name, camera=camera, depth_m=seen.depth_m, rgb=seen.rgb)

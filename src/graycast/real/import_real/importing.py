@@ -17,7 +17,7 @@ from ...dataset.claim import FORMAT_VERSION
 from ...dataset.coco import run_lengths, scene_annotation, scene_coco
 from ...dataset.json_text import json_bytes
 from ...dataset.places import CLAIM
-from ...dataset.real import split_entry
+from ...dataset.records import split_annotation
 from ...dataset.seal import sealed
 from ...errors import DatasetError
 from ...folder import new_folder
@@ -207,7 +207,7 @@ class _Writer:
         for scene_id in range(scenes):
             path = out / "train" / f"{scene_id:06d}" / "scene_gt_coco.json"
             for annotation in json.loads(path.read_bytes())["annotations"]:
-                entries.append({"id": len(entries) + 1} | split_entry(annotation, scene_id))
+                entries.append({"id": len(entries) + 1} | split_annotation(annotation, scene_id))
         size = {"width": size_px[1], "height": size_px[0]}
         content = {
             "info": {"description": "Graycast, real pictures"},

@@ -8,9 +8,11 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float, UInt8
 
+from ...dataset.reading import Unreadable
+from ...dataset.records import Images
+from ...dataset.scene_folder import SCANNER, AnyScanner, AnyView, SceneFolder
 from ...errors import DatasetError
 from ..depth_file import (
-    PICTURES,
     depth_files,
     load_json,
     load_npy,
@@ -21,7 +23,6 @@ from ..depth_file import (
 )
 from .scan import Scan
 
-_SCANNER = "_sl"  # of the camera type that our own datasets add
 _M_PER_MM = 1e-3
 
 
@@ -86,37 +87,30 @@ def _scenes(path: Path) -> list[Path]:
 
 def _read_scene(scene: Path) -> Iterator[Scan]:
     """All images of a scene folder, the scanner's where there is one beside the colour camera."""
-    suffix = _SCANNER if (scene / f"scene_camera{_SCANNER}.json").is_file() else ""
-    views = load_json(scene / f"scene_camera{suffix}.json")
-    own = scene / f"scene{_SCANNER}.json"
-    scanner = load_json(own) if suffix and own.is_file() else {}
+    files = SceneFolder(scene)
+    suffix = SCANNER if (scene / f"scene_camera{SCANNER}.json").is_file() else ""
+    try:
+        views = files.record(f"scene_camera{suffix}", Images[AnyView]).root
+        told = bool(suffix) and (scene / f"scene{SCANNER}.json").is_file()
+        scanner = files.record(f"scene{SCANNER}", Images[AnyScanner]).root if told else {}
+    except Unreadable as error:
+        raise DatasetError(f"{scene}/{error}: each image has cam_K (9) and depth_scale") from error
     baseline_m = _baseline_m(scene)
-    for image_id in sorted(views, key=int):
-        view, stem = views[image_id], f"{int(image_id):06d}"
-        path = scene / f"depth{suffix}" / f"{stem}.png"
-        try:
-            scale_m = float(view["depth_scale"]) * _M_PER_MM
-            K = np.array(view["cam_K"], dtype=np.float64).reshape(3, 3)
-        except (KeyError, TypeError, ValueError) as error:
-            where = f"{scene / f'scene_camera{suffix}.json'}: image {image_id}"
-            raise DatasetError(f"{where} needs cam_K (9) and depth_scale") from error
-        picture = _picture(scene, (f"gray{suffix}", f"rgb{suffix}"), stem)
-        why = scene / f"reason{suffix}" / f"{stem}.png"
-        names = scanner.get(image_id, {}).get("reasons", {})
+    for number, view in sorted(views.items()):
+        path = files.png_path(f"depth{suffix}", number)
+        gray = files.find_picture(f"gray{suffix}", number)
+        picture = gray or files.find_picture(f"rgb{suffix}", number)
+        why = files.png_path(f"reason{suffix}", number)
+        reasons = scanner[number].reasons if number in scanner else {}
         yield _scan(
             name=str(path),
-            depth_m=metres(read_image(path), scale_m, str(path)),
-            K=K,
+            depth_m=metres(read_image(path), view.depth_scale * _M_PER_MM, str(path)),
+            K=np.reshape(view.cam_K, (3, 3)),
             gray=None if picture is None else read_gray(picture),
             reason=_read_reason(why) if suffix and why.is_file() else None,
-            reason_names={number: name for name, number in names.items()},
+            reason_names={code: name for name, code in reasons.items()},
             baseline_m=baseline_m,
         )
-
-
-def _picture(scene: Path, folders: Sequence[str], stem: str) -> Path | None:
-    files = (scene / folder / f"{stem}{end}" for folder in folders for end in PICTURES)
-    return next((file for file in files if file.is_file()), None)
 
 
 def _baseline_m(scene: Path) -> float | None:

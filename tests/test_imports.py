@@ -21,6 +21,7 @@ ORDER = (
     "mask_box",
     "optics",
     "raster",
+    "ply",
     "pattern",
     "rig",
     "parts",

@@ -27,6 +27,7 @@ What all rooms use:
     mask_box         the box about a mask's pixels
     optics           camera and projector: distortion both ways, thin lens, vignetting
     raster           depth of a mesh at pixel centres, for checking
+    ply              point clouds and meshes as PLY files
 
 What is simulated:
 

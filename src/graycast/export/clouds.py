@@ -13,10 +13,10 @@ from jaxtyping import Bool, Float, Float32, UInt8
 from ..dataset.stored import StoredDataset, StoredScene
 from ..frames import pixel_grid
 from ..optics import Optics, optics_of, rays
+from ..ply import cloud_bytes
 from .options import Options
 
 _NAMES = {"depth": "perfect", "depth_sl": "scanner"}
-_FRAME = "metres, camera frame: x right, y down, z forward"
 
 
 def write_split(
@@ -24,7 +24,7 @@ def write_split(
 ) -> None:
     """`SPLIT/000000_perfect.ply` and `SPLIT/000000_scanner.ply`, or `.pcd`."""
     (folder / split).mkdir()
-    form = {"ply": ply_bytes, "pcd": pcd_bytes}[options.cloud]
+    form = {"ply": cloud_bytes, "pcd": pcd_bytes}[options.cloud]
     for scene in scenes:
         color = _color(scene, options)
         for depth in options.depths:
@@ -43,31 +43,6 @@ def points(depth_m: Float32[np.ndarray, "h w"], camera: Optics) -> Float[np.ndar
     """The point of each pixel [m], camera frame; NaN where there is no depth."""
     ray = rays(camera, pixel_grid(camera.height_px, camera.width_px))
     return ray * depth_m[..., None]
-
-
-def ply_bytes(
-    point_m: Float[np.ndarray, "n 3"],
-    color: UInt8[np.ndarray, "n 3"] | None,
-    *,
-    width_px: int | None,
-) -> bytes:
-    """A binary PLY; an organised one (`width_px` points a row) says its size in `obj_info`."""
-    table = _table(point_m, color)
-    names = {"<f4": "float", "|u1": "uchar"}
-    size = []
-    if width_px is not None:
-        rows = len(table) // width_px
-        size = [f"obj_info num_cols {width_px}", f"obj_info num_rows {rows}"]
-    head = [
-        "ply",
-        "format binary_little_endian 1.0",
-        f"comment {_FRAME}",
-        *size,
-        f"element vertex {len(table)}",
-        *(f"property {names[table.dtype[name].str]} {name}" for name in table.dtype.names),
-        "end_header",
-    ]
-    return ("\n".join(head) + "\n").encode("ascii") + table.tobytes()
 
 
 def pcd_bytes(
@@ -103,18 +78,6 @@ def pcd_bytes(
     ]
     body = np.ascontiguousarray(np.hstack(columns)).tobytes()
     return ("\n".join(head) + "\n").encode("ascii") + body
-
-
-def _table(point_m: Float[np.ndarray, "n 3"], color: UInt8[np.ndarray, "n 3"] | None) -> np.ndarray:
-    fields = [(axis, "<f4") for axis in "xyz"]
-    values = list(point_m.T)
-    if color is not None:
-        fields += [(name, "u1") for name in ("red", "green", "blue")]
-        values += list(color.T)
-    table = np.empty(len(point_m), dtype=fields)
-    for (name, _), column in zip(fields, values, strict=True):
-        table[name] = column
-    return table
 
 
 def _kept(

@@ -1,7 +1,7 @@
 """What a real scanner brings. Each folder stands on the files above it and knows no other folder.
 
 depth_file   depth maps, pictures and camera matrices from files of any scanner
-ply          organised point clouds
+organised    organised point clouds
 pictures     colour, brightness and depth of one picture, paired by the names of their files
 
 calibrate    a rig from pictures of a board

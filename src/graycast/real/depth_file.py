@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Float
 
 from ..errors import DatasetError
-from .ply import camera_of, read_ply
+from .organised import camera_of, read_ply
 
 DEPTH_FILES = (".npy", ".png", ".ply", ".tif", ".tiff")
 _FARTHEST_M = 100.0

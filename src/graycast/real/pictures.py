@@ -20,7 +20,7 @@ from .depth_file import (
     read_gray,
     read_image,
 )
-from .ply import read_ply
+from .organised import read_ply
 
 FOLDERS = {"rgb": PICTURES, "gray": (*PICTURES, ".npy"), "depth": DEPTH_FILES}
 _NEAREST_M = 0.01  # no scanner measures from nearer

@@ -7,16 +7,16 @@ from pathlib import Path
 from ..errors import GraycastError
 from ..folder import refuse_foreign, whole_folder
 from .arguments import (
-    above_zero,
     add_backend,
     add_command,
     add_device,
     add_resolution,
     add_rig,
+    add_scanner_files,
     add_seed,
+    intrinsics_of,
     progress_bar,
     resolve_rig_option,
-    size,
 )
 
 TABLE = "table.txt"  # in every folder that `graycast realism` writes
@@ -65,24 +65,7 @@ def add_commands(commands) -> None:
         nargs="*",
         help="The depth maps: NPY, PNG or PLY files, folders of them, or datasets of Graycast.",
     )
-    realism.add_argument(
-        "--intrinsics",
-        metavar="K",
-        help="The camera's intrinsics: fx,fy,cx,cy or a file that holds K.",
-    )
-    realism.add_argument(
-        "--scale",
-        type=above_zero,
-        metavar="METRES",
-        help="How many metres one unit of depth is: 0.001 for millimetres. Files of integers need "
-        "it; floats are metres without it.",
-    )
-    realism.add_argument(
-        "--size",
-        type=size,
-        metavar="WxH",
-        help="The width and height in pixels of PLY clouds that do not state it.",
-    )
+    add_scanner_files(realism)
     realism.add_argument(
         "--gray",
         type=Path,
@@ -160,7 +143,6 @@ def _certify(options: argparse.Namespace) -> int:
 
 def _realism(options: argparse.Namespace) -> int:
     from ..decode import Reason
-    from ..real.depth_file import read_intrinsics
     from ..real.realism import (
         RECORD_FILE,
         measure,
@@ -188,7 +170,7 @@ def _realism(options: argparse.Namespace) -> int:
     if options.out is None:
         raise GraycastError("say with --out where the measurement goes")
     refuse_foreign(options.out, TABLE)
-    K = None if options.intrinsics is None else read_intrinsics(options.intrinsics)
+    K = intrinsics_of(options)
     with whole_folder(options.out) as folder:
         scans = read_scans(
             options.depth,

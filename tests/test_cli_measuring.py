@@ -11,8 +11,7 @@ from drawn import axes_of, drawn_by, lines_of, shares_of
 from matplotlib.colors import to_rgb
 from metrology.test_certify import small_scanner
 from PIL import Image
-from stack import simulated
-from test_calibrate import (  # noqa: F401 (fixtures)
+from real.calibrate.test_calibrate import (  # noqa: F401 (fixtures)
     CHESSBOARD,
     RIG,
     SIZE,
@@ -22,13 +21,14 @@ from test_calibrate import (  # noqa: F401 (fixtures)
     photograph,
     truth_poses,
 )
+from stack import simulated
 
 from graycast.cli import main, measuring
 from graycast.decode import REASON_COLOR, FilterSpec, Reason
 from graycast.errors import GraycastError
 from graycast.folder import whole_folder
 from graycast.pattern import AXES, CODECS, CodeSpec, gray, gray_phase, level_share
-from graycast.realism import plots
+from graycast.real.realism import plots
 from graycast.rig_file import load_scanner, save_scanner
 from graycast.scanner import Scanner
 from graycast.stack import products

@@ -6,7 +6,7 @@ import sys
 import pytest
 
 from graycast.errors import GraycastError
-from graycast.folder import new_folder, take_lock, whole_folder, write_whole
+from graycast.folder import beside, new_folder, take_lock, whole_folder, write_whole
 
 KILLED = """
 import os, signal, sys
@@ -68,6 +68,25 @@ def test_a_file_is_as_it_was_where_the_new_one_cannot_be_put_there(tmp_path, mon
 
 def refuse(*paths):
     raise OSError("no room")
+
+
+def test_what_is_made_beside_its_place_is_there_whole_or_not_at_all(tmp_path):
+    """A file takes the place of an earlier one, a folder that of an empty one alone."""
+    with beside(tmp_path / "scene") as folder:
+        folder.mkdir()
+        (folder / "a").write_text("a")
+        assert not (tmp_path / "scene").exists()
+    for error in (KeyError, KeyboardInterrupt):
+        with pytest.raises(error), beside(tmp_path / "file") as file:
+            file.write_text("half")
+            raise error
+        with pytest.raises(error), beside(tmp_path / "other") as folder:
+            (folder / "deep").mkdir(parents=True)
+            raise error
+    with pytest.raises(OSError), beside(tmp_path / "scene") as folder:
+        folder.mkdir()
+        (folder / "b").write_text("b")
+    assert names(tmp_path) == ["scene", "scene/a"]
 
 
 def test_a_folder_inside_takes_the_place_of_an_earlier_one(tmp_path):

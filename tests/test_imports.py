@@ -21,6 +21,7 @@ ORDER = (
     "mask_box",
     "optics",
     "raster",
+    "ply",
     "pattern",
     "rig",
     "parts",
@@ -47,19 +48,16 @@ ORDER = (
     "engine",
     "generate",
     "metrology",
-    "realism",
     "stats",
     "card",
     "export",
-    "import_real",
+    "real",
     "training",
     "evaluate",
     "detect",
     "pose",
     "study_file",
     "study",
-    "fit_bin",
-    "calibrate",
     "pick",
     "grasp_labels",
     "report",
@@ -148,6 +146,16 @@ def test_a_module_imports_only_from_modules_above_it():
         and (wrong := broken_arrows(name, set(imports(name, file, is_folder))))
     }
     assert not broken, "\n".join(f"{name} may not import {sorted(broken[name])}" for name in broken)
+
+
+def test_what_a_real_scanner_brings_shares_files_and_nothing_else():
+    """Calibration, bin, labels and figures are four rooms that do not look into each other."""
+    rooms = {name[1] for name, _, _ in modules() if name[:1] == ("real",) and name[2:]}
+    assert rooms == {"calibrate", "fit_bin", "import_real", "realism"}
+    for name, file, is_folder in modules():
+        if name[:1] == ("real",):
+            inside = {t[1] for t in imports(name, file, is_folder) if t[:1] == ("real",) and t[1:]}
+            assert not inside & rooms - set(name[1:2]), ".".join(name)
 
 
 def test_the_door_shows_every_room_in_its_order():

@@ -27,6 +27,7 @@ What all rooms use:
     mask_box         the box about a mask's pixels
     optics           camera and projector: distortion both ways, thin lens, vignetting
     raster           depth of a mesh at pixel centres, for checking
+    ply              point clouds and meshes as PLY files
 
 What is simulated:
 
@@ -62,19 +63,16 @@ What is written, and what makes it:
 What is measured, learnt and judged:
 
     metrology        what a virtual scanner is worth: its certificate
-    realism          what real depth has and perfect depth lacks, in figures
     stats            what a dataset holds, in figures
     card             the card of a dataset
     export           datasets in the formats of other programs
-    import_real      real pictures with labels, as a dataset
+    real             what a real scanner brings: its rig, its bin, its labels, how its depth looks
     training         examples for trainers, from datasets and exports alike
     evaluate         how good detections, poses and depth are; imports nothing that it judges
     detect           detectors: trained, run
     pose             where a part is, from a detection and the scanner's depth
     study_file       what a study's YAML file says
     study            models x inputs x training sets x worlds x seeds, in one table
-    fit_bin          pose, colours and light of a real, empty bin
-    calibrate        a rig from pictures of a board
     pick             a robot that empties the bin
     grasp_labels     where tools hold the parts of a dataset, and whether they do
     report           pictures of what the program works with and makes; the web page

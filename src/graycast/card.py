@@ -5,10 +5,8 @@ datasets have equal cards, to the byte and wherever they lie: no date, no durati
 """
 
 import json
-import os
 import re
 import shutil
-import tempfile
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -24,6 +22,7 @@ from .dataset.json_text import plain
 from .dataset.stored import SceneContent, StoredDataset, StoredScene, open_dataset
 from .decode import REASON_COLOR, Reason
 from .errors import GraycastError
+from .folder import beside
 from .stats import Statistics, draw_statistics, scene_figures, statistics_json, tally
 
 CARD = "README.md"
@@ -168,9 +167,7 @@ def _publish(
     dataset: Path, card: str, statistics: Statistics, scenes: int, shown: Sequence[StoredScene]
 ) -> None:
     """Made beside its place and renamed; what a killed run leaves the next `generate` removes."""
-    aside = Path(tempfile.mkdtemp(dir=dataset, prefix=".tmp-card-"))
-    try:
-        folder = aside / FOLDER
+    with beside(dataset / CARD) as written, beside(dataset / FOLDER) as folder:
         folder.mkdir()
         draw_statistics(statistics, folder / "stats.png")
         figures = {"scenes_in_dataset": scenes} | statistics_json(statistics)
@@ -179,13 +176,8 @@ def _publish(
         for scene in shown:
             picture = scene_strip(scene.content())[..., ::-1]
             (folder / f"{scene.key}.jpg").write_bytes(cv2.imencode(".jpg", picture)[1].tobytes())
-        (aside / CARD).write_text(card, encoding="utf-8")
-        if (dataset / FOLDER).exists():
-            (dataset / FOLDER).rename(aside / "before")
-        folder.rename(dataset / FOLDER)
-        os.replace(aside / CARD, dataset / CARD)
-    finally:
-        shutil.rmtree(aside, ignore_errors=True)
+        written.write_text(card, encoding="utf-8")
+        shutil.rmtree(dataset / FOLDER, ignore_errors=True)
 
 
 def card_text(

@@ -4,13 +4,14 @@ import fcntl
 import os
 import secrets
 import shutil
-import tempfile
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import IO
 
 from .errors import GraycastError
+
+ASIDE = ".tmp-"
 
 
 def write_whole(path: Path, content: bytes) -> None:
@@ -32,22 +33,33 @@ def fill_whole(path: Path, write: Callable[[IO[bytes]], object]) -> None:
     Raises:
         GraycastError: the folder is missing or the disk refuses; what was there is as it was.
     """
-    aside = None
     try:
-        with tempfile.NamedTemporaryFile(
-            dir=path.parent, prefix=f".{path.name}.", suffix=".tmp", delete=False
-        ) as file:
-            aside = Path(file.name)
+        with beside(path) as aside, open(aside, "xb") as file:
             write(file)
-        aside.chmod(0o644)  # temporary files are for their owner alone
-        os.replace(aside, path)
     except OSError as error:
         why = error.strerror or str(error)
         raise GraycastError(
             f"{path}: cannot be written ({why}): give a path in a folder with space"
         ) from error
+
+
+@contextmanager
+def beside(place: Path) -> Iterator[Path]:
+    """A path to write a file or a folder to, renamed to `place` when the block ends well.
+
+    Otherwise it is removed. What a killed run leaves has a name that begins with `ASIDE`.
+
+    Raises:
+        OSError: the disk refuses, or `place` is a folder that holds something.
+    """
+    aside = place.with_name(f"{ASIDE}{place.name}-{secrets.token_hex(4)}")
+    try:
+        yield aside
+        os.replace(aside, place)
     finally:
-        if aside is not None:
+        if aside.is_dir():
+            shutil.rmtree(aside, ignore_errors=True)
+        else:
             aside.unlink(missing_ok=True)
 
 

@@ -4,6 +4,7 @@ A projector is a camera run backwards, so one description serves both.
 """
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -98,6 +99,29 @@ class Optics:
         horizontal = np.arctan(right / self.fx_px) - np.arctan(left / self.fx_px)
         vertical = np.arctan(bottom / self.fy_px) - np.arctan(top / self.fy_px)
         return float(horizontal), float(vertical)
+
+
+def optics_of(
+    K: Sequence[float] | Float[np.ndarray, "3 3"],
+    size_px: tuple[int, int],
+    distortion: Sequence[float] = (0.0,) * 5,
+) -> Optics:
+    """The lens of a camera matrix, by rows; `size_px` is height and width.
+
+    Raises:
+        ValueError: as of `Optics`, and where there are not five terms of distortion.
+    """
+    (fx_px, _, cx_px), (_, fy_px, cy_px), _ = np.reshape(K, (3, 3)).tolist()
+    k1, k2, p1, p2, k3 = distortion
+    return Optics(
+        width_px=size_px[1],
+        height_px=size_px[0],
+        fx_px=fx_px,
+        fy_px=fy_px,
+        cx_px=cx_px,
+        cy_px=cy_px,
+        distortion=(float(k1), float(k2), float(p1), float(p2), float(k3)),
+    )
 
 
 def distort(

@@ -7,7 +7,7 @@ import cv2
 import numpy as np
 from pycocotools import mask as coco_mask
 
-from graycast.import_real import import_real
+from graycast.real.import_real import import_real
 
 K = np.array([[200.0, 0, 63.5], [0, 200.0, 47.5], [0, 0, 1]])
 FLOOR_M, TOP_M = 1.0, 0.9

@@ -24,7 +24,7 @@ from pycocotools import mask as coco_mask
 
 from graycast.bench.zoo_parts import zoo_part
 from graycast.frames import axis_rotation, inverse, rigid
-from graycast.import_real import import_real
+from graycast.real.import_real import import_real
 from graycast.rig_file import save_scanner
 from graycast.scanner import preset
 

@@ -291,7 +291,7 @@ def test_a_cloud_through_a_lens_with_distortion_lies_on_the_true_rays(tmp_path):
 
 def test_an_organised_cloud_is_depth_and_camera_again(exported, samples):
     """By the reader of real clouds, which fits the camera to the points."""
-    from graycast.realism import read_scans
+    from graycast.real.realism import read_scans
 
     out = exported("clouds", organised=True, depth="scanner")
     (scan,) = read_scans([out / "train" / "000003_scanner.ply"])

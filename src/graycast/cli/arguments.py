@@ -6,6 +6,9 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
+import numpy as np
+from jaxtyping import Float
+
 from ..errors import GraycastError
 from ..rig import PRESETS, RESOLUTIONS
 
@@ -148,6 +151,60 @@ def size(text: str) -> tuple[int, int]:
     if not (width.isdecimal() and height.isdecimal()):
         raise argparse.ArgumentTypeError(f"{text!r} is not a size such as 1280x720")
     return int(width), int(height)
+
+
+def add_scanner_files(
+    parser: argparse.ArgumentParser, *, intrinsics: str = "", distortion: str | None = None
+) -> None:
+    """What depth files of a scanner do not say themselves.
+
+    Args:
+        intrinsics: what the help says of its default.
+        distortion: the same; None where the command does not ask for it.
+    """
+    parser.add_argument(
+        "--intrinsics",
+        metavar="K",
+        help=f"The camera's intrinsics: fx,fy,cx,cy or a file that holds K{intrinsics}.",
+    )
+    if distortion is not None:
+        parser.add_argument(
+            "--distortion",
+            metavar="D",
+            help=f"The lens's distortion: k1,k2,p1,p2,k3 as OpenCV has them{distortion}.",
+        )
+    parser.add_argument(
+        "--scale",
+        type=above_zero,
+        metavar="METRES",
+        help="How many metres one unit of depth is: 0.001 for millimetres. Files of integers need "
+        "it; floats are metres without it.",
+    )
+    parser.add_argument(
+        "--size",
+        type=size,
+        metavar="WxH",
+        help="The width and height in pixels of PLY clouds that do not state it.",
+    )
+
+
+def intrinsics_of(options: argparse.Namespace) -> Float[np.ndarray, "3 3"] | None:
+    """K, if `--intrinsics` says it."""
+    from ..real.depth_file import read_intrinsics
+
+    return None if options.intrinsics is None else read_intrinsics(options.intrinsics)
+
+
+def distortion_of(options: argparse.Namespace) -> tuple[float, float, float, float, float] | None:
+    """The five terms, if `--distortion` says them."""
+    text = options.distortion
+    if text is None:
+        return None
+    try:
+        k1, k2, p1, p2, k3 = (float(word) for word in text.split(","))
+    except ValueError as error:
+        raise GraycastError(f"distortion is {text!r}: give five numbers k1,k2,p1,p2,k3") from error
+    return k1, k2, p1, p2, k3
 
 
 @contextmanager

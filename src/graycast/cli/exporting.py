@@ -3,8 +3,16 @@
 import argparse
 from pathlib import Path
 
-from ..errors import GraycastError
-from .arguments import above_zero, add_command, positive, progress_bar, seed, share, size
+from .arguments import (
+    add_command,
+    add_scanner_files,
+    distortion_of,
+    intrinsics_of,
+    positive,
+    progress_bar,
+    seed,
+    share,
+)
 
 _FORMATS = (
     "coco",
@@ -126,29 +134,7 @@ def add_commands(commands) -> None:
     real.add_argument(
         "--out", type=Path, required=True, help="The folder to write; it is new or empty."
     )
-    real.add_argument(
-        "--intrinsics",
-        metavar="K",
-        help="The camera's intrinsics: fx,fy,cx,cy or a file that holds K.",
-    )
-    real.add_argument(
-        "--distortion",
-        metavar="D",
-        help="The lens's distortion: k1,k2,p1,p2,k3 as OpenCV has them (default: none).",
-    )
-    real.add_argument(
-        "--scale",
-        type=above_zero,
-        metavar="METRES",
-        help="How many metres one unit of depth is: 0.001 for millimetres. Files of integers need "
-        "it; floats are metres without it.",
-    )
-    real.add_argument(
-        "--size",
-        type=size,
-        metavar="WxH",
-        help="The width and height in pixels of PLY clouds that do not state it.",
-    )
+    add_scanner_files(real, distortion=" (default: none)")
     real.add_argument(
         "--annotations",
         type=Path,
@@ -186,8 +172,7 @@ def _export(options: argparse.Namespace) -> int:
 def _import_real(options: argparse.Namespace) -> int:
     from ..dataset.real import absent
     from ..dataset.stored import open_dataset
-    from ..import_real import import_real
-    from ..realism import read_intrinsics
+    from ..real.import_real import import_real
 
     names = None
     if options.like is not None:
@@ -197,8 +182,8 @@ def _import_real(options: argparse.Namespace) -> int:
         done = import_real(
             options.folder,
             options.out,
-            K=None if options.intrinsics is None else read_intrinsics(options.intrinsics),
-            distortion=_distortion(options.distortion),
+            K=intrinsics_of(options),
+            distortion=distortion_of(options) or (0.0, 0.0, 0.0, 0.0, 0.0),
             scale_m=options.scale,
             size_px=options.size,
             annotations=options.annotations,
@@ -210,13 +195,3 @@ def _import_real(options: argparse.Namespace) -> int:
     print(f"{options.out}: {len(done.stems)} pictures, {done.instances} instances of {objects}")
     print(f"  not known: {', '.join(absent(options.out))}")
     return 0
-
-
-def _distortion(text: str | None) -> tuple[float, float, float, float, float]:
-    if text is None:
-        return (0.0, 0.0, 0.0, 0.0, 0.0)
-    try:
-        k1, k2, p1, p2, k3 = (float(word) for word in text.split(","))
-    except ValueError as error:
-        raise GraycastError(f"distortion is {text!r}: give five numbers k1,k2,p1,p2,k3") from error
-    return k1, k2, p1, p2, k3

@@ -5,7 +5,15 @@ import math
 from pathlib import Path
 
 from ..errors import GraycastError
-from .arguments import above_zero, add_command, add_device, add_seed, size
+from .arguments import (
+    above_zero,
+    add_command,
+    add_device,
+    add_scanner_files,
+    add_seed,
+    distortion_of,
+    intrinsics_of,
+)
 
 
 def add_commands(commands) -> None:
@@ -87,35 +95,13 @@ def _add_files(fit: argparse.ArgumentParser) -> None:
         default=[],
         help="The colour pictures, one for each depth file.",
     )
-    fit.add_argument(
-        "--intrinsics",
-        metavar="K",
-        help="The camera's intrinsics: fx,fy,cx,cy or a file that holds K (default: the rig's).",
-    )
-    fit.add_argument(
-        "--distortion",
-        metavar="D",
-        help="The lens's distortion: k1,k2,p1,p2,k3 as OpenCV has them.",
-    )
-    fit.add_argument(
-        "--scale",
-        type=above_zero,
-        metavar="METRES",
-        help="How many metres one unit of depth is: 0.001 for millimetres. Files of integers need "
-        "it; floats are metres without it.",
-    )
-    fit.add_argument(
-        "--size",
-        type=size,
-        metavar="WxH",
-        help="The width and height in pixels of PLY clouds that do not state it.",
-    )
+    add_scanner_files(fit, intrinsics=" (default: the rig's)", distortion="")
 
 
 def _fit_bin(options: argparse.Namespace) -> int:
     from ..cell import resolve_cell
     from ..config import load_config
-    from ..fit_bin import (
+    from ..real.fit_bin import (
         Said,
         azimuth_of,
         fit_pose,
@@ -127,7 +113,6 @@ def _fit_bin(options: argparse.Namespace) -> int:
         with_look,
         write_fit,
     )
-    from ..realism import read_intrinsics
     from ..scene import bin_of
 
     refuse_existing(options.out, options.config)
@@ -147,8 +132,8 @@ def _fit_bin(options: argparse.Namespace) -> int:
     config = config.model_copy(update={"bin": config.bin.model_copy(update=given)})
     cell = resolve_cell(config, options.config.parent)
     said = Said(
-        K=None if options.intrinsics is None else read_intrinsics(options.intrinsics),
-        distortion=None if options.distortion is None else _numbers(options.distortion, 5),
+        K=intrinsics_of(options),
+        distortion=distortion_of(options),
         scale_m=options.scale,
         size_px=options.size,
     )

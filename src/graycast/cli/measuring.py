@@ -7,16 +7,16 @@ from pathlib import Path
 from ..errors import GraycastError
 from ..folder import refuse_foreign, whole_folder
 from .arguments import (
-    above_zero,
     add_backend,
     add_command,
     add_device,
     add_resolution,
     add_rig,
+    add_scanner_files,
     add_seed,
+    intrinsics_of,
     progress_bar,
     resolve_rig_option,
-    size,
 )
 
 TABLE = "table.txt"  # in every folder that `graycast realism` writes
@@ -65,24 +65,7 @@ def add_commands(commands) -> None:
         nargs="*",
         help="The depth maps: NPY, PNG or PLY files, folders of them, or datasets of Graycast.",
     )
-    realism.add_argument(
-        "--intrinsics",
-        metavar="K",
-        help="The camera's intrinsics: fx,fy,cx,cy or a file that holds K.",
-    )
-    realism.add_argument(
-        "--scale",
-        type=above_zero,
-        metavar="METRES",
-        help="How many metres one unit of depth is: 0.001 for millimetres. Files of integers need "
-        "it; floats are metres without it.",
-    )
-    realism.add_argument(
-        "--size",
-        type=size,
-        metavar="WxH",
-        help="The width and height in pixels of PLY clouds that do not state it.",
-    )
+    add_scanner_files(realism)
     realism.add_argument(
         "--gray",
         type=Path,
@@ -160,11 +143,10 @@ def _certify(options: argparse.Namespace) -> int:
 
 def _realism(options: argparse.Namespace) -> int:
     from ..decode import Reason
-    from ..realism import (
+    from ..real.realism import (
         RECORD_FILE,
         measure,
         pool,
-        read_intrinsics,
         read_scans,
         table,
         write_record,
@@ -188,7 +170,7 @@ def _realism(options: argparse.Namespace) -> int:
     if options.out is None:
         raise GraycastError("say with --out where the measurement goes")
     refuse_foreign(options.out, TABLE)
-    K = None if options.intrinsics is None else read_intrinsics(options.intrinsics)
+    K = intrinsics_of(options)
     with whole_folder(options.out) as folder:
         scans = read_scans(
             options.depth,
@@ -209,7 +191,7 @@ def _realism(options: argparse.Namespace) -> int:
 
 
 def _write_table(records: list, folder: Path) -> None:
-    from ..realism import draw_realism, table
+    from ..real.realism import draw_realism, table
 
     (folder / TABLE).write_text(table(*records) + "\n", encoding="utf-8")
     draw_realism(records, folder / "plots.png")
@@ -217,7 +199,7 @@ def _write_table(records: list, folder: Path) -> None:
 
 def _record(path: Path):
     """A measured set, or one to measure: a dataset or a folder that states its own intrinsics."""
-    from ..realism import RECORD_FILE, measure, pool, read_record, read_scans
+    from ..real.realism import RECORD_FILE, measure, pool, read_record, read_scans
 
     if path.is_file() or (path / RECORD_FILE).is_file():
         return read_record(path)

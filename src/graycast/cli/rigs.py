@@ -190,7 +190,7 @@ def _patterns(options: argparse.Namespace) -> int:
 
 
 def _rig_calibrate(options: argparse.Namespace) -> int:
-    from ..calibrate import calibrate_rig, describe_calibration, parse_board, read_view
+    from ..real.calibrate import calibrate_rig, describe_calibration, parse_board, read_view
     from ..rig_file import save_scanner
     from ..scanner import Scanner
 

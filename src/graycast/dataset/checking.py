@@ -11,16 +11,18 @@ from pycocotools import mask as coco_mask
 
 from ..errors import DatasetError
 from ..frames import is_rigid
+from ..ply import split
 from . import records
 from .bop import camera_json
 from .claim import FORMAT_VERSION, SEALED_SINCE, fingerprint, rig_of
 from .grasp_files import grasp_problems
-from .models import diameter
+from .models import TEXTURE, diameter
 from .places import CLAIM, finished_scenes
 from .plain_scene import Model
 from .reading import Unreadable, read_json
 from .real import is_real, real_problems
 from .scene_check import scene_problems
+from .scene_folder import SceneFolder
 from .seal import MANIFEST, seal_problems, sum_problems
 
 _MODEL_MM = 1e-3  # nine digits in a PLY, read back in single precision
@@ -205,16 +207,9 @@ def _read_model(out: Path, obj_id: int, info: records.ModelInfo) -> Model:
         raise Unreadable(f"models/{path.name} cannot be read: {error}") from error
     if len(faces) == 0 or faces.min() < 0 or faces.max() >= len(vertices):
         raise Unreadable(f"models/{path.name} has no faces, or faces without vertices")
-    texture = next(
-        (
-            line.split()[-1].decode()
-            for line in path.read_bytes()[:1000].splitlines()
-            if line.startswith(b"comment TextureFile")
-        ),
-        None,
-    )
-    if texture is not None and not (path.parent / texture).is_file():
-        raise Unreadable(f"models/{texture} is missing")
+    for line in split(path)[0]:
+        if line.startswith(TEXTURE) and not (path.parent / line.split()[-1]).is_file():
+            raise Unreadable(f"models/{line.split()[-1]} is missing")
     return Model(vertices=vertices, faces=faces, info=info)
 
 
@@ -272,10 +267,10 @@ def _split_problems(
 def _split_scene_problems(
     out: Path, scene_id: int, entries: list[records.SplitAnnotation]
 ) -> Iterator[str]:
-    folder = out / "train" / f"{scene_id:06d}"
+    scene = SceneFolder(out / "train" / f"{scene_id:06d}")
     try:
-        annotations = read_json(folder / "scene_gt_coco.json", records.SceneCoco).annotations
-        infos = read_json(folder / "scene_gt_info.json", records.SceneGtInfo).image
+        annotations = scene.record("scene_gt_coco", records.SceneCoco).annotations
+        infos = scene.record("scene_gt_info", records.OneImage[list[records.Info]]).image
     except Unreadable:
         return  # told where the scene is checked
     seen = [info.visib_fract for info in infos if info.px_count_visib > 0]

@@ -5,9 +5,9 @@ from collections.abc import Iterable, Iterator, Mapping
 from typing import Any
 
 import numpy as np
-from pycocotools import mask as coco_mask
 
 from ..render.radiance import Silhouette
+from .records import split_annotation
 
 IGNORED_BELOW = 0.1  # bop_toolkit's calc_gt_coco ignores instances that are visible for less
 
@@ -108,24 +108,7 @@ def split_coco(
         seen = [info["visib_fract"] for info in infos if info["px_count_visib"] > 0]
         for annotation, visib_fract in zip(coco["annotations"], seen, strict=True):
             annotation_id += 1
-            entry = _split_annotation(annotation, annotation_id, scene_id)
+            entry = {"id": annotation_id} | split_annotation(annotation, scene_id)
             yield separator + json.dumps(entry | {"visib_fract": visib_fract})
             separator = ",\n"
     yield "]}\n"
-
-
-def _split_annotation(
-    annotation: Mapping[str, Any], annotation_id: int, image_id: int
-) -> dict[str, Any]:
-    runs = annotation["segmentation"]
-    height_px, width_px = runs["size"]
-    compressed = coco_mask.frPyObjects(dict(runs), height_px, width_px)
-    return {
-        "id": annotation_id,
-        "image_id": image_id,
-        "category_id": annotation["category_id"],
-        "iscrowd": 0,
-        "area": annotation["area"],
-        "bbox": [int(b) for b in coco_mask.toBbox(compressed)],
-        "segmentation": {"counts": compressed["counts"].decode(), "size": [height_px, width_px]},
-    }

@@ -17,7 +17,8 @@ from ..frames import is_rigid
 from .places import SPLITS
 from .plain_scene import Model, transform_of
 from .reading import Unreadable, read_json
-from .records import Matrix3, Pose, Positive, Record, SceneGt, Vector
+from .records import Matrix3, OneImage, Pose, Positive, Record, Vector
+from .scene_folder import SceneFolder
 
 GRASPS, GRASP_CLAIM = "grasps", "grasps.json"
 GRASP_FORMAT = 1
@@ -73,10 +74,8 @@ class InstanceGrasps(Record):
     grasps: list[Grasp]
 
 
-class SceneGrasps(Record):
-    """The labels of one scene, an entry per instance of `scene_gt.json`."""
-
-    image: Annotated[list[InstanceGrasps], Field(alias="0")]
+SceneGrasps = OneImage[list[InstanceGrasps]]
+"""The labels of one scene, an entry per instance of `scene_gt.json`."""
 
 
 def grasp_problems(out: Path, fingerprint: str, models: Mapping[int, Model]) -> Iterator[str]:
@@ -109,7 +108,8 @@ def _file_problems(
 ) -> Iterator[str]:
     try:
         labels = read_json(path, SceneGrasps).image
-        poses = read_json(out / path.parent.name / path.stem / "scene_gt.json", SceneGt).image
+        scene = SceneFolder(out / path.parent.name / path.stem)
+        poses = scene.record("scene_gt", OneImage[list[Pose]]).image
     except Unreadable as error:
         yield str(error)
         return

@@ -10,7 +10,7 @@ from pycocotools import mask as coco_mask
 from ..mask_box import mask_box
 from ..raster import Raster, rasterize
 from . import records
-from .plain_scene import Model, Plain, optics_of, transform_of
+from .plain_scene import Model, Plain, transform_of
 from .reading import Unreadable, read_png
 
 # A pixel whose centre lies very near an edge may fall to either side in a renderer of single
@@ -127,9 +127,7 @@ def _surface_problems(
     """The model, rendered at its pose by an independent rasteriser, against masks and depth."""
     pose = scene.poses[i]
     T = transform_of(pose.cam_R_m2c, pose.cam_t_m2c)
-    raster = rasterize(
-        model.vertices @ T[:3, :3].T + T[:3, 3], model.faces, optics_of(scene, camera)
-    )
+    raster = rasterize(model.vertices @ T[:3, :3].T + T[:3, 3], model.faces, scene.lens)
     window, z_mm = _in_image(raster, mask.shape)
     drawn, mask_px = ~np.isnan(z_mm), int(mask.sum())
     allowed = EDGE_PX + EDGE_SHARE * _outline_px(drawn)

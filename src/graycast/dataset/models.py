@@ -15,8 +15,10 @@ from scipy.spatial.distance import cdist
 
 from ..color import srgb
 from ..parts import Mesh, Part
+from ..ply import COLORS, header
 from .records import MM_PER_M
 
+TEXTURE = "comment TextureFile"  # in the header of a model that has one
 _CHUNK = 2048  # rows of the distance matrix held at once
 
 
@@ -84,27 +86,18 @@ def _ply(part: Part, texture_name: str | None) -> bytes:
         columns.append(mesh.corner_uv.reshape(-1, 2))
     rows, index = np.unique(np.hstack(columns), axis=0, return_inverse=True)
     vertices_mm = mesh.vertices_m[rows[:, 0].astype(np.int64)].astype(np.float64) * MM_PER_M
-    names, types = "x y z nx ny nz".split(), ["float"] * 6
+    properties = [("float", name) for name in ("x", "y", "z", "nx", "ny", "nz")]
     table = np.hstack([vertices_mm, rows[:, 1:]])
     formats = ["%.9g"] * table.shape[1]
     if texture_name is not None:
-        names, types = [*names, "texture_u", "texture_v"], [*types, "float", "float"]
+        properties += [("float", "texture_u"), ("float", "texture_v")]
     else:
         color = np.broadcast_to(srgb(np.array(part.material.base_color)), (len(table), 3))
-        names, types = [*names, "red", "green", "blue"], [*types, *["uchar"] * 3]
+        properties += [("uchar", name) for name in COLORS]
         table, formats = np.hstack([table, color]), [*formats, "%d", "%d", "%d"]
-    header = [
-        "ply",
-        "format ascii 1.0",
-        *([f"comment TextureFile {texture_name}"] if texture_name is not None else []),
-        f"element vertex {len(table)}",
-        *(f"property {kind} {name}" for kind, name in zip(types, names, strict=True)),
-        f"element face {len(mesh.faces)}",
-        "property list uchar int vertex_indices",
-        "end_header",
-    ]
+    said = [] if texture_name is None else [f"{TEXTURE} {texture_name}"]
     text = io.BytesIO()
-    text.write(("\n".join(header) + "\n").encode())
+    text.write(header("ascii", properties, vertices=len(table), faces=len(mesh.faces), said=said))
     np.savetxt(text, table, fmt=formats)
     np.savetxt(text, index.reshape(-1, 3), fmt="3 %d %d %d")
     return text.getvalue()

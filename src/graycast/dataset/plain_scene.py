@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from ..frames import rigid
-from ..optics import Optics
+from ..optics import Optics, optics_of
 from . import records
 
 
@@ -34,20 +34,10 @@ class Plain:
     scanner: records.Scanner
     manifest: Mapping[str, Any]
 
-
-def optics_of(scene: Plain, camera: records.Camera) -> Optics:
-    """The scene's own K: poses, masks and depth must agree through it."""
-    K = scene.view.cam_K
-    k1, k2, p1, p2, k3 = scene.view.distortion
-    return Optics(
-        width_px=camera.width,
-        height_px=camera.height,
-        fx_px=K[0],
-        fy_px=K[4],
-        cx_px=K[2],
-        cy_px=K[5],
-        distortion=(k1, k2, p1, p2, k3),
-    )
+    @property
+    def lens(self) -> Optics:
+        """The scene's own K: poses, masks and depth must agree through it."""
+        return optics_of(self.view.cam_K, self.image["depth"].shape[:2], self.view.distortion)
 
 
 def transform_of(rotation: list[float], translation: list[float]) -> Float[np.ndarray, "4 4"]:

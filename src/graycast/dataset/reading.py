@@ -9,6 +9,7 @@ import numpy as np
 import pydantic
 
 R = TypeVar("R", bound=pydantic.BaseModel)
+_PNG = b"\x89PNG\r\n\x1a\n"
 
 
 class Unreadable(Exception):
@@ -28,9 +29,7 @@ def read_json(path: Path, form: type[R]) -> R:
     except OSError as error:
         raise Unreadable(f"{path.name} cannot be read: {error.strerror}") from error
     except pydantic.ValidationError as error:
-        first = error.errors()[0]
-        where = ".".join(str(key) for key in first["loc"])
-        raise Unreadable(f"{path.name}: {where}: {first['msg']}") from error
+        raise Unreadable(_first_mistake(path.name, error)) from error
 
 
 def held(content: Any, form: type[R], where: str) -> R:
@@ -42,9 +41,13 @@ def held(content: Any, form: type[R], where: str) -> R:
     try:
         return form.model_validate(content)
     except pydantic.ValidationError as error:
-        first = error.errors()[0]
-        key = ".".join(str(key) for key in first["loc"])
-        raise Unreadable(f"{where}: {key}: {first['msg']}") from error
+        raise Unreadable(_first_mistake(where, error)) from error
+
+
+def _first_mistake(where: str, error: pydantic.ValidationError) -> str:
+    first = error.errors()[0]
+    key = ".".join(str(key) for key in first["loc"])
+    return ": ".join(filter(None, (where, key, first["msg"])))
 
 
 def read_png(path: Path) -> np.ndarray:
@@ -53,12 +56,25 @@ def read_png(path: Path) -> np.ndarray:
     Raises:
         Unreadable: it is not there or damaged.
     """
+    return png_pixels(*_named(path))
+
+
+def read_picture(path: Path) -> np.ndarray:
+    """The pixels of a picture of any format; a PNG is checked as `read_png` checks.
+
+    Raises:
+        Unreadable: it is not there or damaged.
+    """
+    return pixels(*_named(path))
+
+
+def _named(path: Path) -> tuple[bytes, str]:
+    """What a file holds, and its name as a scene's reader knows it."""
     name = f"{path.parent.name}/{path.name}"
     try:
-        data = path.read_bytes()
+        return path.read_bytes(), name
     except OSError as error:
         raise Unreadable(f"{name} is missing") from error
-    return png_pixels(data, name)
 
 
 def png_kind(path: Path) -> str:
@@ -75,7 +91,7 @@ def png_pixels(data: bytes, name: str) -> np.ndarray:
         Unreadable: it is damaged.
     """
     at, kind = 8, b""
-    while data[:8] == b"\x89PNG\r\n\x1a\n" and kind != b"IEND" and at + 12 <= len(data):
+    while data[:8] == _PNG and kind != b"IEND" and at + 12 <= len(data):
         end = at + 8 + int.from_bytes(data[at : at + 4], "big")
         kind = data[at + 4 : at + 8]
         if zlib.crc32(data[at + 4 : end]) != int.from_bytes(data[end : end + 4], "big"):
@@ -83,7 +99,21 @@ def png_pixels(data: bytes, name: str) -> np.ndarray:
         at = end + 4
     if kind != b"IEND" or at != len(data):
         raise Unreadable(f"{name} is cut off or damaged")
-    image = cv2.imdecode(np.frombuffer(data, dtype=np.uint8), cv2.IMREAD_UNCHANGED)
+    return _decoded(data, name)
+
+
+def pixels(data: bytes, name: str) -> np.ndarray:
+    """The pixels of a picture in memory, of any format; a PNG is checked as `read_png` checks.
+
+    Raises:
+        Unreadable: it is damaged.
+    """
+    return png_pixels(data, name) if data.startswith(_PNG) else _decoded(data, name)
+
+
+def _decoded(data: bytes, name: str) -> np.ndarray:
+    held = np.frombuffer(data, dtype=np.uint8)
+    image = cv2.imdecode(held, cv2.IMREAD_UNCHANGED) if data else None
     if image is None:
-        raise Unreadable(f"{name} is not an image")
+        raise Unreadable(f"{name} is not an image, or is damaged")
     return image

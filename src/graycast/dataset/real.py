@@ -18,7 +18,7 @@ from pydantic import Field
 from ..errors import DatasetError
 from ..mask_box import mask_box
 from .places import finished_scenes
-from .reading import Unreadable, read_json, read_png
+from .reading import Unreadable, read_json
 from .records import (
     Box,
     Camera,
@@ -29,10 +29,13 @@ from .records import (
     Distortion,
     Manifest,
     Matrix3,
+    OneImage,
     Positive,
     Record,
     SceneCoco,
+    split_annotation,
 )
+from .scene_folder import SceneFolder
 
 IMAGES = {"rgb": np.uint8, "gray_sl": np.uint8, "depth_sl": np.uint16}
 Held = Literal["rgb", "gray_sl", "depth_sl", "masks"]
@@ -81,18 +84,6 @@ class RealInfo(Record):
 
     bbox_visib: Box
     px_count_visib: Count
-
-
-class RealSceneCamera(Record):
-    image: Annotated[RealView, Field(alias="0")]
-
-
-class RealSceneGt(Record):
-    image: Annotated[list[RealPose], Field(alias="0")]
-
-
-class RealSceneGtInfo(Record):
-    image: Annotated[list[RealInfo], Field(alias="0")]
 
 
 class RealAnnotation(Record):
@@ -153,42 +144,42 @@ def real_problems(out: Path) -> Iterator[tuple[int | None, str]]:
         yield None, "train/ holds no scene"
     for scene_id in finished:
         try:
-            folder = out / "train" / f"{scene_id:06d}"
-            yield from ((scene_id, what) for what in _scene_problems(folder, claim, camera))
+            scene = SceneFolder(out / "train" / f"{scene_id:06d}")
+            yield from ((scene_id, what) for what in _scene_problems(scene, claim, camera))
         except Unreadable as error:
             yield scene_id, str(error)
     if "masks" in claim.holds:
         yield from ((None, what) for what in _split_problems(out, claim, finished))
 
 
-def _scene_problems(folder: Path, claim: RealClaim, camera: Camera) -> Iterator[str]:
+def _scene_problems(scene: SceneFolder, claim: RealClaim, camera: Camera) -> Iterator[str]:
     size = (camera.height, camera.width)
-    view = read_json(folder / "scene_camera.json", RealSceneCamera).image
-    read_json(folder / "manifest.json", Manifest)
+    view = scene.record("scene_camera", OneImage[RealView]).image
+    scene.record("manifest", Manifest)
     if view.depth_scale != claim.depth_scale_mm:
         yield f"scene_camera.json: depth_scale is not graycast.json's {claim.depth_scale_mm}"
     for name in set(claim.holds) - {"masks"}:
-        image = read_png(folder / name / "000000.png")
+        image = scene.png(name)
         shape = (*size, 3) if name == "rgb" else size
         if image.shape != shape or image.dtype != IMAGES[name]:
             is_, must = f"{image.shape} {image.dtype}", f"{shape} {np.dtype(IMAGES[name])}"
             yield f"{name}/000000.png is {is_}, it must be {must}"
     if "masks" in claim.holds:
-        yield from _mask_problems(folder, claim, size)
+        yield from _mask_problems(scene, claim, size)
 
 
-def _mask_problems(folder: Path, claim: RealClaim, size: tuple[int, int]) -> Iterator[str]:
-    poses = read_json(folder / "scene_gt.json", RealSceneGt).image
-    infos = read_json(folder / "scene_gt_info.json", RealSceneGtInfo).image
-    entries = read_json(folder / "scene_gt_coco.json", SceneCoco).annotations
-    files = sorted((folder / "mask_visib").glob("*.png"))
+def _mask_problems(scene: SceneFolder, claim: RealClaim, size: tuple[int, int]) -> Iterator[str]:
+    poses = scene.record("scene_gt", OneImage[list[RealPose]]).image
+    infos = scene.record("scene_gt_info", OneImage[list[RealInfo]]).image
+    entries = scene.record("scene_gt_coco", SceneCoco).annotations
+    files = sorted((scene.path / "mask_visib").glob("*.png"))
     if not len(poses) == len(infos) == len(entries) == len(files):
         counts = f"{len(poses)}, {len(infos)}, {len(entries)} instances, {len(files)} masks"
         yield f"scene_gt.json, scene_gt_info.json and scene_gt_coco.json have {counts}"
         return
     known = {part.obj_id for part in claim.parts}
     for i, (pose, info, entry) in enumerate(zip(poses, infos, entries, strict=True)):
-        mask = read_png(folder / "mask_visib" / f"000000_{i:06d}.png") > 0
+        mask = scene.mask("mask_visib", i)
         if mask.shape != size or not mask.any():
             yield f"mask_visib/000000_{i:06d}.png is empty, or not {size[1]} x {size[0]} pixels"
             continue
@@ -220,23 +211,10 @@ def _split_problems(out: Path, claim: RealClaim, finished: list[int]) -> Iterato
         return
     for scene_id in finished:
         try:
-            coco = read_json(out / f"train/{scene_id:06d}/scene_gt_coco.json", SceneCoco)
+            scene = SceneFolder(out / "train" / f"{scene_id:06d}")
+            coco = scene.record("scene_gt_coco", SceneCoco)
         except Unreadable:
             continue  # told where the scene is checked
         held = [e.model_dump(exclude={"id"}) for e in split.annotations if e.image_id == scene_id]
-        if held != [split_entry(e.model_dump(), scene_id) for e in coco.annotations]:
+        if held != [split_annotation(e.model_dump(), scene_id) for e in coco.annotations]:
             yield f"train_coco.json: the annotations of image {scene_id} are not the scene's"
-
-
-def split_entry(annotation: dict[str, Any], scene_id: int) -> dict[str, Any]:
-    """An annotation of `scene_gt_coco.json` as `train_coco.json` has it, without its id."""
-    runs = annotation["segmentation"]
-    compressed = coco_mask.frPyObjects(dict(runs), *runs["size"])
-    return {
-        "image_id": scene_id,
-        "category_id": annotation["category_id"],
-        "iscrowd": 0,
-        "area": annotation["area"],
-        "bbox": list(annotation["bbox"]),
-        "segmentation": {"counts": compressed["counts"].decode(), "size": list(runs["size"])},
-    }

@@ -1,7 +1,9 @@
 """The JSON files of a dataset as values: every key and shape, nothing else, nothing missing."""
 
-from typing import Annotated, Any
+from collections.abc import Mapping
+from typing import Annotated, Any, Generic, TypeVar
 
+from pycocotools import mask as coco_mask
 from pydantic import BaseModel, ConfigDict, Field, RootModel
 
 MM_PER_M = 1000.0  # the files have the millimetres of BOP
@@ -13,6 +15,8 @@ Box = Annotated[list[int], Field(min_length=4, max_length=4)]
 Distortion = Annotated[list[float], Field(min_length=5, max_length=5)]
 Count = Annotated[int, Field(ge=0)]
 Positive = Annotated[float, Field(gt=0)]
+
+T = TypeVar("T")
 
 
 class Record(BaseModel):
@@ -144,25 +148,14 @@ class Scanner(Record):
     reasons: dict[str, int]
 
 
-# A scene file holds one image, so its only key is that image's id.
-class SceneCamera(Record):
-    image: Annotated[View, Field(alias="0")]
+class OneImage(Record, Generic[T]):
+    """A file of a scene that holds one image: its only key is that image's number."""
+
+    image: Annotated[T, Field(alias="0")]
 
 
-class SceneGt(Record):
-    image: Annotated[list[Pose], Field(alias="0")]
-
-
-class SceneGtInfo(Record):
-    image: Annotated[list[Info], Field(alias="0")]
-
-
-class SceneBox3d(Record):
-    image: Annotated[list[Box3d], Field(alias="0")]
-
-
-class SceneScanner(Record):
-    image: Annotated[Scanner, Field(alias="0")]
+class Images(RootModel[dict[Count, T]], Generic[T]):
+    """A file of a scene that says something of each image."""
 
 
 class RunLengths(Record):
@@ -230,6 +223,21 @@ class SplitCoco(Record):
     categories: list[CocoCategory]
     images: list[CocoImage]
     annotations: list[SplitAnnotation]
+
+
+def split_annotation(annotation: Mapping[str, Any], image_id: int) -> dict[str, Any]:
+    """An annotation of `scene_gt_coco.json` as a split's file has it, without its id."""
+    runs = annotation["segmentation"]
+    height_px, width_px = runs["size"]
+    compressed = coco_mask.frPyObjects(dict(runs), height_px, width_px)
+    return {
+        "image_id": image_id,
+        "category_id": annotation["category_id"],
+        "iscrowd": 0,
+        "area": annotation["area"],
+        "bbox": [int(b) for b in coco_mask.toBbox(compressed)],
+        "segmentation": {"counts": compressed["counts"].decode(), "size": [height_px, width_px]},
+    }
 
 
 class Shown(BaseModel):

@@ -10,17 +10,19 @@ from ..decode import Reason
 from ..frames import is_rigid
 from . import records
 from .mask_check import mask_problems
-from .plain_scene import Model, Plain, optics_of, transform_of
+from .plain_scene import Model, Plain, transform_of
 from .raw_check import raw_problems
-from .reading import Unreadable, png_kind, read_json, read_png
+from .reading import Unreadable, png_kind
+from .records import OneImage
+from .scene_folder import SceneFolder
 from .sense import Evidence, sense_problems
 
 BOX_MM = 1e-3  # of 3D boxes, whose sizes the models hold to nine digits
 
 _SCENE_JSON = {
-    "scene_camera": records.SceneCamera,
-    "scene_gt": records.SceneGt,
-    "scene_gt_info": records.SceneGtInfo,
+    "scene_camera": OneImage[records.View],
+    "scene_gt": OneImage[list[records.Pose]],
+    "scene_gt_info": OneImage[list[records.Info]],
     "scene_gt_coco": records.SceneCoco,
 }
 _IMAGES = {
@@ -38,7 +40,7 @@ def scene_problems(
 ) -> Iterator[str]:
     """All that is wrong with one scene folder; nothing if it is sound."""
     try:
-        scene = _read_scene(folder)
+        scene = _read_scene(SceneFolder(folder))
     except Unreadable as error:
         yield str(error)
         return
@@ -74,7 +76,7 @@ def _evidence(
         scene_id=int(folder.name),
         claim=claim,
         manifest=scene.manifest,
-        lens=optics_of(scene, camera),
+        lens=scene.lens,
         view=scene.view,
         poses=scene.poses,
         scanner=scene.scanner,
@@ -89,9 +91,9 @@ def _evidence(
     )
 
 
-def _read_scene(folder: Path) -> Plain:
+def _read_scene(files: SceneFolder) -> Plain:
     read = {
-        name + suffix: read_json(folder / f"{name}{suffix}.json", form)
+        name + suffix: files.record(name + suffix, form)
         for name, form in _SCENE_JSON.items()
         for suffix in ("", "_sl")
     }
@@ -99,20 +101,20 @@ def _read_scene(folder: Path) -> Plain:
         if read[name] != read[f"{name}_sl"]:
             raise Unreadable(f"{name}_sl.json differs from {name}.json: both look through one lens")
     return Plain(
-        image={name: read_png(folder / name / "000000.png") for name in _IMAGES},
+        image={name: files.png(name) for name in _IMAGES},
         view=read["scene_camera"].image,
         poses=read["scene_gt"].image,
         info={suffix: read[f"scene_gt_info{suffix}"].image for suffix in ("", "_sl")},
         coco={suffix: read[f"scene_gt_coco{suffix}"] for suffix in ("", "_sl")},
-        box3d=read_json(folder / "scene_gt_box3d.json", records.SceneBox3d).image,
-        scanner=read_json(folder / "scene_sl.json", records.SceneScanner).image,
-        manifest=read_json(folder / "manifest.json", records.Manifest).root,
+        box3d=files.record("scene_gt_box3d", OneImage[list[records.Box3d]]).image,
+        scanner=files.record("scene_sl", OneImage[records.Scanner]).image,
+        manifest=files.record("manifest", records.Manifest).root,
     )
 
 
 def _image_problems(folder: Path, scene: Plain, camera: records.Camera) -> Iterator[str]:
     for name, image in scene.image.items():
-        kind = png_kind(folder / name / "000000.png")
+        kind = png_kind(SceneFolder(folder).png_path(name))
         if kind != ("colour" if name == "rgb" else "grey"):
             yield f"{name}/000000.png is a PNG of the kind {kind}, which no writer of ours makes"
         shape = (camera.height, camera.width, 3)[: 3 if name == "rgb" else 2]

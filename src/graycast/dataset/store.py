@@ -9,9 +9,7 @@ by one (a thousand files a scene); `validate` finds such scenes.
 """
 
 import errno
-import json
 import os
-import secrets
 import shutil
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager, suppress
@@ -20,7 +18,7 @@ from pathlib import Path
 from typing import IO, Any, final
 
 from ..errors import DatasetError
-from ..folder import take_lock
+from ..folder import ASIDE, beside, take_lock
 from ..parts import Part
 from ..rig import Rig
 from .bop import camera_json, scene_files
@@ -29,12 +27,14 @@ from .coco import split_coco
 from .json_text import json_bytes
 from .models import model_files, models_info
 from .places import CLAIM, finished_scenes
+from .reading import Unreadable
+from .records import Manifest, OneImage
 from .sample import Sample
+from .scene_folder import SceneFolder
 from .seal import SUMS, sha256
 
-_ASIDE = ".tmp-"
 _LOCK = ".lock"
-SET_ASIDE = "set_aside.json"
+SETASIDE = "set_aside.json"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -75,24 +75,21 @@ class Store:
         Raises:
             DatasetError: the disk refuses, or the scene is there already.
         """
-        train = self.out / "train"
-        aside = train / f"{_ASIDE}{scene_id:06d}-{secrets.token_hex(4)}"
-        try:
-            with _disk_errors(self.out):
-                aside.mkdir()
-                for folder in ("mask", "mask_visib", "mask_sl", "mask_visib_sl"):
-                    (aside / folder).mkdir()  # also where no instance is seen
-                for name, content in files:
-                    path = aside / name
-                    path.parent.mkdir(exist_ok=True)
-                    _write(path, [content], to_disk=not name.startswith("mask"))
-                _commit(aside, train / f"{scene_id:06d}")
-        finally:
-            shutil.rmtree(aside, ignore_errors=True)
+        place = self.out / "train" / f"{scene_id:06d}"
+        with _disk_errors(self.out), _refusing_other(place), beside(place) as aside:
+            aside.mkdir()
+            for folder in ("mask", "mask_visib", "mask_sl", "mask_visib_sl"):
+                (aside / folder).mkdir()  # also where no instance is seen
+            for name, content in files:
+                path = aside / name
+                path.parent.mkdir(exist_ok=True)
+                _write(path, [content], to_disk=not name.startswith("mask"))
+        with _disk_errors(self.out):
+            _sync(place.parent)  # the new name reaches the disk with the scene
 
     def set_aside(self, scenes: Iterable["SetAside"]) -> None:
         """Record which scenes this run gave up, in `set_aside.json`; without any, remove it."""
-        path = self.out / SET_ASIDE
+        path = self.out / SETASIDE
         entries = {
             f"{scene.scene_id:06d}": {
                 "reason": scene.reason,
@@ -146,7 +143,7 @@ class Store:
             shutil.rmtree(self.out / "models", ignore_errors=True)
             (self.out / "train").rmdir()
             (self.out / "camera.json").unlink(missing_ok=True)
-            (self.out / SET_ASIDE).unlink(missing_ok=True)
+            (self.out / SETASIDE).unlink(missing_ok=True)
             (self.out / CLAIM).unlink(missing_ok=True)
 
     def close(self) -> None:
@@ -226,16 +223,20 @@ def refuse_other_dataset(
     refuse_other(out / CLAIM, make_claim(config, seed, parts, rig, depth_scale_mm))
 
 
-def _commit(aside: Path, place: Path) -> None:
+@contextmanager
+def _refusing_other(place: Path) -> Iterator[None]:
     try:
-        aside.rename(place)
+        yield
     except OSError as error:
         if error.errno not in (errno.ENOTEMPTY, errno.EEXIST):
             raise
         raise DatasetError(f"{place} is there already: remove it to make it again") from error
-    folder = os.open(place.parent, os.O_RDONLY)
+
+
+def _sync(path: Path) -> None:
+    folder = os.open(path, os.O_RDONLY)
     try:
-        os.fsync(folder)  # the new name reaches the disk with the scene
+        os.fsync(folder)
     finally:
         os.close(folder)
 
@@ -243,15 +244,14 @@ def _commit(aside: Path, place: Path) -> None:
 def _annotations(
     out: Path, scene_id: int
 ) -> tuple[int, Mapping[str, Any], list[Mapping[str, Any]]]:
-    scene = out / "train" / f"{scene_id:06d}"
+    scene = SceneFolder(out / "train" / f"{scene_id:06d}")
     try:
-        coco = json.loads((scene / "scene_gt_coco.json").read_bytes())
-        infos = json.loads((scene / "scene_gt_info.json").read_bytes())["0"]
-    except (OSError, ValueError, KeyError) as error:
+        infos = scene.record("scene_gt_info", OneImage[list[Mapping[str, Any]]]).image
+        return scene_id, scene.record("scene_gt_coco", Manifest).root, infos
+    except Unreadable as error:
         raise DatasetError(
-            f"{scene} cannot be read back ({error}): remove this folder and run again"
+            f"{scene.path} cannot be read back ({error}): remove this folder and run again"
         ) from error
-    return scene_id, coco, infos
 
 
 def _refuse_foreign(out: Path) -> None:
@@ -263,7 +263,7 @@ def _refuse_foreign(out: Path) -> None:
         foreign = [
             entry.name
             for entry in out.iterdir()
-            if entry.name != _LOCK and not entry.name.startswith(_ASIDE)
+            if entry.name != _LOCK and not entry.name.startswith(ASIDE)
         ]
     if foreign:
         raise DatasetError(
@@ -284,7 +284,7 @@ def _locked(out: Path) -> IO[str]:
 
 def _sweep(out: Path) -> None:
     """Remove what killed runs left."""
-    for left in [*out.glob(f"{_ASIDE}*"), *out.glob(f"train/{_ASIDE}*")]:
+    for left in [*out.glob(f"{ASIDE}*"), *out.glob(f"train/{ASIDE}*")]:
         if left.is_dir():
             shutil.rmtree(left)
         else:
@@ -304,26 +304,17 @@ def _write_common(out: Path, files: Mapping[str, bytes]) -> None:
         _replace(out / "camera.json", [files["camera.json"]])
     if (out / "models").exists():
         return
-    aside = out / f"{_ASIDE}models-{secrets.token_hex(4)}"
-    try:
+    with beside(out / "models") as aside:
         aside.mkdir()
         for name, content in files.items():
             if name.startswith("models/"):
                 _write(aside / Path(name).name, [content], to_disk=True)
-        aside.rename(out / "models")
-    finally:
-        shutil.rmtree(aside, ignore_errors=True)
 
 
 def _replace(path: Path, pieces: Iterable[bytes]) -> None:
     """Write a file beside its place and rename it there."""
-    aside = path.parent / f"{_ASIDE}{path.name}-{secrets.token_hex(4)}"
-    try:
-        with _disk_errors(path.parent):
-            _write(aside, pieces, to_disk=True)
-            aside.rename(path)
-    finally:
-        aside.unlink(missing_ok=True)
+    with _disk_errors(path.parent), beside(path) as aside:
+        _write(aside, pieces, to_disk=True)
 
 
 def _write(path: Path, pieces: Iterable[bytes], *, to_disk: bool) -> None:

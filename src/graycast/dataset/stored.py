@@ -18,8 +18,10 @@ from ..errors import DatasetError
 from . import records
 from .example import Example, Label, label_arrays, metres
 from .places import CLAIM, SPLITS, finished_scenes
-from .reading import Unreadable, read_json, read_png
-from .real import RealClaim, RealSceneCamera, RealSceneGt, RealSceneGtInfo, is_real
+from .reading import Unreadable, read_json
+from .real import RealClaim, RealInfo, RealPose, RealView, is_real
+from .records import OneImage
+from .scene_folder import SceneFolder
 
 NO_REASON = 255  # a pixel without scanner depth in a dataset that does not say why
 _HELD = frozenset({"rgb", "gray_sl", "depth", "depth_sl", "masks", "amodal", "poses", "shares"})
@@ -94,12 +96,11 @@ class StoredScene:
 
     def view(self) -> records.View | Any:
         """Intrinsics and depth scale; of simulated scenes also where the camera stood."""
-        form = RealSceneCamera if self.real else records.SceneCamera
-        return self._read("scene_camera.json", form).image
+        return self._of_image("scene_camera", RealView if self.real else records.View)
 
     def manifest(self) -> dict[str, Any]:
         """What the run that made it had to say."""
-        return self._read("manifest.json", records.Manifest).root
+        return self._read("manifest", records.Manifest).root
 
     def obj_ids(self) -> tuple[int, ...]:
         """What each instance is, seen or not: all that one small file tells."""
@@ -122,7 +123,7 @@ class StoredScene:
     def png(self, name: str) -> Path:
         """A picture's file, found whole and of the right form."""
         self._image(name)
-        return self.folder / name / "000000.png"
+        return self._files.png_path(name)
 
     def rgb(self) -> UInt8[np.ndarray, "h w 3"]:
         return np.ascontiguousarray(self._image("rgb")[..., ::-1])
@@ -140,7 +141,7 @@ class StoredScene:
 
     def masks(self, name: str) -> list[Bool[np.ndarray, "h w"]]:
         """All masks of `mask` or `mask_visib`, of hidden instances too."""
-        return [self._mask(f"{name}/000000_{i:06d}.png") for i in range(len(self.poses()))]
+        return [self._mask(name, i) for i in range(len(self.poses()))]
 
     def example(self, *, min_visibility: float = 0.0) -> Example:
         """What a trainer wants of it."""
@@ -176,18 +177,13 @@ class StoredScene:
             manifest=self.manifest(),
         )
 
-    def read_bytes(self, name: str) -> bytes:
-        """A JSON file of the scene as it is."""
-        try:
-            return (self.folder / name).read_bytes()
-        except OSError as error:
-            why = f"cannot be read ({error.strerror}): run graycast validate"
-            raise DatasetError(f"{self.folder / name}: {why}") from error
+    def said(self, name: str) -> Any:
+        """What a JSON file says of the scene's image, as it is."""
+        return self._of_image(name, Any)
 
     def poses(self) -> list[Any]:
         """What `scene_gt.json` says of every instance, seen or not."""
-        form = RealSceneGt if self.real else records.SceneGt
-        poses = self._read("scene_gt.json", form).image
+        poses = self._of_image("scene_gt", list[RealPose if self.real else records.Pose])
         for obj_id in {pose.obj_id for pose in poses}.difference(self.categories):
             raise DatasetError(
                 f"{self.folder / 'scene_gt.json'}: has object {obj_id}, {CLAIM} has "
@@ -199,10 +195,9 @@ class StoredScene:
         """Poses and figures of all instances, annotations of those that are seen."""
         if "masks" not in self.holds:
             return [], [], []
-        form = RealSceneGtInfo if self.real else records.SceneGtInfo
         poses = self.poses()
-        infos = self._read("scene_gt_info.json", form).image
-        annotations = self._read("scene_gt_coco.json", records.SceneCoco).annotations
+        infos = self._of_image("scene_gt_info", list[RealInfo if self.real else records.Info])
+        annotations = self._read("scene_gt_coco", records.SceneCoco).annotations
         seen = sum(info.px_count_visib > 0 for info in infos)
         if len(poses) != len(infos) or seen != len(annotations):
             raise DatasetError(
@@ -252,7 +247,7 @@ class StoredScene:
                 StoredInstance(obj_id=pose.obj_id, area_px=info.px_count_visib, box=info.bbox_visib)
                 for pose, info in zip(poses, infos, strict=True)
             )
-        boxes = self._read("scene_gt_box3d.json", records.SceneBox3d).image
+        boxes = self._of_image("scene_gt_box3d", list[records.Box3d])
         if len(boxes) != len(poses):
             raise DatasetError(
                 f"{self.folder}: scene_gt_box3d.json has {len(boxes)} boxes, scene_gt.json "
@@ -275,31 +270,39 @@ class StoredScene:
         self, scanner: UInt16[np.ndarray, "h w"] | None
     ) -> tuple[UInt8[np.ndarray, "h w"], dict[int, str]]:
         if not self.real:
-            said = self._read("scene_sl.json", records.SceneScanner).image.reasons
+            said = self._of_image("scene_sl", records.Scanner).reasons
             return self._image("reason_sl"), {k: name.lower() for name, k in said.items()}
         known = np.zeros(self.size_px, dtype=bool) if scanner is None else scanner > 0
         return np.where(known, 0, NO_REASON).astype(np.uint8), {0: "decoded", NO_REASON: "missing"}
 
     def _image(self, name: str) -> np.ndarray:
         axes, kind = _PIXELS.get(name, _DEPTH)
-        image = self._checked(partial(read_png, self.folder / name / "000000.png"))
+        image = self._checked(partial(self._files.png, name))
         if image.ndim != axes or image.dtype != kind or image.shape[:2] != self.size_px:
             height_px, width_px = self.size_px
             must = f"{np.dtype(kind)}, {width_px} x {height_px} pixels"
             raise DatasetError(
-                f"{self.folder / name / '000000.png'}: is {image.dtype} {image.shape}, it must be "
-                f"{must}: run graycast validate"
+                f"{self._files.png_path(name)}: is {image.dtype} {image.shape}, it must be {must}: "
+                "run graycast validate"
             )
         return image
 
-    def _mask(self, name: str) -> Bool[np.ndarray, "h w"]:
-        mask = self._checked(partial(read_png, self.folder / name))
+    def _mask(self, name: str, i: int) -> Bool[np.ndarray, "h w"]:
+        mask = self._checked(partial(self._files.mask, name, i))
         if mask.shape != self.size_px:
-            raise DatasetError(f"{self.folder / name}: is {mask.shape}, not {self.size_px}")
-        return mask > 0
+            path = self._files.mask_path(name, i)
+            raise DatasetError(f"{path}: is {mask.shape}, not {self.size_px}")
+        return mask
+
+    @property
+    def _files(self) -> SceneFolder:
+        return SceneFolder(self.folder)
+
+    def _of_image(self, name: str, form: Any) -> Any:
+        return self._read(name, OneImage[form]).image
 
     def _read(self, name: str, form: type) -> Any:
-        return self._checked(partial(read_json, self.folder / name, form))
+        return self._checked(partial(self._files.record, name, form))
 
     def _checked(self, read: partial) -> Any:
         try:

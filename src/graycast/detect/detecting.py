@@ -21,7 +21,7 @@ from ..errors import GraycastError
 from ..export.record import RECORD, read_record
 from ..export.split import Split
 from ..folder import refuse_foreign, whole_folder
-from ..import_real.pictures import Shot, find_shots, read_shot
+from ..real.pictures import Shot, find_shots, read_shot
 from ..training import Examples, open_examples
 from ..training.foreign import is_foreign
 from .detector import About, Detector

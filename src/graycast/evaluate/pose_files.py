@@ -15,7 +15,7 @@ from ..dataset.json_text import plain
 from ..dataset.models_read import read_models
 from ..errors import GraycastError
 from ..export.split import Split
-from ..optics import Optics
+from ..optics import Optics, optics_of
 from ..pose_results import PoseEstimate, read_pose_results
 from ..training import open_examples
 from .intervals import Interval, draw_scenes, interval_of
@@ -205,17 +205,7 @@ def _truth(dataset: Path, example: Example, min_visibility: float) -> Truth:
 def camera_of(example: Example) -> Optics:
     """The camera that an example's depth is of."""
     depth = example.scanner_depth_m if example.scanner_depth_m is not None else example.depth_m
-    height_px, width_px = depth.shape
-    K = example.K
-    return Optics(
-        width_px=width_px,
-        height_px=height_px,
-        fx_px=float(K[0, 0]),
-        fy_px=float(K[1, 1]),
-        cx_px=float(K[0, 2]),
-        cy_px=float(K[1, 2]),
-        distortion=tuple(float(k) for k in example.distortion or (0.0,) * 5),
-    )
+    return optics_of(example.K, depth.shape, example.distortion or (0.0,) * 5)
 
 
 # --- files ----------------------------------------------------------------------------------------

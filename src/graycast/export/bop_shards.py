@@ -21,7 +21,6 @@ import cv2
 from ..dataset.coco import run_lengths
 from ..dataset.json_text import json_bytes
 from ..dataset.stored import StoredDataset, StoredScene
-from ..errors import DatasetError
 from ..render.radiance import Silhouette
 from .options import Options
 from .placing import place
@@ -79,30 +78,19 @@ def _files(scene: StoredScene, options: Options) -> Iterator[tuple[str, bytes | 
         yield "gray.tiff", cv2.imencode(".tiff", scene.gray())[1].tobytes()
     for depth in options.depths:
         yield "depth.png", scene.png(depth)
-    camera = json.loads(_image(scene, "scene_camera.json"))
+    camera = scene.said("scene_camera")
     for k in (2, 5):
         camera["cam_K"][k] += options.shift_px
     yield "camera.json", json.dumps(camera).encode()
     if "masks" not in scene.holds:
         return
     scanner = options.depths == ("depth_sl",) and not scene.real
-    yield "gt.json", _image(scene, "scene_gt.json")
-    yield (
-        "gt_info.json",
-        _image(scene, "scene_gt_info_sl.json" if scanner else "scene_gt_info.json"),
-    )
+    yield "gt.json", json.dumps(scene.said("scene_gt")).encode()
+    info = scene.said("scene_gt_info_sl" if scanner else "scene_gt_info")
+    yield "gt_info.json", json.dumps(info).encode()
     if "amodal" in scene.holds:
         yield "mask.json", _masks(scene, "mask")
     yield "mask_visib.json", _masks(scene, "mask_visib")
-
-
-def _image(scene: StoredScene, name: str) -> bytes:
-    """What a scene's file says of its only image."""
-    try:
-        content = json.loads(scene.read_bytes(name))["0"]
-    except (ValueError, KeyError, TypeError) as error:
-        raise DatasetError(f"{scene.folder / name}: is damaged: run graycast validate") from error
-    return json.dumps(content).encode()
 
 
 def _masks(scene: StoredScene, name: str) -> bytes:

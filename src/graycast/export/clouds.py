@@ -12,11 +12,11 @@ from jaxtyping import Bool, Float, Float32, UInt8
 
 from ..dataset.stored import StoredDataset, StoredScene
 from ..frames import pixel_grid
-from ..optics import Optics, rays
+from ..optics import Optics, optics_of, rays
+from ..ply import cloud_bytes
 from .options import Options
 
 _NAMES = {"depth": "perfect", "depth_sl": "scanner"}
-_FRAME = "metres, camera frame: x right, y down, z forward"
 
 
 def write_split(
@@ -24,12 +24,14 @@ def write_split(
 ) -> None:
     """`SPLIT/000000_perfect.ply` and `SPLIT/000000_scanner.ply`, or `.pcd`."""
     (folder / split).mkdir()
-    form = {"ply": ply_bytes, "pcd": pcd_bytes}[options.cloud]
+    form = {"ply": cloud_bytes, "pcd": pcd_bytes}[options.cloud]
     for scene in scenes:
         color = _color(scene, options)
         for depth in options.depths:
             depth_m = scene.depth_m(depth)
-            point_m = points(depth_m, _optics(scene))
+            view = scene.view()
+            camera = optics_of(view.cam_K, scene.size_px, view.distortion)
+            point_m = points(depth_m, camera)
             name = f"{scene.scene_id:06d}_{_NAMES[depth]}.{options.cloud}"
             kept = np.ones_like(depth_m, dtype=bool) if options.organised else depth_m > 0
             width_px = depth_m.shape[1] if options.organised else None
@@ -41,31 +43,6 @@ def points(depth_m: Float32[np.ndarray, "h w"], camera: Optics) -> Float[np.ndar
     """The point of each pixel [m], camera frame; NaN where there is no depth."""
     ray = rays(camera, pixel_grid(camera.height_px, camera.width_px))
     return ray * depth_m[..., None]
-
-
-def ply_bytes(
-    point_m: Float[np.ndarray, "n 3"],
-    color: UInt8[np.ndarray, "n 3"] | None,
-    *,
-    width_px: int | None,
-) -> bytes:
-    """A binary PLY; an organised one (`width_px` points a row) says its size in `obj_info`."""
-    table = _table(point_m, color)
-    names = {"<f4": "float", "|u1": "uchar"}
-    size = []
-    if width_px is not None:
-        rows = len(table) // width_px
-        size = [f"obj_info num_cols {width_px}", f"obj_info num_rows {rows}"]
-    head = [
-        "ply",
-        "format binary_little_endian 1.0",
-        f"comment {_FRAME}",
-        *size,
-        f"element vertex {len(table)}",
-        *(f"property {names[table.dtype[name].str]} {name}" for name in table.dtype.names),
-        "end_header",
-    ]
-    return ("\n".join(head) + "\n").encode("ascii") + table.tobytes()
 
 
 def pcd_bytes(
@@ -103,18 +80,6 @@ def pcd_bytes(
     return ("\n".join(head) + "\n").encode("ascii") + body
 
 
-def _table(point_m: Float[np.ndarray, "n 3"], color: UInt8[np.ndarray, "n 3"] | None) -> np.ndarray:
-    fields = [(axis, "<f4") for axis in "xyz"]
-    values = list(point_m.T)
-    if color is not None:
-        fields += [(name, "u1") for name in ("red", "green", "blue")]
-        values += list(color.T)
-    table = np.empty(len(point_m), dtype=fields)
-    for (name, _), column in zip(fields, values, strict=True):
-        table[name] = column
-    return table
-
-
 def _kept(
     point_m: Float[np.ndarray, "h w 3"],
     color: UInt8[np.ndarray, "h w 3"] | None,
@@ -130,17 +95,3 @@ def _color(scene: StoredScene, options: Options) -> UInt8[np.ndarray, "h w 3"] |
         case "gray":
             return np.repeat(scene.gray()[..., None], 3, axis=-1)
     return None
-
-
-def _optics(scene: StoredScene) -> Optics:
-    view, (height_px, width_px) = scene.view(), scene.size_px
-    k1, k2, p1, p2, k3 = view.distortion
-    return Optics(
-        width_px=width_px,
-        height_px=height_px,
-        fx_px=view.cam_K[0],
-        fy_px=view.cam_K[4],
-        cx_px=view.cam_K[2],
-        cy_px=view.cam_K[5],
-        distortion=(k1, k2, p1, p2, k3),
-    )

@@ -11,11 +11,12 @@ from pydantic import ValidationError
 
 from ..config import Config, resolve_bin, resolve_parts
 from ..dataset.claim import BESIDE_CONFIG, part_digest, rig_of
+from ..dataset.example import pose_m
 from ..dataset.stored import StoredDataset, StoredScene
 from ..drop import Body, OnStage, make_bodies
 from ..drop.rapier import GRAVITY_M_S2
 from ..errors import ConfigError, DatasetError
-from ..frames import inverse, rigid
+from ..frames import inverse
 from ..grasp import Doubt, Grip, jaw_places, suction_places
 from ..parts import Part
 from ..pick.obstacles import standing
@@ -138,8 +139,8 @@ def read_heap(scene: StoredScene) -> Heap:
         DatasetError: a file is missing or damaged.
     """
     view, poses = scene.view(), scene.poses()
-    T_world_cam = inverse(_metres(view.cam_R_w2c, view.cam_t_w2c))
-    T_cam_part = np.array([_metres(pose.cam_R_m2c, pose.cam_t_m2c) for pose in poses])
+    T_world_cam = inverse(pose_m(view.cam_R_w2c, view.cam_t_w2c))
+    T_cam_part = np.array([pose_m(pose.cam_R_m2c, pose.cam_t_m2c) for pose in poses])
     T_cam_part = T_cam_part.reshape(-1, 4, 4)
     return Heap(
         T_world_cam=T_world_cam,
@@ -147,10 +148,6 @@ def read_heap(scene: StoredScene) -> Heap:
         T_cam_part=T_cam_part,
         part_index=np.array([pose.obj_id - 1 for pose in poses], dtype=np.int64),
     )
-
-
-def _metres(rotation: list[float], translation_mm: list[float]) -> Float[np.ndarray, "4 4"]:
-    return rigid(np.reshape(rotation, (3, 3)), np.array(translation_mm) / 1e3)
 
 
 def around(world: World, heap: Heap) -> tuple[Obstacle, ...]:

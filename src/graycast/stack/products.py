@@ -14,6 +14,7 @@ from matplotlib.figure import Figure
 from ..decode import REASON_COLOR, Reason
 from ..folder import refuse_foreign, whole_folder
 from ..plotting import save_png
+from ..ply import cloud_bytes
 from .decoding import Cloud, StackResult
 
 CODE = "code.npz"  # always there
@@ -86,26 +87,9 @@ def write_ply(cloud: Cloud, path: Path) -> None:
     An averaged cloud has `pixels`, the camera pixels joined (0: all in doubt); any other `sigma`,
     the standard deviation of z [m].
     """
-    fields = [("x", "<f4"), ("y", "<f4"), ("z", "<f4")]
-    fields += [("red", "u1"), ("green", "u1"), ("blue", "u1")]
-    values = [*cloud.point_m.T, *cloud.color.T]
-    if cloud.sure_pixels is not None:
-        fields, values = [*fields, ("pixels", "<i4")], [*values, cloud.sure_pixels]
-    if cloud.sigma_m is not None:
-        fields, values = [*fields, ("sigma", "<f4")], [*values, cloud.sigma_m]
-    table = np.empty(len(cloud.point_m), dtype=fields)
-    for (name, _), column in zip(fields, values, strict=True):
-        table[name] = column
-    names = {"<f4": "float", "u1": "uchar", "<i4": "int"}
-    head = [
-        "ply",
-        "format binary_little_endian 1.0",
-        "comment metres, camera frame: x right, y down, z forward",
-        f"element vertex {len(table)}",
-        *(f"property {names[kind]} {name}" for name, kind in fields),
-        "end_header",
-    ]
-    path.write_bytes(("\n".join(head) + "\n").encode("ascii") + table.tobytes())
+    more = {"pixels": cloud.sure_pixels, "sigma": cloud.sigma_m}
+    known = {name: column for name, column in more.items() if column is not None}
+    path.write_bytes(cloud_bytes(cloud.point_m, cloud.color, more=known))
 
 
 def describe_result(result: StackResult) -> str:

@@ -3,16 +3,13 @@
 from collections.abc import Sequence
 from typing import Any
 
-import cv2
 import numpy as np
 from pycocotools import mask as coco_mask
 
 from ..array_types import Bool, Float32, UInt8
 from ..dataset.example import metres
-from ..dataset.reading import Unreadable, png_pixels
+from ..dataset.reading import Unreadable, pixels
 from ..errors import DatasetError
-
-_PNG = b"\x89PNG"
 
 
 def picture(data: bytes, name: str) -> np.ndarray:
@@ -22,14 +19,9 @@ def picture(data: bytes, name: str) -> np.ndarray:
         DatasetError: it is none.
     """
     try:
-        if data.startswith(_PNG):
-            return png_pixels(data, name)
+        return pixels(data, name)
     except Unreadable as error:
         raise DatasetError(f"{error}: export again") from error
-    image = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED) if data else None
-    if image is None:
-        raise DatasetError(f"{name}: is not a picture, or is damaged: export again")
-    return image
 
 
 def image_fields(kind: str, data: bytes, name: str) -> dict[str, UInt8[np.ndarray, "..."]]:

@@ -19,6 +19,9 @@ import numpy as np
 from pycocotools import mask as coco_mask
 
 from ..dataset.example import Example, metres, pose_m
+from ..dataset.reading import Unreadable
+from ..dataset.records import Images, Positive
+from ..dataset.scene_folder import AnyInfo, AnyPose, AnyView, SceneFolder
 from ..errors import DatasetError
 from .decoding import boxes, masks, picture
 
@@ -169,8 +172,10 @@ def _run(drawn: Any, size: tuple[int, int], name: str) -> dict[str, Any]:
         if isinstance(drawn["counts"], list):
             return coco_mask.frPyObjects(drawn, *size)
         return {"size": list(drawn["size"]), "counts": drawn["counts"]}
-    except (KeyError, TypeError, ValueError) as error:
-        raise DatasetError(f"{name}: a segmentation is damaged ({_why(error)})") from error
+    except KeyError as error:
+        raise DatasetError(f"{name}: a segmentation is damaged ({error} is missing)") from error
+    except (TypeError, ValueError) as error:
+        raise DatasetError(f"{name}: a segmentation is damaged ({error})") from error
 
 
 def _beside(path: Path, name: str) -> Path:
@@ -188,107 +193,81 @@ def _beside(path: Path, name: str) -> Path:
 # --- BOP ----------------------------------------------------------------------------------------
 
 
+class _View(AnyView):
+    """A dataset without depth need not say its scale."""
+
+    depth_scale: Positive = 1.0
+
+
 def _bop_scenes(path: Path) -> list[Path]:
     found = (file.parent for file in path.glob("[0-9]*/scene_gt.json"))
     return sorted(folder for folder in found if folder.name.isdecimal())
 
 
 def _open_bop(path: Path) -> Foreign:
-    scenes = _bop_scenes(path)
-    place: list[tuple[Path, str]] = []
+    place: list[tuple[SceneFolder, int]] = []
     obj_ids: set[int] = set()
-    for scene in scenes:
-        poses = _poses(scene / "scene_gt.json")
-        place += [(scene, image) for image in sorted(poses, key=int)]
-        obj_ids |= {entry["obj_id"] for entries in poses.values() for entry in entries}
+    for folder in _bop_scenes(path):
+        scene = SceneFolder(folder)
+        try:
+            shown = scene.record("scene_gt", Images[list[AnyPose]]).root
+        except Unreadable as error:
+            raise DatasetError(
+                f"{folder}/{error}: each key must be the number of an image, and hold the list of "
+                "its objects, each with obj_id (a whole number), cam_R_m2c and cam_t_m2c"
+            ) from error
+        place += [(scene, image) for image in sorted(shown)]
+        obj_ids |= {one.obj_id for objects in shown.values() for one in objects}
     return Foreign(
-        scene_of=tuple(int(scene.name) for scene, _ in place),
+        scene_of=tuple(int(scene.path.name) for scene, _ in place),
         categories={obj_id: f"obj_{obj_id:06d}" for obj_id in sorted(obj_ids)},
         read=partial(_bop_example, tuple(place)),
     )
 
 
-def _poses(file: Path) -> dict[str, list[dict[str, Any]]]:
-    """What each picture of a scene shows."""
-    poses = _json(file)
-    if not isinstance(poses, dict):
-        raise DatasetError(f"{file}: is {_short(poses)}: it must be an object, a list an image")
-    for image, entries in poses.items():
-        if not image.isdecimal() or not isinstance(entries, list):
-            raise DatasetError(
-                f"{file}: has {_short(image)} with {_short(entries)}: each key must be the number "
-                "of an image, and hold the list of its objects"
-            )
-        for number, entry in enumerate(entries):
-            wanted = {"obj_id": (_is_number, "a whole number, the id of an object")}
-            _check(entry, wanted, f"{file}: object {number} of image {image}")
-    return poses
-
-
-def _bop_example(place: tuple[tuple[Path, str], ...], number: int) -> Example:
+def _bop_example(place: tuple[tuple[SceneFolder, int], ...], number: int) -> Example:
     """BOP has one depth, rendered or measured; it is given as both."""
     scene, image = place[number]
-    name = f"{int(image):06d}"
     try:
-        poses = _json(scene / "scene_gt.json")[image]
-        infos = _json(scene / "scene_gt_info.json")[image]
-        camera = _json(scene / "scene_camera.json")[image]
-        seen = [i for i, info in enumerate(infos) if info["px_count_visib"] > 0]
-        mask = [_bop_mask(scene / "mask_visib" / f"{name}_{i:06d}.png") for i in seen]
-        share = np.array([infos[i]["visib_fract"] for i in seen], float)
-        pose = [pose_m(poses[i]["cam_R_m2c"], poses[i]["cam_t_m2c"]) for i in seen]
-        K = np.array(camera["cam_K"], float).reshape(3, 3)
-        scale_mm = float(camera.get("depth_scale", 1.0))
-    except (KeyError, IndexError, TypeError, ValueError) as error:
+        poses = scene.of_instances("scene_gt", image, AnyPose)
+        infos = scene.of_instances("scene_gt_info", image, AnyInfo)
+        camera = scene.of_image("scene_camera", image, _View)
+        rgb, gray, steps = (scene.picture(kind, image) for kind in ("rgb", "gray", "depth"))
+        size = next((held.shape[:2] for held in (rgb, gray, steps) if held is not None), None)
+        if size is None:
+            raise Unreadable(f"image {image} has no rgb, gray or depth")
+        if len(poses) != len(infos):
+            told = f"{len(poses)} objects in scene_gt.json, {len(infos)} in scene_gt_info.json"
+            raise Unreadable(f"image {image} has {told}")
+        seen = [i for i, info in enumerate(infos) if info.px_count_visib > 0]
+        mask = np.zeros((len(seen), *size), dtype=bool)
+        for k, i in enumerate(seen):
+            visible = scene.mask("mask_visib", i, image)
+            if visible.shape != size:
+                raise Unreadable(f"image {image}: mask {i} is {visible.shape}, the picture {size}")
+            mask[k] = visible
+    except Unreadable as error:
         raise DatasetError(
-            f"{scene}: what is said of image {image} is damaged ({_why(error)}): mend "
-            "scene_gt.json, scene_gt_info.json or scene_camera.json, or remove it from all three"
+            f"{scene.path}: {error}: training needs a picture, the visible masks of every "
+            "instance, and the image in scene_gt.json, scene_gt_info.json and scene_camera.json: "
+            "mend what is damaged, or remove the image from all three"
         ) from error
-    rgb = _bop_picture(scene, "rgb", name)
-    gray = _bop_picture(scene, "gray", name)
-    steps = _bop_picture(scene, "depth", name)
-    depth_m = None if steps is None else metres(steps, scale_mm)
-    held = np.array(mask, bool) if mask else np.zeros((0, *_size(rgb, gray, steps, scene)), bool)
+    pose = [pose_m(poses[i].cam_R_m2c, poses[i].cam_t_m2c) for i in seen]
+    depth_m = None if steps is None else metres(steps, camera.depth_scale)
     return Example(
         scene_id=number,
-        K=K,
+        K=np.array(camera.cam_K, float).reshape(3, 3),
         rgb=None if rgb is None else np.ascontiguousarray(rgb[..., :3][..., ::-1]),
         gray=gray,
         depth_m=depth_m,
         scanner_depth_m=None if depth_m is None else depth_m.copy(),
         instance=np.array(seen, np.int64),
-        obj_id=np.array([poses[i]["obj_id"] for i in seen], np.int64),
-        mask=held,
-        box_px=boxes(held) if seen else np.zeros((0, 4), np.float32),
+        obj_id=np.array([poses[i].obj_id for i in seen], np.int64),
+        mask=mask,
+        box_px=boxes(mask) if seen else np.zeros((0, 4), np.float32),
         T_cam_part=np.array(pose, float).reshape(-1, 4, 4),
-        visib_fract=share,
+        visib_fract=np.array([infos[i].visib_fract for i in seen], float),
     )
-
-
-def _why(error: Exception) -> str:
-    return f"{error} is missing" if isinstance(error, KeyError) else str(error)
-
-
-def _bop_picture(scene: Path, kind: str, name: str) -> np.ndarray | None:
-    for ending in ("png", "jpg", "tif"):
-        file = scene / kind / f"{name}.{ending}"
-        if file.is_file():
-            return picture(_bytes(file), str(file))
-    return None
-
-
-def _bop_mask(file: Path) -> np.ndarray:
-    if not file.is_file():
-        raise DatasetError(f"{file}: is missing: train needs the visible masks of every instance")
-    return picture(_bytes(file), str(file)) > 0
-
-
-def _size(*held: Any) -> tuple[int, int]:
-    *pictures, scene = held
-    for each in pictures:
-        if each is not None:
-            return each.shape[:2]
-    raise DatasetError(f"{scene}: has no rgb, gray or depth")
 
 
 # --- both ---------------------------------------------------------------------------------------

@@ -1,7 +1,6 @@
 """A page in pieces, one for each scene or bin: only those are made that are new or changed."""
 
 import hashlib
-import secrets
 import shutil
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
@@ -14,10 +13,9 @@ from pathlib import Path
 from typing import Protocol, runtime_checkable
 
 from ...errors import GraycastError
-from ...folder import write_whole
+from ...folder import ASIDE, beside, write_whole
 
 PIECES = "scenes"  # the folder in which the page's scripts look for them
-_ASIDE = ".tmp-"
 _STAMP = "stamp"
 _MARK = "graycast-report"
 
@@ -99,7 +97,7 @@ def write_pieces(
         on_piece: called with the key of every piece made.
     """
     folder = out / PIECES
-    for left in folder.glob(f"{_ASIDE}*"):
+    for left in folder.glob(f"{ASIDE}*"):
         shutil.rmtree(left)
     todo = [piece for piece in pieces if not _is_current(folder, piece)]
     kept = len(pieces) - len(todo)
@@ -154,14 +152,10 @@ def _made(todo: Sequence[Piece], folder: Path, workers: int) -> Iterator[str]:
 
 def _make(piece: Piece, *, folder: Path) -> str:
     stamp = piece.stamp()  # before reading: a piece changed meanwhile is made again
-    aside = folder / f"{_ASIDE}{piece.key}-{secrets.token_hex(4)}"
-    try:
+    with beside(folder / piece.key) as aside:
         aside.mkdir()
         for name, data in piece.files():
             (aside / name).write_bytes(data)
         (aside / _STAMP).write_text(stamp)
         shutil.rmtree(folder / piece.key, ignore_errors=True)
-        aside.rename(folder / piece.key)
-    finally:
-        shutil.rmtree(aside, ignore_errors=True)
     return piece.key

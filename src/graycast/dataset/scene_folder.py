@@ -1,0 +1,114 @@
+"""A scene in BOP's form, ours or of others: the one place that knows how its files are named.
+
+JSON files are named after what they say, and say it under the number of each image. Pictures lie in
+a folder a kind, under the image's number, and masks also under the instance's. What is not of the
+first camera ends in a type of camera: `depth_sl` is what our scanner measures. Our scenes have one
+image, 0, and PNGs alone.
+"""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any, TypeVar, final
+
+import numpy as np
+from pydantic import BaseModel, ConfigDict, Field
+
+from ..array_types import Bool
+from .reading import Unreadable, held, read_json, read_picture, read_png
+from .records import Count, Distortion, Images, Matrix3, Positive, Vector
+
+PICTURES = (".png", ".jpg", ".jpeg", ".tif", ".tiff")
+SCANNER = "_sl"  # the type of camera that our own datasets add
+
+R = TypeVar("R", bound=BaseModel)
+
+
+@final
+@dataclass(frozen=True, slots=True)
+class SceneFolder:
+    """Its files, each read when it is asked for, without trust.
+
+    What reads raises Unreadable where a file is missing, damaged or of another form.
+    """
+
+    path: Path
+
+    def record(self, name: str, form: type[R]) -> R:
+        """A JSON file as the record that it must be."""
+        return read_json(self.path / f"{name}.json", form)
+
+    def of_image(self, name: str, number: int, form: type[R]) -> R:
+        """What a JSON file says of one image; what it says of others is not judged."""
+        return held(self._entry(name, number), form, f"{name}.json: image {number}")
+
+    def of_instances(self, name: str, number: int, form: type[R]) -> list[R]:
+        """What a JSON file says of each instance in one image."""
+        where, entry = f"{name}.json: image {number}", self._entry(name, number)
+        if not isinstance(entry, list):
+            raise Unreadable(f"{where} must have a list with an entry for each of its instances")
+        return [held(one, form, f"{where}, instance {i}") for i, one in enumerate(entry)]
+
+    def find_picture(self, kind: str, number: int) -> Path | None:
+        """Where a picture is, whatever its format; None where there is none."""
+        files = (self.path / kind / f"{number:06d}{ending}" for ending in PICTURES)
+        return next((file for file in files if file.is_file()), None)
+
+    def picture(self, kind: str, number: int) -> np.ndarray | None:
+        """A picture of any format as it is stored, colours in OpenCV's order, if there is one."""
+        found = self.find_picture(kind, number)
+        return None if found is None else read_picture(found)
+
+    def png_path(self, kind: str, number: int = 0) -> Path:
+        return self.path / kind / f"{number:06d}.png"
+
+    def png(self, kind: str, number: int = 0) -> np.ndarray:
+        """A picture that must be there as a PNG."""
+        return read_png(self.png_path(kind, number))
+
+    def mask_path(self, kind: str, instance: int, number: int = 0) -> Path:
+        """Of `mask`, which goes on behind other parts, or of `mask_visib`."""
+        return self.path / kind / f"{number:06d}_{instance:06d}.png"
+
+    def mask(self, kind: str, instance: int, number: int = 0) -> Bool[np.ndarray, "h w"]:
+        return read_png(self.mask_path(kind, instance, number)) > 0
+
+    def _entry(self, name: str, number: int) -> Any:
+        entries = self.record(name, Images[Any]).root
+        if number not in entries:
+            raise Unreadable(f"{name}.json says nothing of image {number}")
+        return entries[number]
+
+
+class _Promised(BaseModel):
+    """What every dataset in BOP's form says; what else it may say is not read."""
+
+    model_config = ConfigDict(frozen=True, extra="ignore", allow_inf_nan=False)
+
+
+class AnyView(_Promised):
+    """One image in `scene_camera.json`; `distortion` is in ours alone."""
+
+    cam_K: Matrix3
+    depth_scale: Positive
+    distortion: Distortion = [0.0] * 5
+
+
+class AnyScanner(_Promised):
+    """One image in `scene_sl.json`: the numbers of the reasons why a pixel has no depth."""
+
+    reasons: dict[str, int] = {}
+
+
+class AnyPose(_Promised):
+    """One instance in `scene_gt.json`."""
+
+    obj_id: Annotated[int, Field(strict=True)]
+    cam_R_m2c: Matrix3
+    cam_t_m2c: Vector
+
+
+class AnyInfo(_Promised):
+    """One instance in `scene_gt_info.json`."""
+
+    px_count_visib: Count
+    visib_fract: float

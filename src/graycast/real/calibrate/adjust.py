@@ -1,0 +1,278 @@
+"""Bundle adjustment: both devices, the pose between them and every board's pose in one fit."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, fields
+
+import cv2
+import numpy as np
+from jaxtyping import Bool, Float, Int
+from scipy.optimize import least_squares
+from scipy.spatial.transform import Rotation
+
+from ...frames import inverse, rigid
+from ...optics import Optics, distort
+
+DEVICE = ("fx_px", "fy_px", "cx_px", "cy_px", "k1", "k2", "p1", "p2", "k3")
+POSE = ("rotation_x_rad", "rotation_y_rad", "rotation_z_rad", "x_m", "y_m", "z_m")
+REWEIGHTINGS = 4
+OUTLIER = 6.0  # times the median residual: a corner found wrong, not one found badly
+RADIAL = ("k1", "k2", "k3")
+DETERMINED = 5.0  # standard deviations that a device's last radial term must differ from 0 by
+OUTLIER_FLOOR_PX = 0.05  # of that median: what is that good is not thrown away for being the worst
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Observations:
+    """Corners of all views in one row each: where both devices see them."""
+
+    view: Int[np.ndarray, " n"]
+    point_m: Float[np.ndarray, "n 3"]  # in the board's frame
+    camera_px: Float[np.ndarray, "n 2"]
+    projector_px: Float[np.ndarray, "n 2"]
+    per_camera_px: Float[np.ndarray, "n 2 2"]  # step in the projector for a step in the camera
+
+    def taken(self, keep: Bool[np.ndarray, " n"]) -> "Observations":
+        return Observations(
+            view=self.view[keep],
+            point_m=self.point_m[keep],
+            camera_px=self.camera_px[keep],
+            projector_px=self.projector_px[keep],
+            per_camera_px=self.per_camera_px[keep],
+        )
+
+
+def joined(parts: Sequence[Observations]) -> Observations:
+    """The observations of all parts, one after another."""
+    names = [field.name for field in fields(Observations)]
+    return Observations(**{n: np.concatenate([getattr(p, n) for p in parts]) for n in names})
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Adjustment:
+    """Outcome of the fit. Residuals are (x, y), measured minus predicted, of every observation.
+
+    `kept` says which observations the fit rests on. `deviation` is the standard deviation of each
+    fitted number: "camera.fx_px", "projector.k1", "T_proj_cam.x_m", "baseline_m". `undetermined`
+    has the radial terms that are 0 because the corners do not tell them from it: what the fit said
+    of each before, and its standard deviation.
+    """
+
+    camera: Optics
+    projector: Optics
+    T_cam_proj: Float[np.ndarray, "4 4"]
+    T_cam_board: Float[np.ndarray, "views 4 4"]
+    camera_residual_px: Float[np.ndarray, "n 2"]
+    projector_residual_px: Float[np.ndarray, "n 2"]
+    kept: Bool[np.ndarray, " n"]
+    deviation: dict[str, float]
+    undetermined: dict[str, tuple[float, float]]
+
+
+def adjust(
+    seen: Observations,
+    camera_size_px: tuple[int, int],
+    projector_size_px: tuple[int, int],
+    *,
+    radial_terms: int,
+    tangential: bool,
+) -> Adjustment:
+    """All unknowns by weighted least squares, each device weighted by its own residuals.
+
+    The projector's coordinate is read at the place where the camera found the corner, so an error
+    of that place stands in both residuals; it is taken out of the projector's first. What
+    is left there is the code's own error, often far smaller: it ties the two devices together.
+    The start is Zhang's calibration of each device alone (OpenCV). Corners beyond six times
+    the median residual are left out once and the rest is fitted again. Then, as long as a device's
+    last radial term is less than 5 standard deviations from 0, that term is 0 and the rest is
+    fitted once more: a number that noise has made bends the picture where no corner was seen.
+
+    Source: Z. Zhang, "A flexible new technique for camera calibration", TPAMI 2000; B. Triggs et
+    al., "Bundle adjustment - a modern synthesis", 2000.
+    """
+    free = _free(radial_terms, tangential, views=int(seen.view.max()) + 1)
+    start = np.where(free, _start(seen, camera_size_px, projector_size_px), 0.0)
+    fitted, _ = _fit(start, free, seen)
+    size = np.linalg.norm(_independent(_residuals(fitted, seen), seen), axis=2)
+    kept = (size <= OUTLIER * np.maximum(np.median(size, axis=0), OUTLIER_FLOOR_PX)).all(axis=1)
+    fitted, jacobian = _fit(fitted, free, seen.taken(kept))
+    undetermined: dict[str, tuple[float, float]] = {}
+    while loose := _loose_terms(fitted, free, jacobian):
+        undetermined |= {name: (value, sigma) for name, (_, value, sigma) in loose.items()}
+        free = free.copy()
+        free[[place for place, *_ in loose.values()]] = False
+        fitted, jacobian = _fit(np.where(free, fitted, 0.0), free, seen.taken(kept))
+    residual = _residuals(fitted, seen)
+    camera, projector, T_proj_cam, T_cam_board = _unpack(fitted)
+    return Adjustment(
+        camera=_optics(camera, camera_size_px),
+        projector=_optics(projector, projector_size_px),
+        T_cam_proj=inverse(T_proj_cam),
+        T_cam_board=T_cam_board,
+        camera_residual_px=residual[:, 0],
+        projector_residual_px=residual[:, 1],
+        kept=kept,
+        deviation=_deviations(fitted, free, jacobian),
+        undetermined=undetermined,
+    )
+
+
+def _loose_terms(fitted, free, jacobian) -> dict[str, tuple[int, float, float]]:
+    """Place, value and deviation of each device's last radial term, where it may as well be 0."""
+    deviation = _deviations(fitted, free, jacobian)
+    found = {}
+    for first, device in ((0, "camera"), (len(DEVICE), "projector")):
+        places = [first + DEVICE.index(term) for term in RADIAL]
+        last = max((place for place in places if free[place]), default=None, key=places.index)
+        if last is None:
+            continue
+        name = f"{device}.{DEVICE[last - first]}"
+        value, sigma = float(fitted[last]), deviation[name]
+        if abs(value) < DETERMINED * sigma:
+            found[name] = last, value, sigma
+    return found
+
+
+# The vector of unknowns: camera (9), projector (9), T_proj_cam (6), then T_cam_board (6) per view.
+
+
+def _unpack(unknown):
+    poses = unknown[18:].reshape(-1, 6)
+    T = np.tile(np.eye(4), (len(poses), 1, 1))
+    T[:, :3, :3] = Rotation.from_rotvec(poses[:, :3]).as_matrix()
+    T[:, :3, 3] = poses[:, 3:]
+    return unknown[:9], unknown[9:18], T[0], T[1:]
+
+
+def _free(radial_terms: int, tangential: bool, *, views: int) -> Bool[np.ndarray, " unknowns"]:
+    radial = [radial_terms > i for i in range(3)]
+    device = [True] * 4 + [radial[0], radial[1], tangential, tangential, radial[2]]
+    return np.array(device + device + [True] * 6 * (1 + views))
+
+
+def _residuals(unknown, seen: Observations) -> Float[np.ndarray, "n 2 2"]:
+    """Measured minus predicted (x, y) [px] of every corner, in the camera and in the projector."""
+    camera, projector, T_proj_cam, T_cam_board = _unpack(unknown)
+    T = T_cam_board[seen.view]
+    in_cam = np.einsum("nij,nj->ni", T[:, :3, :3], seen.point_m) + T[:, :3, 3]
+    in_proj = in_cam @ T_proj_cam[:3, :3].T + T_proj_cam[:3, 3]
+    return np.stack(
+        [seen.camera_px - _image(camera, in_cam), seen.projector_px - _image(projector, in_proj)],
+        axis=1,
+    )
+
+
+def _independent(residual, seen: Observations) -> Float[np.ndarray, "n 2 2"]:
+    """Residuals with the camera's share taken out of the projector's."""
+    carried = np.einsum("nij,nj->ni", seen.per_camera_px, residual[:, 0])
+    return np.stack([residual[:, 0], residual[:, 1] - carried], axis=1)
+
+
+def _image(device, point_m):
+    """`optics.project` of nine numbers, without its end at the fold, which the search may cross."""
+    ideal = point_m[:, :2] / point_m[:, 2:]
+    return distort(ideal, tuple(device[4:])) * device[:2] + device[2:4]
+
+
+def _fit(start, free, seen: Observations):
+    """Unknowns, and the Jacobian of the residuals in units of each device's standard deviation."""
+    sigma_px, unknown = np.ones(2), start
+
+    def errors(free_values):
+        trial = unknown.copy()
+        trial[free] = free_values
+        return _independent(_residuals(trial, seen), seen) / sigma_px[:, None]
+
+    for _ in range(REWEIGHTINGS):
+        outcome = least_squares(
+            lambda values: errors(values).ravel(),
+            unknown[free],
+            jac=lambda values: _jacobian(errors, values, seen.view),
+            method="lm",
+            x_scale="jac",
+        )
+        unknown = unknown.copy()
+        unknown[free] = outcome.x
+        sigma_before = sigma_px
+        squares = np.square(errors(outcome.x) * sigma_px[:, None]).mean(axis=(0, 2))
+        lost = 1 - free.sum() / (4 * len(seen.view))  # unknowns take up part of the scatter
+        sigma_px = np.maximum(np.sqrt(squares / lost), 1e-6)
+        if np.abs(sigma_px / sigma_before - 1).max() < 0.02:
+            break
+    return unknown, _jacobian(errors, outcome.x, seen.view)
+
+
+def _jacobian(errors, values, view) -> Float[np.ndarray, "rows unknowns"]:
+    """Central differences; the boards' poses all at once, since each moves its own view alone."""
+    step = 1e-6 * np.maximum(np.abs(values), 1e-2)
+    views = int(view.max()) + 1
+    shared = len(values) - 6 * views
+    jacobian = np.zeros((len(view), 4, len(values)))
+
+    def difference(which):
+        moved = np.zeros_like(values)
+        moved[which] = step[which]
+        return (errors(values + moved) - errors(values - moved)).reshape(-1, 4)
+
+    for i in range(shared):
+        jacobian[:, :, i] = difference(i) / (2 * step[i])
+    for axis in range(6):
+        own = shared + 6 * view + axis
+        change = difference(shared + 6 * np.arange(views) + axis)
+        jacobian[np.arange(len(view)), :, own] = change / (2 * step[own, None])
+    return jacobian.reshape(-1, len(values))
+
+
+def _deviations(unknown, free, jacobian) -> dict[str, float]:
+    """Standard deviations from the inverse of the normal matrix, of the devices and their pose."""
+    scale = np.linalg.norm(jacobian, axis=0)  # the unknowns' units differ by orders of magnitude
+    unit = jacobian / scale
+    covariance = np.linalg.pinv(unit.T @ unit) / np.outer(scale, scale)
+    names = [f"camera.{name}" for name in DEVICE] + [f"projector.{name}" for name in DEVICE]
+    names += [f"T_proj_cam.{name}" for name in POSE]
+    fitted = [name for name, is_free in zip(names, free[: len(names)], strict=True) if is_free]
+    deviation = dict(zip(fitted, np.sqrt(np.diag(covariance)).tolist(), strict=False))
+    at = [fitted.index(f"T_proj_cam.{axis}") for axis in ("x_m", "y_m", "z_m")]
+    direction = unknown[21:24] / np.linalg.norm(unknown[21:24])
+    deviation["baseline_m"] = float(np.sqrt(direction @ covariance[np.ix_(at, at)] @ direction))
+    return deviation
+
+
+def _optics(device, size_px: tuple[int, int]) -> Optics:
+    fx, fy, cx, cy, *distortion = (float(number) for number in device)
+    return Optics(
+        width_px=size_px[0],
+        height_px=size_px[1],
+        fx_px=fx,
+        fy_px=fy,
+        cx_px=cx,
+        cy_px=cy,
+        distortion=tuple(distortion),
+    )
+
+
+def _start(seen: Observations, camera_size_px, projector_size_px) -> Float[np.ndarray, " unknowns"]:
+    camera, T_cam_board = _alone(seen, seen.camera_px, camera_size_px)
+    projector, T_proj_board = _alone(seen, seen.projector_px, projector_size_px)
+    T_proj_cam = T_proj_board @ inverse(T_cam_board)  # one guess per view
+    rotation = Rotation.from_matrix(T_proj_cam[:, :3, :3]).mean()
+    mean = rigid(rotation.as_matrix(), np.median(T_proj_cam[:, :3, 3], axis=0))
+    poses = np.concatenate([mean[None], T_cam_board])
+    turns = Rotation.from_matrix(poses[:, :3, :3]).as_rotvec()
+    return np.concatenate([camera, projector, np.hstack([turns, poses[:, :3, 3]]).ravel()])
+
+
+def _alone(seen: Observations, position_px, size_px):
+    """One device by OpenCV, with two radial terms, and the boards' poses before it."""
+    views = range(int(seen.view.max()) + 1)
+    point = [seen.point_m[seen.view == v].astype(np.float32) for v in views]
+    position = [position_px[seen.view == v].astype(np.float32) for v in views]
+    flags = cv2.CALIB_FIX_K3 | cv2.CALIB_ZERO_TANGENT_DIST
+    _, K, terms, turns, shifts = cv2.calibrateCamera(
+        point, position, size_px, None, None, flags=flags
+    )
+    device = np.concatenate([[K[0, 0], K[1, 1], K[0, 2], K[1, 2]], terms.ravel()[:5]])
+    poses = [
+        rigid(cv2.Rodrigues(turn)[0], shift.ravel())
+        for turn, shift in zip(turns, shifts, strict=True)
+    ]
+    return device, np.array(poses)

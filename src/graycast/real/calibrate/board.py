@@ -1,0 +1,121 @@
+"""Calibration boards: chessboards and ChArUco boards, and their description in one line of text."""
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from jaxtyping import Float
+
+from ...errors import GraycastError
+
+MIN_SQUARES = 3  # on the shorter side: four inner corners, the least that fixes a homography
+FORMS = (
+    "chessboard:9x6:0.025 (squares in x and y, side of a square in m) or "
+    "charuco:8x5:0.03:0.022:DICT_5X5_100 (then side of a marker in m, ArUco dictionary)"
+)
+
+
+class CalibrationError(GraycastError):
+    """Pictures of a board that no rig can be calculated from; the text says which and why."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Board:
+    """A flat board of `squares_x` by `squares_y` squares, with or without markers in the white.
+
+    Board frame: origin at the outer corner of the first square, x along a row of squares,
+    y along a column, z into the board, seen from its front. Counts are of squares: a board of
+    9 x 6 squares has 8 x 5 inner corners. `legacy` is ChArUco's layout of OpenCV before 4.6, which
+    differs where `squares_y` is even.
+
+    Leaves out: a board that is not flat or not printed to scale; either goes into the result.
+    """
+
+    squares_x: int
+    squares_y: int
+    square_m: float
+    marker_m: float | None = None
+    dictionary: str | None = None
+    legacy: bool = False
+
+    def __post_init__(self) -> None:
+        if min(self.squares_x, self.squares_y) < MIN_SQUARES:
+            size = f"{self.squares_x} x {self.squares_y}"
+            raise ValueError(f"the board has {size} squares; at least {MIN_SQUARES} each way")
+        if not 0.0005 <= self.square_m <= 2:
+            raise ValueError(f"square_m is {self.square_m}; metres, 0.0005 to 2")
+        if (self.marker_m is None) != (self.dictionary is None):
+            raise ValueError("a ChArUco board needs both marker_m and dictionary")
+        if self.marker_m is not None and not 0 < self.marker_m < self.square_m:
+            sizes = f"marker_m is {self.marker_m}, square_m {self.square_m}"
+            raise ValueError(f"{sizes}; a marker is smaller than its square")
+        if self.dictionary is not None:
+            self._check_dictionary(self.dictionary)
+
+    def _check_dictionary(self, name: str) -> None:
+        if name not in dictionaries():
+            raise ValueError(f"no ArUco dictionary {name!r}: choose {', '.join(dictionaries())}")
+        held = len(_dictionary(name).bytesList)
+        needed = self.squares_x * self.squares_y // 2
+        if needed > held:
+            raise ValueError(f"the board needs {needed} markers, {name} has {held}: take a larger")
+
+    @property
+    def corner_count(self) -> int:
+        return (self.squares_x - 1) * (self.squares_y - 1)
+
+    @property
+    def corners_m(self) -> Float[np.ndarray, "corners 3"]:
+        """Inner corners in the board's frame, row by row; the index is the corner's id."""
+        x, y = np.meshgrid(np.arange(1, self.squares_x), np.arange(1, self.squares_y))
+        grid = np.stack([x.ravel(), y.ravel(), 0 * x.ravel()], axis=1)
+        return self.square_m * grid
+
+    def charuco(self) -> cv2.aruco.CharucoBoard:
+        """The same board as OpenCV draws and detects it."""
+        if self.marker_m is None or self.dictionary is None:
+            raise ValueError("this board is a chessboard: it has no markers")
+        board = cv2.aruco.CharucoBoard(
+            (self.squares_x, self.squares_y),
+            self.square_m,
+            self.marker_m,
+            _dictionary(self.dictionary),
+        )
+        board.setLegacyPattern(self.legacy)
+        return board
+
+
+def parse_board(text: str) -> Board:
+    """A board from its text, as given to `--board`; a ChArUco's may end in `:legacy`.
+
+    Raises:
+        ValueError: the text is no board; the message shows the two forms.
+    """
+    kind, *fields = text.strip().split(":")
+    legacy = kind == "charuco" and fields[-1:] == ["legacy"]
+    if legacy:
+        fields.pop()
+    if (kind, len(fields)) not in (("chessboard", 2), ("charuco", 4)):
+        raise ValueError(f"board is {text!r}; give {FORMS}")
+    try:
+        squares_x, squares_y = (int(count) for count in fields[0].lower().split("x"))
+        lengths_m = [float(length) for length in fields[1:3]]
+    except ValueError:
+        raise ValueError(f"board is {text!r}; give {FORMS}") from None
+    return Board(
+        squares_x=squares_x,
+        squares_y=squares_y,
+        square_m=lengths_m[0],
+        marker_m=lengths_m[1] if kind == "charuco" else None,
+        dictionary=fields[3] if kind == "charuco" else None,
+        legacy=legacy,
+    )
+
+
+def dictionaries() -> tuple[str, ...]:
+    """The ArUco dictionaries that the installed OpenCV knows."""
+    return tuple(name for name in dir(cv2.aruco) if name.startswith("DICT_"))
+
+
+def _dictionary(name: str) -> cv2.aruco.Dictionary:
+    return cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, name))

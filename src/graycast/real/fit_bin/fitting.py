@@ -1,0 +1,280 @@
+"""From real views of an empty bin to a configuration that has its pose, colours and light."""
+
+import json
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+
+from ...cell import Cell, open_cell_renderer
+from ...config import Config
+from ...errors import GraycastError
+from ...folder import whole_folder
+from ...parts import Material
+from ...scene import Bin, bin_of
+from ...settings import read_text
+from ..depth_file import read_gray
+from .box import open_box
+from .look import Frames, Look, fit_look
+from .mesh import mesh_shape
+from .plots import draw_residuals
+from .reading import View
+from .registration import FREEDOMS, FaceFit, PoseFit, difference, find_pose, settle
+from .shape import BinShape
+from .writing import fitted_text, refuse_there
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class BinFit:
+    """What was found. `apart`: how far the pose of each view of several is from all's [m, rad]."""
+
+    views: tuple[str, ...]
+    shape: BinShape
+    pose: PoseFit
+    apart: tuple[tuple[float, float], ...]
+    look: Look | None = None
+
+
+def shape_of(box: Bin, *, wall_known: bool = True) -> BinShape:
+    """The faces of a bin; without its walls' thickness a box has neither rim nor outside."""
+    if box.mesh is not None:
+        return mesh_shape(box)
+    return open_box(box.inner_m, box.wall_m if wall_known else None)
+
+
+def fit_pose(views: Sequence[View], shape: BinShape, *, azimuth_rad: float, seed: int) -> BinFit:
+    """The pose from all views together, and by itself from each, which tells the spread.
+
+    Raises:
+        GraycastError: nothing in the views looks like the bin.
+    """
+    pose = find_pose(views, shape, azimuth_rad=azimuth_rad, seed=seed)
+    alone = [settle([view], shape, pose.T_world_cam) for view in views if len(views) > 1]
+    return BinFit(
+        views=tuple(view.name for view in views),
+        shape=shape,
+        pose=pose,
+        apart=tuple(difference(one.T_world_cam, pose.T_world_cam) for one in alone),
+    )
+
+
+def with_look(
+    fit: BinFit,
+    cell: Cell,
+    views: Sequence[View],
+    *,
+    floor_reflectance: float | None,
+    frames: Frames | None,
+    device: str,
+    seed: int,
+) -> BinFit:
+    """The fit with the colours and the light in which the cell's pictures are the views'.
+
+    Raises:
+        GraycastError: see `fit_look`; no such device here.
+    """
+    with open_cell_renderer(cell, device=device) as renderer:
+        look = fit_look(
+            cell,
+            shape_of(bin_of(cell.scene)),
+            views,
+            fit.pose.T_world_cam,
+            floor_reflectance=floor_reflectance,
+            frames=frames,
+            renderer=renderer,
+            seed=seed,
+        )
+    return replace(fit, look=look)
+
+
+def read_frames(white: Path, black: Path, view: View) -> Frames:
+    """Two frames of the measuring camera, as shares of the range of their files' numbers.
+
+    Raises:
+        GraycastError: a file cannot be read, or is of another size than the view.
+    """
+    frames = [read_gray(path) for path in (white, black)]
+    for path, frame in zip((white, black), frames, strict=True):
+        if frame.shape != view.depth_m.shape:
+            sizes = [f"{s[1]} x {s[0]}" for s in (frame.shape, view.depth_m.shape)]
+            raise GraycastError(f"{path}: is {sizes[0]} pixels, the depth {sizes[1]}: one camera")
+    return Frames(white=frames[0], black=frames[1])
+
+
+def write_fit(fit: BinFit, cell: Cell, views: Sequence[View], base: Path, out: Path) -> list[Path]:
+    """The configuration, a report and a picture of the residuals, beside each other.
+
+    Raises:
+        GraycastError: a file is there already, or cannot be written; or the pose is not held in all
+            degrees of freedom, so that there is nothing to write.
+    """
+    if fit.pose.loose:
+        raise GraycastError(
+            f"nothing is written; no wall or edge holds {', '.join(fit.pose.loose)} of the bin: "
+            "is its size right (--inner)? else add views that show more of it"
+        )
+    text = fitted_text(read_text(base), base, sections(fit, cell), _comments(fit, base))
+    report, picture = (out.with_name(out.stem + end) for end in (".fit.json", ".fit.png"))
+    refuse_there(report, picture, out)
+    with whole_folder(out.parent) as aside:
+        draw_residuals(fit.pose, fit.shape, views, aside / picture.name)
+        told = json.dumps(described(fit), indent=1) + "\n"
+        (aside / report.name).write_text(told, encoding="utf-8")
+        (aside / out.name).write_text(text, encoding="utf-8")
+        refuse_there(report, picture, out)  # what came meanwhile
+    return [out, report, picture]
+
+
+def azimuth_of(config: Config) -> float:
+    """Where a configuration has its camera's x axis in the world [rad]."""
+    T = config.view.T_world_cam
+    return math.radians(config.view.azimuth_deg) if T is None else math.atan2(T[4], T[0])
+
+
+# --- what is written ---------------------------------------------------------------------------
+
+
+def sections(fit: BinFit, cell: Cell) -> dict[str, Mapping[str, Any]]:
+    """The keys of a configuration that were fitted, with their new values."""
+    box = cell.config.bin.model_dump(mode="json", exclude_none=True)
+    if bin_of(cell.scene).mesh is None:
+        box |= {"inner_m": list(bin_of(cell.scene).inner_m), "wall_m": bin_of(cell.scene).wall_m}
+    else:
+        box = {key: value for key, value in box.items() if key not in ("inner_m", "wall_m")}
+    made: dict[str, Mapping[str, Any]] = {
+        "view": {"T_world_cam": _numbers(fit.pose.T_world_cam)},
+        "bin": box,
+    }
+    if fit.look is None:
+        return made
+    color, walls = fit.look.reflectance, bin_of(cell.scene).material
+    box["floor"] = _words(bin_of(cell.scene).floor or walls, color["floor"])
+    if "walls" in color:
+        box["material"] = _words(walls, color["walls"])
+    if "table" in color:
+        made["table"] = _words(cell.scene.table, color["table"])
+    if fit.look.light_scale is not None:
+        made["light"] = _scaled_light(cell.config, fit.look.light_scale)
+    return made
+
+
+def _numbers(T: Float[np.ndarray, "4 4"]) -> list[float]:
+    """To 1 nm, and without a minus before 0."""
+    return [round(float(value), 9) + 0.0 for value in T.ravel()]
+
+
+def _words(material: Material, color: tuple[float, float, float]) -> dict[str, Any]:
+    """The material in that colour; what a picture does not tell is the configuration's."""
+    words = {
+        "base_color": [round(band, 4) for band in color],
+        "metallic": material.metallic,
+        "roughness": material.roughness,
+        "specular": material.specular,
+    }
+    if material.projector_reflectance is not None:
+        words["projector_reflectance"] = material.projector_reflectance
+    return words
+
+
+def _scaled_light(config: Config, scale: float) -> dict[str, Any]:
+    light = config.light.model_dump(mode="json", exclude_none=True)
+    for one in (light["environment"], *light["lamps"]):
+        one["radiance"] = [float(f"{scale * band:.5g}") for band in one["radiance"]]
+    return light
+
+
+def _comments(fit: BinFit, base: Path) -> dict[str, str]:
+    pose = fit.pose
+    told = (
+        f"Fitted by graycast fit-bin to {len(fit.views)} view(s) of the empty bin, from {base.name}"
+        f":\nresiduals RMS {1e3 * pose.rms_m:.2f} mm, {pose.inlier_share:.0%} of the points in the "
+        "bin are its own."
+    )
+    if pose.by_edges:
+        told += f"\nHeld by edges alone, not by walls: {', '.join(pose.by_edges)}."
+    comments = {"view": told, "bin": "Shape as given."}
+    if fit.look is not None:
+        level = np.mean(fit.look.reflectance["floor"])
+        color = f"colours from the pictures, relative to a floor that reflects {level:.3f} (stated)"
+        comments["bin"] = f"Shape as given; {color}."
+        comments["table"] = f"What the bin stands on: {color}."
+        comments["light"] = "Levels from the white and black frames, all by one factor."
+    return comments
+
+
+def described(fit: BinFit) -> dict[str, Any]:
+    """The fit as JSON: SI units, None for what is not known."""
+    pose, look = fit.pose, fit.look
+    content = {
+        "views": list(fit.views),
+        "bin": {"inner_m": list(fit.shape.inner_m), "bounds_m": fit.shape.bounds_m.tolist()},
+        "T_world_cam": pose.T_world_cam.tolist(),
+        "residuals_m": {"rms": pose.rms_m, "median": pose.median_m, "p95": pose.p95_m},
+        "inlier_share": pose.inlier_share,
+        "agreeing_share": pose.agreeing,
+        "standard_deviation": dict(zip(FREEDOMS, pose.sigma.tolist(), strict=True)),
+        "held_by_edges_alone": list(pose.by_edges),
+        "not_held": list(pose.loose),
+        "views_apart": [{"m": m, "rad": rad} for m, rad in fit.apart],
+        "faces": [asdict(face) for face in pose.faces if face.seen_px],
+        "look": None if look is None else asdict(look),
+    }
+    return _finite(content)
+
+
+def _finite(value: Any) -> Any:
+    """JSON has neither NaN nor infinity."""
+    match value:
+        case dict():
+            return {key: _finite(item) for key, item in value.items()}
+        case list() | tuple():
+            return [_finite(item) for item in value]
+        case float() if not math.isfinite(value):
+            return None
+    return value
+
+
+def summary(fit: BinFit) -> list[str]:
+    """The fit in a few lines."""
+    pose = fit.pose
+    x, y, z = (1e3 * pose.T_world_cam[:3, 3]).tolist()
+    lines = [
+        f"camera at ({x:.1f}, {y:.1f}, {z:.1f}) mm from the middle of the bin's floor",
+        f"  residuals: RMS {1e3 * pose.rms_m:.2f} mm, median {1e3 * pose.median_m:.2f} mm, 95 % "
+        f"within {1e3 * pose.p95_m:.2f} mm; {pose.inlier_share:.0%} of its points are its own",
+    ]
+    lines += [_face_line(face) for face in pose.faces if face.seen_px]
+    if pose.loose:
+        loose = ", ".join(pose.loose)
+        lines.append(f"  NOT HELD by what was seen: {loose}: add views that show more walls")
+    if pose.by_edges:
+        lines.append(f"  held by edges alone: {', '.join(pose.by_edges)}: walls say too little")
+    if fit.apart:
+        far_m, turned = (max(values) for values in zip(*fit.apart, strict=True))
+        lines.append(
+            f"  each view alone is up to {1e3 * far_m:.2f} mm and {math.degrees(turned):.3f} "
+            "degrees from all together"
+        )
+    return lines if fit.look is None else lines + _look_lines(fit.look)
+
+
+def _face_line(face: FaceFit) -> str:
+    told = f"median {1e3 * face.median_m:+.2f} mm, RMS {1e3 * face.rms_m:.2f} mm"
+    told = "no inliers" if math.isnan(face.rms_m) else told
+    return f"  {face.name:10} {face.inliers:4.0%} of its pixels agree; {told}"
+
+
+def _look_lines(look: Look) -> list[str]:
+    lines = []
+    for name, color in look.reflectance.items():
+        bands = ", ".join(f"{band:.3f}" for band in color)
+        lines.append(f"  {name:10} reflects {bands} ({look.pixels[name]} pixels)")
+    if look.light_scale is None:
+        told = "as configured: a picture alone does not tell their level (--white, --black do)"
+    else:
+        told = f"{look.light_scale:.3g} times as configured"
+    return [*lines, f"  lamps and environment {told}"]

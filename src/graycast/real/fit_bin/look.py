@@ -1,0 +1,294 @@
+"""The look of walls, floor and table, and the level of the lamps, from pictures of the empty bin.
+
+The configuration's own light falls on the fitted bin in the configuration's own renderer, and the
+reflectances are changed until its picture has the real one's colours (median over the pixels of a
+surface): so shading, shadows, gloss and light from wall to wall are accounted for.
+
+A picture alone tells products: light times reflectance times exposure. Colours are therefore
+relative to the floor, whose mean reflectance is stated, and to the lamps' own colours; the level of
+lamps and environment stays as configured, but for two frames of the measuring camera, with white
+and with black projected: their ratio knows lamps against projector, whatever the reflectance.
+
+Leaves out: textures (a surface gets one colour), gloss (the configuration's), the reflectance at
+the projector's wavelength (the configuration's), and lamps that stand elsewhere than configured.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from jaxtyping import Bool, Float
+from scipy.ndimage import maximum_filter, minimum_filter
+
+from ...camera_light import veiled
+from ...cell import Cell
+from ...color import linear
+from ...errors import GraycastError
+from ...frames import transform_points
+from ...parts import Material
+from ...picture import idle_share
+from ...render import Quality, Renderer, Rendering
+from ...rig import Rig
+from ...scene import EMPTY_LAYOUT, Scene, bin_of
+from .reading import Grid, View
+from .shape import NO_FACE, BinShape, height_over, is_floor
+
+SURFACES = ("walls", "floor", "table")
+_ACROSS_PX = 256  # of the pictures that are compared
+_SAMPLES = 64
+_ROUNDS = 12
+_SETTLED = 0.003  # largest relative change of a reflectance in the last round
+_EXPONENT = 0.9  # of a step: light from wall to wall answers more than in proportion
+_LEAST_PX = 60
+_NEAR_M = 0.004  # a pixel is of a surface where its depth is as near to it
+_DARK, _BRIGHT = 6, 250  # 8-bit values beyond are noise or clipped
+
+Color = tuple[float, float, float]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Frames:
+    """Two linear frames of the measuring camera in one exposure, without its dark level."""
+
+    white: Float[np.ndarray, "h w"]
+    black: Float[np.ndarray, "h w"]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Look:
+    """Linear reflectances by surface, of those that the pictures show.
+
+    `pixels` are those compared, `off` the largest relative difference of a surface's band that is
+    left. `light_scale` multiplies lamps and environment; None: not known, as configured.
+    `exposure` is the picture's linear value per radiance [1 / (W sr^-1 m^-2)].
+    """
+
+    reflectance: Mapping[str, Color]
+    pixels: Mapping[str, int]
+    off: float
+    light_scale: float | None
+    exposure: float
+
+
+def fit_look(
+    cell: Cell,
+    shape: BinShape,
+    views: Sequence[View],
+    T_world_cam: Float[np.ndarray, "4 4"],
+    *,
+    floor_reflectance: float | None,
+    frames: Frames | None,
+    renderer: Renderer,
+    seed: int,
+) -> Look:
+    """Colours with which the renderer makes the pictures of the views.
+
+    Args:
+        cell: the configuration with the fitted bin's size.
+        shape: all of its bin, rim and outside too.
+        floor_reflectance: mean of its three bands; None: that of the configuration's floor.
+        frames: of the first view's camera.
+
+    Raises:
+        GraycastError: no view has a picture, a surface would have to reflect more than all light,
+            or the configuration has no light.
+    """
+    views = [view for view in views if view.rgb is not None]
+    if not views:
+        raise GraycastError("no view has a colour picture: give --rgb, or leave the look out")
+    step, grid = views[0].step(_ACROSS_PX), views[0].grid(_ACROSS_PX)
+    floor_m = bin_of(cell.scene).floor_m
+    masks = [_masks(view, shape, floor_m, T_world_cam) for view in views]
+    pixels = {name: sum(int(mask[name].sum()) for mask in masks) for name in SURFACES}
+    shown = [name for name in SURFACES if all(m[name].sum() >= _LEAST_PX for m in masks)]
+    if "floor" not in shown:
+        raise GraycastError("the pictures show too little of the floor: is it clipped or covered?")
+    color = {name: mean_color(material) for name, material in _materials(cell.scene).items()}
+    level = floor_reflectance or float(np.mean(color["floor"]))
+    scene = _seen_scene(cell.scene, grid, T_world_cam)
+    scale, off, exposure = None, np.inf, 1.0
+    for _ in range(_ROUNDS):
+        made = _render(renderer, scene, color, cell, seed)
+        if frames is not None:
+            lit = masks[0]["floor_depth"] | masks[0]["walls_depth"]
+            scale = light_scale(*_two_lights(made, scene.rig), frames, lit, step)
+        rgb = _picture(made, scene.rig, 1.0 if scale is None else scale)
+        ratio = _ratios(views, masks, rgb, shown, step)
+        exposure = float(np.mean(np.array(color["floor"]) * ratio["floor"])) / level
+        relative = {name: ratio[name] / exposure for name in shown}
+        off = max(float(np.abs(r - 1).max()) for r in relative.values())
+        if off < _SETTLED:
+            break
+        color |= {n: _stepped(color[n], relative[n]) for n in shown}
+    _refuse_impossible({name: color[name] for name in shown}, relative, level)
+    return Look(
+        reflectance={name: color[name] for name in shown},
+        pixels={name: pixels[name] for name in shown},
+        off=off,
+        light_scale=scale,
+        exposure=exposure,
+    )
+
+
+def mean_color(material: Material) -> Color:
+    """A material's mean linear reflectance."""
+    if material.texture is None:
+        return material.base_color
+    red, green, blue = linear(material.texture).reshape(-1, 3).mean(axis=0)
+    return float(red), float(green), float(blue)
+
+
+def painted(material: Material, color: Color) -> Material:
+    return replace(material, base_color=color, texture=None)
+
+
+def _materials(scene: Scene) -> dict[str, Material]:
+    walls = bin_of(scene).material
+    return {"walls": walls, "floor": bin_of(scene).floor or walls, "table": scene.table}
+
+
+def _seen_scene(scene: Scene, grid: Grid, T_world_cam: Float[np.ndarray, "4 4"]) -> Scene:
+    """The cell before the view's camera, of which every n-th pixel is left."""
+    rig = replace(scene.rig, camera=grid.camera, speckle_contrast=0.0)
+    return replace(scene, rig=rig, T_world_cam=T_world_cam.copy(), parts=())
+
+
+def _render(
+    renderer: Renderer, scene: Scene, color: Mapping[str, Color], cell: Cell, seed: int
+) -> Rendering:
+    own = _materials(scene)
+    box = replace(
+        bin_of(scene),
+        material=painted(own["walls"], color["walls"]),
+        floor=painted(own["floor"], color["floor"]),
+    )
+    scene = replace(scene, bin=box, table=painted(own["table"], color["table"]))
+    projector = scene.rig.projector
+    nothing = np.zeros((0, projector.height_px, projector.width_px), dtype=np.uint8)
+    quality = Quality(samples=_SAMPLES, depth=cell.config.render.depth)
+    return renderer.render(scene, EMPTY_LAYOUT, nothing, quality=quality, seed=seed)
+
+
+def _picture(made: Rendering, rig: Rig, scale: float) -> Float[np.ndarray, "h w 3"]:
+    """The colour picture's light, lamps scaled."""
+    radiance = made.radiance
+    rgb = scale * radiance.ambient_rgb + idle_share(rig) * radiance.white_rgb
+    if not rgb.max() > 0:
+        raise GraycastError(
+            "the configuration has no light for a colour picture: give light.environment or "
+            "light.lamps some radiance, or the rig a picture_level"
+        )
+    return rgb
+
+
+def _masks(
+    view: View, shape: BinShape, floor_m: float, T_world_cam: Float[np.ndarray, "4 4"]
+) -> dict[str, Bool[np.ndarray, "rows columns"]]:
+    """Where each surface is seen, by geometry and by depth alike, and its picture can be used.
+
+    `..._depth` is the same whatever the picture is like. The table is `floor_m` below the floor.
+    """
+    grid, step = view.grid(_ACROSS_PX), view.step(_ACROSS_PX)
+    face, _ = shape.cast(T_world_cam, grid)
+    point = transform_points(T_world_cam, grid.point_m)
+    # Where the bin is missed only the table, at its bottom, can be seen.
+    missed = face == NO_FACE
+    off_m = np.where(missed, point[..., 2] + floor_m, height_over(shape, point, face))
+    bin_surface = np.where(is_floor(shape)[face], *map(SURFACES.index, ("floor", "walls")))
+    surface = np.where(missed, SURFACES.index("table"), bin_surface)
+    label = np.where(np.abs(off_m) < _NEAR_M, surface, NO_FACE)
+    alike = minimum_filter(label, 3) == maximum_filter(label, 3)  # all neighbours
+    rgb = view.rgb[::step, ::step]
+    usable = ((rgb >= _DARK) & (rgb <= _BRIGHT)).all(axis=-1)
+    masks = {}
+    for i, name in enumerate(SURFACES):
+        masks[f"{name}_depth"] = alike & (label == i)
+        masks[name] = masks[f"{name}_depth"] & usable
+    return masks
+
+
+def _ratios(
+    views: Sequence[View],
+    masks: Sequence[Mapping[str, np.ndarray]],
+    rgb: Float[np.ndarray, "h w 3"],
+    shown: Sequence[str],
+    step: int,
+) -> dict[str, Float[np.ndarray, "3"]]:
+    """Real over rendered colour of each surface, median over pixels, mean over the views.
+
+    Each view has an exposure of its own, which is taken out by its floor.
+    """
+    found: dict[str, list[np.ndarray]] = {name: [] for name in shown}
+    floors = []
+    for view, mask in zip(views, masks, strict=True):
+        real = linear(view.rgb[::step, ::step])
+        ratio = {n: np.median(real[mask[n]] / np.maximum(rgb[mask[n]], 1e-12), 0) for n in shown}
+        floors.append(float(ratio["floor"].mean()))
+        for name in shown:
+            found[name].append(ratio[name] / floors[-1])
+    return {name: np.mean(floors) * np.mean(values, axis=0) for name, values in found.items()}
+
+
+def _stepped(color: Color, relative: Float[np.ndarray, "3"]) -> Color:
+    red, green, blue = np.clip(np.array(color) * relative**_EXPONENT, 1e-4, 1.0)
+    return float(red), float(green), float(blue)
+
+
+def _two_lights(
+    made: Rendering, rig: Rig
+) -> tuple[Float[np.ndarray, "h w"], Float[np.ndarray, "h w"], float]:
+    """On the measuring camera's sensor: the projector's white, all other light; and the leak."""
+    radiance = made.radiance
+    both = [radiance.white, radiance.ambient]
+    white, ambient = (veiled(one, rig.veil) for one in both) if rig.veil else both
+    return white, ambient, 1 / rig.contrast_ratio
+
+
+def light_scale(
+    white: Float[np.ndarray, "h w"],
+    ambient: Float[np.ndarray, "h w"],
+    leak: float,
+    frames: Frames,
+    lit: Bool[np.ndarray, "h w"],
+    step: int,
+) -> float:
+    """By what lamps and environment have to be multiplied for the ratio of black to white.
+
+    With the projector's light w, its leak b w in black, and the lamps' light a times s, the frames
+    have the ratio `r = (b w + s a) / (w + s a)`, so `s = w (r - b) / (a (1 - r))`, whatever they
+    fall on: light from wall to wall changes both nearly alike. The median over pixels.
+
+    Args:
+        white: rendered light of the projector, and
+        ambient: of the lamps as configured.
+        leak: b.
+        frames: of which every n-th pixel, `step`, is taken.
+        lit: the pixels to use.
+
+    Raises:
+        GraycastError: too few pixels are bright, unclipped, and lit by both.
+    """
+    real_white, real_black = frames.white[::step, ::step], frames.black[::step, ::step]
+    lit = lit & (real_white > 0.05) & (real_white < 0.98) & (white > 0.05 * white.max())
+    lit &= (real_black < real_white) & (ambient > 0)
+    if lit.sum() < _LEAST_PX:
+        raise GraycastError(
+            "the white and black frames show too little of the bin: are they linear, of one "
+            "exposure and not clipped, and does the configuration have lamps or an environment?"
+        )
+    ratio = real_black[lit] / real_white[lit]
+    scale = white[lit] * (ratio - leak) / (ambient[lit] * (1 - ratio))
+    return max(float(np.median(scale)), 0.0)
+
+
+def _refuse_impossible(
+    color: Mapping[str, Color], relative: Mapping[str, np.ndarray], level: float
+) -> None:
+    for name, own in color.items():
+        wanted = np.array(own) * relative[name]
+        if wanted.max() > 1.02:
+            raise GraycastError(
+                f"the {name} would reflect {wanted.max():.2f} of the light where the floor reflects"
+                f" {level:.2f}: state a lower --floor-reflectance, such as "
+                f"{0.8 * level / wanted.max():.2f}"
+            )

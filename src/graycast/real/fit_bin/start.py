@@ -1,0 +1,207 @@
+"""Where the bin is, roughly, without a hint: planes that may be its floor, and a search on them.
+
+A pose is judged by evidence along the rays: depth that agrees with the box counts for it, depth
+behind one of its faces, which would have been seen through it, counts against it, and depth that is
+missing or before it counts nothing. In the search all that stands above the floor counts, too,
+where it is in the box or its walls: a free table beside the bin may look like its floor, but then
+the true walls stand beside the box.
+"""
+
+from collections.abc import Callable
+
+import numpy as np
+from jaxtyping import Float
+
+from ...frames import axis_rotation, inverse, rigid, transform_points
+from .box import OpenBox, open_box
+from .reading import Grid
+from .shape import is_floor
+
+PLANES = 6  # the floor is among the largest: table, floor, walls
+_TRIALS = 400
+_PLANE_M = 0.004  # half thickness of a plane's points, noise included
+_LEAST_SHARE = 0.02  # of all points, for a plane
+_YAW_STEP_RAD = np.radians(7.5)
+_STEPS = 12  # between places, in the box's shorter side
+_CONTENT = 1.0
+_CLIMBERS = 200  # of them, that are moved to where they fit best
+_CENTRES = 2000  # places tried on one plane, at most
+_APART = 0.25  # poses nearer than this share of the box's shorter side are one
+
+
+def start_poses(
+    box: OpenBox, grid: Grid, *, each: int, seed: int
+) -> list[Float[np.ndarray, "4 4"]]:
+    """`T_world_cam` of likely poses, each clearly another, on every plane that may be the floor.
+
+    A free table around the bin may look more like a floor than the floor does, at coarse steps: so
+    each plane has its turn.
+
+    Args:
+        grid: a coarse one.
+        each: how many on a plane.
+        seed: of the search for planes.
+    """
+    known = np.isfinite(grid.depth_m)
+    ray, depth_m = grid.ray[known], grid.depth_m[known]
+    inside = open_box(box.inner_m)  # coarse steps do not resolve a wall's thickness
+
+    def score(
+        T_world_cam: Float[np.ndarray, "p 4 4"], step: int, floor_m: float
+    ) -> Float[np.ndarray, " p"]:
+        # A plane is known better than the place on it.
+        tolerance_m = np.where(is_floor(inside), floor_m, _coarse_m(box))
+        some, z = ray[::step], depth_m[::step]
+        return inside.evidence(T_world_cam, some, z, tolerance_m, content=_CONTENT)
+
+    starts = []
+    for normal, offset_m in planes(grid.point_m, seed=seed):
+        T_world_cam = _poses_on(box, grid.point_m[known], normal, offset_m)
+        # Most places are out of the question after a few rays. A table hardly lower than the floor
+        # makes one plane with it, between the two: so more may be off, and climbing mends it.
+        likely = np.argsort(-score(T_world_cam, 24, 2 * _PLANE_M), kind="stable")
+        T_world_cam = T_world_cam[likely[: 500 + len(likely) // 6]]
+        likely = np.argsort(-score(T_world_cam, 4, 2 * _PLANE_M), kind="stable")[:_CLIMBERS]
+        climbed, reached = _climbed(box, T_world_cam[likely], lambda T: score(T, 4, _PLANE_M))
+        starts += _distinct(box, climbed[np.argsort(-reached, kind="stable")], each)
+    return starts
+
+
+def _climbed(
+    box: OpenBox,
+    T_world_cam: Float[np.ndarray, "p 4 4"],
+    score: Callable[[Float[np.ndarray, "p 4 4"]], Float[np.ndarray, " p"]],
+) -> tuple[Float[np.ndarray, "p 4 4"], Float[np.ndarray, " p"]]:
+    """Each pose moved about, in ever smaller steps, while that is better; with its score.
+
+    A grid that is coarse enough to be quick may miss the one place where floor and walls fit.
+    """
+    best, reached = T_world_cam.copy(), score(T_world_cam)
+    for part in (0.5, 0.5, 0.25, 0.25, 0.125):
+        for move in _moves(part * min(box.inner_m[:2]) / _STEPS, part * _PLANE_M, part):
+            tried = move @ best
+            value = score(tried)
+            better = value > reached
+            best[better], reached[better] = tried[better], value[better]
+    return best, reached
+
+
+def _moves(aside_m: float, up_m: float, part: float) -> list[Float[np.ndarray, "4 4"]]:
+    """Steps to and fro along x, y and z, and about z by a part of the grid's step."""
+    ways = np.diag([aside_m, aside_m, up_m])
+    shifts = [rigid(np.eye(3), sign * way) for way in ways for sign in (1, -1)]
+    angles = [sign * part * _YAW_STEP_RAD for sign in (1, -1)]
+    return shifts + [rigid(axis_rotation("z", angle), np.zeros(3)) for angle in angles]
+
+
+def planes(
+    point: Float[np.ndarray, "rows columns 3"], *, seed: int
+) -> list[tuple[Float[np.ndarray, "3"], float]]:
+    """The largest planes `n . p = d` of an organised cloud, n towards the camera; largest first.
+
+    Each is found by random triples of near points (RANSAC), fitted to its points, which are then
+    taken out.
+
+    Source: Fischler & Bolles, "Random sample consensus", 1981.
+    """
+    rng = np.random.default_rng(seed)
+    rest = point[np.isfinite(point[..., 2])]
+    least = _LEAST_SHARE * len(rest)
+    candidate = _local_planes(point, rng)
+    found: list[tuple[np.ndarray, float]] = []
+    while len(found) < PLANES and len(candidate):
+        near = np.abs(rest @ candidate[:, :3].T - candidate[:, 3]) < _PLANE_M
+        support = near.sum(axis=0)
+        if support.max() < max(least, 10):
+            break
+        mine = near[:, support.argmax()]
+        for _ in range(2):
+            normal, offset_m = _fitted(rest[mine])
+            mine = np.abs(rest @ normal - offset_m) < _PLANE_M
+        if mine.sum() < max(least, 10):
+            break
+        sign = 1.0 if offset_m < 0 else -1.0  # the camera, at 0, is on the side of the normal
+        found.append((sign * normal, sign * offset_m))
+        rest = rest[~mine]
+        candidate = candidate[support > 0]
+    return found
+
+
+def _local_planes(
+    point: Float[np.ndarray, "rows columns 3"], rng: np.random.Generator
+) -> Float[np.ndarray, "n 4"]:
+    """Planes through random pixels and two neighbours, a thirtieth of the picture away."""
+    rows, columns = point.shape[:2]
+    step = max(1, round(max(rows, columns) / 30))
+    y = rng.integers(0, max(rows - step, 1), 4 * _TRIALS)
+    x = rng.integers(0, max(columns - step, 1), 4 * _TRIALS)
+    below, right = np.minimum(y + step, rows - 1), np.minimum(x + step, columns - 1)
+    a, b, c = point[y, x], point[below, x], point[y, right]
+    normal = np.cross(b - a, c - a)
+    length = np.linalg.norm(normal, axis=1)
+    usable = np.isfinite(length) & (length > 0)
+    normal = normal[usable] / length[usable, None]
+    return np.column_stack([normal, (normal * a[usable]).sum(axis=1)])[:_TRIALS]
+
+
+def _fitted(point: Float[np.ndarray, "n 3"]) -> tuple[Float[np.ndarray, "3"], float]:
+    middle = point.mean(axis=0)
+    normal = np.linalg.svd(point - middle, full_matrices=False)[2][2]
+    return normal, float(normal @ middle)
+
+
+def _coarse_m(box: OpenBox) -> float:
+    """What a place between the grid's may be off."""
+    return max(0.005, min(box.inner_m[:2]) / 2 / _STEPS)
+
+
+def _poses_on(
+    box: OpenBox, point: Float[np.ndarray, "n 3"], normal: Float[np.ndarray, "3"], offset_m: float
+) -> Float[np.ndarray, "p 4 4"]:
+    """The box's floor on a plane, at all places and turns of a grid."""
+    T_plane_cam = _plane_frame(normal, offset_m)
+    at = transform_points(T_plane_cam, point)
+    on = at[np.abs(at[:, 2]) < _PLANE_M, :2]
+    low, high = np.percentile(on, [2, 98], axis=0)
+    step_m = min(box.inner_m[:2]) / _STEPS
+    step_m = max(step_m, float(np.sqrt(np.prod(np.maximum(high - low, step_m)) / _CENTRES)))
+    x, y = (np.arange(low[i], high[i] + step_m, step_m) for i in (0, 1))
+    yaw = np.arange(0.0, 2 * np.pi / box.turns, _YAW_STEP_RAD)
+    yaw, x, y = (grid.ravel() for grid in np.meshgrid(yaw, x, y))
+    T_plane_world = np.tile(np.eye(4), (len(yaw), 1, 1))
+    T_plane_world[:, 0, 0] = T_plane_world[:, 1, 1] = np.cos(yaw)
+    T_plane_world[:, 1, 0], T_plane_world[:, 0, 1] = np.sin(yaw), -np.sin(yaw)
+    T_plane_world[:, 0, 3], T_plane_world[:, 1, 3] = x, y
+    return inverse(T_plane_world) @ T_plane_cam
+
+
+def _plane_frame(normal: Float[np.ndarray, "3"], offset_m: float) -> Float[np.ndarray, "4 4"]:
+    """`T_plane_cam`: origin on the plane under the camera, z its normal."""
+    aside = np.cross(normal, np.eye(3)[np.abs(normal).argmin()])
+    aside /= np.linalg.norm(aside)
+    R_plane_cam = np.stack([aside, np.cross(normal, aside), normal])
+    return rigid(R_plane_cam, np.array([0.0, 0.0, -offset_m]))
+
+
+def _distinct(
+    box: OpenBox, T_world_cam: Float[np.ndarray, "p 4 4"], count: int
+) -> list[Float[np.ndarray, "4 4"]]:
+    """The first poses that are not nearly one of those before."""
+    apart_m = _APART * min(box.inner_m[:2])
+    corner = np.array([[x, y, 0.0] for x in (-1, 1) for y in (-1, 1)]) * np.array(box.inner_m) / 2
+    kept: list[Float[np.ndarray, "4 4"]] = []
+    seen: list[Float[np.ndarray, "corners 3"]] = []
+    for T in T_world_cam:
+        places = transform_points(inverse(T), corner)  # of the floor's corners before the camera
+        if all(_shift_m(places, other) > apart_m for other in seen):
+            kept.append(T)
+            seen.append(places)
+        if len(kept) == count:
+            break
+    return kept
+
+
+def _shift_m(corners: np.ndarray, other: np.ndarray) -> float:
+    """Largest distance from a corner to the nearest of the other box: turns by symmetry are 0."""
+    apart = np.linalg.norm(corners[:, None] - other[None], axis=-1)
+    return float(apart.min(axis=1).max())

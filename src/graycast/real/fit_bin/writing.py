@@ -1,0 +1,83 @@
+"""A configuration with what was fitted in the place of what was there; all else as it was."""
+
+import math
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from ...config import Config
+from ...errors import GraycastError
+from ...settings import check_settings, parse_yaml
+
+
+def refuse_existing(out: Path, base: Path) -> None:
+    """Asked before the work, so that it is not done in vain.
+
+    Raises:
+        GraycastError: the file is there, or would change what relative paths mean.
+    """
+    refuse_there(out)
+    if out.absolute().parent.resolve() != base.absolute().parent.resolve():
+        raise GraycastError(
+            f"{out}: is not in the folder of {base}, where its relative paths start: write it there"
+        )
+
+
+def refuse_there(*paths: Path) -> None:
+    """Nothing is written over.
+
+    Raises:
+        GraycastError: one of the files is there.
+    """
+    for path in paths:
+        if path.exists():
+            raise GraycastError(f"{path}: is there already: choose another name, or remove it")
+
+
+def fitted_text(
+    base: str, path: Path, sections: Mapping[str, Mapping[str, Any]], comments: Mapping[str, str]
+) -> str:
+    """The text of a configuration in which some keys at the top are replaced or added.
+
+    What the user wrote elsewhere stays to the letter, comments too.
+
+    Args:
+        base: a configuration's text.
+        path: of its file, for errors.
+        sections: new values by key.
+        comments: what stands above each.
+
+    Raises:
+        ConfigError: the result would not be a configuration.
+    """
+    content = parse_yaml(base, path)
+    if yaml.compose(base).flow_style:
+        base = yaml.safe_dump(dict(content), sort_keys=False)
+    lines = base.splitlines()
+    spans = _spans(base, lines)
+    for key in sorted(sections, key=lambda k: -spans.get(k, (math.inf, 0))[0]):
+        first, last = spans.get(key, (len(lines), len(lines)))
+        lines[first:last] = _block(key, sections[key], comments.get(key, ""))
+    text = "\n".join(lines) + "\n"
+    check_settings(parse_yaml(text, path), Config, path)
+    return text
+
+
+def _spans(text: str, lines: list[str]) -> dict[str, tuple[int, int]]:
+    """First line of each key at the top and the line after its value, comments after it left."""
+    starts = [(key.value, key.start_mark.line) for key, _ in yaml.compose(text).value]
+    ends = [line for _, line in starts[1:]] + [len(lines)]
+    spans = {}
+    for (key, first), end in zip(starts, ends, strict=True):
+        while end > first + 1 and lines[end - 1].strip()[:1] in ("", "#"):
+            end -= 1
+        spans[key] = (first, end)
+    return spans
+
+
+def _block(key: str, value: Mapping[str, Any], comment: str) -> list[str]:
+    told = [f"# {line}".rstrip() for line in comment.splitlines()]
+    dumped = yaml.safe_dump({key: value}, sort_keys=False, default_flow_style=None, width=96)
+    return told + dumped.rstrip("\n").splitlines()

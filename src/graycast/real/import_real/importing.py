@@ -1,0 +1,297 @@
+"""A folder of real pictures, its labels and its camera, written as a dataset in BOP's form."""
+
+import hashlib
+import json
+import platform
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+from jaxtyping import Float
+
+from ... import __version__
+from ...dataset.claim import FORMAT_VERSION
+from ...dataset.coco import run_lengths, scene_annotation, scene_coco
+from ...dataset.json_text import json_bytes
+from ...dataset.places import CLAIM
+from ...dataset.records import split_annotation
+from ...dataset.seal import sealed
+from ...errors import DatasetError
+from ...folder import new_folder
+from ...mask_box import mask_box
+from ...render.radiance import Silhouette
+from ..pictures import Seen, Shot, depth_step_mm, depth_steps, find_shots, read_shot
+from .annotations import Drawn, read_annotations
+
+NO_DISTORTION = (0.0, 0.0, 0.0, 0.0, 0.0)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Import:
+    """What was imported: the sources of the scenes in their order, and what they hold."""
+
+    stems: tuple[str, ...]
+    categories: tuple[str, ...]  # object ids count from 1
+    instances: int
+    holds: tuple[str, ...]
+    depth_scale_mm: float
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Camera:
+    """What was said about the camera, as the readers take it."""
+
+    K: Float[np.ndarray, "3 3"] | None
+    scale_m: float | None
+    size_px: tuple[int, int] | None
+
+    def read(self, shot: Shot) -> Seen:
+        return read_shot(shot, K=self.K, scale_m=self.scale_m, size_px=self.size_px)
+
+
+def import_real(
+    folder: Path,
+    out: Path,
+    *,
+    K: Float[np.ndarray, "3 3"] | None = None,
+    distortion: tuple[float, float, float, float, float] = NO_DISTORTION,
+    scale_m: float | None = None,
+    size_px: tuple[int, int] | None = None,
+    annotations: Path | None = None,
+    labelled: bool = True,
+    names: Sequence[str] | None = None,
+    on_progress: Callable[[int, int], None] = lambda done, total: None,
+) -> Import:
+    """Write real pictures as a dataset; a picture is a scene, in the order of their names.
+
+    Args:
+        folder: has the folders `rgb`, `gray` and `depth`, or some of them.
+        out: a folder that does not exist or is empty.
+        K: intrinsics [px]; organised clouds bring their own where this is None.
+        distortion: k1, k2, p1, p2, k3 of OpenCV: of the pictures, which stay as they are.
+        scale_m: metres per unit of the depth files; integers need one, floats are metres.
+        size_px: width and height of clouds that do not say it.
+        annotations: a COCO file or a folder of LabelMe's; `folder/annotations` where it is None.
+        labelled: False takes pictures without annotations; the dataset then has no masks.
+        names: of the objects in the order of their ids, such as those of a simulated dataset.
+        on_progress: called with the pictures written and their number.
+
+    Raises:
+        GraycastError: a file is missing, damaged or contradicts another, an annotation cannot be
+            used, or `out` cannot be written.
+    """
+    shots, camera = find_shots(folder), _Camera(K=K, scale_m=scale_m, size_px=size_px)
+    drawn, found = _labels(folder, annotations, labelled, [shot.stem for shot in shots])
+    known = _object_names(found, names)
+    first, deepest_m = _survey(shots, camera)
+    step_mm = depth_step_mm(shots, deepest_m, scale_m)
+    holds = (*first.holds, *(("masks",) if labelled else ()))
+    writer = _Writer(names=known, step_mm=step_mm, distortion=distortion, holds=holds)
+    with new_folder(out) as aside:
+        (aside / CLAIM).write_bytes(json_bytes(writer.claim(folder)))
+        (aside / "camera.json").write_bytes(json_bytes(writer.camera(first)))
+        for scene_id, shot in enumerate(shots):
+            seen = camera.read(shot)
+            labels = drawn[shot.stem] if labelled else None
+            writer.scene(aside / "train" / f"{scene_id:06d}", shot, seen, labels)
+            on_progress(scene_id + 1, len(shots))
+        if labelled:
+            size = first.size_px
+            (aside / "train_coco.json").write_text(writer.split_coco(aside, len(shots), size))
+    return Import(
+        stems=tuple(shot.stem for shot in shots),
+        categories=tuple(known),
+        instances=sum(len(each.names) for each in drawn.values()),
+        holds=holds,
+        depth_scale_mm=step_mm,
+    )
+
+
+def _labels(
+    folder: Path, annotations: Path | None, labelled: bool, stems: list[str]
+) -> tuple[dict[str, Drawn], list[str]]:
+    if not labelled:
+        if annotations is not None:
+            raise DatasetError(f"{annotations}: is given, and pictures without labels are wanted")
+        return {}, []
+    path = folder / "annotations" if annotations is None else annotations
+    if not path.exists():
+        raise DatasetError(
+            f"{path}: no such file or folder: give --annotations, a COCO file or a folder of "
+            "LabelMe's, or say --unlabelled"
+        )
+    return read_annotations(path, stems)
+
+
+def _object_names(found: Sequence[str], given: Sequence[str] | None) -> list[str]:
+    if given is None:
+        return list(found)
+    if unknown := [name for name in found if name not in given]:
+        raise DatasetError(
+            f"the annotations speak of {unknown[0]!r}, the objects are {', '.join(given)}: rename "
+            "it there, or leave --like out"
+        )
+    return list(given)
+
+
+def _survey(shots: Sequence[Shot], camera: _Camera) -> tuple[Seen, float]:
+    """Reads all once, so that what cannot be used is told before anything is written."""
+    first, deepest_m = None, 0.0
+    for shot in shots:
+        seen = camera.read(shot)
+        first = first or seen
+        if seen.size_px != first.size_px or seen.holds != first.holds:
+            is_, was = (
+                f"{s.size_px[1]} x {s.size_px[0]} pixels with {', '.join(s.holds)}"
+                for s in (seen, first)
+            )
+            raise DatasetError(
+                f"{shot.stem}: is {is_}; {shots[0].stem} is {was}: one dataset has one camera"
+            )
+        if seen.depth_m is not None:
+            deepest_m = max(deepest_m, float(np.nanmax(seen.depth_m)))
+    return first, deepest_m
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Writer:
+    """The files of a dataset of real pictures; see docs/exports.md."""
+
+    names: Sequence[str]
+    step_mm: float
+    distortion: tuple[float, ...]
+    holds: tuple[str, ...]
+
+    def claim(self, folder: Path) -> dict[str, Any]:
+        return {
+            "format_version": FORMAT_VERSION,
+            "kind": "real",
+            "depth_scale_mm": self.step_mm,
+            "parts": [{"obj_id": i, "name": name} for i, name in enumerate(self.names, start=1)],
+            "holds": list(self.holds),
+            "sources": [str(folder)],
+            "versions": {"graycast": __version__, "python": platform.python_version()},
+        }
+
+    def camera(self, seen: Seen) -> dict[str, Any]:
+        (fx, _, cx), (_, fy, cy), _ = seen.K.tolist()
+        height_px, width_px = seen.size_px
+        size = {"width": width_px, "height": height_px, "depth_scale": self.step_mm}
+        return size | {"fx": fx, "fy": fy, "cx": cx, "cy": cy} | self._distortion()
+
+    def scene(self, place: Path, shot: Shot, seen: Seen, drawn: Drawn | None) -> None:
+        files: dict[str, bytes] = {}
+        view = {"cam_K": seen.K.ravel(), "depth_scale": self.step_mm} | self._distortion()
+        suffixes = _suffixes(self.holds)
+        for suffix in suffixes:
+            files[f"scene_camera{suffix}.json"] = json_bytes({"0": view})
+        if seen.rgb is not None:
+            files["rgb/000000.png"] = _png(seen.rgb[..., ::-1])
+        if seen.gray is not None:
+            files["gray_sl/000000.png"] = _png(seen.gray)
+        if seen.depth_m is not None:
+            files["depth_sl/000000.png"] = _png(depth_steps(seen.depth_m, self.step_mm))
+        if drawn is not None:
+            files |= self._label_files(shot, seen, drawn, suffixes)
+        manifest = {"stem": shot.stem, "files": _digests(shot)}
+        for name, content in sealed(files.items(), manifest):
+            (place / name).parent.mkdir(parents=True, exist_ok=True)
+            (place / name).write_bytes(content)
+
+    def split_coco(self, out: Path, scenes: int, size_px: tuple[int, int]) -> str:
+        picture = "rgb" if "rgb" in self.holds else _picture(self.holds)
+        entries: list[dict[str, Any]] = []
+        for scene_id in range(scenes):
+            path = out / "train" / f"{scene_id:06d}" / "scene_gt_coco.json"
+            for annotation in json.loads(path.read_bytes())["annotations"]:
+                entries.append({"id": len(entries) + 1} | split_annotation(annotation, scene_id))
+        size = {"width": size_px[1], "height": size_px[0]}
+        content = {
+            "info": {"description": "Graycast, real pictures"},
+            "licenses": [],
+            "categories": [
+                {"id": i, "name": name, "supercategory": "graycast"}
+                for i, name in enumerate(self.names, start=1)
+            ],
+            "images": [
+                {"id": i, "file_name": f"train/{i:06d}/{picture}/000000.png"} | size
+                for i in range(scenes)
+            ],
+            "annotations": entries,
+        }
+        return json.dumps(content) + "\n"
+
+    def _distortion(self) -> dict[str, Any]:
+        return {"distortion": list(self.distortion)} if any(self.distortion) else {}
+
+    def _label_files(
+        self, shot: Shot, seen: Seen, drawn: Drawn, suffixes: Sequence[str]
+    ) -> dict[str, bytes]:
+        height_px, width_px = seen.size_px
+        if drawn.size_px != seen.size_px:
+            raise DatasetError(
+                f"{drawn.source}: is of a picture of {drawn.size_px[1]} x {drawn.size_px[0]} "
+                f"pixels, {shot.stem} has {width_px} x {height_px}: annotate the same picture"
+            )
+        obj_ids = [self.names.index(name) + 1 for name in drawn.names]
+        files, infos, entries = {}, [], []
+        for i, obj_id in enumerate(obj_ids):
+            mask = drawn.mask(i)
+            x, y, w, h = mask_box(mask)
+            area_px = int(mask.sum())
+            infos.append({"bbox_visib": [x, y, w - 1, h - 1], "px_count_visib": area_px})
+            whole = Silhouette(left_px=0, top_px=0, mask=mask)
+            runs = run_lengths(whole, height_px=height_px, width_px=width_px)
+            entries.append(
+                scene_annotation(
+                    annotation_id=i + 1,
+                    obj_id=obj_id,
+                    run_length=runs,
+                    box=[x, y, w, h],
+                    area_px=area_px,
+                    visib_fract=1.0,  # unknown: nothing is ignored
+                    height_px=height_px,
+                    width_px=width_px,
+                )
+            )
+            for suffix in suffixes:
+                name = f"mask_visib{suffix}/000000_{i:06d}.png"
+                files[name] = _png(mask.astype(np.uint8) * 255)
+        for suffix in suffixes:
+            picture = "rgb" if suffix == "" and "rgb" in self.holds else _picture(self.holds)
+            coco = scene_coco(
+                obj_ids=range(1, len(self.names) + 1),
+                file_name=f"{picture}/000000.png",
+                height_px=height_px,
+                width_px=width_px,
+                annotations=entries,
+            )
+            poses = [{"obj_id": obj_id} for obj_id in obj_ids]
+            files[f"scene_gt{suffix}.json"] = json_bytes({"0": poses})
+            files[f"scene_gt_info{suffix}.json"] = json_bytes({"0": infos})
+            files[f"scene_gt_coco{suffix}.json"] = json_bytes(coco)
+        return files
+
+
+def _suffixes(holds: Sequence[str]) -> tuple[str, ...]:
+    """BOP's plain names always, the scanner's where it saw something."""
+    return ("", "_sl") if {"gray_sl", "depth_sl"} & set(holds) else ("",)
+
+
+def _picture(holds: Sequence[str]) -> str:
+    return next(name for name in ("gray_sl", "rgb", "depth_sl") if name in holds)
+
+
+def _digests(shot: Shot) -> dict[str, Any]:
+    return {
+        name: {"file": path.name, "sha256": hashlib.sha256(path.read_bytes()).hexdigest()}
+        for name, path in shot.files.items()
+    }
+
+
+def _png(image: np.ndarray) -> bytes:
+    """OpenCV's channel order."""
+    return cv2.imencode(".png", np.ascontiguousarray(image))[1].tobytes()

@@ -1,0 +1,279 @@
+"""The bin's pose from depth with noise, lost walls and things left in it."""
+
+import numpy as np
+import pytest
+
+from graycast.errors import GraycastError
+from graycast.frames import axis_rotation, rigid
+from graycast.real.fit_bin import find_pose, fit_pose, judge, register, settle
+from graycast.real.fit_bin.box import open_box
+from graycast.real.fit_bin.edges import hold_by_edges
+from graycast.real.fit_bin.plots import residual_map
+from graycast.real.fit_bin.shape import NO_FACE, height_over
+from graycast.real.fit_bin.start import planes
+from graycast.scene import Bin
+
+from .empty_bins import BOX, noisy, perfect_depth, pose, view, without, wrong_by
+
+CLUTTER = (
+    ((-0.10, -0.12, 0.0), (-0.02, -0.04, 0.05)),
+    ((0.06, 0.02, 0.0), (0.17, 0.08, 0.03)),
+    ((-0.19, 0.05, 0.0), (-0.13, 0.14, 0.09)),
+)
+
+
+def faulty(T, seed, box=BOX):
+    """0.4 mm of noise, three blocks on the floor, and no depth of the wall towards +x."""
+    depth_m = noisy(perfect_depth(T, box, blocks=CLUTTER), 0.4e-3, seed)
+    half, height = box.inner_m[0] / 2, box.inner_m[2]
+    lost = lambda p: (np.abs(p[..., 0] - half) < 0.006) & (p[..., 2] < height - 0.004)  # noqa: E731
+    return view(without(depth_m, T, lost))
+
+
+def test_rays_meet_the_box_where_the_rasteriser_sees_its_mesh():
+    """Oracle: graycast.raster on scene.bin_mesh, triangles by edge functions, table left out."""
+    T = pose(tilt_deg=35.0)
+    box = open_box(BOX.inner_m, BOX.wall_m)
+    seen = view(perfect_depth(T))
+    grid = seen.grid(160)
+    face, z = box.cast(T, grid)
+    hit = face != NO_FACE
+    assert hit.mean() > 0.2
+    off_m = np.abs(z[hit] - grid.depth_m[hit])
+    assert np.mean(off_m < 1e-9) > 0.995  # pixel centres on an edge may go to either side
+    names = {box.names[f] for f in np.unique(face[hit])}
+    assert {"floor", "wall +y", "wall +x", "wall -x", "rim -x", "outside -y"} <= names
+
+
+def test_a_point_belongs_to_its_nearest_face_and_stands_as_far_above_it():
+    box = open_box((0.4, 0.3, 0.15), 0.01)
+    point = np.array([[0.1, 0.0, 0.002], [0.198, 0.1, 0.07], [0.0, -0.149, 0.1], [0.0, 0.153, 0.1]])
+    normal = np.array([[0.0, 0.6, 0.8], [-1.0, 0, 0], [0, 1.0, 0], [0, -1.0, 0]])
+    eye_m = np.array([0.0, 0.0, 1.0])
+    face, distance_m = box.nearest(point, normal, eye_m)
+    assert [box.names[f] for f in face] == ["floor", "wall +x", "wall -y", "wall +y"]
+    assert height_over(box, point, face) == pytest.approx([0.002, 0.002, 0.001, -0.003])
+    assert distance_m == pytest.approx([0.002, 0.002, 0.001, 0.003])
+    level = np.tile([0.0, 0.0, 1.0], (4, 1))  # the second is 70 mm over the floor, no wall's point
+    face, distance_m = box.nearest(point, level, eye_m)
+    assert [box.names[f] for f in face] == ["floor", "floor", "rim -y", "rim +y"]
+    assert distance_m[1] == pytest.approx(0.07)
+    away, _ = box.nearest(point, -level, eye_m)
+    assert (away == NO_FACE).all()
+
+
+def test_normals_of_a_cloud_are_those_of_the_faces():
+    """Oracle: the bin's planes are level or upright, so one component is 1."""
+    T = pose(tilt_deg=30.0)
+    cloud = view(perfect_depth(T)).cloud()
+    normal = cloud[:, 3:] @ T[:3, :3].T
+    assert np.linalg.norm(normal, axis=1) == pytest.approx(np.ones(len(normal)))
+    assert np.mean(np.abs(normal).max(axis=1) > 1 - 1e-6) > 0.9  # but for pixels at edges
+    assert ((cloud[:, :3] * cloud[:, 3:]).sum(axis=1) < 0).all()  # towards the camera
+
+
+def test_planes_are_found_largest_first_and_face_the_camera():
+    T = pose(tilt_deg=0.0, roll_deg=0.0, azimuth_deg=0.0, aside_m=(0.0, 0.0))
+    found = planes(view(perfect_depth(T)).grid(80).point_m, seed=0)
+    camera_z = T[2, 3]  # looks straight down: a level z is the plane n = (0, 0, -1), d = z - camera
+    table, floor = found[0], found[1]
+    for (normal, offset_m), level_m in ((table, -0.012), (floor, 0.0)):
+        assert normal == pytest.approx([0, 0, -1], abs=1e-6)
+        assert offset_m == pytest.approx(level_m - camera_z, abs=1e-6)
+
+
+def test_depth_seen_through_a_wall_speaks_against_a_pose():
+    T, box = pose(), open_box(BOX.inner_m)
+    grid = view(perfect_depth(T)).grid(80)
+    beside = rigid(np.eye(3), np.array([0.45, 0.0, 0.0])) @ T
+    true, aside = box.votes(np.stack([T, beside]), grid, 0.01) / grid.depth_m.size
+    for pose_of, score in ((T, true), (beside, aside)):  # the same again, by the other ray caster
+        behind_m = grid.depth_m - box.cast(pose_of, grid)[1]
+        agrees = np.maximum(1 - np.abs(behind_m) / 0.01, 0)
+        assert score == pytest.approx((agrees - (behind_m > 0.01)).mean(), abs=1e-12)
+    assert true > 0.25
+    assert aside < 0.0
+
+
+HANGING = {"tilt_deg": 0.0, "azimuth_deg": 70.0, "aside_m": (-0.06, 0.05)}
+LEANING = {"tilt_deg": 30.0, "azimuth_deg": -35.0, "roll_deg": 0.0}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("seed", "view_words"),
+    [(0, {}), (1, LEANING), (2, HANGING)],
+)
+def test_the_pose_is_found_without_a_hint_in_spite_of_noise_clutter_and_a_lost_wall(
+    seed, view_words
+):
+    T = pose(**view_words)
+    box = open_box(BOX.inner_m, BOX.wall_m)
+    azimuth = np.arctan2(T[1, 0], T[0, 0])
+    found = find_pose([faulty(T, seed)], box, azimuth_rad=azimuth + 0.3, seed=0).T_world_cam
+    off_m, off_deg = wrong_by(found, T)
+    assert off_m < 0.5e-3
+    assert off_deg < 0.1
+
+
+def test_a_pose_nearby_settles_in_spite_of_noise_clutter_and_a_lost_wall():
+    """From 25 mm and 4 degrees away; 0.4 mm of noise over thousands of pixels leaves 0.05 mm."""
+    T, box = pose(), open_box(BOX.inner_m, BOX.wall_m)
+    away = rigid(axis_rotation("z", np.radians(4.0)), np.array([0.02, -0.015, 0.004])) @ T
+    seen = [faulty(T, 0)]
+    fit = settle(seen, box, register(seen[0].cloud(), away, box))
+    off_m, off_deg = wrong_by(fit.T_world_cam, T)
+    assert off_m < 0.2e-3
+    assert off_deg < 0.05
+    assert fit.loose == fit.by_edges == ()
+    face = {face.name: face for face in fit.faces}
+    assert face["floor"].rms_m == pytest.approx(0.4e-3, rel=0.2)  # looked at from above
+    assert face["wall +x"].inliers < 0.1 < 0.7 < face["wall -x"].inliers
+
+
+def test_the_map_of_residuals_shows_each_face_as_far_off_as_it_is():
+    """A bin 2 mm longer than stated, its camera told 1 mm too low: walls and floor by 1 mm."""
+    T = pose(tilt_deg=0.0)
+    lower = T.copy()
+    lower[2, 3] -= 1e-3
+    seen = view(perfect_depth(T, Bin(inner_m=(0.402, 0.30, 0.15), wall_m=0.012)))
+    box = open_box(BOX.inner_m)
+    shown_m = residual_map(seen, box, lower)
+    face, _ = box.cast(lower, seen.grid(640))
+    for name, height_m in (("floor", -1e-3), ("wall +x", -1e-3), ("wall +y", 0.0)):
+        on_face = shown_m[(face == box.names.index(name)) & np.isfinite(shown_m)]
+        assert on_face.size > 50
+        assert np.median(on_face) == pytest.approx(height_m, abs=1e-5)
+    assert np.isnan(shown_m[face == NO_FACE]).all()
+
+
+@pytest.mark.slow
+def test_a_wall_s_thickness_need_not_be_known():
+    T = pose()
+    found = find_pose([faulty(T, 4)], open_box(BOX.inner_m), azimuth_rad=0.0, seed=0).T_world_cam
+    off_m, off_deg = wrong_by(found, T)
+    assert off_m < 0.5e-3
+    assert off_deg < 0.15
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("inner_m", "turns"), [((0.40, 0.30, 0.15), 2), ((0.35, 0.35, 0.15), 4)])
+def test_of_poses_that_look_alike_the_one_nearest_to_the_azimuth_is_taken(inner_m, turns):
+    """They differ by whole turns about the bin's z."""
+    box, T = Bin(inner_m=inner_m), pose(tilt_deg=5.0)
+    seen = [view(perfect_depth(T, box))]
+    own = np.arctan2(T[1, 0], T[0, 0])
+    first = find_pose(seen, open_box(inner_m), azimuth_rad=own, seed=0).T_world_cam
+    assert wrong_by(first, T)[1] < 0.01
+    angle = 2 * np.pi / turns
+    turned = find_pose(seen, open_box(inner_m), azimuth_rad=own + angle, seed=0).T_world_cam
+    expected = rigid(axis_rotation("z", angle), np.zeros(3)) @ T
+    assert wrong_by(turned, expected)[1] < 0.01
+
+
+def test_what_no_wall_holds_is_named():
+    """Of a bin without depth on both walls across x, and none outside, x is free."""
+    T = pose(tilt_deg=0.0, aside_m=(0.0, 0.0), azimuth_deg=0.0, roll_deg=0.0)
+    lost = lambda p: (np.abs(p[..., 0]) > 0.18) | (p[..., 2] < -0.004)  # noqa: E731
+    seen = [view(without(noisy(perfect_depth(T), 0.3e-3, 5), T, lost))]
+    fit = judge(seen, open_box(BOX.inner_m), register(seen[0].cloud(), T, open_box(BOX.inner_m)))
+    assert fit.loose == ("x",)
+    spot = lambda p: lost(p) & ~((p[..., 0] > 0.18) & (np.abs(p[..., 1]) < 0.016))  # noqa: E731
+    seen = [view(without(noisy(perfect_depth(T), 0.3e-3, 5), T, spot))]
+    fit = judge(seen, open_box(BOX.inner_m), register(seen[0].cloud(), T, open_box(BOX.inner_m)))
+    assert fit.sigma[0] < 0.2e-3  # by its noise, a spot of a wall would do: but it may be clutter
+    assert fit.loose == ("x",)
+    whole = [view(noisy(perfect_depth(T), 0.3e-3, 5))]
+    box = open_box(BOX.inner_m)
+    assert judge(whole, box, register(whole[0].cloud(), T, box)).loose == ()
+
+
+@pytest.mark.slow
+def test_stated_deviations_are_those_over_many_noises():
+    """Oracle: the scatter of 24 fits; its own relative error is 1 / sqrt(2 (n - 1)), 15 %."""
+    T, box = pose(), open_box(BOX.inner_m, BOX.wall_m)
+    clean = perfect_depth(T)
+    fits = []
+    for seed in range(24):
+        seen = [view(noisy(clean, 0.5e-3, seed))]
+        fits.append(judge(seen, box, register(seen[0].cloud(), T, box)))
+    place = np.array([fit.T_world_cam @ np.linalg.inv(T) for fit in fits])[:, :3, 3]
+    ratio = place.std(axis=0, ddof=1) / np.mean([fit.sigma[:3] for fit in fits], axis=0)
+    assert (ratio > 1 - 3 * 0.15).all()
+    assert (ratio < 1.3 + 3 * 0.15).all()  # pixels that change sides at edges add a little
+
+
+def test_residuals_by_face_show_a_bin_that_is_longer_than_stated():
+    """Walls 2 mm farther apart than stated stand 1 mm behind theirs, each."""
+    T = pose(tilt_deg=0.0)
+    longer = Bin(inner_m=(0.402, 0.30, 0.15), wall_m=0.012)
+    box = open_box(BOX.inner_m)
+    seen = [view(noisy(perfect_depth(T, longer), 0.2e-3, 6))]
+    fit = judge(seen, box, register(seen[0].cloud(), T, box))
+    median = {face.name: face.median_m for face in fit.faces}
+    assert median["wall +x"] == pytest.approx(-1e-3, abs=0.15e-3)
+    assert median["wall -x"] == pytest.approx(-1e-3, abs=0.15e-3)
+    assert abs(median["floor"]) < 0.1e-3
+
+
+@pytest.mark.slow
+def test_a_picture_without_the_bin_is_refused():
+    T = pose()
+    other = Bin(inner_m=(0.15, 0.12, 0.3), wall_m=0.005)
+    with pytest.raises(GraycastError, match="no bin of 400 x 300 x 150 mm"):
+        fit_pose([view(perfect_depth(T, other))], open_box(BOX.inner_m), azimuth_rad=0.0, seed=0)
+
+
+@pytest.mark.slow
+def test_several_views_share_one_pose_and_tell_how_far_they_are_apart():
+    T = pose()
+    box = open_box(BOX.inner_m, BOX.wall_m)
+    views = [faulty(T, seed) for seed in (7, 8, 9)]
+    fit = fit_pose(views, box, azimuth_rad=0.0, seed=0)
+    off_m, _ = wrong_by(fit.pose.T_world_cam, T)
+    assert off_m < 0.4e-3
+    assert len(fit.apart) == 3
+    assert all(0 < m < 1e-3 for m, _ in fit.apart)
+
+
+def test_edges_hold_a_place_that_no_wall_holds():
+    """Both walls across x are lost inside: only rim and floor tell it, to a part of a pixel.
+
+    A pixel is 5 mm wide here; some 200 of them lie on edges across x.
+    """
+    T = pose(tilt_deg=0.0)
+    lost = lambda p: (np.abs(np.abs(p[..., 0]) - 0.2) < 0.006) & (p[..., 2] < 0.146)  # noqa: E731
+    seen = [view(without(noisy(perfect_depth(T), 0.4e-3, 10), T, lost))]
+    shifted = rigid(np.eye(3), np.array([0.004, 0.0, 0.0])) @ T
+    found, held = hold_by_edges(seen, open_box(BOX.inner_m, BOX.wall_m), shifted, ("x",), 0.4e-3)
+    assert held == ("x",)
+    off_m = (found @ np.linalg.inv(T))[:3, 3]
+    assert abs(off_m[0]) < 1e-3
+    assert off_m[1:] == pytest.approx([0, 0], abs=1e-12)
+
+
+def test_edges_do_not_claim_what_they_do_not_show():
+    """A floor alone, whose ends are out of the picture, holds nothing."""
+    T = pose(tilt_deg=0.0, aside_m=(0.0, 0.0), distance_m=0.9)
+    flat = view(np.full((120, 160), T[2, 3]))
+    huge = open_box((3.0, 2.0, 0.1))
+    found, held = hold_by_edges([flat], huge, T, ("x", "y", "about z"), 0.4e-3)
+    assert held == ()
+    assert np.array_equal(found, T)
+
+
+def test_a_face_that_is_hardly_seen_is_not_trusted():
+    """One of two walls is 2 mm off: the bin goes half way, less with a tenth of its weight."""
+    T = pose(tilt_deg=0.0, azimuth_deg=0.0, roll_deg=0.0, aside_m=(0.0, 0.0))
+    box = open_box(BOX.inner_m)
+    cloud = view(perfect_depth(T)).cloud()
+    x = (cloud[:, :3] @ T[:3, :3].T + T[:3, 3])[:, 0]
+    wall = np.abs(np.abs(x) - 0.2) < 1e-4
+    off_m = np.where(x > 0, -0.002, 0.0) + 0.8e-3 * np.random.default_rng(0).standard_normal(len(x))
+    cloud[:, :3] += np.outer(np.where(wall, off_m, 0.0), T[0, :3])
+    trust = np.array([0.1 if name == "wall +x" else 1.0 for name in box.names])
+    even, uneven = (
+        abs((register(cloud, T, box, trust=t) @ np.linalg.inv(T))[0, 3]) for t in (None, trust)
+    )
+    assert even == pytest.approx(1e-3, abs=0.3e-3)
+    assert uneven < 0.35 * even

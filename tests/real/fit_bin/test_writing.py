@@ -1,0 +1,178 @@
+"""What was fitted goes into a configuration; what a user wrote stays."""
+
+import errno
+
+import numpy as np
+import pytest
+import yaml
+
+from graycast.cell import resolve_cell
+from graycast.config import Config, load_config
+from graycast.errors import ConfigError, GraycastError
+from graycast.frames import axis_rotation, rigid
+from graycast.real.fit_bin import (
+    BinFit,
+    fitted_text,
+    refuse_existing,
+    settle,
+    summary,
+    write_fit,
+)
+from graycast.real.fit_bin.box import open_box
+
+from .empty_bins import BOX, perfect_depth, pose, view, without
+
+BASE = """\
+# our cell
+parts:
+  - builtin: toothpaste  # the small one
+count: 3
+view: {tilt_deg: 10}
+# the crate from the store
+bin:
+  inner_m: [0.3, 0.2, 0.1]
+  friction: 0.7
+
+# how much
+scenes: 5
+"""
+T = rigid(axis_rotation("x", 3.0), np.array([0.01, 0.02, 0.9]))
+VIEW = {"T_world_cam": [round(float(v), 9) for v in T.ravel()]}
+
+
+def test_fitted_sections_replace_their_own_and_nothing_else(tmp_path):
+    path = tmp_path / "cell.yaml"
+    sections = {"view": VIEW, "table": {"base_color": [0.1, 0.2, 0.3]}}
+    text = fitted_text(BASE, path, sections, {"view": "from a fit\nof two lines"})
+    path.write_text(text)
+    config = load_config(path)
+    assert np.reshape(config.view.T_world_cam, (4, 4)) == pytest.approx(T, abs=1e-9)
+    assert config.table.base_color == (0.1, 0.2, 0.3)
+    assert yaml.safe_load(text) == yaml.safe_load(BASE) | sections
+    kept = [line for line in BASE.splitlines() if not line.startswith("view")]
+    assert [line for line in text.splitlines() if line in kept] == kept
+    assert "# from a fit\n# of two lines\nview:" in text
+
+
+def test_a_configuration_in_braces_is_written_in_lines(tmp_path):
+    base = "{parts: [{builtin: toothpaste}], count: 4}"
+    text = fitted_text(base, tmp_path / "c.yaml", {"view": VIEW}, {})
+    assert yaml.safe_load(text) == yaml.safe_load(base) | {"view": VIEW}
+
+
+def test_what_would_be_no_configuration_is_refused(tmp_path):
+    with pytest.raises(ConfigError, match="T_world_cam"):
+        fitted_text(BASE, tmp_path / "c.yaml", {"view": {"T_world_cam": [1.0, 2.0]}}, {})
+
+
+def test_nothing_is_written_over_and_paths_keep_their_meaning(tmp_path):
+    base = tmp_path / "cell.yaml"
+    base.write_text(BASE)
+    refuse_existing(tmp_path / "new.yaml", base)
+    with pytest.raises(GraycastError, match="is there already"):
+        refuse_existing(base, base)
+    with pytest.raises(GraycastError, match="where its relative paths start"):
+        refuse_existing(tmp_path / "sub" / "new.yaml", base)
+
+
+def test_a_pose_that_nothing_holds_is_not_written(tmp_path):
+    """A floor between two lost walls, without its ends in the picture."""
+    T = pose(tilt_deg=0.0, aside_m=(0.0, 0.0), azimuth_deg=0.0, roll_deg=0.0)
+    lost = lambda p: (np.abs(p[..., 0]) > 0.15) | (p[..., 2] < -0.004)  # noqa: E731
+    seen = [view(without(perfect_depth(T), T, lost))]
+    box = open_box(BOX.inner_m)
+    fit = BinFit(views=("a",), shape=box, pose=settle(seen, box, T), apart=())
+    assert fit.pose.loose == ("x",)
+    assert any("NOT HELD by what was seen: x" in line for line in summary(fit))
+    base = tmp_path / "cell.yaml"
+    base.write_text(BASE)
+    config = load_config(base)
+    with pytest.raises(GraycastError, match="no wall or edge holds x of the bin"):
+        write_fit(fit, resolve_cell(config, tmp_path), seen, base, tmp_path / "new.yaml")
+    assert [path.name for path in tmp_path.iterdir()] == ["cell.yaml"]
+
+
+@pytest.mark.slow
+def test_a_full_disk_leaves_nothing_half_written(tmp_path, monkeypatch):
+    T = pose()
+    seen = [view(perfect_depth(T))]
+    box = open_box(BOX.inner_m)
+    fit = BinFit(views=("a",), shape=box, pose=settle(seen, box, T), apart=())
+    base = tmp_path / "cell.yaml"
+    base.write_text(BASE)
+
+    def full(pose, shape, views, path):
+        path.write_bytes(b"half")
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr("graycast.real.fit_bin.fitting.draw_residuals", full)
+    cell = resolve_cell(load_config(base), tmp_path)
+    with pytest.raises(GraycastError, match="No space left on device"):
+        write_fit(fit, cell, seen, base, tmp_path / "new.yaml")
+    assert [path.name for path in tmp_path.iterdir()] == ["cell.yaml"]
+
+
+@pytest.mark.slow
+def test_a_file_that_came_meanwhile_stays(tmp_path, monkeypatch):
+    T = pose()
+    seen = [view(perfect_depth(T))]
+    box = open_box(BOX.inner_m)
+    fit = BinFit(views=("a",), shape=box, pose=settle(seen, box, T), apart=())
+    base = tmp_path / "cell.yaml"
+    base.write_text(BASE)
+
+    def slowly(pose, shape, views, path):
+        path.write_bytes(b"picture")
+        (tmp_path / "new.yaml").write_text("of another run")
+
+    monkeypatch.setattr("graycast.real.fit_bin.fitting.draw_residuals", slowly)
+    cell = resolve_cell(load_config(base), tmp_path)
+    with pytest.raises(GraycastError, match="is there already"):
+        write_fit(fit, cell, seen, base, tmp_path / "new.yaml")
+    assert (tmp_path / "new.yaml").read_text() == "of another run"
+    assert {path.name for path in tmp_path.iterdir()} == {"cell.yaml", "new.yaml"}
+
+
+# --- the keys that it writes -------------------------------------------------------------------
+
+
+def cell(**changes):
+    return Config.model_validate({"parts": [{"builtin": "toothpaste"}]} | changes)
+
+
+def test_an_exact_pose_is_the_camera_s(tmp_path):
+    scene = resolve_cell(
+        cell(view=VIEW, bin={"material": {"base_color": [0.5, 0.4, 0.3]}}), tmp_path
+    ).scene
+    assert np.array_equal(scene.T_world_cam.ravel(), VIEW["T_world_cam"])
+
+
+def test_an_exact_pose_stands_alone():
+    with pytest.raises(ValueError, match="T_world_cam is the whole pose: remove it, or tilt_deg"):
+        cell(view=VIEW | {"tilt_deg": 3.0})
+    with pytest.raises(ValueError, match="16"):
+        cell(view={"T_world_cam": [1.0] * 15})
+    with pytest.raises(ValueError, match="not a rotation"):
+        cell(view={"T_world_cam": [2.0, *VIEW["T_world_cam"][1:]]})
+
+
+def test_a_configuration_with_a_pose_can_be_read_back_from_a_manifest():
+    config = cell(view=VIEW)
+    assert Config.model_validate(config.model_dump(mode="json")) == config
+
+
+def test_new_keys_left_out_do_not_show_in_what_identifies_a_dataset():
+    """A dataset begun before they were there is recognised by its configuration."""
+    said = cell().model_dump(mode="json")
+    assert "T_world_cam" not in said["view"]
+    assert "floor" not in said["bin"]
+    assert "table" not in said
+
+
+def test_floor_and_table_have_their_own_look(tmp_path):
+    walls, floor, table = ({"base_color": [c, c, c], "specular": 0.0} for c in (0.1, 0.2, 0.3))
+    scene = resolve_cell(cell(bin={"material": walls, "floor": floor}, table=table), tmp_path).scene
+    assert scene.bin.material.base_color == (0.1, 0.1, 0.1)
+    assert scene.bin.floor.base_color == (0.2, 0.2, 0.2)
+    assert scene.table.base_color == (0.3, 0.3, 0.3)
+    assert resolve_cell(cell(bin={"material": walls}), tmp_path).scene.bin.floor is None

@@ -1,0 +1,171 @@
+"""Noise of known size and correlation on known surfaces."""
+
+import numpy as np
+import pytest
+from backends import slow
+from scipy import ndimage
+
+from graycast.real.realism import measure, pool
+from graycast.real.realism.noise import LAGS, autocorrelation, measure_noise
+
+from .synthetic import HEIGHT_PX, WIDTH_PX, plane, rays, scan
+
+SIGMA_M = 2e-4
+FREEDOM = 15 * 15 - 3
+
+
+def noise_like(shape, rng, kernel=None):
+    """Noise of variance one; a kernel correlates it."""
+    if kernel is None:
+        return rng.standard_normal(shape)
+    white = rng.standard_normal(np.add(shape, 20))
+    kernel = kernel / np.sqrt((kernel**2).sum())
+    return ndimage.convolve(white, kernel)[10:-10, 10:-10]
+
+
+def noisy_plane(rng, kernel=None, tilt_rad=0.0, sigma_m=SIGMA_M, size=(450, 600)):
+    depth_m = plane(tilt_rad, height_px=size[0], width_px=size[1])
+    return depth_m + sigma_m * noise_like(depth_m.shape, rng, kernel)
+
+
+def test_white_noise_on_a_plane_has_the_sigma_that_was_put_in():
+    found = measure_noise(scan(noisy_plane(np.random.default_rng(1))))
+    variance = (found.sigma_m**2).mean() / SIGMA_M**2
+    standard_error = np.sqrt(2 / (FREEDOM * len(found.sigma_m)))
+    assert len(found.sigma_m) >= 1188  # of 1200 patches
+    assert abs(variance - 1) < 4 * standard_error
+
+
+def test_the_scatter_over_patches_is_that_of_chi_square():
+    sigma_m = measure_noise(scan(noisy_plane(np.random.default_rng(2)))).sigma_m
+    expected = SIGMA_M / np.sqrt(2 * FREEDOM)
+    assert sigma_m.std() == pytest.approx(expected, rel=4 / np.sqrt(2 * len(sigma_m)))
+
+
+@pytest.mark.parametrize(
+    ("kernel", "rows", "columns"),
+    [
+        slow(np.ones((1, 1)), (0, 0, 0), (0, 0, 0)),
+        slow(np.ones((3, 3)), (2 / 3, 1 / 3, 0), (2 / 3, 1 / 3, 0)),
+        (np.ones((1, 2)), (1 / 2, 0, 0), (0, 0, 0)),
+        slow(np.array([[1.0], [2.0], [1.0]]), (0, 0, 0), (4 / 6, 1 / 6, 0)),
+        (np.ones((5, 5)), (4 / 5, 3 / 5, 2 / 5), (4 / 5, 3 / 5, 2 / 5)),
+    ],
+    ids=["white", "3x3 box", "pairs along rows", "1 2 1 along columns", "5x5 box"],
+)
+def test_filtered_noise_has_the_autocorrelation_of_its_filter(kernel, rows, columns):
+    """The kernel's own autocorrelation, in closed form. Uncorrected, a 3 x 3 box gives 0.62."""
+    record = pool([measure(scan(noisy_plane(np.random.default_rng(3), kernel)))], name="plane")
+    tolerance = 4 * np.sqrt(kernel.size**2 / kernel.size / (450 * 600)) + 1e-3
+    assert record.autocorrelation.along_rows == pytest.approx(rows, abs=2 * tolerance)
+    assert record.autocorrelation.along_columns == pytest.approx(columns, abs=2 * tolerance)
+
+
+@pytest.mark.parametrize("side", [3, 5])
+def test_correlated_noise_keeps_its_sigma_and_its_patches(side):
+    found = measure_noise(scan(noisy_plane(np.random.default_rng(4), np.ones((side, side)))))
+    assert len(found.sigma_m) >= 0.97 * found.candidates
+    # A box of s x s has about 15^2 / s^2 independent values in a patch.
+    standard_error = np.sqrt(2 / (15**2 / side**2) / len(found.sigma_m))
+    assert abs((found.sigma_m**2).mean() / SIGMA_M**2 - 1) < 4 * standard_error
+
+
+def test_incidence_is_the_angle_between_ray_and_normal():
+    tilt_rad = 0.6
+    depth_m = plane(tilt_rad) + 1e-6 * noise_like((HEIGHT_PX, WIDTH_PX), np.random.default_rng(5))
+    found = measure_noise(scan(depth_m))
+    ray = rays()[7::15, 7::15].reshape(-1, 3)
+    normal = np.array([np.sin(tilt_rad), 0.0, np.cos(tilt_rad)])
+    expected = np.arccos(ray @ normal / np.linalg.norm(ray, axis=1))
+    near = np.abs(np.sort(found.incidence_rad)[:, None] - np.sort(expected)[None]).min(axis=1)
+    assert len(found.incidence_rad) > 0.98 * len(expected)
+    assert near.max() < 2e-4
+    assert np.ptp(expected) > 0.5
+
+
+def test_noise_is_put_down_to_the_brightness_it_was_measured_at():
+    rng = np.random.default_rng(6)
+    depth_m = plane()
+    gray = np.full(depth_m.shape, 0.7)
+    gray[:, 150:] = 0.05
+    depth_m = depth_m + np.where(gray > 0.5, 1.0, 2.5) * 1e-4 * rng.standard_normal(gray.shape)
+    noise = pool([measure(scan(depth_m, gray=gray))], name="two").noise
+    assert noise.dark_to_bright == pytest.approx(2.5, rel=0.03)
+    filled = {(b.low, b.high): b.value for b in noise.by_brightness if b.count}
+    assert filled == {
+        (1 / 32, 1 / 16): pytest.approx(2.5e-4, rel=0.02),
+        (0.5, 0.99): pytest.approx(1e-4, rel=0.02),
+    }
+
+
+def test_noise_of_steep_planes_is_compared_with_that_of_facing_ones():
+    rng = np.random.default_rng(7)
+    facing = scan(noisy_plane(rng, sigma_m=1e-4, size=(120, 150)))
+    steep_m = plane(np.radians(60), height_px=120, width_px=150)
+    steep_m = steep_m + 2e-4 * rng.standard_normal(steep_m.shape)
+    record = pool([measure(facing), measure(scan(steep_m))], name="both")
+    assert record.noise.steep_to_facing == pytest.approx(2.0, rel=0.05)
+
+
+def test_a_sphere_gives_no_patch_and_a_plane_beside_it_all():
+    """A patch is bent by 15^2 px^2 z^2 / (8 f^2 R), here 0.7 mm, 3.5 sigma."""
+    rng = np.random.default_rng(8)
+    ray, radius_m, middle = rays(), 0.06, np.array([0.0, 0.0, 0.56])
+    unit = ray / np.linalg.norm(ray, axis=-1, keepdims=True)
+    along = unit @ middle
+    root = along**2 - middle @ middle + radius_m**2
+    sphere_m = np.where(root > 0, (along - np.sqrt(root.clip(min=0))) * unit[..., 2], np.nan)
+    noise_m = SIGMA_M * rng.standard_normal(sphere_m.shape)
+    assert measure_noise(scan(sphere_m + noise_m)).candidates > 5
+    both_m = np.concatenate([sphere_m + noise_m, plane(height_px=600) + SIGMA_M
+                             * rng.standard_normal((600, WIDTH_PX))])  # fmt: skip
+    found = measure_noise(scan(both_m))
+    planes = 40 * (WIDTH_PX // 15)
+    assert 0.98 * planes <= len(found.sigma_m) <= planes
+    assert np.median(found.sigma_m) == pytest.approx(SIGMA_M, rel=0.01)
+
+
+def test_patches_with_an_edge_in_them_are_left_out():
+    """Steps of 3 sigma at every 25th column: every patch of 15 but those that lie between."""
+    rng = np.random.default_rng(9)
+    columns = np.arange(600)
+    depth_m = noisy_plane(rng) + 4 * SIGMA_M * ((columns // 25) % 2)
+    found = measure_noise(scan(depth_m))
+    clear = np.mean([len({c // 25 for c in range(x, x + 15)}) == 1 for x in range(0, 600, 15)])
+    assert len(found.sigma_m) == pytest.approx(clear * found.candidates, rel=0.15)
+    assert np.median(found.sigma_m) == pytest.approx(SIGMA_M, rel=0.02)
+
+
+def test_spikes_and_holes_do_not_spoil_a_patch():
+    rng = np.random.default_rng(10)
+    depth_m = noisy_plane(rng)
+    pick = rng.random(depth_m.shape)
+    depth_m[pick < 0.01] += 0.02
+    depth_m[pick > 0.98] = np.nan
+    record = pool([measure(scan(depth_m))], name="spiky").noise
+    assert record.percentiles_m[2] == pytest.approx(SIGMA_M, rel=0.01)
+    assert record.outliers == pytest.approx(0.01 / 0.98, rel=0.05)
+    assert record.bent < 0.02
+
+
+def test_the_correction_for_the_fit_is_exact_in_expectation():
+    """Covariances through the projector of the fit, done here with explicit matrices."""
+    y, x = np.divmod(np.arange(225), 15)
+    design = np.stack([np.ones(225), x, y], axis=1).astype(float)
+    left = np.eye(225) - design @ np.linalg.pinv(design)
+    distance = np.abs(x[:, None] - x), np.abs(y[:, None] - y)
+    truth = np.clip(1 - distance[0] / 4, 0, None) * np.clip(1 - distance[1] / 3, 0, None)
+    residual = left @ truth @ left
+    products = []
+    for dx, dy in LAGS:
+        pairs = (x[None] - x[:, None] == dx) & (y[None] - y[:, None] == dy)
+        products.append(residual[pairs].mean())
+    expected = [max(1 - abs(dx) / 4, 0) * max(1 - dy / 3, 0) for dx, dy in LAGS]
+    assert autocorrelation(np.array(products)) == pytest.approx(expected, abs=1e-9)
+
+
+def test_a_map_without_a_flat_patch_has_no_figures():
+    record = pool([measure(scan(np.full((40, 50), np.nan)))], name="empty")
+    assert record.noise.percentiles_m is None
+    assert record.autocorrelation.along_rows is None
+    assert record.missing.share == 1.0

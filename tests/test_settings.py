@@ -38,8 +38,11 @@ class Lens:
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        ({"width_px": 0}, "^width_px is 0: it should be greater than or equal to 1$"),
-        ({"width_px": 3.0}, "^width_px is 3.0: it should be a valid integer$"),
+        (
+            {"width_px": 0},
+            r"^width_px is 0: it should be greater than or equal to 1 \(Image width\)$",
+        ),
+        ({"width_px": 3.0}, "^width_px is 3.0: it should be a valid integer"),
         ({"pupil_m": 1.0}, "^pupil_m is 1.0: it should be less than 1$"),
         ({"pupil_m": math.nan}, "^pupil_m is nan: it should be a finite number$"),
         ({"pupil_m": "0.1"}, "^pupil_m is '0.1': it should be a valid number$"),

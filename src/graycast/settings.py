@@ -33,6 +33,7 @@ Vector = tuple[float, float, float]
 Share = Annotated[float, Field(ge=0, le=1)]
 Positive = Annotated[float, Field(gt=0)]
 Level = Annotated[float, Field(ge=0)]
+Finite = Annotated[float, Field(allow_inf_nan=False)]  # in files every number is
 
 
 def _ordered(span: tuple[Any, Any]) -> tuple[Any, Any]:
@@ -69,7 +70,7 @@ def check_fields(value: object) -> None:
         ValueError: the text names the field, its value and what it may be.
     """
     kind: Any = type(value)  # a type that the cache takes, which mypy doubts
-    for name, (allowed, default) in _limits(kind).items():
+    for name, (allowed, default, about) in _limits(kind).items():
         given = getattr(value, name)
         if given is default:
             continue
@@ -77,7 +78,7 @@ def check_fields(value: object) -> None:
             allowed.validate_python(given)
         except ValidationError as error:
             why = _reason(error.errors(include_url=False)[0]["msg"])
-            raise ValueError(f"{name} is {given!r}: {why}") from None
+            raise ValueError(f"{name} is {given!r}: {why}{about}") from None
 
 
 def section_of(
@@ -148,12 +149,12 @@ def _declared(dataclass: Any) -> list[tuple[str, Any, str | None, Any]]:
 
 
 @cache
-def _limits(dataclass: type) -> dict[str, tuple[Any, Any]]:
-    """The `TypeAdapter` of each field whose annotation says more than a type; the default."""
+def _limits(dataclass: type) -> dict[str, tuple[Any, Any, str]]:
+    """For each field whose annotation says more than a type: `TypeAdapter`, default, meaning."""
     config = ConfigDict(strict=True, allow_inf_nan=False)
     return {
-        name: (TypeAdapter(hint, config=config), default)
-        for name, hint, _, default in _declared(dataclass)
+        name: (TypeAdapter(hint, config=config), default, f" ({said.rstrip('.')})" if said else "")
+        for name, hint, said, default in _declared(dataclass)
         if _says_more(hint)
     }
 

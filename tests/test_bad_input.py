@@ -66,7 +66,10 @@ def assert_untouched(out: Path):
         ({"view": {"azimuth_deg": float("inf")}}, ["view.azimuth_deg is inf", "finite number"]),
         ({"drop": {"penetration_m": 0.5}}, ["drop.penetration_m is 0.5", "less than or equal"]),
         ({"bin": {"inner_m": [0.3, 0.2]}}, ["bin.inner_m.2 is missing: add it"]),
-        ({"bin": {"inner_m": [25, 2, 1], "material": {}}}, ["inner_m of the bin", "each 0.01 to"]),
+        (
+            {"bin": {"inner_m": [25, 2, 1], "material": {}}},
+            ["bin.inner_m.0 is 25", "less than or equal to 5"],
+        ),
         ({"parts": []}, ["parts is []", "at least 1"]),
         ({"parts": [{"builtin": "bracket"}]}, ["'bracket'", "choose metal_workpiece_1"]),
         (

@@ -173,10 +173,11 @@ def test_a_camera_dims_by_the_fourth_power_of_the_cosine_to_its_axis():
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        ({"width_px": 0}, "image size is 0 x 480"),
-        ({"fy_px": -600.0}, "both must be positive"),
-        ({"fx_px": math.nan}, "both must be positive"),
-        ({"cx_px": math.inf}, "not finite"),
+        ({"width_px": 0}, "width_px is 0: it should be greater"),
+        ({"fy_px": -600.0}, "fy_px is -600.0: it should be greater than 0"),
+        ({"fx_px": math.nan}, "fx_px is nan: it should be a finite number"),
+        ({"cx_px": math.inf}, "cx_px is inf: it should be a finite number"),
+        ({"distortion": (0.0, 0.0, math.nan, 0.0, 0.0)}, "distortion is .*finite number"),
         ({"aperture_m": -0.001}, "aperture_m is -0.001"),
         ({"aperture_m": 7.2}, "is it in millimetres"),
         ({"focus_m": 0.0}, "focus_m is 0.0"),

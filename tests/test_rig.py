@@ -176,9 +176,9 @@ def test_the_image_of_a_tilted_rig_has_y_down():
         ({"near_m": 2.5}, "0 < near_m < far_m"),
         ({"T_cam_proj": np.eye(4)}, "needs a baseline"),
         ({"T_cam_proj": np.diag([1.0, 1, -1, 1])}, "not a rotation"),
-        ({"intensity_w_sr": 0.0}, "must be positive"),
+        ({"intensity_w_sr": 0.0}, "intensity_w_sr is 0.0: it should be greater than 0"),
         ({"band_weights": (0.5, 0.5, 0.5)}, "shares of 1"),
-        ({"picture_level": 1.5}, "between 0 and 1"),
+        ({"picture_level": 1.5}, "picture_level is 1.5: it should be less than or equal to 1"),
     ],
 )
 def test_an_impossible_rig_is_refused(change, message):
@@ -230,7 +230,7 @@ def test_the_grey_level_for_a_share_is_the_nearest_there_is(response):
     [
         ({"response": (0.0,)}, "2 to 256 values"),
         ({"response": (0.0, 0.5, 0.5, 1.0)}, "each above the last"),
-        ({"response": (0.0, math.nan, 1.0)}, "each above the last"),
+        ({"response": (0.0, math.nan, 1.0)}, "a finite number"),
         ({"response": (0.1, 1.0)}, "black's own light is contrast_ratio"),
         ({"response": (0.0, 255.0)}, "shares of white's radiance"),
         ({"contrast_ratio": 1.0}, "white over black"),

@@ -12,7 +12,6 @@ from .config import (
     file_digests,
     resolve_bin,
     resolve_environment,
-    resolve_lamps,
     resolve_parts,
     resolve_scanner,
 )
@@ -76,7 +75,7 @@ def resolve_cell(config: Config, folder: Path, *, on_stage: OnStage = lambda sta
         parts=parts,
         bin=box,
         environment=resolve_environment(config.light.environment, folder),
-        lamps=resolve_lamps(config.light),
+        lamps=config.light.lamps,
     )
     if config.table is not None:
         scene = replace(scene, table=resolve_material(config.table, folder))

@@ -33,18 +33,19 @@ from .parts.sections import (
 )
 from .parts.wood import wood_texture
 from .render import Quality
+from .render.radiance import PathDepth, Samples
 from .rig_file import ScannerSections, with_sections
 from .rig_file import resolve_scanner as resolve_rig_file
 from .scanner import Scanner
-from .scene import Bin, Environment, Lamp
+from .scene import BandRadiance, Bin, Environment, Inner, Lamp, Wall
 from .settings import Level, Positive, Settings, Vector, read_settings
 
 
 class BinSection(Settings):
     """A box of a stated inside, or a mesh file."""
 
-    inner_m: tuple[Positive, Positive, Positive] = (0.40, 0.30, 0.15)
-    wall_m: Positive = 0.012
+    inner_m: tuple[Inner, Inner, Inner] = (0.40, 0.30, 0.15)
+    wall_m: Wall = 0.012
     mesh: Path | None = Field(
         None,
         description="An OBJ, PLY, STL or GLB file, which replaces inner_m and wall_m.",
@@ -69,7 +70,7 @@ class BinSection(Settings):
         description="The surface of the inner floor. Left out, it is that of the walls.",
         exclude_if=lambda floor: floor is None,  # so that older datasets can go on
     )
-    friction: float = Field(0.5, ge=0)
+    friction: Level = 0.5
 
     @model_validator(mode="after")
     def _one_shape(self) -> "BinSection":
@@ -87,24 +88,15 @@ class BinSection(Settings):
 class EnvironmentSection(Settings):
     """Light from all around."""
 
-    radiance: tuple[Level, Level, Level] = Field(
+    radiance: BandRadiance = Field(
         (0.2, 0.2, 0.2), description="The radiance of each band, in W/(sr m^2). It scales the map."
     )
     map: Path | None = Field(None, description="An EXR or HDR picture by latitude and longitude.")
 
 
-class LampSection(Settings):
-    """A square lamp above the cell."""
-
-    center_m: Vector
-    target_m: Vector = (0.0, 0.0, 0.0)
-    size_m: Positive = 0.3
-    radiance: tuple[Level, Level, Level] = (15.0, 15.0, 15.0)
-
-
 class LightSection(Settings):
     environment: EnvironmentSection = EnvironmentSection()
-    lamps: tuple[LampSection, ...] = (LampSection(center_m=(0.7, -0.5, 1.6)),)
+    lamps: tuple[Lamp, ...] = (Lamp(center_m=(0.7, -0.5, 1.6)),)
 
 
 class ViewSection(Settings):
@@ -158,26 +150,10 @@ class RenderSection(Settings):
     backend: Literal["mitsuba", "cycles"] = Field(
         "mitsuba", description="Mitsuba renders all patterns in one pass, Cycles each by itself."
     )
-    samples: int = Field(16, ge=1, le=65536, description="How many light paths a pixel has.")
-    depth: int = Field(
-        4, ge=1, le=64, description="How many surfaces a path meets. 1 is direct light."
-    )
+    samples: Samples = 16
+    depth: PathDepth = 4
     denoise: bool = Field(True, description="Clean the colour picture, and it alone.")
     cycles: CyclesSection = CyclesSection()
-
-
-class DropSection(Settings):
-    penetration_m: float = Field(
-        0.5e-3, gt=0, le=0.1, description="The deepest overlap of parts that is accepted."
-    )
-    attempts: int = Field(5, ge=1, description="How often the parts are dropped at most.")
-    simulated_s: float = Field(
-        20.0,
-        gt=0,
-        le=600,
-        description="How much simulated time the parts of one attempt may take to come to rest.",
-        exclude_if=lambda seconds: seconds == 20.0,  # so that older datasets can go on
-    )
 
 
 class StoreSection(Settings):
@@ -233,7 +209,7 @@ class Config(ScannerSections):
         exclude_if=lambda domain: domain is None,  # so that older datasets can go on
     )
     render: RenderSection = RenderSection()
-    drop: DropSection = DropSection()
+    drop: DropLimits = DropLimits()
     store: StoreSection = Field(
         StoreSection(),
         exclude_if=lambda store: not (store.frames or store.columns),  # as of older datasets
@@ -334,10 +310,6 @@ def resolve_environment(section: EnvironmentSection, folder: Path) -> Environmen
     return Environment(radiance=section.radiance, map_file=path)
 
 
-def resolve_lamps(section: LightSection) -> tuple[Lamp, ...]:
-    return tuple(Lamp(**lamp.model_dump()) for lamp in section.lamps)
-
-
 def resolve_scanner(config: Config, folder: Path) -> Scanner:
     """The rig that a configuration names, with what its sections change.
 
@@ -360,10 +332,6 @@ def resolve_quality(config: Config) -> Quality:
         depth=render.depth,
         denoise=render.cycles.denoise if render.backend == "cycles" else "none",
     )
-
-
-def resolve_limits(config: Config) -> DropLimits:
-    return DropLimits(**config.drop.model_dump())
 
 
 def file_digests(config: Config, folder: Path) -> dict[str, str]:

@@ -6,13 +6,28 @@ A projector is a camera run backwards, so one description serves both.
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 from jaxtyping import Float
+from pydantic import AfterValidator, Field
 
 from .frames import pixel_grid
+from .settings import Finite, check_fields
 
 MAX_SIDE_PX = 32_768  # twice the longest sensors; beyond it a number is no size in pixels
+
+
+def _side(pixels: int) -> int:
+    if not 1 <= pixels <= MAX_SIDE_PX:
+        raise ValueError(f"a picture has 1 to {MAX_SIDE_PX} pixels along each side")
+    return pixels
+
+
+def _pupil(metres: float) -> float:
+    if metres >= 1:
+        raise ValueError("a pupil's diameter is below 1 m: is it in millimetres?")
+    return metres
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -33,47 +48,35 @@ class Optics:
     beyond the monotonic range is refused.
     """
 
-    width_px: int
-    height_px: int
-    fx_px: float
-    fy_px: float
-    cx_px: float
-    cy_px: float
-    distortion: tuple[float, float, float, float, float] = (0.0, 0.0, 0.0, 0.0, 0.0)
-    aperture_m: float = 0.0
-    focus_m: float = math.inf
-    psf_px: float = 0.0
-    natural_vignetting: bool = False
-    fill_factor: float = 1.0
+    width_px: Annotated[int, Field(ge=1, description="Image width."), AfterValidator(_side)]
+    height_px: Annotated[int, Field(ge=1, description="Image height."), AfterValidator(_side)]
+    fx_px: Annotated[float, Field(gt=0, description="Focal length along x.")]
+    fy_px: Annotated[float, Field(gt=0, description="Focal length along y.")]
+    cx_px: Annotated[Finite, Field(description="Principal point, x.")]
+    cy_px: Annotated[Finite, Field(description="Principal point, y.")]
+    distortion: Annotated[
+        tuple[Finite, Finite, Finite, Finite, Finite],
+        Field(description="Brown-Conrady (k1, k2, p1, p2, k3), OpenCV's order."),
+    ] = (0.0, 0.0, 0.0, 0.0, 0.0)
+    aperture_m: Annotated[
+        float,
+        Field(ge=0, description="Diameter of the pupil; 0 is a pinhole."),
+        AfterValidator(_pupil),
+    ] = 0.0
+    focus_m: Annotated[
+        float,
+        Field(gt=0, description="Distance in focus, along the axis; left out: far away."),
+    ] = math.inf
+    psf_px: Annotated[float, Field(ge=0, description="Radius of the blur at every distance.")] = 0.0
+    natural_vignetting: Annotated[
+        bool, Field(description="Darker towards the corners by cosines.")
+    ] = False
+    fill_factor: Annotated[
+        float, Field(gt=0, le=1, description="Share of a pixel's area that works.")
+    ] = 1.0
 
     def __post_init__(self) -> None:
-        if self.width_px < 1 or self.height_px < 1:
-            size = f"{self.width_px} x {self.height_px}"
-            raise ValueError(f"image size is {size} px; both must be at least 1")
-        if max(self.width_px, self.height_px) > MAX_SIDE_PX:
-            size = f"{self.width_px} x {self.height_px}"
-            raise ValueError(f"image size is {size} px; each may be at most {MAX_SIDE_PX}")
-        if not (self.fx_px > 0 and self.fy_px > 0):
-            focal = f"({self.fx_px}, {self.fy_px})"
-            raise ValueError(f"focal length is {focal} px; both must be positive")
-        numbers = (self.fx_px, self.fy_px, self.cx_px, self.cy_px, *self.distortion)
-        if not np.isfinite(numbers).all():
-            raise ValueError(f"intrinsics are not finite: {numbers}")
-        if len(self.distortion) != 5:
-            raise ValueError(
-                f"distortion has {len(self.distortion)} terms; give (k1, k2, p1, p2, k3)"
-            )
-        if not 0 <= self.aperture_m < 1:
-            raise ValueError(
-                f"aperture_m is {self.aperture_m}; the pupil's diameter in metres, 0 (a pinhole) "
-                "to 1: is it in millimetres?"
-            )
-        if not self.focus_m > 0:
-            raise ValueError(f"focus_m is {self.focus_m}; metres before the lens, inf for far away")
-        if not 0 <= self.psf_px < math.inf:
-            raise ValueError(f"psf_px is {self.psf_px}; a radius in pixels, 0 for none")
-        if not 0 < self.fill_factor <= 1:
-            raise ValueError(f"fill_factor is {self.fill_factor}; a share of 1, above 0")
+        check_fields(self)
 
     @property
     def K(self) -> Float[np.ndarray, "3 3"]:

@@ -4,9 +4,11 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from types import MappingProxyType
+from typing import Annotated
 
 import numpy as np
 from jaxtyping import Float, UInt8
+from pydantic import AfterValidator, Field
 
 from .frames import (
     axis_rotation,
@@ -18,6 +20,18 @@ from .frames import (
     transform_points,
 )
 from .optics import Optics, project, rays
+from .settings import check_fields
+
+
+def _rising(response: tuple[float, ...]) -> tuple[float, ...]:
+    if not 2 <= len(response) <= 256 or not (np.diff(response) > 0).all():
+        raise ValueError("give 2 to 256 values, each above the last")
+    if (response[0], response[-1]) != (0.0, 1.0):
+        raise ValueError(
+            "it starts at 0 and ends at 1, shares of white's radiance: black's own light is "
+            "contrast_ratio"
+        )
+    return response
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -40,19 +54,38 @@ class Rig:
     place, time or the picture; speckle that changes with wavelength, focus or motion.
     """
 
-    name: str
+    name: Annotated[str, Field(min_length=1, description="Name in reports and datasets.")]
     camera: Optics
     projector: Optics
     T_cam_proj: Float[np.ndarray, "4 4"]
-    near_m: float  # of the working range, as z of the camera
-    far_m: float
-    intensity_w_sr: float = 10.0
-    band_weights: tuple[float, float, float] = (1 / 3, 1 / 3, 1 / 3)
-    picture_level: float = 0.0
-    response: tuple[float, ...] = (0.0, 1.0)
-    contrast_ratio: float = math.inf
-    veil: float = 0.0
-    speckle_contrast: float = 0.0
+    near_m: Annotated[float, Field(gt=0, description="Nearest depth of the working range.")]
+    far_m: Annotated[float, Field(gt=0, description="Farthest depth of the working range.")]
+    intensity_w_sr: Annotated[
+        float, Field(gt=0, description="Radiant intensity of a white projector pixel [W/sr].")
+    ] = 10.0
+    band_weights: Annotated[
+        tuple[float, float, float],
+        Field(description="Shares of red, green and blue; sum 1."),
+    ] = (1 / 3, 1 / 3, 1 / 3)
+    picture_level: Annotated[
+        float,
+        Field(ge=0, le=1, description="Projector's level while the colour picture is taken."),
+    ] = 0.0
+    response: Annotated[
+        tuple[float, ...],
+        Field(description="Radiance at equally spaced grey levels, shares of white's."),
+        AfterValidator(_rising),
+    ] = (0.0, 1.0)
+    contrast_ratio: Annotated[
+        float,
+        Field(gt=1, description="The projector's white over black; left out: black is black."),
+    ] = math.inf
+    veil: Annotated[float, Field(ge=0, lt=1, description="Share of stray light in the camera.")] = (
+        0.0
+    )
+    speckle_contrast: Annotated[
+        float, Field(ge=0, le=1, description="Of a laser on a rough surface.")
+    ] = 0.0
 
     @property
     def T_proj_cam(self) -> Float[np.ndarray, "4 4"]:
@@ -61,6 +94,7 @@ class Rig:
 
     def __post_init__(self) -> None:
         self.T_cam_proj.flags.writeable = False
+        check_fields(self)
         if not is_rigid(self.T_cam_proj):
             raise ValueError("T_cam_proj is not a rotation and a translation: check R and T")
         if not 0 < self.near_m < self.far_m:
@@ -74,27 +108,8 @@ class Rig:
             raise ValueError(
                 f"baseline is {self.baseline_m:.3g} m: is T in millimetres? it must be in metres"
             )
-        if not self.intensity_w_sr > 0:
-            raise ValueError(f"intensity_w_sr is {self.intensity_w_sr}; it must be positive")
         if min(self.band_weights) < 0 or abs(sum(self.band_weights) - 1) > 1e-6:
             raise ValueError(f"band_weights are {self.band_weights}; shares of 1 in R, G, B")
-        if not 0 <= self.picture_level <= 1:
-            raise ValueError(f"picture_level is {self.picture_level}; it is between 0 and 1")
-        if not 2 <= len(self.response) <= 256 or not (np.diff(self.response) > 0).all():
-            raise ValueError(f"response is {self.response}; 2 to 256 values, each above the last")
-        if (self.response[0], self.response[-1]) != (0.0, 1.0):
-            raise ValueError(
-                f"response goes from {self.response[0]} to {self.response[-1]}; it starts at 0 and "
-                "ends at 1, shares of white's radiance: black's own light is contrast_ratio"
-            )
-        if not self.contrast_ratio > 1:
-            raise ValueError(f"contrast_ratio is {self.contrast_ratio}; white over black, above 1")
-        if not 0 <= self.veil < 1:
-            raise ValueError(f"veil is {self.veil}; a share of the camera's light, below 1")
-        if not 0 <= self.speckle_contrast <= 1:
-            raise ValueError(
-                f"speckle_contrast is {self.speckle_contrast}; 0 to 1 (fully developed speckle)"
-            )
 
     @property
     def baseline_m(self) -> float:

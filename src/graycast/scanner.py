@@ -3,10 +3,11 @@
 The whole way from light to depth is two functions: `take` and `measure`.
 """
 
-import math
 from dataclasses import dataclass, field, replace
+from typing import Annotated
 
 import numpy as np
+from pydantic import Field
 
 from .camera_light import camera_light
 from .decode import (
@@ -24,6 +25,7 @@ from .render import Radiance
 from .rig import BINNING, PRESETS, Rig
 from .rig import preset as rig_preset
 from .sensor import Capture, SensorSpec, auto_exposure_s, expose, merge_exposures
+from .settings import Positive, check_fields
 
 APERTURE_SLACK = 0.05  # by which sensor.f_number may differ from the camera's own aperture
 
@@ -36,20 +38,19 @@ class ExposureSpec:
     sensor's range. `factors` are the times taken, in shares of that one: more than one is HDR.
     """
 
-    exposure_s: float | None = None
-    percentile: float = 99.0
-    target: float = 0.8
-    factors: tuple[float, ...] = (1.0,)
+    exposure_s: Positive | None = None
+    percentile: Annotated[float, Field(gt=0, le=100)] = 99.0
+    target: Annotated[float, Field(gt=0, le=1)] = 0.8
+    factors: Annotated[
+        tuple[Positive, ...],
+        Field(
+            min_length=1,
+            description="times taken, in shares of that one; several are merged (HDR)",
+        ),
+    ] = (1.0,)
 
     def __post_init__(self) -> None:
-        if self.exposure_s is not None and not 0 < self.exposure_s < math.inf:
-            raise ValueError(f"exposure_s is {self.exposure_s}; it must be positive")
-        if not 0 < self.percentile <= 100:
-            raise ValueError(f"percentile is {self.percentile}; above 0, up to 100")
-        if not 0 < self.target <= 1:
-            raise ValueError(f"target is {self.target}; a share above 0, up to 1")
-        if not self.factors or not all(0 < factor < math.inf for factor in self.factors):
-            raise ValueError(f"factors are {self.factors}; give one or more positive numbers")
+        check_fields(self)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

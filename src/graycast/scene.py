@@ -6,13 +6,20 @@ looking table whose top is at `z = -bin.floor_m`.
 
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import Annotated
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
+from pydantic import Field
 
 from .frames import is_rigid
 from .parts import Material, Mesh, Part
 from .rig import Rig
+from .settings import Level, Positive, Vector, check_fields
+
+BandRadiance = tuple[Level, Level, Level]  # [W sr^-1 m^-2] in red, green and blue
+Inner = Annotated[float, Field(ge=0.01, le=5)]  # a side of a bin's room
+Wall = Annotated[float, Field(ge=0.0005, le=0.2)]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -24,20 +31,17 @@ class Bin:
     `own_texture`, the material's texture lies as the mesh's uv say.
     """
 
-    inner_m: tuple[float, float, float]
-    wall_m: float = 0.012
+    inner_m: tuple[Inner, Inner, Inner]
+    wall_m: Wall = 0.012
     mesh: Mesh | None = None
     own_texture: bool = False
     material: Material = field(default_factory=Material)
     floor: Material | None = None
     texture_size_m: float = 0.5
-    friction: float = 0.5
+    friction: Level = 0.5
 
     def __post_init__(self) -> None:
-        if not all(0.01 <= size <= 5 for size in self.inner_m):
-            raise ValueError(f"inner_m of the bin is {self.inner_m}; metres, each 0.01 to 5")
-        if not 0.0005 <= self.wall_m <= 0.2:
-            raise ValueError(f"wall_m of the bin is {self.wall_m}; metres, 0.0005 to 0.2")
+        check_fields(self)
 
     @property
     def bounds_m(self) -> Float[np.ndarray, "2 3"]:
@@ -98,10 +102,13 @@ class Environment:
     `radiance` is the mean, whatever unit the file has.
     """
 
-    radiance: tuple[float, float, float] = (0.2, 0.2, 0.2)
+    radiance: BandRadiance = (0.2, 0.2, 0.2)
     map_file: Path | None = None
     rotation_rad: float = 0.0
     levelled: bool = False
+
+    def __post_init__(self) -> None:
+        check_fields(self)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -111,16 +118,15 @@ class Lamp:
     Its front emits `radiance` [W sr^-1 m^-2 per band] in all directions; its back is black.
     """
 
-    center_m: tuple[float, float, float]
-    target_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    size_m: float = 0.3
-    radiance: tuple[float, float, float] = (15.0, 15.0, 15.0)
+    center_m: Vector
+    target_m: Vector = (0.0, 0.0, 0.0)
+    size_m: Positive = 0.3
+    radiance: BandRadiance = (15.0, 15.0, 15.0)
 
     def __post_init__(self) -> None:
+        check_fields(self)
         if self.center_m == self.target_m:
             raise ValueError(f"the lamp at {self.center_m} looks at itself: move its target_m")
-        if not self.size_m > 0:
-            raise ValueError(f"size_m of a lamp is {self.size_m}; it must be positive")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -14,11 +14,14 @@ by a sensor of its own). The lens's falloff is the optics' business.
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import no_type_check
+from typing import Annotated, no_type_check
 
 import numba
 import numpy as np
 from jaxtyping import Float, Num, UInt8, UInt16
+from pydantic import Field
+
+from .settings import Level, Positive, check_fields
 
 PLANCK_J_S = 6.62607015e-34
 LIGHT_SPEED_M_S = 299_792_458.0
@@ -36,39 +39,31 @@ class SensorSpec:
     are white and follow from `fpn_seed` alone, so they are the same in every capture.
     """
 
-    pixel_pitch_m: float = 3.45e-6
-    quantum_efficiency: float = 0.6
-    wavelength_m: float = 525e-9
-    f_number: float = 8.0
-    lens_transmission: float = 1.0
-    full_well_e: float = 10_000.0
-    read_noise_e: float = 3.0
-    dark_current_e_s: float = 1.0
-    gain_dn_per_e: float = 0.39
-    offset_dn: float = 64.0
-    bit_depth: int = 12
-    dsnu_e: float = 0.0
-    prnu: float = 0.0
-    fpn_seed: int = 0
+    pixel_pitch_m: Annotated[float, Field(gt=0, le=1e-3)] = 3.45e-6
+    quantum_efficiency: Annotated[float, Field(gt=0, le=1)] = 0.6
+    wavelength_m: Annotated[
+        float, Field(gt=0, le=1e-4, description="of the light that is measured")
+    ] = 525e-9
+    f_number: Positive = 8.0
+    lens_transmission: Annotated[float, Field(gt=0, le=1)] = 1.0
+    full_well_e: Positive = 10_000.0
+    read_noise_e: Level = 3.0
+    dark_current_e_s: Level = 1.0
+    gain_dn_per_e: Positive = 0.39
+    offset_dn: Level = 64.0
+    bit_depth: Annotated[int, Field(ge=1, le=16)] = 12
+    dsnu_e: Annotated[float, Field(ge=0, description="fixed pattern of the offsets")] = 0.0
+    prnu: Annotated[
+        float, Field(ge=0, lt=0.25, description="fixed pattern of the gains, a share")
+    ] = 0.0
+    fpn_seed: Annotated[
+        int, Field(ge=0, description="of both fixed patterns; they belong to the sensor")
+    ] = 0
 
     def __post_init__(self) -> None:
-        if not 1 <= self.bit_depth <= 16:
-            raise ValueError(f"bit_depth is {self.bit_depth}; the sensor stores 1 to 16 bits")
-        for name in ("pixel_pitch_m", "wavelength_m", "f_number", "full_well_e", "gain_dn_per_e"):
-            if not 0 < getattr(self, name) < math.inf:
-                raise ValueError(f"{name} is {getattr(self, name)}; it must be positive")
-        for name in ("quantum_efficiency", "lens_transmission"):
-            if not 0 < getattr(self, name) <= 1:
-                raise ValueError(f"{name} is {getattr(self, name)}; a share above 0, up to 1")
-        for name in ("read_noise_e", "dark_current_e_s", "dsnu_e"):
-            if not 0 <= getattr(self, name) < math.inf:
-                raise ValueError(f"{name} is {getattr(self, name)}; it must be 0 or more")
-        if not 0 <= self.prnu < 0.25:
-            raise ValueError(f"prnu is {self.prnu}; a share of the signal from 0 to under 0.25")
-        if self.fpn_seed < 0:
-            raise ValueError(f"fpn_seed is {self.fpn_seed}; it must be 0 or more")
-        if not 0 <= self.offset_dn < self.max_dn:
-            raise ValueError(f"offset_dn is {self.offset_dn}; it must lie in 0 to {self.max_dn}")
+        check_fields(self)
+        if not self.offset_dn < self.max_dn:
+            raise ValueError(f"offset_dn is {self.offset_dn}; it must be below {self.max_dn}")
         if not self.saturation_dn > self.offset_dn:
             raise ValueError(
                 f"full_well_e is {self.full_well_e}; it must exceed {SATURATION_SIGMAS:g} times "

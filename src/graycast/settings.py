@@ -1,13 +1,31 @@
-"""YAML files that hold frozen pydantic models: read, checked, and refused with one clear line."""
+"""YAML files that hold frozen pydantic models: read, checked, and refused with one clear line.
+
+What a number may be is said once, in the annotation of the value's own dataclass, by pydantic's
+`Field`. The dataclass refuses what its annotations do not allow (`check_fields`), and a section of
+a file that sets its fields is made of them (`section_of`, `changes_of`) or is the dataclass itself.
+"""
 
 import difflib
+import math
 from collections.abc import Mapping
+from dataclasses import MISSING, fields
 from functools import cache
 from pathlib import Path
-from typing import Annotated, Any, TypeVar
+from typing import Annotated, Any, TypeVar, get_args, get_origin, get_type_hints
 
 import yaml
-from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError
+from pydantic import (
+    AfterValidator,
+    BaseModel,
+    ConfigDict,
+    Field,
+    GetCoreSchemaHandler,
+    TypeAdapter,
+    ValidationError,
+    create_model,
+)
+from pydantic.fields import FieldInfo
+from pydantic_core import CoreSchema
 
 from .errors import ConfigError
 
@@ -15,6 +33,7 @@ Vector = tuple[float, float, float]
 Share = Annotated[float, Field(ge=0, le=1)]
 Positive = Annotated[float, Field(gt=0)]
 Level = Annotated[float, Field(ge=0)]
+Finite = Annotated[float, Field(allow_inf_nan=False)]  # in files every number is
 
 
 def _ordered(span: tuple[Any, Any]) -> tuple[Any, Any]:
@@ -35,6 +54,122 @@ class Settings(BaseModel):
 
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
 
+
+# --- dataclasses and their sections ------------------------------------------------------------
+
+
+Base = TypeVar("Base", bound=Settings)
+
+
+def check_fields(value: object) -> None:
+    """Refuse what a dataclass's annotations do not allow; for its `__post_init__`.
+
+    A field's default is always allowed: infinity, where it means that there is no limit.
+
+    Raises:
+        ValueError: the text names the field, its value and what it may be.
+    """
+    kind: Any = type(value)  # a type that the cache takes, which mypy doubts
+    for name, (allowed, default, about) in _limits(kind).items():
+        given = getattr(value, name)
+        if given is default:
+            continue
+        try:
+            allowed.validate_python(given)
+        except ValidationError as error:
+            why = _reason(error.errors(include_url=False)[0]["msg"])
+            raise ValueError(f"{name} is {given!r}: {why}{about}") from None
+
+
+def section_of(
+    dataclass: type, name: str, *, about: str, base: type[Base], more: Mapping[str, Any]
+) -> type[Base]:
+    """A section with the fields of a dataclass; those without a default must be given.
+
+    A default of infinity is left out in a file, which knows no such number.
+
+    Args:
+        dataclass: with `Field` in its annotations.
+        name: of the section.
+        about: what the section is, for its schema.
+        base: what the section is beside that.
+        more: further fields, or what stands in the place of some: (annotation, field); None leaves
+            a field of the dataclass out.
+    """
+    own: dict[str, Any] = {}
+    for key, hint, said, default in _declared(dataclass):
+        if default == math.inf:
+            own[key] = _may_miss(hint, said)
+        else:
+            own[key] = (hint, Field(... if default is MISSING else default, description=said))
+    content = {key: field for key, field in (own | dict(more)).items() if field is not None}
+    return create_model(name, __base__=base, __doc__=about, **content)
+
+
+def changes_of(dataclass: type, name: str, *, about: str) -> type[Settings]:
+    """A section that says what is to change: each field of a dataclass may be left out."""
+    own: dict[str, Any] = {
+        key: _may_miss(hint, said) for key, hint, said, _ in _declared(dataclass)
+    }
+    return create_model(name, __base__=Settings, __doc__=about, **own)
+
+
+class ReadAs:
+    """In an annotation: pydantic reads the field by a section that was made at run time."""
+
+    def __init__(self, section: type[Settings]) -> None:
+        self._section = section
+
+    def __get_pydantic_core_schema__(
+        self, source: Any, handler: GetCoreSchemaHandler
+    ) -> CoreSchema:
+        return handler(self._section)
+
+
+def _may_miss(hint: Any, said: str | None) -> tuple[Any, Any]:
+    return hint | None, Field(None, description=said)
+
+
+def _declared(dataclass: Any) -> list[tuple[str, Any, str | None, Any]]:
+    """Name, annotation, description and default of each field."""
+    hints = get_type_hints(dataclass, include_extras=True)
+    found = []
+    for field in fields(dataclass):
+        hint = hints[field.name]
+        info = FieldInfo.from_annotation(hint)
+        if get_origin(hint) is Annotated:
+            hint = info.annotation
+            if info.metadata:
+                hint = Annotated[(hint, *info.metadata)]
+        default = field.default
+        if field.default_factory is not MISSING:
+            default = field.default_factory()
+        found.append((field.name, hint, info.description, default))
+    return found
+
+
+@cache
+def _limits(dataclass: type) -> dict[str, tuple[Any, Any, str]]:
+    """For each field whose annotation says more than a type: `TypeAdapter`, default, meaning."""
+    config = ConfigDict(strict=True, allow_inf_nan=False)
+    return {
+        name: (TypeAdapter(hint, config=config), default, f" ({said.rstrip('.')})" if said else "")
+        for name, hint, said, default in _declared(dataclass)
+        if _says_more(hint)
+    }
+
+
+def _says_more(hint: Any) -> bool:
+    return get_origin(hint) is Annotated or any(_says_more(inner) for inner in get_args(hint))
+
+
+def _reason(message: str) -> str:
+    """Pydantic's words as the second half of a sentence."""
+    message = message.removeprefix("Value error, ").replace("Input should", "it should", 1)
+    return f"{message[0].lower()}{message[1:]}"
+
+
+# --- reading -----------------------------------------------------------------------------------
 
 Model = TypeVar("Model", bound=Settings)
 
@@ -113,10 +248,9 @@ def _first_problem(error: ValidationError, model: type[Settings]) -> str:
         return f"unknown key {key}: {hint}{more}"
     if first["type"] == "missing":
         return f"{key} is missing: add it{more}"
-    message = first["msg"].removeprefix("Value error, ")
     if isinstance(first["input"], Mapping):
-        return f"{key}: {message}{more}"
-    return f"{key} is {first['input']!r}: {message[0].lower()}{message[1:]}{more}"
+        return f"{key}: {first['msg'].removeprefix('Value error, ')}{more}"
+    return f"{key} is {first['input']!r}: {_reason(first['msg'])}{more}"
 
 
 # What pydantic calls a key that a section, or a dataclass in its place, does not know.

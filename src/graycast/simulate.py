@@ -14,7 +14,7 @@ import numpy as np
 
 from . import __version__
 from .cell import Cell
-from .config import resolve_limits, resolve_quality
+from .config import resolve_quality
 from .dataset import Raw, Sample
 from .dataset.seeds import scene_seeds
 from .decode import CodeMap, Reason
@@ -58,9 +58,7 @@ def make_scene(
         counts = _counts(cell, scene_id, np.random.default_rng(seeds["counts"]))
         variation = _varied(cell, counts, seeds)
         scene, counts = variation.scene, variation.counts
-        layout = drop(
-            scene, counts, seed=seeds["drop"], limits=resolve_limits(config), on_stage=on_stage
-        )
+        layout = drop(scene, counts, seed=seeds["drop"], limits=config.drop, on_stage=on_stage)
     on_stage(f"{renderer.name} renders")
     with _timed(timings, "render"):
         quality = resolve_quality(config)

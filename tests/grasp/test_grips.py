@@ -12,13 +12,12 @@ from graycast.grasp import (
     Cup,
     Doubt,
     Jaws,
+    best_first,
     closing,
-    jaw_grips,
     jaw_load_factor,
     jaw_places,
     patch_of_mesh,
     robustness,
-    suction_grips,
     suction_in_depth,
     suction_places,
 )
@@ -40,9 +39,10 @@ def box(sides=SIDES_M):
 
 
 def test_suction_grips_of_a_box_stand_a_cup_s_radius_inside_its_faces():
-    grips = suction_grips(
+    places = suction_places(
         box(), CUP, weight_n=0.5, center_m=np.zeros(3), doubt=SURE, count=250, seed=1
     )
+    grips = best_first(places)
     half = np.array(SIDES_M) / 2
     for grip in grips:
         T = grip.T_part_tool
@@ -78,9 +78,10 @@ def test_a_heavy_part_is_gripped_near_its_centre_of_mass():
     """Tilt lets go where weight * shake * distance is above what N r / 2 holds."""
     long = box((0.2, 0.03, 0.02))
     weight_n = 2.0
-    grips = suction_grips(
+    places = suction_places(
         long, CUP, weight_n=weight_n, center_m=np.zeros(3), doubt=SURE, count=500, seed=2
     )
+    grips = best_first(places)
     top = [g.T_part_tool for g in grips if abs(g.T_part_tool[2, 2]) > 0.9]
     load_n = 1.5 * weight_n
     # Upright: load d <= (pull - load) r / 2; leaning adds its moment, so no grip is farther.
@@ -93,11 +94,13 @@ JAWS = Jaws(opening_m=0.05, force_n=40.0, friction=0.3, finger_m=(0.006, 0.010, 
 
 
 def test_jaw_grips_of_a_box_close_on_parallel_faces_that_fit():
-    grips = jaw_grips(box(), JAWS, weight_n=0.5, center_m=np.zeros(3), doubt=SURE, count=120)
+    places = jaw_places(box(), JAWS, weight_n=0.5, center_m=np.zeros(3), doubt=SURE, count=120)
+    grips = best_first(places)
     openings = {round(1e3 * grip.opening_m, 6) for grip in grips}
     assert openings == {20.0, 30.0, 40.0}
     narrow = Jaws(opening_m=0.035, force_n=40.0, friction=0.3, finger_m=(0.006, 0.010, 0.040))
-    grips = jaw_grips(box(), narrow, weight_n=0.5, center_m=np.zeros(3), doubt=SURE, count=120)
+    places = jaw_places(box(), narrow, weight_n=0.5, center_m=np.zeros(3), doubt=SURE, count=120)
+    grips = best_first(places)
     # 2 mm of room on both sides: of 20 and 30 mm both fit into 35 mm, 40 mm does not.
     assert {round(1e3 * grip.opening_m, 6) for grip in grips} == {20.0, 30.0}
 
@@ -112,7 +115,8 @@ def test_no_finger_stands_in_the_part():
         ),
     ]
     u = mesh_of(trimesh.boolean.union(walls))
-    grips = jaw_grips(u, JAWS, weight_n=0.3, center_m=np.zeros(3), doubt=SURE, count=300)
+    places = jaw_places(u, JAWS, weight_n=0.3, center_m=np.zeros(3), doubt=SURE, count=300)
+    grips = best_first(places)
     assert any(grip.opening_m == pytest.approx(0.003) for grip in grips)  # round one wall
     points = trimesh.sample.sample_surface(trimesh.Trimesh(u.vertices_m, u.faces), 5000, seed=1)[0]
     for grip in grips[:50]:
@@ -216,12 +220,13 @@ def test_what_lies_beyond_an_open_pad_is_not_between_the_pads():
 def test_places_are_grips_and_those_that_do_not_hold(kind):
     known = {"weight_n": 0.5, "center_m": np.zeros(3), "doubt": DOUBT, "count": 60}
     if kind == "suction":
-        places, grips = suction_places(box(), CUP, **known), suction_grips(box(), CUP, **known)
+        places = suction_places(box(), CUP, **known)
         assert len(places) == 60
     else:
-        places, grips = jaw_places(box(), JAWS, **known), jaw_grips(box(), JAWS, **known)
+        places = jaw_places(box(), JAWS, **known)
         # All sides but the longest leave room; fingers may come from 8 ways.
         assert len(places) % 8 == 0
+    grips = best_first(places)
     assert 0 < len(grips) < len(places)
     held = [place for place in places if place.score > 0]
     assert sorted((g.score for g in grips), reverse=True) == [g.score for g in grips]
@@ -233,7 +238,8 @@ def test_a_wall_is_gripped_from_inside_where_the_hole_leaves_a_finger_room(hole_
     """A square tube of 4 mm walls; a finger of 6 mm needs 2 mm more beside it."""
     outer = trimesh.creation.box((hole_m + 0.008, hole_m + 0.008, 0.03))
     tube = mesh_of(outer.difference(trimesh.creation.box((hole_m, hole_m, 0.04))))
-    grips = jaw_grips(tube, JAWS, weight_n=0.2, center_m=np.zeros(3), doubt=SURE, count=300)
+    places = jaw_places(tube, JAWS, weight_n=0.2, center_m=np.zeros(3), doubt=SURE, count=300)
+    grips = best_first(places)
     walls = [grip for grip in grips if grip.opening_m == pytest.approx(0.004)]
     assert bool(walls) == inside
     for grip in walls:

@@ -1,5 +1,7 @@
 """What a user of the page does and sees, for the tests that drive a browser."""
 
+from contextlib import contextmanager
+
 import numpy as np
 
 SCENES = (0, 3, 4)
@@ -7,6 +9,26 @@ SCENES = (0, 3, 4)
 
 def ready(page, name):
     page.wait_for_selector(f'#main[data-ready="{name}"]')
+
+
+@contextmanager
+def watched_page(browser, address):
+    """The overview; at the end, whatever the browser complained about fails the test."""
+    complaints = []
+    page = browser.new_page(viewport={"width": 1400, "height": 860})
+    page.on("console", lambda message: complaints.append(message.text))
+    page.on("pageerror", lambda error: complaints.append(str(error)))
+    page.on(
+        "request",
+        lambda request: (
+            request.url.startswith(("file:", "data:", "blob:")) or complaints.append(request.url)
+        ),
+    )
+    page.goto(address)
+    ready(page, "overview")
+    yield page
+    page.close()
+    assert complaints == []
 
 
 def opened(page, made, scene_id, view=None):

@@ -7,7 +7,7 @@ from pictured import lensed_rig, write_dataset
 
 from graycast.report.page import write_report
 
-from .browsing import SCENES, ready
+from .browsing import SCENES, watched_page
 
 FLAGS = ["--no-sandbox", "--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"]
 
@@ -48,18 +48,5 @@ def browser():
 @pytest.fixture
 def page(browser, made):
     """The overview; at the end, whatever the browser complained about fails the test."""
-    complaints = []
-    page = browser.new_page(viewport={"width": 1400, "height": 860})
-    page.on("console", lambda message: complaints.append(message.text))
-    page.on("pageerror", lambda error: complaints.append(str(error)))
-    page.on(
-        "request",
-        lambda request: (
-            request.url.startswith(("file:", "data:", "blob:")) or complaints.append(request.url)
-        ),
-    )
-    page.goto(made[2].as_uri())
-    ready(page, "overview")
-    yield page
-    page.close()
-    assert complaints == []
+    with watched_page(browser, made[2].as_uri()) as page:
+        yield page

@@ -168,6 +168,12 @@ def test_pages_of_real_pictures_are_built(dataset, tmp_path):
     assert write_report(out, tmp_path / "page").built == 2
 
 
-def test_every_file_of_the_page_is_in_the_package():
-    names = {path.name for path in (resources.files(build.__package__) / "web").iterdir()}
-    assert {"index.html", "style.css", "app.js", "cloud.js"} <= names
+def test_every_file_for_the_browser_is_on_a_page(dataset, tmp_path):
+    """The names in Python and the files in `web` are the same, so none is forgotten or left."""
+    write_report(dataset, tmp_path / "page")
+    web = {path.name for path in (resources.files(build.__package__) / "web").iterdir()}
+    written = {path.name for path in (tmp_path / "page").glob("*.*")}
+    assert written == web | {"index.js"}
+    page = (tmp_path / "page/index.html").read_text()
+    loaded = re.findall(r'(?:src|href)="([^"#]+\.(?:js|css))"', page)
+    assert sorted(loaded) == sorted(written - {"index.html"}) and "$" not in page

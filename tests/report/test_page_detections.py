@@ -11,7 +11,7 @@ from graycast.evaluate.labels import run_lengths_of
 from graycast.report.page import write_report
 from graycast.training import open_examples
 
-from .browsing import opened, ready
+from .browsing import opened, ready, watched_page
 
 pytestmark = [
     pytest.mark.slow,
@@ -112,15 +112,8 @@ def test_results_of_another_dataset_are_refused_before_a_page_is_written(made, t
 
 @pytest.fixture
 def page(browser, looked_at):
-    complaints = []
-    page = browser.new_page(viewport={"width": 1400, "height": 860})
-    page.on("console", lambda message: complaints.append(message.text))
-    page.on("pageerror", lambda error: complaints.append(str(error)))
-    page.goto(looked_at[2].as_uri())
-    ready(page, "overview")
-    yield page
-    page.close()
-    assert complaints == []
+    with watched_page(browser, looked_at[2].as_uri()) as page:
+        yield page
 
 
 def cards(page):

@@ -10,7 +10,7 @@ from graycast.pick import read_episodes
 from graycast.pick.replay import open_replay, read_motions
 from graycast.report.picks import write_pick_report
 
-from .browsing import ready
+from .browsing import ready, watched_page
 from .picked import GRIP, LOST_S, STEP_S, STEPS, write_picks
 
 pytestmark = pytest.mark.slow
@@ -31,21 +31,8 @@ def address(picks, tmp_path_factory):
 @pytest.fixture
 def page(browser, address):
     """All bins; at the end, whatever the browser complained about fails the test."""
-    complaints = []
-    page = browser.new_page(viewport={"width": 1400, "height": 860})
-    page.on("console", lambda message: complaints.append(message.text))
-    page.on("pageerror", lambda error: complaints.append(str(error)))
-    page.on(
-        "request",
-        lambda request: (
-            request.url.startswith(("file:", "data:", "blob:")) or complaints.append(request.url)
-        ),
-    )
-    page.goto(address)
-    ready(page, "overview")
-    yield page
-    page.close()
-    assert complaints == []
+    with watched_page(browser, address) as page:
+        yield page
 
 
 def opened(page, address, key):

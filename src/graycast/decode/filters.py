@@ -9,13 +9,15 @@ Leaves out: lens distortion, whose share in the angle between neighbouring rays 
 
 import math
 from dataclasses import dataclass
-from typing import no_type_check
+from typing import Annotated, no_type_check
 
 import numba
 import numpy as np
 from jaxtyping import Float
+from pydantic import Field
 
 from ..optics import Optics
+from ..settings import check_fields
 from .maps import DepthMap, Reason
 
 STEP_SIGMAS = 3.0  # noise up to here neither tears a surface nor makes it steep
@@ -39,24 +41,40 @@ class FilterSpec:
     `step_angle_deg`: neighbours are connected up to this angle of incidence.
     """
 
-    flying_angle_deg: float | None = None
-    outlier_sigmas: float | None = None
-    outlier_share: float = 3e-4
-    island_px: int | None = None
-    smoothing_px: float | None = None
-    step_angle_deg: float = 80.0
+    flying_angle_deg: Annotated[
+        float | None,
+        Field(
+            ge=0,
+            lt=90,
+            description="pixels between two surfaces go where a step is seen at more than this",
+        ),
+    ] = None
+    outlier_sigmas: Annotated[
+        float | None,
+        Field(
+            ge=0,
+            description="pixels go that are this many standard deviations off their neighbours",
+        ),
+    ] = None
+    outlier_share: Annotated[
+        float, Field(ge=0, description="and farther than this share of depth")
+    ] = 3e-4
+    island_px: Annotated[int | None, Field(ge=0, description="surfaces of fewer pixels go")] = None
+    smoothing_px: Annotated[
+        float | None,
+        Field(ge=0, le=10, description="standard deviation of the smoothing kernel"),
+    ] = None
+    step_angle_deg: Annotated[
+        float,
+        Field(
+            gt=0,
+            lt=90,
+            description="neighbours seen at more than this angle are two surfaces",
+        ),
+    ] = 80.0
 
     def __post_init__(self) -> None:
-        for name in ("outlier_sigmas", "outlier_share", "island_px", "smoothing_px"):
-            value = getattr(self, name)
-            if value is not None and not 0 <= value < math.inf:
-                raise ValueError(f"{name} is {value}; it must be 0 or more")
-        if self.smoothing_px is not None and self.smoothing_px > 10:
-            raise ValueError(f"smoothing_px is {self.smoothing_px}; it must be 10 or less")
-        if self.flying_angle_deg is not None and not 0 <= self.flying_angle_deg < 90:
-            raise ValueError(f"flying_angle_deg is {self.flying_angle_deg}; 0 or more, under 90")
-        if not 0 < self.step_angle_deg < 90:
-            raise ValueError(f"step_angle_deg is {self.step_angle_deg}; it lies between 0 and 90")
+        check_fields(self)
 
 
 def filter_depth(depth: DepthMap, spec: FilterSpec, camera: Optics) -> DepthMap:

@@ -2,11 +2,14 @@
 
 from dataclasses import dataclass
 from enum import IntEnum, IntFlag
+from typing import Annotated
 
 import numpy as np
 from jaxtyping import Float, UInt8
+from pydantic import Field
 
 from ..sensor import SensorSpec, stored_saturation_dn
+from ..settings import check_fields
 
 
 class Reason(IntEnum):
@@ -95,20 +98,16 @@ class DecodeSpec:
     three standard deviations is an outlier; 0 lets all pass.
     """
 
-    min_contrast: float = 0.02
-    doubt: float = 0.15
-    fine_bits: int = 3
-    max_epipolar_px: float = 2.0
+    min_contrast: Annotated[float, Field(gt=0, lt=1)] = 0.02
+    doubt: Annotated[float, Field(ge=0, lt=1)] = 0.15
+    fine_bits: Annotated[int, Field(ge=0)] = 3
+    max_epipolar_px: Annotated[
+        float,
+        Field(ge=0, description="farther off its epipolar line a point is an outlier; 0: never"),
+    ] = 2.0
 
     def __post_init__(self) -> None:
-        if not 0 < self.min_contrast < 1:
-            raise ValueError(f"min_contrast is {self.min_contrast}; a share between 0 and 1")
-        if not 0 <= self.doubt < 1:
-            raise ValueError(f"doubt is {self.doubt}; a share from 0 to 1")
-        if self.fine_bits < 0:
-            raise ValueError(f"fine_bits is {self.fine_bits}; 0 or more")
-        if not self.max_epipolar_px >= 0:
-            raise ValueError(f"max_epipolar_px is {self.max_epipolar_px}; 0 (off) or more")
+        check_fields(self)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

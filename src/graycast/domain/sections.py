@@ -8,6 +8,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import BeforeValidator, Field
 
+from ..parts.part import Roughness
 from ..parts.sections import PartSection
 from ..settings import Level, PositiveSpan, Settings, Share, ShareSpan, Span, SpanOf
 
@@ -15,7 +16,7 @@ KINDS = ("adapted", "randomized")
 
 
 Hue = SpanOf[Annotated[float, Field(ge=0, le=360)]]
-Roughness = SpanOf[Annotated[float, Field(ge=0.05, le=1)]]
+RoughnessSpan = SpanOf[Roughness]
 SizeFactor = SpanOf[Annotated[float, Field(ge=0.5, le=2)]]
 DistanceFactor = SpanOf[Annotated[float, Field(ge=0.2, le=5)]]
 Tilt = SpanOf[Annotated[float, Field(ge=-80, le=80)]]
@@ -89,7 +90,7 @@ class SurfaceRanges(Settings):
     texture_size_m: PositiveSpan = Field(
         (0.2, 1.0), description="that a picture covers before it repeats; log-uniform"
     )
-    roughness: Roughness = Field((0.3, 1.0), description="0.05 polished to 1 matt")
+    roughness: RoughnessSpan = Field((0.3, 1.0), description="0.05 polished to 1 matt")
     metal_share: Share = Field(0.0, description="of the scenes in which it is bare metal")
 
 

@@ -3,12 +3,15 @@
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Annotated
 
 import numpy as np
+from pydantic import Field
 
 from ..errors import DropError
 from ..parts import Part
 from ..scene import Bin, Layout, Scene
+from ..settings import check_fields
 from .body import Body, body_of
 from .decomposition import Decomposition, OnStage, convex_hulls, silent
 from .grid import start_poses
@@ -26,17 +29,26 @@ class DropLimits:
     `simulated_s` is how long one attempt may fall and settle, in simulated time.
     """
 
-    penetration_m: float = 0.5e-3
-    attempts: int = 5
-    simulated_s: float = 20.0
+    penetration_m: Annotated[
+        float,
+        Field(gt=0, le=0.1, description="The deepest overlap of parts that is accepted."),
+    ] = 0.5e-3
+    attempts: Annotated[
+        int, Field(ge=1, description="How often the parts are dropped at most.")
+    ] = 5
+    simulated_s: Annotated[
+        float,
+        Field(
+            gt=0,
+            le=600,
+            description="How much simulated time the parts of one attempt may take to come to "
+            "rest.",
+            exclude_if=lambda seconds: seconds == 20.0,  # so that older datasets can go on
+        ),
+    ] = 20.0
 
     def __post_init__(self) -> None:
-        if not 0 < self.penetration_m <= 0.1:
-            raise ValueError(f"penetration_m is {self.penetration_m}; metres, above 0, up to 0.1")
-        if self.attempts < 1:
-            raise ValueError(f"attempts is {self.attempts}; at least 1")
-        if not 0 < self.simulated_s <= 600:
-            raise ValueError(f"simulated_s is {self.simulated_s}; seconds, above 0, up to 600")
+        check_fields(self)
 
 
 def flaws(layout: Layout, limits: DropLimits) -> tuple[str, ...]:

@@ -1,8 +1,8 @@
 """Where a part can be gripped: surfaces under a tool, seals of suction cups, what a grip holds."""
 
-from .grip import Grip
-from .jaws import CLEARANCE_M, Jaws, closing, jaw_grips, jaw_load_factor, jaw_places
-from .known import suction_grips, suction_places
+from .grip import Grip, best_first
+from .jaws import CLEARANCE_M, Jaws, closing, jaw_load_factor, jaw_places
+from .known import suction_places
 from .patch import Patch, patch_of_depth, patch_of_mesh
 from .robust import CARRIED_M_S2, Burden, Doubt, patch_radius_m, robustness
 from .suction import Cup, Seal, load_factor, seal
@@ -19,8 +19,8 @@ __all__ = [
     "Patch",
     "Seal",
     "SeenGrip",
+    "best_first",
     "closing",
-    "jaw_grips",
     "jaw_load_factor",
     "jaw_places",
     "load_factor",
@@ -29,7 +29,6 @@ __all__ = [
     "patch_radius_m",
     "robustness",
     "seal",
-    "suction_grips",
     "suction_in_depth",
     "suction_places",
 ]

@@ -1,5 +1,6 @@
 """A grip: where a tool goes on a part, and how it may lean there."""
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
@@ -23,6 +24,11 @@ class Grip:
 
     def __post_init__(self) -> None:
         self.T_part_tool.flags.writeable = False
+
+
+def best_first(places: Iterable[Grip]) -> list[Grip]:
+    """The places at which a tool holds, that is whose score is above 0; the surest comes first."""
+    return sorted((grip for grip in places if grip.score > 0), key=lambda grip: -grip.score)
 
 
 def frame_on(point_m: Float[np.ndarray, "3"], normal: Float[np.ndarray, "3"]) -> np.ndarray:

@@ -68,31 +68,6 @@ def jaw_load_factor(
         return 2 * jaws.friction * jaws.force_n / demand
 
 
-def jaw_grips(
-    mesh: Mesh,
-    jaws: Jaws,
-    *,
-    weight_n: float,
-    center_m: Float[np.ndarray, "3"],
-    doubt: Doubt,
-    count: int = 200,
-    chances: int = 24,
-    seed: int = 0,
-) -> list[Grip]:
-    """Where two fingers close on a part, best first: `jaw_places` whose score is above 0."""
-    places = jaw_places(
-        mesh,
-        jaws,
-        weight_n=weight_n,
-        center_m=center_m,
-        doubt=doubt,
-        count=count,
-        chances=chances,
-        seed=seed,
-    )
-    return sorted((grip for grip in places if grip.score > 0), key=lambda grip: -grip.score)
-
-
 def jaw_places(
     mesh: Mesh,
     jaws: Jaws,

@@ -14,23 +14,6 @@ from .robust import Burden, Doubt, patch_radius_m, robustness
 from .suction import Cup
 
 
-def suction_grips(
-    mesh: Mesh,
-    cup: Cup,
-    *,
-    weight_n: float,
-    center_m: Float[np.ndarray, "3"],
-    doubt: Doubt,
-    count: int = 200,
-    seed: int = 0,
-) -> list[Grip]:
-    """Places where a cup holds a part, best first: `suction_places` whose score is above 0."""
-    places = suction_places(
-        mesh, cup, weight_n=weight_n, center_m=center_m, doubt=doubt, count=count, seed=seed
-    )
-    return sorted((grip for grip in places if grip.score > 0), key=lambda grip: -grip.score)
-
-
 def suction_places(
     mesh: Mesh,
     cup: Cup,

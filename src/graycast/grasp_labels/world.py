@@ -3,7 +3,6 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -14,14 +13,13 @@ from ..dataset.claim import BESIDE_CONFIG, part_digest, rig_of
 from ..dataset.example import pose_m
 from ..dataset.stored import StoredDataset, StoredScene
 from ..drop import Body, OnStage, make_bodies
-from ..drop.rapier import GRAVITY_M_S2
 from ..errors import ConfigError, DatasetError
 from ..frames import inverse
-from ..grasp import Doubt, Grip, jaw_places, suction_places
+from ..grasp import Grip
 from ..parts import Part
 from ..pick.obstacles import standing
 from ..pick.robot import Obstacle
-from ..pick.tools import SuctionTool, Tool
+from ..pick.tools import Tool, tool_places
 from ..pick.touch import Kind
 from ..rig import Rig
 from ..scene import Bin, Scene
@@ -106,7 +104,7 @@ def make_world(
     places = []
     for part, body in zip(stock.parts, bodies, strict=True):
         on_stage(f"{part.name}: places to grip it are looked for")
-        places.append(tuple(_places(labelling, part, body)))
+        places.append(tuple(tool_places(labelling.tool, part, body, count=labelling.places)))
     if not any(places):
         raise ConfigError(f"tool: its jaws fit round none of {_named(stock.parts)}: open them more")
     return World(
@@ -120,16 +118,6 @@ def make_world(
 
 def _named(parts: Sequence[Part]) -> str:
     return ", ".join(part.name for part in parts)
-
-
-def _places(labelling: Labelling, part: Part, body: Body) -> list[Grip]:
-    tool, weight_n = labelling.tool, body.mass_kg * GRAVITY_M_S2
-    known: dict[str, Any] = {
-        "weight_n": weight_n, "center_m": body.center_m, "doubt": Doubt(), "count": labelling.places
-    }  # fmt: skip
-    if isinstance(tool, SuctionTool):
-        return suction_places(part.mesh, tool.cup, **known)
-    return jaw_places(part.mesh, tool.jaws, **known)
 
 
 def read_heap(scene: StoredScene) -> Heap:

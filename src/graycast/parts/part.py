@@ -2,9 +2,16 @@
 
 import math
 from dataclasses import dataclass, field, replace
+from typing import Annotated
 
 import numpy as np
 from jaxtyping import Float, Int, UInt8
+from pydantic import Field
+
+from ..settings import Share, check_fields
+
+Color = tuple[Share, Share, Share]  # linear red, green and blue
+Roughness = Annotated[float, Field(ge=0.05, le=1)]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -25,26 +32,15 @@ class Material:
     Leaves out: translucency, anisotropy, spectra finer than three bands and that one line.
     """
 
-    base_color: tuple[float, float, float] = (0.5, 0.5, 0.5)
+    base_color: Color = (0.5, 0.5, 0.5)
     texture: UInt8[np.ndarray, "h w 3"] | None = None
-    metallic: float = 0.0
-    roughness: float = 0.5
-    specular: float = 0.5
-    projector_reflectance: float | None = None
+    metallic: Share = 0.0
+    roughness: Roughness = 0.5
+    specular: Share = 0.5
+    projector_reflectance: Share | None = None
 
     def __post_init__(self) -> None:
-        if len(self.base_color) != 3 or not all(0 <= c <= 1 for c in self.base_color):
-            raise ValueError(f"base_color is {self.base_color}; three linear values in 0 to 1")
-        if not 0.05 <= self.roughness <= 1:
-            raise ValueError(f"roughness is {self.roughness}; 0.05 (polished) to 1")
-        for name in ("metallic", "specular"):
-            if not 0 <= getattr(self, name) <= 1:
-                raise ValueError(f"{name} is {getattr(self, name)}; it is between 0 and 1")
-        if self.projector_reflectance is not None and not 0 <= self.projector_reflectance <= 1:
-            raise ValueError(
-                f"projector_reflectance is {self.projector_reflectance}; it is between 0 and 1, or "
-                "None for what the colour says"
-            )
+        check_fields(self)
         if self.texture is not None:
             self.texture.flags.writeable = False
 

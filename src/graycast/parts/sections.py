@@ -14,7 +14,7 @@ from ..frames import is_rigid
 from ..settings import Positive, Settings, Share, Vector
 from .builtin import BUILTIN, builtin_part
 from .meshfile import load_part
-from .part import Material, Part, Symmetry
+from .part import Color, Material, Part, Roughness, Symmetry
 
 Unit = Literal["m", "cm", "mm", "inch"]
 
@@ -22,12 +22,10 @@ Unit = Literal["m", "cm", "mm", "inch"]
 class MaterialSection(Settings):
     """A surface in a few physical words."""
 
-    base_color: tuple[Share, Share, Share] = Field(
-        (0.5, 0.5, 0.5), description="linear RGB reflectance, each 0 to 1"
-    )
+    base_color: Color = Field((0.5, 0.5, 0.5), description="linear RGB reflectance, each 0 to 1")
     texture: Path | None = Field(None, description="picture file that replaces base_color (sRGB)")
     metallic: Share = Field(0.0, description="0 plastic, paint, wood, card; 1 bare metal")
-    roughness: float = Field(0.5, ge=0.05, le=1, description="0.05 polished to 1 matt")
+    roughness: Roughness = Field(0.5, description="0.05 polished to 1 matt")
     specular: Share = Field(0.5, description="0 Lambertian, 0.5 clear coat of index 1.5")
     projector_reflectance: Share | None = Field(
         None, description="at the projector's wavelength; left out: base_color in its bands"

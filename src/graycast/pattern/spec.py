@@ -3,8 +3,11 @@
 import inspect
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Literal, get_args
+from typing import Annotated, Literal, get_args
 
+from pydantic import Field
+
+from ..settings import check_fields
 from .code import (
     Code,
     gray,
@@ -37,14 +40,25 @@ class CodeSpec:
     `base_bit` is the bit that `xor_gray` combines the coarser ones with.
     """
 
-    codec: Codec = "gray"
-    axes: tuple[Axis, ...] = ("column", "row")
-    inverses: bool | None = None
-    period_px: float | None = None
-    steps: int | None = None
-    base_bit: int | None = None
+    codec: Annotated[Codec, Field(description="how positions are coded")] = "gray"
+    axes: Annotated[
+        tuple[Axis, ...],
+        Field(description="what is coded; the axis along the baseline gives depth"),
+    ] = ("column", "row")
+    inverses: Annotated[
+        bool | None, Field(description="show each binary picture's inverse as well")
+    ] = None
+    period_px: Annotated[
+        float | None, Field(gt=0, description="of phases and lines, projector pixels")
+    ] = None
+    steps: Annotated[int | None, Field(ge=3, description="of each phase")] = None
+    base_bit: Annotated[
+        int | None,
+        Field(ge=0, description="xor_gray: the bit that coarser ones are combined with"),
+    ] = None
 
     def __post_init__(self) -> None:
+        check_fields(self)
         if self.codec not in _MAKERS:
             raise ValueError(f"no codec {self.codec!r}: choose one of {', '.join(CODECS)}")
         taken = inspect.signature(_MAKERS[self.codec]).parameters

@@ -5,7 +5,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from ..config import resolve_limits
 from ..drop import Lift, lift, parts_outside, simulate
 from ..drop.rapier import STEP_S
 from ..evaluate.pose_errors import rotation_translation
@@ -142,7 +141,7 @@ def _settled(
     ready: Ready, world: World, T_world_part: Float[np.ndarray, "n 4 4"], kept: np.ndarray
 ) -> World:
     """What is left, at rest again; what falls out of the bin meanwhile is gone, too."""
-    box, limits = ready.cell.box, resolve_limits(ready.cell.config)
+    box, limits = ready.cell.box, ready.cell.config.drop
     numbers, index, poses = world.numbers[kept], world.layout.part_index[kept], T_world_part[kept]
     if not len(numbers):
         return replace(world, numbers=numbers, layout=Layout(T_world_part=poses, part_index=index))

@@ -11,7 +11,6 @@ import numpy as np
 from jaxtyping import Float, UInt8
 from scipy.spatial.transform import Rotation
 
-from ..config import resolve_limits
 from ..drop import OnStage, drop
 from ..frames import rigid
 from ..render import Renderer
@@ -75,7 +74,7 @@ def empty_bin(
         ready.cell.cell.scene,
         counts,
         seed=int(streams["drop"].generate_state(1, np.uint64)[0]),
-        limits=resolve_limits(config),
+        limits=config.drop,
         on_stage=on_stage,
     )
     world = World(

@@ -10,7 +10,7 @@ from ..drop import Body, OnStage, make_bodies
 from ..drop.rapier import GRAVITY_M_S2
 from ..errors import ConfigError
 from ..frames import inverse, rigid
-from ..grasp import Doubt, Grip, jaw_grips, suction_grips
+from ..grasp import best_first
 from ..parts import Part
 from ..parts.symmetry import joined, motions, shape_symmetry
 from ..pose import pose_model
@@ -18,9 +18,11 @@ from .aim import KnownPart
 from .cell import PickCell
 from .obstacles import standing
 from .robot import Robot, open_robot
-from .tools import SuctionTool, T_flange_tip, Tool, pieces
+from .tools import T_flange_tip, Tool, pieces, tool_places
 from .touch import Kind
 from .ways import Load, Surroundings
+
+_PLACES = 200  # that are tried on each kind of part
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -128,20 +130,11 @@ def _surroundings(cell: PickCell, robot: Robot, load: Load) -> Surroundings:
 
 def _known(tool: Tool, part: Part, body: Body) -> KnownPart:
     """Raises ConfigError: the tool holds the part nowhere."""
-    weight_n = body.mass_kg * GRAVITY_M_S2
-    grips: list[Grip]
-    if isinstance(tool, SuctionTool):
-        grips = suction_grips(
-            part.mesh, tool.cup, weight_n=weight_n, center_m=body.center_m, doubt=Doubt()
-        )
-    else:
-        grips = jaw_grips(
-            part.mesh, tool.jaws, weight_n=weight_n, center_m=body.center_m, doubt=Doubt()
-        )
+    grips = best_first(tool_places(tool, part, body, count=_PLACES))
     if not grips:
         raise ConfigError(
-            f"tool: it holds part {part.name} ({weight_n:.2f} N) nowhere: give it another size or "
-            "more force"
+            f"tool: it holds part {part.name} ({body.mass_kg * GRAVITY_M_S2:.2f} N) nowhere: "
+            "give it another size or more force"
         )
     return KnownPart(model=pose_model(part.mesh, part.symmetry), grips=tuple(grips))
 

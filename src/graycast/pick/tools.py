@@ -10,8 +10,11 @@ import numpy as np
 from jaxtyping import Float
 from pydantic import Field
 
+from ..drop import Body
+from ..drop.rapier import GRAVITY_M_S2
 from ..frames import rigid
-from ..grasp import Cup, Jaws
+from ..grasp import Cup, Doubt, Grip, Jaws, jaw_places, suction_places
+from ..parts import Part
 from ..settings import Positive, Settings
 from .robot import Mounted
 
@@ -46,6 +49,19 @@ class JawTool(Settings):
 
 
 Tool = SuctionTool | JawTool
+
+
+def tool_places(tool: Tool, part: Part, body: Body, *, count: int) -> list[Grip]:
+    """Where a tool goes on a part, also where it does not hold: `count` places are tried."""
+    known: dict[str, Any] = {
+        "weight_n": body.mass_kg * GRAVITY_M_S2,
+        "center_m": body.center_m,
+        "doubt": Doubt(),
+        "count": count,
+    }
+    if isinstance(tool, SuctionTool):
+        return suction_places(part.mesh, tool.cup, **known)
+    return jaw_places(part.mesh, tool.jaws, **known)
 
 
 def T_flange_tip(tool: Tool) -> Float[np.ndarray, "4 4"]:

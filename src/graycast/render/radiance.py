@@ -2,15 +2,22 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Literal, Protocol, runtime_checkable
+from typing import Annotated, Literal, Protocol, runtime_checkable
 
 import numpy as np
 from jaxtyping import Bool, Float, Int, UInt8
+from pydantic import Field
 
 from ..optics import Optics
 from ..scene import Layout, Scene
+from ..settings import check_fields
 
 Denoiser = Literal["oidn", "optix"]
+Samples = Annotated[int, Field(ge=1, le=65536, description="How many light paths a pixel has.")]
+PathDepth = Annotated[
+    int,
+    Field(ge=1, le=64, description="How many surfaces a path meets. 1 is direct light."),
+]
 OnFrame = Callable[[int, int], None]  # hears how many renders of a scene are done, and of how many
 
 
@@ -24,16 +31,13 @@ class Quality:
     stack by itself, with Open Image Denoise or, on an NVIDIA GPU, OptiX.
     """
 
-    samples: int = 16
-    depth: int = 4
+    samples: Samples = 16
+    depth: PathDepth = 4
     footprint: bool = True
     denoise: Denoiser | Literal["none"] = "none"
 
     def __post_init__(self) -> None:
-        if not 1 <= self.samples <= 65536:
-            raise ValueError(f"samples is {self.samples}; 1 to 65536 paths per pixel")
-        if not 1 <= self.depth <= 64:
-            raise ValueError(f"depth is {self.depth}; 1 to 64 vertices per path")
+        check_fields(self)
         if self.denoise not in ("none", "oidn", "optix"):
             raise ValueError(f"denoise is {self.denoise!r}; 'none', 'oidn' or 'optix'")
 

@@ -12,71 +12,47 @@ from pydantic import Field
 from ..errors import ConfigError, GraycastError
 from ..folder import write_whole
 from ..frames import rigid
-from ..rig import PRESETS, RESOLUTIONS
+from ..optics import Optics
+from ..rig import PRESETS, RESOLUTIONS, Rig
 from ..scanner import Scanner, preset
-from ..settings import Settings, check_settings, parse_yaml, read_text
+from ..settings import Settings, check_settings, parse_yaml, read_text, section_of
 from .reading import build_optics, build_rig, check_rotation, is_file_storage
 from .sections import ScannerSections, scanner_of
 
 Row = tuple[float, float, float]
 
 
-class OpticsModel(Settings):
-    """Intrinsics of a camera or projector; the centre of the top-left pixel is (0, 0)."""
-
-    width_px: int = Field(ge=1, description="Image width.")
-    height_px: int = Field(ge=1, description="Image height.")
-    fx_px: float = Field(gt=0, description="Focal length along x.")
-    fy_px: float = Field(gt=0, description="Focal length along y.")
-    cx_px: float = Field(description="Principal point, x.")
-    cy_px: float = Field(description="Principal point, y.")
-    distortion: tuple[float, float, float, float, float] = Field(
-        default=(0.0, 0.0, 0.0, 0.0, 0.0),
-        description="Brown-Conrady (k1, k2, p1, p2, k3), OpenCV's order.",
-    )
-    aperture_m: float = Field(0.0, ge=0, description="Diameter of the pupil; 0 is a pinhole.")
-    focus_m: float | None = Field(
-        None, gt=0, description="Distance in focus, along the axis; left out: far away."
-    )
-    psf_px: float = Field(0.0, ge=0, description="Radius of the blur at every distance.")
-    natural_vignetting: bool = Field(False, description="Darker towards the corners by cosines.")
-    fill_factor: float = Field(1.0, gt=0, le=1, description="Share of a pixel's area that works.")
-
-
-class RigModel(ScannerSections):
-    """A camera and a projector that hold still to each other, and how they measure."""
-
-    name: str = Field(min_length=1, description="Name in reports and datasets.")
-    camera: OpticsModel
-    projector: OpticsModel
-    R_cam_proj: tuple[Row, Row, Row] = Field(
-        description="Rotation, row by row: projector to camera coordinates."
-    )
-    t_cam_proj_m: Row = Field(description="The projector's centre in camera coordinates [m].")
-    near_m: float = Field(gt=0, description="Nearest depth of the working range.")
-    far_m: float = Field(gt=0, description="Farthest depth of the working range.")
-    intensity_w_sr: float = Field(
-        default=10.0, gt=0, description="Radiant intensity of a white projector pixel [W/sr]."
-    )
-    band_weights: Row = Field(
-        default=(1 / 3, 1 / 3, 1 / 3), description="Shares of red, green and blue; sum 1."
-    )
-    picture_level: float = Field(
-        default=0.0, ge=0, le=1, description="Projector's level while the colour picture is taken."
-    )
-    response: tuple[float, ...] = Field(
-        (0.0, 1.0), description="Radiance at equally spaced grey levels, shares of white's."
-    )
-    contrast_ratio: float | None = Field(
-        None, gt=1, description="The projector's white over black; left out: black is black."
-    )
-    veil: float = Field(0.0, ge=0, lt=1, description="Share of stray light in the camera.")
-    speckle_contrast: float = Field(0.0, ge=0, le=1, description="Of a laser on a rough surface.")
+_OpticsModel = section_of(
+    Optics,
+    "OpticsModel",
+    about="Intrinsics of a camera or projector; the centre of the top-left pixel is (0, 0).",
+    base=Settings,
+    more={},
+)
+_RigModel = section_of(
+    Rig,
+    "RigModel",
+    about="A camera and a projector that hold still to each other, and how they measure.",
+    base=ScannerSections,
+    more={
+        "camera": (_OpticsModel, ...),
+        "projector": (_OpticsModel, ...),
+        "T_cam_proj": None,  # a file has it in two keys
+        "R_cam_proj": (
+            tuple[Row, Row, Row],
+            Field(description="Rotation, row by row: projector to camera coordinates."),
+        ),
+        "t_cam_proj_m": (
+            Row,
+            Field(description="The projector's centre in camera coordinates [m]."),
+        ),
+    },
+)
 
 
 def rig_schema() -> dict[str, Any]:
     """JSON Schema of a rig file, from which editors complete."""
-    return RigModel.model_json_schema()
+    return _RigModel.model_json_schema()
 
 
 def save_scanner(scanner: Scanner, path: Path) -> None:
@@ -120,14 +96,13 @@ def load_scanner(path: Path) -> Scanner:
             f"{path}: looks like an OpenCV calibration, not a rig file: import it and save the rig"
         )
     content = parse_yaml(text, path)
-    model = check_settings(content, RigModel, path)
-    R_cam_proj = np.array(model.R_cam_proj)
+    model = check_settings(content, _RigModel, path)
+    words = model.model_dump(exclude=set(ScannerSections.model_fields), exclude_none=True)
+    R_cam_proj, t_cam_proj_m = np.array(words.pop("R_cam_proj")), words.pop("t_cam_proj_m")
     check_rotation(R_cam_proj, f"{path}: R_cam_proj")
-    elsewhere = {"R_cam_proj", "t_cam_proj_m", *ScannerSections.model_fields}
-    words = model.model_dump(exclude=elsewhere, exclude_none=True)
     for device in ("camera", "projector"):
         words[device] = build_optics(path, device, **words[device])
-    T_cam_proj = rigid(R_cam_proj, np.array(model.t_cam_proj_m))
+    T_cam_proj = rigid(R_cam_proj, np.array(t_cam_proj_m))
     rig = build_rig(path, T_cam_proj=T_cam_proj, **words)
     try:
         return scanner_of(rig, model)

@@ -4,112 +4,45 @@ A key that is left out is as it was: the default in a rig file, the rig's own in
 """
 
 from dataclasses import fields, replace
-from typing import Annotated, Any, Literal, TypeVar
+from typing import Annotated, Any, TypeVar
 
-from pydantic import Field
-
+from ..decode import DecodeSpec, FilterSpec
 from ..errors import ConfigError
-from ..pattern import CODECS
+from ..pattern import CodeSpec
 from ..rig import Rig
-from ..scanner import Scanner
-from ..settings import Settings
+from ..scanner import ExposureSpec, Scanner
+from ..sensor import SensorSpec
+from ..settings import ReadAs, Settings, changes_of
 
-Positive = Annotated[float, Field(gt=0)]
-Level = Annotated[float, Field(ge=0)]
-Share = Annotated[float, Field(ge=0, le=1)]
-
-
-class CodeSection(Settings):
-    """The coded light."""
-
-    codec: Literal[CODECS] | None = Field(None, description="how positions are coded")
-    axes: tuple[Literal["column", "row"], ...] | None = Field(
-        None, description="what is coded; the axis along the baseline gives depth"
-    )
-    inverses: bool | None = Field(None, description="show each binary picture's inverse as well")
-    period_px: Positive | None = Field(None, description="of phases and lines, projector pixels")
-    steps: Annotated[int, Field(ge=3)] | None = Field(None, description="of each phase")
-    base_bit: Annotated[int, Field(ge=0)] | None = Field(
-        None, description="xor_gray: the bit that coarser ones are combined with"
-    )
-
-
-class ExposureSection(Settings):
-    """A fixed time, or the one that brings a percentile of the white frame to a target."""
-
-    exposure_s: Positive | None = None
-    percentile: Annotated[float, Field(gt=0, le=100)] | None = None
-    target: Annotated[float, Field(gt=0, le=1)] | None = None
-    factors: tuple[Positive, ...] | None = Field(
-        None, description="times taken, in shares of that one; several are merged (HDR)"
-    )
-
-
-class SensorSection(Settings):
-    """The sensor in EMVA 1288 terms, and the stop of the lens before it."""
-
-    pixel_pitch_m: Annotated[float, Field(gt=0, le=1e-3)] | None = None
-    quantum_efficiency: Annotated[float, Field(gt=0, le=1)] | None = None
-    wavelength_m: Annotated[float, Field(gt=0, le=1e-4)] | None = Field(
-        None, description="of the light that is measured"
-    )
-    f_number: Positive | None = None
-    lens_transmission: Annotated[float, Field(gt=0, le=1)] | None = None
-    full_well_e: Positive | None = None
-    read_noise_e: Level | None = None
-    dark_current_e_s: Level | None = None
-    gain_dn_per_e: Positive | None = None
-    offset_dn: Level | None = None
-    bit_depth: Annotated[int, Field(ge=1, le=16)] | None = None
-    dsnu_e: Level | None = Field(None, description="fixed pattern of the offsets")
-    prnu: Annotated[float, Field(ge=0, lt=0.25)] | None = Field(
-        None, description="fixed pattern of the gains, a share"
-    )
-    fpn_seed: Annotated[int, Field(ge=0)] | None = Field(
-        None, description="of both fixed patterns; they belong to the sensor"
-    )
-
-
-class DecodeSection(Settings):
-    """What a pixel must show to be believed."""
-
-    min_contrast: Annotated[float, Field(gt=0, lt=1)] | None = None
-    doubt: Annotated[float, Field(ge=0, lt=1)] | None = None
-    fine_bits: Annotated[int, Field(ge=0)] | None = None
-    max_epipolar_px: Level | None = Field(
-        None, description="farther off its epipolar line a point is an outlier; 0: never"
-    )
-
-
-class FilterSection(Settings):
-    """What is done to depth afterwards; 0 switches a filter off."""
-
-    flying_angle_deg: Annotated[float, Field(ge=0, lt=90)] | None = Field(
-        None, description="pixels between two surfaces go where a step is seen at more than this"
-    )
-    outlier_sigmas: Level | None = Field(
-        None, description="pixels go that are this many standard deviations off their neighbours"
-    )
-    outlier_share: Level | None = Field(None, description="and farther than this share of depth")
-    island_px: Annotated[int, Field(ge=0)] | None = Field(
-        None, description="surfaces of fewer pixels go"
-    )
-    smoothing_px: Annotated[float, Field(ge=0, le=10)] | None = Field(
-        None, description="standard deviation of the smoothing kernel"
-    )
-    step_angle_deg: Annotated[float, Field(gt=0, lt=90)] | None = Field(
-        None, description="neighbours seen at more than this angle are two surfaces"
-    )
+CodeSection = changes_of(CodeSpec, "CodeSection", about="The coded light.")
+ExposureSection = changes_of(
+    ExposureSpec,
+    "ExposureSection",
+    about="A fixed time, or the one that brings a percentile of the white frame to a target.",
+)
+SensorSection = changes_of(
+    SensorSpec,
+    "SensorSection",
+    about="The sensor in EMVA 1288 terms, and the stop of the lens before it.",
+)
+DecodeSection = changes_of(
+    DecodeSpec, "DecodeSection", about="What a pixel must show to be believed."
+)
+FilterSection = changes_of(
+    FilterSpec,
+    "FilterSection",
+    about="What is done to depth afterwards; 0 switches a filter off.",
+)
 
 
 class ScannerSections(Settings):
     """The sections that a rig file and a configuration share."""
 
-    code: CodeSection = CodeSection()
-    exposure: ExposureSection = ExposureSection()
-    sensor: SensorSection = SensorSection()
-    decode: DecodeSection = DecodeSection()
-    filters: FilterSection = FilterSection()
+    code: Annotated[Settings, ReadAs(CodeSection)] = CodeSection()
+    exposure: Annotated[Settings, ReadAs(ExposureSection)] = ExposureSection()
+    sensor: Annotated[Settings, ReadAs(SensorSection)] = SensorSection()
+    decode: Annotated[Settings, ReadAs(DecodeSection)] = DecodeSection()
+    filters: Annotated[Settings, ReadAs(FilterSection)] = FilterSection()
 
 
 def with_sections(scanner: Scanner, sections: ScannerSections) -> Scanner:

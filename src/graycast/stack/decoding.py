@@ -28,7 +28,7 @@ from ..optics import rays
 from ..pattern import Code
 from ..rig import Rig
 from .averaging import join_pixels, meet_rays
-from .description import StackDescription, code_of, read_description
+from .description import code_of, read_description
 from .diagnosis import symptoms
 from .figures import Figures, figures_of
 from .levels import MeasuredLevels, measure_levels
@@ -98,7 +98,7 @@ def decode_stack(
     clock = _Clock()
     description = read_description(path)
     code = code_of(description, path)
-    spec = _spec(description)
+    spec, stated_px = description.decode_spec()
     try:
         plan_axes(code, spec.fine_bits)
     except DecodeError as error:
@@ -126,7 +126,6 @@ def decode_stack(
         if len(code.axes) == 2:
             residual_px = epipolar_residual_px(codes, first, rig)
             by_noise = _by_noise(pictures, code, spec, levels.levels, codes)
-        stated_px = description.decode.max_epipolar_px
         limit_px = _epipolar_limit_px(stated_px, residual_px)
         if stated_px is None:
             depth = _less_outliers(codes, first, residual_px, limit_px)
@@ -194,13 +193,6 @@ class _Clock:
         now = time.perf_counter()
         self.seconds[name] = now - self._last
         self._last = now
-
-
-def _spec(description: StackDescription) -> DecodeSpec:
-    section = description.decode
-    return DecodeSpec(
-        min_contrast=section.min_contrast, doubt=section.doubt, fine_bits=section.fine_bits
-    )
 
 
 def _check_axes(code: Code, rig: Rig | None, average: bool, path: Path) -> None:

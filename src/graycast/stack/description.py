@@ -11,9 +11,7 @@ from ..decode import DecodeSpec, levels_of
 from ..errors import ConfigError
 from ..pattern import AXES, Axis, Code, Frame
 from ..scanner import Scanner
-from ..settings import Settings, read_settings
-
-Positive = Annotated[float, Field(gt=0)]
+from ..settings import Level, Positive, ReadAs, Settings, read_settings, section_of
 
 # What a frame of each kind must say, and what it may say.
 _MUST: dict[str, tuple[str, ...]] = {
@@ -105,18 +103,22 @@ class LevelsSection(Settings):
     gain_dn_per_e: float | None = Field(None, ge=0, description="Digital numbers per electron.")
 
 
-class DecodeSection(Settings):
-    """What a pixel must show to be believed; see DecodeSpec."""
-
-    min_contrast: float = Field(DecodeSpec().min_contrast, gt=0, lt=1)
-    doubt: float = Field(DecodeSpec().doubt, ge=0, lt=1)
-    fine_bits: int = Field(DecodeSpec().fine_bits, ge=0)
-    max_epipolar_px: float | None = Field(
-        None,
-        ge=0,
-        description="Farthest from the epipolar line, 0 is any; left out: 5 times the median, "
-        "at least 2.",
-    )
+_DecodeSection = section_of(
+    DecodeSpec,
+    "DecodeSection",
+    about="What a pixel must show to be believed; see DecodeSpec.",
+    base=Settings,
+    more={
+        "max_epipolar_px": (
+            Level | None,
+            Field(
+                None,
+                description="Farthest from the epipolar line, 0 is any; left out: 5 times the "
+                "median, at least 2.",
+            ),
+        )
+    },
+)
 
 
 class StackDescription(Settings):
@@ -127,10 +129,16 @@ class StackDescription(Settings):
     offset_px: OffsetSection = OffsetSection()
     stride_px: StrideSection = StrideSection()
     levels: LevelsSection = LevelsSection()
-    decode: DecodeSection = DecodeSection()
+    decode: Annotated[Settings, ReadAs(_DecodeSection)] = _DecodeSection()
     rig: Path | None = Field(
         None, description="Rig file that it was taken with, relative to this file."
     )
+
+    def decode_spec(self) -> tuple[DecodeSpec, float | None]:
+        """What a pixel must show, and its farthest from the epipolar line where that is stated."""
+        said = self.decode.model_dump()
+        limit_px = said.pop("max_epipolar_px")
+        return DecodeSpec(**said), limit_px
 
     @model_validator(mode="after")
     def _shows_each_frame_once(self) -> "StackDescription":

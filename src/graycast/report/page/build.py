@@ -10,7 +10,7 @@ from ...folder import write_whole
 from ...stats import SceneFigures, scene_figures
 from .found import FOUND, found_index, found_scripts, judged
 from .index import index_script
-from .pieces import PIECES, ReportSummary, stamp_of, write_pieces, write_web, writing_page
+from .pieces import PIECES, ReportSummary, Web, stamp_of, write_pieces, write_web, writing_page
 from .scene_files import scene_page_files
 
 WIDTH_PX = 1300  # maps of wider cameras are thinned; one of 1032 px keeps every pixel
@@ -23,6 +23,28 @@ _STAMPED = (
     "frames/0000.png",
     "column_sl/000000.tiff",
     "row_sl/000000.tiff",
+)
+_WEB = Web(
+    package=__package__,
+    title="Graycast report",
+    home="all scenes (Esc)",
+    scripts=(
+        "plots.js",
+        "geometry.js",
+        "tags.js",
+        "overview.js",
+        "found.js",
+        "filters.js",
+        "grid.js",
+        "paint.js",
+        "viewer.js",
+        "shapes.js",
+        "cloud.js",
+        "side.js",
+        "toolbar.js",
+        "scene.js",
+        "keys.js",
+    ),
 )
 
 
@@ -102,4 +124,4 @@ def _write_page(stored: StoredDataset, out: Path, evaluation: Evaluation | None)
     found = None if evaluation is None else found_index(evaluation)
     script, _ = index_script(stored, figures(), found)
     write_whole(out / "index.js", script.encode())
-    write_web(out, __package__)
+    write_web(out, _WEB)

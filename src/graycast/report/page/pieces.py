@@ -10,6 +10,7 @@ from functools import partial
 from importlib import resources
 from multiprocessing import get_context
 from pathlib import Path
+from string import Template
 from typing import Protocol, runtime_checkable
 
 from ...errors import GraycastError
@@ -112,11 +113,36 @@ def write_pieces(
     return ReportSummary(page=out / "index.html", built=len(todo), kept=kept, removed=len(gone))
 
 
-def write_web(out: Path, package: str, names: Sequence[str] | None = None) -> None:
-    """Copy what a browser runs: the files of a package's `web`, or some of them."""
-    held = resources.files(package).joinpath("web")
-    for name in sorted(entry.name for entry in held.iterdir()) if names is None else names:
-        write_whole(out / name, held.joinpath(name).read_bytes())
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Web:
+    """What a browser is to load: the template of all pages, filled in.
+
+    `styles` and `scripts` are files of the `web` folder of `package`, or else of this one, in the
+    order of their loading. The template itself names what every page has: style.css, core.js and
+    index.js first, app.js last.
+    """
+
+    package: str
+    title: str
+    home: str  # what the browser says of the link to the overview
+    styles: tuple[str, ...] = ()
+    scripts: tuple[str, ...]
+
+
+def write_web(out: Path, web: Web) -> None:
+    """Write what a browser runs, but for index.js, which holds the page's content."""
+    held = [resources.files(name).joinpath("web") for name in (web.package, __package__)]
+    for name in ("style.css", "core.js", "app.js", *web.styles, *web.scripts):
+        found = next(folder for folder in held if folder.joinpath(name).is_file())
+        write_whole(out / name, found.joinpath(name).read_bytes())
+    template = Template(held[-1].joinpath("index.html").read_text(encoding="utf-8"))
+    page = template.substitute(
+        title=web.title,
+        home=web.home,
+        styles="".join(f'    <link rel="stylesheet" href="{name}" />\n' for name in web.styles),
+        scripts="".join(f'    <script src="{name}"></script>\n' for name in web.scripts),
+    )
+    write_whole(out / "index.html", page.encode())
 
 
 def _open_folder(out: Path, source: Path) -> None:

@@ -12,15 +12,22 @@ from ...frames import inverse
 from ...pick import StoredEpisode, read_episodes, summarize
 from ...pick.replay import Replay, open_replay
 from ..page import WIDTH_PX, ReportSummary
-from ..page import __name__ as PAGE
 from ..page.packing import color_table
-from ..page.pieces import write_pieces, write_web, writing_page
+from ..page.pieces import Web, write_pieces, write_web, writing_page
 from .bin_files import BinPiece, bin_key
 from .bodies import look, open_bin, packed_mesh, table
 from .words import outcome_words
 
-# Of the page of a dataset: elements, plots, the 3D view, styles.
-_SHARED = ("app.js", "cloud.js", "core.js", "geometry.js", "paint.js", "shapes.js", "style.css")
+_WEB = Web(
+    package=__package__,
+    title="Graycast picks",
+    home="all bins (Esc)",
+    styles=("picks.css",),
+    scripts=(
+        *("geometry.js", "paint.js", "shapes.js", "cloud.js"),  # of the page of a dataset
+        *("outcomes.js", "bins.js", "bodies.js", "replay.js"),
+    ),
+)
 
 
 def write_pick_report(
@@ -67,8 +74,7 @@ def write_pick_report(
         }
         text = json.dumps(content, allow_nan=False, separators=(",", ":"))
         write_whole(out / "index.js", f"Graycast.report = {text};\n".encode())
-        write_web(out, PAGE, _SHARED)
-        write_web(out, __package__)
+        write_web(out, _WEB)
     return done
 
 

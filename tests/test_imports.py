@@ -31,6 +31,7 @@ ORDER = (
     "render",
     "camera_light",
     "sensor",
+    "speckle",
     "photon_transfer",
     "decode",
     "scanner",

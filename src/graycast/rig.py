@@ -33,11 +33,13 @@ class Rig:
     `response` is the projector's radiance, as a share of white's, at equally spaced grey levels
     from 0 to 255, linear between them. What leaks through a black picture is white's light over
     `contrast_ratio`; it is in every picture. `veil` is the share of its light that the camera's
-    lens spreads far over the image. `speckle_contrast` is standard deviation over mean of a pixel's
-    light on a rough surface lit by a coherent projector.
+    lens spreads far over the image. `speckle_contrast` is standard deviation over mean of the
+    light at a point of the sensor, of a black rough surface in the projector's light: 0 of LEDs, up
+    to 1 of a laser, 0.71 where the surface depolarises it. `speckle_volume` says how much less
+    a material has that scatters light inside (see `speckle.material_contrast`).
 
     Leaves out: spectra finer than three bands and the projector's line; a response that depends on
-    place, time or the picture; speckle that changes with wavelength, focus or motion.
+    place, time or the picture.
     """
 
     name: str
@@ -53,6 +55,7 @@ class Rig:
     contrast_ratio: float = math.inf
     veil: float = 0.0
     speckle_contrast: float = 0.0
+    speckle_volume: float = 0.0
 
     @property
     def T_proj_cam(self) -> Float[np.ndarray, "4 4"]:
@@ -95,6 +98,8 @@ class Rig:
             raise ValueError(
                 f"speckle_contrast is {self.speckle_contrast}; 0 to 1 (fully developed speckle)"
             )
+        if not 0 <= self.speckle_volume < math.inf:
+            raise ValueError(f"speckle_volume is {self.speckle_volume}; it must be 0 or more")
 
     @property
     def baseline_m(self) -> float:

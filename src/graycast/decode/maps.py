@@ -1,5 +1,6 @@
 """What decoding takes and gives: what digital numbers mean, what is believed, maps and reasons."""
 
+import math
 from dataclasses import dataclass
 from enum import IntEnum, IntFlag
 
@@ -85,17 +86,19 @@ class DecodeSpec:
     """What a pixel must show to be believed.
 
     `min_contrast`: brightest minus darkest frame (of a phase code: twice its amplitude), as a share
-    of the sensor's range. A bit is doubtful where its signal is under `doubt` times that contrast.
-    At any place of a Gray code at most one bit is changing, so two doubtful bits of an axis
-    contradict each other; its `fine_bits` finest bits do not count: there a pixel may see several
-    stripes and still be right, and doubt only widens `sigma`. A single doubtful bit contradicts
-    where misreading it would cost more than 2^fine_bits values; under a phase code, half a period,
-    and `fine_bits` is not used.
+    of the sensor's range, and `min_sigmas` the same in standard deviations of the darkest
+    frame's noise: a pixel must pass both. A bit is doubtful where its signal is under `doubt`
+    times that contrast. At any place of a Gray code at most one bit is changing, so two doubtful
+    bits of an axis contradict each other; its `fine_bits` finest bits do not count: there a pixel
+    may see several stripes and still be right, and doubt only widens `sigma`. A single doubtful bit
+    contradicts where misreading it would cost more than 2^fine_bits values; under a phase code,
+    half a period, and `fine_bits` is not used.
     Where both axes are coded, a point farther from its epipolar line than `max_epipolar_px` and
     three standard deviations is an outlier; 0 lets all pass.
     """
 
     min_contrast: float = 0.02
+    min_sigmas: float = 0.0
     doubt: float = 0.15
     fine_bits: int = 3
     max_epipolar_px: float = 2.0
@@ -103,6 +106,8 @@ class DecodeSpec:
     def __post_init__(self) -> None:
         if not 0 < self.min_contrast < 1:
             raise ValueError(f"min_contrast is {self.min_contrast}; a share between 0 and 1")
+        if not 0 <= self.min_sigmas < math.inf:
+            raise ValueError(f"min_sigmas is {self.min_sigmas}; it must be 0 or more")
         if not 0 <= self.doubt < 1:
             raise ValueError(f"doubt is {self.doubt}; a share from 0 to 1")
         if self.fine_bits < 0:

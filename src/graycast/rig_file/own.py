@@ -71,7 +71,14 @@ class RigModel(ScannerSections):
         None, gt=1, description="The projector's white over black; left out: black is black."
     )
     veil: float = Field(0.0, ge=0, lt=1, description="Share of stray light in the camera.")
-    speckle_contrast: float = Field(0.0, ge=0, le=1, description="Of a laser on a rough surface.")
+    speckle_contrast: float = Field(
+        0.0, ge=0, le=1, description="At a point of the sensor, of a laser on black; 0 for an LED."
+    )
+    speckle_volume: float = Field(
+        0.0,
+        ge=0,
+        description="How much less a white surface speckles than a black one; 0: as much.",
+    )
 
 
 def rig_schema() -> dict[str, Any]:

@@ -74,6 +74,9 @@ class DecodeSection(Settings):
     """What a pixel must show to be believed."""
 
     min_contrast: Annotated[float, Field(gt=0, lt=1)] | None = None
+    min_sigmas: Level | None = Field(
+        None, description="least contrast in standard deviations of the darkest frame's noise"
+    )
     doubt: Annotated[float, Field(ge=0, lt=1)] | None = None
     fine_bits: Annotated[int, Field(ge=0)] | None = None
     max_epipolar_px: Level | None = Field(
@@ -91,11 +94,20 @@ class FilterSection(Settings):
         None, description="pixels go that are this many standard deviations off their neighbours"
     )
     outlier_share: Level | None = Field(None, description="and farther than this share of depth")
+    outlier_repair: bool | None = Field(
+        None, description="an outlier within a surface gets its depth, and does not go"
+    )
+    hidden_sigmas: Level | None = Field(
+        None, description="pixels go that a nearer surface hides from the projector by more noise"
+    )
     island_px: Annotated[int, Field(ge=0)] | None = Field(
         None, description="surfaces of fewer pixels go"
     )
     smoothing_px: Annotated[float, Field(ge=0, le=10)] | None = Field(
         None, description="standard deviation of the smoothing kernel"
+    )
+    raster_px: Annotated[float, Field(ge=0, le=1)] | None = Field(
+        None, description="standard deviation of the place in its pixel that a depth is of"
     )
     step_angle_deg: Annotated[float, Field(gt=0, lt=90)] | None = Field(
         None, description="neighbours seen at more than this angle are two surfaces"

@@ -20,6 +20,7 @@ from ..decode import (
     separate,
     triangulate,
     triangulation_axis,
+    without_hidden,
 )
 from ..decode.plan import plan_axes
 from ..errors import DecodeError
@@ -134,6 +135,8 @@ def decode_stack(
             depth = triangulate(codes, rig, max_epipolar_px=stated_px)
         if filters is not None:
             depth = filter_depth(depth, filters, rig.camera)
+            if filters.hidden_sigmas:
+                depth = without_hidden(depth, rig, sigmas=filters.hidden_sigmas)
         warnings += _rig_symptoms(first, residual_px)
         clock.lap("triangulate")
         if average:
@@ -199,7 +202,10 @@ class _Clock:
 def _spec(description: StackDescription) -> DecodeSpec:
     section = description.decode
     return DecodeSpec(
-        min_contrast=section.min_contrast, doubt=section.doubt, fine_bits=section.fine_bits
+        min_contrast=section.min_contrast,
+        min_sigmas=section.min_sigmas,
+        doubt=section.doubt,
+        fine_bits=section.fine_bits,
     )
 
 

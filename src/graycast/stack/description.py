@@ -109,6 +109,7 @@ class DecodeSection(Settings):
     """What a pixel must show to be believed; see DecodeSpec."""
 
     min_contrast: float = Field(DecodeSpec().min_contrast, gt=0, lt=1)
+    min_sigmas: float = Field(DecodeSpec().min_sigmas, ge=0)
     doubt: float = Field(DecodeSpec().doubt, ge=0, lt=1)
     fine_bits: int = Field(DecodeSpec().fine_bits, ge=0)
     max_epipolar_px: float | None = Field(
@@ -187,6 +188,7 @@ def describe_stack(scanner: Scanner, files: Sequence[str], *, rig: str) -> str:
         },
         "decode": {
             "min_contrast": float(decode.min_contrast),
+            "min_sigmas": float(decode.min_sigmas),
             "doubt": float(decode.doubt),
             "fine_bits": int(decode.fine_bits),
             "max_epipolar_px": float(decode.max_epipolar_px),

@@ -1,4 +1,4 @@
-"""Speckle on the way from light to depth: exposures share it, sigma knows it, depth obeys the law."""
+"""Speckle from light to depth: exposures share it, sigma knows it, depth obeys the law."""
 
 from dataclasses import replace
 

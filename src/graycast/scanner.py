@@ -118,7 +118,7 @@ def take(scanner: Scanner, radiance: Radiance, *, seed: int) -> Capture:
         target=exposure.target,
     )
     if scanner.rig.speckle_contrast:
-        reflectance = radiance.albedo @ np.float32(scanner.rig.band_weights)
+        reflectance = radiance.albedo @ np.array(scanner.rig.band_weights, dtype=np.float32)
         stack = speckled(
             stack, draw_speckle(_contrast(scanner, reflectance), scanner.sensor, seed=seed)
         )

@@ -109,10 +109,10 @@ def filter_depth(depth: DepthMap, spec: FilterSpec, camera: Optics) -> DepthMap:
         _erase(z_m, removed, margin_px)
     if spec.outlier_sigmas:
         limits = np.float64(spec.outlier_sigmas), np.float64(spec.outlier_share)
-        repaired = find_outliers(
+        level, spread = find_outliers(
             *_inverse(z_m, sigma_m), *limits, margin_px, spec.outlier_repair, removed
         )
-        _repair(z_m, sigma_m, *repaired, margin_px)
+        _repair(z_m, sigma_m, level, spread, margin_px)
         _erase(z_m, removed, margin_px)
     if spec.island_px:
         _islands(z_m, sigma_m, rays, step_tan, spec.island_px, margin_px, removed)

@@ -4,12 +4,21 @@ from typing import no_type_check
 
 import numba
 import numpy as np
+from jaxtyping import Bool, Float
 
 SUPPORT_PX = 3  # so many of 24 neighbours near an outlying pixel's depth make it a detail
 WHOLE_PX = 20  # so many of 24 neighbours near their median are a surface without an edge
 
 
-def find_outliers(inverse, noise, sigmas, share, margin_px: int, repair: bool, removed):
+def find_outliers(
+    inverse: Float[np.ndarray, "H W"],
+    noise: Float[np.ndarray, "H W"],
+    sigmas: float,
+    share: float,
+    margin_px: int,
+    repair: bool,
+    removed: Bool[np.ndarray, "h w"],
+) -> tuple[Float[np.ndarray, "h w"], Float[np.ndarray, "h w"]]:
     """Mark outlying pixels of framed maps of inverse depth in `removed`.
 
     Args:

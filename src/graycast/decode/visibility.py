@@ -39,7 +39,7 @@ def without_hidden(depth: DepthMap, rig: Rig, *, sigmas: float) -> DepthMap:
     column = triangulation_axis(rig) == "column"
     known = np.isfinite(depth.depth_m)
     ray = rays(rig.camera, pixel_grid(*depth.depth_m.shape)[known])
-    z_m, sigma_m = (np.float64(image[known]) for image in (depth.depth_m, depth.sigma_m))
+    z_m, sigma_m = (m[known].astype(np.float64) for m in (depth.depth_m, depth.sigma_m))
     i = 0 if column else 1
 
     def seen(z: Float[np.ndarray, " n"]) -> Float[np.ndarray, " n"]:

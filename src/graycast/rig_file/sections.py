@@ -19,6 +19,11 @@ Level = Annotated[float, Field(ge=0)]
 Share = Annotated[float, Field(ge=0, le=1)]
 
 
+def _unsaid(value: object) -> bool:
+    """Keys that came later are left out of a dataset's claim, so that older datasets can go on."""
+    return value is None
+
+
 class CodeSection(Settings):
     """The coded light."""
 
@@ -75,7 +80,9 @@ class DecodeSection(Settings):
 
     min_contrast: Annotated[float, Field(gt=0, lt=1)] | None = None
     min_sigmas: Level | None = Field(
-        None, description="least contrast in standard deviations of the darkest frame's noise"
+        None,
+        description="least contrast in standard deviations of the darkest frame's noise",
+        exclude_if=_unsaid,
     )
     doubt: Annotated[float, Field(ge=0, lt=1)] | None = None
     fine_bits: Annotated[int, Field(ge=0)] | None = None
@@ -95,10 +102,14 @@ class FilterSection(Settings):
     )
     outlier_share: Level | None = Field(None, description="and farther than this share of depth")
     outlier_repair: bool | None = Field(
-        None, description="an outlier within a surface gets its depth, and does not go"
+        None,
+        description="an outlier within a surface gets its depth, and does not go",
+        exclude_if=_unsaid,
     )
     hidden_sigmas: Level | None = Field(
-        None, description="pixels go that a nearer surface hides from the projector by more noise"
+        None,
+        description="pixels go that a nearer surface hides from the projector by more noise",
+        exclude_if=_unsaid,
     )
     island_px: Annotated[int, Field(ge=0)] | None = Field(
         None, description="surfaces of fewer pixels go"
@@ -107,7 +118,9 @@ class FilterSection(Settings):
         None, description="standard deviation of the smoothing kernel"
     )
     raster_px: Annotated[float, Field(ge=0, le=1)] | None = Field(
-        None, description="standard deviation of the place in its pixel that a depth is of"
+        None,
+        description="standard deviation of the place in its pixel that a depth is of",
+        exclude_if=_unsaid,
     )
     step_angle_deg: Annotated[float, Field(gt=0, lt=90)] | None = Field(
         None, description="neighbours seen at more than this angle are two surfaces"

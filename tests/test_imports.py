@@ -32,6 +32,7 @@ ORDER = (
     "render",
     "camera_light",
     "sensor",
+    "speckle",
     "photon_transfer",
     "decode",
     "scanner",

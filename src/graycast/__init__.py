@@ -41,6 +41,7 @@ What is simulated:
     render           light: Layout -> Radiance, and the ground truth
     camera_light     from the renderer's light to the light on the sensor
     sensor           noise, saturation, quantisation: Radiance -> Capture
+    speckle          uneven light of a laser within each pixel, and what it moves
     photon_transfer  a sensor measured from its own flat fields
     decode           pictures to projector positions to depth: Capture -> DepthMap
     scanner          a rig with its code, sensor, exposure, decoder and filters

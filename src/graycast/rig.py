@@ -47,11 +47,13 @@ class Rig:
     `response` is the projector's radiance, as a share of white's, at equally spaced grey levels
     from 0 to 255, linear between them. What leaks through a black picture is white's light over
     `contrast_ratio`; it is in every picture. `veil` is the share of its light that the camera's
-    lens spreads far over the image. `speckle_contrast` is standard deviation over mean of a pixel's
-    light on a rough surface lit by a coherent projector.
+    lens spreads far over the image. `speckle_contrast` is standard deviation over mean of the
+    light at a point of the sensor, of a black rough surface in the projector's light: 0 of LEDs, up
+    to 1 of a laser, 0.71 where the surface depolarises it. `speckle_volume` says how much less
+    a material has that scatters light inside (see `speckle.material_contrast`).
 
     Leaves out: spectra finer than three bands and the projector's line; a response that depends on
-    place, time or the picture; speckle that changes with wavelength, focus or motion.
+    place, time or the picture.
     """
 
     name: Annotated[str, Field(min_length=1, description="Name in reports and datasets.")]
@@ -84,7 +86,16 @@ class Rig:
         0.0
     )
     speckle_contrast: Annotated[
-        float, Field(ge=0, le=1, description="Of a laser on a rough surface.")
+        float,
+        Field(
+            ge=0, le=1, description="At a point of the sensor, of a laser on black; 0 for an LED."
+        ),
+    ] = 0.0
+    speckle_volume: Annotated[
+        float,
+        Field(
+            ge=0, description="How much less a white surface speckles than a black one; 0: as much."
+        ),
     ] = 0.0
 
     @property

@@ -7,6 +7,7 @@ from dataclasses import dataclass, field, replace
 from typing import Annotated
 
 import numpy as np
+from jaxtyping import Float
 from pydantic import Field
 
 from .camera_light import camera_light
@@ -19,13 +20,18 @@ from .decode import (
     filter_depth,
     levels_of,
     triangulate,
+    with_displacement,
+    without_hidden,
 )
+from .frames import pixel_grid
+from .optics import rays
 from .pattern import Code, CodeSpec
 from .render import Radiance
 from .rig import BINNING, PRESETS, Rig
 from .rig import preset as rig_preset
 from .sensor import Capture, SensorSpec, auto_exposure_s, expose, merge_exposures
 from .settings import Positive, check_fields
+from .speckle import draw_speckle, footprint_px, material_contrast, pixel_contrast, speckled
 
 APERTURE_SLACK = 0.05  # by which sensor.f_number may differ from the camera's own aperture
 
@@ -99,6 +105,8 @@ def scan(scanner: Scanner, radiance: Radiance, *, seed: int) -> Scan:
 def take(scanner: Scanner, radiance: Radiance, *, seed: int) -> Capture:
     """The measuring camera's stack, one picture per pattern, several exposures merged.
 
+    All exposures are taken through the same optics, so one pattern of speckle is in all of them.
+
     Raises:
         ValueError: the scene is dark, or lit beyond all numbers.
     """
@@ -110,6 +118,11 @@ def take(scanner: Scanner, radiance: Radiance, *, seed: int) -> Capture:
         percentile=exposure.percentile,
         target=exposure.target,
     )
+    if scanner.rig.speckle_contrast:
+        reflectance = radiance.albedo @ np.array(scanner.rig.band_weights, dtype=np.float32)
+        stack = speckled(
+            stack, draw_speckle(_contrast(scanner, reflectance), scanner.sensor, seed=seed)
+        )
     seeds = np.random.SeedSequence(seed).generate_state(len(exposure.factors), np.uint64)
     return merge_exposures(
         [
@@ -123,7 +136,36 @@ def measure(scanner: Scanner, capture: Capture) -> tuple[CodeMap, DepthMap]:
     """Pictures to projector positions to depth, filtered as the scanner does."""
     codes = decode(capture.frames, scanner.patterns(), scanner.decode, levels_of(scanner.sensor))
     depth = triangulate(codes, scanner.rig, max_epipolar_px=scanner.decode.max_epipolar_px)
-    return codes, filter_depth(depth, scanner.filters, camera=scanner.rig.camera)
+    if scanner.rig.speckle_contrast:
+        contrast = _contrast(scanner, _seen_reflectance(scanner, capture, codes, depth))
+        off_px = np.float32(footprint_px(scanner.sensor)) * contrast
+        depth = with_displacement(depth, codes, scanner.rig, off_px)
+    depth = filter_depth(depth, scanner.filters, camera=scanner.rig.camera)
+    if scanner.filters.hidden_sigmas:
+        depth = without_hidden(depth, scanner.rig, sigmas=scanner.filters.hidden_sigmas)
+    return codes, depth
+
+
+def _contrast(scanner: Scanner, reflectance: Float[np.ndarray, "h w"]) -> Float[np.ndarray, "h w"]:
+    """Of each pixel's speckle, by what its surface gives back."""
+    of_black = scanner.rig.speckle_contrast * pixel_contrast(scanner.sensor)
+    return of_black * material_contrast(reflectance, scanner.rig.speckle_volume)
+
+
+def _seen_reflectance(
+    scanner: Scanner, capture: Capture, codes: CodeMap, depth: DepthMap
+) -> Float[np.ndarray, "h w"]:
+    """Diffuse reflectance that a facing surface would need to be as bright, 0 without depth.
+
+    Of the projector's light a surface at the distance d gives back `R I / (pi d^2)` [radiance].
+    A slanted surface has more; it is taken for darker, and its speckle for stronger.
+    """
+    rig, sensor = scanner.rig, scanner.sensor
+    electrons = codes.modulation * levels_of(sensor).range_dn / sensor.gain_dn_per_e
+    light = electrons / (sensor.responsivity * capture.exposure_s)
+    point = rays(rig.camera, pixel_grid(*light.shape)) * depth.depth_m[..., None]
+    distance2_m2 = np.square(point - rig.T_cam_proj[:3, 3]).sum(axis=-1)
+    return np.nan_to_num(np.pi * distance2_m2 * light / rig.intensity_w_sr)
 
 
 # --- presets -----------------------------------------------------------------------------------
@@ -155,18 +197,34 @@ def preset(name: str, resolution: str = "low") -> Scanner:
     )
     projector = replace(rig.projector, psf_px=1.0, natural_vignetting=True)
     return Scanner(
-        rig=replace(rig, camera=camera, projector=projector),
+        rig=replace(
+            rig,
+            camera=camera,
+            projector=projector,
+            speckle_contrast=_PHOXI_SPECKLE,
+            speckle_volume=_PHOXI_VOLUME,
+        ),
         code=CodeSpec(codec="gray_phase", axes=("column",), period_px=48.0, steps=4),
+        exposure=ExposureSpec(factors=(1.0, 4.0, 16.0)),
         sensor=SensorSpec(pixel_pitch_m=pitch_m, f_number=_PHOXI_F_NUMBER, wavelength_m=637e-9),
-        decode=DecodeSpec(min_contrast=0.04),
+        decode=DecodeSpec(min_contrast=0.002, min_sigmas=10.0),
         filters=FilterSpec(
-            flying_angle_deg=75.0, outlier_sigmas=4.0, island_px=30, smoothing_px=0.55
+            flying_angle_deg=75.0,
+            outlier_sigmas=4.0,
+            outlier_repair=True,
+            hidden_sigmas=3.0,
+            island_px=30,
+            smoothing_px=0.55,
+            raster_px=_PHOXI_RASTER_PX,
         ),
     )
 
 
 _PHOXI_PITCH_M = 3.45e-6  # 2064 x 1544 pixels of this pitch: Sony's IMX252 and its kin
 _PHOXI_F_NUMBER = 4.0
+# Of five real scans (docs/rigs.md): what their noise is on black and on white, and on slopes.
+_PHOXI_SPECKLE, _PHOXI_VOLUME = 0.5, 5.0
+_PHOXI_RASTER_PX = 0.3
 
 __all__ = [
     "PRESETS",

@@ -97,11 +97,11 @@ def section_of(
             a field of the dataclass out.
     """
     own: dict[str, Any] = {}
-    for key, hint, said, default in _declared(dataclass):
+    for key, hint, info, default in _declared(dataclass):
         if default == math.inf:
-            own[key] = _may_miss(hint, said)
+            own[key] = _may_miss(hint, info)
         else:
-            own[key] = (hint, Field(... if default is MISSING else default, description=said))
+            own[key] = (hint, _field(... if default is MISSING else default, info))
     content = {key: field for key, field in (own | dict(more)).items() if field is not None}
     return create_model(name, __base__=base, __doc__=about, **content)
 
@@ -109,7 +109,7 @@ def section_of(
 def changes_of(dataclass: type, name: str, *, about: str) -> type[Settings]:
     """A section that says what is to change: each field of a dataclass may be left out."""
     own: dict[str, Any] = {
-        key: _may_miss(hint, said) for key, hint, said, _ in _declared(dataclass)
+        key: _may_miss(hint, info) for key, hint, info, _ in _declared(dataclass)
     }
     return create_model(name, __base__=Settings, __doc__=about, **own)
 
@@ -126,12 +126,22 @@ class ReadAs:
         return handler(self._section)
 
 
-def _may_miss(hint: Any, said: str | None) -> tuple[Any, Any]:
-    return hint | None, Field(None, description=said)
+def unsaid(value: object) -> bool:
+    """For `exclude_if` of a field that came later: where a file does not say it, neither does a
+    dataset's claim, so that older datasets can go on."""
+    return value is None
 
 
-def _declared(dataclass: Any) -> list[tuple[str, Any, str | None, Any]]:
-    """Name, annotation, description and default of each field."""
+def _may_miss(hint: Any, info: FieldInfo) -> tuple[Any, Any]:
+    return hint | None, _field(None, info)
+
+
+def _field(default: Any, info: FieldInfo) -> Any:
+    return Field(default, description=info.description, exclude_if=info.exclude_if)
+
+
+def _declared(dataclass: Any) -> list[tuple[str, Any, FieldInfo, Any]]:
+    """Name, bare annotation, what its `Field` says, and default of each field."""
     hints = get_type_hints(dataclass, include_extras=True)
     found = []
     for field in fields(dataclass):
@@ -144,7 +154,7 @@ def _declared(dataclass: Any) -> list[tuple[str, Any, str | None, Any]]:
         default = field.default
         if field.default_factory is not MISSING:
             default = field.default_factory()
-        found.append((field.name, hint, info.description, default))
+        found.append((field.name, hint, info, default))
     return found
 
 
@@ -153,10 +163,14 @@ def _limits(dataclass: type) -> dict[str, tuple[Any, Any, str]]:
     """For each field whose annotation says more than a type: `TypeAdapter`, default, meaning."""
     config = ConfigDict(strict=True, allow_inf_nan=False)
     return {
-        name: (TypeAdapter(hint, config=config), default, f" ({said.rstrip('.')})" if said else "")
-        for name, hint, said, default in _declared(dataclass)
+        name: (TypeAdapter(hint, config=config), default, _meaning(info))
+        for name, hint, info, default in _declared(dataclass)
         if _says_more(hint)
     }
+
+
+def _meaning(info: FieldInfo) -> str:
+    return f" ({info.description.rstrip('.')})" if info.description else ""
 
 
 def _says_more(hint: Any) -> bool:

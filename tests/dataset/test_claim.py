@@ -6,8 +6,10 @@ import numpy as np
 import pytest
 from prisms import box_part, make_rig
 
-from graycast.dataset.claim import fingerprint, make_claim
+from graycast.dataset.claim import described_values, fingerprint, make_claim, rig_of
+from graycast.decode import DecodeSpec, FilterSpec
 from graycast.parts import Material, Mesh, Part, Symmetry
+from graycast.rig_file.sections import FilterSection
 
 BOX = box_part()
 MESH, MATERIAL, MOTIONS = BOX.mesh, BOX.material, BOX.symmetry
@@ -66,3 +68,21 @@ def test_where_a_part_came_from_is_told_and_is_no_other_dataset():
     moved = claimed(replace(BOX, source="elsewhere/box.stl"))
     assert moved["sources"] == ["elsewhere/box.stl"]
     assert moved["fingerprint"] == claimed(BOX)["fingerprint"]
+
+
+def test_settings_that_came_later_are_told_where_they_are_on_and_only_there():
+    """An older dataset, whose claim lacks them, goes on; one with them on is another."""
+    for off, on in (
+        (DecodeSpec(), DecodeSpec(min_sigmas=5.0)),
+        (FilterSpec(), FilterSpec(outlier_repair=True, hidden_sigmas=3.0, raster_px=0.3)),
+        (make_rig(), replace(make_rig(), speckle_volume=2.0)),
+    ):
+        older = {"min_sigmas", "outlier_repair", "hidden_sigmas", "raster_px", "speckle_volume"}
+        assert not older & set(described_values(off))
+        assert set(described_values(on)) == {field.name for field in fields(on)}
+    told = described_values(replace(make_rig(), speckle_volume=2.0))
+    told["T_cam_proj"] = told["T_cam_proj"].tolist()
+    assert rig_of(told).speckle_volume == 2.0
+    said = FilterSection(flying_angle_deg=70.0).model_dump(mode="json")
+    assert "outlier_repair" not in said and said["flying_angle_deg"] == 70.0
+    assert FilterSection(raster_px=0.0).model_dump()["raster_px"] == 0.0

@@ -49,7 +49,11 @@ def half_nonsense(code, levels, dtype):
     return stack
 
 
-SPECS = (DecodeSpec(), DecodeSpec(min_contrast=0.3, doubt=0.5, fine_bits=0))
+SPECS = (
+    DecodeSpec(),
+    DecodeSpec(min_contrast=0.3, doubt=0.5, fine_bits=0),
+    DecodeSpec(min_contrast=0.01, min_sigmas=40.0),
+)
 
 
 @pytest.mark.parametrize("name", GRAY)

@@ -105,6 +105,7 @@ def test_which_bits_may_be_in_doubt_follows_from_what_doubt_would_cost():
     [
         ("min_contrast", 0.0),
         ("min_contrast", 1.0),
+        ("min_sigmas", -1.0),
         ("doubt", -0.1),
         ("doubt", 1.0),
         ("fine_bits", -1),

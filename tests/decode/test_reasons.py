@@ -39,6 +39,18 @@ def test_a_pixel_has_low_modulation_when_its_contrast_is_under_the_share_of_the_
     assert one_pixel(code, dark=50, bright=76, spec=spec) is Reason.DECODED
 
 
+def test_a_pixel_has_low_modulation_when_its_contrast_is_under_its_noise_times_min_sigmas():
+    """At 50 DN the noise is sqrt(0.1 * 50 + 0.17) = 2.27 DN, at 150 DN 3.89 DN: a share of the
+    range would ask as much of both.
+    """
+    code = gray(32, 16)
+    spec = DecodeSpec(min_contrast=0.001, min_sigmas=10.0)
+    assert one_pixel(code, dark=50, bright=72, spec=spec) is Reason.LOW_MODULATION
+    assert one_pixel(code, dark=50, bright=73, spec=spec) is Reason.DECODED
+    assert one_pixel(code, dark=150, bright=188, spec=spec) is Reason.LOW_MODULATION
+    assert one_pixel(code, dark=150, bright=189, spec=spec) is Reason.DECODED
+
+
 def test_a_pixel_is_in_shadow_when_its_frames_differ_by_noise_only():
     """At 50 DN the noise is sqrt(0.1 * 50 + 0.17) = 2.27 DN; six of it are 13.6 DN."""
     code = gray(32, 16)

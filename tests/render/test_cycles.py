@@ -369,7 +369,6 @@ def test_white_is_rendered_once_and_black_not_at_all(open_cycles, per_render):
 @pytest.mark.parametrize(
     ("rig", "says"),
     [
-        (askew_rig(speckle_contrast=0.1), "speckle"),
         (askew_rig(projector=replace(optics(64, 48, 52), psf_px=1.0)), "constant blur"),
     ],
 )

@@ -23,6 +23,14 @@ from .seal import SUMS
 
 BESIDE_CONFIG = ("files", "scanner")  # in a claim's configuration, but no keys of it
 FORMAT_VERSION, SEALED_SINCE = 2, 2  # 1 had no SHA-256 of files
+# Fields that older datasets lack; where they are off they are left out, so that those can go on.
+_LATER = {
+    "speckle_volume": 0.0,
+    "min_sigmas": 0.0,
+    "outlier_repair": False,
+    "hidden_sigmas": None,
+    "raster_px": None,
+}
 _BESIDE = ("fingerprint", "sources", "versions", SUMS)  # what the fingerprint does not cover
 _CLAIMED = ("format_version", "seed", "depth_scale_mm", "rig", "parts", "distractors", "config")
 
@@ -70,14 +78,19 @@ def fingerprint(claim: Mapping[str, Any]) -> str:
 
 
 def described_values(value: Any) -> dict[str, Any]:
-    """The fields of a frozen value, fit for JSON: an infinite number is the word 'inf'."""
+    """The fields of a frozen value, fit for JSON: an infinite number is the word 'inf'.
+
+    Fields that came later are left out where they are off.
+    """
 
     def worded(item: Any) -> Any:
         if isinstance(item, dict):
             return {key: worded(inner) for key, inner in item.items()}
         return "inf" if isinstance(item, float) and math.isinf(item) else item
 
-    return worded(asdict(value))
+    values = asdict(value)
+    off = [name for name, least in _LATER.items() if name in values and values[name] == least]
+    return worded({name: values[name] for name in values if name not in off})
 
 
 def rig_of(described: Mapping[str, Any]) -> Rig:

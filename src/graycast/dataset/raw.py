@@ -2,7 +2,8 @@
 
 The pictures lie in a scene's `frames/` as the sensor stored them, with what `graycast decode` wants
 to know: `stack.yaml` says what each shows and how it is to be read, `rig.yaml` is the scanner. The
-way from there to `depth_sl` is the scanner's own, so it gives the same numbers.
+way from there to `depth_sl` is the scanner's own, so it gives the same numbers; but for a rig with
+speckle, whose sigma asks for the exposure, which `graycast decode` is not told.
 """
 
 import io

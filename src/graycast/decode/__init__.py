@@ -1,11 +1,13 @@
 """From a stack of pictures to projector positions to depth, with a reason where there is none."""
 
+from .displaced import with_displacement
 from .filters import FilterSpec, filter_depth
 from .maps import REASON_COLOR, CodeMap, DecodeSpec, DepthMap, Levels, Mark, Reason, levels_of
 from .plain import decode_plain
 from .reading import decode
 from .separation import separate
 from .triangulation import epipolar_residual_px, triangulate, triangulation_axis
+from .visibility import without_hidden
 
 __all__ = [
     "REASON_COLOR",
@@ -24,4 +26,6 @@ __all__ = [
     "separate",
     "triangulate",
     "triangulation_axis",
+    "with_displacement",
+    "without_hidden",
 ]

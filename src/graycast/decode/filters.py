@@ -17,13 +17,14 @@ from jaxtyping import Float
 from pydantic import Field
 
 from ..optics import Optics
-from ..settings import check_fields
+from ..settings import check_fields, unsaid
 from .maps import DepthMap, Reason
+from .outliers import find_outliers
+from .raster import on_raster
 
 STEP_SIGMAS = 3.0  # noise up to here neither tears a surface nor makes it steep
 LINE_SIGMAS = 4.0  # a pixel further off the line of two neighbours is not smoothed with them
 FLYING_REACH_PX = 3  # what takes more pixels than this to a side to fall is a surface, not a step
-SUPPORT_PX = 3  # so many of 24 neighbours near an outlying pixel's depth make it a detail
 NEGLIGIBLE_WEIGHT = 0.01  # of the smoothing kernel's middle: where the kernel ends
 
 
@@ -34,10 +35,14 @@ class FilterSpec:
     `flying_angle_deg`: pixels within a depth step go, where the way from one surface to the other
     is seen at more than this angle of incidence (90 is grazing).
     `outlier_sigmas`: pixels go that lie further from the local median than so many standard
-    deviations, propagated or seen around them, and further than `outlier_share` of their depth.
+    deviations, propagated or seen around them, and further than `outlier_share` of their depth;
+    with `outlier_repair` those within a whole surface get its depth instead.
+    `hidden_sigmas`: pixels go that a nearer surface hides from the projector, where positions are
+    out of order by more than so many standard deviations (see `visibility`).
     `island_px`: connected surfaces of fewer pixels go.
     `smoothing_px`: standard deviation of a Gaussian kernel; 0.55 lets 0.56 of white noise pass and
     correlates neighbours by 0.36.
+    `raster_px`: standard deviation of the place in its pixel that a depth is of (see `raster`).
     `step_angle_deg`: neighbours are connected up to this angle of incidence.
     """
 
@@ -59,10 +64,34 @@ class FilterSpec:
     outlier_share: Annotated[
         float, Field(ge=0, description="and farther than this share of depth")
     ] = 3e-4
+    outlier_repair: Annotated[
+        bool,
+        Field(
+            description="an outlier within a surface gets its depth, and does not go",
+            exclude_if=unsaid,
+        ),
+    ] = False
+    hidden_sigmas: Annotated[
+        float | None,
+        Field(
+            ge=0,
+            description="pixels go that a nearer surface hides from the projector by more noise",
+            exclude_if=unsaid,
+        ),
+    ] = None
     island_px: Annotated[int | None, Field(ge=0, description="surfaces of fewer pixels go")] = None
     smoothing_px: Annotated[
         float | None,
         Field(ge=0, le=10, description="standard deviation of the smoothing kernel"),
+    ] = None
+    raster_px: Annotated[
+        float | None,
+        Field(
+            ge=0,
+            le=1,
+            description="standard deviation of the place in its pixel that a depth is of",
+            exclude_if=unsaid,
+        ),
     ] = None
     step_angle_deg: Annotated[
         float,
@@ -109,22 +138,26 @@ def filter_depth(depth: DepthMap, spec: FilterSpec, camera: Optics) -> DepthMap:
         _flying(z_m, sigma_m, rays, flying_tan, margin_px, removed)
         _erase(z_m, removed, margin_px)
     if spec.outlier_sigmas:
-        limits = spec.outlier_sigmas, spec.outlier_share
-        _outliers(*_inverse(z_m, sigma_m), *limits, margin_px, removed)
+        limits = np.float64(spec.outlier_sigmas), np.float64(spec.outlier_share)
+        level, spread = find_outliers(
+            *_inverse(z_m, sigma_m), *limits, margin_px, spec.outlier_repair, removed
+        )
+        _repair(z_m, sigma_m, level, spread, margin_px)
         _erase(z_m, removed, margin_px)
     if spec.island_px:
         _islands(z_m, sigma_m, rays, step_tan, spec.island_px, margin_px, removed)
         _erase(z_m, removed, margin_px)
-    filtered_m, filtered_sigma_m = depth.depth_m, depth.sigma_m
+    inside = np.s_[margin_px : margin_px + h, margin_px : margin_px + w]
+    filtered_m, filtered_sigma_m = z_m[inside].copy(), sigma_m[inside].copy()
     if len(kernel):
         filtered_m, filtered_sigma_m = np.empty((2, h, w), dtype=np.float32)
         maps = z_m, sigma_m, *_inverse(z_m, sigma_m)
         _smooth(*maps, rays, step_tan, kernel, margin_px, filtered_m, filtered_sigma_m)
-    elif removed.any():
-        filtered_m = np.where(removed, np.float32(np.nan), filtered_m)
-        filtered_sigma_m = np.where(removed, np.float32(np.nan), filtered_sigma_m)
+    else:
+        filtered_sigma_m[removed] = np.nan
     reason = np.where(removed, np.uint8(Reason.OUTLIER), depth.reason)
-    return DepthMap(depth_m=filtered_m, sigma_m=filtered_sigma_m, reason=reason)
+    filtered = DepthMap(depth_m=filtered_m, sigma_m=filtered_sigma_m, reason=reason)
+    return on_raster(filtered, spec.raster_px) if spec.raster_px else filtered
 
 
 def _framed(image: Float[np.ndarray, "h w"], margin_px: int) -> Float[np.ndarray, "H W"]:
@@ -138,6 +171,15 @@ def _framed(image: Float[np.ndarray, "h w"], margin_px: int) -> Float[np.ndarray
 def _erase(framed: Float[np.ndarray, "H W"], removed: np.ndarray, margin_px: int) -> None:
     h, w = removed.shape
     framed[margin_px : margin_px + h, margin_px : margin_px + w][removed] = np.nan
+
+
+def _repair(z_m, sigma_m, level, spread, margin_px: int) -> None:
+    """Write the surfaces' inverse depth and its deviation into pixels that have one."""
+    h, w = level.shape
+    inside = np.s_[margin_px : margin_px + h, margin_px : margin_px + w]
+    known = ~np.isnan(level)
+    z_m[inside][known] = 1 / level[known]
+    sigma_m[inside][known] = spread[known] / level[known] ** 2
 
 
 def _inverse(
@@ -271,68 +313,6 @@ def _within_step(z, fall, y, x, down, right, first, last):
     outer_end = z[y + (last + 1) * down, x + (last + 1) * right]
     # What is empty is NaN, which is not steep.
     return not (abs(start - outer_start) > flat or abs(end - outer_end) > flat)
-
-
-# --- outliers ----------------------------------------------------------------------------------
-
-
-@numba.njit(parallel=True, cache=True)
-@no_type_check  # the tests' type checker wraps functions, which numba cannot compile
-def _outliers(inverse, noise, sigmas, share, margin, removed):
-    h, w = removed.shape
-    for row in numba.prange(h):
-        for column in range(w):
-            y, x = row + margin, column + margin
-            # Almost every pixel lies near the line of two opposite neighbours: a quick way out.
-            if np.isnan(inverse[y, x]):
-                continue
-            if not _in_line(inverse, noise, y, x, 0.5 * sigmas, 0.5 * share):
-                removed[row, column] |= _outlies(inverse, noise, y, x, sigmas, share)
-
-
-@numba.njit(cache=True)
-@no_type_check  # the tests' type checker wraps functions, which numba cannot compile
-def _in_line(inverse, noise, y, x, sigmas, share):
-    middle = np.float64(inverse[y, x])
-    for down, right in ((0, 1), (1, 0), (1, 1), (1, -1)):
-        a, b = inverse[y - down, x - right], inverse[y + down, x + right]
-        first, second = noise[y - down, x - right], noise[y + down, x + right]
-        off = middle - 0.5 * (a + b)
-        variance = noise[y, x] * noise[y, x] + 0.25 * (first * first + second * second)
-        if off * off <= max(sigmas * sigmas * variance, share * share * middle * middle):
-            return True
-    return False
-
-
-@numba.njit(cache=True)
-@no_type_check  # the tests' type checker wraps functions, which numba cannot compile
-def _outlies(inverse, noise, y, x, sigmas, share):
-    """Against the median of 5 x 5 pixels from which the median slopes are taken off."""
-    window = inverse[y - 2 : y + 3, x - 2 : x + 3].astype(np.float64)
-    middle = window[2, 2]
-    window[2, 2] = np.nan
-    slope_x = _median((window[:, 1:] - window[:, :-1]).ravel())
-    slope_y = _median((window[1:] - window[:-1]).ravel())
-    if np.isnan(slope_x) or np.isnan(slope_y):
-        return False  # too few neighbours to judge: `island_px` does
-    for dy in range(-2, 3):
-        for dx in range(-2, 3):
-            window[dy + 2, dx + 2] -= slope_y * dy + slope_x * dx
-    level = window.ravel()
-    median = _median(level)
-    deviation = abs(middle - median)
-    local = 1.4826 * _median(np.abs(level - median))
-    if not deviation > max(sigmas * max(noise[y, x], local), share * middle):
-        return False
-    return (np.abs(level - middle) < 0.5 * deviation).sum() < SUPPORT_PX
-
-
-@numba.njit(cache=True)
-@no_type_check  # the tests' type checker wraps functions, which numba cannot compile
-def _median(values):
-    """Of what is not NaN; NaN of fewer than 4 values."""
-    known = values[~np.isnan(values)]
-    return np.median(known) if len(known) >= 4 else np.nan
 
 
 # --- islands -----------------------------------------------------------------------------------

@@ -9,7 +9,7 @@ from jaxtyping import Float, UInt8
 from pydantic import Field
 
 from ..sensor import SensorSpec, stored_saturation_dn
-from ..settings import check_fields
+from ..settings import check_fields, unsaid
 
 
 class Reason(IntEnum):
@@ -88,17 +88,26 @@ class DecodeSpec:
     """What a pixel must show to be believed.
 
     `min_contrast`: brightest minus darkest frame (of a phase code: twice its amplitude), as a share
-    of the sensor's range. A bit is doubtful where its signal is under `doubt` times that contrast.
-    At any place of a Gray code at most one bit is changing, so two doubtful bits of an axis
-    contradict each other; its `fine_bits` finest bits do not count: there a pixel may see several
-    stripes and still be right, and doubt only widens `sigma`. A single doubtful bit contradicts
-    where misreading it would cost more than 2^fine_bits values; under a phase code, half a period,
-    and `fine_bits` is not used.
+    of the sensor's range, and `min_sigmas` the same in standard deviations of the darkest
+    frame's noise: a pixel must pass both. A bit is doubtful where its signal is under `doubt`
+    times that contrast. At any place of a Gray code at most one bit is changing, so two doubtful
+    bits of an axis contradict each other; its `fine_bits` finest bits do not count: there a pixel
+    may see several stripes and still be right, and doubt only widens `sigma`. A single doubtful bit
+    contradicts where misreading it would cost more than 2^fine_bits values; under a phase code,
+    half a period, and `fine_bits` is not used.
     Where both axes are coded, a point farther from its epipolar line than `max_epipolar_px` and
     three standard deviations is an outlier; 0 lets all pass.
     """
 
     min_contrast: Annotated[float, Field(gt=0, lt=1)] = 0.02
+    min_sigmas: Annotated[
+        float,
+        Field(
+            ge=0,
+            description="least contrast in standard deviations of the darkest frame's noise",
+            exclude_if=unsaid,
+        ),
+    ] = 0.0
     doubt: Annotated[float, Field(ge=0, lt=1)] = 0.15
     fine_bits: Annotated[int, Field(ge=0)] = 3
     max_epipolar_px: Annotated[

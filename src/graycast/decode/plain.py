@@ -96,7 +96,8 @@ def _judge(why, high, low, strength, top, spec: DecodeSpec, levels: Levels):
     reason = np.select(
         [
             high - low < SHADOW_SIGMAS * np.sqrt(noise_dn2),
-            strength < spec.min_contrast * levels.range_dn,
+            (strength < spec.min_contrast * levels.range_dn)
+            | (strength < spec.min_sigmas * np.sqrt(noise_dn2)),
         ],
         [Reason.SHADOW, Reason.LOW_MODULATION],
         why,

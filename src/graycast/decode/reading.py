@@ -74,7 +74,7 @@ def decode(
     seen = _look(stack, plans, spec, levels, fine_error)
     found = {axis: _read(seen, plan) for axis, plan in plans.items()}
     why, strength, shape = seen.why, seen.strength, seen.why.shape
-    _judge(seen.high, seen.low, strength, seen.top, why, seen.law, seen.dark_dn)
+    _judge(seen.high, seen.low, strength, seen.top, why, seen.law, seen.dark)
     for place, sigma in found.values():
         _forget(why, place, sigma)
     strength /= np.float32(levels.range_dn)
@@ -97,7 +97,7 @@ class _Seen:
 
     frames: UInt8[np.ndarray, "n h w"] | UInt16[np.ndarray, "n h w"]
     law: tuple[np.float32, ...]  # offset_dn, floor_dn2, slope_dn, doubt, fine_error
-    dark_dn: np.float32
+    dark: tuple[np.float32, np.float32]  # shows too little: min_contrast [DN], min_sigmas
     saturation_dn: np.float32
     high: Float32[np.ndarray, "h w"]
     low: Float32[np.ndarray, "h w"]
@@ -124,7 +124,7 @@ def _look(
     return _Seen(
         frames=frames,
         law=tuple(np.float32(number) for number in numbers),
-        dark_dn=np.float32(spec.min_contrast * levels.range_dn),
+        dark=(np.float32(spec.min_contrast * levels.range_dn), np.float32(spec.min_sigmas)),
         saturation_dn=saturation_dn,
         high=high,
         low=low,
@@ -184,7 +184,7 @@ def _count(seen: _Seen, measured: tuple, place) -> None:
     state = np.empty(place.shape, dtype=np.uint8)
     count_by_phases(*measured, place, state)
     said = seen.why.copy()
-    _judge(seen.high, seen.low, seen.strength, seen.top, said, seen.law, seen.dark_dn)
+    _judge(seen.high, seen.low, seen.strength, seen.top, said, seen.law, seen.dark)
     lit = said == Reason.DECODED
     if (lit & (state == OPEN)).any():
         h, w = place.shape
@@ -239,25 +239,27 @@ def _reach(stack, read, peak, saturation_dn, top):
 
 @numba.njit(parallel=True, cache=True, error_model="numpy")
 @no_type_check  # the tests' type checker wraps functions, which numba cannot compile
-def _judge(high, low, strength, top, why, law, dark_dn):
+def _judge(high, low, strength, top, why, law, dark):
     """What is wrong with a pixel's light goes before what is wrong with its code.
 
     Whatever it is, it was found in frames that do not say all where one is at the top.
     """
     for y in numba.prange(len(high)):
-        _judge_row(high[y], low[y], strength[y], top[y], why[y], law, dark_dn)
+        _judge_row(high[y], low[y], strength[y], top[y], why[y], law, dark)
 
 
 @numba.njit(cache=True, error_model="numpy")
 @no_type_check  # the tests' type checker wraps functions, which numba cannot compile
-def _judge_row(high, low, strength, top, why, law, dark_dn):
+def _judge_row(high, low, strength, top, why, law, dark):
     offset_dn, floor_dn2, slope_dn, _, _ = law
+    dark_dn, sigmas = dark
     shadow2, zero = np.float32(SHADOW_SIGMAS**2), np.float32(0)
     said = why.astype(np.int32)
     for x in range(len(why)):
         said[x] = said[x] if strength[x] >= dark_dn else 2
     for x in range(len(why)):
         noise2 = floor_dn2 + slope_dn * max(low[x] - offset_dn, zero)
+        said[x] = 2 if strength[x] * strength[x] < sigmas * sigmas * noise2 else said[x]
         contrast = high[x] - low[x]
         said[x] = 1 if contrast * contrast < shadow2 * noise2 else said[x]
     for x in range(len(why)):

@@ -32,7 +32,6 @@ import mitsuba as mi
 import numpy as np
 
 from ..optics import relative_illumination
-from ..rig import Rig
 from ..scene import Layout, Scene
 from .denoise import denoised
 from .mitsuba_paths import Tracer
@@ -62,7 +61,7 @@ class MitsubaRenderer(Renderer):
         quality: Quality,
         seed: int,
     ) -> Rendering:
-        _refuse(scene.rig, pattern, quality)
+        refuse_other_size(pattern, scene.rig.projector)
         # Blocks that Dr.Jit keeps from the last scene: not all fit this one, so they would add up.
         dr.flush_malloc_cache()
         measured = at_projector_wavelength(scene)
@@ -80,15 +79,6 @@ class MitsubaRenderer(Renderer):
         if quality.denoise != "none":
             radiance = denoised(radiance, seen.normal, quality.denoise)
         return Rendering(radiance=radiance, truth=seen)
-
-
-def _refuse(rig: Rig, pattern: np.ndarray, quality: Quality) -> None:
-    refuse_other_size(pattern, rig.projector)
-    if rig.speckle_contrast**2 * quality.samples > 1:
-        raise ValueError(
-            f"speckle_contrast is {rig.speckle_contrast} with {quality.samples} samples, too many: "
-            f"use {int(1 / rig.speckle_contrast**2)} samples or fewer, or less contrast"
-        )
 
 
 def light(

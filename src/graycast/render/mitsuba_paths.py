@@ -116,7 +116,6 @@ class Tracer:
         # Where a lookup can miss all pixels, white is no longer 1 at each.
         self.gaps = not self.sharp or rig.projector.fill_factor < 1
         self.lookups = DISC_LOOKUPS if not self.sharp else PATCH_LOOKUPS if self.footprint else 1
-        self.speckle = rig.speckle_contrast * math.sqrt(quality.samples)
 
     def trace(self, seed: int) -> Paths:
         pixels = self.camera.width_px * self.camera.height_px
@@ -227,9 +226,6 @@ class Tracer:
         strength = self.intensity_w_sr * inverse_square / len(places)
         if self.projector.natural_vignetting:
             strength *= q.z * dr.rsqrt(dr.squared_norm(q))
-        if self.speckle:
-            bright = -dr.log(1 - p.rng.next_float32())  # of fully developed speckle, mean 1
-            strength *= dr.select(p.vertex == 0, 1 + self.speckle * (bright - 1), 1)
         pixels = [pixel_index(self.projector, one) for one in places]
         return _Beam(wo, lit, strength, count, pixels, shining)
 

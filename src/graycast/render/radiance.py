@@ -156,7 +156,7 @@ class Renderer(Protocol):
 
         Raises:
             ValueError: the patterns have another size than the scene's projector, or the rig has
-                optics or speckle that this renderer or this quality cannot give.
+                optics that this renderer or this quality cannot give.
         """
         ...
 

@@ -4,7 +4,7 @@ It settles half pixels, signs and radiometry for the others; it is not meant to 
 through a regular grid of positions in each pixel, so there is no noise, and the seed is not used.
 
 Limits: Lambertian `surfaces` only, without parts, bin, lamps or environment; path depth 1; sharp
-lenses and no speckle. Closed forms judge the blur of the others.
+lenses. Closed forms judge the blur of the others.
 """
 
 import math
@@ -96,8 +96,6 @@ def _refuse_beyond_limits(
         raise ValueError("the reference renderer needs depth 1 and a square number of samples")
     if not (scene.rig.camera.is_pinhole and projector.is_pinhole):
         raise ValueError("the reference renderer has sharp lenses: set aperture_m and psf_px to 0")
-    if scene.rig.speckle_contrast:
-        raise ValueError("the reference renderer has no speckle: set speckle_contrast to 0")
     if quality.denoise != "none":
         raise ValueError("the reference renderer has no noise to take off: denoise 'none'")
     for surface in scene.surfaces:

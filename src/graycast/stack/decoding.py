@@ -20,6 +20,7 @@ from ..decode import (
     separate,
     triangulate,
     triangulation_axis,
+    without_hidden,
 )
 from ..decode.plan import plan_axes
 from ..errors import DecodeError
@@ -133,6 +134,8 @@ def decode_stack(
             depth = triangulate(codes, rig, max_epipolar_px=stated_px)
         if filters is not None:
             depth = filter_depth(depth, filters, rig.camera)
+            if filters.hidden_sigmas:
+                depth = without_hidden(depth, rig, sigmas=filters.hidden_sigmas)
         warnings += _rig_symptoms(first, residual_px)
         clock.lap("triangulate")
         if average:

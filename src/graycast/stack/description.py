@@ -195,6 +195,7 @@ def describe_stack(scanner: Scanner, files: Sequence[str], *, rig: str) -> str:
         },
         "decode": {
             "min_contrast": float(decode.min_contrast),
+            "min_sigmas": float(decode.min_sigmas),
             "doubt": float(decode.doubt),
             "fine_bits": int(decode.fine_bits),
             "max_epipolar_px": float(decode.max_epipolar_px),

@@ -64,11 +64,14 @@ def _rules(
     judged = ~unlit & (reason != Reason.SATURATED)
     weak = "modulation_sl is under the decoder's min_contrast where reason_sl says that it suffices"
     yield weak, judged & (modulation < least - half)
-    strong = "modulation_sl is over min_contrast where reason_sl says low_modulation"
-    yield strong, (reason == Reason.LOW_MODULATION) & (modulation > least + half)
     white_dn = scene.gray / 255 * (sensor.saturation_dn - levels.offset_dn)
     noise_dn = np.sqrt(levels.floor_dn2 + levels.slope_dn * white_dn)
     contrast_dn = modulation * levels.range_dn
+    # The decoder takes the noise of the darkest frame, which is not kept: white has more.
+    at_noise_dn = spec.min_sigmas * noise_dn + (_step_dn(levels) if spec.min_sigmas else 0)
+    strong = "modulation_sl is over min_contrast where reason_sl says low_modulation"
+    enough = (modulation > least + half) & (contrast_dn > at_noise_dn)
+    yield strong, (reason == Reason.LOW_MODULATION) & enough
     lit = "modulation_sl is over the noise where reason_sl says shadow"
     yield lit, (reason == Reason.SHADOW) & (contrast_dn > DIM_SIGMAS * noise_dn + _step_dn(levels))
     if scene.manifest.get("backend") == "cycles":

@@ -4,8 +4,8 @@ Each pattern, the white and the ambient picture is a render of its own with rand
 own, so noise differs from pattern to pattern as it does in the paper. A white pattern is the white
 picture, a black one is black; the ambient picture is rendered once and is in every frame.
 
-Limits: no speckle; no constant blur (`psf_px`) of the projector; silhouettes are those of the
-meshes' outlines, by `raster`, and with a distorted lens end at the image.
+Limits: no constant blur (`psf_px`) of the projector; silhouettes are those of the meshes' outlines,
+by `raster`, and with a distorted lens end at the image.
 """
 
 import tempfile
@@ -126,8 +126,6 @@ class CyclesRenderer(Renderer):
 
     def _refuse(self, rig: Rig, pattern: UInt8[np.ndarray, "n ph pw"], quality: Quality) -> None:
         refuse_other_size(pattern, rig.projector)
-        if rig.speckle_contrast:
-            raise ValueError("Cycles has no speckle: set speckle_contrast to 0, or use mitsuba")
         if rig.projector.psf_px:
             raise ValueError(
                 "Cycles has no constant blur of the projector: set its psf_px to 0, or use mitsuba"

@@ -1,0 +1,47 @@
+"""A depth map whose pixels are of places that lie anywhere in them, as a resampled raster's are.
+
+A scanner that gives a smaller map than it measures, or a straightened one, takes of each pixel one
+of several points. The point is right; but where the surface is steep, its depth is another than
+that of the pixel's middle. The places are fixed: they belong to the raster and not to a shot.
+"""
+
+from dataclasses import replace
+
+import numpy as np
+from jaxtyping import Float
+
+from .maps import DepthMap
+
+STEEPEST = 0.02  # of its depth, that a surface may rise from one pixel to the next but one
+_SEED = 15  # of the raster; any number would do
+
+
+def on_raster(depth: DepthMap, raster_px: float) -> DepthMap:
+    """The depth of a place `raster_px` (one sigma along either axis) off each pixel's middle.
+
+    The surface is the plane, in inverse depth, through both neighbours of a pixel along each axis;
+    beside steps and holes it is flat. `sigma_m` holds what the place does to the depth.
+    """
+    shape = depth.depth_m.shape
+    widest = np.sqrt(3) * raster_px  # places are even over a square
+    right, down = np.random.default_rng(_SEED).uniform(-widest, widest, (2, *shape))
+    inverse = 1 / depth.depth_m.astype(np.float64)
+    along, across = _slope(inverse, 1), _slope(inverse, 0)
+    depth_m = 1 / (inverse + right * along + down * across)
+    spread_m = raster_px * np.hypot(along, across) / inverse**2
+    return replace(
+        depth,
+        depth_m=depth_m.astype(np.float32),
+        sigma_m=np.hypot(depth.sigma_m, spread_m).astype(np.float32),
+    )
+
+
+def _slope(inverse: Float[np.ndarray, "h w"], axis: int) -> Float[np.ndarray, "h w"]:
+    """Change of inverse depth per pixel; 0 where a neighbour is missing or another surface."""
+    slope = np.zeros(inverse.shape)
+    inner = (slice(1, -1), slice(None)) if axis == 0 else (slice(None), slice(1, -1))
+    rise = (np.roll(inverse, -1, axis) - np.roll(inverse, 1, axis))[inner]
+    with np.errstate(invalid="ignore"):
+        same = np.abs(rise) < STEEPEST * inverse[inner]  # NaN is not <
+    slope[inner] = np.where(same, 0.5 * rise, 0.0)
+    return slope

@@ -1,0 +1,120 @@
+"""Speckle from light to depth: exposures share it, sigma knows it, depth obeys the law."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from stage import in_camera, lambert, leaning_wall
+
+from graycast import scanner as scanner_module
+from graycast.optics import Optics
+from graycast.render import Quality, Radiance
+from graycast.render.reference import ReferenceRenderer
+from graycast.scanner import ExposureSpec, Scanner, preset, scan, take
+from graycast.scene import EMPTY_LAYOUT
+
+WALL_M = 0.75
+
+
+@pytest.fixture(scope="module")
+def scanner():
+    """A window of the PhoXi M at its lowest resolution: sharp, since the reference renderer is."""
+    whole = preset("phoxi-m", "small")
+    camera = replace(_sharp(whole.rig.camera), width_px=90, height_px=70, cx_px=44.5, cy_px=34.5)
+    rig = replace(whole.rig, camera=camera, projector=_sharp(whole.rig.projector))
+    code = replace(whole.code, period_px=16.0)
+    return Scanner(rig=rig, code=code, sensor=whole.sensor, exposure=ExposureSpec(target=0.5))
+
+
+def _sharp(lens: Optics) -> Optics:
+    return replace(lens, aperture_m=0.0, psf_px=0.0)
+
+
+@pytest.fixture(scope="module")
+def light(scanner):
+    """A leaning wall of some reflectance: exact light and depth, by reflectance."""
+
+    def rendered(reflectance: float):
+        wall = leaning_wall((0.25, 0.15, 1.0), WALL_M, lambert(reflectance), half_m=0.6)
+        return ReferenceRenderer().render(
+            in_camera(scanner.rig, wall),
+            EMPTY_LAYOUT,
+            scanner.patterns().render(),
+            quality=Quality(samples=16, depth=1),
+            seed=0,
+        )
+
+    return {reflectance: rendered(reflectance) for reflectance in (0.03, 0.7)}
+
+
+def errors(scanner, rendering, *, seeds=(1, 2, 3)):
+    """Errors of depth [m] and the stated sigma of several captures, away from the border."""
+    shots = [scan(scanner, rendering.radiance, seed=seed).depth for seed in seeds]
+    inner = np.s_[2:-2, 2:-2]
+    error_m = np.stack([(shot.depth_m - rendering.truth.depth_m)[inner] for shot in shots])
+    return error_m, np.stack([shot.sigma_m[inner] for shot in shots])
+
+
+@pytest.mark.parametrize("reflectance", [0.03, 0.7])
+def test_sigma_tells_the_error_on_black_and_on_white(scanner, light, reflectance):
+    """Where speckle is most of the error, and where photons are. What all captures have in common,
+    the staircase of the sharp projector's pixels, is no noise and left out.
+    """
+    error_m, sigma_m = errors(scanner, light[reflectance], seeds=range(8))
+    noise_m = np.sqrt(np.nanmean(np.nanvar(error_m, axis=0, ddof=1)))
+    stated_m = np.sqrt(np.nanmean(sigma_m**2))
+    assert 0.9 < noise_m / stated_m < 1.1
+
+
+def test_black_is_noisier_than_white_by_speckle_alone(scanner, light):
+    """Without speckle an exposure that suits either gives both the same noise."""
+    laser = {r: np.nanstd(errors(scanner, light[r])[0]) for r in light}
+    lamp = replace(scanner, rig=replace(scanner.rig, speckle_contrast=0.0))
+    led = {r: np.nanstd(errors(lamp, light[r])[0]) for r in light}
+    assert led[0.03] == pytest.approx(led[0.7], rel=0.05)
+    speckle = {r: np.sqrt(laser[r] ** 2 - led[r] ** 2) for r in light}
+    # By `speckle.material_contrast` sqrt(1 + 5 * 1.4 / 0.51) / sqrt(1 + 5 * 0.06) = 3.37.
+    assert speckle[0.03] / speckle[0.7] == pytest.approx(3.37, rel=0.15)
+
+
+def test_depth_is_uncertain_by_the_law_of_dorsch_haeusler_and_herrmann(scanner, light):
+    """delta z = C lambda / (2 pi sin u sin theta): u half the aperture's angle, theta that between
+    the two rays, whatever the pixels; within a quarter, since pixels here are five speckles wide.
+    """
+    lamp = replace(scanner, rig=replace(scanner.rig, speckle_contrast=0.0))
+    laser_m, lamp_m = (np.nanstd(errors(s, light[0.03])[0]) for s in (scanner, lamp))
+    rig, sensor = scanner.rig, scanner.sensor
+    aperture_m = rig.camera.fx_px * sensor.pixel_pitch_m / sensor.f_number
+    sin_u = 0.5 * aperture_m / WALL_M
+    to_projector = rig.T_cam_proj[:3, 3] - np.array([0, 0, WALL_M])
+    cosine = -to_projector[2] / np.linalg.norm(to_projector)
+    contrast = rig.speckle_contrast / np.sqrt(1 + rig.speckle_volume * 0.06)
+    law_m = contrast * sensor.wavelength_m / (2 * np.pi * sin_u * np.sqrt(1 - cosine**2))
+    assert np.sqrt(laser_m**2 - lamp_m**2) == pytest.approx(law_m, rel=0.25)
+
+
+def test_all_exposures_and_frames_have_one_pattern_and_another_capture_another(
+    scanner, light, monkeypatch
+):
+    taken = []
+    monkeypatch.setattr(scanner_module, "merge_exposures", lambda one: taken.extend(one) or one[0])
+    twice = replace(scanner, exposure=ExposureSpec(target=0.5, factors=(1.0, 0.5)))
+    for seed in (1, 2):
+        take(twice, light[0.03].radiance, seed=seed)
+    white = scanner.patterns().brightest
+    clean = light[0.03].radiance.white
+    first, same, other = (
+        (shot.frames[white] - 64.0)[2:-2, 2:-2] / clean[2:-2, 2:-2] for shot in taken[:3]
+    )
+    assert np.corrcoef(first.ravel(), same.ravel())[0, 1] > 0.85
+    assert abs(np.corrcoef(first.ravel(), other.ravel())[0, 1]) < 0.06
+
+
+def test_other_light_has_no_speckle(scanner, light):
+    """All of it ambient, and much: what is left is the photons' noise."""
+    told = light[0.03].radiance
+    dark = {name: getattr(told, name) for name in told.__dataclass_fields__}
+    lit = Radiance(**dark | {"pattern": told.pattern * 0, "ambient": told.white * 0 + 1e3})
+    white = take(scanner, lit, seed=1).frames[scanner.patterns().brightest]
+    noise_dn = np.sqrt(scanner.sensor.variance_dn2(float(white.mean())))
+    assert white.std() == pytest.approx(noise_dn, rel=0.05)

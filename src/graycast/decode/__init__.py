@@ -1,7 +1,17 @@
 """From a stack of pictures to projector positions to depth, with a reason where there is none."""
 
 from .filters import FilterSpec, filter_depth
-from .maps import REASON_COLOR, CodeMap, DecodeSpec, DepthMap, Levels, Mark, Reason, levels_of
+from .maps import (
+    REASON_COLOR,
+    CodeMap,
+    DecodeSpec,
+    DepthMap,
+    Levels,
+    Mark,
+    Reason,
+    levels_of,
+    reason_shares,
+)
 from .plain import decode_plain
 from .reading import decode
 from .separation import separate
@@ -21,6 +31,7 @@ __all__ = [
     "epipolar_residual_px",
     "filter_depth",
     "levels_of",
+    "reason_shares",
     "separate",
     "triangulate",
     "triangulation_axis",

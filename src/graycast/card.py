@@ -216,7 +216,7 @@ def card_text(
 
 _CAPTION = (
     "Colour picture, the scanner's white frame, its depth, and why pixels have none: "
-    + ", ".join(reason.name.lower().replace("_", " ") for reason in Reason)
+    + ", ".join(reason.words for reason in Reason)
     + "."
 )
 
@@ -322,8 +322,7 @@ def _depth_picture(step: np.ndarray) -> UInt8[np.ndarray, "h w 3"]:
 
 def _reason_picture(scene: SceneContent) -> UInt8[np.ndarray, "h w 3"]:
     table = np.full((256, 3), 90, dtype=np.uint8)
-    colors = {reason.name.lower(): color for reason, color in REASON_COLOR.items()}
     for number, name in scene.reason_name.items():
-        if name in colors:
-            table[number] = list(bytes.fromhex(colors[name][1:]))
+        if name in REASON_COLOR:
+            table[number] = list(bytes.fromhex(REASON_COLOR[name][1:]))
     return table[scene.reason]

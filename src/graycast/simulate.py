@@ -17,7 +17,7 @@ from .cell import Cell
 from .config import resolve_quality
 from .dataset import Raw, Sample
 from .dataset.seeds import scene_seeds
-from .decode import CodeMap, Reason
+from .decode import CodeMap, reason_shares
 from .domain import Variation, draw, vary
 from .drop import OnStage as OnStage
 from .drop import drop
@@ -94,7 +94,7 @@ def make_scene(
             if key not in ("T_world_part", "part_index")
         },
         "exposure_s": float(np.max(capture.exposure_s)),
-        "reasons": {r.name.lower(): float((depth.reason == r).mean()) for r in Reason},
+        "reasons": reason_shares(depth.reason),
         "config": config.model_dump(mode="json", exclude={"scenes", "seed"}),
         "timings": timings,
     } | ({"domain": variation.record} if variation.record else {})

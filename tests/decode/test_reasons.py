@@ -1,12 +1,16 @@
 """Why a pixel has no place: each reason by a pixel made for it, and which reason comes first."""
 
+import pickle
+import re
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
+from matplotlib.colors import to_rgb
 from projected import LEVELS, crisp, frames_of, share_of_white
 
-from graycast.decode import DecodeSpec, Mark, Reason, decode, decode_plain, levels_of
+from graycast.decode import DecodeSpec, Mark, Reason, decode, decode_plain, levels_of, reason_shares
 from graycast.pattern import gray, gray_line_shift, gray_phase, multi_frequency, xor_gray
 from graycast.sensor import SensorSpec
 
@@ -456,3 +460,27 @@ def test_a_pixel_at_the_picture_s_border_is_never_taken_for_one_at_the_other_end
     assert (codes.reason[inside] == Reason.DECODED).mean() > 0.9
     beyond = (u < -1.8) | (u > last + 1.8)
     assert not (codes.reason[beyond] == Reason.DECODED).any()
+
+
+def test_the_page_of_formats_says_of_each_reason_what_the_program_says():
+    """One table: numbers, names and meanings stand in `Reason`, and the page may not drift away."""
+    page = (Path(__file__).resolve().parents[2] / "docs/formats.md").read_text(encoding="utf-8")
+    rows = re.findall(r"^\| (\d) \| `([A-Z_]+)` \| (.*) \|$", page, re.MULTILINE)
+    assert rows == [(str(int(r)), r.name, r.meaning) for r in Reason]
+
+
+def test_reasons_look_unlike_each_other_in_pictures():
+    """A distance of 30 of 442 in RGB is what an eye tells apart in a map beside its legend."""
+    color = np.array([to_rgb(reason.color) for reason in Reason]) * 255
+    apart = np.linalg.norm(color[:, None] - color[None], axis=-1)
+    assert apart[~np.eye(len(color), dtype=bool)].min() > 30
+
+
+def test_a_reason_is_its_number_wherever_it_goes():
+    """Files hold numbers, pickles cross processes, and kernels are compiled for whole numbers."""
+    for reason in Reason:
+        assert Reason(int(reason)) is reason is pickle.loads(pickle.dumps(reason))
+        assert np.uint8(reason) == reason == Reason[reason.name]
+    shares = reason_shares(np.array([[0, 0, 8, 1]], np.uint8))
+    assert [name for name, share in shares.items() if share] == ["decoded", "shadow", "outlier"]
+    assert sum(shares.values()) == 1

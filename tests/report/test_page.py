@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from pictured import forget, write_dataset
 
-from graycast.decode import REASON_COLOR, Reason
+from graycast.decode import Reason
 from graycast.errors import DatasetError, GraycastError
 from graycast.report.page import build, write_report
 from graycast.report.page.packing import pack_difference, pack_words
@@ -122,7 +122,7 @@ def test_reasons_have_the_palette_of_all_pictures(dataset, tmp_path):
     text = (tmp_path / "page/index.js").read_text()
     index = json.loads(text.removeprefix("Graycast.report = ").rstrip().rstrip(";"))
     assert {r["number"]: r["color"] for r in index["reasons"]} == {
-        int(reason): REASON_COLOR[reason] for reason in Reason
+        int(reason): reason.color for reason in Reason
     }
     assert [row[1] for row in index["scenes"]] == [0, 3]
     assert len(index["code"]["frames"]) == 2 + 8 + 7

@@ -199,8 +199,7 @@ def _depth(options: argparse.Namespace) -> int:
             options.on,
             on_scene=lambda done, total: bar.update(going, completed=done, total=total),
         )
-        colors = {reason.name.lower(): color for reason, color in REASON_COLOR.items()}
-        write_depth(tables, folder, colors=colors)
+        write_depth(tables, folder, colors=REASON_COLOR)
     print((options.out / "depth.md").read_text(encoding="utf-8"), end="")
     print(options.out)
     return 0

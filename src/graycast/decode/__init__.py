@@ -2,7 +2,17 @@
 
 from .displaced import with_displacement
 from .filters import FilterSpec, filter_depth
-from .maps import REASON_COLOR, CodeMap, DecodeSpec, DepthMap, Levels, Mark, Reason, levels_of
+from .maps import (
+    REASON_COLOR,
+    CodeMap,
+    DecodeSpec,
+    DepthMap,
+    Levels,
+    Mark,
+    Reason,
+    levels_of,
+    reason_shares,
+)
 from .plain import decode_plain
 from .reading import decode
 from .separation import separate
@@ -23,6 +33,7 @@ __all__ = [
     "epipolar_residual_px",
     "filter_depth",
     "levels_of",
+    "reason_shares",
     "separate",
     "triangulate",
     "triangulation_axis",

@@ -16,14 +16,55 @@ class Reason(IntEnum):
     """Why a pixel has no depth; 0 is a pixel that has one."""
 
     DECODED = 0
-    SHADOW = 1  # the frames differ by no more than their noise: the projector does not reach it
-    LOW_MODULATION = 2  # it does, but too weakly to be believed
-    SATURATED = 3  # bits or phases are lost at the top of the range, or in doubt below it
-    CONTRADICTORY = 4  # bits or phases that no single place of the projector shows
-    INTERREFLECTION = 5  # a coarse bit in doubt far from its edges, or against the fine code
+    SHADOW = 1
+    LOW_MODULATION = 2
+    SATURATED = 3
+    CONTRADICTORY = 4
+    INTERREFLECTION = 5
     OUTSIDE_PROJECTOR = 6
-    OUT_OF_RANGE = 7  # no depth within the rig's working range
-    OUTLIER = 8  # taken out by a filter, or off the epipolar line
+    OUT_OF_RANGE = 7
+    OUTLIER = 8
+
+    @property
+    def color(self) -> str:
+        """Of maps of reasons, so that a reason looks alike in all pictures."""
+        return _TOLD[self][0]
+
+    @property
+    def meaning(self) -> str:
+        """What pages say of it."""
+        return _TOLD[self][1]
+
+    @property
+    def label(self) -> str:
+        """Its name in figures and files."""
+        return self.name.lower()
+
+    @property
+    def words(self) -> str:
+        return self.label.replace("_", " ")
+
+
+_TOLD = {
+    Reason.DECODED: ("#dcdad2", "there is a depth"),
+    Reason.SHADOW: ("#25283d", "not reached by the projector: the frames differ by noise alone"),
+    Reason.LOW_MODULATION: ("#6b6e87", "reached by the projector, but too weakly to be believed"),
+    Reason.SATURATED: ("#f2b134", "bits or phases are lost at the top of the sensor's range"),
+    Reason.CONTRADICTORY: ("#c8385a", "bits or phases that no single place of the projector shows"),
+    Reason.INTERREFLECTION: (
+        "#e07b39",
+        "the coarse code contradicts the fine: indirect light",
+    ),
+    Reason.OUTSIDE_PROJECTOR: ("#3b8ea5", "a code that is none of the projector's pixels"),
+    Reason.OUT_OF_RANGE: ("#7d5ba6", "no depth within the rig's working range"),
+    Reason.OUTLIER: ("#4f9d69", "off its epipolar line, or taken out by a filter"),
+}
+REASON_COLOR = {reason.label: reason.color for reason in Reason}
+
+
+def reason_shares(reason: UInt8[np.ndarray, "h w"]) -> dict[str, float]:
+    """The share of the pixels that has each reason."""
+    return {known.label: float((reason == known).mean()) for known in Reason}
 
 
 class Mark(IntFlag):
@@ -31,20 +72,6 @@ class Mark(IntFlag):
 
     CLIPPED = 1  # a frame that its place is read from is at the top of the range
     SETTLED = 2  # its own phases allow several places; its neighbours chose among them
-
-
-# Of maps of reasons in pictures, so that a reason looks alike in all of them.
-REASON_COLOR = {
-    Reason.DECODED: "#dcdad2",
-    Reason.SHADOW: "#25283d",
-    Reason.LOW_MODULATION: "#6b6e87",
-    Reason.SATURATED: "#f2b134",
-    Reason.CONTRADICTORY: "#c8385a",
-    Reason.INTERREFLECTION: "#e07b39",
-    Reason.OUTSIDE_PROJECTOR: "#3b8ea5",
-    Reason.OUT_OF_RANGE: "#7d5ba6",
-    Reason.OUTLIER: "#4f9d69",
-}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

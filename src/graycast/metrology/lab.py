@@ -105,7 +105,7 @@ def _check_decoded(scan: DepthMap, where: Bool[np.ndarray, "h w"], exposure_s: f
     share = float(np.isfinite(scan.depth_m[where]).mean())
     if share < MIN_DECODED:
         counts = np.bincount(scan.reason[where], minlength=len(Reason))
-        why = Reason(int(counts[1:].argmax()) + 1).name.lower()
+        why = Reason(int(counts[1:].argmax()) + 1).label
         raise ValueError(
             f"{share:.1%} of an artefact has depth, most of the rest is {why} at an exposure of "
             f"{1e3 * exposure_s:.3g} ms: change the exposure, the code or the filters"

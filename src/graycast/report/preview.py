@@ -21,7 +21,7 @@ from matplotlib.patches import Rectangle
 
 from ..color import srgb
 from ..dataset import labelled
-from ..decode import REASON_COLOR, Reason, triangulation_axis
+from ..decode import Reason, triangulation_axis
 from ..frames import inverse, transform_points
 from ..mask_box import mask_box
 from ..optics import Optics, project
@@ -282,11 +282,11 @@ def error_limit_m(scene: Scene, truth: GroundTruth) -> float:
 
 
 def _draw_reasons(sheet: _Sheet, reason: UInt8[np.ndarray, "h w"]) -> None:
-    palette = np.array([to_rgb(REASON_COLOR[r]) for r in Reason])
+    palette = np.array([to_rgb(r.color) for r in Reason])
     ax = sheet.picture("reasons", np.round(255 * palette[reason]).astype(np.uint8))
     for r in Reason:
-        words = f"{r.name.lower().replace('_', ' ')} {100 * (reason == r).mean():.1f} %"
-        ax.plot([], [], "s", color=REASON_COLOR[r], mec="0.4", mew=0.5, ms=9, label=words)
+        words = f"{r.words} {100 * (reason == r).mean():.1f} %"
+        ax.plot([], [], "s", color=r.color, mec="0.4", mew=0.5, ms=9, label=words)
     ax.legend(loc="upper left", bbox_to_anchor=(-0.01, -0.005), ncols=3, fontsize=9, frameon=False,
               borderpad=0.3, handletextpad=0.2, columnspacing=1.2,
               borderaxespad=0.1)  # fmt: skip

@@ -17,6 +17,7 @@ from ..decode import (
     decode,
     epipolar_residual_px,
     filter_depth,
+    reason_shares,
     separate,
     triangulate,
     triangulation_axis,
@@ -145,7 +146,7 @@ def decode_stack(
         clock.lap("cloud")
     figures = figures_of(pictures.frames, code, by_noise, residual_px)
     if depth is not None:  # out of range and outliers are known only now
-        shares = {r.name.lower(): float((depth.reason == r).mean()) for r in Reason}
+        shares = reason_shares(depth.reason)
         figures = replace(figures, reasons=shares)
     light = _separated(pictures, code, levels.levels)
     clock.lap("figures")
@@ -239,7 +240,7 @@ def _check_light(pictures: Pictures, codes: CodeMap, found: list[str], path: Pat
         return
     main = Reason(int(np.bincount(reason).argmax()))
     share = f"{100 * (reason == main).mean():.0f} %"
-    words = f"of the lit pixels are {main.name.lower().replace('_', ' ')}"
+    words = f"of the lit pixels are {main.words}"
     raise DecodeError(
         f"{path}: hardly a pixel decodes: {share} {words} ({values}): {_REMEDY[main]}"
         + (f" ({found[0]})" if found else "")

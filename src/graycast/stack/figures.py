@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Float, UInt8, UInt16
 
-from ..decode import CodeMap, Mark, Reason
+from ..decode import CodeMap, Mark, Reason, reason_shares
 from ..pattern import Code
 from .levels import inverse_pairs
 
@@ -55,7 +55,7 @@ def figures_of(
     return Figures(
         lit_share=float(lit.mean()),
         decoded_share=float(decoded[lit].mean()) if lit.any() else 0.0,
-        reasons={r.name.lower(): float((codes.reason == r).mean()) for r in Reason},
+        reasons=reason_shares(codes.reason),
         modulation=_modulation(frames, code, decoded, codes.modulation) if decoded.any() else {},
         clipped_share=_marked(codes, decoded, Mark.CLIPPED),
         settled_share=_marked(codes, decoded, Mark.SETTLED),

@@ -11,7 +11,7 @@ from matplotlib.cm import ScalarMappable
 from matplotlib.colors import Normalize, to_rgb
 from matplotlib.figure import Figure
 
-from ..decode import REASON_COLOR, Reason
+from ..decode import Reason
 from ..folder import refuse_foreign, whole_folder
 from ..plotting import save_png
 from ..ply import cloud_bytes
@@ -55,7 +55,7 @@ def _write_all(result: StackResult, folder: Path) -> Iterator[str]:
         modulation=codes.modulation,
         reason=codes.reason,
         mark=codes.mark,
-        reasons=np.array([reason.name.lower() for reason in Reason]),
+        reasons=np.array([reason.label for reason in Reason]),
     )
     yield CODE
     if result.light is not None:
@@ -188,11 +188,11 @@ def _draw_map(figure: Figure, ax, values, limits) -> None:
 
 def _draw_reasons(ax, result: StackResult, step: int) -> None:
     reason = (result.codes if result.depth is None else result.depth).reason
-    palette = np.array([to_rgb(color) for color in REASON_COLOR.values()])
+    palette = np.array([to_rgb(kind.color) for kind in Reason])
     ax.imshow(palette[reason[::step, ::step]])
-    for kind, color in REASON_COLOR.items():
+    for kind in Reason:
         share = 100 * (reason == kind).mean()
         if share:
-            words = f"{kind.name.lower().replace('_', ' ')} {share:.1f} %"
-            ax.plot([], [], "s", color=color, mec="0.4", ms=8, label=words)
+            words = f"{kind.words} {share:.1f} %"
+            ax.plot([], [], "s", color=kind.color, mec="0.4", ms=8, label=words)
     ax.legend(loc="upper left", bbox_to_anchor=(0, -0.01), ncols=3, fontsize=9, frameon=False)

@@ -6,7 +6,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.ticker import MaxNLocator
 
-from ..decode import REASON_COLOR, Reason
+from ..decode import REASON_COLOR
 from ..plotting import ACCENT, SECOND, SOFT, caption, plain_figure, save_png
 from .gather import SIDE_EDGES_PX, VISIBILITY_BINS, Statistics
 from .scene import DEPTH_BIN_MM
@@ -83,8 +83,7 @@ def _reasons(ax: Axes, s: Statistics) -> None:
     for row, shares in enumerate((s.part_reason, s.reason)):
         left = 0.0
         for name, share in shares.items():
-            known = name.upper() in Reason.__members__
-            color = REASON_COLOR[Reason[name.upper()]] if known else SOFT
+            color = REASON_COLOR.get(name, SOFT)
             label = name.replace("_", " ") if row and share >= 5e-4 else None
             ax.barh(row, 100 * share, left=left, color=color, height=0.5, label=label)
             left += 100 * share

@@ -5,7 +5,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from ...decode import Reason
+from ...decode import reason_shares
 from ..claim import BESIDE_CONFIG
 from ..seeds import scene_seeds
 from .evidence import Evidence
@@ -28,7 +28,7 @@ def manifest_problems(scene: Evidence) -> Iterator[str]:
     lying = Counter(names.get(pose.obj_id, "") for pose in scene.poses)
     if dict(lying) != told.counts:
         yield f"manifest.json: counts are {told.counts}, scene_gt.json has {dict(lying)}"
-    shares = {r.name.lower(): float((scene.reason == r).mean()) for r in Reason}
+    shares = reason_shares(scene.reason)
     for name in sorted({*shares, *told.reasons}):
         is_, was = shares.get(name, np.nan), told.reasons.get(name, np.nan)
         if not abs(is_ - was) < 0.5 / scene.reason.size:

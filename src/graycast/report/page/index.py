@@ -9,13 +9,13 @@ import numpy as np
 
 from ... import __version__
 from ...dataset.stored import NO_REASON, StoredDataset
-from ...decode import REASON_COLOR, Reason
+from ...decode import Reason
 from ...pattern import Code, CodeSpec
 from ...stats import SceneFigures, Statistics, statistics_json, tally
 from ...stats.gather import error_figures
 from ...stats.scene import DEPTH_BIN_MM
 from .packing import color_table
-from .scene_files import MISSING_COLOR, REASON_MEANING
+from .scene_files import MISSING_COLOR
 
 # Depth, column, difference as in previews; captured frames.
 _COLORMAPS = ("viridis_r", "viridis", "RdBu_r", "gray")
@@ -120,9 +120,9 @@ def _reasons(statistics: Statistics) -> list[dict[str, Any]]:
     listed = [
         {
             "number": int(reason),
-            "name": reason.name.lower(),
-            "color": REASON_COLOR[reason],
-            "meaning": REASON_MEANING[reason],
+            "name": reason.label,
+            "color": reason.color,
+            "meaning": reason.meaning,
         }
         for reason in Reason
     ]

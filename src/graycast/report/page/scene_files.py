@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import UInt8, UInt16
 
 from ...dataset.stored import NO_REASON, SceneContent
-from ...decode import REASON_COLOR, Reason
+from ...decode import REASON_COLOR
 from ...stats import SceneFigures
 from .kept import Kept, columns_script, frames_script, read_kept
 from .packing import (
@@ -29,8 +29,7 @@ MISSING_COLOR = "#555b6e"
 
 def reason_colors(names: dict[int, str]) -> dict[int, str]:
     """A colour per reason's number, by the palette of all pictures."""
-    known = {reason.name.lower(): color for reason, color in REASON_COLOR.items()}
-    return {number: known.get(name, MISSING_COLOR) for number, name in names.items()}
+    return {number: REASON_COLOR.get(name, MISSING_COLOR) for number, name in names.items()}
 
 
 def scene_page_files(
@@ -142,16 +141,3 @@ def _reason_thumb(scene: SceneContent) -> bytes:
     colors = reason_colors({**scene.reason_name, NO_REASON: "missing"})
     picture = palette_picture(scene.reason[::stride, ::stride], colors)
     return cv2.imencode(".png", np.ascontiguousarray(picture[..., ::-1]))[1].tobytes()
-
-
-REASON_MEANING = {
-    Reason.DECODED: "there is a depth",
-    Reason.SHADOW: "the projector does not reach the pixel",
-    Reason.LOW_MODULATION: "it does, but too weakly to be believed",
-    Reason.SATURATED: "bits or phases are lost at the top of the sensor's range",
-    Reason.CONTRADICTORY: "bits or phases that no single place of the projector shows",
-    Reason.INTERREFLECTION: "the coarse code contradicts the fine: light from elsewhere",
-    Reason.OUTSIDE_PROJECTOR: "a code that is none of the projector's pixels",
-    Reason.OUT_OF_RANGE: "no depth within the rig's working range",
-    Reason.OUTLIER: "off its epipolar line, or taken out by a filter",
-}

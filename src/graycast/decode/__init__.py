@@ -5,7 +5,7 @@ from .maps import REASON_COLOR, CodeMap, DecodeSpec, DepthMap, Levels, Mark, Rea
 from .plain import decode_plain
 from .reading import decode
 from .separation import separate
-from .triangulation import epipolar_residual_px, triangulate, triangulation_axis
+from .triangulation import epipolar_residual_px, off_the_line, triangulate, triangulation_axis
 
 __all__ = [
     "REASON_COLOR",
@@ -21,6 +21,7 @@ __all__ = [
     "epipolar_residual_px",
     "filter_depth",
     "levels_of",
+    "off_the_line",
     "separate",
     "triangulate",
     "triangulation_axis",

@@ -186,7 +186,7 @@ def test_a_stack_s_noise_takes_no_point_off_its_epipolar_line_and_a_wrong_row_do
     residual_px = epipolar_residual_px(codes, depth, rig)
     limit_px = _epipolar_limit_px(None, residual_px)
     assert limit_px < 6
-    found = _less_outliers(codes, depth, residual_px, limit_px)
+    found = _less_outliers(codes, depth, residual_px, rig, limit_px)
     known = depth.reason == Reason.DECODED
     gone = (found.reason == Reason.OUTLIER)[known]
     assert gone[~wrong[known]].mean() < 2e-3  # beyond the limit and 3 sigma

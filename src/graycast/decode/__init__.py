@@ -16,7 +16,7 @@ from .maps import (
 from .plain import decode_plain
 from .reading import decode
 from .separation import separate
-from .triangulation import epipolar_residual_px, triangulate, triangulation_axis
+from .triangulation import epipolar_residual_px, off_the_line, triangulate, triangulation_axis
 from .visibility import without_hidden
 
 __all__ = [
@@ -33,6 +33,7 @@ __all__ = [
     "epipolar_residual_px",
     "filter_depth",
     "levels_of",
+    "off_the_line",
     "reason_shares",
     "separate",
     "triangulate",

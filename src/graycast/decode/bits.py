@@ -6,6 +6,8 @@ from typing import no_type_check
 import numba
 import numpy as np
 
+from .maps import Reason
+
 XOR_SIGMAS = 3.0  # a stripe's edge flips all bits that share it: noise alone decides there
 # By how much a fine bit's signal is off beyond its noise, as a share of the contrast: light from
 # elsewhere that differs between pattern and inverse, texture under the pixel, compression.
@@ -70,7 +72,8 @@ def lose_bits(stack, bits, high, low, top, saturation_dn, why):
                 lit = np.float32(2) * np.float32(first[x]) > high[y, x] + low[y, x]
                 lost[x] |= glare[x] & lit
         for x in range(w):
-            why[y, x] = np.uint8(3) if lost[x] & (why[y, x] == 0) else why[y, x]
+            free = why[y, x] == Reason.DECODED
+            why[y, x] = np.uint8(Reason.SATURATED) if lost[x] & free else why[y, x]
 
 
 @numba.njit(cache=True)
@@ -162,8 +165,10 @@ def _weigh_doubts(bits, grid, law, high, low, margin, value, variance, rival, wh
     coarse, fine = doubts[0], doubts[1]
     for x in range(w):
         # Light from elsewhere spoils the coarse bits alone.
-        said = np.uint8(5) if fine[x] == 0 else np.uint8(4)
-        why[x] = said if (why[x] == 0) & (coarse[x] + fine[x] >= 2) else why[x]
+        spoilt, wrong = np.uint8(Reason.INTERREFLECTION), np.uint8(Reason.CONTRADICTORY)
+        said = spoilt if fine[x] == 0 else wrong
+        free = why[x] == Reason.DECODED
+        why[x] = said if free & (coarse[x] + fine[x] >= 2) else why[x]
 
 
 @numba.njit(cache=True, error_model="numpy")

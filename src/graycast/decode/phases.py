@@ -6,6 +6,7 @@ from typing import no_type_check
 import numba
 import numpy as np
 
+from .maps import Reason
 from .settling import CLEAR, OPEN, REFUSED
 
 MODEL_RAD = 0.05  # by which phases of one place may differ beyond their noise
@@ -111,7 +112,8 @@ def lose_phases(stack, index, top, saturation_dn, why):
             frame = stack[k, y]
             for x in range(len(frame)):
                 lost = np.float32(frame[x]) >= saturation_dn
-                why[y, x] = np.uint8(3) if lost & (why[y, x] == 0) else why[y, x]
+                free = why[y, x] == Reason.DECODED
+                why[y, x] = np.uint8(Reason.SATURATED) if lost & free else why[y, x]
 
 
 @numba.njit(parallel=True, cache=True, error_model="numpy")
@@ -129,8 +131,8 @@ def count_by_gray(periods, cell_px, turn, place, variance, rival, why):
             u = (k + turn[y, 0, x]) * period
             other = np.floor((place[y, x] + rival[y, x]) / period - turn[y, 0, x] + half)
             far = abs(u - place[y, x]) > slack + two * math.sqrt(variance[y, x])
-            wrong = (far | (other != k)) & (why[y, x] == 0)
-            why[y, x] = np.uint8(5) if wrong else why[y, x]
+            wrong = (far | (other != k)) & (why[y, x] == Reason.DECODED)
+            why[y, x] = np.uint8(Reason.INTERREFLECTION) if wrong else why[y, x]
             place[y, x] = u
 
 

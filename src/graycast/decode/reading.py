@@ -193,7 +193,7 @@ def _count(seen: _Seen, measured: tuple, place) -> None:
         open_choices(*measured, state, choice, cost)
         settled = settle(periods, turn, choice, cost, place, state, lit, min_lead=MIN_LEAD)
         seen.mark[settled] |= np.uint8(Mark.SETTLED)
-    seen.why[(state != CLEAR) & (seen.why == 0)] = Reason.CONTRADICTORY
+    seen.why[(state != CLEAR) & (seen.why == Reason.DECODED)] = Reason.CONTRADICTORY
 
 
 @numba.njit(parallel=True, cache=True, error_model="numpy")
@@ -256,14 +256,16 @@ def _judge_row(high, low, strength, top, why, law, dark):
     shadow2, zero = np.float32(SHADOW_SIGMAS**2), np.float32(0)
     said = why.astype(np.int32)
     for x in range(len(why)):
-        said[x] = said[x] if strength[x] >= dark_dn else 2
+        said[x] = said[x] if strength[x] >= dark_dn else np.int32(Reason.LOW_MODULATION)
     for x in range(len(why)):
         noise2 = floor_dn2 + slope_dn * max(low[x] - offset_dn, zero)
         said[x] = 2 if strength[x] * strength[x] < sigmas * sigmas * noise2 else said[x]
         contrast = high[x] - low[x]
-        said[x] = 1 if contrast * contrast < shadow2 * noise2 else said[x]
+        unlit = contrast * contrast < shadow2 * noise2
+        said[x] = np.int32(Reason.SHADOW) if unlit else said[x]
     for x in range(len(why)):
-        said[x] = 3 if top[x] & (said[x] != 0) else said[x]
+        lost = top[x] & (said[x] != Reason.DECODED)
+        said[x] = np.int32(Reason.SATURATED) if lost else said[x]
     for x in range(len(why)):
         why[x] = said[x]
 
@@ -274,8 +276,9 @@ def _forget(why, place, sigma):
     nan = np.float32(np.nan)
     for y in numba.prange(len(why)):
         for x in range(why.shape[1]):
-            place[y, x] = nan if why[y, x] != 0 else place[y, x]
-            sigma[y, x] = nan if why[y, x] != 0 else sigma[y, x]
+            decoded = why[y, x] == Reason.DECODED
+            place[y, x] = place[y, x] if decoded else nan
+            sigma[y, x] = sigma[y, x] if decoded else nan
 
 
 @numba.njit(parallel=True, cache=True)
@@ -285,7 +288,8 @@ def _outside(size_px, place, why):
     for y in numba.prange(len(why)):
         for x in range(why.shape[1]):
             outside = (place[y, x] < border) | (place[y, x] > end)
-            why[y, x] = np.uint8(6) if outside & (why[y, x] == 0) else why[y, x]
+            outside &= why[y, x] == Reason.DECODED
+            why[y, x] = np.uint8(Reason.OUTSIDE_PROJECTOR) if outside else why[y, x]
 
 
 @numba.njit(parallel=True, cache=True)

@@ -1,7 +1,7 @@
 """From projector positions to depth, where camera rays meet projector planes."""
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 from ..frames import pixel_grid, transform_points
 from ..optics import project, rays, undistort
@@ -10,6 +10,7 @@ from ..rig import Rig
 from .maps import CodeMap, DepthMap, Reason
 
 DISTORTION_ITERATIONS = 5
+EPIPOLAR_SIGMAS = 3.0  # of noise that may bring a point off its epipolar line
 
 
 def triangulation_axis(rig: Rig) -> Axis:
@@ -43,7 +44,7 @@ def triangulate(codes: CodeMap, rig: Rig, *, max_epipolar_px: float = 0.0) -> De
             f"the code map is {w} x {h} px, the rig's camera {camera.width_px} x {camera.height_px}"
         )
     axis = triangulation_axis(rig)
-    across, along, sigma_px, sigma_along_px = _by_axis(codes, axis)
+    across, along, sigma_px, _ = _by_axis(codes, axis)
     decoded = codes.reason == Reason.DECODED
     if decoded.any() and np.isnan(across[decoded]).all():
         raise ValueError(f"the baseline needs the {axis} code; the stack has none")
@@ -56,8 +57,8 @@ def triangulate(codes: CodeMap, rig: Rig, *, max_epipolar_px: float = 0.0) -> De
     if max_epipolar_px and not np.isnan(along).all():
         off_px = np.full(decoded.shape, np.nan)
         point = ray * depth_m[decoded][:, None]
-        off_px[decoded] = np.abs(_off_the_line_px(point, along[decoded], rig, axis))
-        far = off_px > max_epipolar_px + 3 * sigma_along_px
+        off_px[decoded] = _off_the_line_px(point, along[decoded], rig, axis)
+        far = off_the_line(codes, off_px, rig, limit_px=max_epipolar_px)
         reason[(reason == Reason.DECODED) & far] = Reason.OUTLIER
     known = reason == Reason.DECODED
     return DepthMap(
@@ -81,6 +82,17 @@ def epipolar_residual_px(codes: CodeMap, depth: DepthMap, rig: Rig) -> Float[np.
     point = ray * depth.depth_m[known][:, None]
     off_px[known] = _off_the_line_px(point, along[known], rig, axis)
     return off_px
+
+
+def off_the_line(
+    codes: CodeMap, residual_px: Float[np.ndarray, "h w"], rig: Rig, *, limit_px: float
+) -> Bool[np.ndarray, "h w"]:
+    """Which points lie farther off their epipolar line than a limit and their own noise.
+
+    The noise is that of the coordinate that depth does not use: the line is taken as exact.
+    """
+    sigma_along_px = _by_axis(codes, triangulation_axis(rig))[3]
+    return np.abs(residual_px) > limit_px + EPIPOLAR_SIGMAS * sigma_along_px
 
 
 def _by_axis(codes: CodeMap, axis: Axis) -> tuple:

@@ -17,6 +17,7 @@ from ..decode import (
     decode,
     epipolar_residual_px,
     filter_depth,
+    off_the_line,
     reason_shares,
     separate,
     triangulate,
@@ -130,7 +131,7 @@ def decode_stack(
             by_noise = _by_noise(pictures, code, spec, levels.levels, codes)
         limit_px = _epipolar_limit_px(stated_px, residual_px)
         if stated_px is None:
-            depth = _less_outliers(codes, first, residual_px, limit_px)
+            depth = _less_outliers(codes, first, residual_px, rig, limit_px)
         else:  # as a scanner does whose limit this is
             depth = triangulate(codes, rig, max_epipolar_px=stated_px)
         if filters is not None:
@@ -302,14 +303,16 @@ def _epipolar_limit_px(
 
 
 def _less_outliers(
-    codes: CodeMap, depth: DepthMap, residual_px: Float[np.ndarray, "h w"] | None, limit_px: float
+    codes: CodeMap,
+    depth: DepthMap,
+    residual_px: Float[np.ndarray, "h w"] | None,
+    rig: Rig,
+    limit_px: float,
 ) -> DepthMap:
     """The depth map without what lies off the epipolar line by more than limit and noise."""
     if residual_px is None or not np.isfinite(limit_px):
         return depth
-    with np.errstate(invalid="ignore"):
-        noise_px = 3 * np.maximum(codes.sigma_column, codes.sigma_row)
-        far = np.abs(residual_px) > limit_px + noise_px
+    far = off_the_line(codes, residual_px, rig, limit_px=limit_px)
     depth_m, sigma_m, reason = (
         getattr(depth, name).copy() for name in ("depth_m", "sigma_m", "reason")
     )

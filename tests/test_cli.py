@@ -30,6 +30,7 @@ OPTIONS = {
     ),
     "rerender": "dataset scene_id --config --device",
     "preview": "config --out --scene --seed --backend --device",
+    "live": "config --port --scene --open --device",
     "validate": "dataset --fast",
     "parts": "config --out --device",
     "stats": "dataset --workers --out --card --licence",

@@ -12,6 +12,8 @@ from ..scene import Layout, Scene
 
 Denoiser = Literal["oidn", "optix"]
 OnFrame = Callable[[int, int], None]  # hears how many renders of a scene are done, and of how many
+# Hears how many samples of a stack are done, and of how many; what it raises ends the rendering.
+OnPass = Callable[[int, int], None]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

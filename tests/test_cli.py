@@ -68,6 +68,7 @@ OPTIONS = {
     "bench decode": "--json",
     "bench detectors": "--json detectors --on",
     "bench drop": "--json --count",
+    "bench live": "config --json --rounds --device",
     "bench hulls": "--json",
     "bench pose": "--json datasets --instances --min-visibility --out --seed",
     "bench scene": "--json --scenes --count --device",

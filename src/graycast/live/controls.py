@@ -12,6 +12,7 @@ from ..rig import PRESETS, RESOLUTIONS, standoff_m
 from .asking import Ask
 
 Cost = Literal["free", "light", "physics"]
+Number = float | int
 MOST_PARTS = 6  # kinds of parts that have controls of their own; the text has all
 
 
@@ -27,9 +28,9 @@ class Control:
     label: str
     group: str
     cost: Cost
-    low: float | None = None
-    high: float | None = None
-    step: float | None = None  # of a slider; None: by equal ratios
+    low: Number | None = None
+    high: Number | None = None
+    step: Number | None = None  # of a slider; None: by equal ratios
     unit: str = ""
     scale: float = 1.0  # what is shown, over what is set
     choices: tuple[Any, ...] = ()
@@ -78,12 +79,19 @@ def _controls(cell: Cell) -> Iterator[Control]:
 
 
 def _free(
-    key: str, label: str, low: float, high: float, step: float | None = None, **more: Any
+    key: str,
+    label: str,
+    low: Number,
+    high: Number,
+    step: Number | None = None,
+    *,
+    unit: str = "",
+    scale: float = 1.0,
 ) -> Control:
     group = {"exposure": "Exposure", "sensor": "Sensor", "decode": "Decoder", "filters": "Filters"}
     return Control(
-        key=key, label=label, group=group.get(key.split(".")[0], "Exposure"), cost="free",
-        low=low, high=high, step=step, **more,
+        key=key, label=label, group=group[key.split(".")[0]], cost="free", low=low, high=high,
+        step=step, unit=unit, scale=scale,
     )  # fmt: skip
 
 

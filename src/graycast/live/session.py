@@ -11,7 +11,7 @@ from pathlib import Path
 from threading import RLock
 from typing import Any
 
-from ..config import Config
+from ..config import Config, resolve_scanner
 from ..errors import ConfigError, GraycastError
 from ..folder import write_whole
 from ..settings import check_settings, parse_yaml, read_text
@@ -221,7 +221,8 @@ class Session:
         return self._states[self._at]
 
     def _take(self, document: Document, *, draft: bool) -> None:
-        written(document, self._path, rig_name="rig.yaml")  # refuse it before it counts
+        config = self._config(document)  # refuse it before it counts
+        resolve_scanner(config, self._path.parent)
         if self._draft and self._at > 0:
             self._states[self._at] = document
             del self._states[self._at + 1 :]

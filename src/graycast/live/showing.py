@@ -237,7 +237,7 @@ def _around(corners: Float[np.ndarray, "n 3"]) -> list[Float[np.ndarray, "2 3"]]
     return list(np.stack([corners, np.roll(corners, -1, axis=0)], axis=1))
 
 
-def _volume(outlines: list[Float[np.ndarray, "n 3"]]) -> list[Float[np.ndarray, "2 3"]]:
+def _volume(outlines: list[Float[np.ndarray, "_ 3"]]) -> list[Float[np.ndarray, "2 3"]]:
     """Outlines one behind the other, and edges between their outermost corners."""
     segments = [segment for corners in outlines for segment in _around(corners)]
     seen = [corners for corners in outlines if len(corners)]

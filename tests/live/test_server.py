@@ -2,13 +2,18 @@
 
 import json
 import re
+import threading
+import time
 from http.client import HTTPConnection
+from pathlib import Path
 
 import pytest
 from small_cell import write_cell
 
+from graycast.config import load_config
 from graycast.errors import ConfigError, GraycastError
 from graycast.live import Server, serve
+from graycast.live.server import GRACE_S
 
 
 @pytest.fixture
@@ -116,3 +121,39 @@ def test_a_taken_port_and_a_wrong_file_are_told(server, tmp_path):
         Server(tmp_path / "cell.yaml", port=server.port)
     with pytest.raises(ConfigError, match="no such file"):
         Server(tmp_path / "none.yaml")
+
+
+def test_a_saved_file_is_the_cell_that_is_shown(server):
+    """`test_line.py` has that a shown cell is `make_scene`'s."""
+    for key, value in (("ambient", 2.5), ("rig.power", 0.7), ("rig.toe_in_deg", 0.5)):
+        do(server, do="set", key=key, value=value)
+    do(server, do="set", key="parts.0.material", value={"roughness": 0.1})
+    path = Path(do(server, do="save", name="mine.yaml")["saved"])
+    saved, shown = load_config(path), server.session._config(server.session._now)
+    assert saved.model_dump(exclude={"rig"}) == shown.model_dump(exclude={"rig"})
+    assert (path.parent / saved.rig).read_bytes() == Path(shown.rig).read_bytes()
+    assert saved.light.environment.radiance == (0.5, 0.5, 0.5)
+
+
+@pytest.mark.slow
+def test_the_process_that_makes_pictures_lives_as_long_as_a_page(server):
+    threads = threading.active_count()
+    pages = []
+    for _ in range(2):
+        connection = HTTPConnection("127.0.0.1", server.port)
+        connection.request("GET", "/events")
+        pages.append(connection.getresponse())
+        assert pages[-1].readline().startswith(b"data: ")
+    pid = server.session.pid
+    assert Path(f"/proc/{pid}").exists()
+    pages[0].close()
+    time.sleep(GRACE_S + 1.5)
+    assert server.session.pid == pid  # one page is still there
+    pages[1].close()
+    deadline = time.monotonic() + 60
+    while Path(f"/proc/{pid}").exists() and time.monotonic() < deadline:
+        time.sleep(0.1)
+    assert not Path(f"/proc/{pid}").exists() and server.session.pid is None
+    while threading.active_count() > threads and time.monotonic() < deadline:
+        time.sleep(0.1)
+    assert threading.active_count() == threads

@@ -286,7 +286,7 @@ class Session:
     def _ended(self) -> None:
         """The process is gone; where nobody wanted that, the page is told."""
         with self._lock:
-            wanted = self._maker is None
+            wanted, self._maker = self._maker is None, None
         if not wanted:
             text = "the process that makes the pictures has ended: reload the page to start another"
             self._on_message(Message(kind="error", content={"error": text}))

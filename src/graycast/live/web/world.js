@@ -23,7 +23,8 @@
   Graycast.makeWorld = (scene, drag) => {
     const space = Graycast.shapes.space(scene);
     const { yaw, distance } = space.views.camera;
-    space.views.all = { yaw: yaw + 0.9, pitch: 0.35, distance: 3.1 * distance };
+    const halfway = Graycast.toWorld(scene, 0, 0, 0).map((v, k) => (v - space.middle[k]) / 2);
+    space.views.all = { yaw: yaw + 0.9, pitch: 0.35, distance: 3.1 * distance, pan: halfway };
     space.start = space.views.all;
     let world = null, // meshes as they came
       fresh = true,

@@ -62,6 +62,7 @@ ORDER = (
     "pick",
     "grasp_labels",
     "report",
+    "live",
     "doctor",
     "bench",
     "cli",
@@ -77,7 +78,7 @@ FORBIDDEN = {
     "pose": {"drop", "render", "sensor", "decode", "dataset", "simulate", "generate", "evaluate"},
     "doctor": {"drop", "dataset", "decode", "sensor", "simulate", "generate", "report"},
 }
-WHOLE_LINE = {"simulate", "generate", "report", "bench", "cli"}
+WHOLE_LINE = {"simulate", "generate", "report", "live", "bench", "cli"}
 # The truth is the renderer's, so the dataset takes its values, but no back end.
 ONLY_VALUES = {"dataset": {"render": {"render", "render.radiance"}}}
 

@@ -77,6 +77,7 @@ What is measured, learnt and judged:
     pick             a robot that empties the bin
     grasp_labels     where tools hold the parts of a dataset, and whether they do
     report           pictures of what the program works with and makes; the web page
+    live             a cell in the browser, alive
     doctor           what is installed here, and what each missing thing would give
     bench            speed and memory, and studies of renderers, drops and poses
     cli              the command `graycast`: files in, files out

@@ -20,7 +20,7 @@ from .drop import OnStage
 from .parts import Part
 from .parts.sections import resolve_material
 from .pattern import Code
-from .render import OnFrame, Renderer, open_renderer
+from .render import OnFrame, OnPass, Renderer, open_renderer
 from .rig import Rig, grey_levels, place, standoff_m
 from .scanner import Scanner
 from .scene import Bin, Scene
@@ -120,6 +120,7 @@ def open_cell_renderer(
     device: str = "auto",
     threads: int | None = None,
     on_frame: OnFrame | None = None,
+    on_pass: OnPass | None = None,
 ) -> Renderer:
     """The renderer that a cell's configuration asks for; arguments as of `open_renderer`."""
     render = cell.config.render
@@ -129,4 +130,5 @@ def open_cell_renderer(
         threads=threads,
         patterns_per_render=render.cycles.patterns_per_render,
         on_frame=on_frame,
+        on_pass=on_pass,
     )

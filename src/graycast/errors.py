@@ -31,3 +31,13 @@ class DatasetError(GraycastError):
 
 class DecodeError(GraycastError):
     """A stack's frames are missing, do not fit together, or do not fit the code."""
+
+
+def told(error: Exception) -> str:
+    """An error in one line; the system's own are told by path first."""
+    text = " ".join(str(error).split()) or type(error).__name__
+    if not isinstance(error, OSError):
+        return text
+    if error.filename is not None and error.strerror:
+        text = f"{error.filename}: {error.strerror.lower()}"
+    return f"{text}: check that path, that you may write there, and the free space"

@@ -25,10 +25,25 @@ def color_picture(
     Raises:
         ValueError: there is no light in the picture.
     """
-    radiance, sensor = rendering.radiance, scanner.sensor
-    linear = radiance.ambient_rgb + np.float32(idle_share(scanner.rig)) * radiance.white_rgb
-    if denoiser is not None:
-        linear = denoise(linear, radiance.albedo, rendering.truth.normal, denoiser)
+    return developed(color_light(scanner.rig, rendering, denoiser=denoiser), scanner, seed=seed)
+
+
+def color_light(
+    rig: Rig, rendering: Rendering, *, denoiser: Denoiser | None
+) -> Float[np.ndarray, "h w 3"]:
+    """The light of the colour picture, which no setting of the sensor changes; see there."""
+    radiance = rendering.radiance
+    linear = radiance.ambient_rgb + np.float32(idle_share(rig)) * radiance.white_rgb
+    if denoiser is None:
+        return linear
+    return denoise(linear, radiance.albedo, rendering.truth.normal, denoiser)
+
+
+def developed(
+    linear: Float[np.ndarray, "h w 3"], scanner: Scanner, *, seed: int
+) -> UInt8[np.ndarray, "h w 3"]:
+    """The colour picture that the scanner's sensor takes of a light; see `color_picture`."""
+    sensor = scanner.sensor
     if not linear.max() > 0:
         raise ValueError(
             "the colour picture is black: give light.environment or light.lamps some radiance, "

@@ -55,8 +55,7 @@ def make_scene(
     seeds = scene_seeds(seed, scene_id, domain=config.domain is not None)
     timings: dict[str, float] = {}
     with _timed(timings, "drop"):
-        counts = _counts(cell, scene_id, np.random.default_rng(seeds["counts"]))
-        variation = _varied(cell, counts, seeds)
+        variation = varied(cell, scene_id, seeds)
         scene, counts = variation.scene, variation.counts
         layout = drop(scene, counts, seed=seeds["drop"], limits=config.drop, on_stage=on_stage)
     on_stage(f"{renderer.name} renders")
@@ -116,8 +115,9 @@ def make_scene(
     return Shot(sample=sample, rendering=rendering, capture=capture, codes=codes)
 
 
-def _varied(cell: Cell, counts: tuple[int, ...], seeds: dict[str, int]) -> Variation:
-    """The cell's scene as its domain has it; without a domain the cell's own."""
+def varied(cell: Cell, scene_id: int, seeds: dict[str, int]) -> Variation:
+    """What a scene drops and renders: as the cell's domain has it, without one the cell's own."""
+    counts = _counts(cell, scene_id, np.random.default_rng(seeds["counts"]))
     if cell.domain is None:
         return Variation(scene=cell.scene, counts=counts, record={})
     rng = np.random.default_rng(seeds["domain"])

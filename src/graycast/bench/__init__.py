@@ -6,6 +6,7 @@ from .engines import measure_engines
 from .figures import Figures, describe, stamped
 from .hulls import measure_hulls
 from .kept import write_figures
+from .live import measure_live
 from .opening import opened
 from .plots import draw
 from .poses import measure_poses
@@ -22,6 +23,7 @@ __all__ = [
     "measure_drop",
     "measure_engines",
     "measure_hulls",
+    "measure_live",
     "measure_poses",
     "measure_render",
     "measure_scene",

@@ -8,6 +8,7 @@ from typing import Any
 
 from .arguments import (
     add_command,
+    add_config,
     add_device,
     add_seed,
     counts,
@@ -98,6 +99,17 @@ def add_commands(commands) -> None:
         _hulls,
         "Measure how near the collision hulls of a zoo of parts are to the parts' surfaces.",
     )
+    live = _add_kind(
+        kinds, "live", _alive, "Measure how long one waits for what graycast live shows."
+    )
+    add_config(live)
+    live.add_argument(
+        "--rounds",
+        type=positive,
+        default=20,
+        help="How often each kind of change is made (default: 20).",
+    )
+    add_device(live)
     detectors = _add_kind(
         kinds,
         "detectors",
@@ -250,6 +262,20 @@ def _drop(options: argparse.Namespace) -> int:
     from .. import bench
 
     return _report(options, "drop", bench.measure_drop(options.count))
+
+
+def _alive(options: argparse.Namespace) -> int:
+    from .. import bench
+
+    with progress_bar() as bar:
+        task = bar.add_task("rounds", total=options.rounds)
+        figures = bench.measure_live(
+            options.config,
+            rounds=options.rounds,
+            device=options.device,
+            on_round=lambda done: bar.update(task, completed=done),
+        )
+    return _report(options, "live", figures)
 
 
 def _hulls(options: argparse.Namespace) -> int:

@@ -6,7 +6,7 @@ import sys
 from collections.abc import Sequence
 
 from .. import __version__
-from ..errors import GraycastError
+from ..errors import GraycastError, told
 from . import (
     benching,
     datasets,
@@ -16,6 +16,7 @@ from . import (
     generating,
     judging,
     labelling,
+    living,
     looking,
     machine,
     measuring,
@@ -27,6 +28,7 @@ EXAMPLES = """\
 examples:
   graycast generate configs/demo.yaml --out out/demo     three scenes of brackets in a box
   graycast preview configs/own_part.yaml --out p.png     one scene of your own part as a picture
+  graycast live configs/demo.yaml                        a cell in the browser, to turn at
   graycast validate out/demo                             check a dataset from its files
   graycast report out/demo --out out/page                a web page to look at it
   graycast train out/demo --out out/detector             a detector of the dataset's parts
@@ -56,23 +58,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except (GraycastError, ValueError, OSError, MemoryError) as error:
         if options.debug:
             raise
-        text = _told(error)
-        print(f"graycast: error: {text}", file=sys.stderr)
+        print(f"graycast: error: {told(error)}", file=sys.stderr)
         return 1
 
 
 def _stop(number: int, frame: object) -> None:
     raise KeyboardInterrupt
-
-
-def _told(error: Exception) -> str:
-    """An error in one line; the system's own are told by path first."""
-    text = " ".join(str(error).split()) or type(error).__name__
-    if not isinstance(error, OSError):
-        return text
-    if error.filename is not None and error.strerror:
-        text = f"{error.filename}: {error.strerror.lower()}"
-    return f"{text}: check that path, that you may write there, and the free space"
 
 
 def _parser() -> argparse.ArgumentParser:
@@ -88,6 +79,7 @@ def _parser() -> argparse.ArgumentParser:
     generating.add_commands(commands)
     datasets.add_commands(commands)
     looking.add_commands(commands)
+    living.add_commands(commands)
     exporting.add_commands(commands)
     detecting.add_commands(commands)
     judging.add_commands(commands)

@@ -1,5 +1,7 @@
 """A wood of our own making for bins: growth rings cut lengthwise, with fine grain."""
 
+from functools import cache
+
 import numpy as np
 from jaxtyping import UInt8
 from scipy.ndimage import fourier_gaussian
@@ -10,6 +12,7 @@ _DARK_SRGB = np.array([158.0, 112.0, 66.0])
 _SEED = 7
 
 
+@cache
 def wood_texture() -> UInt8[np.ndarray, "h w 3"]:
     """An sRGB picture with the grain along its rows; it repeats without a seam."""
     rng = np.random.default_rng(_SEED)
@@ -27,4 +30,6 @@ def wood_texture() -> UInt8[np.ndarray, "h w 3"]:
     # Dark pores: short strokes along the grain.
     pores = noise(14.0, 0.8) > 2.6
     share = np.clip(dark + 0.35 * pores, 0, 1)[..., None]
-    return np.round(_LIGHT_SRGB + share * (_DARK_SRGB - _LIGHT_SRGB)).astype(np.uint8)
+    picture = np.round(_LIGHT_SRGB + share * (_DARK_SRGB - _LIGHT_SRGB)).astype(np.uint8)
+    picture.flags.writeable = False  # all who ask for it are given the same one
+    return picture

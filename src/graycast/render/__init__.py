@@ -5,6 +5,7 @@ from .radiance import (
     FrameByFrame,
     GroundTruth,
     OnFrame,
+    OnPass,
     Quality,
     Radiance,
     Renderer,
@@ -17,6 +18,7 @@ __all__ = [
     "FrameByFrame",
     "GroundTruth",
     "OnFrame",
+    "OnPass",
     "Quality",
     "Radiance",
     "Renderer",
@@ -34,6 +36,7 @@ def open_renderer(
     threads: int | None = None,
     patterns_per_render: int = 1,
     on_frame: OnFrame | None = None,
+    on_pass: OnPass | None = None,
 ) -> Renderer:
     """The one place that knows which back ends exist; each is imported when asked for.
 
@@ -45,6 +48,8 @@ def open_renderer(
         patterns_per_render: of Cycles: 3 puts patterns into R, G and B, where light is of one
             wavelength or all materials are grey.
         on_frame: of Cycles, which may take minutes for a scene: called after each render.
+        on_pass: of Mitsuba: called after every few samples of a stack, which is the same whether
+            somebody listens or not; what it raises ends the rendering.
 
     Raises:
         DeviceError: the back end or the device is not there; the text ends with the remedy.
@@ -62,7 +67,7 @@ def open_renderer(
             open_device(device, threads=threads)
             from .mitsuba import MitsubaRenderer
 
-            return MitsubaRenderer(device)
+            return MitsubaRenderer(device, on_pass=on_pass)
         case "cycles":
             from .cycles.renderer import CyclesRenderer
 

@@ -37,7 +37,7 @@ from .denoise import denoised
 from .mitsuba_paths import Tracer
 from .mitsuba_scene import build
 from .mitsuba_truth import truth
-from .radiance import Denoiser, Quality, Radiance, Renderer, Rendering, refuse_other_size
+from .radiance import Denoiser, OnPass, Quality, Radiance, Renderer, Rendering, refuse_other_size
 from .wavelength import at_projector_wavelength
 
 
@@ -47,8 +47,8 @@ class MitsubaRenderer(Renderer):
 
     name = "mitsuba"
 
-    def __init__(self, device: str):
-        self.device = device
+    def __init__(self, device: str, *, on_pass: OnPass | None = None):
+        self.device, self._on_pass = device, on_pass
         self.denoiser: Denoiser = "optix" if device == "cuda" else "oidn"
         self.versions = {name: version(name) for name in ("mitsuba", "drjit")}
 
@@ -66,7 +66,9 @@ class MitsubaRenderer(Renderer):
         dr.flush_malloc_cache()
         measured = at_projector_wavelength(scene)
         world, part_shapes = build(measured, layout)
-        radiance = light(world, measured, pattern, quality=quality, seed=seed)
+        radiance = light(
+            world, measured, pattern, quality=quality, seed=seed, on_pass=self._on_pass
+        )
         if measured is not scene:
             look = light(build(scene, layout)[0], scene, pattern[:0], quality=quality, seed=seed)
             radiance = replace(
@@ -82,11 +84,17 @@ class MitsubaRenderer(Renderer):
 
 
 def light(
-    world: mi.Scene, scene: Scene, pattern: np.ndarray, *, quality: Quality, seed: int
+    world: mi.Scene,
+    scene: Scene,
+    pattern: np.ndarray,
+    *,
+    quality: Quality,
+    seed: int,
+    on_pass: OnPass | None = None,
 ) -> Radiance:
     camera = scene.rig.camera
     h, w = camera.height_px, camera.width_px
-    paths = Tracer(world, scene, pattern, quality).trace(seed)
+    paths = Tracer(world, scene, pattern, quality).trace(seed, on_pass)
     dr.eval(paths)
 
     share = (relative_illumination(camera) / quality.samples).astype(np.float32)

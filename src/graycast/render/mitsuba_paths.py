@@ -22,8 +22,9 @@ from .mitsuba_lens import (
     through_focus,
 )
 from .mitsuba_patterns import bit_counts, packed
-from .radiance import Quality
+from .radiance import OnPass, Quality
 
+PASS_SAMPLES = 2_500_000  # of all pixels together, between two calls of `on_pass`
 ROULETTE_FROM = 2  # vertices that every path gets before Russian roulette
 MAX_SURVIVAL = 0.95  # ends paths between perfect whites
 PATCH_LOOKUPS = 3  # over a patch of interreflected light
@@ -117,7 +118,7 @@ class Tracer:
         self.gaps = not self.sharp or rig.projector.fill_factor < 1
         self.lookups = DISC_LOOKUPS if not self.sharp else PATCH_LOOKUPS if self.footprint else 1
 
-    def trace(self, seed: int) -> Paths:
+    def trace(self, seed: int, on_pass: OnPass | None = None) -> Paths:
         pixels = self.camera.width_px * self.camera.height_px
         # A literal seed would be compiled into the kernel, anew for every scene.
         rng = mi.PCG32(size=pixels, initstate=dr.opaque(mi.UInt64, seed))
@@ -140,8 +141,21 @@ class Tracer:
             albedo=dr.zeros(mi.Color3f, pixels),
         )
         samples = self.quality.samples
+        if on_pass is None:
+            return self._until(paths, samples)
+        dr.make_opaque(paths)  # as after a pass, so that all passes share a kernel
+        each = max(1, PASS_SAMPLES // pixels)
+        for done in [*range(each, samples, each), samples]:
+            paths = self._until(paths, dr.opaque(mi.UInt32, done))
+            dr.eval(paths)
+            dr.sync_thread()
+            on_pass(done, samples)
+        return paths
+
+    def _until(self, paths: Paths, sample: int | mi.UInt32) -> Paths:
+        """More samples of every pixel."""
         (paths,) = dr.while_loop(
-            state=(paths,), cond=lambda p: p.sample < samples, body=lambda p: (self._path(p),)
+            state=(paths,), cond=lambda p: p.sample < sample, body=lambda p: (self._path(p),)
         )
         return paths
 

@@ -19,6 +19,8 @@ PathDepth = Annotated[
     Field(ge=1, le=64, description="How many surfaces a path meets. 1 is direct light."),
 ]
 OnFrame = Callable[[int, int], None]  # hears how many renders of a scene are done, and of how many
+# Hears how many samples of a stack are done, and of how many; what it raises ends the rendering.
+OnPass = Callable[[int, int], None]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

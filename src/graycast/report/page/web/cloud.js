@@ -45,11 +45,15 @@
   const STILL = Float32Array.of(1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1);
 
   /**
-   * Makes a 3D view of a scene: {stage, draw(prefs), look(name), swap(scene), close()}.
+   * Makes a 3D view of a scene: {stage, draw(prefs), look(name), swap(scene), onScreen(point), close()}.
    * space: as of `shapes.space`, where the scene's own will not do. bodies(gl): what gives, at each
-   * picture, a list of {thing, place (a matrix), tint, open (only its front is drawn)}.
+   * picture, a list of {thing, place (a matrix), tint, open (only its front is drawn)}, or of lines
+   * {thing, lines: true}. perfect: whether the perfect surface and the boxes are shown as well.
    */
-  Graycast.makeCloud = (scene, { space = Graycast.shapes.space(scene), bodies = null } = {}) => {
+  Graycast.makeCloud = (
+    scene,
+    { space = Graycast.shapes.space(scene), bodies = null, perfect = true } = {},
+  ) => {
     const canvas = el("canvas", { id: "cloud" }),
       stage = el("div", { class: "stage cloud" }, canvas);
     const gl = canvas.getContext("webgl2", { antialias: true, preserveDrawingBuffer: true });
@@ -57,7 +61,7 @@
       stage.append(
         el("p", { class: "sorry" }, "This browser gives no WebGL 2, which the 3D view needs."),
       );
-      return { stage, draw() {}, look() {}, swap() {}, close() {} };
+      return { stage, draw() {}, look() {}, swap() {}, onScreen: () => null, close() {} };
     }
     const program = link(gl),
       shapes = Graycast.shapes,
@@ -68,9 +72,9 @@
         gl.getUniformLocation(program, name),
       ]),
     );
-    const surface = scene.has.depth ? shapes.mesh(gl, scene, space) : null;
+    const surface = perfect && scene.has.depth ? shapes.mesh(gl, scene, space) : null;
     let points = scene.has.scanner ? shapes.cloud(gl, scene, space) : null;
-    const boxes = scene.instances[0]?.box3d ? shapes.edges(gl, scene, space) : null;
+    const boxes = perfect && scene.instances[0]?.box3d ? shapes.edges(gl, scene, space) : null;
     const eye = { pan: [0, 0, 0], ...space.start };
     let prefs = {},
       queued = false;
@@ -103,6 +107,11 @@
       if (points && prefs.points !== false) put(points, gl.POINTS, LIT.includes(prefs.pointPaint) ? 1 : 0);
       if (boxes && prefs.boxes) put(boxes, gl.LINES, 0);
       for (const body of moving?.(prefs) ?? []) {
+        if (body.lines) {
+          gl.uniformMatrix4fv(where.uPlace, false, STILL);
+          put(body.thing, gl.LINES, 0);
+          continue;
+        }
         gl.uniformMatrix4fv(where.uPlace, false, body.place);
         gl.uniform3fv(where.uTint, body.tint);
         if (body.open) gl.enable(gl.CULL_FACE);
@@ -140,6 +149,15 @@
         scene = next;
         if (points) shapes.drop(gl, points);
         points = scene.has.scanner ? shapes.cloud(gl, scene, space) : null;
+      },
+      /** Where a point of the space is on the stage [px]; null behind the eye. */
+      onScreen(point) {
+        const m = clip(eye, eyePlace(eye), stage.clientWidth / stage.clientHeight, space.reach);
+        const [x, y, , w] = [0, 1, 2, 3].map(
+          (k) => m[k] * point[0] + m[k + 4] * point[1] + m[k + 8] * point[2] + m[k + 12],
+        );
+        if (w <= 0) return null;
+        return [((x / w + 1) / 2) * stage.clientWidth, ((1 - y / w) / 2) * stage.clientHeight];
       },
       look(name) {
         Object.assign(eye, { pan: [0, 0, 0] }, space.views[name]);

@@ -73,6 +73,15 @@ Graycast.colormap = (name) => {
   return colormaps[name];
 };
 
+/** A share of a colour map, as three bytes. */
+Graycast.heat = (name, share) => {
+  const at = 3 * Math.max(0, Math.min(255, Math.round(255 * share)));
+  return Graycast.colormap(name).subarray(at, at + 3);
+};
+
+/** Standard deviations [mm] up to this one have colours of their own. */
+Graycast.sigmaLimit = (scene) => (scene.sigmaHigh ??= Graycast.highest(scene.sigma, 0.98) || 1);
+
 /** One colour per instance, neighbours in number far apart in hue. */
 Graycast.instanceColor = (index) => {
   const hue = (index * 137.508) % 360;

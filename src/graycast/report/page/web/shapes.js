@@ -108,6 +108,14 @@
     return { ...made, count: faces.length };
   };
 
+  /** Lines between pairs of points, in one colour. */
+  shapes.lines = (gl, place, [r, g, b]) => {
+    const made = arrays(gl, place, null, null),
+      count = place.length / 3;
+    upload(gl, made, Uint8Array.from({ length: 4 * count }, (_, k) => [r, g, b, 255][k % 4]));
+    return { ...made, count };
+  };
+
   /** Give back what the GPU holds of a thing. */
   shapes.drop = (gl, thing) => {
     gl.deleteVertexArray(thing.array);
@@ -146,6 +154,8 @@
         [r, g, b] = [scene.rgb[4 * i], scene.rgb[4 * i + 1], scene.rgb[4 * i + 2]];
       else if (paint === "reason")
         [r, g, b] = reasons.subarray(3 * scene.reason[i], 3 * scene.reason[i] + 3);
+      else if (paint === "sigma")
+        [r, g, b] = Graycast.heat("magma", scene.sigma[i] / Graycast.sigmaLimit(scene));
       else if (paint === "instance" && scene.instance[i])
         [r, g, b] = Graycast.instanceColor(scene.instance[i] - 1);
       else if (paint === "difference" && scene.depth[i]) {

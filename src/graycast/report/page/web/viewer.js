@@ -6,10 +6,13 @@
   const { el } = Graycast;
   const HOLD_PX = 12; // of the bar that swipes, on either side
 
-  /** Makes a viewer for one scene. onPointer(pixel index or -1, event). */
-  Graycast.makeViewer = (scene, onPointer) => {
+  /**
+   * Makes a viewer for one scene. onPointer(pixel index or -1, event). The second picture may be of
+   * another scene of the same size.
+   */
+  Graycast.makeViewer = (scene, onPointer, other = scene) => {
     const { width, height } = scene;
-    const panes = [makePane(scene, ""), makePane(scene, "-2")];
+    const panes = [makePane(scene, ""), makePane(other, "-2")];
     const swipe = el("div", {
       id: "swipe",
       role: "slider",
@@ -124,10 +127,10 @@
       /** Show `views`, one or two of them; returns what `Graycast.paint` says of each. */
       paint(views, prefs) {
         const next = views.length > 1 ? prefs.how : "single",
-          other = (next === "side") !== (how === "side");
+          resized = (next === "side") !== (how === "side");
         how = next;
         stage.dataset.how = how;
-        if (other) home();
+        if (resized) home();
         else place();
         return views.map((view, k) => panes[k].paint(view, prefs, views.length > 1));
       },

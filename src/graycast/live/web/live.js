@@ -1,0 +1,518 @@
+"use strict";
+// The page: what is set, the pictures of it as they come, two of them side by side.
+
+{
+  const { el, percent, words } = Graycast;
+  const at = (id) => document.getElementById(id);
+  const main = at("main"),
+    panel = at("controls");
+  const prefs = Object.assign(Graycast.prefs, {
+    view: "scanner",
+    how: "side",
+    frame: 2,
+    source: "stored",
+    axis: "column",
+    limit: 0,
+    points: true,
+    parts: false,
+    bin: true,
+    camera: true,
+    projector: true,
+    common: true,
+    pointPaint: "difference",
+    pointSize: 1.5,
+  });
+  Graycast.VIEWS.splice(-1, 1, { id: "sigma", label: "σ of depth" }); // 3D stands beside them
+  const live = (Graycast.live = { latencies: [], errors: [], painted: 0 });
+  let version = 0,
+    state = null,
+    header = null,
+    scene = null, // one object for as long as the size stays: the viewer holds it
+    held = null,
+    heldNumber = 0,
+    viewer = null,
+    world = null,
+    bodies = null,
+    pointed = -1;
+  Graycast.opened = () => ({ scene, held, header, state, world });
+
+  // --- to the server ------------------------------------------------------------------------------
+
+  const waiting = []; // commands that are not sent yet
+  let sending = false;
+
+  /** Send a command when its turn comes; of drafts of one key that wait, the last alone. */
+  function send(command) {
+    const last = waiting.at(-1);
+    if (command.draft && last?.draft && last.key === command.key) waiting.pop();
+    waiting.push({ ...command, since: performance.now() });
+    if (!sending) pass();
+  }
+  async function pass() {
+    sending = true;
+    while (waiting.length) {
+      const { since, ...command } = waiting.shift();
+      try {
+        const reply = await fetch("do", {
+          method: "POST",
+          headers: { "Content-Type": "application/json" },
+          body: JSON.stringify(command),
+        });
+        const answer = await reply.json();
+        if (answer.number) live.latencies.push({ number: answer.number, since, ms: null, change: null });
+        if (answer.error) tell(answer.error);
+        else if (command.do !== "look") tell("");
+        if (answer.error) refresh(); // the control goes back to what is set
+        if (answer.saved) at("doing").textContent = `saved: ${answer.saved}`;
+      } catch {
+        tell("graycast live has ended: start it again and reload this page");
+      }
+    }
+    sending = false;
+  }
+  const set = (key, value, draft) => send({ do: "set", key, value, draft });
+  const drag = (changes, draft) => {
+    const keys = Object.keys(changes);
+    keys.forEach((key, k) => set(key, changes[key], draft || k < keys.length - 1));
+  };
+
+  function tell(text) {
+    if (text) live.errors.push(text);
+    at("error").hidden = !text;
+    at("error").textContent = text;
+  }
+
+  // --- from the server ----------------------------------------------------------------------------
+
+  const stream = new EventSource("events");
+  stream.onmessage = ({ data }) => hear(JSON.parse(data));
+  stream.onerror = () => {
+    main.dataset.ready = "";
+    version = 0; // a server that was started anew counts anew
+  };
+
+  function hear(message) {
+    switch (message.kind) {
+      case "state":
+        state = message;
+        main.dataset.asked = state.number;
+        refresh();
+        break;
+      case "stage":
+        at("doing").textContent = `${message.stage} …`;
+        break;
+      case "error":
+        at("doing").textContent = "";
+        main.dataset.failed = message.number ?? "";
+        tell(message.error);
+        break;
+      default:
+        fetchNewer();
+    }
+  }
+
+  let fetching = null;
+  let again = false;
+  /** Bring what is newer than what is here; never two at a time. */
+  function fetchNewer() {
+    if (fetching) {
+      again = true;
+      return;
+    }
+    fetching = bring().finally(() => {
+      fetching = null;
+      if (again) {
+        again = false;
+        fetchNewer();
+      }
+    });
+  }
+  async function bring() {
+    const reply = await fetch(`newer?${version}`);
+    if (!reply.ok) return;
+    const buffer = await reply.arrayBuffer();
+    const length = new DataView(buffer).getUint32(0, true);
+    const pieces = JSON.parse(new TextDecoder().decode(new Uint8Array(buffer, 4, length)));
+    for (const piece of pieces) {
+      version = Math.max(version, piece.version);
+      const array = (name, Type) => {
+        const [from, bytes] = piece.arrays[name];
+        return new Type(buffer, 4 + length + from, bytes / Type.BYTES_PER_ELEMENT);
+      };
+      if (piece.kind === "world") takeWorld(piece, array);
+    }
+    for (const piece of pieces) {
+      const array = (name, Type) => {
+        const [from, bytes] = piece.arrays[name];
+        return new Type(buffer, 4 + length + from, bytes / Type.BYTES_PER_ELEMENT);
+      };
+      if (piece.kind === "picture") takePicture(piece, array);
+    }
+  }
+
+  function takeWorld({ header: said }, array) {
+    const each = (end, Type) =>
+      Object.fromEntries(said.meshes.map((name) => [name, array(`${name}.${end}`, Type)]));
+    bodies = {
+      ...said,
+      vertices: each("vertices", Float32Array),
+      faces: each("faces", Uint32Array),
+      places: array("places", Float32Array),
+    };
+    world?.bodies(bodies);
+    if (scene) world?.draw(prefs);
+  }
+
+  function opaque(bytes, channels) {
+    const n = bytes.length / channels,
+      out = new Uint8ClampedArray(4 * n);
+    for (let i = 0; i < n; i++) {
+      for (let k = 0; k < 3; k++) out[4 * i + k] = bytes[channels * i + (channels === 3 ? k : 0)];
+      out[4 * i + 3] = 255;
+    }
+    return out;
+  }
+
+  function takePicture({ header: said, arrays }, array) {
+    const before = header;
+    header = said;
+    prefs.axis = prefs.axis.startsWith("sigma_") ? `sigma_${said.axis}` : said.axis;
+    prefs.frame = said.frame;
+    Graycast.report.claim.rig = said.rig;
+    Graycast.report.statistics.part_error.sigma_mm = said.figures.sigma_mm;
+    const frame = array("frame", Uint8Array);
+    const next = {
+      width: said.width,
+      height: said.height,
+      full: [said.width, said.height],
+      n: said.width * said.height,
+      stride: 1,
+      depth_scale_mm: said.depth_scale_mm,
+      view: said.view,
+      has: { depth: true, scanner: true },
+      kept: { frames: said.frames, columns: [said.axis, `sigma_${said.axis}`] },
+      instances: [],
+      depth: array("depth", Uint16Array),
+      scanner: array("scanner", Uint16Array),
+      sigma: array("sigma", Float32Array),
+      reason: array("reason", Uint8Array),
+      instance: array("instance", Uint16Array),
+      white: opaque(array("white", Uint8Array), 1),
+      levels: frame,
+      positions: {
+        [said.axis]: array("place", Float32Array),
+        [`sigma_${said.axis}`]: array("place_sigma", Float32Array),
+      },
+      frames: { content: said },
+      rays: null,
+      range: null,
+      projected: null,
+      sigmaHigh: null,
+    };
+    if (arrays.rgb) next.rgb = opaque(array("rgb", Uint8Array), 3);
+    const resized = !scene || scene.width !== next.width || scene.height !== next.height;
+    if (resized) {
+      next.rgb ??= opaque(new Uint8Array(3 * next.n), 3);
+      scene = next;
+      held = null;
+    } else Object.assign(scene, next);
+    if (held) held.range = Graycast.depthRange(scene);
+    if (!world) {
+      world = Graycast.makeWorld(scene, drag);
+      at("hold-3d").replaceChildren(world.stage);
+      if (bodies) world.bodies(bodies);
+      world.draw(prefs);
+      worldOptions();
+    }
+    if (resized) remakeViewer();
+    world.show(header);
+    if (before?.number !== said.number || said.exact) at("doing").textContent = "";
+    show();
+    count(said);
+  }
+
+  /** How long a user waited for the first picture of what he did. */
+  function count({ number, kind, first }) {
+    live.painted += 1;
+    for (const one of live.latencies)
+      if (one.number === number && one.ms === null && first) {
+        one.ms = performance.now() - one.since;
+        one.change = kind;
+      }
+    live.latencies = live.latencies.filter((one) => one.number >= number || one.ms !== null);
+    main.dataset.shown = number;
+    main.dataset.exact = String(header.exact);
+    main.dataset.ready = "live";
+  }
+
+  Graycast.frame = (of, k) => {
+    if (k !== of.frames.content.frame) return null;
+    return of.levels;
+  };
+  Graycast.columns = (of) => of.positions;
+  Graycast.repaint = () => show();
+
+  // --- the page -----------------------------------------------------------------------------------
+
+  function remakeViewer() {
+    viewer?.close();
+    viewer = Graycast.makeViewer(scene, point, held ?? scene);
+    at("hold-2d").replaceChildren(viewer.stage);
+  }
+
+  function point(i) {
+    pointed = i;
+    readout();
+  }
+
+  const paint = Graycast.paint;
+  Graycast.paint = (of, view, now, out) => {
+    if (view !== "sigma") return paint(of, view, now, out);
+    const high = Graycast.sigmaLimit(of);
+    for (let i = 0; i < of.n; i++) {
+      const [r, g, b] = of.sigma[i] === of.sigma[i] ? Graycast.heat("magma", of.sigma[i] / high) : [58, 60, 66];
+      out.set([r, g, b, 255], 4 * i);
+    }
+    return {
+      bar: { map: "magma", low: 0, high, unit: "mm", digits: 2 },
+      note: "standard deviation of the depth, as the scanner states it",
+    };
+  };
+
+  function views() {
+    const buttons = Graycast.VIEWS.map((view) =>
+      el(
+        "button",
+        {
+          "data-view": view.id,
+          "aria-pressed": String(view.id === prefs.view),
+          onclick: () => {
+            prefs.view = view.id;
+            show();
+          },
+        },
+        view.label,
+      ),
+    );
+    const frames = header.frames.map((name, k) =>
+      el("option", { value: k, selected: k === prefs.frame }, words(name)),
+    );
+    at("views").replaceChildren(
+      ...buttons,
+      el(
+        "select",
+        {
+          id: "choose-frame",
+          hidden: prefs.view !== "pattern",
+          onchange: (event) => send({ do: "look", frame: Number(event.target.value) }),
+        },
+        frames,
+      ),
+      el(
+        "select",
+        {
+          id: "choose-column",
+          hidden: prefs.view !== "column",
+          onchange: (event) => {
+            prefs.axis = event.target.value;
+            show();
+          },
+        },
+        [header.axis, `sigma_${header.axis}`].map((axis) =>
+          el("option", { value: axis, selected: axis === prefs.axis }, axis.replace("sigma_", "σ of ")),
+        ),
+      ),
+      el("span", { class: "spring" }),
+      el(
+        "select",
+        {
+          id: "choose-how",
+          hidden: !held,
+          onchange: (event) => {
+            prefs.how = event.target.value;
+            show();
+          },
+        },
+        [
+          ["side", "side by side"],
+          ["swipe", "swipe"],
+        ].map(([how, label]) => el("option", { value: how, selected: how === prefs.how }, label)),
+      ),
+    );
+  }
+
+  function bar({ map, low, high, unit, digits }) {
+    const canvas = el("canvas", { width: 256, height: 1 }),
+      context = canvas.getContext("2d"),
+      image = context.createImageData(256, 1),
+      table = Graycast.colormap(map);
+    for (let k = 0; k < 256; k++) image.data.set([...table.subarray(3 * k, 3 * k + 3), 255], 4 * k);
+    context.putImageData(image, 0, 0);
+    return el(
+      "span",
+      { class: "bar" },
+      low.toFixed(digits),
+      canvas,
+      `${high.toFixed(digits)} ${unit}`,
+    );
+  }
+
+  function show() {
+    if (!scene || !viewer) return;
+    views();
+    const said = viewer.paint(held ? [prefs.view, prefs.view] : [prefs.view], prefs);
+    if (held)
+      viewer.stage.querySelectorAll(".pane-name").forEach((name, k) => {
+        name.textContent = k ? "held" : "now";
+      });
+    at("under").replaceChildren(
+      el("div", {}, said[0].bar ? bar(said[0].bar) : null, said[0].note ?? ""),
+    );
+    readout();
+    refresh();
+    facts();
+  }
+
+  function readout() {
+    const i = pointed,
+      on = i >= 0,
+      s = scene.depth_scale_mm;
+    const mm = (value, digits = 2) => (on && value ? `${value.toFixed(digits)} mm` : "–");
+    const twice = (of) => {
+      const depth = of.depth[i] * s,
+        scan = of.scanner[i] * s,
+        reason = Graycast.report.reasons.find((r) => r.number === of.reason[i]),
+        place = of.positions[header.axis]?.[i],
+        spread = of.positions[`sigma_${header.axis}`]?.[i],
+        { low_dn, high_dn } = of.frames.content;
+      const dn = (level) => (on ? `≈ ${Math.round(low_dn + ((high_dn - low_dn) * level) / 255)} DN` : "–");
+      return {
+        perfect: mm(depth),
+        scanner: mm(scan),
+        difference: on && depth && scan ? `${Graycast.signed(scan - depth)} mm` : "–",
+        "σ": on && scan ? `${of.sigma[i].toFixed(3)} mm` : "–",
+        reason: on && reason ? words(reason.name) : "–",
+        [header.axis]: on && place === place ? `${place.toFixed(2)} ± ${spread.toFixed(2)} px` : "–",
+        "white frame": dn(of.white[4 * i]),
+        "this frame": dn(of.levels[i]),
+        part: on && of.instance[i] ? (bodies?.names[of.instance[i] - 1] ?? String(of.instance[i] - 1)) : "–",
+      };
+    };
+    const columns = held ? [twice(scene), twice(held)] : [twice(scene)];
+    const head = el("tr", {}, el("th", {}, on ? `pixel ${i % scene.width}, ${Math.floor(i / scene.width)}` : "pixel"),
+      (held ? ["now", "held"] : [""]).map((name) => el("td", {}, name)));
+    at("readout").replaceChildren(
+      head,
+      ...Object.keys(columns[0]).map((name) =>
+        el("tr", { "data-name": name }, el("th", {}, name), columns.map((one) => el("td", {}, one[name]))),
+      ),
+    );
+  }
+
+  function facts() {
+    const { figures } = header,
+      before = held?.frames.content.figures;
+    const pair = (name, tell) =>
+      before ? `${tell(figures[name])}  |  ${tell(before[name])}` : tell(figures[name]);
+    const mm = (value) => (value === null ? "–" : `${value.toFixed(3)} mm`);
+    const rows = [
+      ["picture", `${header.samples} of ${header.of} samples${header.exact ? ", finished" : ""}`],
+      ["decoded on parts", pair("part_decoded", (v) => percent(v))],
+      ["median off, on parts", pair("bias_mm", mm)],
+      ["σ on parts", pair("sigma_mm", mm)],
+      ["exposure", pair("exposure_ms", (v) => `${v.toPrecision(3)} ms`)],
+      ["white saturated", pair("saturated", (v) => percent(v))],
+      ["baseline", `${header.rig.baseline_mm.toFixed(0)} mm, axes at ${header.rig.axes_deg.toFixed(1)}°`],
+    ];
+    at("figures").replaceChildren(
+      ...rows.map(([name, value]) => [el("dt", {}, name), el("dd", { "data-name": name }, value)]).flat(),
+    );
+    at("reasons").replaceChildren(
+      ...Graycast.report.reasons
+        .filter((r) => figures.reasons[r.name] || before?.reasons[r.name])
+        .map((r) =>
+          el(
+            "div",
+            { title: r.meaning },
+            el("i", { style: `background:${r.color}` }),
+            el("span", {}, words(r.name)),
+            el("em", {}, percent(figures.reasons[r.name]), before ? ` | ${percent(before.reasons[r.name])}` : ""),
+          ),
+        ),
+    );
+  }
+
+  /** The settings as they are now. */
+  function refresh() {
+    if (!state) return;
+    at("where").textContent = state.path;
+    at("undo").disabled = !state.undo;
+    at("redo").disabled = !state.redo;
+    const name = at("save-name");
+    if (!name.value) name.value = `${state.path.split("/").at(-1).replace(/\.ya?ml$/, "")}_live.yaml`;
+    if (!header) return;
+    const values = { ...header.values, ...state.values };
+    Graycast.showControls(panel, { controls: header.controls, values }, state.said, set);
+    allWords();
+  }
+
+  /** The configuration's own text, where every key can be set. */
+  function allWords() {
+    let words = at("all-words");
+    if (!words) {
+      const text = el("textarea", { id: "text", spellcheck: "false", rows: 14, "aria-label": "the configuration" });
+      words = el(
+        "details",
+        { id: "all-words", "data-group": "text" },
+        el("summary", {}, "All keys, as YAML"),
+        text,
+        el("button", { id: "apply", onclick: () => send({ do: "rewrite", text: text.value }) }, "apply"),
+      );
+      panel.append(words);
+    }
+    const text = at("text");
+    if (document.activeElement !== text) text.value = state.text;
+  }
+
+  function worldOptions() {
+    at("space-options").replaceChildren(
+      ...Graycast.worldOptions(
+        prefs,
+        (name, value) => {
+          prefs[name] = value;
+          world.draw(prefs);
+          worldOptions();
+        },
+        (name) => world.look(name),
+      ),
+    );
+  }
+
+  // --- buttons and keys ---------------------------------------------------------------------------
+
+  at("undo").onclick = () => send({ do: "undo" });
+  at("redo").onclick = () => send({ do: "redo" });
+  at("save").onclick = () => send({ do: "save", name: at("save-name").value });
+  at("hold").onclick = () => {
+    if (!scene) return;
+    held = held ? null : { ...scene };
+    heldNumber = header.number;
+    at("hold").setAttribute("aria-pressed", String(!!held));
+    at("back").hidden = !held;
+    remakeViewer();
+    show();
+  };
+  at("back").onclick = () => send({ do: "return", number: heldNumber });
+  addEventListener("keydown", (event) => {
+    if (!(event.ctrlKey || event.metaKey) || event.target.matches("textarea, input:not([type=range])")) return;
+    if (event.key.toLowerCase() !== "z") return;
+    event.preventDefault();
+    send({ do: event.shiftKey ? "redo" : "undo" });
+  });
+  const root = document.documentElement;
+  root.dataset.theme = matchMedia("(prefers-color-scheme: dark)").matches ? "dark" : "light";
+  at("theme").onclick = () => {
+    root.dataset.theme = root.dataset.theme === "dark" ? "light" : "dark";
+    world?.draw(prefs);
+  };
+}

@@ -2,7 +2,7 @@
 
 import pytest
 
-from graycast.engine import SceneMaker, maker
+from graycast.engine import SceneMaker, Task, maker
 from graycast.errors import DecodeError, DeviceError, DropError
 from graycast.render import Renderer
 
@@ -53,3 +53,10 @@ def test_a_scene_s_own_failure_leaves_the_renderer_open(task, monkeypatch, error
 def test_after_a_surprise_the_renderer_is_opened_anew(task, monkeypatch, error):
     """It may hold a lost device, or the half of a scene."""
     assert opened_for(task, monkeypatch, error, DropError("no rest"), error) == [0, 1, 1]
+
+
+def test_a_job_goes_to_another_device_with_all_else(task):
+    """Workers of a cluster get the job so: with another seed or cell they would make others."""
+    there = task.on("cuda")
+    assert isinstance(there, Task) and (there.device, task.device) == ("cuda", "cpu")
+    assert there.cell is task.cell and (there.seed, there.graycast) == (task.seed, task.graycast)

@@ -2,8 +2,9 @@
 
 from ..render import OnFrame
 from ..simulate import OnStage
-from .maker import Made, SceneMaker, Task
-from .pool import TRIES, Failed, Job, Maker, Pool, make_all
+from .job import Job, Made, Maker
+from .maker import SceneMaker, Task
+from .pool import TRIES, Failed, Pool, make_all
 
 __all__ = [
     "TRIES",

@@ -9,8 +9,9 @@ from typing import Any
 
 from .. import __version__
 from ..errors import GraycastError, WorkerDied
-from .maker import GPU_DEVICES, Made
-from .pool import Failed, Job, Maker
+from .job import Job, Made, Maker
+from .maker import GPU_DEVICES
+from .pool import Failed
 
 _AHEAD = 2  # scenes submitted per place: workers need not wait, finished scenes do not pile up
 

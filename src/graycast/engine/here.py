@@ -2,8 +2,8 @@
 
 from ..render import OnFrame
 from ..simulate import OnStage
-from .maker import Made
-from .pool import Failed, Job
+from .job import Job, Made
+from .pool import Failed
 
 
 class Here:

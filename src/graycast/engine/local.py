@@ -14,8 +14,9 @@ from multiprocessing.process import BaseProcess
 from pathlib import Path
 
 from ..errors import WorkerDied
-from .maker import GPU_DEVICES, Made, is_the_scenes_own
-from .pool import Failed, Job, Maker
+from .job import Job, Made, Maker
+from .maker import GPU_DEVICES, is_the_scenes_own
+from .pool import Failed
 
 _MEMORY_SHARE = 0.8  # of the machine's memory, for all workers together
 # Libraries that would each take all cores. Open Image Denoise also binds its threads to the first

@@ -2,12 +2,11 @@
 
 import time
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from types import TracebackType
 
 import numba
 
-from .. import __version__
 from ..cell import Cell, open_cell_renderer
 from ..dataset import scene_files
 from ..dataset.sample import LEAST_DECODED
@@ -15,25 +14,17 @@ from ..errors import DecodeError, DeviceError, GraycastError, WorkerDied
 from ..render import OnFrame, Renderer
 from ..simulate import OnStage, make_scene
 from ..usage import rss_bytes
+from .job import Job, Made
 
 GPU_DEVICES = ("cuda", "optix")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Task:
-    """What a worker needs to know to make any scene of a dataset.
-
-    `device` is one that is there: 'auto' was settled before, so that all workers take the same.
-    """
+class Task(Job):
+    """What a worker needs to know to make any scene of a dataset."""
 
     cell: Cell
-    seed: int
-    device: str
     depth_scale_mm: float
-    graycast: str = __version__
-
-    def on(self, device: str) -> "Task":
-        return replace(self, device=device)
 
     def open(
         self,
@@ -43,21 +34,6 @@ class Task:
         on_stage: OnStage = lambda stage: None,
     ) -> "SceneMaker":
         return SceneMaker(self, threads=threads, on_frame=on_frame, on_stage=on_stage)
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Made:
-    """A scene: its files as (path inside its folder, content), seconds, share of pixels per reason.
-
-    Of a bin that a robot emptied: attempts per outcome. `rss_bytes` is the memory of the process
-    that made it, afterwards.
-    """
-
-    scene_id: int
-    files: tuple[tuple[str, bytes], ...]
-    seconds: float
-    reasons: dict[str, float]
-    rss_bytes: int
 
 
 class SceneMaker:

@@ -6,9 +6,8 @@ from dataclasses import dataclass
 from typing import Protocol, runtime_checkable
 
 from ..errors import GraycastError
-from ..render import OnFrame
-from ..simulate import OnStage
-from .maker import Made, is_the_scenes_own
+from .job import Made
+from .maker import is_the_scenes_own
 
 TRIES = 3
 _IN_VAIN = 10  # scenes lost one after another, beside those at work: then the machine is not well
@@ -25,41 +24,6 @@ class Failed:
     error: Exception
     tries: int = 1
     final: bool = False
-
-
-@runtime_checkable
-class Maker(Protocol):
-    """Makes one scene after the other, or one bin; close it after use."""
-
-    def make(self, scene_id: int) -> Made: ...
-
-    def close(self) -> None: ...
-
-
-@runtime_checkable
-class Job(Protocol):
-    """What workers are told, and can be sent to them: who opens it makes its scenes.
-
-    `device` is one that is there, or 'auto' for a cluster; `graycast` is the release.
-    """
-
-    @property
-    def device(self) -> str: ...
-
-    @property
-    def graycast(self) -> str: ...
-
-    def on(self, device: str) -> "Job":
-        """The same job on another device."""
-        ...
-
-    def open(
-        self,
-        *,
-        threads: int | None = None,
-        on_frame: OnFrame | None = None,
-        on_stage: OnStage = lambda stage: None,
-    ) -> Maker: ...
 
 
 @runtime_checkable

@@ -3,14 +3,13 @@
 import time
 from collections.abc import Callable
 from contextlib import closing
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
 import numba
 
-from .. import __version__
 from ..dataset.stored import StoredDataset, open_dataset
-from ..engine import Failed, Made, make_all, open_pool
+from ..engine import Failed, Job, Made, make_all, open_pool
 from ..errors import ConfigError
 from ..render import OnFrame
 from ..simulate import OnStage
@@ -22,18 +21,12 @@ from .world import Stock, World, make_world, read_heap, read_stock
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class LabelTask:
-    """What a worker needs to know to label any scene of a dataset."""
+class LabelTask(Job):
+    """What a worker needs to know to label any scene of a dataset; it needs no light."""
 
     dataset: StoredDataset
     stock: Stock
     labelling: Labelling
-    seed: int
-    device: str = "cpu"
-    graycast: str = __version__
-
-    def on(self, device: str) -> "LabelTask":
-        return replace(self, device=device)
 
     def open(
         self,
@@ -126,7 +119,7 @@ def label_dataset(
         on_start(len(scenes) - len(todo), len(scenes))
         if not todo:
             return ()
-        task = LabelTask(dataset=dataset, stock=stock, labelling=labelling, seed=seed)
+        task = LabelTask(dataset=dataset, stock=stock, labelling=labelling, seed=seed, device="cpu")
         pool = open_pool(task, workers=min(workers, len(todo)), on_stage=on_stage)
         with closing(pool):
             for outcome in make_all(pool, todo):

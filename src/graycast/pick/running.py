@@ -3,15 +3,14 @@
 import time
 from collections.abc import Callable
 from contextlib import closing
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
 import numba
 
-from .. import __version__
 from ..cell import open_cell_renderer
 from ..drop import OnStage, prepare
-from ..engine import Failed, Made, make_all, open_pool
+from ..engine import Failed, Job, Made, make_all, open_pool
 from ..errors import ConfigError, DeviceError
 from ..generate import Workers
 from ..render import OnFrame, Renderer, choose_device
@@ -25,16 +24,10 @@ ALONE = Workers()
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class PickTask:
+class PickTask(Job):
     """What a worker needs to know to empty any bin of a cell."""
 
     cell: PickCell
-    seed: int
-    device: str
-    graycast: str = __version__
-
-    def on(self, device: str) -> "PickTask":
-        return replace(self, device=device)
 
     def open(
         self,

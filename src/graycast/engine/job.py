@@ -1,0 +1,68 @@
+"""What workers are told, and what they give back."""
+
+from abc import ABC, abstractmethod
+from dataclasses import dataclass, replace
+from typing import Protocol, TypeVar, runtime_checkable
+
+from .. import __version__
+from ..render import OnFrame
+from ..simulate import OnStage
+
+J = TypeVar("J", bound="Job")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Made:
+    """A scene: its files as (path inside its folder, content), seconds, share of pixels per reason.
+
+    Of a bin that a robot emptied: attempts per outcome. `rss_bytes` is the memory of the process
+    that made it, afterwards.
+    """
+
+    scene_id: int
+    files: tuple[tuple[str, bytes], ...]
+    seconds: float
+    reasons: dict[str, float]
+    rss_bytes: int
+
+
+@runtime_checkable
+class Maker(Protocol):
+    """Makes one scene after the other, or one bin; close it after use."""
+
+    def make(self, scene_id: int) -> Made: ...
+
+    def close(self) -> None: ...
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Job(ABC):
+    """What workers are told, and can be sent to them: who opens it makes its scenes.
+
+    `device` is one that is there: 'auto' was settled before, so that all workers take the same. For
+    a cluster it may be 'auto'. `graycast` is the release.
+    """
+
+    seed: int
+    device: str
+    graycast: str = __version__
+
+    def on(self: J, device: str) -> J:
+        """The same job on another device."""
+        return replace(self, device=device)
+
+    @abstractmethod
+    def open(
+        self,
+        *,
+        threads: int | None = None,
+        on_frame: OnFrame | None = None,
+        on_stage: OnStage = lambda stage: None,
+    ) -> Maker:
+        """A maker of the job's scenes in this process; close it after use.
+
+        Args:
+            threads: processor threads that it may use; None leaves them as they are.
+            on_frame: as of `open_renderer`.
+            on_stage: as of `make_scene`.
+        """

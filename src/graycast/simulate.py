@@ -55,7 +55,7 @@ def make_scene(
     seeds = scene_seeds(seed, scene_id, domain=config.domain is not None)
     timings: dict[str, float] = {}
     with _timed(timings, "drop"):
-        counts = _counts(cell, scene_id, np.random.default_rng(seeds["counts"]))
+        counts = counts_of(cell, scene_id, np.random.default_rng(seeds["counts"]))
         variation = _varied(cell, counts, seeds)
         scene, counts = variation.scene, variation.counts
         layout = drop(
@@ -127,7 +127,7 @@ def _varied(cell: Cell, counts: tuple[int, ...], seeds: dict[str, int]) -> Varia
     return vary(cell.domain, cell.scene, counts, record)
 
 
-def _counts(cell: Cell, scene_id: int, rng: np.random.Generator) -> tuple[int, ...]:
+def counts_of(cell: Cell, scene_id: int, rng: np.random.Generator) -> tuple[int, ...]:
     """How many of each kind: one kind in turn, or all kinds drawn at random."""
     low, high = cell.config.count_range
     total = int(rng.integers(low, high + 1))

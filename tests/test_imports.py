@@ -58,6 +58,7 @@ ORDER = (
     "pose",
     "study_file",
     "study",
+    "design",
     "fit_bin",
     "calibrate",
     "pick",

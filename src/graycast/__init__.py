@@ -73,6 +73,7 @@ What is measured, learnt and judged:
     pose             where a part is, from a detection and the scanner's depth
     study_file       what a study's YAML file says
     study            models x inputs x training sets x worlds x seeds, in one table
+    design           which scanner to take and where: settings compared on the same heaps
     fit_bin          pose, colours and light of a real, empty bin
     calibrate        a rig from pictures of a board
     pick             a robot that empties the bin

@@ -44,6 +44,7 @@ OPTIONS = {
     "detect": "detector pictures --out --export --split --as-real --scale --most --least-score "
     "--drawings --device --threads",
     "study": "study --out --list --device --threads",
+    "design": "study --out --list --device --workers --threads --engine --address",
     "evaluate": "results --on --split --shares --split-seed --against --kind --one-class "
     "--min-visibility --most --draws --seed --depth --out",
     "pick": "config --out --bins --seed --device --detector --pose --depth --workers --threads "

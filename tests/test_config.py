@@ -29,6 +29,7 @@ ROOT = Path(__file__).resolve().parents[1]
 FILES = sorted((ROOT / "configs").rglob("*.yaml"))
 KEYS = {path: set(yaml.safe_load(path.read_text(encoding="utf-8"))) for path in FILES}
 CELLS = [path for path in FILES if "robot" in KEYS[path]]
+DESIGNS = [path for path in FILES if "sweeps" in KEYS[path]]
 CONFIGS = [path for path in FILES if "parts" in KEYS[path] and path not in CELLS]
 STUDIES = [path for path in FILES if "models" in KEYS[path]]
 RIGS = [path for path in FILES if "R_cam_proj" in KEYS[path]]
@@ -43,7 +44,7 @@ def quick_wood(monkeypatch):
 def test_there_are_configurations_to_look_at():
     names = {str(path.relative_to(ROOT / "configs")) for path in CONFIGS}
     assert {"demo.yaml", "own_part.yaml", "paper/metal_workpiece_1.yaml"} <= names
-    assert len(FILES) == len(CONFIGS) + len(CELLS) + len(STUDIES) + len(RIGS)
+    assert len(FILES) == len(CONFIGS) + len(CELLS) + len(STUDIES) + len(DESIGNS) + len(RIGS)
 
 
 @pytest.mark.parametrize("path", STUDIES, ids=lambda path: path.stem)

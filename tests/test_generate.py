@@ -25,7 +25,7 @@ from graycast.generate import Workers, generate, read_origin, rerender
 from graycast.pattern import CodeSpec
 from graycast.scanner import ExposureSpec, Scanner
 from graycast.sensor import SensorSpec
-from graycast.simulate import _counts
+from graycast.simulate import counts_of
 
 
 def run(cell, out, *, scenes, seed=0, workers=1):
@@ -168,7 +168,7 @@ def test_a_mix_drops_all_kinds_and_else_each_scene_has_one(tmp_path):
     for mix in (False, True):
         path = write_cell(tmp_path, parts=parts, mix=mix, count=[20, 40])
         cell = resolve_cell(load_config(path), tmp_path)
-        drawn = [_counts(cell, scene_id, rng(scene_id)) for scene_id in range(300)]
+        drawn = [counts_of(cell, scene_id, rng(scene_id)) for scene_id in range(300)]
         totals = {sum(counts) for counts in drawn}
         assert totals == set(range(20, 41))  # 300 draws miss one of 21 in 1e-5 of all cases
         if mix:

@@ -59,6 +59,7 @@ ORDER = (
     "pose",
     "study_file",
     "study",
+    "design",
     "pick",
     "grasp_labels",
     "report",

@@ -6,12 +6,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from graycast.frames import inverse, is_rigid, transform_points
+from graycast.frames import axis_rotation, inverse, is_rigid, rigid, transform_points
 from graycast.optics import Optics, rays
 from graycast.rig import (
     PRESETS,
     RESOLUTIONS,
     Rig,
+    aimed,
     best_depth_m,
     depth_per_column_m,
     depth_per_row_m,
@@ -242,3 +243,34 @@ def test_the_grey_level_for_a_share_is_the_nearest_there_is(response):
 def test_impossible_light_is_refused(change, message):
     with pytest.raises(ValueError, match=message):
         replace(parallel_rig("x"), **change)
+
+
+# --- rigs of other baselines -------------------------------------------------------------------
+
+
+def test_a_rig_of_another_baseline_looks_at_the_target():
+    """Oracle: both axes, as lines, pass through the point before the middle of the baseline."""
+    rig = aimed(preset("phoxi-l", "small"), baseline_m=0.3, distance_m=1.2)
+    assert rig.baseline_m == pytest.approx(0.3)
+    assert rig.axes_angle_rad == pytest.approx(2 * np.arctan(0.15 / 1.2))
+    middle = rig.T_cam_proj[:3, 3] / 2
+    along = np.hypot(1.2, 0.15)
+    crossing = transform_points(rig.T_cam_proj, np.array([0.0, 0.0, along]))
+    np.testing.assert_allclose(crossing, [0, 0, along], atol=1e-12)
+    assert np.linalg.norm(crossing - middle) == pytest.approx(1.2)
+
+
+@pytest.mark.parametrize("name", ["phoxi-s", "phoxi-m", "phoxi-l"])
+def test_a_rig_of_its_own_baseline_and_distance_stays_as_it_is(name):
+    rig = preset(name, "small")
+    same = aimed(rig, baseline_m=rig.baseline_m, distance_m=standoff_m(rig))
+    np.testing.assert_allclose(same.T_cam_proj, rig.T_cam_proj, atol=1e-9)
+
+
+def test_the_roll_of_a_devices_picture_stays():
+    """A projector that is rolled about its own axis is so after turning, too."""
+    rig = preset("phoxi-m", "small")
+    roll = rigid(axis_rotation("z", 0.3), np.zeros(3))
+    rolled = replace(rig, T_cam_proj=rig.T_cam_proj @ roll)
+    turned, plain = (aimed(r, baseline_m=0.2, distance_m=0.9).T_cam_proj for r in (rolled, rig))
+    np.testing.assert_allclose(inverse(plain) @ turned, roll, atol=1e-9)

@@ -74,6 +74,7 @@ What is measured, learnt and judged:
     pose             where a part is, from a detection and the scanner's depth
     study_file       what a study's YAML file says
     study            models x inputs x training sets x worlds x seeds, in one table
+    design           which scanner to take and where: settings compared on the same heaps
     pick             a robot that empties the bin
     grasp_labels     where tools hold the parts of a dataset, and whether they do
     report           pictures of what the program works with and makes; the web page

@@ -71,7 +71,7 @@ def resolve_cell(config: Config, folder: Path, *, on_stage: OnStage = lambda sta
     box, bin_notes = resolve_bin(config.bin, folder)
     scene = Scene(
         rig=rig,
-        T_world_cam=_pose(config.view, rig, box),
+        T_world_cam=hang(config.view, rig, box),
         parts=parts,
         bin=box,
         environment=resolve_environment(config.light.environment, folder),
@@ -101,7 +101,7 @@ def reach_m(cell: Cell) -> float:
     return max(cell.scene.rig.far_m, deepest_m(cell.config.domain, cell.scene))
 
 
-def _pose(view: ViewSection, rig: Rig, box: Bin) -> Float[np.ndarray, "4 4"]:
+def hang(view: ViewSection, rig: Rig, box: Bin) -> Float[np.ndarray, "4 4"]:
     """`T_world_cam`: the one given, or the rig placed above the bin."""
     if view.T_world_cam is not None:
         return np.reshape(view.T_world_cam, (4, 4)).astype(np.float64)

@@ -326,6 +326,35 @@ def frame_in_camera(rig: Rig) -> Float[np.ndarray, "4 4"]:
     return look_at(middle, middle + bisector, np.array([0.0, 1.0, 0.0]))
 
 
+def aimed(rig: Rig, *, baseline_m: float, distance_m: float) -> Rig:
+    """The same camera and projector another distance apart, and both turned to one target.
+
+    Their axes then cross `distance_m` before the middle of the baseline, on what was the bisector
+    of the axes. The working range, which lenses and focus set, stays as it was.
+    """
+    T_rig_cam = inverse(frame_in_camera(rig))
+    target = np.array([0.0, 0.0, distance_m])
+    turned = []
+    for T in (T_rig_cam, T_rig_cam @ rig.T_cam_proj):
+        eye = baseline_m / rig.baseline_m * T[:3, 3]
+        turned.append(rigid(_least_turn(T[:3, 2], target - eye) @ T[:3, :3], eye))
+    return replace(rig, T_cam_proj=inverse(turned[0]) @ turned[1])
+
+
+def _least_turn(
+    start: Float[np.ndarray, "3"], end: Float[np.ndarray, "3"]
+) -> Float[np.ndarray, "3 3"]:
+    """The rotation by the least angle that turns one direction to another, less than 180 degrees.
+
+    Rodrigues' formula: `I + K + K K / (1 + c)` with the cross product's matrix K of the unit
+    directions, and c their product.
+    """
+    a, b = start / np.linalg.norm(start), end / np.linalg.norm(end)
+    x, y, z = np.cross(a, b)
+    K = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+    return np.eye(3) + K + K @ K / (1 + a @ b)
+
+
 def best_depth_m(rig: Rig) -> float:
     """Depth at which the two optical axes come closest, kept within the working range."""
     origin, axis = rig.T_cam_proj[:3, 3], rig.T_cam_proj[:3, 2]

@@ -132,6 +132,16 @@ def take(scanner: Scanner, radiance: Radiance, *, seed: int) -> Capture:
     )
 
 
+def scan_seconds(scanner: Scanner, capture: Capture, *, readout_s: float) -> float:
+    """How long taking a stack lasts: each frame is exposed and read out, at every exposure.
+
+    Leaves out: computing, which scanners do beside the next scan, and pauses between frames.
+    """
+    factors = scanner.exposure.factors
+    exposed_s = float(np.max(capture.exposure_s)) / max(factors) * sum(factors)
+    return len(capture.frames) * (exposed_s + len(factors) * readout_s)
+
+
 def measure(scanner: Scanner, capture: Capture) -> tuple[CodeMap, DepthMap]:
     """Pictures to projector positions to depth, filtered as the scanner does."""
     codes = decode(capture.frames, scanner.patterns(), scanner.decode, levels_of(scanner.sensor))
@@ -234,5 +244,6 @@ __all__ = [
     "measure",
     "preset",
     "scan",
+    "scan_seconds",
     "take",
 ]

@@ -117,7 +117,7 @@ def make_scene(
 
 def varied(cell: Cell, scene_id: int, seeds: dict[str, int]) -> Variation:
     """What a scene drops and renders: as the cell's domain has it, without one the cell's own."""
-    counts = _counts(cell, scene_id, np.random.default_rng(seeds["counts"]))
+    counts = counts_of(cell, scene_id, np.random.default_rng(seeds["counts"]))
     if cell.domain is None:
         return Variation(scene=cell.scene, counts=counts, record={})
     rng = np.random.default_rng(seeds["domain"])
@@ -125,7 +125,7 @@ def varied(cell: Cell, scene_id: int, seeds: dict[str, int]) -> Variation:
     return vary(cell.domain, cell.scene, counts, record)
 
 
-def _counts(cell: Cell, scene_id: int, rng: np.random.Generator) -> tuple[int, ...]:
+def counts_of(cell: Cell, scene_id: int, rng: np.random.Generator) -> tuple[int, ...]:
     """How many of each kind: one kind in turn, or all kinds drawn at random."""
     low, high = cell.config.count_range
     total = int(rng.integers(low, high + 1))

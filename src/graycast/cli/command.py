@@ -10,6 +10,7 @@ from ..errors import GraycastError, told
 from . import (
     benching,
     datasets,
+    designing,
     detecting,
     exporting,
     fitting,
@@ -37,6 +38,7 @@ examples:
   graycast evaluate run --on out/demo --out out/scores   how good detections are
   graycast pick configs/cells/ur5e_suction.yaml --out p  a simulated robot that empties bins
   graycast grasps out/demo --tool tool.yaml              label where a gripper holds the parts
+  graycast design configs/design/brackets.yaml --out d   which scanner to take, and where
   graycast decode stack.yaml --rig rig.yaml --out cloud  depth from a real scanner's pictures
   graycast certify phoxi-l --out sheet                   what a virtual scanner is worth
   graycast realism real/ --intrinsics K.json --out r     how real depth maps look, in figures
@@ -83,6 +85,7 @@ def _parser() -> argparse.ArgumentParser:
     exporting.add_commands(commands)
     detecting.add_commands(commands)
     judging.add_commands(commands)
+    designing.add_commands(commands)
     picking.add_commands(commands)
     labelling.add_commands(commands)
     fitting.add_commands(commands)

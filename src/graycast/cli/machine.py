@@ -20,7 +20,9 @@ def add_commands(commands) -> None:
         "Print the JSON Schema of a kind of file, for editors that complete and check.",
     )
     schema.add_argument(
-        "kind", choices=("config", "rig", "stack", "study"), help="The kind of file."
+        "kind",
+        choices=("config", "rig", "stack", "study", "design"),
+        help="The kind of file.",
     )
 
 
@@ -33,6 +35,7 @@ def _doctor(options: argparse.Namespace) -> int:
 
 def _schema(options: argparse.Namespace) -> int:
     from ..config import config_schema
+    from ..design import design_schema
     from ..rig_file import rig_schema
     from ..stack import stack_schema
     from ..study_file import study_schema
@@ -42,6 +45,7 @@ def _schema(options: argparse.Namespace) -> int:
         "rig": rig_schema,
         "stack": stack_schema,
         "study": study_schema,
+        "design": design_schema,
     }
     print(json.dumps(schemas[options.kind](), indent=2))
     return 0

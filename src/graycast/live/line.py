@@ -21,7 +21,7 @@ import numpy as np
 from jaxtyping import Float, UInt8
 
 from ..cell import Cell, open_cell_renderer, resolve_cell
-from ..config import Config, resolve_limits, resolve_quality, resolve_scanner
+from ..config import Config, resolve_quality, resolve_scanner
 from ..dataset.seeds import scene_seeds
 from ..decode import CodeMap, DepthMap
 from ..drop import DropLimits, drop
@@ -121,7 +121,7 @@ class Line:
         seeds = scene_seeds(ask.config.seed, self._scene_id, domain=cell.domain is not None)
         variation = varied(cell, self._scene_id, seeds)
         scene = variation.scene
-        physics = _physics_key(scene, variation.counts, seeds["drop"], resolve_limits(ask.config))
+        physics = _physics_key(scene, variation.counts, seeds["drop"], ask.config.drop)
         layout, fell = self._layout(physics, scene, variation.counts, seeds["drop"], ask)
         run = _Run(ask=ask, cell=cell, scene=scene, layout=layout, seeds=seeds, start=start)
         key = (_light_key(ask.unturned), physics)
@@ -179,7 +179,7 @@ class Line:
         """Where the parts lie, and whether they had to fall for it."""
         if self._lain is not None and self._lain[0] == key:
             return self._lain[1], False
-        limits = resolve_limits(ask.config)
+        limits = ask.config.drop
         layout = drop(scene, counts, seed=seed, limits=limits, on_stage=self._stage)
         self._lain = key, layout
         return layout, True

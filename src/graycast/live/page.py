@@ -3,9 +3,8 @@
 import json
 from functools import cache
 
-from ..decode import REASON_COLOR, Reason
+from ..decode import Reason
 from ..report.page.packing import color_table
-from ..report.page.scene_files import REASON_MEANING
 
 _COLORMAPS = ("viridis_r", "viridis", "RdBu_r", "gray", "magma")
 
@@ -17,8 +16,8 @@ def about() -> str:
         {
             "number": int(reason),
             "name": reason.name.lower(),
-            "color": REASON_COLOR[reason],
-            "meaning": REASON_MEANING[reason],
+            "color": reason.color,
+            "meaning": reason.meaning,
         }
         for reason in Reason
     ]

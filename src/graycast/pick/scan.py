@@ -13,7 +13,7 @@ from ..detections import Detections
 from ..frames import inverse
 from ..picture import color_picture, gray_picture
 from ..render import Renderer, Rendering
-from ..scanner import measure, take
+from ..scanner import measure, scan_seconds, take
 from ..scene import Layout
 from .aim import Target, View, whole_bin
 from .cell import PickCell
@@ -57,8 +57,6 @@ def scan(
     )
     capture = take(base.scanner, rendering.radiance, seed=noise_seed)
     _, measured = measure(base.scanner, capture)
-    factors = base.scanner.exposure.factors
-    exposed_s = float(np.max(capture.exposure_s)) / max(factors) * sum(factors)
     return Scan(
         view=View(
             depth_m=_acted_on(cell, rendering, measured, depth_seed),
@@ -69,7 +67,7 @@ def scan(
         gray=gray_picture(capture),
         rgb=_picture(cell, renderer, rendering, picture_seed),
         instance=rendering.truth.instance,
-        seconds=len(capture.frames) * (exposed_s + len(factors) * picking.readout_s),
+        seconds=scan_seconds(base.scanner, capture, readout_s=picking.readout_s),
     )
 
 

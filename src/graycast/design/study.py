@@ -1,0 +1,166 @@
+"""What the YAML file of a design study says: one cell, and the scanners and places to compare."""
+
+import os
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+from pydantic import Field, StringConstraints, model_validator
+
+from ..config import BinSection
+from ..errors import ConfigError
+from ..parts.sections import MaterialSection
+from ..rig import PRESETS
+from ..rig_file.sections import CodeSection, ExposureSection
+from ..settings import Level, Positive, ReadAs, Settings, read_settings
+
+Name = Annotated[str, StringConstraints(pattern=r"^[A-Za-z0-9.-]+$")]  # it becomes part of a path
+Tilt = Annotated[float, Field(ge=0, le=80)]
+
+
+class SweepSection(Settings):
+    """All combinations of its lists are compared. A key that is left out is as in the cell."""
+
+    rig: tuple[str, ...] | None = Field(
+        None, min_length=1, description="Names of presets, or rig files."
+    )
+    resolution: tuple[Literal["small", "low", "full"], ...] | None = Field(
+        None, min_length=1, description="The sizes of a preset's pictures."
+    )
+    baseline_m: tuple[Positive, ...] | None = Field(
+        None,
+        min_length=1,
+        description="How far camera and projector are apart. Both are turned so that their axes "
+        "cross at the target. Left out, the rig keeps its own baseline and angle.",
+    )
+    distance_m: tuple[Positive, ...] | None = Field(
+        None, min_length=1, description="From the baseline's middle to the target."
+    )
+    tilt_deg: tuple[Tilt, ...] | None = Field(
+        None, min_length=1, description="How far the rig hangs from the vertical."
+    )
+    azimuth_deg: tuple[float, ...] | None = Field(
+        None, min_length=1, description="How far the rig is turned about the vertical."
+    )
+    code: tuple[Name, ...] | None = Field(None, min_length=1, description="Names among codes.")
+    exposure: tuple[Name, ...] | None = Field(
+        None, min_length=1, description="Names among exposures."
+    )
+    bin: tuple[Name, ...] | None = Field(None, min_length=1, description="Names among bins.")
+
+
+class NeedsSection(Settings):
+    """The most that a setting may have to be chosen."""
+
+    sigma_m: Positive | None = None
+    feature_m: Positive | None = None
+    seconds: Positive | None = None
+
+
+class DesignSpec(Settings):
+    """A design study: each setting of its sweeps scans the same heaps of parts.
+
+    Relative paths start at the file's folder.
+    """
+
+    title: str = Field("Design study", description="The title of the table.")
+    cell: Path = Field(description="The configuration of the cell: parts, bin, light, rendering.")
+    layouts: int = Field(
+        4, ge=1, le=1000, description="How many heaps each setting scans; all scan the same ones."
+    )
+    seed: int = Field(0, ge=0, description="The seed of the heaps and of the noise.")
+    points: int = Field(
+        20_000,
+        ge=1000,
+        le=1_000_000,
+        description="How many points are spread over the surface of a heap's parts.",
+    )
+    cone_deg: float = Field(
+        30.0,
+        ge=0,
+        le=80,
+        description="The open surface is what can be seen from a direction that leans at most so "
+        "far from the vertical.",
+    )
+    wrong_m: Positive = Field(
+        0.005, description="Depth that is farther off the truth counts as wrong, not as measured."
+    )
+    readout_s: Level = Field(
+        0.010, description="How long the scanner reads a frame out, beside its exposure."
+    )
+    codes: dict[Name, Annotated[Settings, ReadAs(CodeSection)]] = Field(
+        {}, description="Codes by name."
+    )
+    exposures: dict[Name, Annotated[Settings, ReadAs(ExposureSection)]] = Field(
+        {}, description="Exposures by name."
+    )
+    bins: dict[Name, BinSection] = Field({}, description="Bins by name.")
+    sweeps: tuple[SweepSection, ...] = Field(
+        min_length=1, description="The study is the settings of all of them."
+    )
+    needs: NeedsSection = NeedsSection()
+
+    @model_validator(mode="after")
+    def _known_names(self) -> "DesignSpec":
+        for key in ("code", "exposure", "bin"):
+            known = getattr(self, f"{key}s")
+            for name in (name for sweep in self.sweeps for name in getattr(sweep, key) or ()):
+                if name not in known:
+                    those = f"{key}s has {', '.join(known)}" if known else f"{key}s has none"
+                    raise ValueError(f"a sweep names the {key} {name!r}, but {those}: add it there")
+        return self
+
+
+def read_design(path: Path) -> DesignSpec:
+    """Read and check a design study; its paths become absolute.
+
+    Raises:
+        ConfigError: the file is missing, has an unknown, missing or wrong key, or names no rig.
+    """
+    said = read_settings(path, DesignSpec)
+    base = Path(os.path.normpath(path.parent.absolute()))
+
+    def rig(name: str) -> str:
+        if name in PRESETS:
+            return name
+        if not (base / name).is_file():
+            raise ConfigError(
+                f"{path}: sweeps: no rig {name!r}: choose one of {', '.join(PRESETS)}, or name a "
+                f"file in {base}"
+            )
+        return str(_from(base, Path(name)))
+
+    changes: dict[str, Any] = {
+        "cell": _from(base, said.cell),
+        "bins": {name: _bin_from(base, section) for name, section in said.bins.items()},
+        "sweeps": tuple(
+            sweep.model_copy(update={"rig": sweep.rig and tuple(map(rig, sweep.rig))})
+            for sweep in said.sweeps
+        ),
+    }
+    return said.model_copy(update=changes)
+
+
+def _from(base: Path, path: Path) -> Path:
+    return Path(os.path.normpath(base / path))
+
+
+def _bin_from(base: Path, section: BinSection) -> BinSection:
+    """A bin's section whose files are named by absolute paths."""
+    changes: dict[str, Any] = {}
+    if section.mesh is not None:
+        changes["mesh"] = _from(base, section.mesh)
+    surfaces: Mapping[str, MaterialSection | None] = {
+        "material": section.material,
+        "floor": section.floor,
+    }
+    for name, material in surfaces.items():
+        if material is not None and material.texture is not None:
+            texture = _from(base, material.texture)
+            changes[name] = material.model_copy(update={"texture": texture})
+    return section.model_copy(update=changes)
+
+
+def design_schema() -> dict[str, Any]:
+    """JSON Schema of a design study's file, from which editors complete."""
+    return DesignSpec.model_json_schema()

@@ -223,7 +223,8 @@ def test_a_picture_of_another_size_is_refused(tmp_path, depth_m):
     np.save(tmp_path / "a.npy", depth_m)
     np.save(tmp_path / "g.npy", np.zeros((3, 3)))
     call = (
-        "import sys; from pathlib import Path; from graycast.real.realism import *\n"
+        "import sys; from pathlib import Path; from graycast.real.realism import read_scans\n"
+        "from graycast.real.depth_file import read_intrinsics\n"
         "a, g = map(Path, sys.argv[1:])\n"
         "list(read_scans([a], K=read_intrinsics('1,1,0,0'), gray=[g]))"
     )

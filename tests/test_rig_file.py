@@ -19,7 +19,7 @@ from graycast.rig_file import (
     import_opencv,
     load_scanner,
     missing_distortions,
-    resolve_scanner,
+    named_scanner,
     rig_schema,
     save_scanner,
 )
@@ -472,10 +472,10 @@ def test_a_rig_is_not_saved_into_a_folder_that_is_not_there(tmp_path):
 def test_a_configuration_names_a_preset_or_a_file_beside_it(tmp_path):
     rig = awkward_rig(seed=0)
     save_scanner(Scanner(rig=rig), tmp_path / "mine.yaml")
-    assert same(resolve_scanner("mine.yaml", folder=tmp_path).rig, rig)
-    assert same(resolve_scanner(str(tmp_path / "mine.yaml"), folder=Path("elsewhere")).rig, rig)
-    assert same(resolve_scanner("phoxi-m", folder=tmp_path), preset("phoxi-m"))
-    assert resolve_scanner("paper", folder=tmp_path, resolution="full").rig.camera.width_px == 2064
+    assert same(named_scanner("mine.yaml", folder=tmp_path).rig, rig)
+    assert same(named_scanner(str(tmp_path / "mine.yaml"), folder=Path("elsewhere")).rig, rig)
+    assert same(named_scanner("phoxi-m", folder=tmp_path), preset("phoxi-m"))
+    assert named_scanner("paper", folder=tmp_path, resolution="full").rig.camera.width_px == 2064
 
 
 @pytest.mark.parametrize(
@@ -488,7 +488,7 @@ def test_a_configuration_names_a_preset_or_a_file_beside_it(tmp_path):
 )
 def test_an_unknown_rig_word_lists_what_there_is(tmp_path, text, resolution, message):
     with pytest.raises(ConfigError, match=message):
-        resolve_scanner(text, folder=tmp_path, resolution=resolution)
+        named_scanner(text, folder=tmp_path, resolution=resolution)
 
 
 def test_the_schema_knows_exactly_the_keys_of_a_saved_rig(tmp_path):

@@ -34,8 +34,7 @@ from .parts.sections import (
 from .parts.wood import wood_texture
 from .render import Quality
 from .render.radiance import PathDepth, Samples
-from .rig_file import ScannerSections, with_sections
-from .rig_file import resolve_scanner as resolve_rig_file
+from .rig_file import ScannerSections, named_scanner, with_sections
 from .scanner import Scanner
 from .scene import BandRadiance, Bin, Environment, Inner, Lamp, Wall
 from .settings import Level, Positive, Settings, Vector, read_settings
@@ -316,7 +315,7 @@ def resolve_scanner(config: Config, folder: Path) -> Scanner:
     Raises:
         ConfigError: no such rig, or a code without the axis that its baseline runs along.
     """
-    named = resolve_rig_file(config.rig, folder=folder, resolution=config.resolution)
+    named = named_scanner(config.rig, folder=folder, resolution=config.resolution)
     scanner = with_sections(named, config)
     axis = triangulation_axis(scanner.rig)
     if axis not in scanner.code.axes:

@@ -77,13 +77,13 @@ def add_resolution(parser: argparse.ArgumentParser) -> None:
 
 def resolve_rig_option(options: argparse.Namespace):
     """The scanner that `rig` and `--resolution` mean."""
-    from ..rig_file import resolve_scanner
+    from ..rig_file import named_scanner
 
     if options.resolution is not None and options.rig not in PRESETS:
         raise GraycastError(
             f"--resolution is of a preset; {options.rig} has its own sizes: leave it out"
         )
-    return resolve_scanner(options.rig, folder=Path(), resolution=options.resolution or "low")
+    return named_scanner(options.rig, folder=Path(), resolution=options.resolution or "low")
 
 
 def load_cell(options: argparse.Namespace):

@@ -1,7 +1,7 @@
 """Scanners in files: Graycast's own YAML both ways, and OpenCV stereo calibrations in."""
 
 from .opencv import import_opencv, missing_distortions
-from .own import load_scanner, resolve_scanner, rig_schema, save_scanner, scanner_text
+from .own import load_scanner, named_scanner, rig_schema, save_scanner, scanner_text
 from .sections import ScannerSections, with_sections
 
 __all__ = [
@@ -9,7 +9,7 @@ __all__ = [
     "import_opencv",
     "load_scanner",
     "missing_distortions",
-    "resolve_scanner",
+    "named_scanner",
     "rig_schema",
     "save_scanner",
     "scanner_text",

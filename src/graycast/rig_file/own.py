@@ -110,7 +110,7 @@ def load_scanner(path: Path) -> Scanner:
         raise ConfigError(f"{path}: {error}") from error
 
 
-def resolve_scanner(text: str, *, folder: Path, resolution: str = "low") -> Scanner:
+def named_scanner(text: str, *, folder: Path, resolution: str = "low") -> Scanner:
     """The scanner that a configuration means by `rig: text`.
 
     Args:

@@ -15,6 +15,8 @@ from ..rig_file.sections import CodeSection, ExposureSection
 from ..settings import Level, Positive, ReadAs, Settings, read_settings
 
 Name = Annotated[str, StringConstraints(pattern=r"^[A-Za-z0-9.-]+$")]  # it becomes part of a path
+Code = Annotated[Settings, ReadAs(CodeSection)]
+Exposure = Annotated[Settings, ReadAs(ExposureSection)]
 Tilt = Annotated[float, Field(ge=0, le=80)]
 
 
@@ -88,12 +90,8 @@ class DesignSpec(Settings):
     readout_s: Level = Field(
         0.010, description="How long the scanner reads a frame out, beside its exposure."
     )
-    codes: dict[Name, Annotated[Settings, ReadAs(CodeSection)]] = Field(
-        {}, description="Codes by name."
-    )
-    exposures: dict[Name, Annotated[Settings, ReadAs(ExposureSection)]] = Field(
-        {}, description="Exposures by name."
-    )
+    codes: dict[Name, Code] = Field({}, description="Codes by name.")
+    exposures: dict[Name, Exposure] = Field({}, description="Exposures by name.")
     bins: dict[Name, BinSection] = Field({}, description="Bins by name.")
     sweeps: tuple[SweepSection, ...] = Field(
         min_length=1, description="The study is the settings of all of them."

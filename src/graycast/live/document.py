@@ -18,7 +18,7 @@ from ..decode import triangulation_axis
 from ..errors import ConfigError
 from ..frames import axis_rotation
 from ..rig import Rig
-from ..rig_file import resolve_scanner, scanner_text
+from ..rig_file import named_scanner, scanner_text
 from ..settings import check_settings
 
 
@@ -138,7 +138,7 @@ def written(document: Document, path: Path, *, rig_name: str) -> Written:
         content["light"] = _brightened(config, document.ambient)
     if document.rig == RigChange():
         return Written(content=content, rig_text=None)
-    named = resolve_scanner(config.rig, folder=path.parent, resolution=config.resolution)
+    named = named_scanner(config.rig, folder=path.parent, resolution=config.resolution)
     try:
         turned = replace(named, rig=turned_rig(named.rig, document.rig))
     except ValueError as error:

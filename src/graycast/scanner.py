@@ -215,9 +215,9 @@ def preset(name: str, resolution: str = "low") -> Scanner:
             speckle_volume=_PHOXI_VOLUME,
         ),
         code=CodeSpec(codec="gray_phase", axes=("column",), period_px=48.0, steps=4),
-        exposure=ExposureSpec(factors=(1.0, 4.0, 16.0)),
+        exposure=ExposureSpec(factors=(1.0, 4.0)),
         sensor=SensorSpec(pixel_pitch_m=pitch_m, f_number=_PHOXI_F_NUMBER, wavelength_m=637e-9),
-        decode=DecodeSpec(min_contrast=0.002, min_sigmas=10.0),
+        decode=DecodeSpec(min_contrast=0.002, min_sigmas=30.0),
         filters=FilterSpec(
             flying_angle_deg=75.0,
             outlier_sigmas=4.0,

@@ -1,4 +1,4 @@
-"""What scanners do to a depth map afterwards: flying pixels, outliers, small islands, smoothing.
+"""What scanners do to a depth map afterwards: flying pixels, outliers, islands, smoothing, raster.
 
 They run in that order; each sees what the ones before it left. None makes depth where there was
 none. Smoothing and the outlier test work on inverse depth, which is linear along a line of pixels
@@ -38,7 +38,7 @@ class FilterSpec:
     deviations, propagated or seen around them, and further than `outlier_share` of their depth;
     with `outlier_repair` those within a whole surface get its depth instead.
     `hidden_sigmas`: pixels go that a nearer surface hides from the projector, where positions are
-    out of order by more than so many standard deviations (see `visibility`).
+    out of order by more than so many standard deviations (`without_hidden`, after all others).
     `island_px`: connected surfaces of fewer pixels go.
     `smoothing_px`: standard deviation of a Gaussian kernel; 0.55 lets 0.56 of white noise pass and
     correlates neighbours by 0.36.

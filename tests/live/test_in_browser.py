@@ -222,7 +222,7 @@ def test_every_view_paints_and_the_pointer_reads_values(page):
     asked(page, lambda: page.select_option("#choose-frame", "5"))
     assert page.evaluate("Graycast.opened().header.frame") == 5
     box = page.locator("#picture").bounding_box()
-    page.mouse.move(box["x"] + box["width"] / 2, box["y"] + box["height"] / 2)
+    page.mouse.move(box["x"] + 80.5 * box["width"] / 160, box["y"] + 60.5 * box["height"] / 120)
     i = 60 * 160 + 80
     step = page.evaluate(f"Graycast.opened().scene.depth[{i}]")
     scale_mm = page.evaluate("Graycast.opened().scene.depth_scale_mm")

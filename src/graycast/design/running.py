@@ -31,14 +31,17 @@ ALONE = Workers()
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class DesignTask(Job):
-    """What a worker needs to know: its scene k is heap `k % layouts` in light `k // layouts`."""
+    """What a worker needs to know: with n lights its scene k is heap `k // n` in light `k % n`.
+
+    Heap by heap, so that a worker holds one of them and a stopped study has some of each setting.
+    """
 
     spec: DesignSpec
     lights: tuple[tuple[Placed, ...], ...]
 
     def named(self, scene_id: int) -> tuple[tuple[Placed, ...], int]:
         """The settings of a scene, which share their light, and the number of its heap."""
-        light, layout = divmod(scene_id, self.spec.layouts)
+        layout, light = divmod(scene_id, len(self.lights))
         return self.lights[light], layout
 
     def open(
@@ -91,7 +94,9 @@ class Comparer:
             seconds = scan_seconds(scanner, capture, readout_s=self._task.spec.readout_s)
             told = figures(scene, view, heap.surface, judged, seconds=seconds)
             measured[name] = told["measured"]
-            picture = picture_png(gray_picture(capture), view, heap.surface, judged)
+            picture = None
+            if number == 0:
+                picture = picture_png(gray_picture(capture), view, heap.surface, judged)
             files += heap_files(name, number, told, picture)
         return Made(
             scene_id=scene_id,
@@ -105,6 +110,7 @@ class Comparer:
         """The heap of a bin, dropped once for all settings that have this bin."""
         key = placed.setting.bin, number
         if key not in self._heaps:
+            self._heaps = {other: heap for other, heap in self._heaps.items() if other[1] == number}
             self._heaps[key] = make_heap(
                 placed.cell, self._task.spec, number, on_stage=self._on_stage
             )

@@ -76,6 +76,29 @@ def read_scans(
         )
 
 
+def read_perfect(path: Path) -> Iterator[Scan]:
+    """Depth without a sensor, of the scenes of a dataset that has it beside the scanner's.
+
+    Pictures of another camera than the scanner's are left out, and a dataset of real scans has
+    none at all.
+
+    Raises:
+        DatasetError: a file is missing or damaged.
+    """
+    for scene in _scenes(path):
+        files = [scene / f"scene_camera{suffix}.json" for suffix in ("", _SCANNER)]
+        if not all(file.is_file() for file in files):
+            continue
+        perfect, scanner = (load_json(file) for file in files)
+        for image_id in sorted(scanner, key=int):
+            file = scene / "depth" / f"{int(image_id):06d}.png"
+            same = perfect.get(image_id, {}).get("cam_K") == scanner[image_id].get("cam_K")
+            if same and file.is_file():
+                scale_m, K = _scale_and_K(files[0], perfect, image_id)
+                depth_m = metres(read_image(file), scale_m, str(file))
+                yield _scan(name=str(file), depth_m=depth_m, K=K)
+
+
 def _scenes(path: Path) -> list[Path]:
     """Scene folders at, in, or two levels below a folder."""
     for pattern in (".", "*", "*/*"):
@@ -92,26 +115,38 @@ def _read_scene(scene: Path) -> Iterator[Scan]:
     scanner = load_json(own) if suffix and own.is_file() else {}
     baseline_m = _baseline_m(scene)
     for image_id in sorted(views, key=int):
-        view, stem = views[image_id], f"{int(image_id):06d}"
+        stem = f"{int(image_id):06d}"
         path = scene / f"depth{suffix}" / f"{stem}.png"
-        try:
-            scale_m = float(view["depth_scale"]) * _M_PER_MM
-            K = np.array(view["cam_K"], dtype=np.float64).reshape(3, 3)
-        except (KeyError, TypeError, ValueError) as error:
-            where = f"{scene / f'scene_camera{suffix}.json'}: image {image_id}"
-            raise DatasetError(f"{where} needs cam_K (9) and depth_scale") from error
+        scale_m, K = _scale_and_K(scene / f"scene_camera{suffix}.json", views, image_id)
+        depth_m = metres(read_image(path), scale_m, str(path))
         picture = _picture(scene, (f"gray{suffix}", f"rgb{suffix}"), stem)
+        gray = None if picture is None else read_gray(picture)
+        if gray is None and (colour := _picture(scene, ("rgb",), stem)) is not None:
+            seen = read_gray(colour)  # of a colour camera beside the scanner it says nothing here
+            gray = seen if seen.shape == depth_m.shape else None
         why = scene / f"reason{suffix}" / f"{stem}.png"
         names = scanner.get(image_id, {}).get("reasons", {})
         yield _scan(
             name=str(path),
-            depth_m=metres(read_image(path), scale_m, str(path)),
+            depth_m=depth_m,
             K=K,
-            gray=None if picture is None else read_gray(picture),
+            gray=gray,
             reason=_read_reason(why) if suffix and why.is_file() else None,
             reason_names={number: name for name, number in names.items()},
             baseline_m=baseline_m,
         )
+
+
+def _scale_and_K(
+    file: Path, views: Mapping[str, Any], image_id: str
+) -> tuple[float, Float[np.ndarray, "3 3"]]:
+    """Metres per unit of depth, and K, of an image."""
+    try:
+        view = views[image_id]
+        K = np.array(view["cam_K"], dtype=np.float64).reshape(3, 3)
+        return float(view["depth_scale"]) * _M_PER_MM, K
+    except (KeyError, TypeError, ValueError) as error:
+        raise DatasetError(f"{file}: image {image_id} needs cam_K (9) and depth_scale") from error
 
 
 def _picture(scene: Path, folders: Sequence[str], stem: str) -> Path | None:

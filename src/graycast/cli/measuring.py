@@ -218,8 +218,7 @@ def _compare(options: argparse.Namespace) -> int:
 
     if options.out is not None:
         refuse_foreign(options.out, TABLE)
-    with stage_line() as on_stage:
-        found = _two_sample(options, on_stage) if options.classifier else None
+    found = _two_sample(options) if options.classifier else None
     records = [_record(path) for path in options.compare]
     print(table(*records))
     if found is not None:
@@ -228,23 +227,24 @@ def _compare(options: argparse.Namespace) -> int:
         with whole_folder(options.out) as folder:
             _write_table(records, folder)
             if found is not None:
-                write_two_sample(*found, folder)
+                test, first, second = found
+                write_two_sample(test, first, second, folder)
         print(options.out)
     return 0
 
 
-def _two_sample(options: argparse.Namespace, on_stage):
+def _two_sample(options: argparse.Namespace) -> tuple:
     """The test, and both sets of maps."""
     from ..real.realism import read_perfect, read_scans, two_sample_test
 
     first, second = (_spread(list(read_scans([path])), options.most) for path in options.compare)
     perfect = _spread(list(read_perfect(options.compare[1])), options.most)
-    names = tuple(path.name or str(path) for path in options.compare)
-    if names[0] == names[1]:
-        names = tuple(str(path) for path in options.compare)
-    test = two_sample_test(
-        first, second, perfect=perfect, names=names, seed=options.seed, on_stage=on_stage
-    )
+    a, b = options.compare
+    names = (a.name, b.name) if a.name != b.name else (str(a), str(b))
+    with stage_line() as on_stage:
+        test = two_sample_test(
+            first, second, perfect=perfect, names=names, seed=options.seed, on_stage=on_stage
+        )
     return test, first, second
 
 

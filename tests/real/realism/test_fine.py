@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from graycast.real.realism import measure, measure_all, pool
-from graycast.real.realism.fine import median_over_mean, measure_fine, measure_pair
+from graycast.real.realism.fine import measure_fine, measure_pair, median_over_mean
 
 from .synthetic import plane, rays, scan
 
@@ -88,7 +88,7 @@ def test_incidence_is_the_angle_between_ray_and_normal():
 
 
 def test_a_pair_has_the_noise_that_is_not_common_and_its_correlation():
-    """Shape and a fixed pattern cancel; noise common to 2 neighbours along y has lag 1 of a half."""
+    """Shape and a fixed pattern cancel; noise of two neighbours' mean has a half at lag 1."""
     rng = np.random.default_rng(8)
     fixed = plane(0.3) + 3e-4 * rng.standard_normal((240, 320))
 

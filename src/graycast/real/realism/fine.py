@@ -60,8 +60,7 @@ def measure_fine(scan: Scan) -> FineNoise:
     """The noise of every tile that is smooth, its incidence and brightness."""
     depth_m = scan.depth_m.astype(np.float64)
     tiles, corner = _tiles(depth_m)
-    mixed = np.stack([second_difference(tile).ravel() for tile in tiles]) if len(tiles) else (
-        np.empty((0, (TILE_PX - 2) ** 2)))  # fmt: skip
+    mixed = second_difference(tiles).reshape(len(tiles), (TILE_PX - 2) ** 2)
     known = ~np.isnan(mixed)
     enough = known.sum(axis=1) >= _LEAST_DIFFERENCES
     tiles, corner, mixed, known = (a[enough] for a in (tiles, corner, mixed, known))

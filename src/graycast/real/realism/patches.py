@@ -141,10 +141,10 @@ def find_floor(depth_m: Sequence[Float[np.ndarray, "h w"]]) -> Float[np.ndarray,
     return plane
 
 
-def second_difference(z_m: Float[np.ndarray, "h w"]) -> Float[np.ndarray, "h2 w2"]:
+def second_difference(z_m: Float[np.ndarray, "*n h w"]) -> Float[np.ndarray, "*n h2 w2"]:
     """`[1 -2 1] x [1 -2 1]` over 6: white noise keeps its standard deviation."""
-    along = z_m[:, :-2] - 2 * z_m[:, 1:-1] + z_m[:, 2:]
-    return (along[:-2] - 2 * along[1:-1] + along[2:]) / 6
+    along = z_m[..., :-2] - 2 * z_m[..., 1:-1] + z_m[..., 2:]
+    return (along[..., :-2, :] - 2 * along[..., 1:-1, :] + along[..., 2:, :]) / 6
 
 
 def third_difference(z_m: Float[np.ndarray, "h w"]) -> Float[np.ndarray, "h w3"]:
@@ -185,7 +185,9 @@ def _near(
 
 
 def _squares_of(
-    depth_m: Float[np.ndarray, "h w"], number: int, floor: Float[np.ndarray, "3"] | None
+    depth_m: Float[np.ndarray, "h w"],
+    number: int,
+    floor: Float[np.ndarray, "3"] | None,
 ) -> Squares:
     rows, smooth, on_floor, corners = [], [], [], []
     height, width = depth_m.shape

@@ -18,8 +18,8 @@ from graycast import __version__, bench
 from graycast.cli import command, machine, main
 from graycast.config import config_schema
 from graycast.drop import Decomposition
+from graycast.phoxi import PRESETS
 from graycast.report import rig as drawing
-from graycast.rig import PRESETS
 from graycast.rig_file import load_scanner, rig_schema
 from graycast.scanner import preset
 from graycast.stack import stack_schema
@@ -54,7 +54,8 @@ OPTIONS = {
     "import-real": "folder --out --intrinsics --distortion --scale --size --annotations "
     "--unlabelled --like",
     "fit-bin": "real --config --out --rgb --intrinsics --distortion --scale --size --inner --wall "
-    "--azimuth --floor-reflectance --white --black --pose-only --seed --device",
+    "--azimuth --floor-reflectance --white --black --cluttered --pose-only --seed --device",
+    "twin": "scans --config --out --intrinsics --scale --size --scenes --trials --seed --device",
     "rig show": "rig --resolution --out",
     "rig write": "rig --resolution --out",
     "rig import": "calibration --out --unit --near --far --camera-size --projector-size",
@@ -62,7 +63,8 @@ OPTIONS = {
     "patterns": "rig --resolution --out --codec --inverses",
     "decode": "stack --rig --resolution --average --out",
     "certify": "rig --resolution --out --seed --backend --device",
-    "realism": "depth --intrinsics --scale --size --gray --reason --out --compare",
+    "realism": "depth --intrinsics --scale --size --gray --reason --out --compare --classifier "
+    "--most --seed",
     "doctor": "",
     "schema": "kind",
     "bench render": "--json --count --device",

@@ -18,6 +18,7 @@ IMPORTED = {
     "opencv-python-headless": "cv2",
     "pillow": "PIL",
     "pin": "pinocchio",
+    "scikit-learn": "sklearn",
 }
 # Blender's Python, and what comes with a package above: Coal with Pinocchio.
 ELSEWHERE = {"bpy", "mathutils", "_cycles", "coal"}
@@ -46,7 +47,7 @@ def imported_by(folder):
 
 def test_each_dependency_is_imported_and_each_import_is_a_dependency():
     """lxml, networkx and mapbox-earcut were asked for, and nothing imported them."""
-    of_use = [EXTRAS[name] for name in ("parquet", "ray", "detect", "rf-detr", "pick")]
+    of_use = [EXTRAS[name] for name in ("parquet", "ray", "detect", "rf-detr", "pick", "twin")]
     asked = {IMPORTED.get(r.name, r.name) for r in wanted(PROJECT["dependencies"], *of_use)}
     asked = {name.replace("-", "_") for name in asked}
     assert imported_by(ROOT / "src") - ELSEWHERE - BY_HAND - OF_TESTS == asked - UNIMPORTED

@@ -25,7 +25,6 @@ from pydantic import (
     create_model,
 )
 from pydantic.fields import FieldInfo
-from pydantic_core import CoreSchema
 
 from .errors import ConfigError
 
@@ -122,7 +121,7 @@ class ReadAs:
 
     def __get_pydantic_core_schema__(
         self, source: Any, handler: GetCoreSchemaHandler
-    ) -> CoreSchema:
+    ) -> Any:  # the schema of the section
         return handler(self._section)
 
 

@@ -24,6 +24,7 @@ from .drop import drop
 from .picture import color_picture, gray_picture
 from .render import Renderer, Rendering
 from .scanner import measure, take
+from .scene import Layout, Scene
 from .sensor import Capture
 
 
@@ -55,9 +56,8 @@ def make_scene(
     seeds = scene_seeds(seed, scene_id, domain=config.domain is not None)
     timings: dict[str, float] = {}
     with _timed(timings, "drop"):
-        variation = varied(cell, scene_id, seeds)
+        variation, layout = _laid(cell, scene_id, seeds, on_stage)
         scene, counts = variation.scene, variation.counts
-        layout = drop(scene, counts, seed=seeds["drop"], limits=config.drop, on_stage=on_stage)
     on_stage(f"{renderer.name} renders")
     with _timed(timings, "render"):
         quality = resolve_quality(config)
@@ -113,6 +113,33 @@ def make_scene(
         ),
     )
     return Shot(sample=sample, rendering=rendering, capture=capture, codes=codes)
+
+
+def lay_out(
+    cell: Cell, scene_id: int, *, seed: int, on_stage: OnStage = lambda stage: None
+) -> tuple[Scene, Layout]:
+    """The scene that `make_scene` would render, and where its parts came to lie.
+
+    Raises:
+        DropError: the parts did not come to an acceptable rest.
+    """
+    seeds = scene_seeds(seed, scene_id, domain=cell.config.domain is not None)
+    variation, layout = _laid(cell, scene_id, seeds, on_stage)
+    return variation.scene, layout
+
+
+def _laid(
+    cell: Cell, scene_id: int, seeds: dict[str, int], on_stage: OnStage
+) -> tuple[Variation, Layout]:
+    variation = varied(cell, scene_id, seeds)
+    layout = drop(
+        variation.scene,
+        variation.counts,
+        seed=seeds["drop"],
+        limits=cell.config.drop,
+        on_stage=on_stage,
+    )
+    return variation, layout
 
 
 def varied(cell: Cell, scene_id: int, seeds: dict[str, int]) -> Variation:

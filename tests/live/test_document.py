@@ -52,7 +52,7 @@ def test_what_cannot_be_set_is_told(key, value, told):
 
 
 def test_the_configuration_is_refused_in_the_command_line_s_words(path):
-    with pytest.raises(ConfigError, match=r"cell.yaml: exposure.target is 4: input should be less"):
+    with pytest.raises(ConfigError, match=r"cell.yaml: exposure.target is 4: it should be less"):
         checked(changed(document(), "exposure.target", 4), path)
     with pytest.raises(ConfigError, match=r"unknown key expozure: did you mean exposure\?"):
         checked(changed(document(), "expozure", 4), path)

@@ -90,7 +90,7 @@ def test_settings_are_set_undone_and_told(server):
 @pytest.mark.parametrize(
     ("command", "told"),
     [
-        ({"do": "set", "key": "exposure.target", "value": 4}, "exposure.target is 4: input"),
+        ({"do": "set", "key": "exposure.target", "value": 4}, "exposure.target is 4: it should"),
         ({"do": "set", "key": "code.codec", "value": "morse"}, "code.codec is 'morse'"),
         ({"do": "rewrite", "text": "parts: ["}, "cell.yaml: is not YAML in line 1"),
         ({"do": "rewrite", "text": "count: 3"}, "cell.yaml: parts is missing: add it"),

@@ -17,7 +17,8 @@ from graycast.metrology.artefacts import (
     working_volume,
 )
 from graycast.parts import Material
-from graycast.rig import PRESETS, preset
+from graycast.phoxi import PRESETS
+from graycast.rig import preset
 
 GREY = Material()
 

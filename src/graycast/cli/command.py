@@ -23,6 +23,7 @@ from . import (
     measuring,
     picking,
     rigs,
+    twinning,
 )
 
 EXAMPLES = """\
@@ -42,6 +43,7 @@ examples:
   graycast decode stack.yaml --rig rig.yaml --out cloud  depth from a real scanner's pictures
   graycast certify phoxi-l --out sheet                   what a virtual scanner is worth
   graycast realism real/ --intrinsics K.json --out r     how real depth maps look, in figures
+  graycast twin real/ --config cell.yaml --out twin.yaml a scanner whose scans look like real ones
   graycast rig show phoxi-m --out rig.png                what a rig sees, as a picture
   graycast doctor                                        what this machine has and lacks
 """
@@ -89,6 +91,7 @@ def _parser() -> argparse.ArgumentParser:
     picking.add_commands(commands)
     labelling.add_commands(commands)
     fitting.add_commands(commands)
+    twinning.add_commands(commands)
     rigs.add_commands(commands)
     measuring.add_commands(commands)
     machine.add_commands(commands)

@@ -21,7 +21,7 @@ def add_commands(commands) -> None:
         commands,
         "fit-bin",
         _fit_bin,
-        "Find a real bin's pose and its colours from views of the empty bin.",
+        "Find a real bin's pose and its colours from views of the empty bin, or of a full one.",
     )
     fit.add_argument(
         "real",
@@ -79,6 +79,13 @@ def add_commands(commands) -> None:
         "exposure of --white.",
     )
     fit.add_argument(
+        "--cluttered",
+        action="store_true",
+        help="The bin is not empty in the views: take at each pixel the farthest depth that two "
+        "views share. Give three views or more with the parts lying differently. Where the "
+        "configuration states view.T_world_cam, roughly, the search begins there.",
+    )
+    fit.add_argument(
         "--pose-only",
         action="store_true",
         help="Find the pose only, and leave colours and light as they are configured.",
@@ -104,6 +111,7 @@ def _fit_bin(options: argparse.Namespace) -> int:
     from ..real.fit_bin import (
         Said,
         azimuth_of,
+        empty_view,
         fit_pose,
         read_frames,
         read_views,
@@ -138,9 +146,13 @@ def _fit_bin(options: argparse.Namespace) -> int:
         size_px=options.size,
     )
     views = read_views(options.real, rgb=options.rgb, said=said, own=cell.scene.rig.camera)
+    if options.cluttered:
+        views = (empty_view(views),)
     shape = shape_of(bin_of(cell.scene), wall_known=bool(known))
     azimuth = azimuth_of(config) if options.azimuth is None else math.radians(options.azimuth)
-    fit = fit_pose(views, shape, azimuth_rad=azimuth, seed=options.seed)
+    known_pose = options.cluttered and config.view.T_world_cam is not None
+    stated = cell.scene.T_world_cam if known_pose else None
+    fit = fit_pose(views, shape, azimuth_rad=azimuth, seed=options.seed, stated=stated)
     paired = options.white is not None
     asked = paired or options.floor_reflectance is not None
     if not options.pose_only and (asked or any(view.rgb is not None for view in views)):

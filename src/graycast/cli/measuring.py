@@ -15,8 +15,10 @@ from .arguments import (
     add_scanner_files,
     add_seed,
     intrinsics_of,
+    positive,
     progress_bar,
     resolve_rig_option,
+    stage_line,
 )
 
 TABLE = "table.txt"  # in every folder that `graycast realism` writes
@@ -90,8 +92,22 @@ def add_commands(commands) -> None:
         type=Path,
         nargs=2,
         metavar=("A", "B"),
-        help="Compare two folders that this command has written before.",
+        help="Compare two sets: folders that this command has written before, or datasets.",
     )
+    realism.add_argument(
+        "--classifier",
+        action="store_true",
+        help="With --compare and two sets of depth maps: also learn to tell them apart, and say "
+        "how well that goes and by what. It needs scikit-learn.",
+    )
+    realism.add_argument(
+        "--most",
+        type=positive,
+        default=20,
+        metavar="N",
+        help="How many depth maps of each set --classifier looks at, evenly chosen (default: 20).",
+    )
+    add_seed(realism, default=0)
 
 
 def _decode(options: argparse.Namespace) -> int:
@@ -143,30 +159,18 @@ def _certify(options: argparse.Namespace) -> int:
 
 def _realism(options: argparse.Namespace) -> int:
     from ..decode import Reason
-    from ..real.realism import (
-        RECORD_FILE,
-        measure,
-        pool,
-        read_scans,
-        table,
-        write_record,
-    )
+    from ..real.realism import RECORD_FILE, measure_all, pool, read_scans, table, write_record
 
     if (options.compare is None) == (not options.depth):
         raise GraycastError("give depth maps to measure, or --compare and two measured sets")
+    if options.classifier and options.compare is None:
+        raise GraycastError("--classifier tells two sets apart: give them with --compare")
     if options.compare is not None:
         if options.out is not None and (options.out / RECORD_FILE).exists():
             raise GraycastError(
                 f"{options.out}: is itself a measured set: give --out another folder"
             )
-        records = [_record(path) for path in options.compare]
-        print(table(*records))
-        if options.out is not None:
-            refuse_foreign(options.out, TABLE)
-            with whole_folder(options.out) as folder:
-                _write_table(records, folder)
-            print(options.out)
-        return 0
+        return _compare(options)
     if options.out is None:
         raise GraycastError("say with --out where the measurement goes")
     refuse_foreign(options.out, TABLE)
@@ -182,12 +186,55 @@ def _realism(options: argparse.Namespace) -> int:
             size_px=options.size,
         )
         name = options.out.name or str(options.out)
-        record = pool((measure(scan) for scan in scans), name=name)
+        record = pool(measure_all(scans), name=name)
         _write_table([record], folder)
         write_record(record, folder / RECORD_FILE)
     print(table(record))
     print(options.out)
     return 0
+
+
+def _compare(options: argparse.Namespace) -> int:
+    """Two sets side by side; and what a classifier says to them."""
+    from ..real.realism import table, two_sample_table, write_two_sample
+
+    if options.out is not None:
+        refuse_foreign(options.out, TABLE)
+    found = _two_sample(options) if options.classifier else None
+    records = [_record(path) for path in options.compare]
+    print(table(*records))
+    if found is not None:
+        print("\n" + two_sample_table(found[0]))
+    if options.out is not None:
+        with whole_folder(options.out) as folder:
+            _write_table(records, folder)
+            if found is not None:
+                test, first, second = found
+                write_two_sample(test, first, second, folder)
+        print(options.out)
+    return 0
+
+
+def _two_sample(options: argparse.Namespace) -> tuple:
+    """The test, and both sets of maps."""
+    from ..real.realism import read_perfect, read_scans, two_sample_test
+
+    first, second = (_spread(list(read_scans([path])), options.most) for path in options.compare)
+    perfect = _spread(list(read_perfect(options.compare[1])), options.most)
+    a, b = options.compare
+    names = (a.name, b.name) if a.name != b.name else (str(a), str(b))
+    with stage_line() as on_stage:
+        test = two_sample_test(
+            first, second, perfect=perfect, names=names, seed=options.seed, on_stage=on_stage
+        )
+    return test, first, second
+
+
+def _spread(scans: list, most: int) -> list:
+    """At most so many, evenly over the set."""
+    if len(scans) <= most:
+        return scans
+    return [scans[k * len(scans) // most] for k in range(most)]
 
 
 def _write_table(records: list, folder: Path) -> None:
@@ -199,11 +246,11 @@ def _write_table(records: list, folder: Path) -> None:
 
 def _record(path: Path):
     """A measured set, or one to measure: a dataset or a folder that states its own intrinsics."""
-    from ..real.realism import RECORD_FILE, measure, pool, read_record, read_scans
+    from ..real.realism import RECORD_FILE, measure_all, pool, read_record, read_scans
 
     if path.is_file() or (path / RECORD_FILE).is_file():
         return read_record(path)
-    return pool((measure(scan) for scan in read_scans([path])), name=str(path))
+    return pool(measure_all(read_scans([path])), name=str(path))
 
 
 def _files(paths: Sequence[Path]) -> list[Path]:

@@ -8,7 +8,8 @@ from ..cell import Cell
 from ..config import Config
 from ..parts import BUILTIN, Material
 from ..pattern import CODECS
-from ..rig import PRESETS, RESOLUTIONS, standoff_m
+from ..phoxi import PRESETS, RESOLUTIONS
+from ..rig import standoff_m
 from .asking import Ask
 
 Cost = Literal["free", "light", "physics"]

@@ -1,11 +1,14 @@
-"""What a real scanner brings. Each folder stands on the files above it and knows no other folder.
+"""What a real scanner brings. Each folder stands on the files above it and knows no other folder,
+but for `twin`, which stands on `realism`.
 
 depth_file   depth maps, pictures and camera matrices from files of any scanner
 organised    organised point clouds
 pictures     colour, brightness and depth of one picture, paired by the names of their files
+fitted_config  a configuration in which some keys are replaced by what was fitted
 
 calibrate    a rig from pictures of a board
 fit_bin      pose, colours and light of a real, empty bin
 import_real  real pictures with labels, as a dataset
 realism      what real depth has and perfect depth lacks, in figures
+twin         a scanner whose simulated scans have the statistics of real ones
 """

@@ -122,7 +122,7 @@ def test_a_camera_without_focal_length_is_told_with_its_picture(stored_scene, tm
     path = scene / "scene_camera_sl.json"
     flat = damaged(lambda view: view.update(cam_K=[0, 0, 9, 0, 9, 9, 0, 0, 1]))
     path.write_text(flat(path.read_text()))
-    with pytest.raises(DatasetError, match=r"depth_sl/000000\.png: .*focal length is"):
+    with pytest.raises(DatasetError, match=r"depth_sl/000000\.png: .*fx_px is 0.0"):
         read_views([scene], said=Said(), own=OWN)
 
 

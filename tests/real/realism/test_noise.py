@@ -83,30 +83,6 @@ def test_incidence_is_the_angle_between_ray_and_normal():
     assert np.ptp(expected) > 0.5
 
 
-def test_noise_is_put_down_to_the_brightness_it_was_measured_at():
-    rng = np.random.default_rng(6)
-    depth_m = plane()
-    gray = np.full(depth_m.shape, 0.7)
-    gray[:, 150:] = 0.05
-    depth_m = depth_m + np.where(gray > 0.5, 1.0, 2.5) * 1e-4 * rng.standard_normal(gray.shape)
-    noise = pool([measure(scan(depth_m, gray=gray))], name="two").noise
-    assert noise.dark_to_bright == pytest.approx(2.5, rel=0.03)
-    filled = {(b.low, b.high): b.value for b in noise.by_brightness if b.count}
-    assert filled == {
-        (1 / 32, 1 / 16): pytest.approx(2.5e-4, rel=0.02),
-        (0.5, 0.99): pytest.approx(1e-4, rel=0.02),
-    }
-
-
-def test_noise_of_steep_planes_is_compared_with_that_of_facing_ones():
-    rng = np.random.default_rng(7)
-    facing = scan(noisy_plane(rng, sigma_m=1e-4, size=(120, 150)))
-    steep_m = plane(np.radians(60), height_px=120, width_px=150)
-    steep_m = steep_m + 2e-4 * rng.standard_normal(steep_m.shape)
-    record = pool([measure(facing), measure(scan(steep_m))], name="both")
-    assert record.noise.steep_to_facing == pytest.approx(2.0, rel=0.05)
-
-
 def test_a_sphere_gives_no_patch_and_a_plane_beside_it_all():
     """A patch is bent by 15^2 px^2 z^2 / (8 f^2 R), here 0.7 mm, 3.5 sigma."""
     rng = np.random.default_rng(8)

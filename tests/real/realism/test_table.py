@@ -37,7 +37,7 @@ def record():
 def test_a_set_of_equal_maps_has_the_figures_of_one():
     one = measure(noisy_scan(1))
     single, triple = pool([one], name="x"), pool([one] * 3, name="x")
-    counted = {"scans", "pixels", "noise", "missing", "autocorrelation", "baseline"}
+    counted = {"scans", "pixels", "noise", "fine", "missing", "autocorrelation", "baseline"}
     assert single.model_dump(exclude=counted) == triple.model_dump(exclude=counted)
     assert single.missing.share == triple.missing.share
     assert single.noise.percentiles_m == pytest.approx(triple.noise.percentiles_m, rel=0.05)
@@ -51,7 +51,7 @@ def test_a_record_survives_its_file(tmp_path, record):
 
 def test_a_record_of_another_version_or_form_is_refused(tmp_path, record):
     path = tmp_path / "realism.json"
-    path.write_text(record.model_dump_json().replace('"format_version":1', '"format_version":9'))
+    path.write_text(record.model_dump_json().replace('"format_version":2', '"format_version":9'))
     with pytest.raises(DatasetError, match="format_version 9"):
         read_record(path)
     path.write_text('{"format_version": 1}')
@@ -83,7 +83,7 @@ def test_two_sets_stand_side_by_side_with_a_dash_for_what_one_lacks(record):
     drop_out = next(line for line in lines if "50 to 99 %" in line)
     assert drop_out.split()[-1] == "-"
     names = [line.strip() for line in table(bare, record).splitlines()]
-    assert sum("sigma of z, median" in name for name in names) == 1
+    assert sum("sigma of z, median" in name for name in names) == 2  # about planes, and fine
 
 
 def test_the_plots_show_the_figures_of_each_record(tmp_path, record):
@@ -106,8 +106,8 @@ def test_the_plots_show_the_figures_of_each_record(tmp_path, record):
     (at, percent), _ = lines_of(axes["missing pixels (dotted: drop-out step)"])
     assert percent == pytest.approx([100 * b.value for b in bins])
     assert all(b.low < x < b.high for b, x in zip(bins, at, strict=True))
-    (at_deg, mm), _ = lines_of(axes["noise against incidence"])
-    held = [b for b in record.noise.by_incidence if b.count >= 5]
+    (at_deg, mm), _ = lines_of(axes["fine noise against incidence"])
+    held = [b for b in record.fine.by_incidence if b.count >= 5]
     assert mm == pytest.approx([1e3 * b.value for b in held])
     assert at_deg == pytest.approx([(b.low + b.high) / 2 for b in held])
 

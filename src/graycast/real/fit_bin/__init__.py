@@ -1,5 +1,7 @@
 """Pose, colours and light of a real bin from views of it when it is empty."""
 
+from ..fitted_config import fitted_text, refuse_existing
+from .composite import empty_view
 from .fitting import (
     BinFit,
     azimuth_of,
@@ -16,7 +18,6 @@ from .look import Frames, Look, fit_look
 from .reading import Said, View, read_views
 from .registration import FaceFit, PoseFit, difference, find_pose, judge, register, settle
 from .shape import BinShape
-from .writing import fitted_text, refuse_existing
 
 __all__ = [
     "BinFit",
@@ -30,6 +31,7 @@ __all__ = [
     "azimuth_of",
     "described",
     "difference",
+    "empty_view",
     "find_pose",
     "fit_look",
     "fit_pose",

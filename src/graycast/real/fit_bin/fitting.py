@@ -18,6 +18,7 @@ from ...parts import Material
 from ...scene import Bin, bin_of
 from ...settings import read_text
 from ..depth_file import read_gray
+from ..fitted_config import fitted_text, refuse_there
 from .box import open_box
 from .look import Frames, Look, fit_look
 from .mesh import mesh_shape
@@ -25,7 +26,6 @@ from .plots import draw_residuals
 from .reading import View
 from .registration import FREEDOMS, FaceFit, PoseFit, difference, find_pose, settle
 from .shape import BinShape
-from .writing import fitted_text, refuse_there
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -46,13 +46,20 @@ def shape_of(box: Bin, *, wall_known: bool = True) -> BinShape:
     return open_box(box.inner_m, box.wall_m if wall_known else None)
 
 
-def fit_pose(views: Sequence[View], shape: BinShape, *, azimuth_rad: float, seed: int) -> BinFit:
+def fit_pose(
+    views: Sequence[View],
+    shape: BinShape,
+    *,
+    azimuth_rad: float,
+    seed: int,
+    stated: Float[np.ndarray, "4 4"] | None = None,
+) -> BinFit:
     """The pose from all views together, and by itself from each, which tells the spread.
 
     Raises:
         GraycastError: nothing in the views looks like the bin.
     """
-    pose = find_pose(views, shape, azimuth_rad=azimuth_rad, seed=seed)
+    pose = find_pose(views, shape, azimuth_rad=azimuth_rad, seed=seed, stated=stated)
     alone = [settle([view], shape, pose.T_world_cam) for view in views if len(views) > 1]
     return BinFit(
         views=tuple(view.name for view in views),

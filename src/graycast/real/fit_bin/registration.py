@@ -84,19 +84,27 @@ class PoseFit:
         self.sigma.flags.writeable = False
 
 
-def find_pose(views: Sequence[View], shape: BinShape, *, azimuth_rad: float, seed: int) -> PoseFit:
-    """The pose from all views together, without a hint.
+def find_pose(
+    views: Sequence[View],
+    shape: BinShape,
+    *,
+    azimuth_rad: float,
+    seed: int,
+    stated: Float[np.ndarray, "4 4"] | None = None,
+) -> PoseFit:
+    """The pose from all views together.
 
-    Likely places of the box that stands in for the shape are where fits of the shape begin. A box
-    looks the same after half a turn, a square one after a quarter: of these poses it is the one
-    whose azimuth (of the camera's x axis in the world) is nearest to `azimuth_rad`.
+    Fits of the shape begin at the rough pose that is `stated`, or else at likely places of the box
+    that stands in for the shape. A box looks the same after half a turn, a square one after a
+    quarter: of these poses it is the one whose azimuth (of the camera's x axis in the world) is
+    nearest to `azimuth_rad`.
 
     Raises:
         GraycastError: nothing in the views looks like the bin.
     """
-    box, starts = stand_in(shape), []
+    box, starts = stand_in(shape), [] if stated is None else [stated]
     grids = [view.grid(_SEARCH_PX) for view in views]
-    for grid in grids:
+    for grid in grids if stated is None else ():
         starts += start_poses(box, grid, each=_STARTS, seed=seed)
     if not starts:
         raise GraycastError("no flat surface is in the depth that could be the bin's floor")

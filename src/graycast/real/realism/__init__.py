@@ -1,22 +1,31 @@
 """What real depth maps have and perfect ones lack, measured: gaps, noise, steps, islands."""
 
-from .measure import Measurement, measure, pool
+from .measure import Measurement, measure, measure_all, pool
 from .plots import draw_realism
-from .reading import read_scans
+from .reading import read_perfect, read_scans
 from .record import RECORD_FILE, Realism, read_record, write_record
 from .scan import Scan
 from .table import table
+from .two_sample import TwoSample, sensor_auc, two_sample_test
+from .two_sample_page import two_sample_table, write_two_sample
 
 __all__ = [
     "RECORD_FILE",
     "Measurement",
     "Realism",
     "Scan",
+    "TwoSample",
     "draw_realism",
     "measure",
+    "measure_all",
     "pool",
+    "read_perfect",
     "read_record",
     "read_scans",
+    "sensor_auc",
     "table",
+    "two_sample_table",
+    "two_sample_test",
     "write_record",
+    "write_two_sample",
 ]

@@ -1,29 +1,21 @@
 """A depth map into counts and samples, and those of many maps into one record."""
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float
 
 from ...errors import GraycastError
+from .fine import FineNoise, PairNoise, measure_fine, measure_pair, summarise_fine, summarise_pairs
 from .gaps import Gaps, estimate_baseline, find_gaps
-from .missing import (
-    BRIGHTNESS_EDGES,
-    MissingCounts,
-    count_missing,
-    summarise_islands,
-    summarise_missing,
-)
+from .missing import MissingCounts, count_missing, summarise_islands, summarise_missing
 from .noise import LAGS, PATCH_PX, PatchNoise, autocorrelation, measure_noise
-from .record import Autocorrelation, Bin, Jumps, Noise, Realism, Steps
+from .record import Autocorrelation, Jumps, Noise, Realism, Steps
 from .scan import Scan
 from .steps import StepCounts, count_steps
 
-INCIDENCE_EDGES_DEG = np.arange(0.0, 90.0, 10.0)
 _PERCENTILES = (5, 25, 50, 75, 95)
-_FACING_DEG = 45.0  # noise is compared over brightness up to there
-_LEAST_PATCHES = 10  # in a bin, to be compared with another
+_LEAST_PATCHES = 10  # to tell an autocorrelation
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -34,18 +26,30 @@ class Measurement:
     known_baseline_m: float | None
     missing: MissingCounts
     noise: PatchNoise
+    fine: FineNoise
+    pair: PairNoise | None  # with the map before it, where that is of the same camera
     steps: StepCounts
     gaps: tuple[Gaps, Gaps]  # along rows, along columns
 
 
-def measure(scan: Scan) -> Measurement:
-    """Everything that is counted in one depth map."""
+def measure_all(scans: Iterable[Scan]) -> Iterator[Measurement]:
+    """Each map, and its pair with the one before it; one map is held at a time beside its own."""
+    before: Scan | None = None
+    for scan in scans:
+        yield measure(scan, before=before)
+        before = scan
+
+
+def measure(scan: Scan, *, before: Scan | None = None) -> Measurement:
+    """Everything that is counted in one depth map, and against the one `before` it."""
     depth_m = scan.depth_m[scan.valid]
     return Measurement(
         median_depth_m=float(np.median(depth_m)) if depth_m.size else float("nan"),
         known_baseline_m=scan.baseline_m,
         missing=count_missing(scan),
         noise=measure_noise(scan),
+        fine=measure_fine(scan),
+        pair=None if before is None else measure_pair(before, scan),
         steps=count_steps(scan),
         gaps=find_gaps(scan),
     )
@@ -70,6 +74,8 @@ def pool(measurements: Iterable[Measurement], *, name: str) -> Realism:
         median_depth_m=float(np.median(depths)) if depths else None,
         missing=summarise_missing(missing),
         noise=_noise([m.noise for m in maps]),
+        fine=summarise_fine([m.fine for m in maps]),
+        pairs=summarise_pairs([m.pair for m in maps if m.pair is not None]),
         autocorrelation=_autocorrelation([m.noise for m in maps]),
         jumps=_jumps([m.steps for m in maps]),
         steps=_steps([m.steps for m in maps]),
@@ -85,15 +91,7 @@ def pool(measurements: Iterable[Measurement], *, name: str) -> Realism:
 def _noise(maps: Sequence[PatchNoise]) -> Noise:
     sigma_m = np.concatenate([m.sigma_m for m in maps])
     depth_m = np.concatenate([m.depth_m for m in maps])
-    incidence_deg = np.degrees(np.concatenate([m.incidence_rad for m in maps]))
-    brightness = np.concatenate([m.brightness for m in maps])
     candidates, pixels = sum(m.candidates for m in maps), sum(m.pixels for m in maps)
-    shown = (incidence_deg < _FACING_DEG) & ~np.isnan(brightness)
-    by_brightness = _bins(brightness[shown], sigma_m[shown], BRIGHTNESS_EDGES)
-    enough = [b.value for b in by_brightness[:-1] if b.value and b.count >= _LEAST_PATCHES]
-    facing = sigma_m[incidence_deg < 20]
-    steep = sigma_m[(incidence_deg >= 50) & (incidence_deg < 70)]
-    comparable = min(len(facing), len(steep)) >= _LEAST_PATCHES
     some = len(sigma_m) > 0
     return Noise(
         patch_px=PATCH_PX,
@@ -103,23 +101,7 @@ def _noise(maps: Sequence[PatchNoise]) -> Noise:
         outliers=sum(m.outliers for m in maps) / pixels if pixels else None,
         percentiles_m=np.percentile(sigma_m, _PERCENTILES).tolist() if some else None,
         relative=float(np.median(sigma_m / depth_m)) if some else None,
-        by_brightness=by_brightness if shown.any() else [],
-        by_incidence=_bins(incidence_deg, sigma_m, INCIDENCE_EDGES_DEG),
-        dark_to_bright=enough[0] / enough[-1] if len(enough) > 1 else None,
-        steep_to_facing=float(np.median(steep) / np.median(facing)) if comparable else None,
     )
-
-
-def _bins(
-    of: Float[np.ndarray, " n"], sigma_m: Float[np.ndarray, " n"], edges: Float[np.ndarray, " e"]
-) -> list[Bin]:
-    """Median noise between the edges."""
-    place = np.digitize(of, edges) - 1
-    groups = [sigma_m[place == i] for i in range(len(edges) - 1)]
-    return [
-        Bin(low=low, high=high, count=len(group), value=np.median(group) if len(group) else None)
-        for low, high, group in zip(edges[:-1], edges[1:], groups, strict=True)
-    ]
 
 
 def _autocorrelation(maps: Sequence[PatchNoise]) -> Autocorrelation:

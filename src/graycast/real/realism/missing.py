@@ -15,6 +15,7 @@ LEVELS = 4095  # of the brightness histogram: 8, 10 and 12 bits keep their own l
 ISLAND_PX = 10
 # Octaves, because a sensor's response is judged by ratios; and what is at its end.
 BRIGHTNESS_EDGES = np.array([0, *(2.0**-k for k in range(8, 0, -1)), 0.99, np.nextafter(1.0, 2.0)])
+SIZES_PX = ((1, 1), (2, 4), (5, ISLAND_PX))  # from and to, of islands told by size
 _LEAST_DROP = 0.2  # of the missing share, to be called a step
 _NEIGHBOURS = np.ones((3, 3), dtype=int)  # corners connect
 
@@ -95,9 +96,19 @@ def summarise_islands(counts: Sequence[MissingCounts]) -> Islands:
         largest_px=ISLAND_PX,
         holes=len(holes) / len(counts),
         specks=len(specks) / len(counts),
+        holes_by_size=_by_size(holes, len(counts)),
+        specks_by_size=_by_size(specks, len(counts)),
         hole_share=float(holes.sum() / pixels),
         speck_share=float(specks.sum() / pixels),
     )
+
+
+def _by_size(sizes_px: Int[np.ndarray, " n"], maps: int) -> dict[str, float]:
+    counts = {size: ((sizes_px >= size[0]) & (sizes_px <= size[1])).sum() for size in SIZES_PX}
+    return {
+        f"{low}" if low == high else f"{low} to {high}": float(count / maps)
+        for (low, high), count in counts.items()
+    }
 
 
 def drop_out_step(

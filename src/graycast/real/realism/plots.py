@@ -45,18 +45,20 @@ def _draw_missing(ax: Axes, records: Sequence[Realism]) -> None:
 
 def _draw_noise_over_brightness(ax: Axes, records: Sequence[Realism]) -> None:
     for i, record in enumerate(records):
-        ax.plot(*_curve(record.noise.by_brightness, 1e3, _LEAST_PATCHES), "o-", color=f"C{i}")
-    ax.set(title="noise against brightness, under 45°", ylabel="median sigma of z [mm]")
+        ax.plot(*_curve(record.fine.by_brightness, 1e3, _LEAST_PATCHES), "o-", color=f"C{i}")
+    ax.set(title="fine noise against brightness, under 45°", ylabel="median sigma of z [mm]")
     ax.set_ylim(bottom=0)
     _brightness_axis(ax)
 
 
 def _draw_noise_over_incidence(ax: Axes, records: Sequence[Realism]) -> None:
     for i, record in enumerate(records):
-        bins = [b for b in record.noise.by_incidence if b.count >= _LEAST_PATCHES]
+        bins = [b for b in record.fine.by_incidence if b.count >= _LEAST_PATCHES]
         middle = [(b.low + b.high) / 2 for b in bins]
         ax.plot(middle, [1e3 * b.value for b in bins if b.value is not None], "o-", color=f"C{i}")
-    ax.set(title="noise against incidence", xlabel="angle to the camera's ray [°]", xlim=(0, 90))
+    ax.set(
+        title="fine noise against incidence", xlabel="angle to the camera's ray [°]", xlim=(0, 90)
+    )
     ax.set(ylabel="median sigma of z [mm]")
     ax.set_ylim(bottom=0)
     ax.grid(alpha=0.3)

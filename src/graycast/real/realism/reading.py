@@ -3,7 +3,7 @@
 from collections.abc import Iterator, Mapping, Sequence
 from itertools import zip_longest
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 from jaxtyping import Float, UInt8
@@ -24,6 +24,7 @@ from ..depth_file import (
 from .scan import Scan
 
 _M_PER_MM = 1e-3
+Said = TypeVar("Said", AnyView, AnyScanner)
 
 
 def read_scans(
@@ -77,6 +78,27 @@ def read_scans(
         )
 
 
+def read_perfect(path: Path) -> Iterator[Scan]:
+    """Depth without a sensor, of the scenes of a dataset that has it beside the scanner's.
+
+    Pictures of another camera than the scanner's are left out, and a dataset of real scans has
+    none at all.
+
+    Raises:
+        DatasetError: a file is missing or damaged.
+    """
+    for scene in _scenes(path):
+        files = SceneFolder(scene)
+        if all((scene / f"scene_camera{suffix}.json").is_file() for suffix in ("", SCANNER)):
+            perfect, scanner = _views(files, ""), _views(files, SCANNER)
+            for number in sorted(perfect.keys() & scanner.keys()):
+                file, view = files.png_path("depth", number), perfect[number]
+                if view.cam_K == scanner[number].cam_K and file.is_file():
+                    depth_m = metres(read_image(file), view.depth_scale * _M_PER_MM, str(file))
+                    K = np.reshape(view.cam_K, (3, 3))
+                    yield _scan(name=str(file), depth_m=depth_m, K=K)
+
+
 def _scenes(path: Path) -> list[Path]:
     """Scene folders at, in, or two levels below a folder."""
     for pattern in (".", "*", "*/*"):
@@ -89,28 +111,44 @@ def _read_scene(scene: Path) -> Iterator[Scan]:
     """All images of a scene folder, the scanner's where there is one beside the colour camera."""
     files = SceneFolder(scene)
     suffix = SCANNER if (scene / f"scene_camera{SCANNER}.json").is_file() else ""
-    try:
-        views = files.record(f"scene_camera{suffix}", Images[AnyView]).root
-        told = bool(suffix) and (scene / f"scene{SCANNER}.json").is_file()
-        scanner = files.record(f"scene{SCANNER}", Images[AnyScanner]).root if told else {}
-    except Unreadable as error:
-        raise DatasetError(f"{scene}/{error}: each image has cam_K (9) and depth_scale") from error
+    views = _views(files, suffix)
+    told = bool(suffix) and (scene / f"scene{SCANNER}.json").is_file()
+    scanner = _said(files, f"scene{SCANNER}", Images[AnyScanner]) if told else {}
     baseline_m = _baseline_m(scene)
     for number, view in sorted(views.items()):
         path = files.png_path(f"depth{suffix}", number)
-        gray = files.find_picture(f"gray{suffix}", number)
-        picture = gray or files.find_picture(f"rgb{suffix}", number)
+        depth_m = metres(read_image(path), view.depth_scale * _M_PER_MM, str(path))
+        own = files.find_picture(f"gray{suffix}", number)
+        picture = own or files.find_picture(f"rgb{suffix}", number)
+        gray = None if picture is None else read_gray(picture)
+        colour = files.find_picture("rgb", number)
+        if gray is None and colour is not None:
+            seen = read_gray(colour)  # of a colour camera beside the scanner it says nothing here
+            gray = seen if seen.shape == depth_m.shape else None
         why = files.png_path(f"reason{suffix}", number)
         reasons = scanner[number].reasons if number in scanner else {}
         yield _scan(
             name=str(path),
-            depth_m=metres(read_image(path), view.depth_scale * _M_PER_MM, str(path)),
+            depth_m=depth_m,
             K=np.reshape(view.cam_K, (3, 3)),
-            gray=None if picture is None else read_gray(picture),
+            gray=gray,
             reason=_read_reason(why) if suffix and why.is_file() else None,
             reason_names={code: name for name, code in reasons.items()},
             baseline_m=baseline_m,
         )
+
+
+def _views(files: SceneFolder, suffix: str) -> dict[int, AnyView]:
+    return _said(files, f"scene_camera{suffix}", Images[AnyView])
+
+
+def _said(files: SceneFolder, name: str, form: type[Images[Said]]) -> dict[int, Said]:
+    """What a JSON file says of each image."""
+    try:
+        return files.record(name, form).root
+    except Unreadable as error:
+        why = f"{files.path}/{error}: each image has cam_K (9) and depth_scale"
+        raise DatasetError(why) from error
 
 
 def _baseline_m(scene: Path) -> float | None:

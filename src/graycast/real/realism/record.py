@@ -7,7 +7,7 @@ from pydantic import BaseModel, ConfigDict, ValidationError
 from ...errors import DatasetError, GraycastError
 
 RECORD_FILE = "realism.json"  # in the folder that `graycast realism` writes
-FORMAT_VERSION = 1
+FORMAT_VERSION = 2
 
 
 class _Record(BaseModel):
@@ -21,6 +21,7 @@ class Bin(_Record):
     high: float
     count: int
     value: float | None  # none where `count` is 0
+    interval: tuple[float, float] | None = None  # 95 % of the value
 
 
 class DropOut(_Record):
@@ -49,10 +50,9 @@ class Missing(_Record):
 class Noise(_Record):
     """Standard deviation of z [m] about planes fitted to small patches.
 
-    `percentiles_m` has the 5th, 25th, 50th, 75th and 95th over the patches. `dark_to_bright` is the
-    noise of the darkest over that of the brightest brightness bin, `steep_to_facing` that at 50 to
-    70 over that at 0 to 20 degrees of incidence. `bent` is the share of the `candidates`, patches
-    with hardly a hole, that are no planes; `outliers` the share of pixels beyond 5 sigma.
+    `percentiles_m` has the 5th, 25th, 50th, 75th and 95th over the patches. `bent` is the share of
+    the `candidates`, patches with hardly a hole, that are no planes; `outliers` the share of pixels
+    beyond 5 sigma.
     """
 
     patch_px: int
@@ -62,10 +62,38 @@ class Noise(_Record):
     outliers: float | None
     percentiles_m: list[float] | None
     relative: float | None  # median of noise over depth
+
+
+class Fine(_Record):
+    """Noise [m] by second differences in small tiles: what neighbours do not share.
+
+    Scaled so that white noise has its own standard deviation; smoothed noise has less here.
+    `percentiles_m` as of `Noise`, over the tiles; `rough` is the share of tiles that are no smooth
+    surface. `dark_to_bright` is the noise of the darkest over that of the brightest bin,
+    `steep_to_facing` that at 40 to 50 over that at 0 to 10 degrees of incidence.
+    """
+
+    tile_px: int
+    tiles: int
+    rough: float | None
+    percentiles_m: list[float] | None
     by_brightness: list[Bin]  # median noise [m], incidence under 45 degrees
     by_incidence: list[Bin]  # limits in degrees
     dark_to_bright: float | None
     steep_to_facing: float | None
+
+
+class Pairs(_Record):
+    """Noise [m] of one map, from each map and the next where both show the same surface.
+
+    Its autocorrelation stands at 1, 2 and 3 pixels; none where no two maps share enough.
+    """
+
+    pairs: int
+    pixels: int
+    sigma_m: float | None
+    along_rows: list[float] | None
+    along_columns: list[float] | None
 
 
 class Autocorrelation(_Record):
@@ -117,11 +145,16 @@ class Steps(_Record):
 
 
 class Islands(_Record):
-    """Connected groups of at most `largest_px` pixels; per scan, and as share of all pixels."""
+    """Connected groups of at most `largest_px` pixels; per scan, and as share of all pixels.
+
+    `holes_by_size` and `specks_by_size` are per scan; their keys say how many pixels a group has.
+    """
 
     largest_px: int
     holes: float
     specks: float
+    holes_by_size: dict[str, float]
+    specks_by_size: dict[str, float]
     hole_share: float
     speck_share: float
 
@@ -136,6 +169,8 @@ class Realism(_Record):
     median_depth_m: float | None
     missing: Missing
     noise: Noise
+    fine: Fine
+    pairs: Pairs
     autocorrelation: Autocorrelation
     jumps: Jumps
     steps: Steps

@@ -6,6 +6,7 @@ from typing import NamedTuple
 from .record import Bin, Realism
 
 _UNKNOWN = "-"
+_PERCENTILES = ("5 %", "25 %", "median", "75 %", "95 %")
 
 
 class Figure(NamedTuple):
@@ -27,17 +28,13 @@ def figures(record: Realism) -> Iterator[Figure]:
     yield Figure(section, "flat patches", f"{noise.patches}")
     yield Figure(section, "left out as bent", _percent(noise.bent))
     percentiles: Sequence[float | None] = noise.percentiles_m or [None] * 5
-    for name, value in zip(("5 %", "25 %", "median", "75 %", "95 %"), percentiles, strict=True):
+    for name, value in zip(_PERCENTILES, percentiles, strict=True):
         yield Figure(section, f"sigma of z, {name}", _mm(value))
     relative = _UNKNOWN if noise.relative is None else f"{1e6 * noise.relative:.0f} ppm"
     yield Figure(section, "median over depth", relative)
     yield Figure(section, "pixels beyond 5 sigma", _percent(noise.outliers, 2))
-    section = "noise against brightness (share of the range, under 45 deg)"
-    yield from _bins(section, noise.by_brightness, 100.0, "%", _mm)
-    yield Figure(section, "darkest over brightest", _plain(noise.dark_to_bright))
-    section = "noise against incidence"
-    yield from _bins(section, noise.by_incidence, 1.0, "deg", _mm)
-    yield Figure(section, "50-70 over 0-20 deg", _plain(noise.steep_to_facing))
+    yield from _fine(record)
+    yield from _pairs(record)
     yield from _autocorrelation(record)
     section = "jumps between valid neighbours, per map"
     yield Figure(section, "left near, right far", f"{jumps.right_farther:.1f}")
@@ -50,7 +47,11 @@ def figures(record: Realism) -> Iterator[Figure]:
     yield from _baseline(record)
     section = f"islands of at most {islands.largest_px} px"
     yield Figure(section, "holes, per map", f"{islands.holes:.1f}")
+    for size, count in islands.holes_by_size.items():
+        yield Figure(section, f"holes of {size} px, per map", f"{count:.1f}")
     yield Figure(section, "specks, per map", f"{islands.specks:.1f}")
+    for size, count in islands.specks_by_size.items():
+        yield Figure(section, f"specks of {size} px, per map", f"{count:.1f}")
     yield Figure(section, "holes, share of pixels", _percent(islands.hole_share, 3))
     yield Figure(section, "specks, share of pixels", _percent(islands.speck_share, 3))
 
@@ -94,6 +95,32 @@ def _missing(record: Realism) -> Iterator[Figure]:
                      f"{_percent(drop.missing_above)}")  # fmt: skip
 
 
+def _fine(record: Realism) -> Iterator[Figure]:
+    fine = record.fine
+    section = f"fine noise (second differences, {fine.tile_px} x {fine.tile_px} px tiles)"
+    yield Figure(section, "smooth tiles", f"{fine.tiles}")
+    yield Figure(section, "left out as rough", _percent(fine.rough))
+    percentiles: Sequence[float | None] = fine.percentiles_m or [None] * 5
+    for name, value in zip(_PERCENTILES, percentiles, strict=True):
+        yield Figure(section, f"sigma of z, {name}", _mm(value))
+    section = "fine noise against brightness (share of the range, under 45 deg)"
+    yield from _bins(section, fine.by_brightness, 100.0, "%", _mm)
+    yield Figure(section, "darkest over brightest", _plain(fine.dark_to_bright))
+    section = "fine noise against incidence"
+    yield from _bins(section, fine.by_incidence, 1.0, "deg", _mm)
+    yield Figure(section, "40-50 over 0-10 deg", _plain(fine.steep_to_facing))
+
+
+def _pairs(record: Realism) -> Iterator[Figure]:
+    pairs = record.pairs
+    section = "noise between each map and the next, where they show the same"
+    yield Figure(section, "pairs of maps", f"{pairs.pairs}")
+    yield Figure(section, "sigma of z", _mm(pairs.sigma_m))
+    for name, values in (("rows", pairs.along_rows), ("columns", pairs.along_columns)):
+        for lag, value in enumerate(values or [None] * 3, start=1):
+            yield Figure(section, f"common along {name}, lag {lag}", _plain(value))
+
+
 def _autocorrelation(record: Realism) -> Iterator[Figure]:
     section = "autocorrelation of the noise"
     for name, values in (
@@ -133,7 +160,8 @@ def _bins(
     for one in bins:
         if one.count:
             limits = f"{factor * one.low:.3g} to {factor * one.high:.3g} {unit}"
-            yield Figure(section, limits, f"{show(one.value)} ({one.count})")
+            known = f", {show(one.interval[0])} to {show(one.interval[1])}" if one.interval else ""
+            yield Figure(section, limits, f"{show(one.value)} ({one.count}{known})")
 
 
 def _merged(lists: list[list[tuple[str, str]]]) -> list[tuple[str, str]]:

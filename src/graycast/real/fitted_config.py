@@ -1,15 +1,15 @@
 """A configuration with what was fitted in the place of what was there; all else as it was."""
 
 import math
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from pathlib import Path
 from typing import Any
 
 import yaml
 
-from ...config import Config
-from ...errors import GraycastError
-from ...settings import check_settings, parse_yaml
+from ..config import Config
+from ..errors import GraycastError
+from ..settings import check_settings, parse_yaml
 
 
 def refuse_existing(out: Path, base: Path) -> None:
@@ -37,7 +37,11 @@ def refuse_there(*paths: Path) -> None:
 
 
 def fitted_text(
-    base: str, path: Path, sections: Mapping[str, Mapping[str, Any]], comments: Mapping[str, str]
+    base: str,
+    path: Path,
+    sections: Mapping[str, Mapping[str, Any] | str],
+    comments: Mapping[str, str],
+    dropped: Collection[str] = (),
 ) -> str:
     """The text of a configuration in which some keys at the top are replaced or added.
 
@@ -48,6 +52,7 @@ def fitted_text(
         path: of its file, for errors.
         sections: new values by key.
         comments: what stands above each.
+        dropped: keys at the top that are taken out, where they are.
 
     Raises:
         ConfigError: the result would not be a configuration.
@@ -57,9 +62,11 @@ def fitted_text(
         base = yaml.safe_dump(dict(content), sort_keys=False)
     lines = base.splitlines()
     spans = _spans(base, lines)
-    for key in sorted(sections, key=lambda k: -spans.get(k, (math.inf, 0))[0]):
+    touched = [*sections, *(key for key in dropped if key in spans)]
+    for key in sorted(touched, key=lambda k: -spans.get(k, (math.inf, 0))[0]):
         first, last = spans.get(key, (len(lines), len(lines)))
-        lines[first:last] = _block(key, sections[key], comments.get(key, ""))
+        new = _block(key, sections[key], comments.get(key, "")) if key in sections else []
+        lines[first:last] = new
     text = "\n".join(lines) + "\n"
     check_settings(parse_yaml(text, path), Config, path)
     return text
@@ -77,7 +84,8 @@ def _spans(text: str, lines: list[str]) -> dict[str, tuple[int, int]]:
     return spans
 
 
-def _block(key: str, value: Mapping[str, Any], comment: str) -> list[str]:
+def _block(key: str, value: Mapping[str, Any] | str, comment: str) -> list[str]:
     told = [f"# {line}".rstrip() for line in comment.splitlines()]
-    dumped = yaml.safe_dump({key: value}, sort_keys=False, default_flow_style=None, width=96)
+    flow = False if isinstance(value, str) else None  # a lone word would be put into braces
+    dumped = yaml.safe_dump({key: value}, sort_keys=False, default_flow_style=flow, width=96)
     return told + dumped.rstrip("\n").splitlines()

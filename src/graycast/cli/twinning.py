@@ -1,0 +1,118 @@
+"""The command that makes a twin of a real scanner: twin."""
+
+import argparse
+from pathlib import Path
+
+from ..errors import GraycastError
+from .arguments import (
+    above_zero,
+    add_command,
+    add_device,
+    add_seed,
+    positive,
+    progress_bar,
+    resolve_cell_option,
+    size,
+)
+
+
+def add_commands(commands: argparse._SubParsersAction) -> None:
+    twin = add_command(
+        commands,
+        "twin",
+        _twin,
+        "Fit a simulated scanner to scans of a real one, so that its scans have the same "
+        "statistics.",
+    )
+    twin.add_argument(
+        "scans",
+        nargs="+",
+        type=Path,
+        help="Three or more real depth maps of the cell: NPY, PNG or PLY files, folders of them, "
+        "or datasets of real scans.",
+    )
+    twin.add_argument(
+        "--config",
+        type=Path,
+        required=True,
+        help="The cell's configuration: bin, pose, parts like the real ones, and a rig with the "
+        "scanner's geometry.",
+    )
+    twin.add_argument(
+        "--out",
+        type=Path,
+        required=True,
+        help="The new configuration to write, in the folder of --config; its rig file, a report "
+        "and a picture are written beside it.",
+    )
+    twin.add_argument(
+        "--intrinsics",
+        metavar="K",
+        help="The intrinsics of the scans: fx,fy,cx,cy or a file that holds K (default: the "
+        "rig's).",
+    )
+    twin.add_argument(
+        "--scale",
+        type=above_zero,
+        metavar="METRES",
+        help="How many metres one unit of depth is: 0.001 for millimetres. Files of integers need "
+        "it; floats are metres without it.",
+    )
+    twin.add_argument(
+        "--size",
+        type=size,
+        metavar="WxH",
+        help="The width and height in pixels of PLY clouds that do not state it.",
+    )
+    twin.add_argument(
+        "--scenes",
+        type=positive,
+        default=3,
+        metavar="N",
+        help="How many simulated scenes the search looks at (default: 3).",
+    )
+    twin.add_argument(
+        "--trials",
+        type=positive,
+        default=240,
+        metavar="N",
+        help="How many scanners are tried (default: 240).",
+    )
+    add_seed(twin, 0)
+    add_device(twin)
+
+
+def _twin(options: argparse.Namespace) -> int:
+    from ..config import load_config
+    from ..real.depth_file import read_intrinsics
+    from ..real.fitted_config import refuse_existing, refuse_there
+    from ..real.realism import read_scans
+    from ..real.twin import check_scans, files_of, make_twin, summary, write_twin
+
+    refuse_existing(options.out, options.config)
+    refuse_there(*files_of(options.out))
+    cell = resolve_cell_option(load_config(options.config), options)
+    said = None if options.intrinsics is None else read_intrinsics(options.intrinsics)
+    K = cell.scanner.rig.camera.K if said is None else said
+    scans = list(read_scans(options.scans, K=K, scale_m=options.scale, size_px=options.size))
+    if not scans:
+        raise GraycastError("no scan is given: name depth files or a folder")
+    check_scans(scans, cell)
+    with progress_bar() as bar:
+        going = bar.add_task("", total=None)
+        twin = make_twin(
+            scans,
+            cell,
+            scenes=options.scenes,
+            trials=options.trials,
+            seed=options.seed,
+            device=options.device,
+            on_stage=lambda stage: bar.update(going, description=stage),
+            on_trial=lambda done, total, text: bar.update(
+                going, completed=done, total=total, description=text
+            ),
+        )
+    print("\n".join(summary(twin)))
+    for path in write_twin(twin, cell, options.config, options.out):
+        print(path)
+    return 0

@@ -1,0 +1,275 @@
+"""Fine noise: by second differences within a map, and between two maps of one place.
+
+The second difference along both directions at once is blind to planes and to surfaces that bend
+along rows or columns alone, so tiles of 8 x 8 pixels serve almost everywhere that is smooth: most
+patches that a plane fit refuses as bent have their noise measured here. What a scanner's smoothing
+correlates is lost to a difference of neighbours: this is the noise of the finest scale, scaled so
+that white noise comes out as it is. Where two maps show the same surface even the shape cancels,
+and the whole of the noise that is not common to both is left.
+
+Source: Immerkaer, "Fast noise variance estimation", CVIU 64 (1996), for the operator.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cache
+from itertools import pairwise
+
+import numpy as np
+from jaxtyping import Float
+from scipy.stats import binom, chi2
+
+from .patches import robust_sigma, second_difference
+from .record import Bin, Fine, Pairs
+from .scan import Scan
+
+TILE_PX = 8
+LEAST_TILES = 20  # in a bin, to be compared with another
+BRIGHTNESS_EDGES = np.array([0, *(2.0**-k for k in range(8, 0, -1)), np.nextafter(1.0, 2.0)])
+INCIDENCE_EDGES_DEG = np.arange(0.0, 90.0, 10.0)
+_OUTLIER = 6.0  # times the tile's own sigma
+_MOST_OUTLIERS = 0.05  # of a tile's differences; with more it is an edge
+_LEAST_DIFFERENCES = 20  # of the 36 of a tile
+_FACING_DEG = 45.0  # noise is compared over brightness up to there
+_SAME_M = 3e-3  # two maps show the same surface where they differ by less
+_PERCENTILES = (5, 25, 50, 75, 95)
+_LAGS = (1, 2, 3)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class FineNoise:
+    """The smooth tiles of one map."""
+
+    tiles: int  # that have enough pixels
+    variance_m2: Float[np.ndarray, " n"]
+    incidence_rad: Float[np.ndarray, " n"]
+    brightness: Float[np.ndarray, " n"]  # NaN without a picture
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PairNoise:
+    """Sums over the places that two maps share."""
+
+    pixels: int
+    sigma_m: float | None
+    along_rows: tuple[float, ...] | None
+    along_columns: tuple[float, ...] | None
+
+
+def measure_fine(scan: Scan) -> FineNoise:
+    """The noise of every tile that is smooth, its incidence and brightness."""
+    depth_m = scan.depth_m.astype(np.float64)
+    tiles, corner = _tiles(depth_m)
+    mixed = second_difference(tiles).reshape(len(tiles), (TILE_PX - 2) ** 2)
+    known = ~np.isnan(mixed)
+    enough = known.sum(axis=1) >= _LEAST_DIFFERENCES
+    tiles, corner, mixed, known = (a[enough] for a in (tiles, corner, mixed, known))
+    size = np.where(known, np.abs(mixed), np.nan)
+    spread = 1.4826 * np.nanmedian(size, axis=1, keepdims=True) if len(size) else size[:, :1]
+    with np.errstate(invalid="ignore"):
+        inner = known & (size <= _OUTLIER * spread)
+    out = 1 - inner.sum(axis=1) / np.maximum(known.sum(axis=1), 1)
+    smooth = (out <= _MOST_OUTLIERS) & (spread[:, 0] > 0)
+    inner, mixed, tiles, corner = (a[smooth] for a in (inner, mixed, tiles, corner))
+    variance = np.where(inner, mixed**2, 0.0).sum(axis=1) / np.maximum(inner.sum(axis=1), 1)
+    return FineNoise(
+        tiles=int(enough.sum()),
+        variance_m2=variance,
+        incidence_rad=_incidence(scan.K, tiles, corner),
+        brightness=_brightness(scan, corner),
+    )
+
+
+def summarise_fine(maps: Sequence[FineNoise]) -> Fine:
+    """The figures of many maps, tiles put together."""
+    variance = np.concatenate([m.variance_m2 for m in maps])
+    incidence_deg = np.degrees(np.concatenate([m.incidence_rad for m in maps]))
+    brightness = np.concatenate([m.brightness for m in maps])
+    tiles = sum(m.tiles for m in maps)
+    lit = (incidence_deg < _FACING_DEG) & ~np.isnan(brightness)
+    by_brightness = _bins(brightness[lit], variance[lit], BRIGHTNESS_EDGES)
+    by_incidence = _bins(incidence_deg, variance, INCIDENCE_EDGES_DEG)
+    dark = [b.value for b in by_brightness if b.value and b.count >= LEAST_TILES]
+    facing, steep = _median_m(variance[incidence_deg < 10]), _median_m(
+        variance[(incidence_deg >= 40) & (incidence_deg < 50)])  # fmt: skip
+    sigma_m = np.sqrt(variance / median_over_mean())
+    return Fine(
+        tile_px=TILE_PX,
+        tiles=len(variance),
+        rough=1 - len(variance) / tiles if tiles else None,
+        percentiles_m=np.percentile(sigma_m, _PERCENTILES).tolist() if len(sigma_m) else None,
+        by_brightness=by_brightness if lit.any() else [],
+        by_incidence=by_incidence,
+        dark_to_bright=dark[0] / dark[-1] if len(dark) > 1 else None,
+        steep_to_facing=steep / facing if facing and steep else None,
+    )
+
+
+def measure_pair(first: Scan, second: Scan) -> PairNoise | None:
+    """The noise between two maps where they show the same surface; None of different cameras.
+
+    The difference of both loses what is common to them, shape and the fixed part of the error
+    alike; its standard deviation over the root of 2 is that of one map.
+    """
+    same_camera = first.depth_m.shape == second.depth_m.shape and np.allclose(first.K, second.K)
+    if not same_camera:
+        return None
+    difference = first.depth_m - second.depth_m
+    with np.errstate(invalid="ignore"):
+        difference = np.where(np.abs(difference) < _SAME_M, difference, np.nan)
+    rest = _without_drift(difference)
+    known = rest[~np.isnan(rest)]
+    if len(known) < 1000:
+        return PairNoise(pixels=len(known), sigma_m=None, along_rows=None, along_columns=None)
+    sigma_m = robust_sigma(known)
+    rest = np.where(np.abs(rest) <= 4 * sigma_m, rest, np.nan)
+    return PairNoise(
+        pixels=len(known),
+        sigma_m=sigma_m / np.sqrt(2),
+        along_rows=tuple(_lag(rest, lag) for lag in _LAGS),
+        along_columns=tuple(_lag(rest.T, lag) for lag in _LAGS),
+    )
+
+
+def summarise_pairs(pairs: Sequence[PairNoise]) -> Pairs:
+    """Means over the pairs that share enough, weighted by what they share."""
+    told = [p for p in pairs if p.sigma_m is not None]
+    weight = np.array([p.pixels for p in told], dtype=np.float64)
+    if not told:
+        return Pairs(pairs=0, pixels=0, sigma_m=None, along_rows=None, along_columns=None)
+    variance = np.array([p.sigma_m**2 for p in told if p.sigma_m is not None])
+    rows = np.array([p.along_rows for p in told], dtype=np.float64)
+    columns = np.array([p.along_columns for p in told], dtype=np.float64)
+    return Pairs(
+        pairs=len(told),
+        pixels=int(weight.sum()),
+        sigma_m=float(np.sqrt(np.average(variance, weights=weight))),
+        along_rows=np.average(rows, axis=0, weights=weight).tolist(),
+        along_columns=np.average(columns, axis=0, weights=weight).tolist(),
+    )
+
+
+@cache
+def median_over_mean() -> float:
+    """Of the mean square of a tile's differences in white noise.
+
+    Differences of neighbours share pixels, so the sum of their squares is no chi-square; it is
+    taken as a shifted one of its own mean, variance and skewness.
+
+    Source: Liu, Tang & Zhang, Computational Statistics & Data Analysis 53 (2009), central case.
+    """
+    one = np.array([1.0, -4.0, 6.0, -4.0, 1.0]) / 6.0  # how [1 -2 1] correlates with itself
+    step = np.arange(TILE_PX - 2)
+    apart = np.abs(step[:, None] - step)
+    along = np.where(apart <= 2, one[np.minimum(apart, 2) + 2], 0.0)
+    weight = np.linalg.eigvalsh(np.kron(along, along))
+    mean, square, cube = (float((weight**k).sum()) for k in (1, 2, 3))
+    freedom = square**3 / cube**2
+    median = mean + np.sqrt(square / freedom) * (chi2.ppf(0.5, freedom) - freedom)
+    return float(median / mean)
+
+
+# --- tiles ---------------------------------------------------------------------------------------
+
+
+def _tiles(
+    image: Float[np.ndarray, "h w"],
+) -> tuple[Float[np.ndarray, "n t t"], Float[np.ndarray, "n 2"]]:
+    """The image cut into tiles, without what is left over, and (x, y) of their corners."""
+    rows, columns = image.shape[0] // TILE_PX, image.shape[1] // TILE_PX
+    cut = image[: rows * TILE_PX, : columns * TILE_PX]
+    tiles = cut.reshape(rows, TILE_PX, columns, TILE_PX).swapaxes(1, 2)
+    y, x = np.divmod(np.arange(rows * columns), max(columns, 1))
+    corner = np.stack([x, y], axis=1).astype(np.float64) * TILE_PX
+    return tiles.reshape(-1, TILE_PX, TILE_PX).astype(np.float64), corner
+
+
+def _brightness(scan: Scan, corner: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, " n"]:
+    if scan.gray is None:
+        return np.full(len(corner), np.nan)
+    tiles, _ = _tiles(scan.gray)
+    column, row = (corner // TILE_PX).astype(int).T
+    return tiles.mean(axis=(1, 2))[row * (scan.gray.shape[1] // TILE_PX) + column]
+
+
+def _incidence(
+    K: Float[np.ndarray, "3 3"], tiles: Float[np.ndarray, "n t t"], corner: Float[np.ndarray, "n 2"]
+) -> Float[np.ndarray, " n"]:
+    """Between each tile's plane `1/z = g . (x, y, 1)` and the ray in its middle.
+
+    The plane's normal is along K^T g; the ray is K^-1 (x, y, 1).
+    """
+    t = np.arange(TILE_PX) - (TILE_PX - 1) / 2
+    x, y = (c.ravel() for c in np.meshgrid(t, t))
+    inverse = 1.0 / tiles.reshape(len(tiles), TILE_PX**2)
+    used = ~np.isnan(inverse)
+    basis = np.column_stack([x, y, np.ones(len(x))])
+    normal = np.einsum("np,pi,pj->nij", used, basis, basis) + 1e-9 * np.eye(3)
+    right = np.einsum("np,pi->ni", np.where(used, inverse, 0.0), basis)
+    slope = np.linalg.solve(normal, right[..., None])[..., 0]
+    centre = corner + (TILE_PX - 1) / 2
+    g = np.column_stack([slope[:, :2], slope[:, 2] - (slope[:, :2] * centre).sum(axis=1)])
+    across = g @ K
+    ray = np.column_stack([centre, np.ones(len(centre))]) @ np.linalg.inv(K).T
+    length = np.linalg.norm(across, axis=1) * np.linalg.norm(ray, axis=1)
+    return np.arccos((np.abs((across * ray).sum(axis=1)) / length).clip(max=1.0))
+
+
+# --- bins ----------------------------------------------------------------------------------------
+
+
+def _bins(
+    of: Float[np.ndarray, " n"], variance: Float[np.ndarray, " n"], edges: Float[np.ndarray, " e"]
+) -> list[Bin]:
+    place = np.digitize(of, edges) - 1
+    found = []
+    for i, (low, high) in enumerate(pairwise(edges)):
+        group = variance[place == i]
+        found.append(
+            Bin(
+                low=low,
+                high=high,
+                count=len(group),
+                value=_median_m(group),
+                interval=_interval_m(group),
+            )
+        )
+    return found
+
+
+def _median_m(variance: Float[np.ndarray, " n"]) -> float | None:
+    return float(np.sqrt(np.median(variance) / median_over_mean())) if len(variance) else None
+
+
+def _interval_m(variance: Float[np.ndarray, " n"]) -> tuple[float, float] | None:
+    """95 % of the median, by order statistics, whatever the law; None of fewer than 6."""
+    n = len(variance)
+    if n < 6:
+        return None
+    low = int(binom.ppf(0.025, n, 0.5))
+    ordered = np.sqrt(np.sort(variance)[[max(low - 1, 0), min(n - low, n - 1)]])
+    ordered = ordered / np.sqrt(median_over_mean())
+    return float(ordered[0]), float(ordered[1])
+
+
+# --- pairs ---------------------------------------------------------------------------------------
+
+
+def _without_drift(difference: Float[np.ndarray, "h w"]) -> Float[np.ndarray, "h w"]:
+    """Less the median of blocks of 32 pixels: what warms up or moves by a little is not noise."""
+    rest = np.full(difference.shape, np.nan)
+    for y in range(0, difference.shape[0], 32):
+        for x in range(0, difference.shape[1], 32):
+            block = difference[y : y + 32, x : x + 32]
+            known = ~np.isnan(block)
+            if known.sum() >= 200:
+                rest[y : y + 32, x : x + 32] = block - np.median(block[known])
+    return rest
+
+
+def _lag(rest: Float[np.ndarray, "h w"], lag: int) -> float:
+    """Correlation at a distance along the rows."""
+    a, b = rest[:, :-lag], rest[:, lag:]
+    both = ~np.isnan(a) & ~np.isnan(b)
+    power = np.sqrt((a[both] ** 2).mean() * (b[both] ** 2).mean()) if both.any() else 0.0
+    return float((a[both] * b[both]).mean() / power) if power > 0 else 0.0

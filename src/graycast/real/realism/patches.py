@@ -1,0 +1,329 @@
+"""Squares cut from depth maps, and what is measured in each: the sensor's doing apart from shape.
+
+Second differences along both directions at once, `[1 -2 1] x [1 -2 1]`, are blind to planes and to
+every surface that bends along rows or along columns alone, so that what is left of a smooth surface
+is noise (Immerkaer, "Fast noise variance estimation", CVIU 64, 1996). Third differences along one
+direction tell how the noise is correlated there.
+
+Leaves out: colour; what needs more than one map.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+from scipy import ndimage
+
+from .scan import Scan
+
+SQUARE_PX = 32
+STRIDE_PX = 16
+STEP_M = 0.015  # neighbours further apart in depth are a step
+_LEAST_VALID = {"smooth": 0.7, "floor": 0.5}
+_SMOOTH_M = 2e-3  # all but `_STRAY` of a smooth square lie so near to a paraboloid
+_FLOOR_M = 4e-3  # and of the floor to its plane
+_STRAY = 0.03
+_FLOOR_SHARE = 0.05  # of a map's pixels, to be called a floor
+_SAMPLED = 4000  # pixels of a map, of which the valid ones vote for a floor
+_DRAWS = 600
+_LEAST_TRIANGLE_PX2 = 4000.0  # twice the area: a smaller one tells no slope
+_TINY_M = 1e-6
+
+FEATURES: dict[str, tuple[str, ...]] = {
+    "noise": (
+        "noise_log_mm",
+        "tails",
+        "outlying_share",
+        "along_x",
+        "along_y",
+        "common_along_y",
+        "common_along_x",
+    ),
+    "holes": (
+        "missing_share",
+        "holes_1",
+        "holes_2_4",
+        "holes_5_16",
+        "holes_over_16",
+        "specks",
+        "ragged",
+    ),
+    "steps": ("falls_right", "falls_left", "falls_y"),
+    "shape": ("depth_mm", "slope_x", "slope_y", "bend_mm"),
+}
+"""Names of what is measured, by group; the first two groups are the sensor's."""
+
+GROUPS: dict[str, tuple[str, ...]] = {
+    "sensor": FEATURES["noise"] + FEATURES["holes"],
+    **FEATURES,
+    "all": tuple(name for names in FEATURES.values() for name in names),
+}
+_COLUMN = {name: i for i, name in enumerate(GROUPS["all"])}
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Squares:
+    """Squares of several maps: their features, the map of each, and where in it they are."""
+
+    feature: Float[np.ndarray, "n features"]
+    scan: Int[np.ndarray, " n"]
+    corner_px: Int[np.ndarray, "n 2"]  # row, column of the top left pixel
+    is_smooth: Bool[np.ndarray, " n"]
+    is_floor: Bool[np.ndarray, " n"]
+
+    def at(self, place: str) -> "Squares":
+        """Those at a place: smooth, or floor."""
+        kept = {"smooth": self.is_smooth, "floor": self.is_floor}[place]
+        return self.only(kept)
+
+    def of_scans(self, number: Sequence[int]) -> "Squares":
+        return self.only(np.isin(self.scan, np.array(number)))
+
+    def only(self, kept: Bool[np.ndarray, " n"]) -> "Squares":
+        return replace(
+            self,
+            feature=self.feature[kept],
+            scan=self.scan[kept],
+            corner_px=self.corner_px[kept],
+            is_smooth=self.is_smooth[kept],
+            is_floor=self.is_floor[kept],
+        )
+
+    def group(self, name: str) -> Float[np.ndarray, "n some"]:
+        """The columns of one group of features."""
+        return self.feature[:, [_COLUMN[feature] for feature in GROUPS[name]]]
+
+
+def cut_squares(scans: Sequence[Scan], *, step_m: float = 0.0) -> Squares:
+    """All squares of some maps that are smooth or of the floor.
+
+    Args:
+        step_m: depth is rounded to this step first, where it is above 0, so that two sets that are
+            compared are equally fine.
+    """
+    depths = [_rounded(scan.depth_m, step_m) for scan in scans]
+    floor = find_floor(depths)
+    parts = [_squares_of(depth_m, number, floor) for number, depth_m in enumerate(depths)]
+    return Squares(
+        feature=np.concatenate([p.feature for p in parts]),
+        scan=np.concatenate([p.scan for p in parts]),
+        corner_px=np.concatenate([p.corner_px for p in parts]),
+        is_smooth=np.concatenate([p.is_smooth for p in parts]),
+        is_floor=np.concatenate([p.is_floor for p in parts]),
+    )
+
+
+def find_floor(depth_m: Sequence[Float[np.ndarray, "h w"]]) -> Float[np.ndarray, "3"] | None:
+    """The plane `1/z = g . (x, y, 1)`, x and y in pixels, that most pixels lie on, if one is.
+
+    The camera stood still over the maps, so their pixels are taken together: what moves does not
+    make a plane. Random samples of three pixels, the best refined by least squares over what lies
+    near it.
+    """
+    rng = np.random.default_rng(0)  # it chooses samples, not results: any seed finds the same floor
+    picked = [_some_pixels(one, rng) for one in depth_m]
+    pixel, z_m = (np.concatenate(column) for column in zip(*picked, strict=True))
+    best, plane = _FLOOR_SHARE * len(depth_m) * _SAMPLED, None
+    for three in rng.integers(0, max(len(z_m), 1), size=(_DRAWS if len(z_m) > 2 else 0, 3)):
+        A = pixel[three]
+        if abs(np.linalg.det(A)) < _LEAST_TRIANGLE_PX2:
+            continue
+        g = np.linalg.solve(A, 1.0 / z_m[three])
+        count = int(_near(pixel, z_m, g).sum())
+        if count > best:
+            best, plane = count, g
+    if plane is None:
+        return None
+    for _ in range(3):
+        near = _near(pixel, z_m, plane)
+        plane = np.linalg.lstsq(pixel[near], 1.0 / z_m[near], rcond=None)[0]
+    return plane
+
+
+def second_difference(z_m: Float[np.ndarray, "*n h w"]) -> Float[np.ndarray, "*n h2 w2"]:
+    """`[1 -2 1] x [1 -2 1]` over 6: white noise keeps its standard deviation."""
+    along = z_m[..., :-2] - 2 * z_m[..., 1:-1] + z_m[..., 2:]
+    return (along[..., :-2, :] - 2 * along[..., 1:-1, :] + along[..., 2:, :]) / 6
+
+
+def third_difference(z_m: Float[np.ndarray, "h w"]) -> Float[np.ndarray, "h w3"]:
+    """`[1 -3 3 -1]` along the rows over sqrt(20): white noise keeps its standard deviation."""
+    a, b, c, d = z_m[:, :-3], z_m[:, 1:-2], z_m[:, 2:-1], z_m[:, 3:]
+    return (a - 3 * b + 3 * c - d) / np.sqrt(20)
+
+
+def robust_sigma(values: Float[np.ndarray, " n"]) -> float:
+    """From the median of the sizes, as of a normal law."""
+    return float(1.4826 * np.median(np.abs(values))) if len(values) else float("nan")
+
+
+# --- one square ----------------------------------------------------------------------------------
+
+
+def _rounded(depth_m: Float[np.ndarray, "h w"], step_m: float) -> Float[np.ndarray, "h w"]:
+    return np.round(depth_m / step_m) * step_m if step_m > 0 else depth_m
+
+
+def _some_pixels(
+    depth_m: Float[np.ndarray, "h w"], rng: np.random.Generator
+) -> tuple[Float[np.ndarray, "n 3"], Float[np.ndarray, " n"]]:
+    """(x, y, 1) and depth of the valid ones among `_SAMPLED` pixels."""
+    height, width = depth_m.shape
+    y, x = rng.integers(0, height, _SAMPLED), rng.integers(0, width, _SAMPLED)
+    known = ~np.isnan(depth_m[y, x])
+    y, x = y[known], x[known]
+    return np.column_stack([x, y, np.ones(len(x))]).astype(np.float64), depth_m[y, x]
+
+
+def _near(
+    pixel: Float[np.ndarray, "n 3"], z_m: Float[np.ndarray, " n"], g: Float[np.ndarray, "3"]
+) -> Bool[np.ndarray, " n"]:
+    """Within `_FLOOR_M` of a plane of inverse depth; what lies behind the camera is not."""
+    inverse = pixel @ g
+    return (inverse > 0) & (np.abs(1.0 / np.maximum(inverse, 1e-9) - z_m) < _FLOOR_M)
+
+
+def _squares_of(
+    depth_m: Float[np.ndarray, "h w"],
+    number: int,
+    floor: Float[np.ndarray, "3"] | None,
+) -> Squares:
+    rows, smooth, on_floor, corners = [], [], [], []
+    height, width = depth_m.shape
+    for y in range(0, height - SQUARE_PX + 1, STRIDE_PX):
+        for x in range(0, width - SQUARE_PX + 1, STRIDE_PX):
+            z_m = depth_m[y : y + SQUARE_PX, x : x + SQUARE_PX]
+            valid = ~np.isnan(z_m)
+            share = valid.mean()
+            if share < min(_LEAST_VALID.values()):
+                continue
+            fit = _paraboloid(z_m, valid)
+            is_smooth = share >= _LEAST_VALID["smooth"] and _holds(fit, z_m, valid, _SMOOTH_M)
+            is_floor = floor is not None and _holds(_plane_m(floor, y, x), z_m, valid, _FLOOR_M)
+            if is_smooth or is_floor:
+                rows.append(_features(z_m, valid, fit))
+                smooth.append(is_smooth)
+                on_floor.append(is_floor)
+                corners.append((y, x))
+    return Squares(
+        feature=np.array(rows, dtype=np.float64).reshape(-1, len(_COLUMN)),
+        scan=np.full(len(rows), number),
+        corner_px=np.array(corners, dtype=np.int64).reshape(-1, 2),
+        is_smooth=np.array(smooth, dtype=bool),
+        is_floor=np.array(on_floor, dtype=bool),
+    )
+
+
+def _plane_m(floor: Float[np.ndarray, "3"], y: int, x: int) -> Float[np.ndarray, "s s"]:
+    """Depth of the floor in a square; NaN where its plane is behind the camera."""
+    row, column = np.mgrid[y : y + SQUARE_PX, x : x + SQUARE_PX]
+    inverse = floor[0] * column + floor[1] * row + floor[2]
+    return np.where(inverse > 0, 1.0 / np.where(inverse > 0, inverse, 1.0), np.nan)
+
+
+def _holds(
+    model_m: Float[np.ndarray, "s s"],
+    z_m: Float[np.ndarray, "s s"],
+    valid: Bool[np.ndarray, "s s"],
+    most_m: float,
+) -> bool:
+    """Whether all but a few strays lie near the model."""
+    off = np.abs(model_m - z_m)[valid]
+    return bool((off <= most_m).mean() >= 1 - _STRAY)
+
+
+def _paraboloid(
+    z_m: Float[np.ndarray, "s s"], valid: Bool[np.ndarray, "s s"]
+) -> Float[np.ndarray, "s s"]:
+    """Least squares over what lies near, in three rounds."""
+    t = np.linspace(-1, 1, SQUARE_PX)
+    x, y = np.meshgrid(t, t)
+    basis = np.stack([x**0, x, y, x * x, x * y, y * y], axis=-1)
+    used, fit = valid, np.full(z_m.shape, np.nan)
+    for _ in range(3):
+        if used.sum() < 30:
+            break
+        A, b = basis[used], z_m[used]
+        fit = basis @ np.linalg.solve(A.T @ A + 1e-9 * np.eye(6), A.T @ b)
+        off = np.abs(fit - np.where(valid, z_m, np.inf))
+        used = valid & (off <= 3 * 1.4826 * np.median(off[valid]) + _TINY_M)
+    return fit
+
+
+def _features(
+    z_m: Float[np.ndarray, "s s"], valid: Bool[np.ndarray, "s s"], fit: Float[np.ndarray, "s s"]
+) -> list[float]:
+    return [*_noise(z_m), *_holes(valid), *_falls(z_m), *_shape(z_m, fit)]
+
+
+def _noise(z_m: Float[np.ndarray, "s s"]) -> list[float]:
+    mixed, along_x = second_difference(z_m), third_difference(z_m)
+    along_y = third_difference(z_m.T).T
+    known = mixed[~np.isnan(mixed)]
+    if len(known) < 30:
+        return [np.nan] * len(FEATURES["noise"])
+    sigma_m = robust_sigma(known) + _TINY_M
+    core = known[np.abs(known) < 4 * sigma_m]
+    return [
+        float(np.log10(1e3 * sigma_m)),
+        float(np.std(core) / sigma_m),
+        float((np.abs(known) > 4 * sigma_m).mean()),
+        _log_ratio(along_x, sigma_m),
+        _log_ratio(along_y, sigma_m),
+        _correlation(along_x[:-1], along_x[1:]),
+        _correlation(along_y[:, :-1], along_y[:, 1:]),
+    ]
+
+
+def _log_ratio(values: Float[np.ndarray, "a b"], sigma_m: float) -> float:
+    known = values[~np.isnan(values)]
+    return float(np.log((robust_sigma(known) + _TINY_M) / sigma_m)) if len(known) > 30 else np.nan
+
+
+def _correlation(a: Float[np.ndarray, "a b"], b: Float[np.ndarray, "a b"]) -> float:
+    """Of neighbours, with what is far out cut off at 4 sigma."""
+    both = ~np.isnan(a) & ~np.isnan(b)
+    if both.sum() < 30:
+        return np.nan
+    limit = 4 * (robust_sigma(np.concatenate([a[both], b[both]])) + _TINY_M)
+    a, b = np.clip(a[both], -limit, limit), np.clip(b[both], -limit, limit)
+    power = np.sqrt((a * a).mean() * (b * b).mean())
+    return float((a * b).mean() / power) if power > 0 else 0.0
+
+
+def _holes(valid: Bool[np.ndarray, "s s"]) -> list[float]:
+    label, count = ndimage.label(~valid)
+    size = np.bincount(label.ravel(), minlength=count + 1)[1:]
+    island, islands = ndimage.label(valid)
+    specks = (np.bincount(island.ravel(), minlength=islands + 1)[1:] <= 16).sum()
+    edges = (valid[:, 1:] != valid[:, :-1]).sum() + (valid[1:] != valid[:-1]).sum()
+    missing = (~valid).sum()
+    return [
+        float(missing / valid.size),
+        float((size == 1).sum()),
+        float(((size > 1) & (size <= 4)).sum()),
+        float(((size > 4) & (size <= 16)).sum()),
+        float((size > 16).sum()),
+        float(specks),
+        float(edges / np.sqrt(missing)) if missing else 0.0,
+    ]
+
+
+def _falls(z_m: Float[np.ndarray, "s s"]) -> list[float]:
+    """Steps between neighbours along a row, by the side that is farther, and along the columns."""
+    along, down = np.diff(z_m, axis=1), np.diff(z_m, axis=0)
+    return [
+        float((along > STEP_M).sum()),
+        float((along < -STEP_M).sum()),
+        float((np.abs(down) > STEP_M).sum()),
+    ]
+
+
+def _shape(z_m: Float[np.ndarray, "s s"], fit: Float[np.ndarray, "s s"]) -> list[float]:
+    last = SQUARE_PX - 1
+    slope_x = (fit[:, last] - fit[:, 0]).mean()
+    slope_y = (fit[last] - fit[0]).mean()
+    middle = fit[SQUARE_PX // 2, SQUARE_PX // 2]
+    corners = (fit[0, 0] + fit[0, last] + fit[last, 0] + fit[last, last]) / 4
+    return [float(1e3 * v) for v in (np.nanmedian(z_m), slope_x, slope_y, corners - middle)]

@@ -1,0 +1,268 @@
+"""Can a classifier tell two sets of depth maps apart? By which of their features, and where?
+
+Squares of both sets are cut from smooth places and from the floor; a forest of randomised trees
+learns to tell whose they are, and is judged by squares of maps that it has not seen. Its area under
+the receiver's curve (AUC) is 0.5 where nothing tells, 1 where everything does. In the same table
+stand the first set's maps against each other, which is the best that a twin can reach, and what
+simulations without a sensor reach: perfect depth, bare and with Gaussian noise and drop-outs.
+
+Source: Lopez-Paz & Oquab, "Revisiting classifier two-sample tests", ICLR 2017.
+"""
+
+import importlib.util
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from itertools import combinations
+
+import numpy as np
+from jaxtyping import Float
+
+from ...errors import GraycastError
+from .patches import GROUPS, Squares, cut_squares, robust_sigma, second_difference
+from .scan import Scan
+
+PLACES = ("smooth", "floor")
+_TREES = 200
+_LEAST_IN_LEAF = 3
+_LEAST_SQUARES = 20  # of each set at a place, to learn from
+_FOLDS = 5
+_MOST_HALVES = 6  # ways to divide the first set into two
+
+OnStage = Callable[[str], None]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Auc:
+    """Mean and standard deviation over the folds; None where a place has too few squares."""
+
+    mean: float | None
+    spread: float | None
+    squares: tuple[int, int]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Telling:
+    """How well one feature alone tells the sets apart, and how it differs between them."""
+
+    feature: str
+    auc: float
+    median: tuple[float, float]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class TwoSample:
+    """The test's table: by row, such as 'a against b', by place and by group of features.
+
+    `telling` has, by place, the sensor's features, the most telling first; `score` is, by place,
+    how much each square of both sets looks like one of the second, by maps that were left out.
+    """
+
+    row: dict[str, dict[str, dict[str, Auc]]]
+    telling: dict[str, tuple[Telling, ...]]
+    squares: tuple[Squares, Squares]
+    score: dict[str, tuple[Float[np.ndarray, " n"], Float[np.ndarray, " m"]]]
+
+
+def two_sample_test(
+    first: Sequence[Scan],
+    second: Sequence[Scan],
+    *,
+    perfect: Sequence[Scan] = (),
+    names: tuple[str, str],
+    seed: int,
+    on_stage: OnStage = lambda stage: None,
+) -> TwoSample:
+    """Judge the second set by the first, by squares of maps that were left out of the learning.
+
+    Args:
+        perfect: depth of the second set's scenes without a sensor, for the rows beside.
+        names: of the sets, in the table.
+
+    Raises:
+        GraycastError: scikit-learn is not installed, or a set has fewer than two maps.
+    """
+    require_sklearn()
+    for scans, name in ((first, names[0]), (second, names[1])):
+        if len(scans) < 2:
+            raise GraycastError(
+                f"{name}: has {len(scans)} depth map: the test leaves out maps in turn, give two "
+                "or more"
+            )
+    step_m = max(depth_step_m(first), depth_step_m(second))
+    on_stage(f"cutting squares of {names[0]}")
+    a = cut_squares(first, step_m=step_m)
+    on_stage(f"cutting squares of {names[1]}")
+    b = cut_squares(second, step_m=step_m)
+    others: dict[str, Squares] = {}
+    for name, scans in _naive(first, perfect, seed).items():
+        on_stage(f"cutting squares of {name}")
+        others[name] = cut_squares(scans, step_m=step_m)
+    row, score = {}, {}
+    on_stage(f"learning {names[0]} against {names[1]}")
+    versus = f"{names[0]} against {names[1]}"
+    row[versus] = {place: _aucs(a.at(place), b.at(place), seed) for place in PLACES}
+    on_stage(f"learning {names[0]} against itself")
+    row[f"{names[0]} against itself"] = {p: _against_itself(a.at(p), seed) for p in PLACES}
+    for name, squares in others.items():
+        on_stage(f"learning {names[0]} against {name}")
+        row[f"{names[0]} against {name}"] = {
+            place: _aucs(a.at(place), squares.at(place), seed) for place in PLACES
+        }
+    telling = {place: _telling(a.at(place), b.at(place)) for place in PLACES}
+    for place in PLACES:
+        score[place] = _scores(a.at(place), b.at(place), "sensor", seed)[1]
+    return TwoSample(row=row, telling=telling, squares=(a, b), score=score)
+
+
+def sensor_auc(first: Squares, second: Squares, place: str, *, seed: int) -> float | None:
+    """The AUC by the sensor's features alone, of squares at one place."""
+    return _auc(first.at(place), second.at(place), "sensor", seed).mean
+
+
+def depth_step_m(scans: Sequence[Scan]) -> float:
+    """The step in which a set's files hold depth [m]; 0 of floats.
+
+    The least difference between the values of a map, where all differences are multiples of it.
+    """
+    value = np.unique(scans[0].depth_m[scans[0].valid])
+    if len(value) < 100:
+        return 0.0
+    gap = np.diff(value)
+    step = float(np.median(gap[gap < np.quantile(gap, 0.5) * 1.5]))
+    off = np.abs(gap / step - np.round(gap / step))
+    return step if step > 1e-6 and np.quantile(off, 0.99) < 0.05 else 0.0
+
+
+def require_sklearn() -> None:
+    """Raises GraycastError where scikit-learn is not installed."""
+    if importlib.util.find_spec("sklearn") is None:
+        raise GraycastError(
+            "scikit-learn is not installed, and the two-sample test learns with it: "
+            "pip install 'graycast[twin]'"
+        )
+
+
+# --- what is compared ----------------------------------------------------------------------------
+
+
+def _naive(real: Sequence[Scan], perfect: Sequence[Scan], seed: int) -> dict[str, tuple[Scan, ...]]:
+    """Perfect depth, and perfect depth with the first set's share of noise and drop-outs."""
+    if len(perfect) < 2:
+        return {}
+    sigma_m = float(np.median([_sigma_m(scan.depth_m) for scan in real]))
+    missing = float(np.mean([_missing_inside(scan) for scan in real]))
+    rng = np.random.default_rng(seed)
+    return {
+        "perfect depth": tuple(perfect),
+        "perfect depth with noise and drop-outs": tuple(
+            _noisy(scan, sigma_m, missing, rng) for scan in perfect
+        ),
+    }
+
+
+def _sigma_m(depth_m: Float[np.ndarray, "h w"]) -> float:
+    mixed = second_difference(depth_m)
+    return robust_sigma(mixed[~np.isnan(mixed)])
+
+
+def _missing_inside(scan: Scan) -> float:
+    """The share of pixels missing among neighbours that are there: what drop-outs are."""
+    valid = scan.valid
+    ring = valid[1:-1, :-2] & valid[1:-1, 2:] & valid[:-2, 1:-1] & valid[2:, 1:-1]
+    return float((ring & ~valid[1:-1, 1:-1]).sum() / max(int(ring.sum()), 1))
+
+
+def _noisy(scan: Scan, sigma_m: float, missing: float, rng: np.random.Generator) -> Scan:
+    depth_m = scan.depth_m + rng.normal(0.0, sigma_m, scan.depth_m.shape)
+    depth_m[rng.random(depth_m.shape) < missing] = np.nan
+    return Scan(name=f"{scan.name} (noisy)", depth_m=depth_m, K=scan.K.copy())
+
+
+# --- learning ------------------------------------------------------------------------------------
+
+
+def _aucs(a: Squares, b: Squares, seed: int) -> dict[str, Auc]:
+    return {group: _auc(a, b, group, seed) for group in GROUPS}
+
+
+def _auc(a: Squares, b: Squares, group: str, seed: int) -> Auc:
+    counts = (len(a.scan), len(b.scan))
+    if min(counts) < _LEAST_SQUARES or min(len(set(s.scan)) for s in (a, b)) < 2:
+        return Auc(mean=None, spread=None, squares=counts)
+    values, _ = _scores(a, b, group, seed)
+    return Auc(mean=float(np.mean(values)), spread=float(np.std(values)), squares=counts)
+
+
+def _against_itself(squares: Squares, seed: int) -> dict[str, Auc]:
+    """One half of the maps against the other, over several ways to halve them."""
+    scans = sorted(set(squares.scan.tolist()))
+    ways = [way for way in combinations(scans, len(scans) // 2)]
+    if len(scans) % 2 == 0:
+        ways = ways[: len(ways) // 2]  # the rest are the same halves, named the other way round
+    chosen = np.random.default_rng(seed).permutation(len(ways))[:_MOST_HALVES]
+    found: dict[str, list[Auc]] = {group: [] for group in GROUPS}
+    for k in chosen:
+        half = squares.of_scans(ways[k])
+        rest = squares.of_scans([s for s in scans if s not in ways[k]])
+        for group, values in found.items():
+            values.append(_auc(half, rest, group, seed))
+    result = {}
+    for group, values in found.items():
+        means = [auc.mean for auc in values if auc.mean is not None]
+        result[group] = Auc(
+            mean=float(np.mean(means)) if means else None,
+            spread=float(np.std(means)) if means else None,
+            squares=(len(squares.scan), len(squares.scan)),
+        )
+    return result
+
+
+def _scores(
+    a: Squares, b: Squares, group: str, seed: int
+) -> tuple[list[float], tuple[Float[np.ndarray, " n"], Float[np.ndarray, " m"]]]:
+    """The AUC of each fold, and each square's score; NaN where nothing could be learnt."""
+    from sklearn.ensemble import ExtraTreesClassifier
+    from sklearn.metrics import roc_auc_score
+
+    x = np.nan_to_num(np.concatenate([a.group(group), b.group(group)]), nan=-99.0)
+    y = np.repeat([0, 1], [len(a.scan), len(b.scan)])
+    fold = np.concatenate([_folds(a), _folds(b)])
+    score, values = np.full(len(y), np.nan), []
+    for k in range(int(fold.max(initial=-1)) + 1):
+        seen, left = fold != k, fold == k
+        if min(len(set(y[seen])), len(set(y[left]))) < 2:
+            continue
+        forest = ExtraTreesClassifier(
+            n_estimators=_TREES,
+            min_samples_leaf=_LEAST_IN_LEAF,
+            class_weight="balanced",
+            random_state=seed,
+        )
+        score[left] = forest.fit(x[seen], y[seen]).predict_proba(x[left])[:, 1]
+        values.append(float(roc_auc_score(y[left], score[left])))
+    return values, (score[: len(a.scan)], score[len(a.scan) :])
+
+
+def _folds(squares: Squares) -> np.ndarray:
+    """Maps in turn, so that a fold's maps are seen whole or not at all."""
+    order = {scan: k for k, scan in enumerate(sorted(set(squares.scan.tolist())))}
+    folds = max(2, min(_FOLDS, len(order)))
+    return np.array([order[scan] % folds for scan in squares.scan.tolist()], dtype=int)
+
+
+def _telling(a: Squares, b: Squares) -> tuple[Telling, ...]:
+    """Each sensor feature's AUC alone: the share of pairs that it orders right, ties half."""
+    from scipy.stats import rankdata
+
+    found = []
+    for k, name in enumerate(GROUPS["sensor"]):
+        first, second = (s.group("sensor")[:, k] for s in (a, b))
+        first, second = first[~np.isnan(first)], second[~np.isnan(second)]
+        if min(len(first), len(second)) < _LEAST_SQUARES:
+            continue
+        rank = rankdata(np.concatenate([first, second]))[len(first) :].sum()
+        wins = rank - len(second) * (len(second) + 1) / 2
+        auc = float(wins / (len(first) * len(second)))
+        median = float(np.median(first)), float(np.median(second))
+        found.append(Telling(feature=name, auc=max(auc, 1 - auc), median=median))
+    return tuple(sorted(found, key=lambda one: -one.auc))

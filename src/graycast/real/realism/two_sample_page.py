@@ -1,0 +1,127 @@
+"""The two-sample test as a table, as JSON, and as pictures of the squares that gave a set away."""
+
+import json
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+
+from ...plotting import save_png
+from .patches import GROUPS, SQUARE_PX, Squares
+from .scan import Scan
+from .two_sample import PLACES, Auc, TwoSample
+
+CLASSIFIER = "classifier.md"
+_SHOWN = 8  # squares of each set in a row of the picture
+_RELIEF_MM = 0.8  # black to white
+_PLACE = {"smooth": "smooth places", "floor": "floor"}
+
+
+def two_sample_table(test: TwoSample) -> str:
+    """The table in Markdown, which reads as plain text, too."""
+    lines = []
+    for place in PLACES:
+        lines += [
+            f"AUC on {_PLACE[place]} (0.5: nothing tells the sets apart; 1: everything does)",
+            "",
+            "| sets | " + " | ".join(GROUPS) + " | squares |",
+            "|---" * (len(GROUPS) + 2) + "|",
+        ]
+        for name, places in test.row.items():
+            cells = [_auc_text(places[place][group]) for group in GROUPS]
+            first, second = places[place]["sensor"].squares
+            lines.append(f"| {name} | " + " | ".join(cells) + f" | {first}, {second} |")
+        lines.append("")
+        told = test.telling[place][:5]
+        if told:
+            lines += [f"What tells them apart on {_PLACE[place]}, each feature alone:", ""]
+            lines += [
+                f"- {one.feature}: AUC {one.auc:.2f}, median {one.median[0]:.3g} of the first "
+                f"set, {one.median[1]:.3g} of the second"
+                for one in told
+            ]
+            lines.append("")
+    return "\n".join(lines)
+
+
+def write_two_sample(
+    test: TwoSample, first: Sequence[Scan], second: Sequence[Scan], folder: Path
+) -> None:
+    """`classifier.md`, `classifier.json` and a picture of each place that has squares.
+
+    Raises:
+        GraycastError: a file cannot be written.
+    """
+    (folder / CLASSIFIER).write_text(two_sample_table(test), encoding="utf-8")
+    content = {
+        name: {p: {g: _auc_json(auc) for g, auc in groups.items()} for p, groups in places.items()}
+        for name, places in test.row.items()
+    }
+    told = {
+        place: [{"feature": t.feature, "auc": t.auc, "median": t.median} for t in telling]
+        for place, telling in test.telling.items()
+    }
+    text = json.dumps({"auc": content, "telling": told}, indent=1) + "\n"
+    (folder / "classifier.json").write_text(text, encoding="utf-8")
+    for place in PLACES:
+        if not np.isnan(test.score[place][0]).all() and not np.isnan(test.score[place][1]).all():
+            _draw(test, place, first, second, folder / f"gave-away-{place}.png")
+
+
+def _auc_text(auc: Auc) -> str:
+    if auc.mean is None:
+        return "-"
+    return f"{auc.mean:.2f} ± {auc.spread:.2f}"
+
+
+def _auc_json(auc: Auc) -> dict[str, float | list[int] | None]:
+    return {"mean": auc.mean, "spread": auc.spread, "squares": list(auc.squares)}
+
+
+def _draw(
+    test: TwoSample, place: str, first: Sequence[Scan], second: Sequence[Scan], path: Path
+) -> None:
+    """Squares as relief over their own paraboloid, holes in red: the surest of each set, and the
+    second set's that pass best."""
+    a, b = (squares.at(place) for squares in test.squares)
+    of_first, of_second = test.score[place]
+    rows = (
+        ("first set, surest", a, first, _best(-of_first)),
+        ("second set, surest", b, second, _best(of_second)),
+        ("second set, taken for the first", b, second, _best(-of_second)),
+    )
+    figure = Figure(figsize=(1.6 * _SHOWN, 5.6), layout="constrained")
+    FigureCanvasAgg(figure)
+    axes = figure.subplots(len(rows), _SHOWN, squeeze=False)
+    for line, (name, squares, scans, order) in zip(axes, rows, strict=True):
+        for ax in line:
+            ax.set_axis_off()
+        for ax, k in zip(line, order, strict=False):
+            ax.imshow(_relief(squares, int(k), scans))
+        line[0].set_title(name, loc="left", fontsize=9)
+    figure.suptitle(f"{_PLACE[place]}: ±{_RELIEF_MM / 2:g} mm from dark to bright, holes red")
+    save_png(figure, path, dpi=90)
+
+
+def _best(score: Float[np.ndarray, " n"]) -> list[int]:
+    """Places of the highest scores; NaN is none."""
+    order = np.argsort(np.where(np.isnan(score), -np.inf, score))[::-1]
+    return [int(k) for k in order[:_SHOWN] if not np.isnan(score[k])]
+
+
+def _relief(squares: Squares, k: int, scans: Sequence[Scan]) -> Float[np.ndarray, "s s 3"]:
+    y, x = squares.corner_px[k]
+    z_m = scans[int(squares.scan[k])].depth_m[y : y + SQUARE_PX, x : x + SQUARE_PX]
+    t = np.linspace(-1, 1, SQUARE_PX)
+    u, v = np.meshgrid(t, t)
+    basis = np.stack([u**0, u, v, u * u, u * v, v * v], axis=-1)
+    known = ~np.isnan(z_m)
+    rest_m = np.where(known, z_m, 0.0)
+    fit = np.linalg.lstsq(basis[known], rest_m[known], rcond=None)[0]
+    rest_m = rest_m - basis @ fit
+    rest_m -= np.median(rest_m[known])
+    grey = np.clip(0.5 + 1e3 * rest_m / _RELIEF_MM, 0, 1)
+    return np.where(known[..., None], grey[..., None], np.array([0.8, 0.1, 0.1]))

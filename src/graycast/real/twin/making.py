@@ -1,0 +1,140 @@
+"""From real scans and a cell's configuration to the twin: read, refuse, light, search, judge."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+from ...cell import Cell, open_cell_renderer
+from ...config import resolve_quality
+from ...errors import GraycastError
+from ...parts import Material
+from ...scene import bin_of
+from ..realism import Scan, TwoSample, two_sample_test
+from ..realism.patches import find_floor
+from ..realism.two_sample import require_sklearn
+from .parameters import BIN_REFLECTANCE, PARAMETERS, Parameter, candidate_codes
+from .refusing import refuse_without_shadow
+from .rows import figures_of
+from .searching import Found, OnTrial, require_cma, scans_of, search
+from .stage import light_scenes
+
+LEAST_SCANS = 3
+JUDGED_SCENES = 2  # beside those that are searched with: the classifier's alone
+_BRIGHTEST = 0.9  # reflectance that a bin may be given
+
+OnStage = Callable[[str], None]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Twin:
+    """What was found, with pictures and the classifier's word before and after.
+
+    `pairs` has a real scan, a scan as the cell was configured, and one of the twin.
+    """
+
+    found: Found
+    scenes: int
+    shown: tuple[Scan, Scan, Scan]
+    classified: dict[str, TwoSample]  # 'before' and 'after'
+
+
+def make_twin(
+    real: Sequence[Scan],
+    cell: Cell,
+    *,
+    scenes: int,
+    trials: int,
+    seed: int,
+    device: str = "auto",
+    on_stage: OnStage = lambda stage: None,
+    on_trial: OnTrial = lambda done, total, text: None,
+) -> Twin:
+    """Fit the cell's scanner, and its bin's brightness, to real scans.
+
+    Raises:
+        GraycastError: there are too few scans, of another camera than the rig's, or of no
+            structured light; cma or scikit-learn is not installed.
+    """
+    require_cma()
+    require_sklearn()
+    check_scans(real, cell)
+    codes = candidate_codes(cell.scanner.code)
+    with open_cell_renderer(cell, device=device) as renderer:
+        lit = light_scenes(
+            cell,
+            codes,
+            range(scenes + JUDGED_SCENES),
+            seed=seed,
+            renderer=renderer,
+            quality=resolve_quality(cell.config),
+            on_stage=on_stage,
+        )
+    on_stage("the real scans are measured")
+    figures = figures_of(real, find_floor([scan.depth_m for scan in real]))
+    found = search(
+        cell.scanner,
+        lit[:scenes],
+        codes,
+        fitted_parameters(cell),
+        figures,
+        trials=trials,
+        seed=seed,
+        on_trial=on_trial,
+    )
+    other = seed + 100_000  # the noise of what is judged is not that of the search
+    before = scans_of(lit, cell.scanner, {}, seed=other, name="as configured")
+    after = scans_of(lit, found.scanner, found.values, seed=other, name="twin")
+    on_stage("a classifier looks at the scans before the search")
+    classified = {
+        "before": two_sample_test(real, before, names=("real", "as configured"), seed=seed)
+    }
+    on_stage("a classifier looks at the twin's scans")
+    perfect = [one.truth for one in lit]
+    classified["after"] = two_sample_test(
+        real, after, perfect=perfect, names=("real", "twin"), seed=seed
+    )
+    return Twin(
+        found=found,
+        scenes=scenes,
+        shown=(real[0], before[-1], after[-1]),
+        classified=classified,
+    )
+
+
+def check_scans(real: Sequence[Scan], cell: Cell) -> None:
+    """Whether a twin can be made of these scans.
+
+    Raises:
+        GraycastError: it cannot; the text says why, and what to give.
+    """
+    if len(real) < LEAST_SCANS:
+        raise GraycastError(
+            f"{len(real)} scans are given: {LEAST_SCANS} are the least, so that their spread is "
+            "known"
+        )
+    camera = cell.scanner.rig.camera
+    for scan in real:
+        height, width = scan.depth_m.shape
+        if (height, width) != (camera.height_px, camera.width_px):
+            raise GraycastError(
+                f"{scan.name}: is {width} x {height} pixels, the rig's camera {camera.width_px} x "
+                f"{camera.height_px}: give the rig the size and the intrinsics of the scans"
+            )
+        if abs(scan.K[0, 0] / camera.fx_px - 1) > 0.02:
+            raise GraycastError(
+                f"{scan.name}: has a focal length of {scan.K[0, 0]:.1f} px, the rig's camera "
+                f"{camera.fx_px:.1f} px: give the rig the intrinsics of the scans"
+            )
+    refuse_without_shadow(real)
+
+
+def fitted_parameters(cell: Cell) -> tuple[Parameter, ...]:
+    """All that are declared; the bin's brightness only where a colour of its own can be scaled."""
+    box = bin_of(cell.scene)
+    plain = [m for m in (box.material, box.floor) if m is not None]
+    scalable = not box.own_texture and all(m.texture is None for m in plain)
+    return tuple(p for p in PARAMETERS if p.key != BIN_REFLECTANCE or scalable)
+
+
+def scaled_color(material: Material, factor: float) -> list[float]:
+    """A material's colour, so many times as bright, up to what a surface can reflect."""
+    return [round(min(band * factor, _BRIGHTEST), 4) for band in material.base_color]

@@ -1,0 +1,137 @@
+"""What a user cannot know of his scanner: the list of what is fitted, by the rig file's own keys.
+
+A new parameter is one line of `PARAMETERS`: its key, its bounds and how its range is walked.
+"""
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any, Literal
+
+import numpy as np
+from jaxtyping import Float
+
+from ...pattern import CodeSpec
+from ...scanner import Scanner
+
+BIN_REFLECTANCE = (
+    "bin.reflectance"  # a factor on the bin's colour, the one key that is no scanner's
+)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Parameter:
+    """One number of a scanner, and where it may lie.
+
+    `key` is the rig file's, with dots; a number in brackets is an item of a list. `off_below` is
+    the value under which a filter is switched off.
+    """
+
+    key: str
+    low: float
+    high: float
+    walk: Literal["linear", "log"] = "linear"
+    whole: bool = False
+    off_below: float | None = None
+
+    def value(self, share: float) -> float:
+        """The value at a share, 0 to 1, of the way from low to high."""
+        share = min(max(share, 0.0), 1.0)
+        if self.walk == "log":
+            value = math.exp(math.log(self.low) + share * math.log(self.high / self.low))
+        else:
+            value = self.low + share * (self.high - self.low)
+        return float(round(value)) if self.whole else float(f"{value:.4g}")
+
+    def share(self, value: float) -> float:
+        """Where a value lies between low and high; the nearer bound where it lies outside."""
+        value = min(max(value, self.low), self.high)
+        if self.walk == "log":
+            return math.log(value / self.low) / math.log(self.high / self.low)
+        return (value - self.low) / (self.high - self.low)
+
+
+PARAMETERS: tuple[Parameter, ...] = (
+    Parameter(key="exposure.target", low=0.1, high=1.0, walk="log"),
+    Parameter(key="exposure.factors[1]", low=1.5, high=60.0, walk="log"),
+    Parameter(key="sensor.read_noise_e", low=1.0, high=80.0, walk="log"),
+    Parameter(key="sensor.prnu", low=1e-4, high=0.03, walk="log"),
+    Parameter(key="veil", low=0.0, high=0.2),
+    Parameter(key="decode.min_contrast", low=0.002, high=0.1, walk="log"),
+    Parameter(key="decode.doubt", low=0.03, high=0.4),
+    Parameter(key="filters.flying_angle_deg", low=60.0, high=89.0),
+    Parameter(key="filters.outlier_sigmas", low=3.0, high=15.0, walk="log"),
+    Parameter(key="filters.outlier_share", low=1e-4, high=3e-3, walk="log"),
+    Parameter(key="filters.island_px", low=0.0, high=60.0, whole=True, off_below=1.0),
+    Parameter(key="filters.smoothing_px", low=0.0, high=0.7, off_below=0.25),
+    Parameter(key=BIN_REFLECTANCE, low=0.3, high=3.0, walk="log"),
+)
+
+
+def candidate_codes(code: CodeSpec) -> tuple[CodeSpec, ...]:
+    """The code that is configured, and finer ones: which one a scanner shows, no depth map says."""
+    if code.codec != "gray_phase":
+        return (code,)
+    own = code.period_px or math.inf
+    periods = [code.period_px, *(p for p in (24.0, 12.0) if p < own)]
+    return tuple(replace(code, period_px=period) for period in periods)
+
+
+def with_values(
+    scanner: Scanner, parameters: Sequence[Parameter], values: Mapping[str, float]
+) -> Scanner:
+    """The scanner with those values in the place of its own."""
+    for parameter in parameters:
+        if parameter.key != BIN_REFLECTANCE:
+            value: Any = values[parameter.key]
+            if parameter.off_below is not None and value < parameter.off_below:
+                value = None
+            elif parameter.whole:
+                value = int(value)
+            scanner = _replaced(scanner, _path(parameter.key), value)
+    return scanner
+
+
+def value_of(scanner: Scanner, parameter: Parameter) -> float:
+    """The scanner's own value; the lower bound of what is off or not there."""
+    if parameter.key == BIN_REFLECTANCE:
+        return 1.0
+    found: Any = scanner
+    for name in _path(parameter.key):
+        if isinstance(name, int):
+            found = found[name] if name < len(found) else None
+        else:
+            found = getattr(found, name)
+        if found is None:
+            return parameter.low
+    return float(found)
+
+
+def shares_of(scanner: Scanner, parameters: Sequence[Parameter]) -> Float[np.ndarray, " n"]:
+    """Where the scanner's own values lie between the bounds."""
+    return np.array([p.share(value_of(scanner, p)) for p in parameters])
+
+
+def values_at(shares: Float[np.ndarray, " n"], parameters: Sequence[Parameter]) -> dict[str, float]:
+    return {p.key: p.value(float(s)) for p, s in zip(parameters, shares, strict=True)}
+
+
+def _path(key: str) -> list[str | int]:
+    """Keys of a rig file stand at its top where they are the rig's own."""
+    path: list[str | int] = []
+    for word in key.split("."):
+        name, _, index = word.partition("[")
+        path.append(name)
+        if index:
+            path.append(int(index.rstrip("]")))
+    return path if hasattr(Scanner, str(path[0])) else ["rig", *path]
+
+
+def _replaced(owner: Any, path: Sequence[str | int], value: Any) -> Any:
+    name, rest = path[0], path[1:]
+    if isinstance(name, int):
+        items = list(owner) + [0.0] * (name + 1 - len(owner))
+        items[name] = _replaced(items[name], rest, value) if rest else value
+        return tuple(items)
+    inner = _replaced(getattr(owner, name), rest, value) if rest else value
+    return replace(owner, **{name: inner})

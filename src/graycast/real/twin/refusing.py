@@ -1,0 +1,45 @@
+"""Maps that are no structured light's: active stereo and time of flight have no twin here."""
+
+from collections.abc import Sequence
+
+from ...errors import GraycastError
+from ..realism import Scan
+from ..realism.steps import count_steps
+
+_LEAST_JUMPS = 20  # per map, to tell a shadow side
+_MOST_SHARE = 0.25  # of jumps on one side over those on the other, for that side to be in shadow
+
+
+def refuse_without_shadow(scans: Sequence[Scan]) -> None:
+    """See that depth has a shadow side, as one camera and one projector make it.
+
+    Where a near surface hides a far one from the projector the far one has no depth, so between
+    valid neighbours depth never falls off on the side away from the projector. Two cameras that
+    match, and a camera beside its light, have jumps on both sides alike.
+
+    Raises:
+        GraycastError: there is no such side, or too little in the scans to tell.
+    """
+    counts = [count_steps(scan) for scan in scans]
+    right, left, below, above = (
+        sum(getattr(c, f"{side}_farther") for c in counts) / len(counts)
+        for side in ("right", "left", "below", "above")
+    )
+    pairs = {"right and left": (right, left), "below and above": (below, above)}
+    told = {
+        name: min(pair) / max(pair) for name, pair in pairs.items() if max(pair) >= _LEAST_JUMPS
+    }
+    if not told:
+        raise GraycastError(
+            f"the scans have {max(right, left, below, above):.0f} depth steps a map at most, too "
+            f"few to see what made them ({_LEAST_JUMPS} are the least): give scans with parts "
+            "that stand out"
+        )
+    if min(told.values()) > _MOST_SHARE:
+        raise GraycastError(
+            f"the scans have no shadow side: of the depth steps between valid neighbours "
+            f"{right:.0f} a map fall to the right, {left:.0f} to the left, {below:.0f} downwards "
+            f"and {above:.0f} upwards. Active stereo and time of flight look so; a twin is made "
+            "of structured light alone, where one direction has hardly any: give raw scans of "
+            "such a scanner, or another simulator"
+        )

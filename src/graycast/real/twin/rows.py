@@ -1,0 +1,179 @@
+"""The statistics that a twin is to share with the real scans: one row each, a number per scan.
+
+A row is of the sensor, or of the scene: what lies in the bin decides the latter, so it is shown
+beside the others and not fitted.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from jaxtyping import Float
+
+from ..realism import Scan
+from ..realism.fine import measure_fine, median_over_mean
+from ..realism.missing import count_missing
+from ..realism.patches import robust_sigma, second_difference, third_difference
+from ..realism.steps import count_steps
+
+Owner = Literal["sensor", "scene"]
+_SIGMAS = 2.0  # within so many standard deviations of the real scans' mean a row is met
+_LEAST_SPREAD = 0.05  # of the mean: three scans do not tell a spread well
+_MOST_Z = 5.0  # a row that is far off counts no more than this
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Row:
+    """One statistic of the real scans and of a twin's."""
+
+    name: str
+    unit: str
+    owner: Owner
+    real: float
+    spread: float  # standard deviation over the real scans, at least a share of the mean
+    twin: float
+
+    @property
+    def off(self) -> float:
+        """How many spreads the twin is off."""
+        return (self.twin - self.real) / self.spread
+
+    @property
+    def is_met(self) -> bool:
+        return abs(self.off) <= _SIGMAS
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Figures:
+    """A set's rows, a number per scan; NaN where a scan cannot tell."""
+
+    value: Mapping[str, Float[np.ndarray, " scans"]]
+
+
+def figures_of(scans: Sequence[Scan], floor: Float[np.ndarray, "3"] | None) -> Figures:
+    """All rows of each scan; `floor` is the plane of `find_floor`, None where none was found."""
+    each = [_one(scan, floor) for scan in scans]
+    return Figures(value={name: np.array([one[name] for one in each]) for name in ROWS})
+
+
+def compare(real: Figures, twin: Figures) -> tuple[Row, ...]:
+    """Row by row; what neither tells is left out."""
+    rows = []
+    for name, (unit, owner, least) in ROWS.items():
+        known, own = (f.value[name][~np.isnan(f.value[name])] for f in (real, twin))
+        if not len(known):
+            continue
+        mean = float(known.mean())
+        spread = max(float(known.std(ddof=1)) if len(known) > 1 else 0.0, least)
+        spread = max(spread, _LEAST_SPREAD * abs(mean))
+        twin_mean = float(own.mean()) if len(own) else mean + _MOST_Z * spread
+        rows.append(
+            Row(name=name, unit=unit, owner=owner, real=mean, spread=spread, twin=twin_mean)
+        )
+    return tuple(rows)
+
+
+def loss_of(rows: Sequence[Row]) -> float:
+    """Mean square of how far the sensor's rows are off, each bounded."""
+    off = np.array([row.off for row in rows if row.owner == "sensor"])
+    return float((_MOST_Z**2 * np.tanh((off / _MOST_Z) ** 2)).mean())
+
+
+# name: unit, whose doing, and the least spread that is believed
+ROWS: dict[str, tuple[str, Owner, float]] = {
+    "missing in the frame": ("%", "scene", 0.5),
+    "missing among present neighbours": ("%", "sensor", 0.02),
+    "holes of 1 px": ("per scan", "sensor", 10.0),
+    "holes of 2 to 4 px": ("per scan", "sensor", 10.0),
+    "holes of 5 to 10 px": ("per scan", "sensor", 5.0),
+    "specks of 1 px": ("per scan", "sensor", 5.0),
+    "specks of 2 to 4 px": ("per scan", "sensor", 5.0),
+    "specks of 5 to 10 px": ("per scan", "sensor", 3.0),
+    "jumps, right side farther": ("per scan", "sensor", 3.0),
+    "jumps, left side farther": ("per scan", "scene", 10.0),
+    "jumps, lower side farther": ("per scan", "scene", 10.0),
+    "jumps, upper side farther": ("per scan", "scene", 10.0),
+    "flying at steps": ("%", "sensor", 0.2),
+    "fine noise, 10 %": ("mm", "sensor", 0.003),
+    "fine noise, 25 %": ("mm", "sensor", 0.003),
+    "fine noise, median": ("mm", "sensor", 0.003),
+    "fine noise, 75 %": ("mm", "sensor", 0.003),
+    "fine noise, 90 %": ("mm", "sensor", 0.003),
+    "fine noise, 0 to 10 deg": ("mm", "sensor", 0.003),
+    "fine noise, 10 to 20 deg": ("mm", "sensor", 0.003),
+    "fine noise, 20 to 30 deg": ("mm", "sensor", 0.003),
+    "fine noise, 30 to 40 deg": ("mm", "sensor", 0.003),
+    "fine noise, 40 to 50 deg": ("mm", "sensor", 0.003),
+    "fine noise of the floor": ("mm", "sensor", 0.003),
+    "holes in the floor": ("%", "sensor", 0.05),
+    "tiles that are rough": ("%", "sensor", 0.3),
+    "noise along x over fine noise": ("", "sensor", 0.02),
+    "noise along y over fine noise": ("", "sensor", 0.02),
+    "noise common to rows": ("", "sensor", 0.02),
+    "noise common to columns": ("", "sensor", 0.02),
+}
+
+
+def _one(scan: Scan, floor: Float[np.ndarray, "3"] | None) -> dict[str, float]:
+    valid = scan.valid
+    ring = valid[1:-1, :-2] & valid[1:-1, 2:] & valid[:-2, 1:-1] & valid[2:, 1:-1]
+    missing, steps, fine = count_missing(scan), count_steps(scan), measure_fine(scan)
+    holes, specks = missing.hole_sizes_px, missing.speck_sizes_px
+    values = [1 - valid.mean(), (ring & ~valid[1:-1, 1:-1]).sum() / max(int(ring.sum()), 1)]
+    values = [100 * float(v) for v in values]
+    for sizes in (holes, specks):
+        values += [float(((sizes >= a) & (sizes <= b)).sum()) for a, b in ((1, 1), (2, 4), (5, 10))]
+    values += [float(n) for n in (steps.right_farther, steps.left_farther)]
+    values += [float(n) for n in (steps.below_farther, steps.above_farther)]
+    values.append(100 * steps.flying / steps.step_pixels if steps.step_pixels else np.nan)
+    sigma_mm = 1e3 * np.sqrt(fine.variance_m2 / median_over_mean())
+    some = len(sigma_mm) >= 20
+    values += np.percentile(sigma_mm, (10, 25, 50, 75, 90)).tolist() if some else [float("nan")] * 5
+    degrees = np.degrees(fine.incidence_rad)
+    for low in range(0, 50, 10):
+        group = sigma_mm[(degrees >= low) & (degrees < low + 10)]
+        values.append(float(np.median(group)) if len(group) >= 20 else float("nan"))
+    values += [*_floor(scan, floor), 100 * (1 - len(sigma_mm) / max(fine.tiles, 1))]
+    values += _texture(scan)
+    return dict(zip(ROWS, values, strict=True))
+
+
+def _floor(scan: Scan, floor: Float[np.ndarray, "3"] | None) -> list[float]:
+    """Fine noise [mm] and the share of holes [%] where the floor is bare."""
+    if floor is None:
+        return [float("nan")] * 2
+    row, column = np.mgrid[: scan.depth_m.shape[0], : scan.depth_m.shape[1]]
+    inverse = floor[0] * column + floor[1] * row + floor[2]
+    plane_m = 1.0 / np.where(inverse > 0, inverse, np.nan)
+    on_floor = np.abs(scan.depth_m - plane_m) < 4e-3
+    mixed = second_difference(np.where(on_floor, scan.depth_m, np.nan))
+    known = mixed[~np.isnan(mixed)]
+    ring = on_floor[1:-1, :-2] & on_floor[1:-1, 2:] & on_floor[:-2, 1:-1] & on_floor[2:, 1:-1]
+    if len(known) < 500:
+        return [float("nan")] * 2
+    holes = (ring & ~scan.valid[1:-1, 1:-1]).sum() / max(int(ring.sum()), 1)
+    return [1e3 * robust_sigma(known), 100 * float(holes)]
+
+
+def _texture(scan: Scan) -> list[float]:
+    """How noise along rows and columns relates to the fine noise, and what neighbours share."""
+    mixed = second_difference(scan.depth_m)
+    known = mixed[~np.isnan(mixed)]
+    if len(known) < 500:
+        return [float("nan")] * 4
+    fine_m = robust_sigma(known)
+    along_x, along_y = third_difference(scan.depth_m), third_difference(scan.depth_m.T)
+    ratios = [robust_sigma(a[~np.isnan(a)]) / fine_m for a in (along_x, along_y)]
+    return [*ratios, _shared(along_x), _shared(along_y)]
+
+
+def _shared(along: Float[np.ndarray, "h w"]) -> float:
+    """The correlation of a line's differences with those of the next line, by medians of products.
+
+    Of sums and differences, whose robust variances do not hear edges.
+    """
+    a, b = along[:-1], along[1:]
+    both = ~np.isnan(a) & ~np.isnan(b)
+    plus, minus = (robust_sigma(v) ** 2 for v in (a[both] + b[both], a[both] - b[both]))
+    return float((plus - minus) / (plus + minus)) if plus + minus > 0 else 0.0

@@ -1,0 +1,126 @@
+"""Fine noise: of known size on surfaces of known shape, by tiles and by pairs of maps."""
+
+import numpy as np
+import pytest
+
+from graycast.real.realism import measure, measure_all, pool
+from graycast.real.realism.fine import measure_fine, measure_pair, median_over_mean
+
+from .synthetic import plane, rays, scan
+
+SIGMA_M = 2e-4
+
+
+def record(*depth_m, **fields):
+    return pool(measure_all(scan(d, **fields) for d in depth_m), name="set")
+
+
+def sphere(radius_m=0.25, middle_m=0.8):
+    """z of a ball before the camera, where it is seen at less than 50 degrees or so."""
+    ray = rays()
+    unit = ray / np.linalg.norm(ray, axis=-1, keepdims=True)
+    along = unit[..., 2] * middle_m
+    root = along**2 - middle_m**2 + radius_m**2
+    return np.where(root > 0.02, (along - np.sqrt(root.clip(min=0))) * unit[..., 2], np.nan)
+
+
+def test_white_noise_has_its_sigma_in_every_percentile_s_middle():
+    rng = np.random.default_rng(1)
+    depth_m = plane(0.4) + SIGMA_M * rng.standard_normal((240, 320))
+    fine = record(depth_m).fine
+    # 1200 tiles of some 15 degrees of freedom each.
+    assert fine.percentiles_m[2] == pytest.approx(SIGMA_M, rel=4 * 1.25 / np.sqrt(30 * 1200))
+    assert fine.rough < 0.03
+
+
+def test_the_median_of_a_tile_is_that_of_drawn_noise():
+    """Oracle: thirty thousand tiles of white noise, not a law with its moments."""
+    noise = np.random.default_rng(2).standard_normal((30_000, 8, 8))
+    along = noise[:, :, :-2] - 2 * noise[:, :, 1:-1] + noise[:, :, 2:]
+    mixed = (along[:, :-2] - 2 * along[:, 1:-1] + along[:, 2:]) / 6
+    power = (mixed**2).mean(axis=(1, 2))
+    assert median_over_mean() == pytest.approx(np.median(power) / power.mean(), rel=0.01)
+
+
+def test_a_ball_s_noise_is_measured_where_a_plane_fit_finds_no_patch():
+    rng = np.random.default_rng(3)
+    depth_m = sphere()
+    depth_m = depth_m + SIGMA_M * rng.standard_normal(depth_m.shape)
+    found = record(depth_m)
+    assert found.noise.bent > 0.9
+    assert found.fine.tiles > 250
+    assert found.fine.percentiles_m[2] == pytest.approx(SIGMA_M, rel=0.03)
+
+
+def test_fine_noise_is_put_down_to_the_brightness_it_was_measured_at():
+    rng = np.random.default_rng(6)
+    gray = np.full((240, 320), 0.7)
+    gray[:, 160:] = 0.05
+    depth_m = plane() + np.where(gray > 0.5, 1.0, 2.5) * 1e-4 * rng.standard_normal(gray.shape)
+    fine = record(depth_m, gray=gray).fine
+    assert fine.dark_to_bright == pytest.approx(2.5, rel=0.05)
+    filled = {(b.low, b.high): b for b in fine.by_brightness if b.count}
+    assert list(filled) == [(1 / 32, 1 / 16), (0.5, np.nextafter(1.0, 2.0))]
+    for (low, _), sigma_m in zip(filled, (2.5e-4, 1e-4), strict=True):
+        of = next(b for b in filled.values() if b.low == low)
+        assert of.interval[0] < sigma_m < of.interval[1]
+        assert of.interval[1] - of.interval[0] < 0.06 * sigma_m
+
+
+def test_steep_planes_are_compared_with_facing_ones():
+    rng = np.random.default_rng(7)
+    facing = scan(plane() + 1e-4 * rng.standard_normal((240, 320)))
+    steep = plane(np.radians(45))
+    steep = scan(steep + 2e-4 * rng.standard_normal(steep.shape))
+    found = pool([measure(facing), measure(steep)], name="both").fine
+    assert found.steep_to_facing == pytest.approx(2.0, rel=0.05)
+
+
+def test_incidence_is_the_angle_between_ray_and_normal():
+    tilt_rad = 0.6
+    depth_m = plane(tilt_rad) + 1e-7 * np.random.default_rng(5).standard_normal((240, 320))
+    found = measure_fine(scan(depth_m))
+    pixel = np.stack(np.meshgrid(np.arange(3.5, 320, 8), np.arange(3.5, 240, 8)), axis=-1)
+    ray = np.concatenate([(pixel - [159.5, 119.5]) / 300.0, np.ones((30, 40, 1))], axis=-1)
+    normal = np.array([np.sin(tilt_rad), 0.0, np.cos(tilt_rad)])
+    expected = np.arccos(ray @ normal / np.linalg.norm(ray, axis=-1)).ravel()
+    assert np.sort(found.incidence_rad) == pytest.approx(np.sort(expected), abs=3e-3)
+
+
+def test_a_pair_has_the_noise_that_is_not_common_and_its_correlation():
+    """Shape and a fixed pattern cancel; noise of two neighbours' mean has a half at lag 1."""
+    rng = np.random.default_rng(8)
+    fixed = plane(0.3) + 3e-4 * rng.standard_normal((240, 320))
+
+    def shot():
+        white = rng.standard_normal((241, 320))
+        return scan(fixed + SIGMA_M * (white[1:] + white[:-1]) / np.sqrt(2))
+
+    pair = measure_pair(shot(), shot())
+    assert pair.sigma_m == pytest.approx(SIGMA_M, rel=0.02)
+    assert pair.along_columns == pytest.approx((0.5, 0, 0), abs=0.02)
+    assert pair.along_rows == pytest.approx((0, 0, 0), abs=0.02)
+
+
+def test_what_moved_between_two_maps_is_no_noise():
+    rng = np.random.default_rng(9)
+    first, second = (plane() + SIGMA_M * rng.standard_normal((240, 320)) for _ in range(2))
+    second[60:160, 100:220] -= 0.05
+    pair = measure_pair(scan(first), scan(second))
+    assert pair.sigma_m == pytest.approx(SIGMA_M, rel=0.02)
+    assert pair.pixels < 240 * 320 - 100 * 120 + 1
+
+
+def test_maps_of_two_cameras_make_no_pair():
+    other = scan(plane(), K=np.array([[310.0, 0, 159.5], [0, 310.0, 119.5], [0, 0, 1]]))
+    assert measure_pair(scan(plane()), other) is None
+    assert pool([measure(scan(plane()))], name="one").pairs.sigma_m is None
+
+
+def test_islands_are_told_by_size():
+    depth_m = np.full((60, 60), 0.5)
+    depth_m[5, 5] = depth_m[20, 20:23] = depth_m[40, 10:17] = np.nan
+    depth_m[30, 40:45] = np.nan
+    islands = record(depth_m, depth_m).islands
+    assert islands.holes_by_size == {"1": 1.0, "2 to 4": 1.0, "5 to 10": 2.0}
+    assert sum(islands.holes_by_size.values()) == islands.holes

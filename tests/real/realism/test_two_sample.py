@@ -1,0 +1,129 @@
+"""The two-sample test: sets of one law are alike, and one that differs is told by what differs."""
+
+import numpy as np
+import pytest
+from backends import slow
+
+from graycast.errors import GraycastError
+from graycast.real.realism import patches, sensor_auc, two_sample, two_sample_test
+from graycast.real.realism.patches import GROUPS, cut_squares, find_floor
+from graycast.real.realism.two_sample import depth_step_m
+from graycast.real.realism.two_sample_page import two_sample_table, write_two_sample
+
+from .synthetic import K, plane, scan
+
+pytest.importorskip("sklearn", reason="needs scikit-learn: pip install 'graycast[twin]'")
+
+SIZE = {"height_px": 160, "width_px": 192}
+
+
+@pytest.fixture(autouse=True)
+def few_trees(monkeypatch):
+    """A tenth of the trees: what these sets differ by is plain."""
+    monkeypatch.setattr(two_sample, "_TREES", 20)
+
+
+def maps(count, seed, *, sigma_m=2e-4, smoothed=False, drop=0.0, step_m=0.0):
+    rng, made = np.random.default_rng(seed), []
+    for _ in range(count):
+        noise = rng.standard_normal((SIZE["height_px"], SIZE["width_px"] + 1))
+        noise = (noise[:, 1:] + noise[:, :-1]) / np.sqrt(2) if smoothed else noise[:, 1:]
+        depth_m = plane(0.3, **SIZE) + sigma_m * noise
+        depth_m[rng.random(depth_m.shape) < drop] = np.nan
+        made.append(scan(np.round(depth_m / step_m) * step_m if step_m else depth_m))
+    return made
+
+
+def test_sets_of_one_law_cannot_be_told_apart():
+    """And their AUC is near a half by every group, whatever the classifier."""
+    a, b = (cut_squares(maps(4, seed)) for seed in (1, 2))
+    for place in ("smooth", "floor"):
+        assert sensor_auc(a, b, place, seed=0) == pytest.approx(0.5, abs=0.1)
+
+
+@pytest.mark.parametrize(
+    ("change", "feature", "group"),
+    [
+        slow({"sigma_m": 2.6e-4}, "noise_log_mm", "noise"),
+        slow({"smoothed": True}, "along_x", "noise"),
+        slow({"drop": 0.01}, "holes_1", "holes"),
+    ],
+)
+def test_what_differs_is_named(change, feature, group):
+    first, second = maps(3, 1), maps(3, 2, **change)
+    test = two_sample_test(first, second, names=("a", "b"), seed=0)
+    versus = test.row["a against b"]["floor"]
+    assert versus["sensor"].mean > 0.95
+    assert versus[group].mean > 0.95
+    assert versus["shape"].mean < 0.75
+    alone = {one.feature: one.auc for one in test.telling["floor"]}
+    assert alone[feature] > 0.95
+
+
+@pytest.mark.slow
+def test_naive_depth_stands_in_the_table_and_is_told(tmp_path):
+    first, second = maps(2, 1), maps(2, 2)
+    bare = [scan(plane(0.3, **SIZE)) for _ in range(2)]
+    test = two_sample_test(first, second, perfect=bare, names=("real", "b"), seed=0)
+    assert list(test.row) == [
+        "real against b",
+        "real against itself",
+        "real against perfect depth",
+        "real against perfect depth with noise and drop-outs",
+    ]
+    assert test.row["real against perfect depth"]["floor"]["noise"].mean == 1.0
+    text = two_sample_table(test)
+    assert text.count("| real against ") == 8
+    write_two_sample(test, first, second, tmp_path)
+    assert {p.name for p in tmp_path.iterdir()} == {
+        "classifier.md", "classifier.json", "gave-away-smooth.png", "gave-away-floor.png"
+    }  # fmt: skip
+
+
+@pytest.mark.slow
+def test_the_same_seed_gives_the_same_table():
+    first, second = maps(2, 1), maps(2, 2)
+    tests = [two_sample_test(first, second, names=("a", "b"), seed=3) for _ in range(2)]
+    assert tests[0].row == tests[1].row
+
+
+def test_files_in_coarse_steps_are_not_what_gives_a_set_away():
+    """Both sets are brought to the coarser step first."""
+    step_m = 1e-4
+    first, second = maps(3, 1, step_m=step_m), maps(3, 2)
+    assert depth_step_m(first) == pytest.approx(step_m)
+    assert depth_step_m(second) == 0
+    a, b = (cut_squares(one, step_m=step_m) for one in (first, second))
+    assert sensor_auc(a, b, "smooth", seed=0) == pytest.approx(0.5, abs=0.12)
+
+
+def test_the_floor_is_the_plane_that_was_drawn():
+    tilt_rad, distance_m = 0.3, 0.5
+    depth_m = [one.depth_m.copy() for one in maps(2, 1)]
+    for one in depth_m:
+        one[20:80, 30:100] -= 0.05
+    g = find_floor(depth_m)
+    normal = np.array([np.sin(tilt_rad), 0.0, np.cos(tilt_rad)]) / (distance_m * np.cos(tilt_rad))
+    # n . p = 1 with p = z K^-1 (x, y, 1), so g = K^-T n.
+    assert g == pytest.approx(np.linalg.solve(K.T, normal), rel=1e-3, abs=1e-6)
+
+
+def test_second_differences_do_not_hear_a_bend():
+    y, x = np.mgrid[:32, :32] / 32.0
+    bent = 0.5 + 0.01 * x**2 - 0.02 * y**2 + 0.01 * x * y + 0.003 * x**3
+    assert np.abs(patches.second_difference(bent)).max() < 1e-15
+    white = np.random.default_rng(1).standard_normal((400, 400))
+    assert patches.second_difference(white).std() == pytest.approx(1.0, rel=0.02)
+    assert patches.third_difference(white).std() == pytest.approx(1.0, rel=0.02)
+
+
+def test_the_sensor_s_features_are_not_the_shape_s():
+    assert set(GROUPS["sensor"]).isdisjoint(GROUPS["shape"] + GROUPS["steps"])
+
+
+def test_one_map_is_refused_and_so_is_a_missing_package(monkeypatch):
+    with pytest.raises(GraycastError, match="leaves out maps in turn"):
+        two_sample_test(maps(1, 1), maps(2, 2), names=("a", "b"), seed=0)
+    monkeypatch.setattr(two_sample.importlib.util, "find_spec", lambda name: None)
+    with pytest.raises(GraycastError, match=r"pip install 'graycast\[twin\]'"):
+        two_sample_test(maps(2, 1), maps(2, 2), names=("a", "b"), seed=0)

@@ -1,0 +1,29 @@
+"""A fitted configuration: a key replaced by a word, and sections that the new rig says instead."""
+
+from pathlib import Path
+
+import yaml
+
+from graycast.real.fitted_config import fitted_text
+
+BASE = """\
+# mine
+parts: [{builtin: washer}]
+rig: phoxi-m
+decode:
+  min_contrast: 0.05
+scenes: 4  # kept
+"""
+
+
+def test_the_rig_is_replaced_and_its_sections_are_dropped():
+    text = fitted_text(
+        BASE, Path("cell.yaml"), {"rig": "twin.rig.yaml"}, {"rig": "fitted"}, dropped=("decode",)
+    )
+    assert yaml.safe_load(text) == {
+        "parts": [{"builtin": "washer"}],
+        "rig": "twin.rig.yaml",
+        "scenes": 4,
+    }
+    assert "# fitted\nrig: twin.rig.yaml\n" in text
+    assert "# mine\n" in text and "scenes: 4  # kept\n" in text

@@ -1,0 +1,60 @@
+"""Parameters by the rig file's keys: values go in where the file has them, and come out again."""
+
+import numpy as np
+import pytest
+
+from graycast.pattern import CodeSpec
+from graycast.real.twin.parameters import (
+    BIN_REFLECTANCE,
+    PARAMETERS,
+    candidate_codes,
+    shares_of,
+    value_of,
+    values_at,
+    with_values,
+)
+from graycast.rig_file import load_scanner, save_scanner
+from graycast.scanner import preset
+
+SCANNER = preset("phoxi-m", "small")
+
+
+@pytest.mark.parametrize("parameter", PARAMETERS, ids=lambda p: p.key)
+def test_a_value_survives_the_scanner_and_its_file(parameter, tmp_path):
+    if parameter.key == BIN_REFLECTANCE:
+        assert value_of(SCANNER, parameter) == 1.0
+        return
+    value = parameter.value(0.7)
+    scanner = with_values(SCANNER, [parameter], {parameter.key: value})
+    save_scanner(scanner, tmp_path / "rig.yaml")
+    for one in (scanner, load_scanner(tmp_path / "rig.yaml")):
+        assert value_of(one, parameter) == pytest.approx(value)
+
+
+@pytest.mark.parametrize("parameter", PARAMETERS, ids=lambda p: p.key)
+def test_shares_span_the_bounds_and_come_back(parameter):
+    assert (parameter.value(0.0), parameter.value(1.0)) == (parameter.low, parameter.high)
+    for share in (0.0, 0.3, 0.8, 1.0):
+        tolerance = 0.01 if parameter.whole else 1e-3
+        assert parameter.share(parameter.value(share)) == pytest.approx(share, abs=tolerance)
+
+
+def test_nothing_else_changes():
+    values = values_at(shares_of(SCANNER, PARAMETERS), PARAMETERS)
+    fitted = with_values(SCANNER, PARAMETERS, values)
+    assert fitted.rig.camera == SCANNER.rig.camera
+    assert fitted.code == SCANNER.code
+    assert fitted.filters == SCANNER.filters
+    assert fitted.decode.min_contrast == pytest.approx(SCANNER.decode.min_contrast)
+
+
+def test_a_filter_goes_off_below_its_least_value():
+    low = with_values(SCANNER, PARAMETERS, values_at(np.zeros(len(PARAMETERS)), PARAMETERS))
+    assert low.filters.smoothing_px is None
+    assert low.filters.island_px is None
+
+
+def test_finer_codes_are_tried_and_a_plain_one_is_left():
+    assert [c.period_px for c in candidate_codes(SCANNER.code)] == [48.0, 24.0, 12.0]
+    plain = CodeSpec(codec="gray")
+    assert candidate_codes(plain) == (plain,)

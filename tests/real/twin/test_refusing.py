@@ -1,0 +1,40 @@
+"""Depth without a shadow side is no structured light's."""
+
+import numpy as np
+import pytest
+
+from graycast.errors import GraycastError
+from graycast.real.twin.refusing import refuse_without_shadow
+
+from ..realism.synthetic import plane, plates, scan, scattered_plates
+
+
+def maps(projector_m, seed=1):
+    rng = np.random.default_rng(seed)
+    return [scan(plates(projector_m, scattered_plates(rng))) for _ in range(3)]
+
+
+@pytest.mark.parametrize("projector_m", [(0.2, 0.0, 0.0), (-0.2, 0.0, 0.02), (0.0, -0.25, 0.0)])
+def test_a_projector_beside_the_camera_is_accepted(projector_m):
+    refuse_without_shadow(maps(projector_m))
+
+
+def test_a_light_at_the_camera_is_refused_and_the_reason_told():
+    with pytest.raises(GraycastError, match="no shadow side"):
+        refuse_without_shadow(maps((0.0, 0.0, 0.0)))
+
+
+def test_stereo_that_fills_shadows_is_refused():
+    """Two matched cameras with a filled disparity: the far surface goes on behind the near one."""
+    rng = np.random.default_rng(2)
+    filled = []
+    for _ in range(3):
+        depth_m = plates((0.0, 0.0, 0.0), scattered_plates(rng))
+        filled.append(scan(depth_m + 2e-3 * rng.standard_normal(depth_m.shape)))
+    with pytest.raises(GraycastError, match="Active stereo and time of flight look so"):
+        refuse_without_shadow(filled)
+
+
+def test_scans_without_steps_say_nothing():
+    with pytest.raises(GraycastError, match="too few to see what made them"):
+        refuse_without_shadow([scan(plane())] * 3)

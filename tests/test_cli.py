@@ -18,8 +18,8 @@ from graycast import __version__, bench
 from graycast.cli import command, machine, main
 from graycast.config import config_schema
 from graycast.drop import Decomposition
-from graycast.phoxi import PRESETS
 from graycast.report import rig as drawing
+from graycast.rig import PRESETS
 from graycast.rig_file import load_scanner, rig_schema
 from graycast.scanner import preset
 from graycast.stack import stack_schema
@@ -71,7 +71,7 @@ OPTIONS = {
     "bench decode": "--json",
     "bench detectors": "--json detectors --on",
     "bench drop": "--json --count",
-    "bench live": "config --json --rounds --device",
+    "bench live": "--json config --rounds --device",
     "bench hulls": "--json",
     "bench pose": "--json datasets --instances --min-visibility --out --seed",
     "bench scene": "--json --scenes --count --device",
@@ -181,7 +181,7 @@ try:
     main(["generate", "--help"])
 except SystemExit:
     pass
-heavy = {"mitsuba", "drjit", "numba", "trimesh", "scipy", "pydantic", "cv2", "matplotlib"}
+heavy = {"mitsuba", "drjit", "numba", "trimesh", "scipy", "cv2", "matplotlib"}
 sys.exit(f"loaded: {sorted(heavy & set(sys.modules))}" if heavy & set(sys.modules) else 0)
 """
     ran = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True)

@@ -17,9 +17,9 @@ from graycast.config import Config, config_schema, file_digests, load_config
 from graycast.domain.sections import KINDS
 from graycast.errors import ConfigError
 from graycast.parts import Material
-from graycast.phoxi import PRESETS
 from graycast.pick import load_pick_config, resolve_pick_cell
 from graycast.render import Quality
+from graycast.rig import PRESETS
 from graycast.rig_file import load_scanner, rig_schema
 from graycast.scanner import preset
 from graycast.scene import Bin, Environment

@@ -23,7 +23,6 @@ ORDER = (
     "raster",
     "ply",
     "pattern",
-    "phoxi",
     "rig",
     "parts",
     "grasp",

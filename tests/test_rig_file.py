@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 from graycast.errors import ConfigError
 from graycast.frames import inverse, rigid, transform_points
 from graycast.optics import project
-from graycast.phoxi import PRESETS
+from graycast.rig import PRESETS
 from graycast.rig import preset as rig_preset
 from graycast.rig_file import (
     import_opencv,

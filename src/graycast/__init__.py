@@ -32,7 +32,6 @@ What all rooms use:
 What is simulated:
 
     pattern          the frames that a projector shows, and the codes made of them
-    phoxi            rigs that are known by name, in numbers
     rig              a camera and a projector that hold still to each other
     parts            meshes with materials, built in and one's own
     grasp            where a part can be gripped: seals of suction cups, jaws

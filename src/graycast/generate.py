@@ -32,8 +32,8 @@ from .dataset.records import Claim
 from .drop import OnStage, hull_notes, prepare
 from .engine import Failed, Made, Pool, SceneMaker, Task, make_all, open_pool
 from .errors import ConfigError, DatasetError, GraycastError
-from .phoxi import PRESETS
 from .render import OnFrame, choose_device
+from .rig import PRESETS
 from .scanner import Scanner
 from .simulate import Shot
 

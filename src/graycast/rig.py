@@ -1,7 +1,9 @@
 """A camera and a projector that hold still to each other: presets and what they can see."""
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from types import MappingProxyType
 from typing import Annotated
 
 import numpy as np
@@ -18,7 +20,6 @@ from .frames import (
     transform_points,
 )
 from .optics import Optics, project, rays
-from .phoxi import BINNING, PHOXI, PRESETS, PROJECTOR_FIELD_DEG, RED_LASER, RESOLUTIONS
 from .settings import check_fields
 
 
@@ -152,6 +153,23 @@ def _emission_table(rig: Rig) -> Float[np.ndarray, "256"]:
     return np.interp(np.arange(256), np.linspace(0, 255, len(rig.response)), rig.response)
 
 
+# fx at full resolution [px], baseline [m], toe-in of either device [deg], range [m]: figures of the
+# Photoneo PhoXi family from secondary sources that agree; 2064 x 1544, low resolution halves it.
+# Both devices are read as toed in: only then do the axes cross inside each stated range.
+_PHOXI = {
+    "phoxi-s": (2246.0, 0.230, 15.45, 0.384, 0.520),
+    "phoxi-m": (2269.0, 0.350, 11.75, 0.458, 1.118),
+    "phoxi-l": (2263.0, 0.550, 9.45, 0.870, 2.150),
+}
+_PHOXI_PROJECTOR_FIELD_DEG = (47.5, 36.0)
+_RED_LASER = (1.0, 0.0, 0.0)  # 637 nm lies in the red band
+
+PRESETS = ("paper", *_PHOXI)
+# Sensor pixels across one pixel of the picture: a camera that sums squares of pixels is faster.
+BINNING: Mapping[str, int] = MappingProxyType({"small": 4, "low": 2, "full": 1})
+RESOLUTIONS = tuple(BINNING)
+
+
 def preset(name: str, resolution: str = "low") -> Rig:
     """A rig known by name.
 
@@ -166,17 +184,17 @@ def preset(name: str, resolution: str = "low") -> Rig:
         raise ValueError(f"no resolution {resolution!r}: choose one of {', '.join(RESOLUTIONS)}")
     if name == "paper":
         return _paper(resolution)
-    if name not in PHOXI:
+    if name not in _PHOXI:
         raise ValueError(f"no rig preset {name!r}: choose one of {', '.join(PRESETS)}")
-    fx_px, baseline_m, toe_in_deg, near_m, far_m = PHOXI[name]
+    fx_px, baseline_m, toe_in_deg, near_m, far_m = _PHOXI[name]
     return Rig(
         name=name,
         camera=_phoxi_camera(fx_px, resolution),
-        projector=_field_optics(1024, 768, *np.radians(PROJECTOR_FIELD_DEG)),
+        projector=_field_optics(1024, 768, *np.radians(_PHOXI_PROJECTOR_FIELD_DEG)),
         T_cam_proj=_toed_in(baseline_m, math.radians(toe_in_deg)),
         near_m=near_m,
         far_m=far_m,
-        band_weights=RED_LASER,
+        band_weights=_RED_LASER,
     )
 
 

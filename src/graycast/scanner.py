@@ -26,9 +26,8 @@ from .decode import (
 from .frames import pixel_grid
 from .optics import rays
 from .pattern import Code, CodeSpec
-from .phoxi import BINNING, PRESETS
 from .render import Radiance
-from .rig import Rig
+from .rig import BINNING, PRESETS, Rig
 from .rig import preset as rig_preset
 from .sensor import Capture, SensorSpec, auto_exposure_s, expose, merge_exposures
 from .settings import Positive, check_fields

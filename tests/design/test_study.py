@@ -12,7 +12,7 @@ from graycast.design import read_design, settings_of
 from graycast.design.setting import Setting, lights_of, place_settings
 from graycast.errors import ConfigError
 from graycast.frames import transform_points
-from graycast.phoxi import PRESETS
+from graycast.rig import PRESETS
 
 CONFIGS = Path(__file__).resolve().parents[2] / "configs"
 

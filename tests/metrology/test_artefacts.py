@@ -17,8 +17,7 @@ from graycast.metrology.artefacts import (
     working_volume,
 )
 from graycast.parts import Material
-from graycast.phoxi import PRESETS
-from graycast.rig import preset
+from graycast.rig import PRESETS, preset
 
 GREY = Material()
 

@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Float
 
 from ..errors import GraycastError
-from ..phoxi import PRESETS, RESOLUTIONS
+from ..rig import PRESETS, RESOLUTIONS
 
 Run = Callable[[argparse.Namespace], int | None]
 

@@ -10,7 +10,7 @@ from jaxtyping import Float
 from scipy import stats
 
 from ..evaluate.intervals import LEVEL, Interval
-from ..phoxi import PRESETS
+from ..rig import PRESETS
 from .judging import FATES, Fate
 from .setting import Placed
 from .study import DesignSpec

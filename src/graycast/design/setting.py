@@ -17,8 +17,7 @@ from ..drop import OnStage
 from ..errors import ConfigError, GraycastError
 from ..frames import inverse, transform_points
 from ..generate import described_scanner
-from ..phoxi import PRESETS
-from ..rig import Rig, aimed, standoff_m
+from ..rig import PRESETS, Rig, aimed, standoff_m
 from ..scene import bin_of
 from .study import DesignSpec, SweepSection
 

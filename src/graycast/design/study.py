@@ -10,7 +10,7 @@ from pydantic import Field, StringConstraints, model_validator
 from ..config import BinSection
 from ..errors import ConfigError
 from ..parts.sections import MaterialSection
-from ..phoxi import PRESETS
+from ..rig import PRESETS
 from ..rig_file.sections import CodeSection, ExposureSection
 from ..settings import Level, Positive, ReadAs, Settings, read_settings
 

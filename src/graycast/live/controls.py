@@ -8,8 +8,7 @@ from ..cell import Cell
 from ..config import Config
 from ..parts import BUILTIN, Material
 from ..pattern import CODECS
-from ..phoxi import PRESETS, RESOLUTIONS
-from ..rig import standoff_m
+from ..rig import PRESETS, RESOLUTIONS, standoff_m
 from .asking import Ask
 
 Cost = Literal["free", "light", "physics"]

@@ -13,8 +13,7 @@ from ..errors import ConfigError, GraycastError
 from ..folder import write_whole
 from ..frames import rigid
 from ..optics import Optics
-from ..phoxi import PRESETS, RESOLUTIONS
-from ..rig import Rig
+from ..rig import PRESETS, RESOLUTIONS, Rig
 from ..scanner import Scanner, preset
 from ..settings import Settings, check_settings, parse_yaml, read_text, section_of
 from .reading import build_optics, build_rig, check_rotation, is_file_storage

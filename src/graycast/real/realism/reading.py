@@ -1,9 +1,10 @@
 """Depth maps one after another, from files and from the scene folders of BOP datasets."""
 
 from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from itertools import zip_longest
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float, UInt8
@@ -24,7 +25,6 @@ from ..depth_file import (
 from .scan import Scan
 
 _M_PER_MM = 1e-3
-Said = TypeVar("Said", AnyView, AnyScanner)
 
 
 def read_scans(
@@ -113,7 +113,8 @@ def _read_scene(scene: Path) -> Iterator[Scan]:
     suffix = SCANNER if (scene / f"scene_camera{SCANNER}.json").is_file() else ""
     views = _views(files, suffix)
     told = bool(suffix) and (scene / f"scene{SCANNER}.json").is_file()
-    scanner = _said(files, f"scene{SCANNER}", Images[AnyScanner]) if told else {}
+    with _of_the_scene(scene):
+        scanner = files.record(f"scene{SCANNER}", Images[AnyScanner]).root if told else {}
     baseline_m = _baseline_m(scene)
     for number, view in sorted(views.items()):
         path = files.png_path(f"depth{suffix}", number)
@@ -139,16 +140,17 @@ def _read_scene(scene: Path) -> Iterator[Scan]:
 
 
 def _views(files: SceneFolder, suffix: str) -> dict[int, AnyView]:
-    return _said(files, f"scene_camera{suffix}", Images[AnyView])
+    with _of_the_scene(files.path):
+        return files.record(f"scene_camera{suffix}", Images[AnyView]).root
 
 
-def _said(files: SceneFolder, name: str, form: type[Images[Said]]) -> dict[int, Said]:
-    """What a JSON file says of each image."""
+@contextmanager
+def _of_the_scene(path: Path) -> Iterator[None]:
+    """What cannot be read is told with its scene."""
     try:
-        return files.record(name, form).root
+        yield
     except Unreadable as error:
-        why = f"{files.path}/{error}: each image has cam_K (9) and depth_scale"
-        raise DatasetError(why) from error
+        raise DatasetError(f"{path}/{error}: each image has cam_K (9) and depth_scale") from error
 
 
 def _baseline_m(scene: Path) -> float | None:

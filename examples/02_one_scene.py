@@ -30,7 +30,7 @@ def main(samples: int) -> None:
     scanner, truth = shot.sample.scanner, shot.sample.truth
     error_mm = 1000 * (scanner.depth_m - truth.depth_m)
     print(
-        f"{shot.capture.frames.shape[0]} frames, exposure {1000 * shot.capture.exposure_s:.2f} ms"
+        f"{shot.capture.frames.shape[0]} frames, longest exposure {1000 * np.max(shot.capture.exposure_s):.2f} ms"
     )
     print(f"median error {np.nanmedian(np.abs(error_mm)):.2f} mm")
     for reason in Reason:

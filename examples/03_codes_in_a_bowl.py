@@ -20,7 +20,7 @@ from graycast.parts import Material, Mesh, Part
 from graycast.parts.shapes import revolve
 from graycast.pattern import CODECS, CodeSpec
 from graycast.render import Quality, open_renderer
-from graycast.rig import place, preset
+from graycast.rig import place, preset_rig
 from graycast.scanner import Scanner, scan
 from graycast.scene import Environment, Layout, Scene
 
@@ -40,7 +40,7 @@ def bowl() -> Part:
 
 def main(path: Path, samples: int) -> None:
     renderer = open_renderer()
-    rig = preset("phoxi-m")
+    rig = preset_rig("phoxi-m")
     camera = replace(rig.camera, width_px=320, height_px=260, cx_px=159.5, cy_px=129.5)
     camera = replace(camera, fx_px=0.55 * camera.fx_px, fy_px=0.55 * camera.fy_px)
     rig = replace(rig, camera=camera)
@@ -54,7 +54,7 @@ def main(path: Path, samples: int) -> None:
     for codec, ax in zip(CODECS, axes.flat, strict=True):
         code = CodeSpec(codec=codec, axes=("column",))
         scanner = Scanner(rig=rig, code=code, decode=DecodeSpec(doubt=0.0, min_contrast=0.005))
-        code = scanner.patterns()
+        code = scanner.light_code()
         rendering = renderer.render(scene, layout, code.render(), quality=quality, seed=1)
         depth = scan(scanner, rendering.radiance, seed=1).depth.depth_m
         inside = rendering.truth.instance == 0

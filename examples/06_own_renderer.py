@@ -68,7 +68,7 @@ def main(samples: int) -> None:
             foggy = FoggyRenderer(clear, density_per_m)
             shot = graycast.make_scene(cell, 0, seed=1, renderer=foggy)
             decoded = np.isfinite(shot.sample.scanner.depth_m).mean()
-            exposure_ms = 1000 * shot.capture.exposure_s
+            exposure_ms = 1000 * np.max(shot.capture.exposure_s)
             print(f"density {density_per_m:3.1f} /m: {exposure_ms:6.3f} ms, {decoded:6.1%} decoded")
 
 

@@ -2,6 +2,7 @@
 
 import gc
 import os
+import shutil
 import signal
 from pathlib import Path
 
@@ -82,3 +83,25 @@ def shared() -> Path:
     if not folder.is_dir():
         pytest.skip("needs ../shared/data beside the repository, which is not here")
     return folder.parent
+
+
+# A browser without a display, which draws WebGL on the processor.
+BROWSER_FLAGS = [
+    "--no-sandbox",
+    "--use-gl=angle",
+    "--use-angle=swiftshader",
+    "--enable-unsafe-swiftshader",
+]
+
+
+@pytest.fixture(scope="session")
+def browser():
+    """Chromium of the system; nothing is downloaded."""
+    playwright = pytest.importorskip(
+        "playwright.sync_api", reason="needs playwright: pip install 'graycast[test]'"
+    )
+    path = shutil.which("chromium") or shutil.which("google-chrome")
+    if path is None:
+        pytest.skip("needs chromium: apt-get install chromium")
+    with playwright.sync_playwright() as running:
+        yield running.chromium.launch(executable_path=path, args=BROWSER_FLAGS)

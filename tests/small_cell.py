@@ -11,7 +11,7 @@ import trimesh
 import yaml
 
 from graycast.optics import Optics
-from graycast.rig import preset
+from graycast.rig import preset_rig
 from graycast.rig_file import save_scanner
 from graycast.scanner import Scanner
 
@@ -21,7 +21,7 @@ GRAYCAST = [sys.executable, "-m", "graycast.cli"]
 def write_cell(folder: Path, *without: str, **changes) -> Path:
     """A configuration with its mesh and rig; `changes` and `without` are keys at its top."""
     trimesh.creation.box((60, 40, 30)).export(folder / "box.stl")
-    rig = preset("paper")
+    rig = preset_rig("paper")
     camera, projector = shrunk(rig.camera, 160, 120), shrunk(rig.projector, 128, 96)
     rig = replace(rig, name="small", camera=camera, projector=projector)
     save_scanner(Scanner(rig=rig), folder / "rig.yaml")

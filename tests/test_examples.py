@@ -135,7 +135,7 @@ def test_pictures_of_a_wall_become_its_cloud(tmp_path):
     )
     quality = Quality(samples=4, depth=1)
     rendering = open_renderer("reference").render(
-        scene, EMPTY_LAYOUT, scanner.patterns().render(), quality=quality, seed=0
+        scene, EMPTY_LAYOUT, scanner.light_code().render(), quality=quality, seed=0
     )
     capture = take(scanner, rendering.radiance, seed=1)
     (tmp_path / "pictures").mkdir()

@@ -108,7 +108,7 @@ def shots(rig, mitsuba_renderer):
             decode=DecodeSpec(doubt=0.0, min_contrast=0.005),
             sensor=SensorSpec(read_noise_e=1.0, full_well_e=30000.0, gain_dn_per_e=0.13),
         )
-        code = scanner.patterns()
+        code = scanner.light_code()
         rendering = mitsuba_renderer.render(
             scene, EMPTY_LAYOUT, code.render(), quality=Quality(samples=64, depth=16), seed=1
         )

@@ -19,7 +19,7 @@ from graycast.rig import (
     emission,
     grey_levels,
     place,
-    preset,
+    preset_rig,
     standoff_m,
 )
 
@@ -51,7 +51,7 @@ def parallel_rig(along, fx_px=900.0, baseline_m=0.2):
 @EVERY
 def test_presets_have_the_figures_of_their_family(name):
     baseline_m, toe_in_deg, near_m, far_m, fx_px = PHOXI[name]
-    low, full = preset(name), preset(name, "full")
+    low, full = preset_rig(name), preset_rig(name, "full")
     assert low.baseline_m == pytest.approx(baseline_m)
     assert math.degrees(low.axes_angle_rad) == pytest.approx(2 * toe_in_deg)
     assert (low.near_m, low.far_m) == (near_m, far_m)
@@ -66,7 +66,7 @@ def test_presets_have_the_figures_of_their_family(name):
 @pytest.mark.parametrize("resolution", RESOLUTIONS)
 def test_a_preset_s_optical_axes_pass_through_the_middle_of_their_pictures(name, resolution):
     """The outer corners of opposite corner pixels are seen at opposite slopes."""
-    rig = preset(name, resolution)
+    rig = preset_rig(name, resolution)
     for lens in (rig.camera, rig.projector):
         corner = np.array([[-0.5, -0.5], [lens.width_px - 0.5, lens.height_px - 0.5]])
         slope = rays(lens, corner)[:, :2]
@@ -78,7 +78,7 @@ def test_toed_in_axes_cross_inside_the_working_range(name):
     """Oracle: the isosceles triangle over the baseline, sides b / 2 / sin(toe-in)."""
     baseline_m, toe_in_deg, near_m, far_m, _ = PHOXI[name]
     crossing_m = baseline_m / 2 / math.sin(math.radians(toe_in_deg))
-    rig = preset(name)
+    rig = preset_rig(name)
     assert near_m < crossing_m < far_m
     assert standoff_m(rig) == pytest.approx(math.sqrt(crossing_m**2 - (baseline_m / 2) ** 2))
     assert best_depth_m(rig) == pytest.approx(crossing_m, rel=1e-12)
@@ -90,7 +90,7 @@ def test_toed_in_axes_cross_inside_the_working_range(name):
 
 def test_the_best_depth_stays_in_the_working_range_where_the_axes_cross_beyond_it():
     """The axes of this rig cross at 0.859 m."""
-    rig = preset("phoxi-m")
+    rig = preset_rig("phoxi-m")
     assert best_depth_m(replace(rig, far_m=0.7)) == 0.7
     assert best_depth_m(replace(rig, near_m=1.0)) == 1.0
 
@@ -112,7 +112,7 @@ def test_depth_per_column_of_a_toed_in_rig_is_that_of_a_ray_turning_by_one_colum
 
     Both devices are equally far from there, so the cut moves by distance / f / sin(angle).
     """
-    rig = preset("phoxi-m")
+    rig = preset_rig("phoxi-m")
     z_m = best_depth_m(rig)
     expected = z_m / rig.projector.fx_px / math.sin(rig.axes_angle_rad)
     assert depth_per_column_m(rig, z_m) == pytest.approx(expected, rel=1e-6)
@@ -141,7 +141,7 @@ def test_depth_per_row_of_a_projector_above_follows_similar_triangles(z_m):
 @pytest.mark.parametrize("azimuth_rad", [0.0, 0.4, -2.0])
 @pytest.mark.parametrize("tilt_rad", [0.0, 0.3])
 def test_a_placed_rig_hangs_level_and_looks_at_its_target(name, azimuth_rad, tilt_rad):
-    rig, target, distance_m = preset(name), np.array([0.05, -0.1, 0.02]), 0.9
+    rig, target, distance_m = preset_rig(name), np.array([0.05, -0.1, 0.02]), 0.9
     T_world_cam = place(
         rig, target_m=target, distance_m=distance_m, tilt_rad=tilt_rad, azimuth_rad=azimuth_rad
     )
@@ -163,7 +163,7 @@ def test_a_placed_rig_hangs_level_and_looks_at_its_target(name, azimuth_rad, til
 
 def test_the_image_of_a_tilted_rig_has_y_down():
     """A rig that stands towards -y and looks north: what is higher is higher in the picture."""
-    rig = preset("phoxi-m")
+    rig = preset_rig("phoxi-m")
     T_world_cam = place(rig, target_m=np.zeros(3), distance_m=0.9, tilt_rad=0.5, azimuth_rad=0.0)
     above = transform_points(inverse(T_world_cam), np.array([[0.0, 0, 0], [0, 0, 0.1]]))
     y = above[:, 1] / above[:, 2]
@@ -196,9 +196,9 @@ def test_a_baseline_in_millimetres_is_noticed():
 
 def test_an_unknown_preset_lists_those_there_are():
     with pytest.raises(ValueError, match="paper, phoxi-s, phoxi-m, phoxi-l"):
-        preset("phoxi-z")
+        preset_rig("phoxi-z")
     with pytest.raises(ValueError, match="small, low, full"):
-        preset("paper", "medium")
+        preset_rig("paper", "medium")
 
 
 LEVELS = np.arange(256, dtype=np.uint8)
@@ -250,7 +250,7 @@ def test_impossible_light_is_refused(change, message):
 
 def test_a_rig_of_another_baseline_looks_at_the_target():
     """Oracle: both axes, as lines, pass through the point before the middle of the baseline."""
-    rig = aimed(preset("phoxi-l", "small"), baseline_m=0.3, distance_m=1.2)
+    rig = aimed(preset_rig("phoxi-l", "small"), baseline_m=0.3, distance_m=1.2)
     assert rig.baseline_m == pytest.approx(0.3)
     assert rig.axes_angle_rad == pytest.approx(2 * np.arctan(0.15 / 1.2))
     middle = rig.T_cam_proj[:3, 3] / 2
@@ -262,14 +262,14 @@ def test_a_rig_of_another_baseline_looks_at_the_target():
 
 @pytest.mark.parametrize("name", ["phoxi-s", "phoxi-m", "phoxi-l"])
 def test_a_rig_of_its_own_baseline_and_distance_stays_as_it_is(name):
-    rig = preset(name, "small")
+    rig = preset_rig(name, "small")
     same = aimed(rig, baseline_m=rig.baseline_m, distance_m=standoff_m(rig))
     np.testing.assert_allclose(same.T_cam_proj, rig.T_cam_proj, atol=1e-9)
 
 
 def test_the_roll_of_a_devices_picture_stays():
     """A projector that is rolled about its own axis is so after turning, too."""
-    rig = preset("phoxi-m", "small")
+    rig = preset_rig("phoxi-m", "small")
     roll = rigid(axis_rotation("z", 0.3), np.zeros(3))
     rolled = replace(rig, T_cam_proj=rig.T_cam_proj @ roll)
     turned, plain = (aimed(r, baseline_m=0.2, distance_m=0.9).T_cam_proj for r in (rolled, rig))

@@ -13,8 +13,7 @@ from scipy.spatial.transform import Rotation
 from graycast.errors import ConfigError
 from graycast.frames import inverse, rigid, transform_points
 from graycast.optics import project
-from graycast.rig import PRESETS
-from graycast.rig import preset as rig_preset
+from graycast.rig import PRESETS, preset_rig
 from graycast.rig_file import (
     import_opencv,
     load_scanner,
@@ -101,7 +100,7 @@ def same(a, b):
 def awkward_rig(seed):
     """Numbers whose shortest decimal form needs all 17 digits, or an exponent."""
     rng = np.random.default_rng(seed)
-    rig = rig_preset("phoxi-s")
+    rig = preset_rig("phoxi-s")
     distortion = (-1 / 30, 1e-17 / 7, 1e-3 / 7, -(2**-40) / 3, 5e-324)
     turn = Rotation.from_euler("yxz", rng.uniform(-0.3, -0.1, 3))  # towards what the camera sees
     T_cam_proj = rigid(turn.as_matrix(), rng.uniform([0.1, -0.02, -0.02], [0.15, 0.02, 0.02]))

@@ -10,7 +10,7 @@ from stage import in_camera, lambert, leaning_wall
 from graycast import scanner as scanner_module
 from graycast.pattern import CODECS, CodeSpec
 from graycast.render import Quality
-from graycast.rig import preset as rig_preset
+from graycast.rig import preset_rig
 from graycast.scanner import (
     ExposureSpec,
     Scanner,
@@ -53,7 +53,7 @@ def shots(rig, mitsuba_renderer):
         rendering = mitsuba_renderer.render(
             scene,
             EMPTY_LAYOUT,
-            scanner.patterns().render(),
+            scanner.light_code().render(),
             quality=Quality(samples=512, depth=1),
             seed=1,
         )
@@ -110,7 +110,7 @@ def test_phases_are_ten_times_finer_than_plain_gray(rig, mitsuba_renderer):
         rendering = mitsuba_renderer.render(
             scene,
             EMPTY_LAYOUT,
-            scanner.patterns().render(),
+            scanner.light_code().render(),
             quality=Quality(samples=128, depth=1),
             seed=1,
         )
@@ -123,7 +123,7 @@ def test_phases_are_ten_times_finer_than_plain_gray(rig, mitsuba_renderer):
 def test_exposures_are_merged_where_several_are_asked_for(rig, flat_light):
     """Ten times the light saturates at the longer time; both come out unsaturated."""
     exposure = ExposureSpec(exposure_s=2e-3, factors=(1.0, 0.1))
-    scanner = Scanner(rig=rig_preset("paper"), exposure=exposure)
+    scanner = Scanner(rig=preset_rig("paper"), exposure=exposure)
     bright = flat_light(scanner, dim=5.0, bright=50.0)
     capture = take(scanner, bright, seed=1)
     half = capture.frames.shape[2] // 2
@@ -138,7 +138,7 @@ def test_exposures_are_noisy_each_by_itself(flat_light, monkeypatch):
     taken = []
     monkeypatch.setattr(scanner_module, "merge_exposures", lambda one: taken.extend(one) or one[0])
     exposure = ExposureSpec(exposure_s=2e-3, factors=(1.0, 0.5))
-    scanner = Scanner(rig=rig_preset("paper", "small"), exposure=exposure)
+    scanner = Scanner(rig=preset_rig("paper", "small"), exposure=exposure)
     take(scanner, flat_light(scanner, dim=5.0, bright=5.0), seed=1)
     bright, dim = (one.frames[0].ravel()[:80_000].astype(float) for one in taken)
     assert bright.std() > 3 and dim.std() > 3
@@ -147,11 +147,11 @@ def test_exposures_are_noisy_each_by_itself(flat_light, monkeypatch):
 
 def test_auto_exposure_is_for_all_light_on_the_brightest_frame(flat_light):
     """Lamps give as much as the projector: both together come to the target."""
-    scanner = Scanner(rig=rig_preset("paper", "small"), exposure=ExposureSpec(target=0.6))
+    scanner = Scanner(rig=preset_rig("paper", "small"), exposure=ExposureSpec(target=0.6))
     light = flat_light(scanner, dim=5.0, bright=5.0)
     light = replace(light, ambient=np.full_like(light.ambient, 5.0))
     sensor = scanner.sensor
-    white = take(scanner, light, seed=1).frames[scanner.patterns().brightest]
+    white = take(scanner, light, seed=1).frames[scanner.light_code().brightest]
     share = (white.mean() - sensor.offset_dn) / (sensor.saturation_dn - sensor.offset_dn)
     assert share == pytest.approx(0.6, abs=0.005)
 
@@ -170,7 +170,7 @@ def flat_light():
     from graycast.render import Radiance
 
     def made(scanner, *, dim, bright):
-        code = scanner.patterns()
+        code = scanner.light_code()
         level = code.render()[:, 100, 100].astype(np.float32) / 255
         camera = scanner.rig.camera
         shape = (camera.height_px, camera.width_px)
@@ -191,7 +191,7 @@ def flat_light():
 
 def test_a_scan_lasts_as_long_as_its_frames():
     """Oracle: counted by hand: 3 frames, each exposed for 2, 8 and 20 ms and read out 3 times."""
-    scanner = Scanner(rig=rig_preset("paper"), exposure=ExposureSpec(factors=(1.0, 4.0, 10.0)))
+    scanner = Scanner(rig=preset_rig("paper"), exposure=ExposureSpec(factors=(1.0, 4.0, 10.0)))
     exposure_s = np.full((6, 8), 0.002, dtype=np.float32)
     exposure_s[2, 3] = 0.020  # the longest that was taken by any pixel
     frames = np.zeros((3, 6, 8), dtype=np.uint16)

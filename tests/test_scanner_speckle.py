@@ -39,7 +39,7 @@ def light(scanner):
         return ReferenceRenderer().render(
             in_camera(scanner.rig, wall),
             EMPTY_LAYOUT,
-            scanner.patterns().render(),
+            scanner.light_code().render(),
             quality=Quality(samples=16, depth=1),
             seed=0,
         )
@@ -101,7 +101,7 @@ def test_all_exposures_and_frames_have_one_pattern_and_another_capture_another(
     twice = replace(scanner, exposure=ExposureSpec(target=0.5, factors=(1.0, 0.5)))
     for seed in (1, 2):
         take(twice, light[0.03].radiance, seed=seed)
-    white = scanner.patterns().brightest
+    white = scanner.light_code().brightest
     clean = light[0.03].radiance.white
     first, same, other = (
         (shot.frames[white] - 64.0)[2:-2, 2:-2] / clean[2:-2, 2:-2] for shot in taken[:3]
@@ -115,6 +115,6 @@ def test_other_light_has_no_speckle(scanner, light):
     told = light[0.03].radiance
     dark = {name: getattr(told, name) for name in told.__dataclass_fields__}
     lit = Radiance(**dark | {"pattern": told.pattern * 0, "ambient": told.white * 0 + 1e3})
-    white = take(scanner, lit, seed=1).frames[scanner.patterns().brightest]
+    white = take(scanner, lit, seed=1).frames[scanner.light_code().brightest]
     noise_dn = np.sqrt(scanner.sensor.variance_dn2(float(white.mean())))
     assert white.std() == pytest.approx(noise_dn, rel=0.05)

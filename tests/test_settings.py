@@ -1,18 +1,25 @@
 """One declaration of a setting serves the value and the file."""
 
 import math
+import pickle
 from dataclasses import dataclass, fields, replace
+from pathlib import Path
 from typing import Annotated
 
 import pytest
 from pydantic import Field, ValidationError
 
+from graycast.config import load_config
 from graycast.decode import DecodeSpec, FilterSpec
 from graycast.pattern import CodeSpec
+from graycast.rig_file.own import OpticsModel, RigModel
 from graycast.rig_file.sections import ScannerSections
 from graycast.scanner import ExposureSpec
 from graycast.sensor import SensorSpec
 from graycast.settings import Positive, Settings, changes_of, check_fields, section_of
+from graycast.stack.description import DecodeSection as StackSection
+
+CONFIGS = Path(__file__).resolve().parents[1] / "configs"
 
 SPECS = {
     "code": CodeSpec,
@@ -56,7 +63,9 @@ def test_a_value_is_refused_by_its_field_s_own_annotation(change, message):
 
 
 def test_a_file_s_section_has_the_limits_and_the_defaults_of_the_value():
-    section = section_of(Lens, "Lens", about="A lens.", base=Settings, more={"name": None})
+    section = section_of(
+        Lens, "Lens", module=__name__, about="A lens.", base=Settings, more={"name": None}
+    )
     assert section(width_px=4).model_dump() == {
         "width_px": 4, "pupil_m": 0.0, "focus_m": None, "zones_m": (1.0,)
     }  # fmt: skip
@@ -69,7 +78,7 @@ def test_a_file_s_section_has_the_limits_and_the_defaults_of_the_value():
 
 
 def test_in_a_section_of_changes_nothing_must_be_said():
-    section = changes_of(Lens, "Lens", about="What differs of a lens.")
+    section = changes_of(Lens, "Lens", module=__name__, about="What differs of a lens.")
     assert set(section().model_dump().values()) == {None}
     assert section(pupil_m=0.5).model_dump(exclude_none=True) == {"pupil_m": 0.5}
     with pytest.raises(ValidationError, match="less than 1"):
@@ -86,6 +95,14 @@ def just_outside(schema):
         for limit in ("exclusiveMinimum", "exclusiveMaximum"):
             if limit in option:
                 yield number(option[limit])
+
+
+def test_what_a_file_said_goes_to_other_processes():
+    """Workers get the configuration by pickle, which looks a class up where it says it is."""
+    said = load_config(CONFIGS / "demo.yaml")
+    assert pickle.loads(pickle.dumps(said)) == said
+    for section in (OpticsModel, RigModel, StackSection):
+        assert pickle.loads(pickle.dumps(section)) is section
 
 
 @pytest.mark.parametrize("name", SPECS)

@@ -60,7 +60,7 @@ def test_the_twin_of_the_sea_shell_s_scanner_has_its_modulation(twin, mitsuba_re
     grey = lambert(0.5)
     ball = Sphere(center_m=(0.0, 0.0, 0.62), radius_m=0.07, material=grey)
     scene = in_camera(twin, ball, wall(0.72, grey, half_m=1.0))
-    code = scanner.patterns()
+    code = scanner.light_code()
     rendering = mitsuba_renderer.render(
         scene, EMPTY_LAYOUT, code.render(), quality=Quality(samples=16, depth=3), seed=1
     )

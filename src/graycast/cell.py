@@ -48,7 +48,7 @@ class Cell:
     @property
     def code(self) -> Code:
         """The code that the scanner shows."""
-        return self.scanner.patterns()
+        return self.scanner.light_code()
 
     def patterns(self) -> UInt8[np.ndarray, "n ph pw"]:
         """What the projector is given: grey levels that undo its response."""

@@ -30,7 +30,7 @@ from .dataset.claim import BESIDE_CONFIG
 from .dataset.reading import Unreadable, read_json
 from .dataset.records import Claim
 from .drop import OnStage, hull_notes, prepare
-from .engine import Failed, Made, Pool, SceneMaker, Task, make_all, open_pool
+from .engine import Failed, Made, Pool, SceneMaker, SceneTask, make_all, open_pool
 from .errors import ConfigError, DatasetError, GraycastError
 from .render import OnFrame, choose_device
 from .rig import PRESETS
@@ -105,7 +105,7 @@ def generate(
         GraycastError, ValueError: nothing came out, for this reason; or Ray does not answer.
     """
     start = time.perf_counter()
-    task = Task(
+    task = SceneTask(
         cell=cell,
         seed=seed,
         device=_device(cell, device, workers.engine),
@@ -166,7 +166,7 @@ def save_scene(cell: Cell, shot: Shot, out: Path) -> Path:
             f"scene {scene_id} was made from another configuration than this cell's: "
             "give the cell that make_scene was given"
         )
-    task = Task(
+    task = SceneTask(
         cell=cell,
         seed=manifest["dataset_seed"],
         device=manifest["device"],
@@ -241,7 +241,7 @@ def rerender(
         DatasetError: no such scene, or the dataset is of another configuration.
         DropError, ValueError, DeviceError: as of `make_scene` and `open_renderer`.
     """
-    task = Task(
+    task = SceneTask(
         cell=cell,
         seed=seed,
         device=_device(cell, device, "local"),
@@ -262,7 +262,7 @@ def _device(cell: Cell, device: str, engine: str) -> str:
     return choose_device(cell.config.render.backend, device)
 
 
-def _claimed(task: Task) -> dict[str, Any]:
+def _claimed(task: SceneTask) -> dict[str, Any]:
     """What a dataset's folder is claimed for."""
     cell = task.cell
     config = cell.config.model_dump(mode="json", exclude={"scenes", "seed"})
@@ -283,7 +283,7 @@ def described_scanner(scanner: Scanner) -> dict[str, Any]:
 
 
 def _open_pool(
-    task: Task, workers: Workers, todo: int, on_frame: OnFrame | None, on_stage: OnStage
+    task: SceneTask, workers: Workers, todo: int, on_frame: OnFrame | None, on_stage: OnStage
 ) -> Pool:
     return open_pool(
         task,

@@ -170,7 +170,7 @@ BINNING: Mapping[str, int] = MappingProxyType({"small": 4, "low": 2, "full": 1})
 RESOLUTIONS = tuple(BINNING)
 
 
-def preset(name: str, resolution: str = "low") -> Rig:
+def preset_rig(name: str, resolution: str = "low") -> Rig:
     """A rig known by name.
 
     Args:
@@ -204,7 +204,7 @@ def _paper(resolution: str) -> Rig:
     The paper prints neither intrinsics nor resolution; it names the PhoXi M and L.
     """
     return replace(
-        preset("phoxi-m", resolution),
+        preset_rig("phoxi-m", resolution),
         name="paper",
         band_weights=(1 / 3, 1 / 3, 1 / 3),
         picture_level=0.25,

@@ -27,8 +27,7 @@ from .frames import pixel_grid
 from .optics import rays
 from .pattern import Code, CodeSpec
 from .render import Radiance
-from .rig import BINNING, PRESETS, Rig
-from .rig import preset as rig_preset
+from .rig import BINNING, PRESETS, Rig, preset_rig
 from .sensor import Capture, SensorSpec, auto_exposure_s, expose, merge_exposures
 from .settings import Positive, check_fields
 from .speckle import draw_speckle, footprint_px, material_contrast, pixel_contrast, speckled
@@ -81,7 +80,7 @@ class Scanner:
                     f"f/{f_number:.3g}: give both alike"
                 )
 
-    def patterns(self) -> Code:
+    def light_code(self) -> Code:
         """The code for this rig's projector."""
         return self.code.code(self.rig.projector.width_px, self.rig.projector.height_px)
 
@@ -113,7 +112,7 @@ def take(scanner: Scanner, radiance: Radiance, *, seed: int) -> Capture:
     stack, background = camera_light(radiance, scanner.rig)
     exposure = scanner.exposure
     time_s = exposure.exposure_s or auto_exposure_s(
-        stack[scanner.patterns().brightest] + background,
+        stack[scanner.light_code().brightest] + background,
         scanner.sensor,
         percentile=exposure.percentile,
         target=exposure.target,
@@ -144,10 +143,10 @@ def scan_seconds(scanner: Scanner, capture: Capture, *, readout_s: float) -> flo
 
 def measure(scanner: Scanner, capture: Capture) -> tuple[CodeMap, DepthMap]:
     """Pictures to projector positions to depth, filtered as the scanner does."""
-    codes = decode(capture.frames, scanner.patterns(), scanner.decode, levels_of(scanner.sensor))
+    codes = decode(capture.frames, scanner.light_code(), scanner.decode, levels_of(scanner.sensor))
     depth = triangulate(codes, scanner.rig, max_epipolar_px=scanner.decode.max_epipolar_px)
     if scanner.rig.speckle_contrast:
-        contrast = _contrast(scanner, _seen_reflectance(scanner, capture, codes, depth))
+        contrast = _contrast(scanner, _seen_reflectance(scanner, capture, depth))
         off_px = np.float32(footprint_px(scanner.sensor)) * contrast
         depth = with_displacement(depth, codes, scanner.rig, off_px)
     depth = filter_depth(depth, scanner.filters, camera=scanner.rig.camera)
@@ -163,7 +162,7 @@ def _contrast(scanner: Scanner, reflectance: Float[np.ndarray, "h w"]) -> Float[
 
 
 def _seen_reflectance(
-    scanner: Scanner, capture: Capture, codes: CodeMap, depth: DepthMap
+    scanner: Scanner, capture: Capture, depth: DepthMap
 ) -> Float[np.ndarray, "h w"]:
     """Diffuse reflectance that a facing surface would need to be as bright, 0 without depth.
 
@@ -171,7 +170,9 @@ def _seen_reflectance(
     A slanted surface has more; it is taken for darker, and its speckle for stronger.
     """
     rig, sensor = scanner.rig, scanner.sensor
-    electrons = codes.modulation * levels_of(sensor).range_dn / sensor.gain_dn_per_e
+    # From the darkest frame to the brightest; a code's own modulation may be of thin lines.
+    seen_dn = capture.frames.max(axis=0).astype(np.float32) - capture.frames.min(axis=0)
+    electrons = seen_dn / sensor.gain_dn_per_e
     light = electrons / (sensor.responsivity * capture.exposure_s)
     point = rays(rig.camera, pixel_grid(*light.shape)) * depth.depth_m[..., None]
     distance2_m2 = np.square(point - rig.T_cam_proj[:3, 3]).sum(axis=-1)
@@ -194,7 +195,7 @@ def preset(name: str, resolution: str = "low") -> Scanner:
     Raises:
         ValueError: no such preset or resolution.
     """
-    rig = rig_preset(name, resolution)
+    rig = preset_rig(name, resolution)
     if name == "paper":
         return Scanner(rig=rig, decode=DecodeSpec(max_epipolar_px=0.0))
     pitch_m = _PHOXI_PITCH_M * BINNING[resolution]

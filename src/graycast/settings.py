@@ -81,7 +81,13 @@ def check_fields(value: object) -> None:
 
 
 def section_of(
-    dataclass: type, name: str, *, about: str, base: type[Base], more: Mapping[str, Any]
+    dataclass: type,
+    name: str,
+    *,
+    module: str,
+    about: str,
+    base: type[Base],
+    more: Mapping[str, Any],
 ) -> type[Base]:
     """A section with the fields of a dataclass; those without a default must be given.
 
@@ -90,6 +96,7 @@ def section_of(
     Args:
         dataclass: with `Field` in its annotations.
         name: of the section.
+        module: `__name__` of the module that holds it under that name, where pickle looks for it.
         about: what the section is, for its schema.
         base: what the section is beside that.
         more: further fields, or what stands in the place of some: (annotation, field); None leaves
@@ -102,15 +109,15 @@ def section_of(
         else:
             own[key] = (hint, _field(... if default is MISSING else default, info))
     content = {key: field for key, field in (own | dict(more)).items() if field is not None}
-    return create_model(name, __base__=base, __doc__=about, **content)
+    return create_model(name, __base__=base, __doc__=about, __module__=module, **content)
 
 
-def changes_of(dataclass: type, name: str, *, about: str) -> type[Settings]:
+def changes_of(dataclass: type, name: str, *, module: str, about: str) -> type[Settings]:
     """A section that says what is to change: each field of a dataclass may be left out."""
     own: dict[str, Any] = {
         key: _may_miss(hint, info) for key, hint, info, _ in _declared(dataclass)
     }
-    return create_model(name, __base__=Settings, __doc__=about, **own)
+    return create_model(name, __base__=Settings, __doc__=about, __module__=module, **own)
 
 
 class ReadAs:

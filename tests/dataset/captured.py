@@ -66,7 +66,7 @@ def scanned(sample, scanner: Scanner, *, seed: int, roll_rad: float = 0.0):
 
     `roll_rad` is how far its projector is turned from where its rig says.
     """
-    stack = light(scanner.patterns(), rolled(scanner.rig, roll_rad), sample.truth.depth_m)
+    stack = light(scanner.light_code(), rolled(scanner.rig, roll_rad), sample.truth.depth_m)
     exposure = scanner.exposure
     time_s = auto_exposure_s(stack[0], scanner.sensor, percentile=99.0, target=exposure.target)
     capture = merge_exposures(

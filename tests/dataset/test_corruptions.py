@@ -19,7 +19,7 @@ from graycast.cli import main
 from graycast.config import load_config
 from graycast.dataset import validate
 from graycast.generate import generate
-from graycast.rig import preset
+from graycast.rig import preset_rig
 from graycast.rig_file import save_scanner
 from graycast.scanner import Scanner
 
@@ -29,7 +29,7 @@ def sound(tmp_path_factory):
     """Two scenes of six boxes, 320 x 240 pixels; a projector column is 4 mm of depth there."""
     work = tmp_path_factory.mktemp("cell")
     path = write_cell(work, count=6)
-    rig = preset("paper")
+    rig = preset_rig("paper")
     camera, projector = shrunk(rig.camera, 320, 240), shrunk(rig.projector, 512, 384)
     rig = replace(rig, name="fine", camera=camera, projector=projector)
     save_scanner(Scanner(rig=rig), work / "rig.yaml")

@@ -118,7 +118,7 @@ def test_a_capture_comes_back_as_it_was(kept, case):
     np.testing.assert_array_equal(found.capture.frames, capture.frames)
     np.testing.assert_array_equal(found.capture.exposure_s, capture.exposure_s)
     assert found.capture.frames.dtype == (np.uint8 if case == "8 bits" else np.uint16)
-    assert found.scanner.patterns() == sample.raw.scanner.patterns()
+    assert found.scanner.light_code() == sample.raw.scanner.light_code()
     assert found.capture.sensor == capture.sensor
     assert (len(np.unique(capture.exposure_s)) == 2) == ("merged" in case)
 

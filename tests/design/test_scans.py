@@ -23,7 +23,7 @@ def scanned(renderer, scene, layout=ON_THE_FLOOR, *, samples=16, depth=1):
     """The figures of a scene whose scanner decodes phases and filters nothing."""
     scanner = Scanner(rig=scene.rig, code=PHASE, decode=DecodeSpec(max_epipolar_px=0.0))
     dark = replace(scene, environment=Environment(radiance=(0.0, 0.0, 0.0)))
-    pattern = scanner.patterns().render(lambda share: np.rint(255 * share).astype(np.uint8))
+    pattern = scanner.light_code().render(lambda share: np.rint(255 * share).astype(np.uint8))
     rendering = renderer.render(
         dark, layout, pattern, quality=Quality(samples=samples, depth=depth), seed=3
     )

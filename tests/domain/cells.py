@@ -9,7 +9,7 @@ from stage import box_part
 from graycast.config import Config
 from graycast.domain import resolve_domain
 from graycast.parts import Material
-from graycast.rig import place, preset
+from graycast.rig import place, preset_rig
 from graycast.scene import Bin, Environment, Lamp, Scene
 
 TARGET_M, DISTANCE_M, TILT_RAD, AZIMUTH_RAD = (0.03, -0.02, 0.05), 0.8, 0.2, 0.5
@@ -21,7 +21,7 @@ PAINT, STEEL = Material(base_color=(0.2, 0.3, 0.4)), Material(metallic=1.0)
 
 def cell(materials=(PAINT, STEEL), **words):
     """Two kinds of boxes in a bin under two lamps, seen askew by the paper's rig."""
-    rig = preset("paper")
+    rig = preset_rig("paper")
     T_world_cam = place(
         rig,
         target_m=np.array(TARGET_M),

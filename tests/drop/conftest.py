@@ -50,9 +50,9 @@ def ring_hulls(ring_part, hull_folder):
 @pytest.fixture
 def scene_of():
     def build(parts: tuple[Part, ...], inner_m=(0.4, 0.3, 0.2)) -> Scene:
-        from graycast.rig import preset
+        from graycast.rig import preset_rig
 
         box = Bin(inner_m=inner_m)
-        return Scene(rig=preset("paper"), T_world_cam=np.eye(4), parts=parts, bin=box)
+        return Scene(rig=preset_rig("paper"), T_world_cam=np.eye(4), parts=parts, bin=box)
 
     return build

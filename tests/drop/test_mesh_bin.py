@@ -9,7 +9,7 @@ from graycast.drop.body import body_of
 from graycast.drop.decomposition import hull_of
 from graycast.drop.rest import simulate
 from graycast.frames import axis_rotation, rigid
-from graycast.rig import preset
+from graycast.rig import preset_rig
 from graycast.scene import Bin, Scene, bin_mesh
 
 from .conftest import box_part
@@ -58,7 +58,7 @@ def test_a_cube_between_walls_that_are_too_close_is_measured():
 def test_a_heap_stays_between_leaning_walls(tmp_path, angle_part, hull_folder):
     """Oracle: the planes of floor and walls, which the crate was made of."""
     scene = Scene(
-        rig=preset("paper"), T_world_cam=np.eye(4), parts=(angle_part,), bin=CRATE.bin(tmp_path)
+        rig=preset_rig("paper"), T_world_cam=np.eye(4), parts=(angle_part,), bin=CRATE.bin(tmp_path)
     )
     layout = drop(scene, (10,), seed=0, limits=DropLimits(), hull_folder=hull_folder)
     corner = angle_part.mesh.vertices_m

@@ -37,13 +37,13 @@ import numpy as np
 from pathlib import Path
 from graycast.drop import DropLimits, drop
 from graycast.parts import Material, Mesh, Part
-from graycast.rig import preset
+from graycast.rig import preset_rig
 from graycast.scene import Bin, Scene
 folder = Path({str(tmp_path)!r})
 data = np.load(folder / "mesh.npz")
 part = Part(name="angle", mesh=Mesh(vertices_m=data["v"], faces=data["f"]), material=Material(),
             density_kg_m3=2700.0, friction=0.4)
-scene = Scene(rig=preset("paper"), T_world_cam=np.eye(4), parts=(part,),
+scene = Scene(rig=preset_rig("paper"), T_world_cam=np.eye(4), parts=(part,),
               bin=Bin(inner_m=(0.4, 0.3, 0.2)))
 layout = drop(scene, (12,), seed=5, limits=DropLimits(), hull_folder=folder / "cache")
 np.save(folder / "there.npy", layout.T_world_part)

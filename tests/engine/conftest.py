@@ -5,7 +5,7 @@ from small_cell import start, write_cell
 
 from graycast.cell import resolve_cell
 from graycast.config import load_config
-from graycast.engine import Task
+from graycast.engine import SceneTask
 
 
 @pytest.fixture(scope="session")
@@ -16,7 +16,7 @@ def config_file(tmp_path_factory):
 @pytest.fixture(scope="session")
 def task(config_file):
     cell = resolve_cell(load_config(config_file), config_file.parent)
-    return Task(cell=cell, seed=0, device="cpu", depth_scale_mm=0.1)
+    return SceneTask(cell=cell, seed=0, device="cpu", depth_scale_mm=0.1)
 
 
 @pytest.fixture(scope="session")

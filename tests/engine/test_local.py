@@ -13,7 +13,7 @@ import pytest
 from small_cell import content, finished, start
 
 from graycast.dataset import validate
-from graycast.engine import Failed, Made, Task, make_all
+from graycast.engine import Failed, Made, SceneTask, make_all
 from graycast.engine import local as local_module
 from graycast.engine.local import LocalPool, _deaf_to_interrupts, list_gpus
 from graycast.errors import WorkerDied
@@ -51,7 +51,9 @@ def test_workers_share_threads_and_gpus(task, monkeypatch):
     monkeypatch.setenv("CUDA_VISIBLE_DEVICES", "4,6")
     monkeypatch.setattr(os, "sched_getaffinity", lambda pid: range(9))
     pool = LocalPool(
-        Task(cell=task.cell, seed=0, device="cuda", depth_scale_mm=0.1), workers=3, threads=None
+        SceneTask(cell=task.cell, seed=0, device="cuda", depth_scale_mm=0.1),
+        workers=3,
+        threads=None,
     )
     try:
         told = [pool._variables(i) for i in range(3)]

@@ -2,7 +2,7 @@
 
 import pytest
 
-from graycast.engine import SceneMaker, Task, maker
+from graycast.engine import SceneMaker, SceneTask, maker
 from graycast.errors import DecodeError, DeviceError, DropError
 from graycast.render import Renderer
 
@@ -58,5 +58,5 @@ def test_after_a_surprise_the_renderer_is_opened_anew(task, monkeypatch, error):
 def test_a_job_goes_to_another_device_with_all_else(task):
     """Workers of a cluster get the job so: with another seed or cell they would make others."""
     there = task.on("cuda")
-    assert isinstance(there, Task) and (there.device, task.device) == ("cuda", "cpu")
+    assert isinstance(there, SceneTask) and (there.device, task.device) == ("cuda", "cpu")
     assert there.cell is task.cell and (there.seed, there.graycast) == (task.seed, task.graycast)

@@ -16,7 +16,7 @@ from graycast.grasp_labels.scene import _half_and_half, _label, carry_out, label
 from graycast.grasp_labels.world import Heap, Stock, around, make_world
 from graycast.parts import Material, Mesh, Part
 from graycast.pick.tools import JawTool, SuctionTool
-from graycast.rig import preset
+from graycast.rig import preset_rig
 from graycast.scene import Bin
 
 SIDES_M = (0.16, 0.06, 0.01)
@@ -38,7 +38,7 @@ def plate():
 
 
 def world_of(tool, **options):
-    stock = Stock(bin=Bin(inner_m=(0.4, 0.3, 0.15)), parts=(plate(),), rig=preset("paper"))
+    stock = Stock(bin=Bin(inner_m=(0.4, 0.3, 0.15)), parts=(plate(),), rig=preset_rig("paper"))
     return make_world(stock, Labelling(tool=tool, places=60, **options))
 
 

@@ -9,7 +9,7 @@ import yaml
 from graycast import scanner
 from graycast.errors import ConfigError
 from graycast.live.document import Document, RigChange, changed, checked, turned_rig, written
-from graycast.rig import preset
+from graycast.rig import preset_rig
 from graycast.rig_file import load_scanner
 
 WORDS = {"parts": [{"builtin": "metal_workpiece_1"}], "count": 4}
@@ -91,7 +91,7 @@ def test_a_turned_rig_is_a_file_of_its_own_to_the_last_bit(path):
 @pytest.mark.parametrize("axis", ["column", "row"])
 def test_toe_in_turns_the_axes_by_what_it_says_and_leaves_the_baseline(side, axis):
     """Oracle: the angle between both axes; they meet nearer, where toe-in is more."""
-    rig = preset("phoxi-m")
+    rig = preset_rig("phoxi-m")
     half_turn = np.diag([side, side, 1.0, 1.0])  # the projector on the other side
     quarter = np.eye(4)
     if axis == "row":

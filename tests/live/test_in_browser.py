@@ -2,7 +2,6 @@
 
 import os
 import random
-import shutil
 import time
 from functools import partial
 from pathlib import Path
@@ -17,22 +16,8 @@ from graycast.live import serve
 from graycast.simulate import make_scene
 
 pytestmark = pytest.mark.slow
-FLAGS = ["--no-sandbox", "--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"]
 WAIT_MS = 120_000
 MOVES = 200
-
-
-@pytest.fixture(scope="module")
-def browser():
-    """Chromium of the system; nothing is downloaded."""
-    playwright = pytest.importorskip(
-        "playwright.sync_api", reason="needs playwright: pip install 'graycast[test]'"
-    )
-    path = shutil.which("chromium") or shutil.which("google-chrome")
-    if path is None:
-        pytest.skip("needs chromium: apt-get install chromium")
-    with playwright.sync_playwright() as running:
-        yield running.chromium.launch(executable_path=path, args=FLAGS)
 
 
 @pytest.fixture

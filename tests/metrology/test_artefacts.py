@@ -17,7 +17,7 @@ from graycast.metrology.artefacts import (
     working_volume,
 )
 from graycast.parts import Material
-from graycast.rig import PRESETS, preset
+from graycast.rig import PRESETS, preset_rig
 
 GREY = Material()
 
@@ -38,7 +38,7 @@ def test_the_common_rectangle_of_parallel_devices_is_the_overlap_of_their_fields
 @pytest.mark.parametrize("name", PRESETS)
 @pytest.mark.slow
 def test_all_artefacts_of_a_preset_lie_in_both_fields(name):
-    rig = preset(name)
+    rig = preset_rig(name)
     volume = working_volume(rig)
     radius_m = 0.03 * volume.diagonal_m
     for u in (-1.0, 1.0):
@@ -61,7 +61,7 @@ def test_devices_that_look_apart_have_no_working_volume():
 
 
 def test_a_sphere_too_large_for_the_volume_is_refused():
-    rig = preset("phoxi-s")
+    rig = preset_rig("phoxi-s")
     with pytest.raises(ValueError, match="does not fit"):
         sphere_centre_m(rig, working_volume(rig), (0.0, 0.0, 0.5), 0.2)
 

@@ -5,7 +5,7 @@ import pytest
 
 from graycast.frames import rigid
 from graycast.optics import Optics
-from graycast.pick.aim import Target, View, covered_share, ranked
+from graycast.pick.aim import Sight, Target, covered_share, ranked
 
 CAMERA = Optics(width_px=80, height_px=60, fx_px=100.0, fy_px=100.0, cx_px=39.5, cy_px=29.5)
 LOOKING_DOWN = rigid(np.diag([1.0, -1.0, -1.0]), np.array([0.0, 0.0, 1.0]))
@@ -23,7 +23,7 @@ def scene(*plates):
     for i, (mask, plate_m) in enumerate(plates):
         depth_m[mask], owner[mask] = plate_m, i
     found = [Target(kind=0, score=1.0, mask=owner == i) for i in range(len(plates))]
-    return View(depth_m=depth_m, camera=CAMERA, T_world_cam=LOOKING_DOWN), found
+    return Sight(depth_m=depth_m, camera=CAMERA, T_world_cam=LOOKING_DOWN), found
 
 
 def test_the_share_of_an_outline_that_is_covered_is_that_of_geometry():

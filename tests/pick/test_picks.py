@@ -23,7 +23,7 @@ from graycast.pick import (
     summarize,
 )
 from graycast.pick.files import WORK
-from graycast.rig import preset
+from graycast.rig import preset_rig
 from graycast.rig_file import save_scanner
 from graycast.scanner import Scanner
 
@@ -34,7 +34,7 @@ def cell_of(folder, **picking):
     """The small cell, under a camera that shows poses: 400 x 300 pixels."""
     folder.mkdir(exist_ok=True)
     path = write_cell(folder, tool=TOOL, picking={"place_m": [0.0, -0.4, 0.3]} | picking)
-    rig = preset("paper")
+    rig = preset_rig("paper")
     camera, projector = shrunk(rig.camera, 400, 300), shrunk(rig.projector, 256, 192)
     finer = replace(rig, name="small", camera=camera, projector=projector)
     save_scanner(Scanner(rig=finer), folder / "rig.yaml")

@@ -1,15 +1,11 @@
 """Small pages, and a browser to open them from the disk."""
 
-import shutil
-
 import pytest
 from pictured import lensed_rig, write_dataset
 
 from graycast.report.page import write_report
 
 from .browsing import SCENES, watched_page
-
-FLAGS = ["--no-sandbox", "--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"]
 
 
 @pytest.fixture(scope="session")
@@ -30,19 +26,6 @@ def kept(rig, tmp_path_factory):
     folder = tmp_path_factory.mktemp("kept")
     samples = write_dataset(folder / "bins", scene_ids=(0, 3), rig=rig, keeps=True)
     return folder / "bins", samples, write_report(folder / "bins", folder / "page").page
-
-
-@pytest.fixture(scope="session")
-def browser():
-    """Chromium of the system; nothing is downloaded."""
-    playwright = pytest.importorskip(
-        "playwright.sync_api", reason="needs playwright: pip install 'graycast[test]'"
-    )
-    path = shutil.which("chromium") or shutil.which("google-chrome")
-    if path is None:
-        pytest.skip("needs chromium: apt-get install chromium")
-    with playwright.sync_playwright() as running:
-        yield running.chromium.launch(executable_path=path, args=FLAGS)
 
 
 @pytest.fixture

@@ -40,7 +40,7 @@ VALID_ALIKE_SHARE = 0.97
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class View:
+class Decoded:
     """One scene by one renderer, decoded."""
 
     rendering: Rendering
@@ -54,9 +54,9 @@ class Pair:
     `fewer` is by the first again, with the second's number of samples.
     """
 
-    first: View
-    second: View
-    fewer: View
+    first: Decoded
+    second: Decoded
+    fewer: Decoded
     kind: Int[np.ndarray, "h w"]
 
 
@@ -121,8 +121,8 @@ def _pair(
     return Pair(first=views[0], second=views[1], fewer=views[2], kind=kind)
 
 
-def _view(scanner: Scanner, rendering: Rendering) -> View:
-    return View(rendering=rendering, result=decoded(scanner, rendering.radiance, seed=0))
+def _view(scanner: Scanner, rendering: Rendering) -> Decoded:
+    return Decoded(rendering=rendering, result=decoded(scanner, rendering.radiance, seed=0))
 
 
 def compare(pairs: Sequence[Pair], names: tuple[str, ...]) -> Figures:

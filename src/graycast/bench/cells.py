@@ -11,7 +11,7 @@ from ..optics import Optics
 from ..parts import Material, Part
 from ..pattern import CodeSpec
 from ..render import Radiance
-from ..rig import preset
+from ..rig import preset_rig
 from ..scanner import Scanner
 from ..scene import Layout
 from ..sensor import SensorSpec, auto_exposure_s
@@ -108,7 +108,7 @@ def _painted(part: Part, name: str, material: Material) -> Part:
 
 def _before(name: str, cell: Cell, code: CodeSpec, size_px: tuple[int, int]) -> Cell:
     """Sharp lenses, which both back ends have, and a sensor without noise."""
-    rig = preset(name, "low")
+    rig = preset_rig(name, "low")
     rig = replace(rig, camera=cropped(rig.camera, size_px))
     decode = DecodeSpec(max_epipolar_px=0.0)
     scanner = Scanner(rig=rig, code=code, sensor=QUIET_SENSOR, decode=decode)

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from importlib.util import find_spec
 from statistics import median
 
-from ..engine import Failed, Made, Pool, SceneMaker, Task, make_all, open_pool
+from ..engine import Failed, Made, Pool, SceneMaker, SceneTask, make_all, open_pool
 from ..generate import depth_step_mm
 from .cells import paper_cell
 from .figures import Figures
@@ -36,7 +36,7 @@ def measure_engines(count: int, scenes: int, *, on_work: OnWork) -> Figures:
         DropError, GraycastError: a scene could not be made.
     """
     cell = paper_cell(count)
-    task = Task(cell=cell, seed=0, device="cpu", depth_scale_mm=depth_step_mm(cell))
+    task = SceneTask(cell=cell, seed=0, device="cpu", depth_scale_mm=depth_step_mm(cell))
     with ExitStack() as open_now:
         contenders = dict(_contenders(task, open_now))
         for number, (name, contender) in enumerate(contenders.items()):
@@ -54,7 +54,7 @@ def measure_engines(count: int, scenes: int, *, on_work: OnWork) -> Figures:
     return _figures(contenders, count, scenes)
 
 
-def _contenders(task: Task, open_now: ExitStack) -> Iterator[tuple[str, _Contender]]:
+def _contenders(task: SceneTask, open_now: ExitStack) -> Iterator[tuple[str, _Contender]]:
     maker = open_now.enter_context(SceneMaker(task, threads=1))
 
     def bare(scene_ids: list[int]) -> None:

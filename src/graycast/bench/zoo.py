@@ -19,7 +19,7 @@ from ..drop import DropLimits, convex_hulls, drop
 from ..drop.body import Body, body_of
 from ..errors import DropError
 from ..parts import Part
-from ..rig import preset
+from ..rig import preset_rig
 from ..scene import Bin, Scene
 from .balance import unbalanced_m
 from .figures import Figures, stamped
@@ -134,7 +134,7 @@ def _most(part: Part) -> int:
 def _drop(part: Part, body: Body, count: int, seed: int, hull_folder: Path | None) -> Figures:
     """One drop: processor time, and, where it made a layout, how that is."""
     box = Bin(inner_m=BIN_M)
-    scene = Scene(rig=preset("paper"), T_world_cam=np.eye(4), parts=(part,), bin=box)
+    scene = Scene(rig=preset_rig("paper"), T_world_cam=np.eye(4), parts=(part,), bin=box)
     start = time.process_time()
     try:
         layout = drop(scene, (count,), seed=seed, limits=DropLimits(), hull_folder=hull_folder)

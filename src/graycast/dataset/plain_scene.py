@@ -31,7 +31,7 @@ class Plain:
     info: Mapping[str, list[records.Info]]
     coco: Mapping[str, records.SceneCoco]
     box3d: list[records.Box3d]
-    scanner: records.Scanner
+    scanner: records.ScannerRecord
     manifest: Mapping[str, Any]
 
     @property

@@ -56,7 +56,7 @@ def raw_facts(raw: Raw) -> dict[str, Any]:
         facts["frames"] = {
             "bit_depth": raw.scanner.sensor.bit_depth,
             "exposures_s": np.unique(raw.capture.exposure_s).astype(np.float64),
-            "shown": describe_frames(raw.scanner.patterns(), _names(raw.capture)),
+            "shown": describe_frames(raw.scanner.light_code(), _names(raw.capture)),
         }
     if raw.codes is not None:
         facts["code_maps"] = [_folder(name) for name in raw.code_maps]

@@ -70,7 +70,7 @@ def _stack_problems(folder: Path, raw: Raw, told: records.FramesTold) -> Iterato
     files = [str(section.file) for section in description.frames]
     if describe_frames(code, files) != [shown.model_dump() for shown in told.shown]:
         yield f"{FRAMES}/{STACK}: its frames are not those of manifest.json"
-    if code != raw.scanner.patterns():
+    if code != raw.scanner.light_code():
         yield f"{FRAMES}/{RIG}: its code is not that of {STACK}"
 
 

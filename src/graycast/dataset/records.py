@@ -141,7 +141,7 @@ class Box3d(Record):
     size: Vector
 
 
-class Scanner(Record):
+class ScannerRecord(Record):
     """One image in `scene_sl.json`."""
 
     modulation_scale: Positive

@@ -26,7 +26,7 @@ class Raw:
     codes: CodeMap | None = None
 
     def __post_init__(self) -> None:
-        camera, code = self.scanner.rig.camera, self.scanner.patterns()
+        camera, code = self.scanner.rig.camera, self.scanner.light_code()
         must = (len(code.frames), camera.height_px, camera.width_px)
         if self.capture is not None and self.capture.frames.shape != must:
             is_ = f"{self.capture.frames.shape} (frames, rows, columns)"

@@ -107,7 +107,7 @@ def _read_scene(files: SceneFolder) -> Plain:
         info={suffix: read[f"scene_gt_info{suffix}"].image for suffix in ("", "_sl")},
         coco={suffix: read[f"scene_gt_coco{suffix}"] for suffix in ("", "_sl")},
         box3d=files.record("scene_gt_box3d", OneImage[list[records.Box3d]]).image,
-        scanner=files.record("scene_sl", OneImage[records.Scanner]).image,
+        scanner=files.record("scene_sl", OneImage[records.ScannerRecord]).image,
         manifest=files.record("manifest", records.Manifest).root,
     )
 

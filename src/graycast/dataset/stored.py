@@ -270,7 +270,7 @@ class StoredScene:
         self, scanner: UInt16[np.ndarray, "h w"] | None
     ) -> tuple[UInt8[np.ndarray, "h w"], dict[int, str]]:
         if not self.real:
-            said = self._of_image("scene_sl", records.Scanner).reasons
+            said = self._of_image("scene_sl", records.ScannerRecord).reasons
             return self._image("reason_sl"), {k: name.lower() for name, k in said.items()}
         known = np.zeros(self.size_px, dtype=bool) if scanner is None else scanner > 0
         return np.where(known, 0, NO_REASON).astype(np.uint8), {0: "decoded", NO_REASON: "missing"}

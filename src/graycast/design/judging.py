@@ -73,7 +73,7 @@ _NUMBER = {fate: number for number, fate in enumerate(FATES)}
 
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
-class View:
+class SurfaceView:
     """What camera and projector of a setting see of a heap's points; codes do not change it."""
 
     camera: Int[np.ndarray, " n"]  # a `Sight` each
@@ -88,7 +88,7 @@ class View:
             getattr(self, name).flags.writeable = False
 
 
-def view_of(scene: Scene, layout: Layout, surface: Surface) -> View:
+def view_of(scene: Scene, layout: Layout, surface: Surface) -> SurfaceView:
     """Where the scene's camera and projector see the surface's points."""
     obstacles, rig = obstacles_of(scene, layout), scene.rig
     T_world_proj = scene.T_world_cam @ rig.T_cam_proj
@@ -100,7 +100,7 @@ def view_of(scene: Scene, layout: Layout, surface: Surface) -> View:
     # An enlarged picture ends where the camera's own does, but rounds half pixels by itself.
     last = np.array([rig.camera.width_px - 1, rig.camera.height_px - 1])
     column, row = np.where(inside[:, None], pixel, 0.0).clip(0, last).astype(np.int64).T
-    return View(
+    return SurfaceView(
         camera=camera,
         projector=sight(obstacles, rig.projector, T_world_proj, surface.point_m, surface.normal),
         row=row,
@@ -124,7 +124,7 @@ class Judged:
 
 
 def judge(
-    view: View, surface: Surface, truth: GroundTruth, depth: DepthMap, *, wrong_m: float
+    view: SurfaceView, surface: Surface, truth: GroundTruth, depth: DepthMap, *, wrong_m: float
 ) -> Judged:
     """What became of each point of a surface. The error is that of the pixel which sees it."""
     pixel = (view.row, view.column)
@@ -152,7 +152,7 @@ def judge(
 
 
 def figures(
-    scene: Scene, view: View, surface: Surface, judged: Judged, *, seconds: float
+    scene: Scene, view: SurfaceView, surface: Surface, judged: Judged, *, seconds: float
 ) -> dict[str, Any]:
     """A setting's figures over the open surface of one heap; None where nothing was measured.
 

@@ -4,7 +4,7 @@ import cv2
 import numpy as np
 from jaxtyping import UInt8
 
-from .judging import FATE_COLOR, FATES, Fate, Judged, View
+from .judging import FATE_COLOR, FATES, Fate, Judged, SurfaceView
 from .surface import Sight, Surface
 
 _DIM = 0.5  # of the white frame behind the colours
@@ -12,7 +12,7 @@ _LEGEND_PX = 168
 
 
 def picture_png(
-    gray: UInt8[np.ndarray, "h w"], view: View, surface: Surface, judged: Judged
+    gray: UInt8[np.ndarray, "h w"], view: SurfaceView, surface: Surface, judged: Judged
 ) -> bytes:
     """What the camera sees of the open surface, beside the white frame, as a PNG file.
 

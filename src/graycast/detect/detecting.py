@@ -21,7 +21,7 @@ from ..errors import GraycastError
 from ..export.record import RECORD, read_record
 from ..export.split import Split
 from ..folder import refuse_foreign, whole_folder
-from ..real.pictures import Shot, find_shots, read_shot
+from ..real.pictures import RealPicture, find_shots, read_shot
 from ..training import Examples, open_examples
 from ..training.foreign import is_foreign
 from .detector import About, Detector
@@ -94,7 +94,7 @@ def detect(
     return Looked(found=tuple(found), ms_per_picture=tuple(times_ms))
 
 
-def shots(found: Sequence[Shot], *, scale_m: float | None) -> Iterator[Example]:
+def shots(found: Sequence[RealPicture], *, scale_m: float | None) -> Iterator[Example]:
     """Pictures as `import-real` reads them, without labels; numbered in the order of their names.
 
     Raises:

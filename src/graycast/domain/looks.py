@@ -31,7 +31,9 @@ def drawn_color(drawn: Mapping[str, float]) -> Rgb:
     return red, green, blue
 
 
-def painted(drawn: Mapping[str, Any], texture: UInt8[np.ndarray, "h w 3"] | None) -> Material:
+def drawn_material(
+    drawn: Mapping[str, Any], texture: UInt8[np.ndarray, "h w 3"] | None
+) -> Material:
     """A surface of a drawn look; a texture takes the colour's place."""
     return Material(
         base_color=drawn_color(drawn["color"]),

@@ -18,7 +18,7 @@ from ..parts.sections import read_texture
 from ..rig import frame_in_camera, standoff_m
 from ..scene import Bin, Environment, Lamp, Scene, bin_of
 from .files import Domain
-from .looks import drawn_color, light_of, painted, retouched
+from .looks import drawn_color, drawn_material, light_of, retouched
 
 Vector = tuple[float, float, float]
 Record = Mapping[str, Any]
@@ -139,7 +139,7 @@ def _randomized(domain: Domain, scene: Scene, record: Record) -> Scene:
         look = record["table"]
         varied = replace(
             varied,
-            table=painted(look, _texture(domain.table_textures, look)),
+            table=drawn_material(look, _texture(domain.table_textures, look)),
             table_texture_m=look["texture_size_m"],
         )
     parts = (*scene.parts, *domain.distractors)
@@ -207,7 +207,7 @@ def _changed_bin(box: Bin, drawn: Record, texture: np.ndarray | None) -> Bin:
         inner_m=(x, y, z),
         mesh=None if mesh is None else replace(mesh, vertices_m=factor * mesh.vertices_m),
         own_texture=False,
-        material=painted(drawn, texture),
+        material=drawn_material(drawn, texture),
         floor=None,
         texture_size_m=drawn["texture_size_m"],
     )

@@ -3,7 +3,7 @@
 from ..render import OnFrame
 from ..simulate import OnStage
 from .job import Job, Made, Maker
-from .maker import SceneMaker, Task
+from .maker import SceneMaker, SceneTask
 from .pool import TRIES, Failed, Pool, make_all
 
 __all__ = [
@@ -14,7 +14,7 @@ __all__ = [
     "Maker",
     "Pool",
     "SceneMaker",
-    "Task",
+    "SceneTask",
     "make_all",
     "open_pool",
 ]

@@ -20,7 +20,7 @@ GPU_DEVICES = ("cuda", "optix")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Task(Job):
+class SceneTask(Job):
     """What a worker needs to know to make any scene of a dataset."""
 
     cell: Cell
@@ -41,7 +41,7 @@ class SceneMaker:
 
     def __init__(
         self,
-        task: Task,
+        task: SceneTask,
         *,
         threads: int | None = None,
         on_frame: OnFrame | None = None,

@@ -62,7 +62,7 @@ class Shots:
 
 def open_lab(scanner: Scanner, rig: Rig, scope: Scope, renderer: Renderer) -> Lab:
     """Raises ValueError where camera and projector share no field."""
-    code = scanner.patterns()
+    code = scanner.light_code()
     grid = pixel_grid(rig.camera.height_px, rig.camera.width_px)
     return Lab(
         scanner=scanner,
@@ -148,7 +148,7 @@ def _metered(
     if exposure.exposure_s is not None:
         return lab.scanner, exposure.exposure_s
     stack, background = camera_light(rendering.radiance, lab.scanner.rig)
-    light = stack[lab.scanner.patterns().brightest] + background
+    light = stack[lab.scanner.light_code().brightest] + background
     exposure_s = auto_exposure_s(
         light[where],
         lab.scanner.sensor,

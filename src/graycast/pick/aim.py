@@ -68,7 +68,7 @@ class Aim:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class View:
+class Sight:
     """What the robot acts on: depth [m], NaN where it is missing, from where."""
 
     depth_m: Float[np.ndarray, "h w"]
@@ -85,7 +85,7 @@ class KnownPart:
 
 
 def ranked(
-    targets: Sequence[Target], view: View, failed: Sequence[Float[np.ndarray, "3"]] = ()
+    targets: Sequence[Target], view: Sight, failed: Sequence[Float[np.ndarray, "3"]] = ()
 ) -> list[list[Target]]:
     """Detections that are seen well, in the order in which a bin is emptied.
 
@@ -123,7 +123,7 @@ def covered_share(inside: Bool[np.ndarray, "h w"], depth_m: Float[np.ndarray, "h
     return float(covered.sum() / max(int(rim.sum()), 1))
 
 
-def _holds_any(target: Target, view: View, place_m: Sequence[Float[np.ndarray, "3"]]) -> bool:
+def _holds_any(target: Target, view: Sight, place_m: Sequence[Float[np.ndarray, "3"]]) -> bool:
     """Whether a place in the world is seen within a detection's outline."""
     if not len(place_m):
         return False
@@ -134,7 +134,7 @@ def _holds_any(target: Target, view: View, place_m: Sequence[Float[np.ndarray, "
     return bool(inside[row[within], column[within]].any())
 
 
-def whole_bin(view: View, box: Bin) -> Bool[np.ndarray, "h w"]:
+def whole_bin(view: Sight, box: Bin) -> Bool[np.ndarray, "h w"]:
     """Pixels that were measured inside the bin, above its floor: all that may be parts."""
     ray = rays(view.camera, pixel_grid(view.camera.height_px, view.camera.width_px))
     point = transform_points(view.T_world_cam, ray * np.nan_to_num(view.depth_m)[..., None])
@@ -145,7 +145,7 @@ def whole_bin(view: View, box: Bin) -> Bool[np.ndarray, "h w"]:
 
 def aims_by_pose(
     targets: Sequence[Target],
-    view: View,
+    view: Sight,
     known: Mapping[int, KnownPart],
     *,
     most_lean_rad: float,
@@ -176,7 +176,7 @@ def aims_by_pose(
     return aims
 
 
-def _pose(model: PoseModel, target: Target, view: View) -> Float[np.ndarray, "4 4"] | None:
+def _pose(model: PoseModel, target: Target, view: Sight) -> Float[np.ndarray, "4 4"] | None:
     if target.mask is not None:
         found = find_pose(model, view.depth_m, view.camera, target.mask)
     else:
@@ -187,7 +187,7 @@ def _pose(model: PoseModel, target: Target, view: View) -> Float[np.ndarray, "4 
 
 def aims_in_depth(
     targets: Sequence[Target],
-    view: View,
+    view: Sight,
     tool: SuctionTool,
     *,
     weight_n: float,

@@ -11,8 +11,8 @@ from ..grasp import CLEARANCE_M, Doubt, patch_of_depth
 from .aim import (
     PLACES,
     Aim,
+    Sight,
     Target,
-    View,
     aims_by_pose,
     aims_in_depth,
     best_first,
@@ -47,7 +47,7 @@ class Choice:
 
 def choose(
     ready: Ready,
-    view: View,
+    view: Sight,
     found: Sequence[Target],
     q: Joints,
     tabu: Sequence[Float[np.ndarray, "3"]],
@@ -96,7 +96,7 @@ def _near(place_m: Float[np.ndarray, "3"], tabu: Sequence[Float[np.ndarray, "3"]
     return any(np.linalg.norm(place_m - failed) < TABU_M for failed in tabu)
 
 
-def _aims(ready: Ready, found: Sequence[Target], view: View, seed: int) -> list[Aim]:
+def _aims(ready: Ready, found: Sequence[Target], view: Sight, seed: int) -> list[Aim]:
     picking = ready.cell.config.picking
     lean_rad = float(np.radians(picking.most_lean_deg))
     if not isinstance(ready.tool, SuctionTool) or picking.knows == "part":
@@ -122,7 +122,7 @@ class _Heap:
 class _Heaps:
     """What was measured, for fingers without the part that they are to close round."""
 
-    def __init__(self, ready: Ready, view: View) -> None:
+    def __init__(self, ready: Ready, view: Sight) -> None:
         self._ready, self._view = ready, view
         self._made: dict[int, _Heap] = {}
 
@@ -153,7 +153,7 @@ def _pieces(ready: Ready, aim: Aim) -> tuple[Mounted, ...]:
     return pieces(ready.tool, opening_m=opening_m)
 
 
-def _unlike(ready: Ready, view: View, aim: Aim) -> Blocked | None:
+def _unlike(ready: Ready, view: Sight, aim: Aim) -> Blocked | None:
     """Whether the surface under a cup was measured otherwise than the part's pose says.
 
     Another part lies on it, or the pose is wrong.

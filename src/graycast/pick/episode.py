@@ -20,7 +20,7 @@ from .clock import Clock
 from .outcome import TAKEN, Attempt, Outcome
 from .picture import picture
 from .ready import Ready
-from .scan import Scan, scan, targets
+from .scan import Look, scan, targets
 from .sections import PickingSection
 from .ways import Blocked, Ways
 
@@ -126,7 +126,7 @@ def _hand_eye(picking: PickingSection, rng: np.random.Generator) -> Float[np.nda
 
 def _attempt(
     ready: Ready, renderer: Renderer, world: World, seed: np.random.SeedSequence
-) -> tuple[Attempt, Scan, World]:
+) -> tuple[Attempt, Look, World]:
     scan_seed, plan_seed = seed.spawn(2)
     clock = Clock()
     with clock("scan"):

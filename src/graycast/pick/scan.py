@@ -15,7 +15,7 @@ from ..picture import color_picture, gray_picture
 from ..render import Renderer, Rendering
 from ..scanner import measure, scan_seconds, take
 from ..scene import Layout
-from .aim import Target, View, whole_bin
+from .aim import Sight, Target, whole_bin
 from .cell import PickCell
 
 LEAST_VISIBLE_PX = 30  # of a part that truth tells of
@@ -23,14 +23,14 @@ LEAST_SCORE = 0.3  # of a detector's detection
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Scan:
+class Look:
     """What the cell saw, and what the true scene looks like from there.
 
     `instance` is the number of the part in each pixel, -1 elsewhere: for truth's detections and
     for pictures of outcomes. `seconds` are simulated: frames by exposure and read-out.
     """
 
-    view: View
+    view: Sight
     scanner_depth_m: Float[np.ndarray, "h w"]
     gray: UInt8[np.ndarray, "h w"]
     rgb: UInt8[np.ndarray, "h w 3"] | None
@@ -40,7 +40,7 @@ class Scan:
 
 def scan(
     cell: PickCell, renderer: Renderer, layout: Layout, *, seed: np.random.SeedSequence
-) -> Scan:
+) -> Look:
     """Look at parts as they lie; what decoding cannot tell is missing.
 
     Raises:
@@ -57,8 +57,8 @@ def scan(
     )
     capture = take(base.scanner, rendering.radiance, seed=noise_seed)
     _, measured = measure(base.scanner, capture)
-    return Scan(
-        view=View(
+    return Look(
+        view=Sight(
             depth_m=_acted_on(cell, rendering, measured, depth_seed),
             camera=base.scene.rig.camera,
             T_world_cam=base.scene.T_world_cam,
@@ -94,7 +94,7 @@ def _picture(
     return color_picture(cell.cell.scanner, rendering, denoiser=renderer.denoiser, seed=seed)
 
 
-def targets(cell: PickCell, seen: Scan, layout: Layout, detector: Any | None) -> tuple[Target, ...]:
+def targets(cell: PickCell, seen: Look, layout: Layout, detector: Any | None) -> tuple[Target, ...]:
     """What may be a part in a scan.
 
     Args:
@@ -110,7 +110,7 @@ def targets(cell: PickCell, seen: Scan, layout: Layout, detector: Any | None) ->
     return tuple(found)
 
 
-def _true_targets(seen: Scan, layout: Layout) -> list[Target]:
+def _true_targets(seen: Look, layout: Layout) -> list[Target]:
     found = []
     for number, kind in enumerate(layout.part_index.tolist()):
         mask = seen.instance == number
@@ -119,7 +119,7 @@ def _true_targets(seen: Scan, layout: Layout) -> list[Target]:
     return found
 
 
-def _detected(cell: PickCell, seen: Scan, detector: Any) -> list[Target]:
+def _detected(cell: PickCell, seen: Look, detector: Any) -> list[Target]:
     ids = {part.name: i for i, part in enumerate(cell.cell.scene.parts)}
     wanted = {name: ids.get(name, 0) for name in detector.about.names}
     example = Example(
@@ -142,7 +142,7 @@ def _target(found: Detections, i: int) -> Target:
     )
 
 
-def _with_true_pose(target: Target, seen: Scan, layout: Layout) -> Target:
+def _with_true_pose(target: Target, seen: Look, layout: Layout) -> Target:
     """The pose of the part that most of a detection's pixels are of."""
     inside = seen.instance[target.inside(seen.instance.shape)]
     inside = inside[inside >= 0]

@@ -75,10 +75,10 @@ def read_depth(
         raise DatasetError(
             f"{path}: has {value.dtype} numbers: give the scale, metres per unit (--scale 0.001)"
         )
-    return metres(value, 1.0 if scale_m is None else scale_m, str(path)), gray, K
+    return in_metres(value, 1.0 if scale_m is None else scale_m, str(path)), gray, K
 
 
-def metres(value: np.ndarray, scale_m: float, name: str) -> Float[np.ndarray, "h w"]:
+def in_metres(value: np.ndarray, scale_m: float, name: str) -> Float[np.ndarray, "h w"]:
     """Depth [m] in which 0 and what is not finite is NaN."""
     if not 0 < scale_m < np.inf:
         raise DatasetError(f"{name}: scale is {scale_m}; metres per unit, above 0")

@@ -27,7 +27,7 @@ _NEAREST_M = 0.01  # no scanner measures from nearer
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Shot:
+class RealPicture:
     """The files of one picture; what is not there is None."""
 
     stem: str
@@ -62,7 +62,7 @@ class Seen:
         return tuple(name for name, image in named.items() if image is not None)
 
 
-def find_shots(folder: Path) -> list[Shot]:
+def find_shots(folder: Path) -> list[RealPicture]:
     """The pictures of a folder, by the names of the files in its `rgb`, `gray` and `depth`.
 
     Raises:
@@ -95,13 +95,13 @@ def find_shots(folder: Path) -> list[Shot]:
             )
     files = {name: found.get(name, {}) for name in FOLDERS}
     return [
-        Shot(stem=stem, **{name: by_stem.get(stem) for name, by_stem in files.items()})
+        RealPicture(stem=stem, **{name: by_stem.get(stem) for name, by_stem in files.items()})
         for stem in stems
     ]
 
 
 def read_shot(
-    shot: Shot,
+    shot: RealPicture,
     *,
     K: Float[np.ndarray, "3 3"] | None,
     scale_m: float | None,
@@ -130,7 +130,7 @@ def read_shot(
     return Seen(rgb=rgb, gray=gray, depth_m=depth_m, K=K)
 
 
-def depth_step_mm(shots: Sequence[Shot], deepest_m: float, scale_m: float | None) -> float:
+def depth_step_mm(shots: Sequence[RealPicture], deepest_m: float, scale_m: float | None) -> float:
     """The millimetres of one step of the stored depth.
 
     Whole numbers keep their own scale, so that nothing is rounded; floats get the finest step that
@@ -188,7 +188,7 @@ def _refuse_impossible(depth_m: Float[np.ndarray, "h w"], path: Path) -> None:
         )
 
 
-def _refuse_sizes(shot: Shot, images: Mapping[str, np.ndarray | None]) -> None:
+def _refuse_sizes(shot: RealPicture, images: Mapping[str, np.ndarray | None]) -> None:
     sizes = {name: image.shape[:2] for name, image in images.items() if image is not None}
     (first, size), *others = sizes.items()
     for name, other in others:

@@ -22,21 +22,23 @@ from .sections import ScannerSections, scanner_of
 Row = tuple[float, float, float]
 
 
-_OpticsModel = section_of(
+OpticsModel = section_of(
     Optics,
     "OpticsModel",
+    module=__name__,
     about="Intrinsics of a camera or projector; the centre of the top-left pixel is (0, 0).",
     base=Settings,
     more={},
 )
-_RigModel = section_of(
+RigModel = section_of(
     Rig,
     "RigModel",
+    module=__name__,
     about="A camera and a projector that hold still to each other, and how they measure.",
     base=ScannerSections,
     more={
-        "camera": (_OpticsModel, ...),
-        "projector": (_OpticsModel, ...),
+        "camera": (OpticsModel, ...),
+        "projector": (OpticsModel, ...),
         "T_cam_proj": None,  # a file has it in two keys
         "R_cam_proj": (
             tuple[Row, Row, Row],
@@ -52,7 +54,7 @@ _RigModel = section_of(
 
 def rig_schema() -> dict[str, Any]:
     """JSON Schema of a rig file, from which editors complete."""
-    return _RigModel.model_json_schema()
+    return RigModel.model_json_schema()
 
 
 def save_scanner(scanner: Scanner, path: Path) -> None:
@@ -96,7 +98,7 @@ def load_scanner(path: Path) -> Scanner:
             f"{path}: looks like an OpenCV calibration, not a rig file: import it and save the rig"
         )
     content = parse_yaml(text, path)
-    model = check_settings(content, _RigModel, path)
+    model = check_settings(content, RigModel, path)
     words = model.model_dump(exclude=set(ScannerSections.model_fields), exclude_none=True)
     R_cam_proj, t_cam_proj_m = np.array(words.pop("R_cam_proj")), words.pop("t_cam_proj_m")
     check_rotation(R_cam_proj, f"{path}: R_cam_proj")

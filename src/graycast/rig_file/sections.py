@@ -14,23 +14,29 @@ from ..scanner import ExposureSpec, Scanner
 from ..sensor import SensorSpec
 from ..settings import ReadAs, Settings, changes_of
 
-CodeSection = changes_of(CodeSpec, "CodeSection", about="The coded light.")
+CodeSection = changes_of(CodeSpec, "CodeSection", module=__name__, about="The coded light.")
 ExposureSection = changes_of(
     ExposureSpec,
     "ExposureSection",
+    module=__name__,
     about="A fixed time, or the one that brings a percentile of the white frame to a target.",
 )
 SensorSection = changes_of(
     SensorSpec,
     "SensorSection",
+    module=__name__,
     about="The sensor in EMVA 1288 terms, and the stop of the lens before it.",
 )
 DecodeSection = changes_of(
-    DecodeSpec, "DecodeSection", about="What a pixel must show to be believed."
+    DecodeSpec,
+    "DecodeSection",
+    module=__name__,
+    about="What a pixel must show to be believed.",
 )
 FilterSection = changes_of(
     FilterSpec,
     "FilterSection",
+    module=__name__,
     about="What is done to depth afterwards; 0 switches a filter off.",
 )
 
@@ -76,7 +82,7 @@ def scanner_of(rig: Rig, sections: ScannerSections) -> Scanner:
 def _with_a_code(scanner: Scanner) -> Scanner:
     """Refuse numbers that make no code on this projector when they are read, not when it scans."""
     try:
-        scanner.patterns()
+        scanner.light_code()
     except ValueError as error:
         raise ConfigError(f"code: {error}") from error
     return scanner

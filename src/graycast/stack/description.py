@@ -103,9 +103,10 @@ class LevelsSection(Settings):
     gain_dn_per_e: float | None = Field(None, ge=0, description="Digital numbers per electron.")
 
 
-_DecodeSection = section_of(
+DecodeSection = section_of(
     DecodeSpec,
     "DecodeSection",
+    module=__name__,
     about="What a pixel must show to be believed; see DecodeSpec.",
     base=Settings,
     more={
@@ -129,7 +130,7 @@ class StackDescription(Settings):
     offset_px: OffsetSection = OffsetSection()
     stride_px: StrideSection = StrideSection()
     levels: LevelsSection = LevelsSection()
-    decode: Annotated[Settings, ReadAs(_DecodeSection)] = _DecodeSection()
+    decode: Annotated[Settings, ReadAs(DecodeSection)] = DecodeSection()
     rig: Path | None = Field(
         None, description="Rig file that it was taken with, relative to this file."
     )
@@ -186,7 +187,7 @@ def describe_stack(scanner: Scanner, files: Sequence[str], *, rig: str) -> str:
         rig: name of its rig file, which has the filters; beside the stack file.
     """
     levels, decode = levels_of(scanner.sensor), scanner.decode
-    content = _said_of_code(scanner.patterns(), files) | {
+    content = _said_of_code(scanner.light_code(), files) | {
         "levels": {
             "offset_dn": float(levels.offset_dn),
             "saturation_dn": float(levels.saturation_dn),

@@ -20,9 +20,9 @@ from graycast.parts import Material
 from graycast.pattern import gray
 from graycast.real.calibrate import (
     Board,
+    BoardView,
     CalibrationError,
     Corners,
-    View,
     calibrate_rig,
     find_corners,
     parse_board,
@@ -128,7 +128,7 @@ def view_of(camera_rays, T_cam_board, albedo, *, name="view", plain_gray=True):
     picture[np.isnan(code[..., 0])] = 0.01
     code = (np.rint(code) if plain_gray else code).astype(np.float32)
     white = np.rint(4000 * picture).astype(np.uint16)
-    return View(name=name, white=white, column=code[..., 0], row=code[..., 1])
+    return BoardView(name=name, white=white, column=code[..., 0], row=code[..., 1])
 
 
 def in_both(board, T_cam_board):
@@ -466,7 +466,7 @@ def test_a_projector_too_small_for_its_code_is_refused(gray_views):
 
 
 def test_views_of_two_sizes_and_twice_one_name_are_refused(gray_views):
-    small = View(
+    small = BoardView(
         name="small",
         white=gray_views[0].white[:300],
         column=gray_views[0].column[:300],
@@ -531,7 +531,7 @@ def test_boards_seen_by_the_path_tracer_and_the_decoder_give_the_rig_back(mitsub
         stack = np.rint(60000 * light / light.max()).astype(np.uint16)
         codes = decode(stack, code, DecodeSpec(min_contrast=0.001), levels)
         views.append(
-            View(
+            BoardView(
                 name=f"pose{i}",
                 white=stack[0],
                 column=codes.column,

@@ -5,7 +5,7 @@ import numpy as np
 from graycast.frames import axis_rotation, inverse, look_at, rigid, transform_points
 from graycast.optics import Optics
 from graycast.raster import rasterize
-from graycast.real.fit_bin import View
+from graycast.real.fit_bin import BinView
 from graycast.scene import Bin, bin_mesh
 
 CAMERA = Optics(width_px=160, height_px=120, fx_px=176.0, fy_px=176.0, cx_px=79.5, cy_px=59.5)
@@ -44,7 +44,7 @@ def noisy(depth_m, sigma_m, seed):
 
 
 def view(depth_m, camera=CAMERA, rgb=None, name="made"):
-    return View(name=name, camera=camera, depth_m=depth_m, rgb=rgb)
+    return BinView(name=name, camera=camera, depth_m=depth_m, rgb=rgb)
 
 
 def world_points(depth_m, T_world_cam, camera=CAMERA):

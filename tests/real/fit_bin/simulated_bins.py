@@ -15,7 +15,7 @@ from small_cell import shrunk
 
 from graycast.cell import Cell, resolve_cell
 from graycast.config import Config
-from graycast.real.fit_bin import View, fit_pose, shape_of
+from graycast.real.fit_bin import BinView, fit_pose, shape_of
 from graycast.render import Quality, open_renderer
 from graycast.scene import EMPTY_LAYOUT
 from graycast.simulate import make_scene
@@ -63,13 +63,15 @@ def random_cell(rng: np.random.Generator, folder: Path | None) -> tuple[Cell, Cr
     return cell, crate
 
 
-def measured(cell: Cell, renderer, *, seed: int) -> View:
+def measured(cell: Cell, renderer, *, seed: int) -> BinView:
     """What the camera measures of the bin with parts left in it."""
     shot = make_scene(cell, 0, seed=seed, renderer=renderer)
-    return View(name="simulated", camera=cell.scene.rig.camera, depth_m=shot.sample.scanner.depth_m)
+    return BinView(
+        name="simulated", camera=cell.scene.rig.camera, depth_m=shot.sample.scanner.depth_m
+    )
 
 
-def wall_pixels(cell: Cell, crate: Crate, view: View, renderer, *, seed: int) -> np.ndarray:
+def wall_pixels(cell: Cell, crate: Crate, view: BinView, renderer, *, seed: int) -> np.ndarray:
     """Which inner wall each pixel shows, 1 to 4; 0 elsewhere: from the renderer's own truth."""
     nothing = np.zeros(
         (0, cell.scene.rig.projector.height_px, cell.scene.rig.projector.width_px), np.uint8

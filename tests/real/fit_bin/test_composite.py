@@ -5,7 +5,7 @@ import pytest
 
 from graycast.errors import DatasetError
 from graycast.optics import Optics
-from graycast.real.fit_bin import View, empty_view
+from graycast.real.fit_bin import BinView, empty_view
 from graycast.real.fit_bin.composite import farthest_shared
 
 H, W = 60, 80
@@ -25,7 +25,7 @@ def cluttered(count, rng, sigma_m=2e-4):
             color[y : y + 15, x : x + 20] = 200
         depth_m[rng.random(depth_m.shape) < 0.01] += 0.05  # strays behind the floor
         depth_m[rng.random(depth_m.shape) < 0.05] = np.nan
-        views.append(View(name="v", camera=CAMERA, depth_m=depth_m, rgb=color))
+        views.append(BinView(name="v", camera=CAMERA, depth_m=depth_m, rgb=color))
     return floor_m, views
 
 

@@ -14,9 +14,9 @@ from graycast.cell import resolve_cell
 from graycast.cli.fitting import add_commands
 from graycast.config import load_config
 from graycast.picture import color_picture
-from graycast.real.fit_bin import View, fit_look, plots, shape_of
+from graycast.real.fit_bin import BinView, fit_look, plots, shape_of
 from graycast.render import Quality
-from graycast.rig import preset
+from graycast.rig import preset_rig
 from graycast.rig_file import save_scanner
 from graycast.scanner import Scanner, measure, take
 from graycast.scene import EMPTY_LAYOUT
@@ -73,7 +73,7 @@ def make_cell(folder, words):
     """A configuration before the paper's rig with a camera of 344 x 258 pixels."""
     folder.mkdir()
     path = write_cell(folder, **words)
-    rig = preset("paper")
+    rig = preset_rig("paper")
     rig = replace(rig, name="small", camera=shrunk(rig.camera, 344, 258))
     save_scanner(Scanner(rig=rig), folder / "rig.yaml")
     return path
@@ -174,7 +174,7 @@ def test_without_frames_the_lamps_stay_and_the_colours_come_out_all_the_same(
     """A floor stated twice as bright makes all reflect twice as much, as a picture cannot tell."""
     real = make_cell(tmp_path / "real", real_words())
     cell, _, _, depth, rgb = photographed(real, mitsuba_renderer, seed=1)
-    view = View(name="real", camera=cell.scene.rig.camera, depth_m=depth.depth_m, rgb=rgb)
+    view = BinView(name="real", camera=cell.scene.rig.camera, depth_m=depth.depth_m, rgb=rgb)
     base = make_cell(tmp_path / "cell", base_words())
     base_cell = resolve_cell(load_config(base), base.parent)
     looks = [

@@ -9,7 +9,7 @@ from graycast.color import linear, srgb
 from graycast.parts import Material
 from graycast.render import Quality
 from graycast.render.wavelength import at_one_wavelength, at_projector_wavelength
-from graycast.rig import preset
+from graycast.rig import preset_rig
 from graycast.scene import EMPTY_LAYOUT, Bin, Environment, Scene, bin_mesh, bin_surfaces
 
 WALLS = Material(base_color=(0.6, 0.3, 0.1), projector_reflectance=0.5)
@@ -40,7 +40,7 @@ def test_the_floor_is_the_rectangle_inside_at_height_0_and_the_walls_are_all_els
 
 
 def scene(**words):
-    return Scene(rig=preset("phoxi-m"), T_world_cam=np.eye(4), bin=Bin(inner_m=SIZE_M, **words))
+    return Scene(rig=preset_rig("phoxi-m"), T_world_cam=np.eye(4), bin=Bin(inner_m=SIZE_M, **words))
 
 
 def test_the_floor_too_has_its_grey_in_the_projector_s_light():
@@ -82,7 +82,7 @@ def test_both_back_ends_show_the_floor_in_its_own_colour(backend, request):
 
 
 def _rendered(renderer, floor, depth=4):
-    rig = preset("paper")
+    rig = preset_rig("paper")
     camera = replace(rig.camera, width_px=80, height_px=64, fx_px=88.0, fy_px=88.0)
     rig = replace(rig, camera=replace(camera, cx_px=39.5, cy_px=31.5))
     T = np.diag([1.0, -1.0, -1.0, 1.0])

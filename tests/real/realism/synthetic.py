@@ -3,7 +3,7 @@
 import numpy as np
 
 from graycast.frames import pixel_grid
-from graycast.real.realism import Scan
+from graycast.real.realism import DepthScan
 
 HEIGHT_PX, WIDTH_PX = 240, 320
 K = np.array([[300.0, 0.0, 159.5], [0.0, 300.0, 119.5], [0.0, 0.0, 1.0]])
@@ -23,7 +23,7 @@ def plane(tilt_rad=0.0, distance_m=0.5, height_px=HEIGHT_PX, width_px=WIDTH_PX):
 
 
 def scan(depth_m, **fields):
-    return Scan(**({"name": "synthetic", "depth_m": depth_m, "K": K} | fields))
+    return DepthScan(**({"name": "synthetic", "depth_m": depth_m, "K": K} | fields))
 
 
 def plates(projector_m, plate_m, wall_m=WALL_M):

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from graycast.real.realism import measure, measure_all, pool
+from graycast.real.realism import measure_all, measure_scan, pool
 from graycast.real.realism.fine import measure_fine, measure_pair, median_over_mean
 
 from .synthetic import plane, rays, scan
@@ -72,7 +72,7 @@ def test_steep_planes_are_compared_with_facing_ones():
     facing = scan(plane() + 1e-4 * rng.standard_normal((240, 320)))
     steep = plane(np.radians(45))
     steep = scan(steep + 2e-4 * rng.standard_normal(steep.shape))
-    found = pool([measure(facing), measure(steep)], name="both").fine
+    found = pool([measure_scan(facing), measure_scan(steep)], name="both").fine
     assert found.steep_to_facing == pytest.approx(2.0, rel=0.05)
 
 
@@ -114,7 +114,7 @@ def test_what_moved_between_two_maps_is_no_noise():
 def test_maps_of_two_cameras_make_no_pair():
     other = scan(plane(), K=np.array([[310.0, 0, 159.5], [0, 310.0, 119.5], [0, 0, 1]]))
     assert measure_pair(scan(plane()), other) is None
-    assert pool([measure(scan(plane()))], name="one").pairs.sigma_m is None
+    assert pool([measure_scan(scan(plane()))], name="one").pairs.sigma_m is None
 
 
 def test_islands_are_told_by_size():

@@ -3,13 +3,13 @@
 import numpy as np
 import pytest
 
-from graycast.real.realism import Scan, measure, pool
+from graycast.real.realism import DepthScan, measure_scan, pool
 
 from .synthetic import K, plane, scan
 
 
 def record(*scans):
-    return pool([measure(s) for s in scans], name="set")
+    return pool([measure_scan(s) for s in scans], name="set")
 
 
 def test_shares_are_of_all_pixels_of_all_maps():
@@ -87,4 +87,4 @@ def test_a_scan_refuses_what_is_no_depth():
     with pytest.raises(ValueError, match="0 to 1"):
         scan(plane(), gray=np.full(plane().shape, 255.0))
     with pytest.raises(ValueError, match="focal lengths"):
-        Scan(name="x", depth_m=plane(), K=0 * K)
+        DepthScan(name="x", depth_m=plane(), K=0 * K)

@@ -5,7 +5,7 @@ import pytest
 from backends import slow
 from scipy import ndimage
 
-from graycast.real.realism import measure, pool
+from graycast.real.realism import measure_scan, pool
 from graycast.real.realism.noise import LAGS, autocorrelation, measure_noise
 
 from .synthetic import HEIGHT_PX, WIDTH_PX, plane, rays, scan
@@ -55,7 +55,7 @@ def test_the_scatter_over_patches_is_that_of_chi_square():
 )
 def test_filtered_noise_has_the_autocorrelation_of_its_filter(kernel, rows, columns):
     """The kernel's own autocorrelation, in closed form. Uncorrected, a 3 x 3 box gives 0.62."""
-    record = pool([measure(scan(noisy_plane(np.random.default_rng(3), kernel)))], name="plane")
+    record = pool([measure_scan(scan(noisy_plane(np.random.default_rng(3), kernel)))], name="plane")
     tolerance = 4 * np.sqrt(kernel.size**2 / kernel.size / (450 * 600)) + 1e-3
     assert record.autocorrelation.along_rows == pytest.approx(rows, abs=2 * tolerance)
     assert record.autocorrelation.along_columns == pytest.approx(columns, abs=2 * tolerance)
@@ -118,7 +118,7 @@ def test_spikes_and_holes_do_not_spoil_a_patch():
     pick = rng.random(depth_m.shape)
     depth_m[pick < 0.01] += 0.02
     depth_m[pick > 0.98] = np.nan
-    record = pool([measure(scan(depth_m))], name="spiky").noise
+    record = pool([measure_scan(scan(depth_m))], name="spiky").noise
     assert record.percentiles_m[2] == pytest.approx(SIGMA_M, rel=0.01)
     assert record.outliers == pytest.approx(0.01 / 0.98, rel=0.05)
     assert record.bent < 0.02
@@ -141,7 +141,7 @@ def test_the_correction_for_the_fit_is_exact_in_expectation():
 
 
 def test_a_map_without_a_flat_patch_has_no_figures():
-    record = pool([measure(scan(np.full((40, 50), np.nan)))], name="empty")
+    record = pool([measure_scan(scan(np.full((40, 50), np.nan)))], name="empty")
     assert record.noise.percentiles_m is None
     assert record.autocorrelation.along_rows is None
     assert record.missing.share == 1.0

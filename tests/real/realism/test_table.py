@@ -8,7 +8,7 @@ from drawn import axes_of, drawn_by, heights_of, lines_of
 from graycast.errors import DatasetError, GraycastError
 from graycast.real.realism import (
     draw_realism,
-    measure,
+    measure_scan,
     plots,
     pool,
     read_record,
@@ -31,11 +31,11 @@ def noisy_scan(seed, sigma_m=1e-4):
 
 @pytest.fixture(scope="module")
 def record():
-    return pool([measure(noisy_scan(seed)) for seed in range(3)], name="three")
+    return pool([measure_scan(noisy_scan(seed)) for seed in range(3)], name="three")
 
 
 def test_a_set_of_equal_maps_has_the_figures_of_one():
-    one = measure(noisy_scan(1))
+    one = measure_scan(noisy_scan(1))
     single, triple = pool([one], name="x"), pool([one] * 3, name="x")
     counted = {"scans", "pixels", "noise", "fine", "missing", "autocorrelation", "baseline"}
     assert single.model_dump(exclude=counted) == triple.model_dump(exclude=counted)
@@ -75,7 +75,7 @@ def test_the_table_has_the_figures_in_readable_units(record):
 
 def test_two_sets_stand_side_by_side_with_a_dash_for_what_one_lacks(record):
     rng = np.random.default_rng(5)
-    bare = pool([measure(scan(0.5 + 1e-4 * rng.standard_normal((240, 320))))], name="bare")
+    bare = pool([measure_scan(scan(0.5 + 1e-4 * rng.standard_normal((240, 320))))], name="bare")
     lines = table(record, bare).splitlines()
     assert lines[0].split() == ["three", "bare"]
     widths = {len(line) for line in lines if line.endswith(("-", "%", "mm"))}

@@ -8,7 +8,7 @@ from small_cell import shrunk
 from stage import in_camera, lambert, wall
 
 from graycast.pattern import CodeSpec
-from graycast.real.realism import Scan
+from graycast.real.realism import DepthScan
 from graycast.real.realism.patches import find_floor
 from graycast.real.twin import searching
 from graycast.real.twin.parameters import PARAMETERS, with_values
@@ -17,7 +17,7 @@ from graycast.real.twin.searching import scans_of, search
 from graycast.real.twin.stage import Lit, scan_lit
 from graycast.render import Quality
 from graycast.render.reference import ReferenceRenderer
-from graycast.rig import preset
+from graycast.rig import preset_rig
 from graycast.scanner import Scanner
 from graycast.scene import EMPTY_LAYOUT, Sphere
 from graycast.sensor import SensorSpec
@@ -28,7 +28,7 @@ FITTED = [p for p in PARAMETERS if p.key in ("sensor.read_noise_e", "filters.smo
 @pytest.fixture(scope="module")
 def stage():
     """A scanner of 160 x 120 px, and two scenes of a ball before a wall as it sees them."""
-    rig = preset("paper")
+    rig = preset_rig("paper")
     camera, projector = shrunk(rig.camera, 160, 120), shrunk(rig.projector, 256, 192)
     rig = replace(rig, name="small", camera=camera, projector=projector)
     code = CodeSpec(codec="gray_phase", axes=("column",), period_px=16.0, steps=4)
@@ -41,7 +41,7 @@ def stage():
         found = ReferenceRenderer().render(
             scene,
             EMPTY_LAYOUT,
-            scanner.patterns().render(),
+            scanner.light_code().render(),
             quality=direct,
             seed=0,
         )
@@ -49,7 +49,7 @@ def stage():
             Lit(
                 radiance={code: found.radiance},
                 is_bin=found.truth.instance < 0,
-                truth=Scan(name="t", depth_m=found.truth.depth_m.astype(float), K=camera.K),
+                truth=DepthScan(name="t", depth_m=found.truth.depth_m.astype(float), K=camera.K),
             )
         )
     return scanner, tuple(lit)

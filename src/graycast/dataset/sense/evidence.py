@@ -39,7 +39,7 @@ class Evidence:
     lens: Optics
     view: records.View
     poses: list[records.Pose]
-    scanner: records.Scanner
+    scanner: records.ScannerRecord
     rgb: UInt8[np.ndarray, "h w 3"]
     gray: UInt8[np.ndarray, "h w"]
     depth: UInt16[np.ndarray, "h w"]

@@ -1,18 +1,18 @@
 """A rig from pictures of a board in several poses, the projector as an inverse camera."""
 
 from .board import Board, CalibrationError, parse_board
-from .calibration import Calibration, View, ViewResidual, calibrate_rig, epipolar_distance_px
+from .calibration import BoardView, Calibration, ViewResidual, calibrate_rig, epipolar_distance_px
 from .corners import Corners, find_corners
 from .projector_corners import ProjectorCorners, projector_corners
 from .reading import describe_calibration, read_view
 
 __all__ = [
     "Board",
+    "BoardView",
     "Calibration",
     "CalibrationError",
     "Corners",
     "ProjectorCorners",
-    "View",
     "ViewResidual",
     "calibrate_rig",
     "describe_calibration",

@@ -27,7 +27,7 @@ RANGE_MARGIN = 0.1  # beyond the nearest and the farthest corner, as a share of 
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class View:
+class BoardView:
     """One pose of the board: its picture under white light and the decoded projector pixels.
 
     `column` and `row` are in projector pixels, NaN where unknown.
@@ -83,7 +83,7 @@ class Calibration:
 
 
 def calibrate_rig(
-    views: Sequence[View],
+    views: Sequence[BoardView],
     board: Board,
     *,
     projector_size_px: tuple[int, int],
@@ -176,7 +176,7 @@ def epipolar_distance_px(
     return focal_px * np.einsum("ni,ni->n", normal, rays(projector, projector_px))
 
 
-def _check(views: Sequence[View]) -> tuple[int, int]:
+def _check(views: Sequence[BoardView]) -> tuple[int, int]:
     """The camera's (width, height), after seeing that there are enough views of one size."""
     if len(views) < MIN_VIEWS:
         raise CalibrationError(
@@ -199,7 +199,7 @@ def _check(views: Sequence[View]) -> tuple[int, int]:
 
 
 def _observe(
-    views: Sequence[View], board: Board, projector_size_px: tuple[int, int]
+    views: Sequence[BoardView], board: Board, projector_size_px: tuple[int, int]
 ) -> tuple[Observations, list[int]]:
     """Every corner that both devices see, and the count of undecoded ones in each view."""
     parts, undecoded, faults = [], [], []
@@ -216,7 +216,7 @@ def _observe(
     return joined(parts), undecoded
 
 
-def _observe_one(index: int, view: View, board: Board, projector_size_px: tuple[int, int]):
+def _observe_one(index: int, view: BoardView, board: Board, projector_size_px: tuple[int, int]):
     corners = find_corners(view.white, board)
     lit = projector_corners(
         corners,

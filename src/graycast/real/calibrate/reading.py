@@ -5,10 +5,10 @@ from pathlib import Path
 import numpy as np
 
 from ...stack import decode_stack
-from .calibration import Calibration, View
+from .calibration import BoardView, Calibration
 
 
-def read_view(path: Path) -> tuple[View, tuple[int, int]]:
+def read_view(path: Path) -> tuple[BoardView, tuple[int, int]]:
     """One pose of the board from the stack that a YAML file describes; and the projector's size.
 
     The board is looked for in the white frame, or in the brighter of a bit and its inverse.
@@ -18,7 +18,7 @@ def read_view(path: Path) -> tuple[View, tuple[int, int]]:
     """
     result = decode_stack(path)
     codes = result.codes
-    view = View(
+    view = BoardView(
         name=str(path),
         white=result.picture.mean(axis=2).astype(np.uint8),
         column=codes.column,

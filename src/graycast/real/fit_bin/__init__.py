@@ -15,19 +15,19 @@ from .fitting import (
     write_fit,
 )
 from .look import Frames, Look, fit_look
-from .reading import Said, View, read_views
+from .reading import BinView, Said, read_views
 from .registration import FaceFit, PoseFit, difference, find_pose, judge, register, settle
 from .shape import BinShape
 
 __all__ = [
     "BinFit",
     "BinShape",
+    "BinView",
     "FaceFit",
     "Frames",
     "Look",
     "PoseFit",
     "Said",
-    "View",
     "azimuth_of",
     "described",
     "difference",

@@ -13,12 +13,12 @@ import numpy as np
 from jaxtyping import Bool, Float, UInt8
 
 from ...errors import DatasetError
-from .reading import View
+from .reading import BinView
 
 SHARED_M = 2e-3  # two depths nearer than this are of one surface
 
 
-def empty_view(views: Sequence[View]) -> View:
+def empty_view(views: Sequence[BinView]) -> BinView:
     """One view of the bin as it would be without what lies in it.
 
     Its colours are the mean of the views that see the bin there; without pictures it has none.
@@ -35,7 +35,7 @@ def empty_view(views: Sequence[View]) -> View:
     shared_m = farthest_shared(depth_m)
     sees = np.abs(depth_m - shared_m) < SHARED_M
     pictures = [view.rgb for view in views if view.rgb is not None]
-    return View(
+    return BinView(
         name=f"what {len(views)} views share",
         camera=views[0].camera,
         depth_m=shared_m,

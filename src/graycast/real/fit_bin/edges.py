@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Float
 
 from ...frames import axis_rotation, rigid
-from .reading import View
+from .reading import BinView
 from .shape import BinShape
 
 SEARCHED = ("x", "y", "about z")
@@ -23,7 +23,7 @@ _TRY_M, _LEAST_VOTES = 2e-3, 25.0  # a shift by the one must cost as many pixels
 
 
 def hold_by_edges(
-    views: Sequence[View],
+    views: Sequence[BinView],
     shape: BinShape,
     T_world_cam: Float[np.ndarray, "4 4"],
     loose: Sequence[str],

@@ -23,7 +23,7 @@ from .box import open_box
 from .look import Frames, Look, fit_look
 from .mesh import mesh_shape
 from .plots import draw_residuals
-from .reading import View
+from .reading import BinView
 from .registration import FREEDOMS, FaceFit, PoseFit, difference, find_pose, settle
 from .shape import BinShape
 
@@ -47,7 +47,7 @@ def shape_of(box: Bin, *, wall_known: bool = True) -> BinShape:
 
 
 def fit_pose(
-    views: Sequence[View],
+    views: Sequence[BinView],
     shape: BinShape,
     *,
     azimuth_rad: float,
@@ -72,7 +72,7 @@ def fit_pose(
 def with_look(
     fit: BinFit,
     cell: Cell,
-    views: Sequence[View],
+    views: Sequence[BinView],
     *,
     floor_reflectance: float | None,
     frames: Frames | None,
@@ -98,7 +98,7 @@ def with_look(
     return replace(fit, look=look)
 
 
-def read_frames(white: Path, black: Path, view: View) -> Frames:
+def read_frames(white: Path, black: Path, view: BinView) -> Frames:
     """Two frames of the measuring camera, as shares of the range of their files' numbers.
 
     Raises:
@@ -112,7 +112,9 @@ def read_frames(white: Path, black: Path, view: View) -> Frames:
     return Frames(white=frames[0], black=frames[1])
 
 
-def write_fit(fit: BinFit, cell: Cell, views: Sequence[View], base: Path, out: Path) -> list[Path]:
+def write_fit(
+    fit: BinFit, cell: Cell, views: Sequence[BinView], base: Path, out: Path
+) -> list[Path]:
     """The configuration, a report and a picture of the residuals, beside each other.
 
     Raises:

@@ -30,7 +30,7 @@ from ...picture import idle_share
 from ...render import Quality, Renderer, Rendering
 from ...rig import Rig
 from ...scene import EMPTY_LAYOUT, Scene, bin_of
-from .reading import Grid, View
+from .reading import BinView, Grid
 from .shape import NO_FACE, BinShape, height_over, is_floor
 
 SURFACES = ("walls", "floor", "table")
@@ -73,7 +73,7 @@ class Look:
 def fit_look(
     cell: Cell,
     shape: BinShape,
-    views: Sequence[View],
+    views: Sequence[BinView],
     T_world_cam: Float[np.ndarray, "4 4"],
     *,
     floor_reflectance: float | None,
@@ -138,7 +138,7 @@ def mean_color(material: Material) -> Color:
     return float(red), float(green), float(blue)
 
 
-def painted(material: Material, color: Color) -> Material:
+def recolored(material: Material, color: Color) -> Material:
     return replace(material, base_color=color, texture=None)
 
 
@@ -159,10 +159,10 @@ def _render(
     own = _materials(scene)
     box = replace(
         bin_of(scene),
-        material=painted(own["walls"], color["walls"]),
-        floor=painted(own["floor"], color["floor"]),
+        material=recolored(own["walls"], color["walls"]),
+        floor=recolored(own["floor"], color["floor"]),
     )
-    scene = replace(scene, bin=box, table=painted(own["table"], color["table"]))
+    scene = replace(scene, bin=box, table=recolored(own["table"], color["table"]))
     projector = scene.rig.projector
     nothing = np.zeros((0, projector.height_px, projector.width_px), dtype=np.uint8)
     quality = Quality(samples=_SAMPLES, depth=cell.config.render.depth)
@@ -182,7 +182,7 @@ def _picture(made: Rendering, rig: Rig, scale: float) -> Float[np.ndarray, "h w 
 
 
 def _masks(
-    view: View, shape: BinShape, floor_m: float, T_world_cam: Float[np.ndarray, "4 4"]
+    view: BinView, shape: BinShape, floor_m: float, T_world_cam: Float[np.ndarray, "4 4"]
 ) -> dict[str, Bool[np.ndarray, "rows columns"]]:
     """Where each surface is seen, by geometry and by depth alike, and its picture can be used.
 
@@ -208,7 +208,7 @@ def _masks(
 
 
 def _ratios(
-    views: Sequence[View],
+    views: Sequence[BinView],
     masks: Sequence[Mapping[str, np.ndarray]],
     rgb: Float[np.ndarray, "h w 3"],
     shown: Sequence[str],

@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 
 from ...frames import transform_points
 from ...plotting import ACCENT, INK, PALE, SECOND, caption, plain_axes, save_png
-from .reading import View
+from .reading import BinView
 from .registration import PoseFit
 from .shape import NO_FACE, BinShape, height_over
 
@@ -20,7 +20,7 @@ _ACROSS_PX = 640
 _BELOW = (0.5, -0.1)  # of an axes' own size
 
 
-def draw_residuals(pose: PoseFit, shape: BinShape, views: Sequence[View], path: Path) -> None:
+def draw_residuals(pose: PoseFit, shape: BinShape, views: Sequence[BinView], path: Path) -> None:
     """Write a PNG: the first view's signed residuals, the faces' spread, how much agrees.
 
     Raises:
@@ -44,7 +44,7 @@ def draw_residuals(pose: PoseFit, shape: BinShape, views: Sequence[View], path: 
 
 
 def residual_map(
-    view: View, shape: BinShape, T_world_cam: Float[np.ndarray, "4 4"]
+    view: BinView, shape: BinShape, T_world_cam: Float[np.ndarray, "4 4"]
 ) -> Float[np.ndarray, "rows columns"]:
     """Signed distance [m] of each pixel's point from the face that it should show.
 

@@ -15,7 +15,7 @@ from ...errors import DatasetError
 from ...frames import pixel_grid
 from ...optics import Optics, optics_of, rays
 from ..depth_file import DEPTH_FILES
-from ..pictures import Seen, Shot, find_shots, read_shot
+from ..pictures import RealPicture, Seen, find_shots, read_shot
 
 _NO_DISTORTION = (0.0, 0.0, 0.0, 0.0, 0.0)
 _LEAST_POINTS = 1000
@@ -51,7 +51,7 @@ class Grid:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class View:
+class BinView:
     """One look into the bin; z-depth [m] is NaN where there is none."""
 
     name: str
@@ -109,7 +109,7 @@ class View:
 
 def read_views(
     paths: Sequence[Path], *, rgb: Sequence[Path] = (), said: Said, own: Optics
-) -> tuple[View, ...]:
+) -> tuple[BinView, ...]:
     """All views, of one camera that stood still.
 
     Args:
@@ -128,7 +128,7 @@ def read_views(
             "order, or none"
         )
     colours = dict(zip(files, rgb, strict=True)) if rgb else {}
-    views: list[View] = []
+    views: list[BinView] = []
     for path in paths:
         if (path / "scene_camera_sl.json").is_file():
             views += _read_scene(path)
@@ -146,13 +146,13 @@ def read_views(
     return tuple(views)
 
 
-def _shot(path: Path, rgb: Path | None) -> Shot:
+def _shot(path: Path, rgb: Path | None) -> RealPicture:
     if path.suffix.lower() not in DEPTH_FILES:
         raise DatasetError(f"{path}: depth comes as one of {', '.join(DEPTH_FILES)}")
-    return Shot(stem=str(path), rgb=rgb, gray=None, depth=path)
+    return RealPicture(stem=str(path), rgb=rgb, gray=None, depth=path)
 
 
-def _read(shot: Shot, said: Said, own: Optics) -> View:
+def _read(shot: RealPicture, said: Said, own: Optics) -> BinView:
     if shot.depth is None:
         raise DatasetError(f"{shot.stem}: has no depth: put it into the folder depth")
     brings_own = shot.depth.suffix.lower() == ".ply"
@@ -168,7 +168,7 @@ def _read(shot: Shot, said: Said, own: Optics) -> View:
     return _view(str(shot.depth), seen, lens)
 
 
-def _read_scene(scene: Path) -> list[View]:
+def _read_scene(scene: Path) -> list[BinView]:
     """The scanner's views of a scene of one of our datasets.
 
     Raises:
@@ -185,7 +185,9 @@ def _read_scene(scene: Path) -> list[View]:
     for number, said in cameras.items():
         depth = files.png_path("depth_sl", number)
         seen = read_shot(
-            Shot(stem=str(scene), rgb=files.find_picture("rgb", number), gray=None, depth=depth),
+            RealPicture(
+                stem=str(scene), rgb=files.find_picture("rgb", number), gray=None, depth=depth
+            ),
             K=np.reshape(said.cam_K, (3, 3)),
             scale_m=said.depth_scale * 1e-3,
             size_px=None,
@@ -194,9 +196,9 @@ def _read_scene(scene: Path) -> list[View]:
     return views
 
 
-def _view(name: str, seen: Seen, distortion: Sequence[float]) -> View:
+def _view(name: str, seen: Seen, distortion: Sequence[float]) -> BinView:
     try:
         camera = optics_of(seen.K, seen.size_px, distortion)
     except ValueError as error:
         raise DatasetError(f"{name}: its camera is none that can be used: {error}") from error
-    return View(name=name, camera=camera, depth_m=seen.depth_m, rgb=seen.rgb)
+    return BinView(name=name, camera=camera, depth_m=seen.depth_m, rgb=seen.rgb)

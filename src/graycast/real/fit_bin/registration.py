@@ -24,7 +24,7 @@ from ...errors import GraycastError
 from ...frames import axis_rotation, inverse, rigid, transform_points
 from .box import OpenBox, stand_in
 from .edges import hold_by_edges
-from .reading import Grid, View
+from .reading import BinView, Grid
 from .shape import NO_FACE, BinShape, height_over
 from .start import start_poses
 
@@ -85,7 +85,7 @@ class PoseFit:
 
 
 def find_pose(
-    views: Sequence[View],
+    views: Sequence[BinView],
     shape: BinShape,
     *,
     azimuth_rad: float,
@@ -122,7 +122,7 @@ def find_pose(
 
 
 def _best_settled(
-    views: Sequence[View],
+    views: Sequence[BinView],
     shape: BinShape,
     grids: Sequence[Grid],
     candidates: Sequence[Float[np.ndarray, "4 4"]],
@@ -161,7 +161,7 @@ def register(
     """The pose near a first one in which a cloud lies best on the bin's faces.
 
     Args:
-        cloud: places [m] and normals in the camera frame, as of `View.cloud`.
+        cloud: places [m] and normals in the camera frame, as of `BinView.cloud`.
         T_world_cam: the first pose.
         first_m: how far from its face a point may be at first.
         trust: a factor on the weights of each surface's points; None: 1.
@@ -179,7 +179,7 @@ def register(
 
 
 def settle(
-    views: Sequence[View], shape: BinShape, T_world_cam: Float[np.ndarray, "4 4"]
+    views: Sequence[BinView], shape: BinShape, T_world_cam: Float[np.ndarray, "4 4"]
 ) -> PoseFit:
     """The pose near a first one with what speaks for it: by faces, and by edges where these fail.
 
@@ -198,7 +198,7 @@ def settle(
 
 
 def judge(
-    views: Sequence[View],
+    views: Sequence[BinView],
     shape: BinShape,
     T_world_cam: Float[np.ndarray, "4 4"],
     *,

@@ -23,7 +23,7 @@ from ...errors import DatasetError
 from ...folder import new_folder
 from ...mask_box import mask_box
 from ...render.radiance import Silhouette
-from ..pictures import Seen, Shot, depth_step_mm, depth_steps, find_shots, read_shot
+from ..pictures import RealPicture, Seen, depth_step_mm, depth_steps, find_shots, read_shot
 from .annotations import Drawn, read_annotations
 
 NO_DISTORTION = (0.0, 0.0, 0.0, 0.0, 0.0)
@@ -48,7 +48,7 @@ class _Camera:
     scale_m: float | None
     size_px: tuple[int, int] | None
 
-    def read(self, shot: Shot) -> Seen:
+    def read(self, shot: RealPicture) -> Seen:
         return read_shot(shot, K=self.K, scale_m=self.scale_m, size_px=self.size_px)
 
 
@@ -137,7 +137,7 @@ def _object_names(found: Sequence[str], given: Sequence[str] | None) -> list[str
     return list(given)
 
 
-def _survey(shots: Sequence[Shot], camera: _Camera) -> tuple[Seen, float]:
+def _survey(shots: Sequence[RealPicture], camera: _Camera) -> tuple[Seen, float]:
     """Reads all once, so that what cannot be used is told before anything is written."""
     first, deepest_m = None, 0.0
     for shot in shots:
@@ -182,7 +182,7 @@ class _Writer:
         size = {"width": width_px, "height": height_px, "depth_scale": self.step_mm}
         return size | {"fx": fx, "fy": fy, "cx": cx, "cy": cy} | self._distortion()
 
-    def scene(self, place: Path, shot: Shot, seen: Seen, drawn: Drawn | None) -> None:
+    def scene(self, place: Path, shot: RealPicture, seen: Seen, drawn: Drawn | None) -> None:
         files: dict[str, bytes] = {}
         view = {"cam_K": seen.K.ravel(), "depth_scale": self.step_mm} | self._distortion()
         suffixes = _suffixes(self.holds)
@@ -228,7 +228,7 @@ class _Writer:
         return {"distortion": list(self.distortion)} if any(self.distortion) else {}
 
     def _label_files(
-        self, shot: Shot, seen: Seen, drawn: Drawn, suffixes: Sequence[str]
+        self, shot: RealPicture, seen: Seen, drawn: Drawn, suffixes: Sequence[str]
     ) -> dict[str, bytes]:
         height_px, width_px = seen.size_px
         if drawn.size_px != seen.size_px:
@@ -285,7 +285,7 @@ def _picture(holds: Sequence[str]) -> str:
     return next(name for name in ("gray_sl", "rgb", "depth_sl") if name in holds)
 
 
-def _digests(shot: Shot) -> dict[str, Any]:
+def _digests(shot: RealPicture) -> dict[str, Any]:
     return {
         name: {"file": path.name, "sha256": hashlib.sha256(path.read_bytes()).hexdigest()}
         for name, path in shot.files.items()

@@ -1,23 +1,23 @@
 """What real depth maps have and perfect ones lack, measured: gaps, noise, steps, islands."""
 
-from .measure import Measurement, measure, measure_all, pool
+from .measure import Measurement, measure_all, measure_scan, pool
 from .plots import draw_realism
 from .reading import read_perfect, read_scans
 from .record import RECORD_FILE, Realism, read_record, write_record
-from .scan import Scan
+from .scan import DepthScan
 from .table import table
 from .two_sample import TwoSample, sensor_auc, two_sample_test
 from .two_sample_page import two_sample_table, write_two_sample
 
 __all__ = [
     "RECORD_FILE",
+    "DepthScan",
     "Measurement",
     "Realism",
-    "Scan",
     "TwoSample",
     "draw_realism",
-    "measure",
     "measure_all",
+    "measure_scan",
     "pool",
     "read_perfect",
     "read_record",

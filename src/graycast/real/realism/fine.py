@@ -20,8 +20,8 @@ from jaxtyping import Float
 from scipy.stats import binom, chi2
 
 from .patches import robust_sigma, second_difference
-from .record import Bin, Fine, Pairs
-from .scan import Scan
+from .record import BinRecord, Fine, Pairs
+from .scan import DepthScan
 
 TILE_PX = 8
 LEAST_TILES = 20  # in a bin, to be compared with another
@@ -56,7 +56,7 @@ class PairNoise:
     along_columns: tuple[float, ...] | None
 
 
-def measure_fine(scan: Scan) -> FineNoise:
+def measure_fine(scan: DepthScan) -> FineNoise:
     """The noise of every tile that is smooth, its incidence and brightness."""
     depth_m = scan.depth_m.astype(np.float64)
     tiles, corner = _tiles(depth_m)
@@ -105,7 +105,7 @@ def summarise_fine(maps: Sequence[FineNoise]) -> Fine:
     )
 
 
-def measure_pair(first: Scan, second: Scan) -> PairNoise | None:
+def measure_pair(first: DepthScan, second: DepthScan) -> PairNoise | None:
     """The noise between two maps where they show the same surface; None of different cameras.
 
     The difference of both loses what is common to them, shape and the fixed part of the error
@@ -184,7 +184,7 @@ def _tiles(
     return tiles.reshape(-1, TILE_PX, TILE_PX).astype(np.float64), corner
 
 
-def _brightness(scan: Scan, corner: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, " n"]:
+def _brightness(scan: DepthScan, corner: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, " n"]:
     if scan.gray is None:
         return np.full(len(corner), np.nan)
     tiles, _ = _tiles(scan.gray)
@@ -220,13 +220,13 @@ def _incidence(
 
 def _bins(
     of: Float[np.ndarray, " n"], variance: Float[np.ndarray, " n"], edges: Float[np.ndarray, " e"]
-) -> list[Bin]:
+) -> list[BinRecord]:
     place = np.digitize(of, edges) - 1
     found = []
     for i, (low, high) in enumerate(pairwise(edges)):
         group = variance[place == i]
         found.append(
-            Bin(
+            BinRecord(
                 low=low,
                 high=high,
                 count=len(group),

@@ -22,7 +22,7 @@ from scipy.optimize import least_squares
 
 from .missing import small_islands
 from .record import Baseline
-from .scan import Scan
+from .scan import DepthScan
 
 _LEAST_GAP_PX = 4
 _RIM_PX = 3  # valid pixels on one surface on either side
@@ -66,7 +66,7 @@ class Gaps:
         return Gaps(**{f.name: getattr(self, f.name)[which] for f in fields(self)})
 
 
-def find_gaps(scan: Scan) -> tuple[Gaps, Gaps]:
+def find_gaps(scan: DepthScan) -> tuple[Gaps, Gaps]:
     """Clean shadows along the rows and along the columns.
 
     A gap is clean if it is at least 4 pixels wide, if three pixels on either side lie each on one

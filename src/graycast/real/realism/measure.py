@@ -11,7 +11,7 @@ from .gaps import Gaps, estimate_baseline, find_gaps
 from .missing import MissingCounts, count_missing, summarise_islands, summarise_missing
 from .noise import LAGS, PATCH_PX, PatchNoise, autocorrelation, measure_noise
 from .record import Autocorrelation, Jumps, Noise, Realism, Steps
-from .scan import Scan
+from .scan import DepthScan
 from .steps import StepCounts, count_steps
 
 _PERCENTILES = (5, 25, 50, 75, 95)
@@ -32,15 +32,15 @@ class Measurement:
     gaps: tuple[Gaps, Gaps]  # along rows, along columns
 
 
-def measure_all(scans: Iterable[Scan]) -> Iterator[Measurement]:
+def measure_all(scans: Iterable[DepthScan]) -> Iterator[Measurement]:
     """Each map, and its pair with the one before it; one map is held at a time beside its own."""
-    before: Scan | None = None
+    before: DepthScan | None = None
     for scan in scans:
-        yield measure(scan, before=before)
+        yield measure_scan(scan, before=before)
         before = scan
 
 
-def measure(scan: Scan, *, before: Scan | None = None) -> Measurement:
+def measure_scan(scan: DepthScan, *, before: DepthScan | None = None) -> Measurement:
     """Everything that is counted in one depth map, and against the one `before` it."""
     depth_m = scan.depth_m[scan.valid]
     return Measurement(

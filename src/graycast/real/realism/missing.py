@@ -8,8 +8,8 @@ from jaxtyping import Bool, Float, Int
 from scipy import ndimage
 from scipy.optimize import isotonic_regression
 
-from .record import Bin, DropOut, Islands, Missing
-from .scan import Scan
+from .record import BinRecord, DropOut, Islands, Missing
+from .scan import DepthScan
 
 LEVELS = 4095  # of the brightness histogram: 8, 10 and 12 bits keep their own levels apart
 ISLAND_PX = 10
@@ -33,7 +33,7 @@ class MissingCounts:
     speck_sizes_px: Int[np.ndarray, " specks"]
 
 
-def count_missing(scan: Scan) -> MissingCounts:
+def count_missing(scan: DepthScan) -> MissingCounts:
     """Count the pixels of a map that have no depth."""
     valid = scan.valid
     total_at = missing_at = None
@@ -161,20 +161,20 @@ def _crossing(
 
 def _by_brightness(
     total_at: Int[np.ndarray, " levels"], missing_at: Int[np.ndarray, " levels"]
-) -> list[Bin]:
+) -> list[BinRecord]:
     place = np.digitize(np.arange(LEVELS + 1) / LEVELS, BRIGHTNESS_EDGES) - 1
     count = len(BRIGHTNESS_EDGES) - 1
     total = np.bincount(place, total_at, minlength=count)
     missing = np.bincount(place, missing_at, minlength=count)
     return [
-        Bin(low=low, high=high, count=int(n), value=m / n if n else None)
+        BinRecord(low=low, high=high, count=int(n), value=m / n if n else None)
         for low, high, n, m in zip(
             BRIGHTNESS_EDGES[:-1], BRIGHTNESS_EDGES[1:], total, missing, strict=True
         )
     ]
 
 
-def _reasons(scan: Scan) -> dict[str, int]:
+def _reasons(scan: DepthScan) -> dict[str, int]:
     """Missing pixels per reason; a number without a name keeps its number."""
     if scan.reason is None:
         return {}

@@ -14,7 +14,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 from scipy.stats import chi2
 
-from .scan import Scan
+from .scan import DepthScan
 
 PATCH_PX = 15
 REACH_PX = 4
@@ -48,7 +48,7 @@ class PatchNoise:
     products: Float[np.ndarray, " lags"]  # sums over them of the products of residuals
 
 
-def measure_noise(scan: Scan) -> PatchNoise:
+def measure_noise(scan: DepthScan) -> PatchNoise:
     """Fit planes to all patches of a map that have hardly a hole, and keep those that are flat.
 
     A patch is bent, and left out, where the terms of second to fifth degree of a fit take more of

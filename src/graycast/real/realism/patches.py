@@ -15,7 +15,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from scipy import ndimage
 
-from .scan import Scan
+from .scan import DepthScan
 
 SQUARE_PX = 32
 STRIDE_PX = 16
@@ -95,7 +95,7 @@ class Squares:
         return self.feature[:, [_COLUMN[feature] for feature in GROUPS[name]]]
 
 
-def cut_squares(scans: Sequence[Scan], *, step_m: float = 0.0) -> Squares:
+def cut_squares(scans: Sequence[DepthScan], *, step_m: float = 0.0) -> Squares:
     """All squares of some maps that are smooth or of the floor.
 
     Args:

@@ -8,7 +8,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from ...plotting import save_png
-from .record import Bin, Realism
+from .record import BinRecord, Realism
 
 _LEAST_PATCHES = 5  # a bin of fewer is in the table, with its count, but in no curve
 _DIRECTIONS = ("right", "left", "below", "above")
@@ -97,7 +97,7 @@ def _draw_jumps(ax: Axes, records: Sequence[Realism]) -> None:
     ax.set_xticks(range(len(_DIRECTIONS)), _DIRECTIONS)
 
 
-def _curve(bins: list[Bin], factor: float, least: int = 1) -> tuple[list[float], list[float]]:
+def _curve(bins: list[BinRecord], factor: float, least: int = 1) -> tuple[list[float], list[float]]:
     """Middles of the octaves and values; what is below the first octave stands one before it."""
     known = [b for b in bins if b.value is not None and b.count >= least]
     middle = [(b.low * b.high) ** 0.5 if b.low > 0 else b.high / 2 for b in known]

@@ -15,14 +15,14 @@ from ...dataset.scene_folder import SCANNER, AnyScanner, AnyView, SceneFolder
 from ...errors import DatasetError
 from ..depth_file import (
     depth_files,
+    in_metres,
     load_json,
     load_npy,
-    metres,
     read_depth,
     read_gray,
     read_image,
 )
-from .scan import Scan
+from .scan import DepthScan
 
 _M_PER_MM = 1e-3
 
@@ -36,7 +36,7 @@ def read_scans(
     reason_names: Mapping[int, str] | None = None,
     scale_m: float | None = None,
     size_px: tuple[int, int] | None = None,
-) -> Iterator[Scan]:
+) -> Iterator[DepthScan]:
     """Depth maps one after another, each read when it is asked for.
 
     Args:
@@ -78,7 +78,7 @@ def read_scans(
         )
 
 
-def read_perfect(path: Path) -> Iterator[Scan]:
+def read_perfect(path: Path) -> Iterator[DepthScan]:
     """Depth without a sensor, of the scenes of a dataset that has it beside the scanner's.
 
     Pictures of another camera than the scanner's are left out, and a dataset of real scans has
@@ -94,7 +94,7 @@ def read_perfect(path: Path) -> Iterator[Scan]:
             for number in sorted(perfect.keys() & scanner.keys()):
                 file, view = files.png_path("depth", number), perfect[number]
                 if view.cam_K == scanner[number].cam_K and file.is_file():
-                    depth_m = metres(read_image(file), view.depth_scale * _M_PER_MM, str(file))
+                    depth_m = in_metres(read_image(file), view.depth_scale * _M_PER_MM, str(file))
                     K = np.reshape(view.cam_K, (3, 3))
                     yield _scan(name=str(file), depth_m=depth_m, K=K)
 
@@ -107,7 +107,7 @@ def _scenes(path: Path) -> list[Path]:
     return []
 
 
-def _read_scene(scene: Path) -> Iterator[Scan]:
+def _read_scene(scene: Path) -> Iterator[DepthScan]:
     """All images of a scene folder, the scanner's where there is one beside the colour camera."""
     files = SceneFolder(scene)
     suffix = SCANNER if (scene / f"scene_camera{SCANNER}.json").is_file() else ""
@@ -118,7 +118,7 @@ def _read_scene(scene: Path) -> Iterator[Scan]:
     baseline_m = _baseline_m(scene)
     for number, view in sorted(views.items()):
         path = files.png_path(f"depth{suffix}", number)
-        depth_m = metres(read_image(path), view.depth_scale * _M_PER_MM, str(path))
+        depth_m = in_metres(read_image(path), view.depth_scale * _M_PER_MM, str(path))
         own = files.find_picture(f"gray{suffix}", number)
         picture = own or files.find_picture(f"rgb{suffix}", number)
         gray = None if picture is None else read_gray(picture)
@@ -164,9 +164,9 @@ def _baseline_m(scene: Path) -> float | None:
     return float(np.linalg.norm(np.array(T_cam_proj)[:3, 3]))
 
 
-def _scan(**fields: Any) -> Scan:
+def _scan(**fields: Any) -> DepthScan:
     try:
-        return Scan(**fields)
+        return DepthScan(**fields)
     except ValueError as error:
         raise DatasetError(str(error)) from error
 

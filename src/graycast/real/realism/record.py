@@ -14,7 +14,7 @@ class _Record(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
 
-class Bin(_Record):
+class BinRecord(_Record):
     """What was found between two limits of a quantity; brightness is a share of the range."""
 
     low: float
@@ -42,7 +42,7 @@ class Missing(_Record):
     """Shares of all pixels."""
 
     share: float
-    by_brightness: list[Bin]
+    by_brightness: list[BinRecord]
     by_reason: dict[str, float]
     drop_out: DropOut | None
 
@@ -77,8 +77,8 @@ class Fine(_Record):
     tiles: int
     rough: float | None
     percentiles_m: list[float] | None
-    by_brightness: list[Bin]  # median noise [m], incidence under 45 degrees
-    by_incidence: list[Bin]  # limits in degrees
+    by_brightness: list[BinRecord]  # median noise [m], incidence under 45 degrees
+    by_incidence: list[BinRecord]  # limits in degrees
     dark_to_bright: float | None
     steep_to_facing: float | None
 

@@ -10,7 +10,7 @@ JUMP_FOOTPRINTS = 10.0  # a surface seen at arctan(10), 84 degrees, still counts
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Scan:
+class DepthScan:
     """A depth map in the frame of its camera.
 
     Attributes:

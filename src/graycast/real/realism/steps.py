@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Float
 
-from .scan import Scan
+from .scan import DepthScan
 
 _Values = Float[np.ndarray, "..."]
 _Mask = Bool[np.ndarray, "..."]
@@ -26,7 +26,7 @@ class StepCounts:
     flying: int
 
 
-def count_steps(scan: Scan) -> StepCounts:
+def count_steps(scan: DepthScan) -> StepCounts:
     """Count jumps between valid pixels by direction, and flying pixels.
 
     Two pixels on either side of a step, along a row or a column, make a surface each; they are

@@ -3,7 +3,7 @@
 from collections.abc import Callable, Iterator, Sequence
 from typing import NamedTuple
 
-from .record import Bin, Realism
+from .record import BinRecord, Realism
 
 _UNKNOWN = "-"
 _PERCENTILES = ("5 %", "25 %", "median", "75 %", "95 %")
@@ -151,7 +151,7 @@ def _baseline(record: Realism) -> Iterator[Figure]:
 
 def _bins(
     section: str,
-    bins: list[Bin],
+    bins: list[BinRecord],
     factor: float,
     unit: str,
     show: Callable[[float | None], str],

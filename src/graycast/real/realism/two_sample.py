@@ -19,7 +19,7 @@ from jaxtyping import Float
 
 from ...errors import GraycastError
 from .patches import GROUPS, Squares, cut_squares, robust_sigma, second_difference
-from .scan import Scan
+from .scan import DepthScan
 
 PLACES = ("smooth", "floor")
 _TREES = 200
@@ -64,10 +64,10 @@ class TwoSample:
 
 
 def two_sample_test(
-    first: Sequence[Scan],
-    second: Sequence[Scan],
+    first: Sequence[DepthScan],
+    second: Sequence[DepthScan],
     *,
-    perfect: Sequence[Scan] = (),
+    perfect: Sequence[DepthScan] = (),
     names: tuple[str, str],
     seed: int,
     on_stage: OnStage = lambda stage: None,
@@ -119,7 +119,7 @@ def sensor_auc(first: Squares, second: Squares, place: str, *, seed: int) -> flo
     return _auc(first.at(place), second.at(place), "sensor", seed).mean
 
 
-def depth_step_m(scans: Sequence[Scan]) -> float:
+def depth_step_m(scans: Sequence[DepthScan]) -> float:
     """The step in which a set's files hold depth [m]; 0 of floats.
 
     The least difference between the values of a map, where all differences are multiples of it.
@@ -145,7 +145,9 @@ def require_sklearn() -> None:
 # --- what is compared ----------------------------------------------------------------------------
 
 
-def _naive(real: Sequence[Scan], perfect: Sequence[Scan], seed: int) -> dict[str, tuple[Scan, ...]]:
+def _naive(
+    real: Sequence[DepthScan], perfect: Sequence[DepthScan], seed: int
+) -> dict[str, tuple[DepthScan, ...]]:
     """Perfect depth, and perfect depth with the first set's share of noise and drop-outs."""
     if len(perfect) < 2:
         return {}
@@ -165,17 +167,17 @@ def _sigma_m(depth_m: Float[np.ndarray, "h w"]) -> float:
     return robust_sigma(mixed[~np.isnan(mixed)])
 
 
-def _missing_inside(scan: Scan) -> float:
+def _missing_inside(scan: DepthScan) -> float:
     """The share of pixels missing among neighbours that are there: what drop-outs are."""
     valid = scan.valid
     ring = valid[1:-1, :-2] & valid[1:-1, 2:] & valid[:-2, 1:-1] & valid[2:, 1:-1]
     return float((ring & ~valid[1:-1, 1:-1]).sum() / max(int(ring.sum()), 1))
 
 
-def _noisy(scan: Scan, sigma_m: float, missing: float, rng: np.random.Generator) -> Scan:
+def _noisy(scan: DepthScan, sigma_m: float, missing: float, rng: np.random.Generator) -> DepthScan:
     depth_m = scan.depth_m + rng.normal(0.0, sigma_m, scan.depth_m.shape)
     depth_m[rng.random(depth_m.shape) < missing] = np.nan
-    return Scan(name=f"{scan.name} (noisy)", depth_m=depth_m, K=scan.K.copy())
+    return DepthScan(name=f"{scan.name} (noisy)", depth_m=depth_m, K=scan.K.copy())
 
 
 # --- learning ------------------------------------------------------------------------------------

@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 
 from ...plotting import save_png
 from .patches import GROUPS, SQUARE_PX, Squares
-from .scan import Scan
+from .scan import DepthScan
 from .two_sample import PLACES, Auc, TwoSample
 
 CLASSIFIER = "classifier.md"
@@ -48,7 +48,7 @@ def two_sample_table(test: TwoSample) -> str:
 
 
 def write_two_sample(
-    test: TwoSample, first: Sequence[Scan], second: Sequence[Scan], folder: Path
+    test: TwoSample, first: Sequence[DepthScan], second: Sequence[DepthScan], folder: Path
 ) -> None:
     """`classifier.md`, `classifier.json` and a picture of each place that has squares.
 
@@ -82,7 +82,7 @@ def _auc_json(auc: Auc) -> dict[str, float | list[int] | None]:
 
 
 def _draw(
-    test: TwoSample, place: str, first: Sequence[Scan], second: Sequence[Scan], path: Path
+    test: TwoSample, place: str, first: Sequence[DepthScan], second: Sequence[DepthScan], path: Path
 ) -> None:
     """Squares as relief over their own paraboloid, holes in red: the surest of each set, and the
     second set's that pass best."""
@@ -112,7 +112,7 @@ def _best(score: Float[np.ndarray, " n"]) -> list[int]:
     return [int(k) for k in order[:_SHOWN] if not np.isnan(score[k])]
 
 
-def _relief(squares: Squares, k: int, scans: Sequence[Scan]) -> Float[np.ndarray, "s s 3"]:
+def _relief(squares: Squares, k: int, scans: Sequence[DepthScan]) -> Float[np.ndarray, "s s 3"]:
     y, x = squares.corner_px[k]
     z_m = scans[int(squares.scan[k])].depth_m[y : y + SQUARE_PX, x : x + SQUARE_PX]
     t = np.linspace(-1, 1, SQUARE_PX)

@@ -8,7 +8,7 @@ from ...config import resolve_quality
 from ...errors import GraycastError
 from ...parts import Material
 from ...scene import bin_of
-from ..realism import Scan, TwoSample, two_sample_test
+from ..realism import DepthScan, TwoSample, two_sample_test
 from ..realism.patches import find_floor
 from ..realism.two_sample import require_sklearn
 from .parameters import BIN_REFLECTANCE, PARAMETERS, Parameter, candidate_codes
@@ -33,12 +33,12 @@ class Twin:
 
     found: Found
     scenes: int
-    shown: tuple[Scan, Scan, Scan]
+    shown: tuple[DepthScan, DepthScan, DepthScan]
     classified: dict[str, TwoSample]  # 'before' and 'after'
 
 
 def make_twin(
-    real: Sequence[Scan],
+    real: Sequence[DepthScan],
     cell: Cell,
     *,
     scenes: int,
@@ -100,7 +100,7 @@ def make_twin(
     )
 
 
-def check_scans(real: Sequence[Scan], cell: Cell) -> None:
+def check_scans(real: Sequence[DepthScan], cell: Cell) -> None:
     """Whether a twin can be made of these scans.
 
     Raises:

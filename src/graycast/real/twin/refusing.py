@@ -3,14 +3,14 @@
 from collections.abc import Sequence
 
 from ...errors import GraycastError
-from ..realism import Scan
+from ..realism import DepthScan
 from ..realism.steps import count_steps
 
 _LEAST_JUMPS = 20  # per map, to tell a shadow side
 _MOST_SHARE = 0.25  # of jumps on one side over those on the other, for that side to be in shadow
 
 
-def refuse_without_shadow(scans: Sequence[Scan]) -> None:
+def refuse_without_shadow(scans: Sequence[DepthScan]) -> None:
     """See that depth has a shadow side, as one camera and one projector make it.
 
     Where a near surface hides a far one from the projector the far one has no depth, so between

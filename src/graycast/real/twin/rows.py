@@ -11,7 +11,7 @@ from typing import Literal
 import numpy as np
 from jaxtyping import Float
 
-from ..realism import Scan
+from ..realism import DepthScan
 from ..realism.fine import measure_fine, median_over_mean
 from ..realism.missing import count_missing
 from ..realism.patches import robust_sigma, second_difference, third_difference
@@ -51,7 +51,7 @@ class Figures:
     value: Mapping[str, Float[np.ndarray, " scans"]]
 
 
-def figures_of(scans: Sequence[Scan], floor: Float[np.ndarray, "3"] | None) -> Figures:
+def figures_of(scans: Sequence[DepthScan], floor: Float[np.ndarray, "3"] | None) -> Figures:
     """All rows of each scan; `floor` is the plane of `find_floor`, None where none was found."""
     each = [_one(scan, floor) for scan in scans]
     return Figures(value={name: np.array([one[name] for one in each]) for name in ROWS})
@@ -115,7 +115,7 @@ ROWS: dict[str, tuple[str, Owner, float]] = {
 }
 
 
-def _one(scan: Scan, floor: Float[np.ndarray, "3"] | None) -> dict[str, float]:
+def _one(scan: DepthScan, floor: Float[np.ndarray, "3"] | None) -> dict[str, float]:
     valid = scan.valid
     ring = valid[1:-1, :-2] & valid[1:-1, 2:] & valid[:-2, 1:-1] & valid[2:, 1:-1]
     missing, steps, fine = count_missing(scan), count_steps(scan), measure_fine(scan)
@@ -139,7 +139,7 @@ def _one(scan: Scan, floor: Float[np.ndarray, "3"] | None) -> dict[str, float]:
     return dict(zip(ROWS, values, strict=True))
 
 
-def _floor(scan: Scan, floor: Float[np.ndarray, "3"] | None) -> list[float]:
+def _floor(scan: DepthScan, floor: Float[np.ndarray, "3"] | None) -> list[float]:
     """Fine noise [mm] and the share of holes [%] where the floor is bare."""
     if floor is None:
         return [float("nan")] * 2
@@ -156,7 +156,7 @@ def _floor(scan: Scan, floor: Float[np.ndarray, "3"] | None) -> list[float]:
     return [1e3 * robust_sigma(known), 100 * float(holes)]
 
 
-def _texture(scan: Scan) -> list[float]:
+def _texture(scan: DepthScan) -> list[float]:
     """How noise along rows and columns relates to the fine noise, and what neighbours share."""
     mixed = second_difference(scan.depth_m)
     known = mixed[~np.isnan(mixed)]

@@ -19,7 +19,7 @@ from jaxtyping import Float
 from ...errors import GraycastError
 from ...pattern import CodeSpec
 from ...scanner import Scanner
-from ..realism import Scan
+from ..realism import DepthScan
 from ..realism.patches import find_floor
 from .parameters import BIN_REFLECTANCE, Parameter, shares_of, values_at, with_values
 from .rows import Figures, Row, compare, figures_of, loss_of
@@ -117,7 +117,7 @@ def search(
 
 def scans_of(
     lit: Sequence[Lit], scanner: Scanner, values: dict[str, float], *, seed: int, name: str
-) -> list[Scan]:
+) -> list[DepthScan]:
     """The twin's scans of the scenes; a scene in which nothing is lit is left out."""
     factor = values.get(BIN_REFLECTANCE, 1.0)
     made = [

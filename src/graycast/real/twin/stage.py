@@ -16,7 +16,7 @@ from ...scanner import Scanner
 from ...scanner import scan as shoot
 from ...scene import Scene, bin_of
 from ...simulate import lay_out
-from ..realism import Scan
+from ..realism import DepthScan
 
 OnStage = Callable[[str], None]
 
@@ -27,7 +27,7 @@ class Lit:
 
     radiance: dict[CodeSpec, Radiance]
     is_bin: Bool[np.ndarray, "h w"]
-    truth: Scan  # perfect depth
+    truth: DepthScan  # perfect depth
 
 
 def light_scenes(
@@ -46,7 +46,7 @@ def light_scenes(
         DropError: the parts of a scene did not come to an acceptable rest.
     """
     rig = cell.scanner.rig
-    shown = [replace(cell.scanner, code=code).patterns() for code in codes]
+    shown = [replace(cell.scanner, code=code).light_code() for code in codes]
     stack = [one.render(lambda share: grey_levels(rig, share)) for one in shown]
     ends = np.cumsum([len(one) for one in stack])
     lit = []
@@ -65,7 +65,7 @@ def light_scenes(
                     for code, one, end in zip(codes, stack, ends, strict=True)
                 },
                 is_bin=_bin_pixels(scene, rendering.truth),
-                truth=Scan(
+                truth=DepthScan(
                     name=f"scene {scene_id}, perfect",
                     depth_m=rendering.truth.depth_m.astype(np.float64),
                     K=rig.camera.K,
@@ -75,7 +75,9 @@ def light_scenes(
     return tuple(lit)
 
 
-def scan_lit(lit: Lit, scanner: Scanner, *, bin_factor: float, seed: int, name: str) -> Scan | None:
+def scan_lit(
+    lit: Lit, scanner: Scanner, *, bin_factor: float, seed: int, name: str
+) -> DepthScan | None:
     """What the scanner makes of a scene whose bin reflects so many times what was rendered.
 
     The bin's own light is scaled, direct and indirect alike; what it sends to the parts is not.
@@ -95,7 +97,7 @@ def scan_lit(lit: Lit, scanner: Scanner, *, bin_factor: float, seed: int, name: 
     except ValueError:
         return None
     depth_m = shot.depth.depth_m.astype(np.float64)
-    return Scan(name=name, depth_m=depth_m, K=scanner.rig.camera.K)
+    return DepthScan(name=name, depth_m=depth_m, K=scanner.rig.camera.K)
 
 
 def _bin_pixels(scene: Scene, truth: GroundTruth) -> Bool[np.ndarray, "h w"]:

@@ -31,7 +31,7 @@ WHITE = -1  # in a frame's list of patterns
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Frame:
+class Render:
     """One render. `levels` are pattern numbers: one for all bands, or three, one for each."""
 
     name: str
@@ -46,23 +46,23 @@ def need_renders(pattern: UInt8[np.ndarray, "n ph pw"]) -> list[int]:
     return np.flatnonzero(~plain).tolist()
 
 
-def pattern_frames(numbers: Sequence[int], per_render: int) -> tuple[Frame, ...]:
+def pattern_frames(numbers: Sequence[int], per_render: int) -> tuple[Render, ...]:
     """The renders of these patterns, one or three in each; a last one is filled up with white."""
     frames = []
     for first in range(0, len(numbers), per_render):
         levels = tuple(numbers[first : first + per_render])
         filled = levels + (WHITE,) * (per_render - len(levels))
         name = f"pattern_{levels[0]:03d}"
-        frames.append(Frame(name=name, kind="projected", levels=filled))
+        frames.append(Render(name=name, kind="projected", levels=filled))
     return tuple(frames)
 
 
 LOOK = (
-    Frame(name="white", kind="projected", levels=(WHITE,)),
-    Frame(name="ambient", kind="ambient"),
+    Render(name="white", kind="projected", levels=(WHITE,)),
+    Render(name="ambient", kind="ambient"),
 )
-ALBEDO = (Frame(name="albedo", kind="albedo"),)
-TRUTH = tuple(Frame(name=name, kind=name) for name in ("position", "normal", "instance"))
+ALBEDO = (Render(name="albedo", kind="albedo"),)
+TRUTH = tuple(Render(name=name, kind=name) for name in ("position", "normal", "instance"))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -82,7 +82,7 @@ def write_job(
     scene: Scene,
     layout: Layout,
     pattern: UInt8[np.ndarray, "n ph pw"],
-    frames: tuple[Frame, ...],
+    frames: tuple[Render, ...],
     bands: tuple[float, float, float],
     *,
     quality: Quality,

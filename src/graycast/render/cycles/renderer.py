@@ -33,7 +33,7 @@ from ..radiance import (
     refuse_other_size,
 )
 from ..wavelength import at_one_wavelength, at_projector_wavelength
-from .job import ALBEDO, LOOK, TRUTH, Frame, is_simple, need_renders, pattern_frames, write_job
+from .job import ALBEDO, LOOK, TRUTH, Render, is_simple, need_renders, pattern_frames, write_job
 from .process import CyclesDied, CyclesProcess, CyclesState, examine_cycles
 
 DEVICES = ("auto", "cpu", "cuda", "optix")
@@ -111,7 +111,7 @@ class CyclesRenderer(Renderer):
         frames = pattern_frames(need_renders(pattern), self.patterns_per_render)
         seeds = np.random.SeedSequence(seed).generate_state(2).tolist()
 
-        def shoot(scene: Scene, frames: tuple[Frame, ...], bands: Bands, seed: int) -> Pictures:
+        def shoot(scene: Scene, frames: tuple[Render, ...], bands: Bands, seed: int) -> Pictures:
             return self._render(scene, layout, pattern, frames, bands, quality=quality, seed=seed)
 
         both = measured is look
@@ -162,7 +162,7 @@ class CyclesRenderer(Renderer):
         scene: Scene,
         layout: Layout,
         pattern: UInt8[np.ndarray, "n ph pw"],
-        frames: tuple[Frame, ...],
+        frames: tuple[Render, ...],
         bands: Bands,
         *,
         quality: Quality,
@@ -185,7 +185,7 @@ class CyclesRenderer(Renderer):
             self._run(folder, frames)
             return {frame.name: np.load(folder / f"{frame.name}.npy") for frame in frames}
 
-    def _run(self, folder: Path, frames: tuple[Frame, ...]) -> None:
+    def _run(self, folder: Path, frames: tuple[Render, ...]) -> None:
         """A job to its end, by as many processes as it takes: frames that are there are kept."""
         for _ in range(MAX_DEATHS):
             if self._process is None:
@@ -211,7 +211,7 @@ def _radiance(
     pictures: Pictures,
     colour: Pictures,
     pattern: UInt8[np.ndarray, "n ph pw"],
-    frames: tuple[Frame, ...],
+    frames: tuple[Render, ...],
 ) -> Radiance:
     camera = rig.camera
     share = relative_illumination(camera).astype(np.float32)[..., None]

@@ -32,7 +32,7 @@ class Kept:
 
     @property
     def frame_names(self) -> list[str]:
-        return [] if self.raw is None else [f.name for f in self.raw.scanner.patterns().frames]
+        return [] if self.raw is None else [f.name for f in self.raw.scanner.light_code().frames]
 
 
 def read_kept(scene: Path) -> Kept:

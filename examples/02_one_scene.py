@@ -29,9 +29,8 @@ def main(samples: int) -> None:
 
     scanner, truth = shot.sample.scanner, shot.sample.truth
     error_mm = 1000 * (scanner.depth_m - truth.depth_m)
-    print(
-        f"{shot.capture.frames.shape[0]} frames, longest exposure {1000 * np.max(shot.capture.exposure_s):.2f} ms"
-    )
+    longest_ms = 1000 * np.max(shot.capture.exposure_s)
+    print(f"{shot.capture.frames.shape[0]} frames, exposed for up to {longest_ms:.2f} ms")
     print(f"median error {np.nanmedian(np.abs(error_mm)):.2f} mm")
     for reason in Reason:
         print(f"{reason.name.lower():18} {np.mean(scanner.reason == reason):6.1%}")

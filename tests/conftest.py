@@ -91,6 +91,7 @@ BROWSER_FLAGS = [
     "--use-gl=angle",
     "--use-angle=swiftshader",
     "--enable-unsafe-swiftshader",
+    ,
 ]
 
 

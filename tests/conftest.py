@@ -91,7 +91,6 @@ BROWSER_FLAGS = [
     "--use-gl=angle",
     "--use-angle=swiftshader",
     "--enable-unsafe-swiftshader",
-    ,
 ]
 
 

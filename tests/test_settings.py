@@ -101,6 +101,8 @@ def test_what_a_file_said_goes_to_other_processes():
     """Workers get the configuration by pickle, which looks a class up where it says it is."""
     said = load_config(CONFIGS / "demo.yaml")
     assert pickle.loads(pickle.dumps(said)) == said
+    lens = Lens(width_px=4)
+    assert pickle.loads(pickle.dumps(lens)) == lens  # its focus is another infinity
     for section in (OpticsModel, RigModel, StackSection):
         assert pickle.loads(pickle.dumps(section)) is section
 

@@ -184,7 +184,7 @@ def test_errors_are_told_in_the_command_line_s_words(page, server):
     page.wait_for_selector("#error:not([hidden])")
     text = page.locator("#error").inner_text()
     assert text == (
-        f"{server.session._path}: exposure.target is 4: input should be less than or equal to 1"
+        f"{server.session._path}: exposure.target is 4: it should be less than or equal to 1"
     )
     page.locator("#text").fill("parts: [{builtin: nothing}]\n")
     page.click("#apply")

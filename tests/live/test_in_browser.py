@@ -43,12 +43,13 @@ def page(browser, server):
 
 
 def finished(page):
-    """Wait until what was asked for last is shown, as preview makes it."""
+    """Wait until what was asked for last is shown, as preview makes it; an error ends the wait."""
     page.wait_for_function(
         """() => { const d = document.getElementById("main").dataset;
-        return d.exact === "true" && d.shown === d.asked; }""",
+        return (d.exact === "true" && d.shown === d.asked) || d.failed === d.asked; }""",
         timeout=WAIT_MS,
     )
+    assert page.locator("#error").is_hidden(), page.locator("#error").inner_text()
 
 
 def asked(page, act):
@@ -78,7 +79,8 @@ def other_value(control, now):
     low, high, step = control["low"], control["high"], control.get("step")
     if step is None:
         return float(f"{now * 1.3 if now * 1.3 < high else now / 1.3:.4g}")
-    away = max(step, (high - low) / 20 if control["cost"] == "light" else (high - low) / 4)
+    share = {"free": 1 / 4, "light": 1 / 20, "physics": 0.0}[control["cost"]]
+    away = max(step, share * (high - low))
     value = now + away if now + away <= high else now - away
     return round(value / step) * step
 

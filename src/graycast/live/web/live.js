@@ -52,6 +52,7 @@
     sending = true;
     while (waiting.length) {
       const { since, ...command } = waiting.shift();
+      if (command.do !== "look") tell(""); // before the answer: what makes pictures may fail faster
       try {
         const reply = await fetch("do", {
           method: "POST",
@@ -60,9 +61,10 @@
         });
         const answer = await reply.json();
         if (answer.number) live.latencies.push({ number: answer.number, since, ms: null, change: null });
-        if (answer.error) tell(answer.error);
-        else if (command.do !== "look") tell("");
-        if (answer.error) refresh(); // the control goes back to what is set
+        if (answer.error) {
+          tell(answer.error);
+          refresh(); // the control goes back to what is set
+        }
         if (answer.saved) at("doing").textContent = `saved: ${answer.saved}`;
       } catch {
         tell("graycast live has ended: start it again and reload this page");

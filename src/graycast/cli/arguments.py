@@ -5,12 +5,16 @@ import math
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 from jaxtyping import Float
 
 from ..errors import GraycastError
 from ..rig import PRESETS, RESOLUTIONS
+
+if TYPE_CHECKING:
+    from ..generate import Workers
 
 Run = Callable[[argparse.Namespace], int | None]
 
@@ -205,6 +209,53 @@ def distortion_of(options: argparse.Namespace) -> tuple[float, float, float, flo
     except ValueError as error:
         raise GraycastError(f"distortion is {text!r}: give five numbers k1,k2,p1,p2,k3") from error
     return k1, k2, p1, p2, k3
+
+
+def add_workers(parser: argparse.ArgumentParser, done: str) -> None:
+    """Options of who does the work; `done` says what one of them does at a time.
+
+    `workers_of` reads them.
+    """
+    parser.add_argument(
+        "--workers",
+        type=positive,
+        help=f"How many {done} at a time (default: 1; with ray as many as the cluster has room "
+        "for).",
+    )
+    parser.add_argument(
+        "--threads",
+        type=positive,
+        help="How many processor threads each worker uses (default: all of this machine, shared "
+        "out; with ray 1).",
+    )
+    parser.add_argument(
+        "--engine",
+        choices=("local", "ray"),
+        default="local",
+        help="Workers are processes of this machine (local) or of a Ray cluster, which needs "
+        "pip install 'graycast[ray]' (default: local).",
+    )
+    parser.add_argument(
+        "--address", help="The Ray cluster's address, host:port (default: Ray on this machine)."
+    )
+
+
+def workers_of(options: argparse.Namespace) -> "Workers":
+    """Who does the work.
+
+    Raises:
+        GraycastError: an address is given, and no cluster is asked for.
+    """
+    from ..generate import Workers
+
+    if options.address is not None and options.engine != "ray":
+        raise GraycastError("--address is of a Ray cluster: add --engine ray, or leave it out")
+    return Workers(
+        engine=options.engine,
+        count=options.workers or (1 if options.engine == "local" else 0),
+        threads=options.threads,
+        address=options.address,
+    )
 
 
 @contextmanager

@@ -5,8 +5,7 @@ from pathlib import Path
 
 from rich.markup import escape
 
-from ..errors import GraycastError
-from .arguments import add_command, add_device, positive, progress_bar
+from .arguments import add_command, add_device, add_workers, progress_bar, workers_of
 
 # Heavy modules are imported by the command that needs them, so that --help answers at once.
 
@@ -28,31 +27,13 @@ def add_commands(commands) -> None:
     design.add_argument("--out", type=Path, required=True, help="The folder of the study.")
     design.add_argument("--list", action="store_true", help="Only list the settings; scan nothing.")
     add_device(design)
-    design.add_argument(
-        "--workers", type=positive, help="How many scans are made at a time (default: 1)."
-    )
-    design.add_argument(
-        "--threads",
-        type=positive,
-        help="How many processor threads each worker uses (default: all, shared out).",
-    )
-    design.add_argument(
-        "--engine",
-        choices=("local", "ray"),
-        default="local",
-        help="Workers are processes of this machine (local) or of a Ray cluster (default: local).",
-    )
-    design.add_argument(
-        "--address", help="The Ray cluster's address, host:port (default: Ray on this machine)."
-    )
+    add_workers(design, "scans are made")
 
 
 def _design(options: argparse.Namespace) -> int:
     from ..design import read_design, run_design, settings_of, write_design
-    from ..generate import Workers
 
-    if options.address is not None and options.engine != "ray":
-        raise GraycastError("--address is of a Ray cluster: add --engine ray, or leave it out")
+    workers = workers_of(options)
     spec = read_design(options.study)
     settings = settings_of(spec)
     if options.list:
@@ -78,12 +59,7 @@ def _design(options: argparse.Namespace) -> int:
             spec,
             options.out,
             device=options.device,
-            workers=Workers(
-                engine=options.engine,
-                count=options.workers or (1 if options.engine == "local" else 0),
-                threads=options.threads,
-                address=options.address,
-            ),
+            workers=workers,
             on_start=lambda found, total: bar.update(scans, completed=found, total=total),
             on_made=made,
             on_failed=failed,

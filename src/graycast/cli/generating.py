@@ -12,11 +12,13 @@ from .arguments import (
     add_config,
     add_device,
     add_seed,
+    add_workers,
     load_cell,
     positive,
     progress_bar,
     resolve_cell_option,
     seed,
+    workers_of,
 )
 
 # Heavy modules are imported by the command that needs them, so that --help answers at once.
@@ -42,28 +44,7 @@ def add_commands(commands) -> None:
     add_seed(generate)
     add_backend(generate)
     add_device(generate)
-    generate.add_argument(
-        "--workers",
-        type=positive,
-        help="How many scenes are made at a time (default: 1; with ray as many as the cluster has "
-        "room for).",
-    )
-    generate.add_argument(
-        "--threads",
-        type=positive,
-        help="How many processor threads each worker uses (default: all of this machine, shared "
-        "out; with ray 1).",
-    )
-    generate.add_argument(
-        "--engine",
-        choices=("local", "ray"),
-        default="local",
-        help="Workers are processes of this machine (local) or of a Ray cluster, which needs "
-        "pip install 'graycast[ray]' (default: local).",
-    )
-    generate.add_argument(
-        "--address", help="The Ray cluster's address, host:port (default: Ray on this machine)."
-    )
+    add_workers(generate, "scenes are made")
 
     rerender = add_command(
         commands,
@@ -84,20 +65,13 @@ def add_commands(commands) -> None:
 
 def _generate(options: argparse.Namespace) -> int:
     from ..card import CARD, write_card
-    from ..generate import Workers, generate
+    from ..generate import generate
 
-    if options.address is not None and options.engine != "ray":
-        raise DatasetError("--address is of a Ray cluster: add --engine ray, or leave it out")
+    workers = workers_of(options)
     cell = load_cell(options)
     config = cell.config
     scenes = options.scenes or config.scenes
     chosen_seed = config.seed if options.seed is None else options.seed
-    workers = Workers(
-        engine=options.engine,
-        count=options.workers or (1 if options.engine == "local" else 0),
-        threads=options.threads,
-        address=options.address,
-    )
     backend = config.render.backend
     print(
         f"{scenes} scenes of {', '.join(part.name for part in cell.scene.parts)} by "

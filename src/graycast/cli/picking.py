@@ -9,9 +9,11 @@ from .arguments import (
     add_command,
     add_device,
     add_seed,
+    add_workers,
     positive,
     progress_bar,
     stage_line,
+    workers_of,
 )
 
 # Heavy modules are imported by the command that needs them, so that --help answers at once.
@@ -60,23 +62,7 @@ def add_commands(commands) -> None:
         help="What the robot acts on, likewise: scanner, perfect, or a standard deviation of "
         "Gaussian noise on perfect depth in metres, such as 0.0002.",
     )
-    pick.add_argument(
-        "--workers", type=positive, help="How many bins are emptied at a time (default: 1)."
-    )
-    pick.add_argument(
-        "--threads",
-        type=positive,
-        help="How many processor threads each worker uses (default: all, shared out).",
-    )
-    pick.add_argument(
-        "--engine",
-        choices=("local", "ray"),
-        default="local",
-        help="Workers are processes of this machine (local) or of a Ray cluster (default: local).",
-    )
-    pick.add_argument(
-        "--address", help="The Ray cluster's address, host:port (default: Ray on this machine)."
-    )
+    add_workers(pick, "bins are emptied")
     picks = add_command(commands, "picks", _picks, "Tell what became of picks, and compare runs.")
     picks.description = PICKS
     picks.add_argument("folders", type=Path, nargs="+", help="Folders of picks.")
@@ -120,11 +106,9 @@ def need_robot() -> None:
 
 def _pick(options: argparse.Namespace) -> int:
     need_robot()
-    from ..generate import Workers
     from ..pick import load_pick_config, pick_bins, read_episodes, resolve_pick_cell, summarize
 
-    if options.address is not None and options.engine != "ray":
-        raise GraycastError("--address is of a Ray cluster: add --engine ray, or leave it out")
+    workers = workers_of(options)
     config = _with_options(load_pick_config(options.config), options)
     try:
         with stage_line() as on_stage:
@@ -156,12 +140,7 @@ def _pick(options: argparse.Namespace) -> int:
             bins=options.bins,
             seed=seed,
             device=options.device,
-            workers=Workers(
-                engine=options.engine,
-                count=options.workers or (1 if options.engine == "local" else 0),
-                threads=options.threads,
-                address=options.address,
-            ),
+            workers=workers,
             on_start=lambda found: bar.update(bins, completed=found),
             on_made=made,
             on_failed=failed,

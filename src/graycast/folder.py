@@ -9,7 +9,7 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import IO
 
-from .errors import GraycastError
+from .errors import DatasetError, GraycastError
 
 ASIDE = ".tmp-"
 
@@ -104,6 +104,26 @@ def take_lock(file: Path) -> IO[str] | None:
             return None
         raise
     return lock
+
+
+@contextmanager
+def claimed_folder(out: Path, inside: str, lock_name: str) -> Iterator[None]:
+    """Make a folder with one inside it, and be the only one who writes there.
+
+    Raises:
+        DatasetError: another run writes there, or the disk refuses.
+    """
+    try:
+        (out / inside).mkdir(parents=True, exist_ok=True)
+        lock = take_lock(out / lock_name)
+    except OSError as error:
+        raise DatasetError(
+            f"{out}: cannot be written ({error.strerror}): choose a writable folder"
+        ) from error
+    if lock is None:
+        raise DatasetError(f"another run is writing to {out}: wait for it, or choose another")
+    with lock:
+        yield
 
 
 def refuse_foreign(out: Path, mark: str) -> None:

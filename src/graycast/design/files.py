@@ -19,7 +19,7 @@ from typing import Any, final
 from ..dataset.claim import difference
 from ..dataset.json_text import json_bytes, plain
 from ..errors import DatasetError, GraycastError
-from ..folder import refuse_foreign, take_lock, write_whole
+from ..folder import claimed_folder, refuse_foreign, write_whole
 from .setting import Placed
 from .study import DesignSpec
 
@@ -99,16 +99,7 @@ def open_design(out: Path) -> Iterator[DesignFolder]:
         GraycastError: it is a file, holds something else, is in use, or cannot be written.
     """
     refuse_foreign(out, SETTINGS)
-    try:
-        (out / SETTINGS).mkdir(parents=True, exist_ok=True)
-        lock = take_lock(out / _LOCK)
-    except OSError as error:
-        raise DatasetError(
-            f"{out}: cannot be written ({error.strerror}): choose a writable folder"
-        ) from error
-    if lock is None:
-        raise DatasetError(f"another run is writing to {out}: wait for it, or choose another")
-    with lock:
+    with claimed_folder(out, SETTINGS, _LOCK):
         yield DesignFolder(out=out)
 
 

@@ -6,13 +6,12 @@ from contextlib import closing
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-import numba
 import numpy as np
 
 from ..cell import open_cell_renderer
 from ..config import resolve_quality
 from ..drop import OnStage, prepare
-from ..engine import Failed, Job, Made, make_all, open_pool
+from ..engine import Failed, Job, Made, keep_to_threads, make_all, open_pool
 from ..errors import ConfigError, DeviceError
 from ..generate import Workers
 from ..picture import gray_picture
@@ -137,8 +136,7 @@ class Comparer:
 
     def _opened(self, placed: Placed) -> Renderer:
         if self._renderer is None:
-            if self._threads is not None:
-                numba.set_num_threads(min(self._threads, numba.config.NUMBA_NUM_THREADS))
+            keep_to_threads(self._threads)
             self._renderer = open_cell_renderer(
                 placed.cell,
                 device=self._task.device,

@@ -2,7 +2,7 @@
 
 from ..render import OnFrame
 from ..simulate import OnStage
-from .job import Job, Made, Maker
+from .job import Job, Made, Maker, keep_to_threads
 from .maker import SceneMaker, SceneTask
 from .pool import TRIES, Failed, Pool, make_all
 
@@ -15,6 +15,7 @@ __all__ = [
     "Pool",
     "SceneMaker",
     "SceneTask",
+    "keep_to_threads",
     "make_all",
     "open_pool",
 ]

@@ -4,6 +4,8 @@ from abc import ABC, abstractmethod
 from dataclasses import dataclass, replace
 from typing import Protocol, TypeVar, runtime_checkable
 
+import numba
+
 from .. import __version__
 from ..render import OnFrame
 from ..simulate import OnStage
@@ -24,6 +26,12 @@ class Made:
     seconds: float
     reasons: dict[str, float]
     rss_bytes: int
+
+
+def keep_to_threads(threads: int | None) -> None:
+    """Let Numba take so many threads, and no more than it was started with; None leaves it."""
+    if threads is not None:
+        numba.set_num_threads(min(threads, numba.config.NUMBA_NUM_THREADS))
 
 
 @runtime_checkable

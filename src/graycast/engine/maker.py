@@ -5,8 +5,6 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from types import TracebackType
 
-import numba
-
 from ..cell import Cell, open_cell_renderer
 from ..dataset import scene_files
 from ..dataset.sample import LEAST_DECODED
@@ -14,7 +12,7 @@ from ..errors import DecodeError, DeviceError, GraycastError, WorkerDied
 from ..render import OnFrame, Renderer
 from ..simulate import OnStage, make_scene
 from ..usage import rss_bytes
-from .job import Job, Made
+from .job import Job, Made, keep_to_threads
 
 GPU_DEVICES = ("cuda", "optix")
 
@@ -87,8 +85,7 @@ class SceneMaker:
         )
 
     def _open(self) -> Renderer:
-        if self._threads is not None:
-            numba.set_num_threads(min(self._threads, numba.config.NUMBA_NUM_THREADS))
+        keep_to_threads(self._threads)
         return open_cell_renderer(
             self.task.cell,
             device=self.task.device,

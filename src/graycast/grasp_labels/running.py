@@ -6,10 +6,8 @@ from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
 
-import numba
-
 from ..dataset.stored import StoredDataset, open_dataset
-from ..engine import Failed, Job, Made, make_all, open_pool
+from ..engine import Failed, Job, Made, keep_to_threads, make_all, open_pool
 from ..errors import ConfigError
 from ..render import OnFrame
 from ..simulate import OnStage
@@ -55,8 +53,7 @@ class SceneLabeller:
         start = time.perf_counter()
         task = self._task
         if self._world is None:
-            if self._threads is not None:
-                numba.set_num_threads(min(self._threads, numba.config.NUMBA_NUM_THREADS))
+            keep_to_threads(self._threads)
             self._world = make_world(task.stock, task.labelling, on_stage=self._on_stage)
         scene = task.dataset.scenes[scene_id]
         self._on_stage(f"labels of scene {scene.key}")

@@ -23,7 +23,7 @@ from jaxtyping import Float
 from ..dataset.claim import BESIDE_CONFIG, make_claim, refuse_other
 from ..dataset.json_text import json_bytes
 from ..errors import DatasetError, GraycastError
-from ..folder import new_folder, take_lock, write_whole
+from ..folder import claimed_folder, new_folder, write_whole
 from ..generate import described_scanner
 from .cell import PickCell
 from .episode import Episode
@@ -117,16 +117,7 @@ def open_picks(out: Path, cell: PickCell, *, seed: int) -> Iterator[PickFolder]:
             raise DatasetError(
                 f"{out} is not empty and holds no picks (it has {min(held)}): choose another folder"
             )
-    try:
-        (out / BINS).mkdir(parents=True, exist_ok=True)
-        lock = take_lock(out / _LOCK)
-    except OSError as error:
-        raise DatasetError(
-            f"{out}: cannot be written ({error.strerror}): choose a writable folder"
-        ) from error
-    if lock is None:
-        raise DatasetError(f"another run is writing to {out}: wait for it, or choose another")
-    with lock:
+    with claimed_folder(out, BINS, _LOCK):
         if (out / CLAIM).exists():
             refuse_other(out / CLAIM, claim)
         else:

@@ -6,11 +6,9 @@ from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
 
-import numba
-
 from ..cell import open_cell_renderer
 from ..drop import OnStage, prepare
-from ..engine import Failed, Job, Made, make_all, open_pool
+from ..engine import Failed, Job, Made, keep_to_threads, make_all, open_pool
 from ..errors import ConfigError, DeviceError
 from ..generate import Workers
 from ..render import OnFrame, Renderer, choose_device
@@ -64,8 +62,7 @@ class BinEmptier:
         """
         start = time.perf_counter()
         if self._renderer is None:
-            if self._threads is not None:
-                numba.set_num_threads(min(self._threads, numba.config.NUMBA_NUM_THREADS))
+            keep_to_threads(self._threads)
             self._renderer = open_cell_renderer(
                 self._task.cell.cell,
                 device=self._task.device,

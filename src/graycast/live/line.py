@@ -303,14 +303,19 @@ def _scaled(kept: Lit, ask: Ask) -> Rendering:
         return kept.rendering
     light = kept.rendering.radiance
     radiance = Radiance(
-        pattern=light.pattern * np.float32(power),
-        white=light.white * np.float32(power),
-        ambient=light.ambient * np.float32(ambient),
-        white_rgb=light.white_rgb * np.float32(power),
-        ambient_rgb=light.ambient_rgb * np.float32(ambient),
+        pattern=_times(light.pattern, power),
+        white=_times(light.white, power),
+        ambient=_times(light.ambient, ambient),
+        white_rgb=_times(light.white_rgb, power),
+        ambient_rgb=_times(light.ambient_rgb, ambient),
         albedo=light.albedo,
     )
     return replace(kept.rendering, radiance=radiance)
+
+
+def _times(light: Float[np.ndarray, "..."], factor: float) -> Float[np.ndarray, "..."]:
+    """A turn of one light copies no other: the patterns' stack alone is 15 ms of a wait."""
+    return light if factor == 1 else light * np.float32(factor)
 
 
 def _physics_key(scene: Scene, counts: tuple[int, ...], seed: int, limits: DropLimits) -> Hashable:

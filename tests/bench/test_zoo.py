@@ -161,6 +161,7 @@ def test_a_row_is_what_its_drops_say():
     }  # fmt: skip
 
 
+@pytest.mark.slow
 def test_a_study_of_other_settings_does_not_go_on_in_a_file(tmp_path):
     file = tmp_path / "zoo.json"
     stop_at("drop 2 of 2", file)

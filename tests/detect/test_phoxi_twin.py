@@ -19,6 +19,7 @@ def said(tests: Path, out: Path) -> subprocess.CompletedProcess:
     return subprocess.run(command, cwd=tests, capture_output=True, text=True)
 
 
+@pytest.mark.slow
 def test_without_the_scans_it_stops_in_one_line(tmp_path):
     """As a stranger has it: the repository with nothing beside it."""
     folder = tmp_path / "stranger" / "repository" / "tests" / "detect"

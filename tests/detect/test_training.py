@@ -56,6 +56,7 @@ def same(a: dict, b: dict) -> bool:
     return a.keys() == b.keys() and all(torch.equal(a[key], b[key]) for key in a)
 
 
+@pytest.mark.slow
 def test_one_seed_gives_one_detector_and_another_gives_another(dataset, tmp_path):
     for name, seed in (("a", 0), ("b", 0), ("c", 1)):
         train([dataset], tmp_path / name, replace(SMALL, seed=seed))

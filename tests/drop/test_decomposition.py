@@ -44,6 +44,7 @@ def test_a_box_is_one_hull_of_its_own_volume_and_takes_no_child(tmp_path, monkey
     assert volume == pytest.approx(0.04 * 0.05 * 0.06, rel=1e-12)
 
 
+@pytest.mark.slow
 def test_hulls_of_a_ring_leave_its_hole_open_and_fill_its_body(ring_part, ring_hulls):
     """Oracle: the ring's closed form. Samples on all hulls, and points well inside the ring."""
     hull_m = np.vstack(
@@ -201,6 +202,7 @@ def test_the_cache_lies_where_xdg_says(tmp_path, monkeypatch):
     assert cache_folder() == tmp_path / ".cache" / "graycast" / "hulls"
 
 
+@pytest.mark.slow
 def test_stages_are_told_and_a_killed_child_is_an_error_with_a_remedy(tmp_path, monkeypatch):
     mesh = zoo_part("nut").mesh
     told = []

@@ -52,6 +52,7 @@ np.save(folder / "there.npy", layout.T_world_part)
     assert np.load(tmp_path / "there.npy").tobytes() == here.T_world_part.tobytes()
 
 
+@pytest.mark.slow
 def test_true_surfaces_in_a_heap_do_not_press_into_each_other(scene_of, angle_part, hull_folder):
     """Oracle: the angle is two boxes, so depth below its surface has a closed form.
 

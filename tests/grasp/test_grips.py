@@ -171,6 +171,7 @@ def test_grips_in_depth_stand_on_the_plane_within_the_mask():
     )  # leans by more than 45 degrees
 
 
+@pytest.mark.slow
 def test_no_grip_stands_on_unknown_ground():
     """A grid of holes nearer to each other than the cup is wide leaves no place at all."""
     depth_m = seen_plate()

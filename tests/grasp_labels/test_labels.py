@@ -135,6 +135,7 @@ def test_what_is_in_the_tool_s_way_is_named(suction, T, reach):
     assert label.reach == reach
 
 
+@pytest.mark.slow
 def test_jaws_hold_a_plate_that_stands_on_its_edge():
     world = world_of(JAWS)
     lean = axis_rotation("x", np.pi / 2)  # on its long edge

@@ -124,7 +124,7 @@ def test_help_explains_every_option(capsys, monkeypatch, name):
     _usage, *rest = capsys.readouterr().out.split("\n\n")
     lines = "\n".join(rest).splitlines()
     for option in OPTIONS[name].split():
-        starts = [i for i, line in enumerate(lines) if line.split()[:1] == [option]]
+        starts = [i for i, line in enumerate(lines) if re.match(rf"  {option}\b", line)]
         if not starts and not option.startswith("-"):  # shown by its choices
             starts = [i for i, line in enumerate(lines) if line.startswith("  {")]
         assert starts, f"{option} is not in the help"
@@ -442,7 +442,7 @@ def test_ctrl_c_ends_with_code_130(capsys, monkeypatch):
 
     monkeypatch.setattr(machine, "_doctor", stop)
     assert main(["doctor"]) == 130
-    assert capsys.readouterr().err == "graycast: stopped; nothing was written\n"
+    assert capsys.readouterr().err == "graycast: the command was stopped; nothing was written\n"
 
 
 def test_an_error_of_several_lines_is_shown_as_one(capsys, monkeypatch):

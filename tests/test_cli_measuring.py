@@ -169,7 +169,7 @@ def test_realism_measures_what_decode_made_and_compares(decoded, capsys, tmp_pat
     ("arguments", "said"),
     [
         (["realism"], "give depth maps to measure, or --compare"),
-        (["realism", "x.npy"], "say with --out"),
+        (["realism", "x.npy"], "--out is missing"),
         (["realism", "gone.npy", "--intrinsics", "1,1,0,0", "--out", "o"], "gone.npy"),
         (["decode", "gone.yaml", "--out", "o"], "gone.yaml"),
         (["rig", "calibrate", "gone.yaml", "--board", "chess:1", "--out", "r"], "chessboard:"),
@@ -214,7 +214,7 @@ def test_what_is_no_depth_map_is_refused_and_leaves_no_folder(capsys, tmp_path, 
 def test_a_scale_that_is_no_length_is_refused(capsys, scale):
     with pytest.raises(SystemExit):
         main(["realism", "z.png", "--scale", scale, "--intrinsics", K_TEXT, "--out", "o"])
-    assert "is not a number above 0" in capsys.readouterr().err
+    assert "is not a number greater than 0" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("content", ["{}", "[1]", '{"fx": NaN, "fy": 1, "cx": 0, "cy": 0}'])
@@ -243,7 +243,7 @@ def test_a_damaged_ply_header_is_told_in_one_line(capsys, tmp_path, lines):
 def test_comparing_does_not_write_over_a_measured_set(capsys, tmp_path):
     (tmp_path / "realism.json").write_text("{}")
     text = refused(capsys, "realism", "--compare", "a", "b", "--out", tmp_path)
-    assert "is itself a measured set" in text
+    assert "is itself one of the measured sets" in text
 
 
 def test_an_empty_folder_of_pictures_is_not_taken_for_none(capsys, tmp_path):
@@ -286,7 +286,7 @@ def test_a_stopped_command_does_not_speak_of_scenes(capsys, monkeypatch):
     monkeypatch.setattr("graycast.stack.decode_stack", stop)
     monkeypatch.setattr(measuring, "resolve_rig_option", stop)
     assert main(["decode", "s.yaml", "--rig", "paper", "--out", "o"]) == 130
-    assert capsys.readouterr().err == "graycast: stopped; nothing was written\n"
+    assert capsys.readouterr().err == "graycast: the command was stopped; nothing was written\n"
 
 
 def test_patterns_of_the_rigs_own_codec_keep_its_period(capsys, tmp_path):
@@ -306,7 +306,7 @@ def test_patterns_of_two_codes_are_not_mixed_in_one_folder(capsys, tmp_path):
 def test_a_resolution_is_not_ignored_beside_a_rig_file(capsys, tmp_path):
     save_scanner(Scanner(rig=simulated.small_rig()), tmp_path / "rig.yaml")
     text = refused(capsys, "rig", "show", tmp_path / "rig.yaml", "--resolution", "full")
-    assert "--resolution is of a preset" in text
+    assert "--resolution applies only to a preset" in text
 
 
 @pytest.mark.parametrize(

@@ -359,11 +359,11 @@ def test_what_cannot_be_looked_at_is_said_in_one_line(dataset, run, tmp_path, ca
     assert "has no pictures: put them into the folders" in told(given=tmp_path / "empty")
     assert "is no dataset, so it has no set test" in told("--split", "test", given=tmp_path)
     assert "has no set 'test'" in told("--split", "test")
-    assert "looks at no pictures: leave them out" in told("--export", "onnx")
+    assert "needs no pictures: remove the argument pictures" in told("--export", "onnx")
     (tmp_path / "mine").mkdir()
     (tmp_path / "mine" / "letter.txt").write_text("mine")
     assert "is not empty and holds no earlier result" in told(out=tmp_path / "mine")
-    assert "there is nothing to look at" in refusal(
+    assert "no pictures are given" in refusal(
         capsys, "detect", run, "--out", tmp_path / "found"
     )
     if not torch.cuda.is_available():

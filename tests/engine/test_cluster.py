@@ -23,7 +23,7 @@ PORT = 46379
 def test_an_address_without_ray_is_refused(config_file, tmp_path, capsys):
     out = str(tmp_path / "out")
     assert main(["generate", str(config_file), "--out", out, "--address", "127.0.0.1:1"]) == 1
-    assert "--address is of a Ray cluster: add --engine ray" in capsys.readouterr().err
+    assert "--address applies only to a Ray cluster: add --engine ray" in capsys.readouterr().err
 
 
 def test_ray_that_is_not_installed_is_told_with_its_remedy(

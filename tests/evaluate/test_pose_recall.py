@@ -155,4 +155,4 @@ def test_options_of_detections_are_refused(master, tmp_path, capsys):
     results.write_text(pose_results_text(whole(master)))
     told = ["evaluate", str(results), "--on", str(master), "--out", str(tmp_path / "out")]
     assert main([*told, "--one-class"]) == 1
-    assert "--one-class is of detections" in capsys.readouterr().err
+    assert "--one-class applies only to detections" in capsys.readouterr().err

@@ -1,4 +1,4 @@
-"""What the commands' arguments have in common."""
+"""Arguments that several commands share."""
 
 import argparse
 import math
@@ -20,10 +20,12 @@ Run = Callable[[argparse.Namespace], int | None]
 
 
 def add_command(into, name: str, run: Run, help: str) -> argparse.ArgumentParser:
-    """A parser for one command among others."""
+    """Add a command and return its parser."""
     made = into.add_parser(name, help=help, description=help)
     made.add_argument(
-        "--debug", action="store_true", help="Show where in the program an error arose."
+        "--debug",
+        action="store_true",
+        help="Print the Python traceback of an error, not only its message.",
     )
     made.set_defaults(run=run, when_stopped="nothing was written")
     return made
@@ -31,7 +33,9 @@ def add_command(into, name: str, run: Run, help: str) -> argparse.ArgumentParser
 
 def add_config(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
-        "config", type=Path, help="The configuration, a YAML file; configs/ has examples."
+        "config",
+        type=Path,
+        help="The YAML file of the configuration. The folder configs/ has examples.",
     )
 
 
@@ -41,7 +45,8 @@ def add_seed(parser: argparse.ArgumentParser, default: int | None = None) -> Non
         "--seed",
         type=seed,
         default=default,
-        help=f"Another seed draws everything random anew (default: {told}).",
+        help="The seed of all random numbers. The same seed gives the same result (default: "
+        f"{told}).",
     )
 
 
@@ -50,8 +55,8 @@ def add_device(parser: argparse.ArgumentParser) -> None:
         "--device",
         choices=("auto", "cpu", "cuda", "optix"),
         default="auto",
-        help="Where to render; auto takes the GPU where it works, else the CPU, and only Cycles "
-        "knows optix (default: auto).",
+        help="The device that renders. auto uses the GPU if it works and the CPU otherwise; "
+        "optix is for Cycles only (default: auto).",
     )
 
 
@@ -61,13 +66,15 @@ def add_backend(parser: argparse.ArgumentParser, default: str | None = None) -> 
         "--backend",
         choices=("mitsuba", "cycles"),
         default=default,
-        help="The renderer; mitsuba renders all patterns in one pass, cycles each by itself "
-        f"(default: {told}).",
+        help="The renderer. mitsuba renders all patterns in one pass; cycles renders them "
+        f"one after the other (default: {told}).",
     )
 
 
 def add_rig(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("rig", help=f"The rig: a rig file, or one of {', '.join(PRESETS)}.")
+    parser.add_argument(
+        "rig", help=f"The rig: a path to a rig file, or the name of a preset: {', '.join(PRESETS)}."
+    )
     add_resolution(parser)
 
 
@@ -75,30 +82,32 @@ def add_resolution(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--resolution",
         choices=RESOLUTIONS,
-        help="The size of a preset's pictures; a rig file has its own (default: low).",
+        help="The resolution of a preset's pictures. A rig file states its own resolution, "
+        "so this option is refused with one (default: low).",
     )
 
 
 def resolve_rig_option(options: argparse.Namespace):
-    """The scanner that `rig` and `--resolution` mean."""
+    """Return the scanner that the arguments `rig` and `--resolution` name."""
     from ..rig_file import named_scanner
 
     if options.resolution is not None and options.rig not in PRESETS:
         raise GraycastError(
-            f"--resolution is of a preset; {options.rig} has its own sizes: leave it out"
+            f"--resolution applies only to a preset, and the rig file {options.rig} states its "
+            "own resolution: remove --resolution"
         )
     return named_scanner(options.rig, folder=Path(), resolution=options.resolution or "low")
 
 
 def load_cell(options: argparse.Namespace):
-    """The cell of `config`, with the back end that was asked for; notes on its meshes are told."""
+    """Load the cell of `config` with the renderer of `--backend`; print its notes."""
     from ..config import load_config
 
     return resolve_cell_option(load_config(options.config), options)
 
 
 def resolve_cell_option(config, options: argparse.Namespace):
-    """The cell of a configuration whose relative paths start where the file `options.config` is."""
+    """Build a cell; relative paths start in the folder of `options.config`."""
     from ..cell import resolve_cell
 
     if getattr(options, "backend", None) is not None:
@@ -116,7 +125,7 @@ def resolve_cell_option(config, options: argparse.Namespace):
 
 def positive(text: str) -> int:
     if not text.isdecimal() or int(text) < 1:
-        raise argparse.ArgumentTypeError(f"{text!r} is not a whole number from 1 up")
+        raise argparse.ArgumentTypeError(f"{text!r} is not a whole number of at least 1")
     return int(text)
 
 
@@ -130,13 +139,13 @@ def above_zero(text: str) -> float:
     except ValueError:
         value = math.nan
     if not 0 < value < math.inf:
-        raise argparse.ArgumentTypeError(f"{text!r} is not a number above 0")
+        raise argparse.ArgumentTypeError(f"{text!r} is not a number greater than 0")
     return value
 
 
 def seed(text: str) -> int:
     if not text.isdecimal():
-        raise argparse.ArgumentTypeError(f"{text!r} is not a whole number from 0 up")
+        raise argparse.ArgumentTypeError(f"{text!r} is not a whole number of at least 0")
     return int(text)
 
 
@@ -146,7 +155,7 @@ def share(text: str) -> float:
     except ValueError:
         value = -1.0
     if not 0 <= value <= 1:
-        raise argparse.ArgumentTypeError(f"{text!r} is not a share from 0 to 1")
+        raise argparse.ArgumentTypeError(f"{text!r} is not a number from 0 to 1")
     return value
 
 
@@ -160,96 +169,106 @@ def size(text: str) -> tuple[int, int]:
 def add_scanner_files(
     parser: argparse.ArgumentParser, *, intrinsics: str = "", distortion: str | None = None
 ) -> None:
-    """What depth files of a scanner do not say themselves.
+    """Add the options for what a scanner's depth files do not state themselves.
 
     Args:
-        intrinsics: what the help says of its default.
-        distortion: the same; None where the command does not ask for it.
+        intrinsics: the words that the help of `--intrinsics` adds about its default.
+        distortion: the same for `--distortion`; None for a command without that option.
     """
     parser.add_argument(
         "--intrinsics",
         metavar="K",
-        help=f"The camera's intrinsics: fx,fy,cx,cy or a file that holds K{intrinsics}.",
+        help="The camera's intrinsics in pixels: the four numbers fx,fy,cx,cy, or a file "
+        f"that holds the camera matrix K{intrinsics}.",
     )
     if distortion is not None:
         parser.add_argument(
             "--distortion",
             metavar="D",
-            help=f"The lens's distortion: k1,k2,p1,p2,k3 as OpenCV has them{distortion}.",
+            help="The distortion coefficients of the lens in OpenCV's order: "
+            f"k1,k2,p1,p2,k3{distortion}.",
         )
     parser.add_argument(
         "--scale",
         type=above_zero,
         metavar="METRES",
-        help="How many metres one unit of depth is: 0.001 for millimetres. Files of integers need "
-        "it; floats are metres without it.",
+        help="The length of one unit of depth in metres, such as 0.001 for millimetres. "
+        "Files of integers need it. Files of floating-point numbers are taken to be in "
+        "metres without it.",
     )
     parser.add_argument(
         "--size",
         type=size,
         metavar="WxH",
-        help="The width and height in pixels of PLY clouds that do not state it.",
+        help="The width and height of the depth map in pixels, such as 1032x772. It is "
+        "needed for PLY point clouds that do not state it.",
     )
 
 
 def intrinsics_of(options: argparse.Namespace) -> Float[np.ndarray, "3 3"] | None:
-    """K, if `--intrinsics` says it."""
+    """The camera matrix of `--intrinsics`; None without that option."""
     from ..real.depth_file import read_intrinsics
 
     return None if options.intrinsics is None else read_intrinsics(options.intrinsics)
 
 
 def distortion_of(options: argparse.Namespace) -> tuple[float, float, float, float, float] | None:
-    """The five terms, if `--distortion` says them."""
+    """The five coefficients of `--distortion`; None without that option."""
     text = options.distortion
     if text is None:
         return None
     try:
         k1, k2, p1, p2, k3 = (float(word) for word in text.split(","))
     except ValueError as error:
-        raise GraycastError(f"distortion is {text!r}: give five numbers k1,k2,p1,p2,k3") from error
+        raise GraycastError(
+            f"--distortion is {text!r}: give the five numbers k1,k2,p1,p2,k3, separated by commas"
+        ) from error
     return k1, k2, p1, p2, k3
 
 
 def add_workers(parser: argparse.ArgumentParser, done: str) -> None:
-    """Options of who does the work; `done` says what one of them does at a time.
+    """Add the options for workers; `done` completes the sentence "How many ... at the same time".
 
     `workers_of` reads them.
     """
     parser.add_argument(
         "--workers",
         type=positive,
-        help=f"How many {done} at a time (default: 1; with ray as many as the cluster has room "
-        "for).",
+        help=f"How many {done} at the same time (default: 1; with --engine ray, as many as "
+        "the cluster has room for).",
     )
     parser.add_argument(
         "--threads",
         type=positive,
-        help="How many processor threads each worker uses (default: all of this machine, shared "
-        "out; with ray 1).",
+        help="The number of processor threads of each worker (default: the threads of this "
+        "machine, divided equally among the workers; with --engine ray, 1).",
     )
     parser.add_argument(
         "--engine",
         choices=("local", "ray"),
         default="local",
-        help="Workers are processes of this machine (local) or of a Ray cluster, which needs "
-        "pip install 'graycast[ray]' (default: local).",
+        help="Where the workers run: local starts processes on this machine; ray uses a Ray "
+        "cluster and needs pip install 'graycast[ray]' (default: local).",
     )
     parser.add_argument(
-        "--address", help="The Ray cluster's address, host:port (default: Ray on this machine)."
+        "--address",
+        help="The address of the Ray cluster as host:port. It needs --engine "
+        "ray (default: a Ray instance on this machine).",
     )
 
 
 def workers_of(options: argparse.Namespace) -> "Workers":
-    """Who does the work.
+    """Read the options that `add_workers` added.
 
     Raises:
-        GraycastError: an address is given, and no cluster is asked for.
+        GraycastError: `--address` is given without `--engine ray`.
     """
     from ..generate import Workers
 
     if options.address is not None and options.engine != "ray":
-        raise GraycastError("--address is of a Ray cluster: add --engine ray, or leave it out")
+        raise GraycastError(
+            "--address applies only to a Ray cluster: add --engine ray, or remove --address"
+        )
     return Workers(
         engine=options.engine,
         count=options.workers or (1 if options.engine == "local" else 0),
@@ -260,7 +279,7 @@ def workers_of(options: argparse.Namespace) -> "Workers":
 
 @contextmanager
 def stage_line() -> Iterator[Callable[[str], None]]:
-    """A line that shows what is being done, and for how long; it is gone at the end."""
+    """Show the present stage and its duration in one line, which disappears at the end."""
     from rich.markup import escape
     from rich.progress import Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
 

@@ -1,4 +1,4 @@
-"""The commands that measure: bench and its kinds."""
+"""The command bench with its subcommands."""
 
 import argparse
 from collections.abc import Callable, Iterator
@@ -20,48 +20,54 @@ from .arguments import (
 
 AGREE = """\
 Render the same scenes with Mitsuba and Cycles and compare the two. The scenes are brackets of a
-Lambertian, a metal and a coated plastic surface in a small wooden box before a PhoXi M. For each
-class of surface it prints the ratio of their light pixel by pixel (Cycles over Mitsuba), how the
-decoded depth differs in projector columns and in which pixels have one, and whether the ground
-truth is the same. A scene takes about 5 minutes on 2 cores; fewer samples are quick, but noisy."""
+Lambertian, a metal and a coated plastic surface in a small wooden box before a PhoXi M. For
+each class of surface the command prints the ratio of the radiance pixel by pixel (Cycles
+divided by Mitsuba), the difference of the decoded projector columns, the difference in which
+pixels are decoded, and whether the ground truth is the same. A scene takes about 5 minutes on 2
+cores; fewer samples are faster but noisier."""
 DENOISE = """\
-Measure what denoising every picture of a stack does to the depth that is decoded from it. Cycles
-and Mitsuba render 4, 8, 16 ... samples, with each denoiser of this machine and without, and are
-compared with their own converged pictures (four times the most samples). The scene is metal
-brackets in a wooden box under Gray code and white light; only the tables that say so have sensor
-noise. It takes about 40 minutes on 2 cores, a quarter of that up to 64 samples."""
+Measure how denoising every picture of a stack changes the depth that is decoded from it. Cycles
+and Mitsuba render with 4, 8, 16 and more samples per pixel, without a denoiser and with each
+denoiser of this machine. Each result is compared with the converged pictures of the same
+renderer, which have four times the largest number of samples. The scene shows metal brackets in
+a wooden box under Gray code and white light. Sensor noise is present only in the tables whose
+title says so. The command takes about 40 minutes on 2 cores, and about 10 minutes with
+--samples 64."""
 RENDERERS = """\
-Measure how long a stack of 24 patterns takes, by Mitsuba in one pass and by Cycles with one and
-with three patterns per render, in turn. Then measure how many samples each needs for the same error
-of decoded depth (13 patterns on a crop of 172 x 130 pixels). Cycles renders a few patterns, and the
-time of the others is calculated, unless --whole is given. It takes about 40 minutes on 2 cores."""
+Measure the time that a stack of 24 patterns takes in Mitsuba (one pass) and in Cycles (with one
+and with three patterns per render), in alternation. Then measure how many samples each renderer
+needs for the same error of the decoded depth, with 13 patterns on a crop of 172 x 130 pixels.
+Cycles renders only a few patterns, and the time of the others is extrapolated, unless --whole
+is given. The command takes about 40 minutes on 2 cores."""
 
 ZOO = """\
-Drop parts of each family of the trade (bolts, nuts, tubes, springs, ...) into a bin of 400 x 300 x
-150 mm, each number of parts with many seeds, and count how often the parts come to an acceptable
-rest, after how many attempts and seconds. Where MuJoCo is installed, each layout is let go in it
-for a second and counts as in balance where no point of a part moves by more than 1 mm. All of it
-takes hours on one core; --families hex_bolt --seeds 5 takes seconds. Each row is printed when it is
-there, and each drop is written into the file of --json at once. When the command has been stopped,
-the same command goes on after the last drop of that file."""
+Drop parts of each family of industrial parts (bolts, nuts, tubes, springs and others) into a
+bin of 400 x 300 x 150 mm. Each number of parts is dropped with many seeds. The command counts
+how often the parts come to an acceptable rest, and how many attempts and seconds this takes. If
+MuJoCo is installed, it simulates each layout for one second; the layout is in balance if no
+point of a part moves by more than 1 mm. The whole benchmark takes hours on one core; --families
+hex_bolt --seeds 5 takes seconds. Each row is printed as soon as it is complete, and each drop
+is written to the file of --json at once. If the command is stopped, the same command continues
+after the last drop in that file."""
 
 POSE = """\
-Look for instances of parts in datasets with known poses: by their true masks, by boxes of the right
-size, 20 % too large and 20 % too small, in the scanner's depth, and by masks and boxes in perfect
-depth. For each it prints the share within 5 degrees and 3 mm modulo the symmetry of the part's
-shape, and that of the symmetry which the dataset states (strict), the median errors, and the
-median processor seconds for an instance."""
+Estimate the poses of parts in datasets whose true poses are known. In the scanner's depth, the
+parts are given by their true masks, by boxes of the right size, and by boxes that are 20 % too
+large or too small; in perfect depth, they are given by masks and boxes. For each case the
+command prints the share of poses within 5 degrees and 3 mm modulo the symmetry of the part's
+shape, the same share modulo only the symmetry that the dataset states (strict), the median
+errors, and the median processor time per instance in seconds."""
 
 
 def add_commands(commands) -> None:
-    told = "Measure speed and memory on this machine, and hold the renderers against each other."
+    told = "Measure speed and memory on this machine, and compare the renderers with each other."
     group = commands.add_parser("bench", help=told, description=told)
     kinds = group.add_subparsers(required=True, metavar="WHAT")
     render = _add_kind(
         kinds,
         "render",
         _render,
-        "Measure how long a whole stack takes to render, against one white frame.",
+        "Measure the time to render a whole stack of patterns, compared with one white frame.",
     )
     _add_count(render)
     add_device(render)
@@ -69,27 +75,32 @@ def add_commands(commands) -> None:
         kinds,
         "decode",
         _decode,
-        "Measure how long decoding takes, OpenCV's too where it is installed.",
+        "Measure the time to decode a stack, and the time of OpenCV's decoder if it is installed.",
     )
     _add_count(
-        _add_kind(kinds, "drop", _drop, "Measure how long the parts' fall into the bin takes.")
+        _add_kind(
+            kinds, "drop", _drop, "Measure the time to simulate the fall of the parts into the bin."
+        )
     )
     scene = _add_kind(
-        kinds, "scene", _scene, "Measure the time and memory of whole scenes, stage by stage."
+        kinds, "scene", _scene, "Measure the time and the memory of each stage of making a scene."
     )
     scene.add_argument(
-        "--scenes", type=positive, default=3, help="How many scenes are made (default: 3)."
+        "--scenes", type=positive, default=3, help="The number of scenes to make (default: 3)."
     )
     _add_count(scene)
     add_device(scene)
     engine = _add_kind(
-        kinds, "engine", _engine, "Measure what more workers cost and bring, those of Ray too."
+        kinds,
+        "engine",
+        _engine,
+        "Measure the speed and the memory of several workers, including workers of Ray.",
     )
     engine.add_argument(
         "--scenes",
         type=positive,
         default=6,
-        help="How many scenes each of the three rounds makes (default: 6).",
+        help="The number of scenes in each of the three rounds (default: 6).",
     )
     _add_count(engine)
     _add_zoo(kinds)
@@ -97,74 +108,85 @@ def add_commands(commands) -> None:
         kinds,
         "hulls",
         _hulls,
-        "Measure how near the collision hulls of a zoo of parts are to the parts' surfaces.",
+        "Measure the distance between the collision hulls and the surfaces of many kinds of parts.",
     )
-    live = _add_kind(
-        kinds, "live", _alive, "Measure how long one waits for what graycast live shows."
-    )
+    live = _add_kind(kinds, "live", _alive, "Measure the response times of graycast live.")
     add_config(live)
     live.add_argument(
         "--rounds",
         type=positive,
         default=20,
-        help="How often each kind of change is made (default: 20).",
+        help="The number of times that each kind of change is made (default: 20).",
     )
     add_device(live)
     detectors = _add_kind(
         kinds,
         "detectors",
         _detectors,
-        "Measure what reading costs a training, and how long detectors take for a picture.",
+        "Measure the time that a training spends on reading, and the time of detectors per "
+        "picture.",
     )
     detectors.add_argument(
-        "detectors", type=Path, nargs="+", help="The folders of trainings, or their detector.pt."
+        "detectors",
+        type=Path,
+        nargs="+",
+        help="Folders that graycast train wrote, or their files detector.pt.",
     )
     detectors.add_argument(
         "--on",
         type=Path,
         required=True,
         metavar="DATASET",
-        help="The dataset whose pictures are taken; it has 28 scenes or more.",
+        help="The dataset whose pictures are used. It must have at least 28 scenes.",
     )
     _add_pose(kinds)
     _add_studies(kinds)
 
 
 def _add_pose(kinds) -> None:
-    pose = _add_kind(kinds, "pose", _pose, "Measure how often and how fast poses are found.")
+    pose = _add_kind(
+        kinds, "pose", _pose, "Measure how often and how fast the poses of parts are found."
+    )
     pose.description = POSE
     pose.add_argument(
-        "datasets", type=Path, nargs="+", help="Datasets that graycast generate has made."
+        "datasets", type=Path, nargs="+", help="Folders of datasets that graycast generate made."
     )
     pose.add_argument(
         "--instances",
         type=positive,
         default=100,
         metavar="N",
-        help="How many instances of each dataset are looked for (default: 100).",
+        help="The number of instances of each dataset whose poses are estimated (default: 100).",
     )
     pose.add_argument(
         "--min-visibility",
         type=share,
         default=0.7,
         metavar="SHARE",
-        help="Take instances of which at least this share is visible (default: 0.7).",
+        help="The smallest visible share of an instance, from 0 to 1; instances below it are "
+        "skipped (default: 0.7).",
     )
     pose.add_argument(
         "--out",
         type=Path,
         metavar="FOLDER",
-        help="Also write the poses as BOP results and sheets of pictures into this new folder.",
+        help="A new folder; the poses as BOP results and sheets of pictures are written to it.",
     )
     add_seed(pose, default=0)
 
 
 def _add_zoo(kinds) -> None:
     zoo = _add_kind(
-        kinds, "zoo", _zoo, "Check whether every family of parts comes to rest and is in balance."
+        kinds,
+        "zoo",
+        _zoo,
+        "Measure how often parts of each family come to rest, and whether they are in balance.",
     )
     zoo.description = ZOO
-    zoo.set_defaults(when_stopped="drops in the file of --json are kept; the same command goes on")
+    zoo.set_defaults(
+        when_stopped="the drops in the file of --json are kept; run the same "
+        "command again to continue"
+    )
     zoo.add_argument(
         "--families",
         metavar="A,B,...",
@@ -175,8 +197,8 @@ def _add_zoo(kinds) -> None:
         type=counts,
         default=(1, 10, 60),
         metavar="N,N,...",
-        help="How many parts a drop has; a family of large parts is dropped in smaller numbers "
-        "(default: 1,10,60).",
+        help="The numbers of parts in a drop, separated by commas. Families of large parts "
+        "use smaller numbers (default: 1,10,60).",
     )
     zoo.add_argument(
         "--seeds", type=positive, default=20, help="The number of drops of each kind (default: 20)."
@@ -184,34 +206,51 @@ def _add_zoo(kinds) -> None:
 
 
 def _add_studies(kinds) -> None:
-    agree = _add_study(kinds, "agree", _agree, "Measure how well Cycles and Mitsuba agree.", AGREE)
+    agree = _add_study(
+        kinds,
+        "agree",
+        _agree,
+        "Measure the differences between pictures of Cycles and of Mitsuba.",
+        AGREE,
+    )
     agree.add_argument(
-        "--scenes", type=positive, default=5, help="How many scenes are rendered (default: 5)."
+        "--scenes", type=positive, default=5, help="The number of scenes to render (default: 5)."
     )
     _add_samples(
-        agree, 128, "How many samples a pixel Cycles takes; Mitsuba takes eight times as many"
+        agree, 128, "The number of samples per pixel of Cycles. Mitsuba uses eight times as many"
     )
     _add_size(agree, (258, 194))
 
-    denoise = _add_study(kinds, "denoise", _denoise, "Measure what denoisers do to depth.", DENOISE)
-    _add_samples(denoise, 256, "The largest number of samples for a pixel in the series")
+    denoise = _add_study(
+        kinds,
+        "denoise",
+        _denoise,
+        "Measure how denoised pictures change the decoded depth.",
+        DENOISE,
+    )
+    _add_samples(denoise, 256, "The largest number of samples per pixel in the series")
     _add_size(denoise, (206, 154))
     _add_count(denoise)
 
-    told = "Measure how much faster one pass of Mitsuba is than Cycles."
+    told = "Measure how much faster one pass of Mitsuba is than the renders of Cycles."
     renderers = _add_study(kinds, "renderers", _renderers, told, RENDERERS)
-    _add_samples(renderers, 16, "How many samples a pixel takes while time is measured")
+    _add_samples(renderers, 16, "The number of samples per pixel while time is measured")
     _add_size(renderers, (1032, 772))
     _add_count(renderers)
     renderers.add_argument(
-        "--whole", action="store_true", help="Let Cycles render all patterns once instead of a few."
+        "--whole",
+        action="store_true",
+        help="Let Cycles render all patterns instead of extrapolating from a few.",
     )
 
 
 def _add_kind(kinds, name: str, run, told: str) -> argparse.ArgumentParser:
     made = add_command(kinds, name, run, told)
     made.add_argument(
-        "--json", type=Path, metavar="FILE", help="Also write the figures into this JSON file."
+        "--json",
+        type=Path,
+        metavar="FILE",
+        help="A JSON file to which the figures are also written.",
     )
     return made
 
@@ -220,7 +259,10 @@ def _add_study(kinds, name: str, run, told: str, description: str) -> argparse.A
     made = _add_kind(kinds, name, run, told)
     made.description = description
     made.add_argument(
-        "--plot", type=Path, metavar="FILE", help="Also draw the figures into this PNG."
+        "--plot",
+        type=Path,
+        metavar="FILE",
+        help="A PNG file in which the figures are also plotted.",
     )
     add_device(made)
     return made
@@ -228,7 +270,7 @@ def _add_study(kinds, name: str, run, told: str, description: str) -> argparse.A
 
 def _add_count(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
-        "--count", type=positive, default=30, help="How many parts a scene has (default: 30)."
+        "--count", type=positive, default=30, help="The number of parts in a scene (default: 30)."
     )
 
 
@@ -388,14 +430,14 @@ def _zoo(options: argparse.Namespace) -> int:
 
 @contextmanager
 def _following() -> Iterator[Callable[[float, str], None]]:
-    """A bar from 0 to 100 for a study's work."""
+    """Show a progress bar from 0 to 100."""
     with progress_bar() as bar:
         task = bar.add_task("", total=100)
         yield lambda share, what: bar.update(task, completed=round(100 * share), description=what)
 
 
 def _report(options: argparse.Namespace, what: str, figures: dict[str, Any]) -> int:
-    """Print the figures, and write what was asked for."""
+    """Print the figures, and write the files that the options ask for."""
     from .. import bench
 
     figures = bench.stamped(what, figures)

@@ -1,4 +1,4 @@
-"""The command line: which commands there are, and how their errors are told."""
+"""The command line: the list of commands, and how their errors are reported."""
 
 import argparse
 import signal
@@ -28,36 +28,36 @@ from . import (
 
 EXAMPLES = """\
 examples:
-  graycast generate configs/demo.yaml --out out/demo     three scenes of brackets in a box
-  graycast preview configs/own_part.yaml --out p.png     one scene of your own part as a picture
-  graycast live configs/demo.yaml                        a cell in the browser, to turn at
-  graycast validate out/demo                             check a dataset from its files
-  graycast report out/demo --out out/page                a web page to look at it
-  graycast train out/demo --out out/detector             a detector of the dataset's parts
-  graycast detect out/detector out/demo --out out/found  what it finds in pictures
-  graycast export out/demo --format coco --out out/coco  the same for a trainer, in its format
-  graycast evaluate run --on out/demo --out out/scores   how good detections are
-  graycast pick configs/cells/ur5e_suction.yaml --out p  a simulated robot that empties bins
-  graycast grasps out/demo --tool tool.yaml              label where a gripper holds the parts
-  graycast design configs/design/brackets.yaml --out d   which scanner to take, and where
-  graycast decode stack.yaml --rig rig.yaml --out cloud  depth from a real scanner's pictures
-  graycast certify phoxi-l --out sheet                   what a virtual scanner is worth
-  graycast realism real/ --intrinsics K.json --out r     how real depth maps look, in figures
-  graycast twin real/ --config cell.yaml --out twin.yaml a scanner whose scans look like real ones
-  graycast rig show phoxi-m --out rig.png                what a rig sees, as a picture
-  graycast doctor                                        what this machine has and lacks
+  graycast generate configs/demo.yaml --out out/demo     make three scenes of brackets in a box
+  graycast preview configs/own_part.yaml --out p.png     draw one scene of your own part
+  graycast live configs/demo.yaml                        show a cell in the browser
+  graycast validate out/demo                             check the files of a dataset
+  graycast report out/demo --out out/page                make a web page of a dataset
+  graycast train out/demo --out out/detector             train a detector on a dataset
+  graycast detect out/detector out/demo --out out/found  find parts in pictures
+  graycast export out/demo --format coco --out out/coco  write a dataset in another format
+  graycast evaluate run --on out/demo --out out/scores   score detections
+  graycast pick configs/cells/ur5e_suction.yaml --out p  let a simulated robot empty bins
+  graycast grasps out/demo --tool tool.yaml              label where a gripper can hold parts
+  graycast design configs/design/brackets.yaml --out d   compare scanners and their poses
+  graycast decode stack.yaml --rig rig.yaml --out cloud  decode a real scanner's pictures
+  graycast certify phoxi-l --out sheet                   measure the accuracy of a virtual scanner
+  graycast realism real/ --intrinsics K.json --out r     measure the statistics of depth maps
+  graycast twin real/ --config cell.yaml --out twin.yaml fit a simulated scanner to real scans
+  graycast rig show phoxi-m --out rig.png                draw a rig and its working range
+  graycast doctor                                        check what this machine has installed
 """
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run one command; returns the exit code: 0 done, 1 failed, 2 wrong arguments."""
+    """Run one command; return 0 for success, 1 for failure, 2 for wrong arguments."""
     options = _parser().parse_args(arguments)
     if arguments is None:  # a process of its own
         signal.signal(signal.SIGTERM, _stop)  # a batch system's way to say Ctrl-C
     try:
         return options.run(options) or 0
     except KeyboardInterrupt:
-        print(f"graycast: stopped; {options.when_stopped}", file=sys.stderr)
+        print(f"graycast: the command was stopped; {options.when_stopped}", file=sys.stderr)
         return 130
     except (GraycastError, ValueError, OSError, MemoryError) as error:
         if options.debug:
@@ -73,7 +73,8 @@ def _stop(number: int, frame: object) -> None:
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog="graycast",
-        description="Simulates a structured-light camera and makes bin-picking datasets with it.",
+        description="Graycast simulates a structured-light camera and makes bin-picking "
+        "datasets with it.",
         epilog=EXAMPLES,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )

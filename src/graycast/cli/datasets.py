@@ -22,12 +22,18 @@ from .arguments import (
 
 def add_commands(commands) -> None:
     preview = add_command(
-        commands, "preview", _preview, "Make one scene and draw it as a contact sheet."
+        commands,
+        "preview",
+        _preview,
+        "Make one scene and draw its pictures and its depth on one sheet.",
     )
     add_config(preview)
-    preview.add_argument("--out", type=Path, required=True, help="The PNG to write.")
+    preview.add_argument("--out", type=Path, required=True, help="The PNG file to write.")
     preview.add_argument(
-        "--scene", type=seed, default=0, help="The number of the scene to make (default: 0)."
+        "--scene",
+        type=seed,
+        default=0,
+        help="The number of the scene, counted from 0 (default: 0).",
     )
     add_seed(preview)
     add_backend(preview)
@@ -37,29 +43,29 @@ def add_commands(commands) -> None:
         commands,
         "validate",
         _validate,
-        "Check that a dataset is whole and agrees with itself, from its files alone.",
+        "Check that the files of a dataset are complete and consistent with each other.",
     )
-    validate.add_argument("dataset", type=Path, help="The dataset's folder.")
+    validate.add_argument("dataset", type=Path, help="The folder of the dataset.")
     validate.add_argument(
         "--fast",
         action="store_true",
-        help="Check only whether every file is as it was written (SHA-256), not whether what "
-        "the files say makes sense.",
+        help="Check only the SHA-256 digest of every file, not whether the contents of the "
+        "files are consistent.",
     )
 
     parts = add_command(
         commands,
         "parts",
         _parts,
-        "List the built-in parts, or those of a configuration, and picture them.",
+        "List the built-in parts or the parts of a configuration, and draw them.",
     )
     parts.add_argument(
         "config",
         type=Path,
         nargs="?",
-        help="Show this configuration's parts instead of the built-in ones.",
+        help="A configuration whose parts are listed instead of the built-in ones.",
     )
-    parts.add_argument("--out", type=Path, help="Also draw the parts into this PNG.")
+    parts.add_argument("--out", type=Path, help="A PNG file in which the parts are drawn.")
     add_device(parts)
 
 
@@ -92,7 +98,7 @@ def _preview(options: argparse.Namespace) -> int:
 
 
 def _tell_coarse(shot) -> None:
-    """Say which of the parts that fell are collided coarsely; their hulls are in the cache."""
+    """Print which of the dropped parts have coarse collision hulls."""
     from ..drop import hull_notes, prepare
 
     sample = shot.sample
@@ -108,13 +114,16 @@ def _validate(options: argparse.Namespace) -> int:
     problems = validate(options.dataset, fast=options.fast)
     for problem in problems:
         print(problem)
-    sound = "every file is as it was written" if options.fast else "valid"
+    sound = "every file has the digest with which it was written" if options.fast else "valid"
     print(f"{options.dataset}: {f'{len(problems)} problem(s)' if problems else sound}")
     if not problems:
         for lacking in absent(options.dataset):
             print(f"  not known: {lacking}")
         if not has_sums(options.dataset):
-            print("  not known: whether a file was changed: format_version 1 holds no SHA-256")
+            print(
+                "  not known: whether a file was changed, because format_version 1 stores no "
+                "SHA-256 digests"
+            )
     return 1 if problems else 0
 
 
@@ -139,12 +148,14 @@ def _parts(options: argparse.Namespace) -> int:
 
 
 def _describe_hulls(parts) -> None:
-    """How the parts are collided when they fall; hulls that the cache has not are made now."""
+    """Describe the collision hulls of the parts; hulls that are not in the cache are made now."""
     from ..drop import hull_notes, prepare
 
     with stage_line() as on_stage:
         prepared = prepare(parts, on_stage=on_stage)
-    print("collision hulls, and how far they are off the surface at most:")
+    print(
+        "the number of collision hulls of each part, and their largest distance from its surface:"
+    )
     for part, made in zip(parts, prepared, strict=True):
         worst, bound = f"{1e3 * made.error.worst_m:.2f} mm", f"{1e3 * made.tolerance_m:.2f} mm"
         print(f"  {part.name}: {len(made.hulls)}, {worst} (the bound is {bound})")

@@ -10,22 +10,31 @@ from .arguments import add_command, add_device, add_workers, progress_bar, worke
 # Heavy modules are imported by the command that needs them, so that --help answers at once.
 
 DESIGN = """\
-Compare scanners, their places, codes, exposures and bins on the same heaps of parts. Of each
-setting of the study it tells which share of the parts' surface is measured, how exactly, what is
-missing and why, the smallest feature that is seen, and the seconds of a scan; and in a sentence
-which setting to take. The folder gets tables, a plot of the best settings, and a picture of each
-setting. The same command goes on where it was stopped, also with more settings or heaps."""
+Compare scanners, their poses, codes, exposures and bins on the same heaps of parts. For each
+setting of the study the command reports the share of the parts' surface that is measured, the
+depth error, the share and the reasons of missing depth, the smallest feature that is resolved,
+and the duration of a scan in seconds. It then recommends one setting in a sentence. It writes
+tables, a plot of the best settings and a picture of each setting to the folder. If the command
+is stopped, the same command continues the study; settings and heaps may be added."""
 
 
 def add_commands(commands) -> None:
-    design = add_command(commands, "design", _design, "Find which scanner to take, and where.")
-    design.description = DESIGN
-    design.set_defaults(when_stopped="finished scans are kept")
-    design.add_argument(
-        "study", type=Path, help="The study, a YAML file; configs/design/brackets.yaml is one."
+    design = add_command(
+        commands, "design", _design, "Compare scanners and their poses, and recommend one."
     )
-    design.add_argument("--out", type=Path, required=True, help="The folder of the study.")
-    design.add_argument("--list", action="store_true", help="Only list the settings; scan nothing.")
+    design.description = DESIGN
+    design.set_defaults(
+        when_stopped="the finished scans are kept; run the same command again to continue"
+    )
+    design.add_argument(
+        "study", type=Path, help="The YAML file of the study, such as configs/design/brackets.yaml."
+    )
+    design.add_argument(
+        "--out", type=Path, required=True, help="The folder to which the study is written."
+    )
+    design.add_argument(
+        "--list", action="store_true", help="Only list the settings, without scanning."
+    )
     add_device(design)
     add_workers(design, "scans are made")
 
@@ -71,5 +80,5 @@ def _design(options: argparse.Namespace) -> int:
     print((options.out / "table.md").read_text(encoding="utf-8"))
     print(said)
     for name in lost:
-        print(f"  {name} is missing; the same command tries it again")
+        print(f"  {name} is missing; run the same command again to retry it")
     return 1 if lost else 0

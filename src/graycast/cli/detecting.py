@@ -1,4 +1,4 @@
-"""Commands about detectors: train, detect."""
+"""Commands about detectors: train, detect and study."""
 
 import argparse
 from pathlib import Path
@@ -6,193 +6,223 @@ from pathlib import Path
 from ..errors import GraycastError
 from .arguments import above_zero, add_command, positive, progress_bar, seed, share
 
-# torch takes seconds to import and may be missing, so names are repeated here; a test compares.
+# torch takes seconds to import and may be missing, so its names are repeated here. A test compares
+# them.
 MODELS = ("mask-rcnn", "yolov3", "solov2", "yolov7", "rf-detr")
 INPUTS = ("rgb", "depth", "depth_sl", "depth_noisy", "rgbd")
 HOLES = ("channel", "zero", "far")
 
 TRAIN = """\
-Train a detector on datasets of Graycast, on exports of them, or on datasets of real pictures. It
-learns from the scenes of train and keeps the weights that are best on those of val. The folder of
-the training gets detector.pt (the weights, and how pictures are encoded), history.csv, curves.png
-and files for TensorBoard. A training that was stopped or killed goes on with the same command."""
+Train a detector on datasets of Graycast, on their exports, or on datasets of real pictures. The
+detector learns from the scenes of the train set, and the command keeps the weights that score
+best on the val set. It writes detector.pt (the weights and the encoding of pictures),
+history.csv, curves.png and files for TensorBoard to the folder of the training. If a training
+is stopped or killed, the same command continues it."""
 
 
 def add_commands(commands) -> None:
     train = add_command(commands, "train", _train, "Train a detector on datasets.")
     train.description = TRAIN
-    train.set_defaults(when_stopped="the same command goes on from here")
+    train.set_defaults(when_stopped="run the same command again to continue from here")
     train.add_argument(
         "datasets",
         type=Path,
         nargs="+",
-        help="Folders of datasets or exports; of others' datasets a file of COCO annotations, or "
-        "the folder of one of BOP's splits.",
+        help="Folders of Graycast datasets or of their exports. For a dataset from another "
+        "source, give its file of COCO annotations or the folder of one of its BOP "
+        "splits.",
     )
-    train.add_argument("--out", type=Path, required=True, help="The folder of this training.")
     train.add_argument(
-        "--model", choices=MODELS, default="mask-rcnn", help="The network (default: mask-rcnn)."
+        "--out", type=Path, required=True, help="The folder to which the training is written."
+    )
+    train.add_argument(
+        "--model",
+        choices=MODELS,
+        default="mask-rcnn",
+        help="The architecture of the network (default: mask-rcnn).",
     )
     train.add_argument(
         "--input",
         choices=INPUTS,
         default="depth_sl",
-        help="What the network sees: colour, perfect depth, the scanner's depth, perfect "
-        "depth with Gaussian noise and random holes, or colour with the scanner's "
-        "depth (default: depth_sl).",
+        help="The input of the network: rgb is the colour picture, depth is perfect depth, "
+        "depth_sl is the scanner's depth, depth_noisy is perfect depth with Gaussian "
+        "noise and random holes, and rgbd is colour with the scanner's depth (default: "
+        "depth_sl).",
     )
     train.add_argument(
         "--one-class",
         action="store_true",
-        help="Treat all parts as one class: the detector learns where a part is, not "
-        "which part it is.",
+        help="Treat all parts as one class, so that the detector finds parts but does not "
+        "tell which kind they are.",
     )
     train.add_argument(
         "--backbone",
-        help="The backbone: the part of the network that turns pictures into features "
-        "(default: the model's own).",
+        help="The backbone, which is the part of the network that computes features from "
+        "pictures (default: the model's own).",
     )
     train.add_argument(
         "--weights",
         type=Path,
         metavar="FILE",
-        help="Start from these weights, another run's or published ones, not from random numbers.",
+        help="A file of weights from another training or a publication, with which the "
+        "training starts (default: random weights).",
     )
     train.add_argument(
         "--size",
         type=positive,
         default=384,
         metavar="PX",
-        help="The longer side of the picture that the network sees (default: 384).",
+        help="The longer side of the network's input picture in pixels (default: 384).",
     )
     train.add_argument(
         "--epochs",
         type=positive,
         default=40,
-        help="How often the training goes through all pictures (default: 40).",
+        help="The number of epochs, which are passes over all pictures of the train set "
+        "(default: 40).",
     )
     train.add_argument(
         "--patience",
         type=positive,
         default=10,
-        help="How many validations without a better score end the training (default: 10).",
+        help="The training ends after this number of consecutive validations without a "
+        "better score (default: 10).",
     )
     train.add_argument(
         "--batch",
         type=positive,
-        help="How many pictures one step of the training takes (default: the model's own).",
+        help="The number of pictures in one training step (default: the model's own).",
     )
     train.add_argument(
         "--learning-rate",
         type=above_zero,
-        help="The highest learning rate of the training (default: the model's own).",
+        help="The highest learning rate of the schedule (default: the model's own).",
     )
     train.add_argument(
         "--split",
         default="0.8,0.1,0.1",
         metavar="SHARES",
-        help="The shares of scenes that go to train, val and test; an export has its own "
-        "(default: 0.8,0.1,0.1).",
+        help="The shares of scenes in the train, val and test sets. They do not apply to an "
+        "export, which is already divided (default: 0.8,0.1,0.1).",
     )
     train.add_argument(
-        "--split-seed", type=seed, default=0, help="Another seed puts other scenes into each set."
+        "--split-seed",
+        type=seed,
+        default=0,
+        help="The seed that decides which scenes are in which set (default: 0).",
     )
     train.add_argument(
         "--min-visibility",
         type=share,
         default=0.1,
         metavar="SHARE",
-        help="Parts of which a smaller share is visible are ignored: finding one is neither right "
-        "nor wrong (default: 0.1).",
+        help="The smallest visible share of an instance, from 0 to 1. Instances below it are "
+        "ignored: a detection of one counts neither as right nor as wrong (default: "
+        "0.1).",
     )
     train.add_argument(
         "--holes",
         choices=HOLES,
         default="channel",
-        help="What missing depth is to the network: a channel of its own, zero, or far away "
-        "(default: channel).",
+        help="How missing depth is encoded: as an additional channel, as zero, or as the far "
+        "end of the range (default: channel).",
     )
     train.add_argument(
         "--no-relief",
         action="store_true",
-        help="Leave the channel out that holds the height over the neighbourhood.",
+        help="Omit the input channel that holds the height above the neighbourhood of each pixel.",
     )
     train.add_argument(
         "--range",
         type=_range,
         metavar="NEAR,FAR",
-        help="The working volume in metres from the camera (default: what the datasets span).",
+        help="The nearest and the farthest depth in metres, such as 0.6,1.2 (default: the "
+        "range of the datasets).",
     )
-    train.add_argument(
-        "--no-flips", action="store_true", help="Do not mirror pictures while training."
-    )
+    train.add_argument("--no-flips", action="store_true", help="Train without mirrored pictures.")
     train.add_argument(
         "--seed",
         type=seed,
         default=0,
-        help="Another seed draws weights, order and augmentation anew (default: 0).",
+        help="The seed of the weights, of the order of the pictures and of the augmentation "
+        "(default: 0).",
     )
     _add_device(train)
     train.add_argument(
         "--workers",
         type=seed,
         default=0,
-        help="How many processes read pictures beside the training (default: 0).",
+        help="The number of additional processes that read pictures (default: 0).",
     )
 
-    detect = add_command(commands, "detect", _detect, "Find parts in a dataset or in pictures.")
-    detect.add_argument("detector", type=Path, help="The folder of a training, or its detector.pt.")
+    detect = add_command(
+        commands,
+        "detect",
+        _detect,
+        "Find parts in a dataset or in pictures with a trained detector.",
+    )
+    detect.add_argument(
+        "detector", type=Path, help="The folder that graycast train wrote, or its file detector.pt."
+    )
     detect.add_argument(
         "pictures",
         type=Path,
         nargs="?",
-        help="A dataset, an export, or a folder with pictures in rgb, gray and depth.",
+        help="A dataset, an export, or a folder with pictures in the subfolders rgb, gray "
+        "and depth.",
     )
     detect.add_argument(
         "--out",
         type=Path,
         required=True,
-        help="The folder to write, which is new or an earlier one; with --export the file.",
+        help="The folder to write, which may hold earlier detections. With --export, it is "
+        "the file to write.",
     )
     detect.add_argument(
         "--export",
         choices=("onnx",),
-        help="Look at no pictures: write the detector as an ONNX file, checked against torch.",
+        help="Write the detector as an ONNX file and check its output against that of torch, "
+        "instead of finding parts in pictures.",
     )
     detect.add_argument(
         "--split",
         choices=("train", "val", "test", "all"),
         default="all",
-        help="The set of scenes to look at, such as test, which the training did not see "
-        "(default: all).",
+        help="The set of scenes in which parts are found, such as test, which the training "
+        "does not use (default: all).",
     )
     detect.add_argument(
         "--as-real",
         action="store_true",
-        help="Treat the dataset as a real one: hide its perfect depth, and show the "
-        "scanner's depth to a detector that was trained on perfect depth.",
+        help="Treat the dataset as a real one. Its perfect depth is not used, and a detector "
+        "that was trained on perfect depth gets the scanner's depth.",
     )
     detect.add_argument(
         "--scale",
         type=above_zero,
         metavar="METRES",
-        help="How many metres one unit of depth is in files that belong to no dataset: "
-        "0.001 for millimetres. Floats are metres without it.",
+        help="The length of one unit of depth in metres, such as 0.001 for millimetres, in "
+        "files that belong to no dataset. Files of floating-point numbers are taken to "
+        "be in metres without it.",
     )
     detect.add_argument(
         "--most",
         type=positive,
         default=300,
-        help="How many detections a picture has at most (default: 300).",
+        help="The largest number of detections in a picture (default: 300).",
     )
     detect.add_argument(
         "--least-score",
         type=share,
         default=0.05,
-        help="The least score of a detection (default: 0.05).",
+        help="The lowest score of a detection that is kept, from 0 to 1 (default: 0.05).",
     )
     detect.add_argument(
-        "--drawings", type=seed, default=12, help="How many pictures to draw (default: 12)."
+        "--drawings",
+        type=seed,
+        default=12,
+        help="The number of pictures in which the detections are drawn (default: 12).",
     )
     _add_device(detect)
 
@@ -200,15 +230,17 @@ def add_commands(commands) -> None:
         commands,
         "study",
         _study,
-        "Train and score every combination of a study, and write one table.",
+        "Train and score a detector for every combination of a study, and write one table.",
     )
-    study.set_defaults(when_stopped="the same command goes on from here")
+    study.set_defaults(when_stopped="run the same command again to continue from here")
     study.add_argument(
-        "study", type=Path, help="The study, a YAML file; configs/paper/study.yaml is one."
+        "study", type=Path, help="The YAML file of the study, such as configs/paper/study.yaml."
     )
-    study.add_argument("--out", type=Path, required=True, help="The folder of the study.")
     study.add_argument(
-        "--list", action="store_true", help="Only list the combinations; train nothing."
+        "--out", type=Path, required=True, help="The folder to which the study is written."
+    )
+    study.add_argument(
+        "--list", action="store_true", help="Only list the combinations, without training."
     )
     _add_device(study)
 
@@ -218,12 +250,14 @@ def _add_device(parser: argparse.ArgumentParser) -> None:
         "--device",
         choices=("auto", "cpu", "cuda"),
         default="auto",
-        help="Where the network runs; auto takes the GPU where there is one (default: auto).",
+        help="The device on which the network runs; auto uses a GPU if there is one "
+        "(default: auto).",
     )
     parser.add_argument(
         "--threads",
         type=positive,
-        help="How many processor threads the network uses (default: torch's own choice).",
+        help="The number of processor threads of the network (default: the number that torch "
+        "chooses).",
     )
 
 
@@ -234,18 +268,18 @@ def _range(text: str) -> tuple[float, float]:
         near_m, far_m = 0.0, 0.0
     if not 0 < near_m < far_m:
         raise argparse.ArgumentTypeError(
-            f"{text!r} is no range: give two distances in metres such as 0.6,1.2"
+            f"{text!r} is not a range: give two distances in metres, such as 0.6,1.2"
         )
     return near_m, far_m
 
 
 def _torch(options: argparse.Namespace) -> None:
-    """See that torch is there, and how many threads it takes."""
+    """Check that torch is installed, and set its number of threads."""
     try:
         import torch
     except ImportError as error:
         raise GraycastError(
-            "detectors need PyTorch, which is not installed: pip install 'graycast[detect]'"
+            "detectors need PyTorch, which is not installed: run pip install 'graycast[detect]'"
         ) from error
     if options.threads is not None:
         torch.set_num_threads(options.threads)
@@ -289,7 +323,10 @@ def _train(options: argparse.Namespace) -> None:
             bar.update(tasks[told.stage], completed=told.done, total=told.total)
 
         train(options.datasets, options.out, spec, on_told=on_told)
-    print(f"{options.out}: trained; detector.pt has the weights of the best validation")
+    print(
+        f"{options.out}: the training is complete; detector.pt holds the weights of the best "
+        "validation"
+    )
 
 
 def _line(row: dict[str, float]) -> str:
@@ -311,7 +348,7 @@ def _detect(options: argparse.Namespace) -> None:
         _export(detector, options)
         return
     if options.pictures is None:
-        raise GraycastError("there is nothing to look at: give a dataset or a folder of pictures")
+        raise GraycastError("no pictures are given: give a dataset or a folder of pictures")
     pictures = pictures_of(
         options.pictures,
         detector.about,
@@ -343,7 +380,9 @@ def _export(detector, options: argparse.Namespace) -> None:
     from ..detect.onnx_file import write_onnx
 
     if options.pictures is not None:
-        raise GraycastError("--export looks at no pictures: leave them out")
+        raise GraycastError(
+            "--export writes the detector and needs no pictures: remove the argument pictures"
+        )
     write_onnx(detector, options.out, most=options.most, least_score=options.least_score)
     print(f"{options.out}: written; onnxruntime finds in it what torch finds")
 

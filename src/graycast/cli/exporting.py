@@ -39,100 +39,110 @@ _OPTIONS = (
 
 def add_commands(commands) -> None:
     export = add_command(commands, "export", _export, "Write a dataset in another format.")
-    export.add_argument("dataset", type=Path, help="The dataset's folder.")
+    export.add_argument("dataset", type=Path, help="The folder of the dataset.")
     export.add_argument(
         "--format",
         choices=_FORMATS,
         required=True,
-        help="The format; docs/exports.md describes each.",
+        help="The format to write. The page docs/exports.md describes each format.",
     )
     export.add_argument(
-        "--out", type=Path, required=True, help="The folder to write; it is new or empty."
+        "--out", type=Path, required=True, help="The folder to write, which must be new or empty."
     )
     export.add_argument(
         "--scenes",
         type=Path,
         metavar="FILE",
-        help="Export only the scenes of this file, which the page of graycast report saves.",
+        help="A file that lists the scenes to export. The page of graycast report saves such "
+        "files (default: all scenes).",
     )
     export.add_argument(
         "--split",
         default="1",
         metavar="SHARES",
-        help="The shares of scenes that go to train, val and test, such as 0.8,0.1,0.1 "
-        "(default: all are train).",
+        help="The shares of scenes in the train, val and test sets, such as 0.8,0.1,0.1 "
+        "(default: all scenes are in train).",
     )
     export.add_argument(
         "--split-seed",
         type=seed,
         default=0,
-        help="Another seed puts other scenes into each set (default: 0).",
+        help="The seed that decides which scenes are in which set (default: 0).",
     )
     export.add_argument(
         "--image",
         choices=("rgb", "gray"),
-        help="Which picture is exported: the colour picture, or the scanner's white frame "
-        "(default: rgb).",
+        help="The picture to export: rgb is the colour picture, gray is the scanner's white "
+        "frame (default: rgb).",
     )
     export.add_argument(
         "--depth",
         choices=("perfect", "scanner", "both", "none"),
-        help="Which depth is exported (default: what suits the format).",
+        help="The depth to export (default: chosen by the format).",
     )
     export.add_argument(
         "--polygons",
         action="store_true",
         default=None,
-        help="Write masks as polygons instead of run lengths; for coco only.",
+        help="Write masks as polygons instead of run-length encoding. It applies only to the "
+        "format coco.",
     )
     export.add_argument(
         "--labels",
         choices=("segments", "boxes"),
-        help="Write each part as its outline or as its box; for yolo only (default: segments).",
+        help="Write each part as its outline (segments) or as its box. It applies only to "
+        "the format yolo (default: segments).",
     )
     export.add_argument(
         "--cloud",
         choices=("ply", "pcd"),
-        help="The kind of file that holds a point cloud; for clouds only (default: ply).",
+        help="The file format of the point clouds. It applies only to the format clouds "
+        "(default: ply).",
     )
     export.add_argument(
         "--organised",
         action="store_true",
         default=None,
-        help="Clouds only: write a point for every pixel, NaN where there is none.",
+        help="Write a point for every pixel, which is NaN where there is no depth. It "
+        "applies only to the format clouds.",
     )
     export.add_argument(
         "--pixel-origin",
         choices=("centre", "corner"),
-        help="BOP only: what of the top-left pixel is (0, 0). The renderers of bop_toolkit want "
-        "its corner (default: centre).",
+        help="The point of the top-left pixel that has the coordinates (0, 0). The renderers "
+        "of bop_toolkit expect its corner. It applies only to the format bop (default: "
+        "centre).",
     )
     export.add_argument(
-        "--shard-scenes", type=positive, metavar="N", help="How many scenes one file holds at most."
+        "--shard-scenes",
+        type=positive,
+        metavar="N",
+        help="The largest number of scenes in one file.",
     )
     export.add_argument(
         "--link",
         action="store_true",
         default=None,
-        help="Link to the dataset's pictures (hard links) instead of copying them.",
+        help="Make hard links to the dataset's pictures instead of copies.",
     )
     export.add_argument(
         "--min-visibility",
         type=share,
         metavar="SHARE",
-        help="Leave out parts of which a smaller share is visible, such as 0.1 (default: 0).",
+        help="The smallest visible share of an instance, such as 0.1; instances below it are "
+        "not exported (default: 0).",
     )
 
     real = add_command(
-        commands, "import-real", _import_real, "Make a dataset of real pictures and their labels."
+        commands, "import-real", _import_real, "Make a dataset from real pictures and their labels."
     )
     real.add_argument(
         "folder",
         type=Path,
-        help="The folder of the pictures; it holds rgb, gray and depth, or some of them.",
+        help="The folder of the pictures, with one or more of the subfolders rgb, gray and depth.",
     )
     real.add_argument(
-        "--out", type=Path, required=True, help="The folder to write; it is new or empty."
+        "--out", type=Path, required=True, help="The folder to write, which must be new or empty."
     )
     add_scanner_files(real, distortion=" (default: none)")
     real.add_argument(
@@ -140,12 +150,14 @@ def add_commands(commands) -> None:
         type=Path,
         help="The labels: a COCO file, or a folder of LabelMe files (default: FOLDER/annotations).",
     )
-    real.add_argument("--unlabelled", action="store_true", help="Take the pictures without labels.")
+    real.add_argument(
+        "--unlabelled", action="store_true", help="Import the pictures without labels."
+    )
     real.add_argument(
         "--like",
         type=Path,
         metavar="DATASET",
-        help="Give the objects the names and numbers that they have in this dataset.",
+        help="A dataset whose names and numbers of objects are used.",
     )
 
 

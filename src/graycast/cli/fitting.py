@@ -21,56 +21,59 @@ def add_commands(commands) -> None:
         commands,
         "fit-bin",
         _fit_bin,
-        "Find a real bin's pose and its colours from views of the empty bin, or of a full one.",
+        "Estimate the pose and the colours of a real bin from views of the bin, empty or filled.",
     )
     fit.add_argument(
         "real",
         nargs="+",
         type=Path,
-        help="The views of one camera: depth files or clouds (PNG, TIFF, NPY, PLY), folders with "
-        "rgb and depth, or scene folders of a dataset.",
+        help="The views of one camera: depth files or point clouds (PNG, TIFF, NPY, PLY), "
+        "folders with the subfolders rgb and depth, or scene folders of a dataset.",
     )
     fit.add_argument(
         "--config",
         type=Path,
         required=True,
-        help="The cell's configuration, which states bin, rig and light.",
+        help="The configuration of the cell, with its bin, rig and light.",
     )
     fit.add_argument(
         "--out",
         type=Path,
         required=True,
-        help="The new configuration to write, in the folder of --config.",
+        help="The new configuration file to write. It must be in the same folder as --config.",
     )
     _add_files(fit)
     fit.add_argument(
-        "--inner", metavar="L,W,H", help="The inside of the bin in metres (default: as configured)."
+        "--inner",
+        metavar="L,W,H",
+        help="The inner sizes of the bin along x, y and z in metres (default: as configured).",
     )
     fit.add_argument(
         "--wall",
         type=above_zero,
         metavar="METRES",
-        help="The thickness of the bin's walls in metres, if it is known.",
+        help="The thickness of the bin's walls in metres (default: as configured).",
     )
     fit.add_argument(
         "--azimuth",
         type=float,
         metavar="DEGREES",
-        help="Where the camera's x axis points in the bin, roughly. A box looks the same after "
-        "half a turn; of the two poses the one nearer to this is taken (default: as configured).",
+        help="The approximate direction of the camera's x axis in the bin, in degrees. A box "
+        "has the same shape after half a turn, and this option chooses between the two "
+        "poses (default: as configured).",
     )
     fit.add_argument(
         "--floor-reflectance",
         type=above_zero,
         metavar="SHARE",
-        help="The floor's mean linear reflectance, to which colours are scaled (default: as "
-        "configured).",
+        help="The mean linear reflectance of the floor, from 0 to 1, to which all colours "
+        "are scaled (default: as configured).",
     )
     fit.add_argument(
         "--white",
         type=Path,
-        help="A linear picture of the bin while the projector shows white. With --black "
-        "it tells how bright the lamps are.",
+        help="A linear picture of the bin while the projector shows white. With --black, it "
+        "determines the brightness of the lamps.",
     )
     fit.add_argument(
         "--black",
@@ -81,14 +84,15 @@ def add_commands(commands) -> None:
     fit.add_argument(
         "--cluttered",
         action="store_true",
-        help="The bin is not empty in the views: take at each pixel the farthest depth that two "
-        "views share. Give three views or more with the parts lying differently. Where the "
-        "configuration states view.T_world_cam, roughly, the search begins there.",
+        help="State that the bin is not empty in the views. Each pixel then takes the "
+        "farthest depth on which two views agree. Give three or more views with "
+        "different poses of the parts. If the configuration states an approximate "
+        "view.T_world_cam, the search starts there.",
     )
     fit.add_argument(
         "--pose-only",
         action="store_true",
-        help="Find the pose only, and leave colours and light as they are configured.",
+        help="Estimate only the pose, and keep the configured colours and light.",
     )
     add_seed(fit, 0)
     add_device(fit)
@@ -100,7 +104,7 @@ def _add_files(fit: argparse.ArgumentParser) -> None:
         type=Path,
         nargs="+",
         default=[],
-        help="The colour pictures, one for each depth file.",
+        help="The colour pictures, one for each depth file in the same order.",
     )
     add_scanner_files(fit, intrinsics=" (default: the rig's)", distortion="")
 
@@ -125,16 +129,19 @@ def _fit_bin(options: argparse.Namespace) -> int:
 
     refuse_existing(options.out, options.config)
     if (options.white is None) != (options.black is None):
-        raise GraycastError("--white and --black belong together: give both, or neither")
+        raise GraycastError("--white and --black are used only together: give both or neither")
     if options.pose_only and (options.white or options.floor_reflectance):
-        raise GraycastError("--pose-only leaves the look alone: leave out what is said about it")
+        raise GraycastError(
+            "--pose-only does not estimate colours and light: remove --rgb, --floor-reflectance, "
+            "--white and --black"
+        )
     config = load_config(options.config)
     given = {} if options.inner is None else {"inner_m": _inner(options.inner)}
     given |= {} if options.wall is None else {"wall_m": options.wall}
     if given and config.bin.mesh is not None:
         raise GraycastError(
-            f"--inner and --wall are of a box, the bin of {options.config} is {config.bin.mesh}: "
-            "leave them out"
+            f"--inner and --wall apply only to a box, and the bin of {options.config} is the mesh "
+            f"{config.bin.mesh}: remove them"
         )
     known = options.wall or ("wall_m" in config.bin.model_fields_set and options.inner is None)
     config = config.model_copy(update={"bin": config.bin.model_copy(update=given)})
@@ -174,7 +181,7 @@ def _fit_bin(options: argparse.Namespace) -> int:
 def _inner(text: str) -> tuple[float, float, float]:
     length, width, height = _numbers(text, 3)
     if not min(length, width, height) > 0:
-        raise GraycastError(f"--inner {text}: the inside of a bin has three sizes above 0, metres")
+        raise GraycastError(f"--inner {text}: give three sizes in metres, each greater than 0")
     return length, width, height
 
 
@@ -184,5 +191,5 @@ def _numbers(text: str, count: int) -> tuple[float, ...]:
     except ValueError:
         numbers = ()
     if len(numbers) != count:
-        raise GraycastError(f"{text!r} is not {count} numbers with commas between them")
+        raise GraycastError(f"{text!r} is not a list of {count} numbers separated by commas")
     return numbers

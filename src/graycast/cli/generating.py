@@ -24,22 +24,25 @@ from .arguments import (
 # Heavy modules are imported by the command that needs them, so that --help answers at once.
 
 GENERATE = """\
-Make a dataset, or go on with one. The same command goes on where it was stopped, however it was: a
-scene depends on the configuration, the seed and its number alone. A worker that dies is replaced
-and its scene made again; a scene that fails three times is set aside (set_aside.json says why), the
-others are made, and the exit code is 1. README.md in the folder tells what the dataset holds."""
+Make a dataset, or continue one. If the command is stopped or killed, the same command continues
+the dataset, because a scene depends only on the configuration, the seed and the number of the
+scene. If a worker dies, it is replaced and its scene is made again. If a scene fails three
+times, it is set aside, set_aside.json states the reason, the other scenes are made, and the
+exit code is 1. The file README.md in the folder describes the dataset."""
 
 
 def add_commands(commands) -> None:
-    generate = add_command(commands, "generate", _generate, "Make a dataset, or go on with one.")
+    generate = add_command(commands, "generate", _generate, "Make a dataset, or continue one.")
     generate.description = GENERATE
-    generate.set_defaults(when_stopped="finished scenes are kept")
+    generate.set_defaults(
+        when_stopped="the finished scenes are kept; run the same command again to continue"
+    )
     add_config(generate)
-    generate.add_argument("--out", type=Path, required=True, help="The dataset's folder.")
+    generate.add_argument("--out", type=Path, required=True, help="The folder of the dataset.")
     generate.add_argument(
         "--scenes",
         type=positive,
-        help="How many scenes the dataset shall have (default: as configured).",
+        help="The number of scenes in the complete dataset (default: as configured).",
     )
     add_seed(generate)
     add_backend(generate)
@@ -50,14 +53,14 @@ def add_commands(commands) -> None:
         commands,
         "rerender",
         _rerender,
-        "Make a scene of a dataset again, and list the files that differ.",
+        "Make a scene of a dataset again, and list the files that differ from the stored ones.",
     )
-    rerender.add_argument("dataset", type=Path, help="The dataset's folder.")
-    rerender.add_argument("scene_id", type=seed, help="The scene's number.")
+    rerender.add_argument("dataset", type=Path, help="The folder of the dataset.")
+    rerender.add_argument("scene_id", type=seed, help="The number of the scene, counted from 0.")
     rerender.add_argument(
         "--config",
         type=Path,
-        help="The configuration that made the dataset. It is needed where the "
+        help="The configuration that made the dataset. It is needed only if the "
         "configuration names files, such as meshes.",
     )
     add_device(rerender)
@@ -95,7 +98,7 @@ def _generate(options: argparse.Namespace) -> int:
             on_note=shown.note,
         )
     if summary.written or not (options.out / CARD).exists():
-        write_card(options.out)  # else one with a licence or all scenes' figures may be there
+        write_card(options.out)  # an existing card may have a licence or the figures of all scenes
     _tell(summary, options.out)
     return 1 if summary.set_aside else 0
 
@@ -104,7 +107,7 @@ def _where(backend: str, options: argparse.Namespace) -> str:
     from ..render import choose_device
 
     if options.engine == "ray":
-        return ""  # its machines have devices of their own
+        return ""  # each machine of the cluster chooses its own device
     return f" on {choose_device(backend, options.device)}"
 
 
@@ -154,9 +157,12 @@ def _tell(summary, out: Path) -> None:
     for name, share in summary.reasons.items():
         print(f"  {name:18} {share:7.2%} of the pixels")
     for scene in summary.set_aside:
-        print(f"  scene {scene.scene_id:06d} is missing, after {scene.tries} tries: {scene.reason}")
+        print(f"  scene {scene.scene_id:06d} is missing after {scene.tries} tries: {scene.reason}")
     if summary.set_aside:
-        print(f"  the same command tries the missing ones again; see {out / 'set_aside.json'}")
+        print(
+            f"  run the same command again to retry the missing scenes; {out / 'set_aside.json'} "
+            "lists them"
+        )
 
 
 def _rerender(options: argparse.Namespace) -> int:
@@ -167,14 +173,14 @@ def _rerender(options: argparse.Namespace) -> int:
     config = origin.config
     if options.config is not None:
         asked = load_config(options.config)
-        backend = config.render.backend  # it may have been an option of the command
+        backend = config.render.backend  # the dataset may have been made with --backend
         config = asked.model_copy(
             update={"render": asked.render.model_copy(update={"backend": backend})}
         )
     elif origin.files:
         raise DatasetError(
-            f"{options.dataset} was made from {', '.join(origin.files)}: add --config and the "
-            "configuration file that names them"
+            f"{options.dataset} was made from files of its own ({', '.join(origin.files)}): add "
+            "--config with the configuration file that names them"
         )
     else:
         options.config = options.dataset / "graycast.json"

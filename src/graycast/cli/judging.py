@@ -1,4 +1,4 @@
-"""Commands that judge: evaluate."""
+"""The command evaluate."""
 
 import argparse
 from pathlib import Path
@@ -14,89 +14,95 @@ def add_commands(commands) -> None:
         commands,
         "evaluate",
         _evaluate,
-        "Score detections or poses by a dataset's labels, with intervals.",
+        "Score detections or poses against the labels of a dataset, with confidence intervals.",
     )
     evaluate.add_argument(
         "results",
         type=Path,
         nargs="?",
-        help="The detections: a folder that graycast detect wrote, or a file of COCO results; or "
-        "poses: a CSV file of BOP results.",
+        help="The results to score: a folder that graycast detect wrote, a file of COCO "
+        "results with detections, or a CSV file of BOP results with poses.",
     )
     evaluate.add_argument(
         "--on",
         type=Path,
         required=True,
         metavar="DATASET",
-        help="The dataset that the pictures are of, or an export of it.",
+        help="The dataset to which the pictures belong, or an export of it.",
     )
     evaluate.add_argument(
         "--split",
         choices=("train", "val", "test"),
-        help="The set that is judged (default: the one that graycast detect looked at; else "
-        "train, which is the whole of a dataset that is not divided).",
+        help="The set of scenes to score (default: the set that graycast detect used; "
+        "otherwise train, which holds all scenes of a dataset that is not divided).",
     )
     evaluate.add_argument(
         "--shares",
         metavar="SHARES",
-        help="How the dataset is divided by scene into train, val and test, such as 0.8,0.1,0.1 "
-        "(default: as graycast detect did; else not at all).",
+        help="The shares of scenes in the train, val and test sets, such as 0.8,0.1,0.1 "
+        "(default: the division that graycast detect used; otherwise none).",
     )
     evaluate.add_argument(
         "--split-seed",
         type=seed,
         default=0,
-        help="The seed of the division that --shares makes (default: 0).",
+        help="The seed of the division by --shares (default: 0).",
     )
     evaluate.add_argument(
         "--against",
         type=Path,
         metavar="RESULTS",
-        help="Other detections in the same scenes; the difference is given with its interval.",
+        help="A second set of detections in the same scenes. The difference between the "
+        "scores is reported with its confidence interval.",
     )
     evaluate.add_argument(
         "--kind",
         choices=("box", "mask"),
-        help="Compare only boxes, or only masks (default: boxes, and masks where both "
-        "sides have them).",
+        help="Score only boxes or only masks (default: boxes, and also masks if results and "
+        "labels have them).",
     )
     evaluate.add_argument(
         "--one-class",
         action="store_true",
-        help="Treat all parts as one class: it does not matter which part a detection names.",
+        help="Treat all parts as one class, so that the kind of part that a detection names "
+        "is ignored.",
     )
     evaluate.add_argument(
         "--min-visibility",
         type=share,
         default=0.1,
         metavar="SHARE",
-        help="Ignore instances of which a smaller share is visible (default: 0.1).",
+        help="The smallest visible share of an instance, from 0 to 1; instances below it are "
+        "ignored (default: 0.1).",
     )
     evaluate.add_argument(
         "--most",
         type=positive,
         default=300,
         metavar="N",
-        help="How many detections of a part count in a picture, best first (default: 300).",
+        help="The number of detections of each kind of part in a picture that are scored, "
+        "best first (default: 300).",
     )
     evaluate.add_argument(
         "--draws",
         type=positive,
         default=1000,
         metavar="N",
-        help="How many times the scenes are drawn anew for the intervals (default: 1000).",
+        help="The number of bootstrap resamples of the scenes for the confidence intervals "
+        "(default: 1000).",
     )
     evaluate.add_argument(
         "--seed",
         type=seed,
         default=0,
-        help="The seed of the draws that --draws counts (default: 0).",
+        help="The seed of the bootstrap resamples (default: 0).",
     )
     evaluate.add_argument(
         "--depth",
         action="store_true",
-        help="Judge the scanner's depth in all scenes by perfect depth instead of detections: "
-        "bias, noise, spikes and holes by angle of incidence.",
+        help="Compare the scanner's depth of all scenes with perfect depth, instead of "
+        "scoring detections. The result is bias, noise, spikes and holes by angle of "
+        "incidence.",
     )
     evaluate.add_argument("--out", type=Path, required=True, help="The folder to write.")
 
@@ -105,7 +111,10 @@ def _evaluate(options: argparse.Namespace) -> int:
     if options.depth:
         return _depth(options)
     if options.results is None:
-        raise GraycastError("give the results to judge, or --depth to judge the scanner's depth")
+        raise GraycastError(
+            "no results are given: give detections or poses to score, or --depth to score the "
+            "scanner's depth"
+        )
     if options.results.suffix == ".csv":
         return _poses(options)
     from ..evaluate import EVALUATION, Protocol, Task, evaluate, summary, write_evaluation
@@ -140,11 +149,13 @@ def _evaluate(options: argparse.Namespace) -> int:
 
 
 def _division(options: argparse.Namespace):
-    """How the dataset is divided, where that was said."""
+    """The division of the dataset by `--shares`; None without that option."""
     from ..export import Split, parse_shares
 
     if options.shares is None and options.split_seed:
-        raise GraycastError("--split-seed is of a division: give --shares too, or leave it out")
+        raise GraycastError(
+            "--split-seed applies only with --shares: add --shares, or remove --split-seed"
+        )
     if options.shares is None:
         return None
     return Split(shares=parse_shares(options.shares), seed=options.split_seed)
@@ -157,8 +168,8 @@ def _poses(options: argparse.Namespace) -> int:
     for name in ("against", "kind", "one_class"):
         if getattr(options, name):
             raise GraycastError(
-                f"--{name.replace('_', '-')} is of detections, {options.results} holds poses: "
-                "leave it out"
+                f"--{name.replace('_', '-')} applies only to detections, and {options.results} "
+                "holds poses: remove the option"
             )
     refuse_foreign(options.out, POSES)
     division = _division(options)
@@ -190,7 +201,8 @@ def _depth(options: argparse.Namespace) -> int:
         if getattr(options, name) is not None:
             told = name if name == "results" else f"--{name}"
             raise GraycastError(
-                f"{told} is of detections, --depth of the scanner: give one of both"
+                f"{told} applies only to detections, and --depth only to the scanner's depth: "
+                "give one of the two"
             )
     refuse_foreign(options.out, DEPTH)
     with whole_folder(options.out) as folder, progress_bar() as bar:

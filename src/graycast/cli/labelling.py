@@ -10,55 +10,66 @@ from .arguments import seed as whole
 # Heavy modules are imported by the command that needs them, so that --help answers at once.
 
 GRASPS = """\
-Write beside a dataset where a tool would hold its parts. Each instance gets places with the
-analytic score, and whether the tool gets there past bin and parts; some in each scene are tried in
-physics, which says whether the part is lifted out of the heap. Labels go to DATASET/grasps/NAME,
-and all else in the folder stays as it is. The same command goes on where it was stopped. At the
-end it tells how well the score ranks what physics held. It needs pip install 'graycast[pick]'."""
+Label the grasps of the parts of a dataset for one tool. Each instance gets grasps with an
+analytic score and with the result of the collision check against the bin and the other parts.
+Some grasps of each scene are simulated with rigid-body physics, which tells whether the part is
+lifted out of the heap. The labels are written to DATASET/grasps/NAME, and no other file of the
+dataset changes. If the command is stopped, the same command continues it. At the end it reports
+how well the score ranks the grasps that held in the simulation. It needs pip install
+'graycast[pick]'."""
 
 
 def add_commands(commands) -> None:
-    grasps = add_command(commands, "grasps", _grasps, "Label where a gripper holds the parts.")
+    grasps = add_command(
+        commands, "grasps", _grasps, "Label where a gripper can hold the parts of a dataset."
+    )
     grasps.description = GRASPS
-    grasps.set_defaults(when_stopped="labelled scenes are kept")
-    grasps.add_argument("dataset", type=Path, help="The dataset's folder.")
+    grasps.set_defaults(
+        when_stopped="the labelled scenes are kept; run the same command again to continue"
+    )
+    grasps.add_argument("dataset", type=Path, help="The folder of the dataset.")
     grasps.add_argument(
         "--tool",
         type=Path,
         required=True,
-        help="A robot's cell, such as configs/cells/ur5e_suction.yaml, or its section tool alone.",
+        help="The configuration of a robot cell, such as configs/cells/ur5e_suction.yaml, or "
+        "a file with only its section tool.",
     )
     grasps.add_argument(
-        "--name", help="Name of this set of labels (default: suction or jaws, as the tool is)."
+        "--name",
+        help="The name of this set of labels (default: the kind of the tool, suction or jaws).",
     )
     grasps.add_argument(
         "--per-instance",
         type=positive,
         default=20,
-        help="How many labels each instance gets at most (default: 20).",
+        help="The largest number of labels of an instance (default: 20).",
     )
     grasps.add_argument(
         "--simulate",
         type=whole,
         default=10,
-        help="How many labels of each scene physics carries out (default: 10).",
+        help="The number of labels of each scene that are simulated with physics (default: 10).",
     )
     grasps.add_argument(
         "--places",
         type=positive,
         default=400,
-        help="How many places are tried on each kind of part (default: 400).",
+        help="The number of candidate grasps on each kind of part (default: 400).",
     )
     add_seed(grasps, 0)
     grasps.add_argument(
         "--files",
         type=Path,
         default=Path(),
-        help="The folder where the dataset's configuration lay, if it names files of your own "
-        "(default: this folder).",
+        help="The folder of the configuration that made the dataset. It is needed only if "
+        "the configuration names files by relative paths (default: the current folder).",
     )
     grasps.add_argument(
-        "--workers", type=positive, default=1, help="Scenes at a time (default: 1)."
+        "--workers",
+        type=positive,
+        default=1,
+        help="The number of scenes that are labelled at the same time (default: 1).",
     )
 
 
@@ -67,8 +78,8 @@ def _grasps(options: argparse.Namespace) -> int:
         import coal  # noqa: F401
     except ImportError as error:
         raise GraycastError(
-            "what a tool would touch is found by a library of robots: run "
-            "pip install 'graycast[pick]'"
+            "the collision check of the tool needs a library that is not installed: run pip "
+            "install 'graycast[pick]'"
         ) from error
     from ..grasp_labels import Labelling, label_dataset, rank, read_tool
 
@@ -81,7 +92,10 @@ def _grasps(options: argparse.Namespace) -> int:
     )
     name = options.name or tool.kind
     if Path(name).name != name or name.startswith("."):
-        raise GraycastError(f"--name is {name!r}: give a plain word; it names a folder")
+        raise GraycastError(
+            f"--name is {name!r}: it names a folder, so give a name without / that does not begin "
+            "with a dot"
+        )
     with progress_bar() as bar:
         scenes = bar.add_task("scenes", total=None)
         stage = bar.add_task("", total=None, visible=False)

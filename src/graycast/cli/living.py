@@ -8,29 +8,33 @@ from .arguments import add_command, add_config, add_device, positive, seed
 
 PORT = 8337
 LIVE = """\
-Show a cell in the browser, and let every setting be turned while one looks. Exposure, noise,
-thresholds and filters answer at once from the light that is kept; another light or rig is rendered,
-roughly first; other parts are dropped. Save writes a YAML file of which graycast preview makes the
-same picture. The page is on this machine alone. Ctrl-C ends the command."""
+Show a cell in the browser, where every setting can be changed. A change of exposure, noise,
+thresholds or filters takes effect at once, because the rendered light is kept. A change of the
+light or the rig renders the scene again, first with few samples. A change of the parts also
+simulates their fall again. The button Save writes a YAML file from which graycast preview makes
+the same picture. The page can be opened only on this machine. Ctrl-C ends the command."""
 
 
 def add_commands(commands) -> None:
     live = add_command(
-        commands, "live", _live, "Show a cell in the browser, and turn its settings there."
+        commands, "live", _live, "Show a cell in the browser, and change its settings there."
     )
     live.description = LIVE
-    live.set_defaults(when_stopped="what was saved from the page is kept")
+    live.set_defaults(when_stopped="the files that the page saved are kept")
     add_config(live)
     live.add_argument(
         "--port",
         type=positive,
         default=PORT,
-        help=f"The port of this machine that the page is on (default: {PORT}).",
+        help=f"The TCP port of the page on this machine (default: {PORT}).",
     )
     live.add_argument(
-        "--scene", type=seed, default=0, help="The number of the scene to show (default: 0)."
+        "--scene",
+        type=seed,
+        default=0,
+        help="The number of the scene to show, counted from 0 (default: 0).",
     )
-    live.add_argument("--open", action="store_true", help="Also open the page in a browser.")
+    live.add_argument("--open", action="store_true", help="Open the page in a browser.")
     add_device(live)
 
 
@@ -42,7 +46,7 @@ def _live(options: argparse.Namespace) -> int:
     server = Server(
         options.config, port=options.port, scene_id=options.scene, device=options.device
     )
-    print(f"{options.config} is alive at {server.url} (Ctrl-C ends it)", flush=True)
+    print(f"{options.config} is shown at {server.url} (press Ctrl-C to end)", flush=True)
     if options.open:
         webbrowser.open(server.url)
     try:

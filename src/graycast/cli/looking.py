@@ -1,4 +1,4 @@
-"""Commands that look at what was made: stats and report."""
+"""Commands that show the contents of datasets and picks: stats and report."""
 
 import argparse
 from pathlib import Path
@@ -10,40 +10,49 @@ from .picking import add_cell, cell_folder, need_robot
 
 
 def add_commands(commands) -> None:
-    stats = add_command(commands, "stats", _stats, "Count what a dataset holds, from its files.")
-    _add_dataset(stats, "The dataset's folder.")
+    stats = add_command(
+        commands, "stats", _stats, "Compute statistics of a dataset from its files."
+    )
+    _add_dataset(stats, "The folder of the dataset.")
     stats.add_argument(
-        "--out", type=Path, help="Also write stats.json and stats.png into this folder."
+        "--out", type=Path, help="A folder to which stats.json and stats.png are written."
     )
     stats.add_argument(
         "--card",
         action="store_true",
-        help="Also write the dataset's card, README.md in its folder.",
+        help="Write the dataset's card, which is the file README.md in the folder of the dataset.",
     )
     stats.add_argument(
-        "--licence", help="The licence that the card states: an SPDX identifier such as CC-BY-4.0."
+        "--licence",
+        help="The licence that the card states, as an SPDX identifier such as "
+        "CC-BY-4.0. It needs --card.",
     )
 
     report = add_command(
         commands,
         "report",
         _report,
-        "Write a web page to look at a dataset or at picks; it opens from the disk.",
+        "Write a web page of a dataset or of picks, which a browser opens from the disk.",
     )
-    report.set_defaults(when_stopped="what is finished is kept; the same command goes on")
-    _add_dataset(report, "The folder of a dataset, or of picks.")
-    report.add_argument("--out", type=Path, required=True, help="The page's folder.")
+    report.set_defaults(
+        when_stopped="the finished scenes are kept; run the same command again to continue"
+    )
+    _add_dataset(report, "The folder of a dataset, or a folder that graycast pick wrote.")
+    report.add_argument(
+        "--out", type=Path, required=True, help="The folder to which the page is written."
+    )
     report.add_argument(
         "--detections",
         type=Path,
         metavar="RESULTS",
-        help="Also show what a detector found: a folder that graycast detect wrote, or a file of "
-        "COCO results.",
+        help="Detections that the page also shows: a folder that graycast detect wrote, or a "
+        "file of COCO results.",
     )
     report.add_argument(
         "--width",
         type=positive,
-        help="Thin out maps that are wider than this many pixels (default: 1300).",
+        help="The largest width of a picture on the page in pixels; wider pictures are "
+        "subsampled (default: 1300).",
     )
     add_cell(report)
 
@@ -54,7 +63,7 @@ def _add_dataset(parser: argparse.ArgumentParser, told: str) -> None:
         "--workers",
         type=positive,
         default=1,
-        help="How many processes read the scenes (default: 1).",
+        help="The number of processes that read the scenes (default: 1).",
     )
 
 
@@ -66,7 +75,7 @@ def _stats(options: argparse.Namespace) -> int:
     from ..stats import dataset_statistics, statistics_table, write_statistics
 
     if options.licence is not None and not options.card:
-        raise GraycastError("--licence is of the card: give --card too, or leave it out")
+        raise GraycastError("--licence applies only with --card: add --card, or remove --licence")
     if options.licence is not None:
         from ..card import spdx
 
@@ -96,7 +105,9 @@ def _report(options: argparse.Namespace) -> int:
     if (options.dataset / "picks.json").exists():
         return _report_picks(options)
     if options.cell is not None:
-        raise GraycastError(f"--cell is of picks, and {options.dataset} holds none: leave it out")
+        raise GraycastError(
+            f"--cell applies only to picks, and {options.dataset} holds no picks: remove --cell"
+        )
     with progress_bar() as bar:
         task = bar.add_task("scenes", total=None)
         summary = write_report(
@@ -118,7 +129,10 @@ def _report_picks(options: argparse.Namespace) -> int:
     from ..report.picks import write_pick_report
 
     if options.detections is not None:
-        raise GraycastError("--detections is of a dataset: leave it out for picks")
+        raise GraycastError(
+            "--detections applies only to a dataset, and this folder holds picks: remove "
+            "--detections"
+        )
     need_robot()
     with progress_bar() as bar:
         task = bar.add_task("bins", total=None)

@@ -11,13 +11,14 @@ def add_commands(commands) -> None:
         commands,
         "doctor",
         _doctor,
-        "Print what this machine has, what it lacks, and what the missing pieces would give.",
+        "List what Graycast can use on this machine, what is missing, and what each missing "
+        "piece is for.",
     )
     schema = add_command(
         commands,
         "schema",
         _schema,
-        "Print the JSON Schema of a kind of file, for editors that complete and check.",
+        "Print the JSON Schema of a kind of file, with which editors complete and check it.",
     )
     schema.add_argument(
         "kind",

@@ -1,4 +1,4 @@
-"""Commands that measure: decode real stacks, certify scanners, tell how real depth is."""
+"""Commands that measure: decode, certify and realism."""
 
 import argparse
 from collections.abc import Sequence
@@ -21,7 +21,7 @@ from .arguments import (
     stage_line,
 )
 
-TABLE = "table.txt"  # in every folder that `graycast realism` writes
+TABLE = "table.txt"  # `graycast realism` writes this file to every folder
 
 
 def add_commands(commands) -> None:
@@ -29,43 +29,56 @@ def add_commands(commands) -> None:
         commands,
         "decode",
         _decode,
-        "Decode a scanner's pictures to projector positions and, if its rig is known, to depth.",
+        "Decode a scanner's pictures to projector coordinates and, if its rig is known, to depth.",
     )
     decode.add_argument(
         "stack",
         type=Path,
-        help="The stack file, which says what each picture is, or a folder that holds stack.yaml.",
+        help="The stack file, which describes each picture, or a folder that holds a file "
+        "stack.yaml.",
     )
     decode.add_argument(
         "--rig",
-        help="The rig, a rig file or a preset: with it depth and a point cloud are written as well "
-        "(default: the rig that the stack file names, if any).",
+        help="A rig file or the name of a preset. With a rig, depth and a point cloud are "
+        "also written (default: the rig that the stack file names, if any).",
     )
     add_resolution(decode)
     decode.add_argument(
         "--average",
         action="store_true",
-        help="Write one point for each projector pixel instead of each camera pixel.",
+        help="Write one 3D point for each projector pixel instead of each camera pixel.",
     )
-    decode.add_argument("--out", type=Path, required=True, help="The folder to write.")
+    decode.add_argument(
+        "--out", type=Path, required=True, help="The folder to which the results are written."
+    )
 
     certify = add_command(
-        commands, "certify", _certify, "Measure a virtual scanner as a metrology lab would."
+        commands,
+        "certify",
+        _certify,
+        "Measure the accuracy of a virtual scanner on virtual artefacts: planes, spheres and "
+        "ball bars.",
     )
     add_rig(certify)
-    certify.add_argument("--out", type=Path, required=True, help="The folder to write.")
+    certify.add_argument(
+        "--out", type=Path, required=True, help="The folder to which the results are written."
+    )
     add_seed(certify, default=0)
     add_backend(certify, default="mitsuba")
     add_device(certify)
 
     realism = add_command(
-        commands, "realism", _realism, "Measure depth maps, real or simulated; compare two sets."
+        commands,
+        "realism",
+        _realism,
+        "Measure the statistics of real or simulated depth maps, and compare two sets of them.",
     )
     realism.add_argument(
         "depth",
         type=Path,
         nargs="*",
-        help="The depth maps: NPY, PNG or PLY files, folders of them, or datasets of Graycast.",
+        help="The depth maps: NPY, PNG or PLY files, folders of such files, or datasets of "
+        "Graycast.",
     )
     add_scanner_files(realism)
     realism.add_argument(
@@ -85,27 +98,28 @@ def add_commands(commands) -> None:
     realism.add_argument(
         "--out",
         type=Path,
-        help="Also write the table, the figures as JSON and the plots into this folder.",
+        help="The folder to which the table, the figures as JSON and the plots are written.",
     )
     realism.add_argument(
         "--compare",
         type=Path,
         nargs=2,
         metavar=("A", "B"),
-        help="Compare two sets: folders that this command has written before, or datasets.",
+        help="Two sets to compare: folders that this command wrote, or datasets.",
     )
     realism.add_argument(
         "--classifier",
         action="store_true",
-        help="With --compare and two sets of depth maps: also learn to tell them apart, and say "
-        "how well that goes and by what. It needs scikit-learn.",
+        help="Train a classifier to distinguish the two sets of --compare, and report its "
+        "accuracy and the features that it uses. It needs scikit-learn.",
     )
     realism.add_argument(
         "--most",
         type=positive,
         default=20,
         metavar="N",
-        help="How many depth maps of each set --classifier looks at, evenly chosen (default: 20).",
+        help="The number of depth maps of each set that --classifier uses, evenly spaced in "
+        "the set (default: 20).",
     )
     add_seed(realism, default=0)
 
@@ -162,17 +176,19 @@ def _realism(options: argparse.Namespace) -> int:
     from ..real.realism import RECORD_FILE, measure_all, pool, read_scans, table, write_record
 
     if (options.compare is None) == (not options.depth):
-        raise GraycastError("give depth maps to measure, or --compare and two measured sets")
+        raise GraycastError(
+            "no depth maps are given: give depth maps to measure, or --compare with two sets"
+        )
     if options.classifier and options.compare is None:
-        raise GraycastError("--classifier tells two sets apart: give them with --compare")
+        raise GraycastError("--classifier distinguishes two sets: add --compare with two sets")
     if options.compare is not None:
         if options.out is not None and (options.out / RECORD_FILE).exists():
             raise GraycastError(
-                f"{options.out}: is itself a measured set: give --out another folder"
+                f"{options.out}: is itself one of the measured sets: give another folder with --out"
             )
         return _compare(options)
     if options.out is None:
-        raise GraycastError("say with --out where the measurement goes")
+        raise GraycastError("--out is missing: give the folder to which the measurement is written")
     refuse_foreign(options.out, TABLE)
     K = intrinsics_of(options)
     with whole_folder(options.out) as folder:
@@ -195,7 +211,7 @@ def _realism(options: argparse.Namespace) -> int:
 
 
 def _compare(options: argparse.Namespace) -> int:
-    """Two sets side by side; and what a classifier says to them."""
+    """Print two sets side by side and, with `--classifier`, the classifier's result."""
     from ..real.realism import table, two_sample_table, write_two_sample
 
     if options.out is not None:
@@ -216,7 +232,7 @@ def _compare(options: argparse.Namespace) -> int:
 
 
 def _two_sample(options: argparse.Namespace) -> tuple:
-    """The test, and both sets of maps."""
+    """Run the classifier test; return its result and both sets of maps."""
     from ..real.realism import read_perfect, read_scans, two_sample_test
 
     first, second = (_spread(list(read_scans([path])), options.most) for path in options.compare)
@@ -231,7 +247,7 @@ def _two_sample(options: argparse.Namespace) -> tuple:
 
 
 def _spread(scans: list, most: int) -> list:
-    """At most so many, evenly over the set."""
+    """At most `most` items, evenly spaced over the set."""
     if len(scans) <= most:
         return scans
     return [scans[k * len(scans) // most] for k in range(most)]
@@ -245,7 +261,7 @@ def _write_table(records: list, folder: Path) -> None:
 
 
 def _record(path: Path):
-    """A measured set, or one to measure: a dataset or a folder that states its own intrinsics."""
+    """Read a measured set, or measure a dataset or folder that states its intrinsics."""
     from ..real.realism import RECORD_FILE, measure_all, pool, read_record, read_scans
 
     if path.is_file() or (path / RECORD_FILE).is_file():
@@ -254,11 +270,11 @@ def _record(path: Path):
 
 
 def _files(paths: Sequence[Path]) -> list[Path]:
-    """Files as they are, and what lies in folders, by name."""
+    """The given files, and the files in the given folders sorted by name."""
     files = []
     for path in paths:
         inside = sorted(path.iterdir()) if path.is_dir() else [path]
         if not inside:
-            raise GraycastError(f"{path}: is an empty folder: give pictures")
+            raise GraycastError(f"{path}: is an empty folder: give a folder with pictures")
         files += inside
     return files

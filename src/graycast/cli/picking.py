@@ -19,65 +19,84 @@ from .arguments import (
 # Heavy modules are imported by the command that needs them, so that --help answers at once.
 
 PICK = """\
-Let a simulated robot empty bins. Each bin is filled by physics, scanned, and emptied part by part;
-every attempt ends in one of a closed list of outcomes, with a picture. The same command goes on
-where it was stopped: a bin depends on the configuration, the seed and its number alone. The robot
-needs pip install 'graycast[pick]'."""
+Let a simulated robot empty bins. Each bin is filled by a physics simulation and scanned, and
+the robot then removes part after part. Each attempt is recorded with one outcome of a fixed
+list and with a picture. If the command is stopped, the same command continues it, because a bin
+depends only on the configuration, the seed and the number of the bin. The robot needs pip
+install 'graycast[pick]'."""
 
 PICKS = """\
-Tell what became of picks: success rate with its 95 % interval (Wilson), outcomes, bins cleared,
-picks per hour, seconds by stage. Further folders of the same bins, made with another detector or
-another kind of depth, are set beside the first one in a table, and McNemar's test says whether
-they differ from it."""
+Summarise picks: the success rate with its 95 % confidence interval (Wilson), the outcomes, the
+    number of cleared bins, the picks per hour, and the seconds of each stage. Further folders
+    may hold picks from the same bins with another detector or another kind of depth. The
+    command compares them with the first folder in a table, and McNemar's test tells whether
+    they differ significantly from it."""
 
 
 REPLAY = """\
-Make a film of how a bin was emptied, one attempt after the other: the robot over what the scanner
-measured, the part that it takes, and the outcome. To look closer, make a page with graycast report.
-The robot needs pip install 'graycast[pick]'."""
+Make a film of how the robot emptied a bin, one attempt after the other. It shows the robot
+above the measured point cloud, the part that it picks, and the outcome. For an interactive
+view, make a page with graycast report. The robot needs pip install 'graycast[pick]'."""
 
 
 def add_commands(commands) -> None:
     pick = add_command(commands, "pick", _pick, "Let a simulated robot empty bins.")
     pick.description = PICK
-    pick.set_defaults(when_stopped="finished bins are kept")
-    pick.add_argument("config", type=Path, help="The robot's cell, a YAML file.")
-    pick.add_argument("--out", type=Path, required=True, help="The folder of picks.")
+    pick.set_defaults(
+        when_stopped="the finished bins are kept; run the same command again to continue"
+    )
     pick.add_argument(
-        "--bins", type=positive, default=3, help="How many bins are to be emptied (default: 3)."
+        "config",
+        type=Path,
+        help="The YAML file of the robot cell, such as configs/cells/ur5e_suction.yaml.",
+    )
+    pick.add_argument(
+        "--out", type=Path, required=True, help="The folder to which the picks are written."
+    )
+    pick.add_argument(
+        "--bins", type=positive, default=3, help="The number of bins to empty (default: 3)."
     )
     add_seed(pick)
     add_device(pick)
     pick.add_argument(
         "--detector",
-        help="What finds the parts, instead of the configuration's: truth, none, or the folder of "
-        "a training.",
+        help="The detector: truth, none, or a folder that graycast train wrote (default: as "
+        "configured).",
     )
     pick.add_argument(
-        "--pose", choices=("found", "truth"), help="Where a part's pose comes from, likewise."
+        "--pose",
+        choices=("found", "truth"),
+        help="The source of the pose of a part (default: as configured).",
     )
     pick.add_argument(
         "--depth",
         metavar="KIND",
-        help="What the robot acts on, likewise: scanner, perfect, or a standard deviation of "
-        "Gaussian noise on perfect depth in metres, such as 0.0002.",
+        help="The depth that the robot uses: scanner, perfect, or a number such as 0.0002, "
+        "which is the standard deviation in metres of Gaussian noise on perfect depth "
+        "(default: as configured).",
     )
     add_workers(pick, "bins are emptied")
-    picks = add_command(commands, "picks", _picks, "Tell what became of picks, and compare runs.")
+    picks = add_command(
+        commands, "picks", _picks, "Summarise the outcomes of picks, and compare several runs."
+    )
     picks.description = PICKS
-    picks.add_argument("folders", type=Path, nargs="+", help="Folders of picks.")
-    replay = add_command(commands, "replay", _replay, "Make a film of how a bin was emptied.")
+    picks.add_argument("folders", type=Path, nargs="+", help="Folders that graycast pick wrote.")
+    replay = add_command(commands, "replay", _replay, "Make a film of how the robot emptied a bin.")
     replay.description = REPLAY
-    replay.add_argument("folder", type=Path, help="A folder of picks.")
-    replay.add_argument("--bin", type=int, default=0, help="The number of the bin (default: 0).")
-    replay.add_argument("--out", type=Path, required=True, help="The film, a GIF or WebP file.")
+    replay.add_argument("folder", type=Path, help="A folder that graycast pick wrote.")
+    replay.add_argument(
+        "--bin", type=int, default=0, help="The number of the bin, counted from 0 (default: 0)."
+    )
+    replay.add_argument("--out", type=Path, required=True, help="The GIF or WebP file to write.")
     replay.add_argument(
         "--speed",
         type=above_zero,
         default=2.0,
-        help="How much faster than the robot the film runs (default: 2).",
+        help="The speed of the film relative to the robot's motion (default: 2).",
     )
-    replay.add_argument("--width", type=positive, help="The film's width in pixels (default: 480).")
+    replay.add_argument(
+        "--width", type=positive, help="The width of the film in pixels (default: 480)."
+    )
     add_cell(replay)
 
 
@@ -85,22 +104,23 @@ def add_cell(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--cell",
         type=Path,
-        help="The cell's file that the picks were made of. Needed where it names files.",
+        help="The configuration of the cell that made the picks. It is needed only if it "
+        "names files by relative paths.",
     )
 
 
 def cell_folder(options: argparse.Namespace) -> Path:
-    """Where the relative paths of the cell of picks start."""
+    """The folder in which the relative paths of the picks' cell start."""
     return Path.cwd() if options.cell is None else options.cell.absolute().parent
 
 
 def need_robot() -> None:
-    """Raises GraycastError: the robot's libraries are not installed."""
+    """Raise GraycastError if the robot's libraries are not installed."""
     try:
         import pinocchio  # noqa: F401
     except ImportError as error:
         raise GraycastError(
-            "a robot needs its libraries: run pip install 'graycast[pick]'"
+            "the robot needs libraries that are not installed: run pip install 'graycast[pick]'"
         ) from error
 
 
@@ -147,12 +167,12 @@ def _pick(options: argparse.Namespace) -> int:
             on_stage=lambda text: bar.reset(stage, description=text, total=None, visible=True),
         )
     _tell(summarize(read_episodes(options.out)))
-    print(f"{options.out}: pictures of every attempt are in bins/*/pictures")
+    print(f"{options.out}: the pictures of all attempts are in bins/*/pictures")
     return 1 if lost else 0
 
 
 def _with_options(config, options: argparse.Namespace):
-    """The configuration with what the command line says instead, checked as a file is."""
+    """The configuration with the options of the command line, checked like a file."""
     from ..pick.sections import PickConfig
 
     changed = {}

@@ -1,4 +1,4 @@
-"""Commands about rigs: show, write, import, calibrate; and their patterns."""
+"""The command rig with its subcommands, and the command patterns."""
 
 import argparse
 import sys
@@ -12,13 +12,15 @@ from .arguments import above_zero, add_command, add_rig, resolve_rig_option, siz
 
 def add_commands(commands) -> None:
     rig = add_command(
-        commands, "rig", lambda _: rig.print_help(), "Show, write, import and calibrate rigs."
+        commands, "rig", lambda _: rig.print_help(), "Draw, write, import or calibrate a rig."
     )
     rigs = rig.add_subparsers(metavar="COMMAND")
-    show = add_command(rigs, "show", _rig_show, "Print a rig's figures and draw it.")
+    show = add_command(rigs, "show", _rig_show, "Print the properties of a rig, and draw it.")
     add_rig(show)
-    show.add_argument("--out", type=Path, help="Also draw the rig into this PNG.")
-    write = add_command(rigs, "write", _rig_write, "Write a preset as a rig file to start from.")
+    show.add_argument("--out", type=Path, help="A PNG file in which the rig is drawn.")
+    write = add_command(
+        rigs, "write", _rig_write, "Write a preset as a rig file, which can then be edited."
+    )
     add_rig(write)
     write.add_argument("--out", type=Path, required=True, help="The YAML file to write.")
     _add_import(rigs)
@@ -28,49 +30,56 @@ def add_commands(commands) -> None:
         commands,
         "patterns",
         _patterns,
-        "Write a rig's patterns as PNGs for a projector, and the stack file to decode with.",
+        "Write the patterns of a rig as PNG files for a projector, and the stack file for "
+        "graycast decode.",
     )
     add_rig(patterns)
-    patterns.add_argument("--out", type=Path, required=True, help="The folder to write.")
     patterns.add_argument(
-        "--codec", choices=CODECS, help="The code that the patterns carry (default: the rig's own)."
+        "--out", type=Path, required=True, help="The folder to which the patterns are written."
     )
     patterns.add_argument(
-        "--inverses", action="store_true", help="Write each bit's inverse pattern as well."
+        "--codec", choices=CODECS, help="The code of the patterns (default: the rig's own)."
+    )
+    patterns.add_argument(
+        "--inverses", action="store_true", help="Also write the inverse of each pattern."
     )
 
 
 def _add_import(rigs) -> None:
-    load = add_command(rigs, "import", _rig_import, "Make a rig file from an OpenCV calibration.")
+    load = add_command(
+        rigs, "import", _rig_import, "Make a rig file from a stereo calibration of OpenCV."
+    )
     load.add_argument(
         "calibration",
         type=Path,
-        help="The calibration: a YAML, XML, JSON or NPZ file with K, D, R and T.",
+        help="The calibration file: YAML, XML, JSON or NPZ with the matrices K, D, R and T.",
     )
     load.add_argument("--out", type=Path, required=True, help="The YAML file to write.")
     load.add_argument(
         "--unit",
         choices=("m", "mm"),
-        help="The unit of T; needed only where the numbers leave it open.",
+        help="The unit of the translation T. It is needed only if the numbers do not make it "
+        "clear.",
     )
     load.add_argument(
         "--near",
         type=above_zero,
-        help="The nearest working distance in metres (default: where the fields of camera and "
-        "projector begin to overlap).",
+        help="The nearest working distance in metres (default: the distance at which the "
+        "fields of view of camera and projector begin to overlap).",
     )
     load.add_argument(
         "--far",
         type=above_zero,
-        help="The farthest working distance in metres (default: where the fields of camera and "
-        "projector part again).",
+        help="The farthest working distance in metres (default: the distance at which the "
+        "overlap of the two fields of view ends).",
     )
     for device in ("camera", "projector"):
         load.add_argument(
             f"--{device}-size",
             type=size,
             metavar="WxH",
-            help=f"The {device}'s width and height in pixels, where the file does not state them.",
+            help=f"The width and height of the {device} in pixels. It is needed only if the "
+            "file does not state them.",
         )
 
 
@@ -79,38 +88,42 @@ def _add_calibrate(rigs) -> None:
         rigs,
         "calibrate",
         _rig_calibrate,
-        "Make a rig file from stacks of one flat board in three or more poses.",
+        "Calibrate a rig from stacks of one flat board in three or more poses.",
     )
     calibrate.add_argument(
         "stacks",
         type=Path,
         nargs="+",
-        help="The stack files, one for each pose of the board; each codes columns and rows.",
+        help="The stack files, one for each pose of the board. Each stack must code columns "
+        "and rows.",
     )
     calibrate.add_argument(
         "--board",
         required=True,
-        help="The board: chessboard:9x6:0.025 (number of squares, their side in metres) or "
-        "charuco:8x5:0.03:0.022:DICT_5X5_100.",
+        help="The board: chessboard:9x6:0.025 states the numbers of squares and their side "
+        "in metres; charuco:8x5:0.03:0.022:DICT_5X5_100 adds the side of the markers "
+        "and their dictionary.",
     )
     calibrate.add_argument("--out", type=Path, required=True, help="The YAML file to write.")
     calibrate.add_argument(
         "--near",
         type=above_zero,
-        help="The nearest working distance in metres (default: a tenth before the nearest corner).",
+        help="The nearest working distance in metres (default: 10 %% less than the distance "
+        "of the nearest corner).",
     )
     calibrate.add_argument(
         "--far",
         type=above_zero,
-        help="The farthest working distance in metres (default: a tenth past the farthest corner).",
+        help="The farthest working distance in metres (default: 10 %% more than the distance "
+        "of the farthest corner).",
     )
     calibrate.add_argument(
         "--radial-terms",
         type=int,
         choices=range(4),
         default=3,
-        help="How many radial terms the lenses' distortion may have; those that the corners do not "
-        "determine are left out (default: 3).",
+        help="The largest number of radial distortion coefficients of each lens. "
+        "Coefficients that the corners do not determine are set to 0 (default: 3).",
     )
 
 
@@ -163,7 +176,8 @@ def _patterns(options: argparse.Namespace) -> int:
 
     scanner = resolve_rig_option(options)
     spec = scanner.code
-    if options.codec not in (None, spec.codec):  # the numbers of the rig's own code stay its own
+    # the settings of the rig's own code apply only to that code
+    if options.codec not in (None, spec.codec):
         spec = CodeSpec(codec=options.codec, axes=spec.axes)
     if options.inverses:
         spec = replace(spec, inverses=True)
@@ -179,8 +193,8 @@ def _patterns(options: argparse.Namespace) -> int:
         others = {path.name for path in options.out.glob("*.png")}.difference(written)
         if others:
             raise GraycastError(
-                f"{options.out}: holds pictures of another code, such as {min(others)}: "
-                "a projector would show both; choose an empty folder"
+                f"{options.out}: holds pictures of another code, such as {min(others)}, which a "
+                "projector would show too: choose an empty folder"
             )
         (folder / "stack.yaml").write_text(describe_code(code, written), encoding="utf-8")
         written.append("stack.yaml")
@@ -203,7 +217,10 @@ def _rig_calibrate(options: argparse.Namespace) -> int:
         sizes_px.add(size_px)
     if len(sizes_px) > 1:
         told = ", ".join(f"{w} x {h}" for w, h in sorted(sizes_px))
-        raise GraycastError(f"the stacks are of projectors of {told} px: give one projector's")
+        raise GraycastError(
+            f"the stacks were made with projectors of different sizes ({told} px): give stacks of "
+            "one projector"
+        )
     calibration = calibrate_rig(
         views,
         board,

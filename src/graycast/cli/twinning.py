@@ -1,4 +1,4 @@
-"""The command that makes a twin of a real scanner: twin."""
+"""The command twin, which fits a simulated scanner to a real one."""
 
 import argparse
 from pathlib import Path
@@ -21,62 +21,64 @@ def add_commands(commands: argparse._SubParsersAction) -> None:
         commands,
         "twin",
         _twin,
-        "Fit a simulated scanner to scans of a real one, so that its scans have the same "
-        "statistics.",
+        "Fit a simulated scanner to scans of a real one, so that the simulated scans have the "
+        "same statistics.",
     )
     twin.add_argument(
         "scans",
         nargs="+",
         type=Path,
-        help="Three or more real depth maps of the cell: NPY, PNG or PLY files, folders of them, "
-        "or datasets of real scans.",
+        help="Three or more real depth maps of the cell: NPY, PNG or PLY files, folders of "
+        "such files, or datasets of real scans.",
     )
     twin.add_argument(
         "--config",
         type=Path,
         required=True,
-        help="The cell's configuration: bin, pose, parts like the real ones, and a rig with the "
-        "scanner's geometry.",
+        help="The configuration of the cell. It states the bin, its pose, parts like the "
+        "real ones, and a rig with the geometry of the scanner.",
     )
     twin.add_argument(
         "--out",
         type=Path,
         required=True,
-        help="The new configuration to write, in the folder of --config; its rig file, a report "
-        "and a picture are written beside it.",
+        help="The new configuration file to write. It must be in the same folder as "
+        "--config. The rig file, a report and a picture are written next to it.",
     )
     twin.add_argument(
         "--intrinsics",
         metavar="K",
-        help="The intrinsics of the scans: fx,fy,cx,cy or a file that holds K (default: the "
-        "rig's).",
+        help="The camera's intrinsics in pixels: the four numbers fx,fy,cx,cy, or a file "
+        "that holds the camera matrix K (default: the rig's).",
     )
     twin.add_argument(
         "--scale",
         type=above_zero,
         metavar="METRES",
-        help="How many metres one unit of depth is: 0.001 for millimetres. Files of integers need "
-        "it; floats are metres without it.",
+        help="The length of one unit of depth in metres, such as 0.001 for millimetres. "
+        "Files of integers need it. Files of floating-point numbers are taken to be in "
+        "metres without it.",
     )
     twin.add_argument(
         "--size",
         type=size,
         metavar="WxH",
-        help="The width and height in pixels of PLY clouds that do not state it.",
+        help="The width and height of the depth map in pixels, such as 1032x772. It is "
+        "needed for PLY point clouds that do not state it.",
     )
     twin.add_argument(
         "--scenes",
         type=positive,
         default=3,
         metavar="N",
-        help="How many simulated scenes the search looks at (default: 3).",
+        help="The number of simulated scenes in the search (default: 3).",
     )
     twin.add_argument(
         "--trials",
         type=positive,
         default=240,
         metavar="N",
-        help="How many scanners are tried (default: 240).",
+        help="The number of simulated scanners that the search tries (default: 240).",
     )
     add_seed(twin, 0)
     add_device(twin)
@@ -96,7 +98,7 @@ def _twin(options: argparse.Namespace) -> int:
     K = cell.scanner.rig.camera.K if said is None else said
     scans = list(read_scans(options.scans, K=K, scale_m=options.scale, size_px=options.size))
     if not scans:
-        raise GraycastError("no scan is given: name depth files or a folder")
+        raise GraycastError("no scans are given: name depth files or a folder of them")
     check_scans(scans, cell)
     with progress_bar() as bar:
         going = bar.add_task("", total=None)

@@ -408,7 +408,7 @@ def test_a_lens_with_distortion_is_kept_as_it_was_stated(real, samples):
     out, _ = imported(real, samples, distortion=distortion)
     assert validate(out) == ()
     assert open_examples(out)[0].distortion == distortion
-    with pytest.raises(GraycastError, match="give five numbers k1,k2,p1,p2,k3"):
+    with pytest.raises(GraycastError, match="give the five numbers k1,k2,p1,p2,k3"):
         run("import-real", real, "--out", out, "--distortion", "0.1,0.2")
 
 

@@ -57,6 +57,7 @@ ORDER = (
     "evaluate",
     "detect",
     "pose",
+    "merge",
     "study_file",
     "study",
     "design",

@@ -21,6 +21,7 @@ from . import (
     looking,
     machine,
     measuring,
+    merging,
     picking,
     rigs,
     twinning,
@@ -35,6 +36,7 @@ examples:
   graycast report out/demo --out out/page                make a web page of a dataset
   graycast train out/demo --out out/detector             train a detector on a dataset
   graycast detect out/detector out/demo --out out/found  find parts in pictures
+  graycast merge out/demo --out out/clouds               make one cloud of each scene's views
   graycast export out/demo --format coco --out out/coco  write a dataset in another format
   graycast evaluate run --on out/demo --out out/scores   score detections
   graycast pick configs/cells/ur5e_suction.yaml --out p  let a simulated robot empty bins
@@ -85,6 +87,7 @@ def _parser() -> argparse.ArgumentParser:
     datasets.add_commands(commands)
     looking.add_commands(commands)
     living.add_commands(commands)
+    merging.add_commands(commands)
     exporting.add_commands(commands)
     detecting.add_commands(commands)
     judging.add_commands(commands)

@@ -94,6 +94,16 @@ class StoredScene:
         """Its name among all scenes of the dataset."""
         return f"{self.split}-{self.scene_id:06d}"
 
+    @property
+    def scene_key(self) -> str:
+        """The name of the scene that the picture is of, among all scenes of the dataset."""
+        return f"{self.split}-{self.scene_id:06d}"
+
+    @property
+    def picture_name(self) -> str:
+        """Its name among the pictures of its scene."""
+        return "0"
+
     def view(self) -> records.View | Any:
         """Intrinsics and depth scale; of simulated scenes also where the camera stood."""
         return self._of_image("scene_camera", RealView if self.real else records.View)

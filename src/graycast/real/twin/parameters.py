@@ -61,6 +61,7 @@ PARAMETERS: tuple[Parameter, ...] = (
     Parameter(key="veil", low=0.0, high=0.2),
     Parameter(key="speckle_contrast", low=0.0, high=1.0),
     Parameter(key="speckle_volume", low=0.2, high=50.0, walk="log"),
+    Parameter(key="line_noise", low=0.0, high=0.05),
     Parameter(key="decode.min_sigmas", low=3.0, high=150.0, walk="log"),
     Parameter(key="decode.doubt", low=0.03, high=0.4),
     Parameter(key="filters.flying_angle_deg", low=60.0, high=89.0),

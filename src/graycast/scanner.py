@@ -3,6 +3,7 @@
 The whole way from light to depth is two functions: `take` and `measure`.
 """
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from typing import Annotated
@@ -123,7 +124,10 @@ def take(scanner: Scanner, radiance: Radiance, *, seed: int) -> Capture:
     if scanner.rig.speckle_contrast:
         reflectance = radiance.albedo @ np.array(scanner.rig.band_weights, dtype=np.float32)
         stack = speckled(
-            stack, draw_speckle(_contrast(scanner, reflectance), scanner.sensor, seed=seed)
+            stack,
+            draw_speckle(
+                _contrast(scanner, reflectance), scanner.sensor, seed=seed, side=_side(scanner)
+            ),
         )
     seeds = np.random.SeedSequence(seed).generate_state(len(exposure.factors), np.uint64)
     shown = _shown(scanner, stack)
@@ -184,7 +188,7 @@ def measure(scanner: Scanner, capture: Capture) -> tuple[CodeMap, DepthMap]:
 
 def _contrast(scanner: Scanner, reflectance: Float[np.ndarray, "h w"]) -> Float[np.ndarray, "h w"]:
     """Of each pixel's speckle, by what its surface gives back."""
-    of_black = scanner.rig.speckle_contrast * pixel_contrast(scanner.sensor)
+    of_black = scanner.rig.speckle_contrast * pixel_contrast(scanner.sensor, side=_side(scanner))
     return of_black * material_contrast(reflectance, scanner.rig.speckle_volume)
 
 
@@ -193,7 +197,12 @@ def _off_px(scanner: Scanner, capture: Capture, depth: DepthMap) -> Float[np.nda
     if not scanner.rig.speckle_contrast:
         return np.zeros(depth.depth_m.shape, dtype=np.float32)
     contrast = _contrast(scanner, _seen_reflectance(scanner, capture, depth))
-    return np.float32(footprint_px(scanner.sensor)) * contrast
+    return np.float32(footprint_px(scanner.sensor, side=_side(scanner))) * contrast
+
+
+def _side(scanner: Scanner) -> float:
+    """Of the square that a camera's pixel senses with [px]."""
+    return math.sqrt(scanner.rig.camera.fill_factor)
 
 
 def _seen_reflectance(

@@ -74,9 +74,9 @@ def add_commands(commands: argparse._SubParsersAction) -> None:
     twin.add_argument(
         "--trials",
         type=positive,
-        default=240,
+        default=360,
         metavar="N",
-        help="How many scanners are tried (default: 240).",
+        help="How many scanners are tried (default: 360).",
     )
     add_seed(twin, 0)
     add_device(twin)

@@ -116,6 +116,7 @@ ROWS: dict[str, tuple[str, Owner, float]] = {
     "noise along y over fine noise": ("", "sensor", 0.02),
     "noise common to rows": ("", "sensor", 0.02),
     "noise common to columns": ("", "sensor", 0.02),
+    "floor's noise common to rows": ("", "sensor", 0.02),
     "tails of the noise": ("%", "sensor", 1.0),
     "differences far out": ("%", "sensor", 0.05),
     "holes in flat places": ("per 10 000", "sensor", 1.0),
@@ -141,15 +142,16 @@ def _one(scan: DepthScan, floor: Float[np.ndarray, "3"] | None) -> dict[str, flo
     for low in range(0, 50, 10):
         group = sigma_mm[(degrees >= low) & (degrees < low + 10)]
         values.append(float(np.median(group)) if len(group) >= 20 else float("nan"))
-    values += [*_floor(scan, floor), 100 * (1 - len(sigma_mm) / max(fine.tiles, 1))]
-    values += [*_texture(scan), *_tails(scan), _flat_holes(scan)]
+    *of_floor, floor_shared = _floor(scan, floor)
+    values += [*of_floor, 100 * (1 - len(sigma_mm) / max(fine.tiles, 1))]
+    values += [*_texture(scan), floor_shared, *_tails(scan), _flat_holes(scan)]
     return dict(zip(ROWS, values, strict=True))
 
 
 def _floor(scan: DepthScan, floor: Float[np.ndarray, "3"] | None) -> list[float]:
-    """Fine noise [mm] and the share of holes [%] where the floor is bare."""
+    """Fine noise [mm], the share of holes [%], what rows share, where the floor is bare."""
     if floor is None:
-        return [float("nan")] * 2
+        return [float("nan")] * 3
     row, column = np.mgrid[: scan.depth_m.shape[0], : scan.depth_m.shape[1]]
     inverse = floor[0] * column + floor[1] * row + floor[2]
     plane_m = 1.0 / np.where(inverse > 0, inverse, np.nan)
@@ -158,9 +160,10 @@ def _floor(scan: DepthScan, floor: Float[np.ndarray, "3"] | None) -> list[float]
     known = mixed[~np.isnan(mixed)]
     ring = on_floor[1:-1, :-2] & on_floor[1:-1, 2:] & on_floor[:-2, 1:-1] & on_floor[2:, 1:-1]
     if len(known) < 500:
-        return [float("nan")] * 2
+        return [float("nan")] * 3
     holes = (ring & ~scan.valid[1:-1, 1:-1]).sum() / max(int(ring.sum()), 1)
-    return [1e3 * robust_sigma(known), 100 * float(holes)]
+    shared = _shared(third_difference(np.where(on_floor, scan.depth_m, np.nan)))
+    return [1e3 * robust_sigma(known), 100 * float(holes), shared]
 
 
 def _texture(scan: DepthScan) -> list[float]:

@@ -35,6 +35,7 @@ ORDER = (
     "speckle",
     "photon_transfer",
     "decode",
+    "line_noise",
     "scanner",
     "picture",
     "rig_file",

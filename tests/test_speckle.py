@@ -234,3 +234,14 @@ def _codes(column):
         modulation=np.full(column.shape, 0.5, dtype=np.float32),
         reason=np.zeros(column.shape, dtype=np.uint8),
     )
+
+
+def test_a_pixel_that_senses_with_a_half_is_every_second_one_of_a_finer_sensor():
+    finer = replace(RED, pixel_pitch_m=RED.pixel_pitch_m / 2)
+    for lag in (0, 1, 2):
+        assert shared_light(RED, lag, side=0.5) == pytest.approx(
+            shared_light(finer, 2 * lag), rel=1e-9, abs=1e-12
+        )
+    assert 2 * footprint_px(RED, side=0.5) == pytest.approx(footprint_px(finer), rel=1e-9)
+    drawn = draw_speckle(np.full(SHAPE, 0.1), RED, seed=1, side=0.5).right_px
+    assert drawn.std() == pytest.approx(0.1 * footprint_px(finer) / 2, rel=0.05)

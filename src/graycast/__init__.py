@@ -44,6 +44,7 @@ What is simulated:
     speckle          uneven light of a laser within each pixel, and what it moves
     photon_transfer  a sensor measured from its own flat fields
     decode           pictures to projector positions to depth: Capture -> DepthMap
+    line_noise       projector lines that are uneven, and what that moves
     scanner          a rig with its code, sensor, exposure, decoder and filters
     picture          the colour picture, and what the measuring camera saw
     rig_file         scanners in files, and calibrations of others

@@ -50,7 +50,8 @@ class Rig:
     lens spreads far over the image. `speckle_contrast` is standard deviation over mean of the
     light at a point of the sensor, of a black rough surface in the projector's light: 0 of LEDs, up
     to 1 of a laser, 0.71 where the surface depolarises it. `speckle_volume` says how much less
-    a material has that scatters light inside (see `speckle.material_contrast`).
+    a material has that scatters light inside (see `speckle.material_contrast`). `line_noise` is one
+    standard deviation, as a share, of each projected line's light in each picture (`line_noise`).
 
     Leaves out: spectra finer than three bands and the projector's line; a response that depends on
     place, time or the picture.
@@ -96,6 +97,10 @@ class Rig:
         Field(
             ge=0, description="How much less a white surface speckles than a black one; 0: as much."
         ),
+    ] = 0.0
+    line_noise: Annotated[
+        float,
+        Field(ge=0, le=0.2, description="Of each projected line's light in a picture, a share."),
     ] = 0.0
 
     @property

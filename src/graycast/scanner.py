@@ -3,6 +3,8 @@
 The whole way from light to depth is two functions: `take` and `measure`.
 """
 
+import math
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from typing import Annotated
 
@@ -20,10 +22,12 @@ from .decode import (
     filter_depth,
     levels_of,
     triangulate,
+    triangulation_axis,
     with_displacement,
     without_hidden,
 )
 from .frames import pixel_grid
+from .line_noise import lines_seen, place_sigma_px, with_line_noise
 from .optics import rays
 from .pattern import Code, CodeSpec
 from .render import Radiance
@@ -120,15 +124,36 @@ def take(scanner: Scanner, radiance: Radiance, *, seed: int) -> Capture:
     if scanner.rig.speckle_contrast:
         reflectance = radiance.albedo @ np.array(scanner.rig.band_weights, dtype=np.float32)
         stack = speckled(
-            stack, draw_speckle(_contrast(scanner, reflectance), scanner.sensor, seed=seed)
+            stack,
+            draw_speckle(
+                _contrast(scanner, reflectance), scanner.sensor, seed=seed, side=_side(scanner)
+            ),
         )
     seeds = np.random.SeedSequence(seed).generate_state(len(exposure.factors), np.uint64)
+    shown = _shown(scanner, stack)
     return merge_exposures(
         [
-            expose(stack, background, scanner.sensor, exposure_s=factor * time_s, seed=int(own))
+            expose(
+                shown(int(own)),
+                background,
+                scanner.sensor,
+                exposure_s=factor * time_s,
+                seed=int(own),
+            )
             for factor, own in zip(exposure.factors, seeds, strict=True)
         ]
     )
+
+
+def _shown(
+    scanner: Scanner, stack: Float[np.ndarray, "n h w"]
+) -> Callable[[int], Float[np.ndarray, "n h w"]]:
+    """The light of one exposure, by its seed: the projector shines anew in each."""
+    share = scanner.rig.line_noise
+    if not share:
+        return lambda seed: stack
+    line = lines_seen(stack, scanner.light_code(), triangulation_axis(scanner.rig))
+    return lambda seed: with_line_noise(stack, line, share, seed=seed)
 
 
 def scan_seconds(scanner: Scanner, capture: Capture, *, readout_s: float) -> float:
@@ -145,10 +170,16 @@ def measure(scanner: Scanner, capture: Capture) -> tuple[CodeMap, DepthMap]:
     """Pictures to projector positions to depth, filtered as the scanner does."""
     codes = decode(capture.frames, scanner.light_code(), scanner.decode, levels_of(scanner.sensor))
     depth = triangulate(codes, scanner.rig, max_epipolar_px=scanner.decode.max_epipolar_px)
-    if scanner.rig.speckle_contrast:
-        contrast = _contrast(scanner, _seen_reflectance(scanner, capture, depth))
-        off_px = np.float32(footprint_px(scanner.sensor)) * contrast
-        depth = with_displacement(depth, codes, scanner.rig, off_px)
+    if scanner.rig.speckle_contrast or scanner.rig.line_noise:
+        depth = with_displacement(
+            depth,
+            codes,
+            scanner.rig,
+            _off_px(scanner, capture, depth),
+            place_px=place_sigma_px(
+                scanner.light_code(), triangulation_axis(scanner.rig), scanner.rig.line_noise
+            ),
+        )
     depth = filter_depth(depth, scanner.filters, camera=scanner.rig.camera)
     if scanner.filters.hidden_sigmas:
         depth = without_hidden(depth, scanner.rig, sigmas=scanner.filters.hidden_sigmas)
@@ -157,8 +188,21 @@ def measure(scanner: Scanner, capture: Capture) -> tuple[CodeMap, DepthMap]:
 
 def _contrast(scanner: Scanner, reflectance: Float[np.ndarray, "h w"]) -> Float[np.ndarray, "h w"]:
     """Of each pixel's speckle, by what its surface gives back."""
-    of_black = scanner.rig.speckle_contrast * pixel_contrast(scanner.sensor)
+    of_black = scanner.rig.speckle_contrast * pixel_contrast(scanner.sensor, side=_side(scanner))
     return of_black * material_contrast(reflectance, scanner.rig.speckle_volume)
+
+
+def _off_px(scanner: Scanner, capture: Capture, depth: DepthMap) -> Float[np.ndarray, "h w"]:
+    """By how much speckle puts each pixel's light off its centre (one sigma)."""
+    if not scanner.rig.speckle_contrast:
+        return np.zeros(depth.depth_m.shape, dtype=np.float32)
+    contrast = _contrast(scanner, _seen_reflectance(scanner, capture, depth))
+    return np.float32(footprint_px(scanner.sensor, side=_side(scanner))) * contrast
+
+
+def _side(scanner: Scanner) -> float:
+    """Of the square that a camera's pixel senses with [px]."""
+    return math.sqrt(scanner.rig.camera.fill_factor)
 
 
 def _seen_reflectance(

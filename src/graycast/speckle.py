@@ -28,7 +28,7 @@ from .sensor import SensorSpec
 
 LAGS = 3  # pixels over which neighbours' speckle is correlated: a speckle is smaller
 MOST_REFLECTANCE = 0.95  # a mean path in matter without any absorption has no end
-FURTHEST_PX = 0.5  # light that a pixel gathers is centred within it
+FURTHEST_PX = 0.5  # light that a pixel gathers is centred within what it senses with
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -44,7 +44,7 @@ class Speckle:
             getattr(self, name).flags.writeable = False
 
 
-def shared_light(sensor: SensorSpec, lag_px: int) -> float:
+def shared_light(sensor: SensorSpec, lag_px: int, *, side: float = 1.0) -> float:
     """Covariance of two pixels' light, `lag_px` apart along a line, for speckle of contrast 1.
 
     It is one axis's factor: of two pixels apart along both axes, the product. With the intensity's
@@ -53,11 +53,14 @@ def shared_light(sensor: SensorSpec, lag_px: int) -> float:
 
         1/p integral (1 - |t| / p) exp(-pi (t + lag p)^2 / A) dt   from -p to p.
 
-    At lag 0 its square is one over the number of speckles in a pixel.
+    At lag 0 its square is one over the number of speckles in a pixel. A pixel that senses with a
+    square in its middle alone has that square's `side` times p for p, and its neighbours lie
+    farther apart in it.
 
     Source: J. W. Goodman, "Speckle Phenomena in Optics", 2007, section 4.5 (integrated speckle).
     """
-    pixels2 = 4 / math.pi * (sensor.wavelength_m * sensor.f_number / sensor.pixel_pitch_m) ** 2
+    pitch_m = side * sensor.pixel_pitch_m
+    pixels2 = 4 / math.pi * (sensor.wavelength_m * sensor.f_number / pitch_m) ** 2
     root = math.sqrt(math.pi / pixels2)
 
     def twice_integrated(t: float) -> float:
@@ -66,8 +69,8 @@ def shared_light(sensor: SensorSpec, lag_px: int) -> float:
             2 * math.pi
         ) * math.exp(-((root * t) ** 2))
 
-    ends = twice_integrated(lag_px + 1.0) + twice_integrated(lag_px - 1.0)
-    return ends - 2 * twice_integrated(float(lag_px))
+    lag = lag_px / side
+    return twice_integrated(lag + 1) + twice_integrated(lag - 1) - 2 * twice_integrated(lag)
 
 
 def material_contrast(
@@ -86,39 +89,41 @@ def material_contrast(
     return 1 / np.sqrt(1 + volume * 2 * R / (1 - R * R))
 
 
-def pixel_contrast(sensor: SensorSpec) -> float:
+def pixel_contrast(sensor: SensorSpec, *, side: float = 1.0) -> float:
     """What summing over a pixel leaves of the contrast at a point of the sensor."""
-    return shared_light(sensor, 0)
+    return shared_light(sensor, 0, side=side)
 
 
-def footprint_px(sensor: SensorSpec) -> float:
+def footprint_px(sensor: SensorSpec, *, side: float = 1.0) -> float:
     """By how much speckle of contrast 1 over a pixel would move its centre of light (one sigma).
 
-    `1 / 12` of the pixel's square, and the `lambda N / pi` of a point (Dorsch et al.), which is
-    what a pixel much smaller than a speckle has.
+    `1 / 12` of the square that a pixel senses with, and the `lambda N / pi` of a point (Dorsch et
+    al.), which is what a pixel much smaller than a speckle has.
     """
     point_px = sensor.wavelength_m * sensor.f_number / sensor.pixel_pitch_m / math.pi
-    return math.hypot(1 / math.sqrt(12), point_px)
+    return math.hypot(side / math.sqrt(12), point_px)
 
 
-def draw_speckle(contrast: Float[np.ndarray, "h w"], sensor: SensorSpec, *, seed: int) -> Speckle:
-    """A pattern for pixels of a given contrast each.
+def draw_speckle(
+    contrast: Float[np.ndarray, "h w"], sensor: SensorSpec, *, seed: int, side: float = 1.0
+) -> Speckle:
+    """A pattern for pixels of a given contrast each, that sense with a square of a `side` [px].
 
     Brightness has a gamma law of mean 1 (integrated speckle, Goodman), by the cube of a normal
     number (E. B. Wilson, M. M. Hilferty, 1931). The moment of light about the pixel's centre is
     normal and independent of it; the centre is their quotient, so dark pixels are moved farthest.
     """
     rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=_STREAM))
-    fields = _correlated(rng.standard_normal((3, *contrast.shape), dtype=np.float32), sensor)
+    fields = _correlated(rng.standard_normal((3, *contrast.shape), dtype=np.float32), sensor, side)
     contrast = contrast.astype(np.float32)
     ninth = contrast**2 / 9  # 1 / (9 K) of a gamma law of K = 1 / C^2 speckles
     root = np.maximum(1 - ninth + np.sqrt(ninth) * fields[0], 0)
     middle = 1 - ninth
     brightness = root**3 / (middle**3 + 3 * middle * ninth)
-    moment = np.float32(footprint_px(sensor)) * contrast * fields[1:]
+    moment = np.float32(footprint_px(sensor, side=side)) * contrast * fields[1:]
     with np.errstate(divide="ignore", invalid="ignore"):
         place = np.where(brightness > 0, moment / brightness, 0)
-    right, down = np.clip(place, -FURTHEST_PX, FURTHEST_PX)
+    right, down = np.clip(place, -FURTHEST_PX * side, FURTHEST_PX * side)
     return Speckle(brightness=brightness, right_px=right, down_px=down)
 
 
@@ -126,10 +131,11 @@ _STREAM = (2,)  # beside those of the sensor's noise
 
 
 def _correlated(
-    white: Float[np.ndarray, "n h w"], sensor: SensorSpec
+    white: Float[np.ndarray, "n h w"], sensor: SensorSpec, side: float
 ) -> Float[np.ndarray, "n h w"]:
     """White noise of unit variance with the correlation that neighbouring pixels' speckle has."""
-    share = [shared_light(sensor, lag) / shared_light(sensor, 0) for lag in range(LAGS + 1)]
+    lags = [shared_light(sensor, lag, side=side) for lag in range(LAGS + 1)]
+    share = [lag / lags[0] for lag in lags]
     spectrum = [_spectrum(size, share) for size in white.shape[1:]]
     half = spectrum[1][: white.shape[2] // 2 + 1]
     factor = np.sqrt(spectrum[0][:, None] * half).astype(np.float32)

@@ -363,9 +363,7 @@ def test_what_cannot_be_looked_at_is_said_in_one_line(dataset, run, tmp_path, ca
     (tmp_path / "mine").mkdir()
     (tmp_path / "mine" / "letter.txt").write_text("mine")
     assert "is not empty and holds no earlier result" in told(out=tmp_path / "mine")
-    assert "no pictures are given" in refusal(
-        capsys, "detect", run, "--out", tmp_path / "found"
-    )
+    assert "no pictures are given" in refusal(capsys, "detect", run, "--out", tmp_path / "found")
     if not torch.cuda.is_available():
         assert "torch finds no NVIDIA GPU: take --device cpu" in told("--device", "cuda")
     assert not (tmp_path / "found").exists()

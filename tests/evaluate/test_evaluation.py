@@ -255,7 +255,9 @@ def test_a_run_that_does_not_fit_the_dataset_is_refused(master, tmp_path, capsys
     assert "--split-seed applies only with --shares" in told(boxes, "--split-seed", "3")
     assert "min_visibility is 1.0" in told(boxes, "--min-visibility", "1")
     assert not out.exists()
-    assert "no results are given: give detections or poses" in refusal(capsys, "--on", master, "--out", out)
+    assert "no results are given: give detections or poses" in refusal(
+        capsys, "--on", master, "--out", out
+    )
     assert "results applies only to detections" in told(boxes, "--depth")
     assert "not a Graycast dataset" in refusal(capsys, boxes, "--on", tmp_path, "--out", out)
     (out / "mine").mkdir(parents=True)

@@ -265,7 +265,10 @@ def test_damaged_picks_are_told_in_one_line(copied, tmp_path, capfd, damage, sai
         (["replay", "{picks}", "--out", "{out}.gif", "--bin", "1"], "no bin 1: it has 0 to 2"),
         (["replay", "{picks}", "--out", "{out}.mp4"], "is a .gif or .webp file"),
         (["replay", "{picks}", "--out", "{out}.gif", "--width", "100"], "at least 280"),
-        (["report", "{picks}", "--out", "{out}", "--detections", "x"], "--detections applies only to a dataset"),
+        (
+            ["report", "{picks}", "--out", "{out}", "--detections", "x"],
+            "--detections applies only to a dataset",
+        ),
         (["report", "{picks}", "--out", "{picks}"], "page a folder of its own"),
         (["replay", "{out}", "--out", "{out}.gif"], "holds no picks"),
         (["report", "{picks}", "--out", "{out}", "--cell", "/nowhere/c.yaml"], "give the cell's"),

@@ -26,6 +26,7 @@ FORMAT_VERSION, SEALED_SINCE = 2, 2  # 1 had no SHA-256 of files
 # Fields that older datasets lack; where they are off they are left out, so that those can go on.
 _LATER = {
     "speckle_volume": 0.0,
+    "line_noise": 0.0,
     "min_sigmas": 0.0,
     "outlier_repair": False,
     "hidden_sigmas": None,

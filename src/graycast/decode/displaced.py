@@ -1,4 +1,7 @@
-"""Standard deviation of depth where a pixel's light is not centred in it, as speckle makes it."""
+"""Standard deviation of depth beyond the sensor's noise: what moves positions.
+
+Speckle puts a pixel's light off its centre; a projector whose lines are uneven shifts positions.
+"""
 
 from dataclasses import replace
 
@@ -13,13 +16,19 @@ STEP_RATIO = 4.0  # a position that rises this much faster than on a facing surf
 
 
 def with_displacement(
-    depth: DepthMap, codes: CodeMap, rig: Rig, off_px: Float[np.ndarray, "h w"]
+    depth: DepthMap,
+    codes: CodeMap,
+    rig: Rig,
+    off_px: Float[np.ndarray, "h w"],
+    *,
+    place_px: float = 0.0,
 ) -> DepthMap:
     """The same depth, whose sigma also holds that light is centred off its pixel.
 
     A centre that lies `off_px` aside (one sigma along either axis) shows the position decoded
     there, `grad u . off`, and depth is wrong by `dz/du` times that. The gradient is seen between
-    both neighbours; beside steps and holes it is that of a surface that faces the rig.
+    both neighbours; beside steps and holes it is that of a surface that faces the rig. `place_px`
+    is an error of each decoded position itself (one sigma).
     """
     column = triangulation_axis(rig) == "column"
     u, sigma_px = (codes.column, codes.sigma_column) if column else (codes.row, codes.sigma_row)
@@ -28,7 +37,8 @@ def with_displacement(
     along = _gradient(u, 1, facing if column else 0.0, STEP_RATIO * facing)
     across = _gradient(u, 0, 0.0 if column else facing, STEP_RATIO * facing)
     with np.errstate(divide="ignore", invalid="ignore"):
-        seen = off_px * np.hypot(along, across) / sigma_px  # in standard deviations of the code
+        # In standard deviations of the code.
+        seen = np.hypot(off_px * np.hypot(along, across), np.float32(place_px)) / sigma_px
         sigma_m = depth.sigma_m * np.sqrt(1 + seen * seen)
     return replace(depth, sigma_m=sigma_m.astype(np.float32))
 

@@ -67,6 +67,8 @@ def read_depth(
         raise DatasetError(
             f"{path}: its camera is not known: give the intrinsics (--intrinsics fx,fy,cx,cy)"
         )
+    if value.ndim == 3 and value.shape[2] == 1:  # one channel, as pictures of a batch are kept
+        value = value[..., 0]
     if value.ndim != 2:
         raise DatasetError(f"{path}: has the shape {value.shape}: a depth map has rows and columns")
     if value.dtype.kind not in "uif":

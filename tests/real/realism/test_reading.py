@@ -61,6 +61,11 @@ def test_npy_and_png_hold_the_same_map(tmp_path, depth_m):
     np.testing.assert_allclose(scan.depth_m, depth_m, rtol=1e-12)
 
 
+def test_a_map_of_one_channel_is_a_map(tmp_path, depth_m):
+    np.save(tmp_path / "a.npy", depth_m[..., None])
+    np.testing.assert_array_equal(one(tmp_path / "a.npy", K=K).depth_m, depth_m)
+
+
 @pytest.mark.parametrize("form", ["ascii", "binary_little_endian", "binary_big_endian"])
 def test_an_organised_ply_brings_depth_and_camera(tmp_path, depth_m, form):
     (tmp_path / "a.ply").write_bytes(ply(depth_m, form))

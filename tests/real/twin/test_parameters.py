@@ -34,7 +34,7 @@ def test_a_value_survives_the_scanner_and_its_file(parameter, tmp_path):
 @pytest.mark.parametrize("parameter", PARAMETERS, ids=lambda p: p.key)
 def test_shares_span_the_bounds_and_come_back(parameter):
     assert (parameter.value(0.0), parameter.value(1.0)) == (parameter.low, parameter.high)
-    for share in (0.0, 0.3, 0.8, 1.0):
+    for share in (0.0, 1.0) if parameter.switch else (0.0, 0.3, 0.8, 1.0):
         tolerance = 0.01 if parameter.whole else 1e-3
         assert parameter.share(parameter.value(share)) == pytest.approx(share, abs=tolerance)
 
@@ -45,13 +45,23 @@ def test_nothing_else_changes():
     assert fitted.rig.camera == SCANNER.rig.camera
     assert fitted.code == SCANNER.code
     assert fitted.filters == SCANNER.filters
-    assert fitted.decode.min_contrast == pytest.approx(SCANNER.decode.min_contrast)
+    assert fitted.decode == SCANNER.decode
+    assert fitted.rig.speckle_contrast == SCANNER.rig.speckle_contrast
+    assert fitted.sensor == SCANNER.sensor
 
 
 def test_a_filter_goes_off_below_its_least_value():
     low = with_values(SCANNER, PARAMETERS, values_at(np.zeros(len(PARAMETERS)), PARAMETERS))
     assert low.filters.smoothing_px is None
     assert low.filters.island_px is None
+    assert low.filters.hidden_sigmas is None
+
+
+def test_a_switch_is_on_from_the_middle_of_its_range():
+    repair = next(p for p in PARAMETERS if p.key == "filters.outlier_repair")
+    for share, on in ((0.49, False), (0.5, True)):
+        made = with_values(SCANNER, [repair], {repair.key: repair.value(share)})
+        assert made.filters.outlier_repair is on
 
 
 def test_finer_codes_are_tried_and_a_plain_one_is_left():

@@ -24,7 +24,7 @@ class Parameter:
     """One number of a scanner, and where it may lie.
 
     `key` is the rig file's, with dots; a number in brackets is an item of a list. `off_below` is
-    the value under which a filter is switched off.
+    the value under which a filter is switched off; a `switch` is on from the middle of its range.
     """
 
     key: str
@@ -32,11 +32,14 @@ class Parameter:
     high: float
     walk: Literal["linear", "log"] = "linear"
     whole: bool = False
+    switch: bool = False
     off_below: float | None = None
 
     def value(self, share: float) -> float:
         """The value at a share, 0 to 1, of the way from low to high."""
         share = min(max(share, 0.0), 1.0)
+        if self.switch:
+            return float(share >= 0.5)
         if self.walk == "log":
             value = math.exp(math.log(self.low) + share * math.log(self.high / self.low))
         else:
@@ -55,15 +58,20 @@ PARAMETERS: tuple[Parameter, ...] = (
     Parameter(key="exposure.target", low=0.1, high=1.0, walk="log"),
     Parameter(key="exposure.factors[1]", low=1.5, high=60.0, walk="log"),
     Parameter(key="sensor.read_noise_e", low=1.0, high=80.0, walk="log"),
-    Parameter(key="sensor.prnu", low=1e-4, high=0.03, walk="log"),
     Parameter(key="veil", low=0.0, high=0.2),
-    Parameter(key="decode.min_contrast", low=0.002, high=0.1, walk="log"),
+    Parameter(key="speckle_contrast", low=0.0, high=1.0),
+    Parameter(key="speckle_volume", low=0.2, high=50.0, walk="log"),
+    Parameter(key="line_noise", low=0.0, high=0.05),
+    Parameter(key="decode.min_sigmas", low=3.0, high=150.0, walk="log"),
     Parameter(key="decode.doubt", low=0.03, high=0.4),
     Parameter(key="filters.flying_angle_deg", low=60.0, high=89.0),
     Parameter(key="filters.outlier_sigmas", low=3.0, high=15.0, walk="log"),
     Parameter(key="filters.outlier_share", low=1e-4, high=3e-3, walk="log"),
+    Parameter(key="filters.outlier_repair", low=0.0, high=1.0, switch=True),
+    Parameter(key="filters.hidden_sigmas", low=0.0, high=10.0, off_below=0.5),
     Parameter(key="filters.island_px", low=0.0, high=60.0, whole=True, off_below=1.0),
     Parameter(key="filters.smoothing_px", low=0.0, high=0.7, off_below=0.25),
+    Parameter(key="filters.raster_px", low=0.0, high=0.6, off_below=0.02),
     Parameter(key=BIN_REFLECTANCE, low=0.3, high=3.0, walk="log"),
 )
 
@@ -88,6 +96,8 @@ def with_values(
                 value = None
             elif parameter.whole:
                 value = int(value)
+            elif parameter.switch:
+                value = bool(value)
             scanner = _replaced(scanner, _path(parameter.key), value)
     return scanner
 

@@ -37,9 +37,10 @@ OnTrial = Callable[[int, int, str], None]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Held:
-    """How well the data hold a parameter: what it may be while all others stay.
+    """How well the data hold a parameter: between what it may lie.
 
-    `low` and `high` are the last tried values that fit as well as two draws of noise do.
+    `low` and `high` are the nearest tried values beyond which nothing that was tried fits as well
+    as two draws of noise are alike.
     """
 
     parameter: Parameter
@@ -143,6 +144,7 @@ class _Court:
         self.start, self.lit, self.parameters, self.real = start, lit, parameters, real
         self.seed, self.total, self.on_trial = seed, total, on_trial
         self.done, self.least = 0, np.inf
+        self.tried: list[tuple[CodeSpec, Float[np.ndarray, " n"], float]] = []  # one noise for all
         self.floor = find_floor([one.truth.depth_m for one in lit])
 
     def rows(
@@ -157,6 +159,8 @@ class _Court:
     def loss(self, code: CodeSpec, x: Float[np.ndarray, " n"], seed: int | None = None) -> float:
         rows = self.rows(code, x, seed)
         loss = loss_of(rows) if rows else _DARK_LOSS
+        if seed is None:
+            self.tried.append((code, x.copy(), loss))
         self.done, self.least = self.done + 1, min(self.least, loss)
         self.on_trial(self.done, self.total, f"best misfit {self.least:.2f}")
         return loss
@@ -202,21 +206,28 @@ class _Court:
 def _hold(
     court: _Court, code: CodeSpec, x: Float[np.ndarray, " n"], loss: float, seed: int
 ) -> tuple[Held, ...]:
-    """Each parameter alone over its range: how far it can go before the fit is worse.
+    """Each parameter alone over its range, and in all trials before: where the fit is worse.
 
     Worse is by more than two other draws of the noise make of the best itself, or by a twentieth.
     """
     other = [court.loss(code, x, seed + 1000 * k) for k in (1, 2)]
     limit = loss + max(2 * float(np.abs(np.array(other) - loss).max()), 0.05 * loss, 1e-9)
+    fits = np.array([at for c, at, was in court.tried if c == code and was <= limit])
     found = []
     for i, parameter in enumerate(court.parameters):
-        fits = [float(x[i])]
+        good, bad = fits[:, i].tolist(), []
         for share in _PROFILE:
             moved = x.copy()
             moved[i] = share
-            if court.loss(code, moved) <= limit:
-                fits.append(float(share))
-        low, high = parameter.value(min(fits)), parameter.value(max(fits))
-        value = parameter.value(float(x[i]))
-        found.append(Held(parameter=parameter, value=value, low=low, high=high))
+            (good if court.loss(code, moved) <= limit else bad).append(float(share))
+        low = max((b for b in bad if b < min(good)), default=min(good))
+        high = min((b for b in bad if b > max(good)), default=max(good))
+        found.append(
+            Held(
+                parameter=parameter,
+                value=parameter.value(float(x[i])),
+                low=parameter.value(low),
+                high=parameter.value(high),
+            )
+        )
     return tuple(found)

@@ -1,0 +1,63 @@
+"""Light of a projector's lines that is a little brighter or darker in every picture.
+
+A laser line that sweeps over the scene is modulated in time, and its power is never quite what was
+asked for: each line of each picture has its own relative error. Pixels that look at the same line
+share it, so it makes noise that neighbours along the projector's lines have in common, and none
+that neighbours across them have. No exposure and no brightness helps against it.
+
+Leaves out: errors that neighbouring lines share; that a camera's pixel may see several lines, or a
+line's blur; light that came over other surfaces.
+"""
+
+import math
+
+import numpy as np
+from jaxtyping import Float
+
+from .decode import DecodeSpec, Levels, decode
+from .pattern import Axis, Code
+
+_STREAM = (3,)  # beside those of the sensor's noise and of speckle
+_TOP_DN = 60_000  # as which light is decoded without noise
+
+
+def lines_seen(
+    stack: Float[np.ndarray, "n h w"], code: Code, axis: Axis
+) -> Float[np.ndarray, "h w"]:
+    """The projector's line, a whole number, that each pixel sees along an axis; NaN where none."""
+    top = float(stack.max())
+    frames = np.rint(stack * np.float32(_TOP_DN / top)).astype(np.uint16)
+    levels = Levels(offset_dn=0.0, saturation_dn=_TOP_DN + 1.0, floor_dn2=1.0, slope_dn=0.0)
+    codes = decode(frames, code, DecodeSpec(min_contrast=1e-4), levels)
+    return np.rint(codes.column if axis == "column" else codes.row)
+
+
+def with_line_noise(
+    stack: Float[np.ndarray, "n h w"],
+    line: Float[np.ndarray, "h w"],
+    share: float,
+    *,
+    seed: int,
+) -> Float[np.ndarray, "n h w"]:
+    """Each picture's light, times one plus the error (one sigma: `share`) of the line it is of."""
+    known = np.isfinite(line)
+    number = np.where(known, line, 0).astype(np.int64)
+    number -= min(int(number.min()), 0)  # a line just outside the picture is one, too
+    rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=_STREAM))
+    error = rng.standard_normal((len(stack), int(number.max()) + 1), dtype=np.float32)
+    gain = np.maximum(1 + np.float32(share) * error, 0)
+    gain = np.where(known, gain[:, number], np.float32(1))
+    return np.asarray(stack, dtype=np.float32) * gain
+
+
+def place_sigma_px(code: Code, axis: Axis, share: float) -> float:
+    """What it makes of a decoded position: one sigma [projector px]; 0 without phases.
+
+    With N steps of a period p the phase is off by `-2/N sum e_k (1 + cos t_k) sin t_k`, t_k evenly
+    spread and e_k the errors: `(p / 2 pi) share sqrt(5 / (2 N))`, of the shortest period.
+    """
+    phases = [f for f in code.frames if f.kind == "phase" and f.axis == axis]
+    if not phases:
+        return 0.0
+    finest = min(phases, key=lambda frame: frame.period_px)
+    return finest.period_px / (2 * math.pi) * share * math.sqrt(5 / (2 * finest.steps))

@@ -1,0 +1,103 @@
+"""Uneven projector lines: noise is common along them, obeys the closed form, and is told."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from stage import centred, in_camera, lambert, make_rig, wall
+
+from graycast.line_noise import lines_seen, with_line_noise
+from graycast.pattern import CodeSpec
+from graycast.render import Quality
+from graycast.render.reference import ReferenceRenderer
+from graycast.scanner import ExposureSpec, Scanner, measure, take
+from graycast.scene import EMPTY_LAYOUT
+from graycast.sensor import SensorSpec
+
+SHARE, PERIOD_PX, STEPS = 0.02, 16.0, 4
+
+
+@pytest.fixture(scope="module")
+def scanner():
+    """Parallel devices whose pixels fit each other: each camera pixel sees one projector line."""
+    rig = make_rig(centred(96, 72, 160.0), centred(192, 144, 160.0), line_noise=SHARE)
+    return Scanner(
+        rig=rig,
+        code=CodeSpec(codec="gray_phase", axes=("column",), period_px=PERIOD_PX, steps=STEPS),
+        exposure=ExposureSpec(target=0.8),
+        sensor=SensorSpec(full_well_e=1e6, gain_dn_per_e=0.0039, read_noise_e=1.0),
+    )
+
+
+@pytest.fixture(scope="module")
+def radiance(scanner):
+    made = ReferenceRenderer().render(
+        in_camera(scanner.rig, wall(1.0, lambert(0.6))),
+        EMPTY_LAYOUT,
+        scanner.light_code().render(),
+        quality=Quality(samples=1, depth=1),
+        seed=0,
+    )
+    return made.radiance
+
+
+def places(scanner, radiance, seeds):
+    """Decoded columns and their stated depth sigma over the code's own, of several captures."""
+    found = [measure(scanner, take(scanner, radiance, seed=seed)) for seed in seeds]
+    inner = np.s_[2:-2, 2:-2]
+    return np.stack([codes.column[inner] for codes, _ in found]), found
+
+
+def test_each_pixel_s_line_is_the_one_that_its_ray_meets(scanner, radiance):
+    """Oracle: similar triangles, u_proj = u_cam - f b / z."""
+    line = lines_seen(radiance.pattern, scanner.light_code(), "column")
+    rig = scanner.rig
+    expected = np.arange(96) - 47.5 - 160.0 * rig.T_cam_proj[0, 3] / 1.0 + 95.5
+    np.testing.assert_array_equal(line, np.broadcast_to(expected.round(), (72, 96)))
+
+
+def test_positions_scatter_by_the_closed_form_and_alike_along_a_line(scanner, radiance):
+    """(p / 2 pi) share sqrt(5 / (2 N)): sums over sin and cos, as in the module, done by hand.
+
+    Half of it, and twice, are refused by far.
+    """
+    column, _ = places(scanner, radiance, range(40))
+    error = column - column.mean(axis=0)
+    expected = PERIOD_PX / (2 * np.pi) * SHARE * np.sqrt(5 / (2 * STEPS))
+    common = error.mean(axis=1)  # over the rows: what a line's pixels share
+    assert common.std() == pytest.approx(expected, rel=0.05)
+    rest = error - common[:, None, :]
+    assert rest.std() < 0.2 * expected  # photons and rounding
+    neighbours = np.corrcoef(common[:, :-1].ravel(), common[:, 1:].ravel())[0, 1]
+    assert abs(neighbours) < 0.1  # lines have errors of their own
+
+
+def test_sigma_tells_the_error(scanner, radiance):
+    _, found = places(scanner, radiance, range(12))
+    inner = np.s_[2:-2, 2:-2]
+    depth_m = np.stack([depth.depth_m[inner] for _, depth in found])
+    sigma_m = np.stack([depth.sigma_m[inner] for _, depth in found])
+    noise_m = np.sqrt(depth_m.var(axis=0, ddof=1).mean())
+    assert 0.9 < noise_m / np.sqrt((sigma_m**2).mean()) < 1.1
+
+
+def test_a_still_projector_changes_nothing_and_exposures_differ(scanner, radiance):
+    still = replace(scanner, rig=replace(scanner.rig, line_noise=0.0))
+    sensor = replace(scanner, rig=replace(scanner.rig, line_noise=1e-9))
+    np.testing.assert_array_equal(
+        take(still, radiance, seed=3).frames, take(sensor, radiance, seed=3).frames
+    )
+    line = lines_seen(radiance.pattern, scanner.light_code(), "column")
+    first, again, other = (
+        with_line_noise(radiance.pattern, line, 0.1, seed=seed) for seed in (1, 1, 2)
+    )
+    np.testing.assert_array_equal(first, again)
+    assert not np.array_equal(first, other)
+
+
+def test_light_of_no_known_line_is_left(scanner, radiance):
+    line = lines_seen(radiance.pattern, scanner.light_code(), "column").copy()
+    line[:, 40:] = np.nan
+    noisy = with_line_noise(radiance.pattern, line, 0.1, seed=1)
+    np.testing.assert_array_equal(noisy[..., 40:], radiance.pattern[..., 40:].astype(np.float32))
+    assert not np.array_equal(noisy[..., :40], radiance.pattern[..., :40])

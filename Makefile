@@ -1,5 +1,5 @@
 # The two commands of the README: `make demo` and `make test`. Set-up goes into .venv.
-.PHONY: demo test test-slow setup setup-test cycles extras docs clean
+.PHONY: demo test test-slow setup setup-test cycles extras javascript docs clean
 
 GRAYCAST = .venv/bin/graycast
 
@@ -37,5 +37,9 @@ cycles:
 extras:
 	@scripts/setup-extras
 
+# Optional: TypeScript's checker and a formatter for the scripts of the pages.
+javascript:
+	@scripts/setup-javascript
+
 clean:
-	rm -rf .venv .venv-cycles out build
+	rm -rf .venv .venv-cycles .venv-javascript out build

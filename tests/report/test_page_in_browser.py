@@ -1,6 +1,7 @@
 """The page in a real browser, opened from the disk: it loads, and its controls do what they say."""
 
 import shutil
+from dataclasses import replace
 
 import cv2
 import numpy as np
@@ -50,6 +51,82 @@ def test_projector_positions_are_those_of_the_optics(page, made, rig, which):
         assert np.abs(found - expected[..., k])[inside].max() < 2e-3
         outside = ((expected < -0.51) | (expected > [159.51, 119.51])).any(axis=-1)
         assert (found[outside | (step == 0)] == -1).all()
+
+
+@pytest.mark.parametrize(
+    ("distortion", "folds"),
+    [
+        ((-0.12, 0.05, 0.001, -0.0007, 0.0), False),
+        ((0.3, 0.1, -0.01, 0.02, 0.05), False),
+        ((-0.6, 0.0, 0.0, 0.0, 0.0), False),
+        ((-2.0, 0.0, 0.0, 0.0, 0.0), True),
+        ((1.0, -20.0, 0.0, 0.0, 0.0), True),
+        ((0.0, 0.0, 0.9, 0.0, 0.0), True),
+    ],
+)
+def test_rays_are_refused_where_optics_refuses_them(page, made, rig, distortion, folds):
+    """Oracle: `optics.rays`, which refuses a lens that folds over within the picture."""
+    opened(page, made, 0)
+    found = page.evaluate(
+        """(distortion) => {
+            const scene = { ...Graycast.opened().scene, rays: null };
+            scene.view = { ...scene.view, distortion };
+            try {
+                return Array.from(Graycast.rays(scene));
+            } catch (error) {
+                return error.message;
+            }
+        }""",
+        distortion,
+    )
+    lens = replace(rig.camera, distortion=distortion)
+    if folds:
+        assert "has no inverse over this picture" in found
+        with pytest.raises(ValueError, match="no inverse"):
+            rays(lens, pixel_grid(120, 160))
+    else:
+        expected = rays(lens, pixel_grid(120, 160))[..., :2]
+        assert np.abs(np.reshape(found, (120, 160, 2)) - expected).max() < 1e-6
+
+
+@pytest.mark.parametrize("k", [(-1.5, 0.0, 0.0), (-2.0, 1.0, 0.0), (0.1, -3.0, 0.2)])
+def test_no_projector_position_is_given_beyond_the_end_of_the_lens(page, made, rig, k):
+    """Oracle: `optics.project`; beyond the fold the polynomial leads back into the picture."""
+    opened(page, made, 0)
+    lens = replace(rig.projector, distortion=(k[0], k[1], 0.0, 0.0, k[2]))
+    found = page.evaluate(
+        """(distortion) => {
+            Graycast.report.claim.rig.projector.distortion = distortion;
+            const scene = { ...Graycast.opened().scene, projected: null };
+            return Array.from(Graycast.projectorMap(scene, "depth").column, (v) => v === v);
+        }""",
+        lens.distortion,
+    )
+    step = held(page, "depth")
+    point = rays(rig.camera, pixel_grid(120, 160)) * (step * SCALE_MM * 1e-3)[..., None]
+    expected = project(lens, transform_points(inverse(rig.T_cam_proj), point))
+    ended = np.isnan(expected).any(axis=-1) & (step > 0)
+    inside = ((expected > -0.49) & (expected < [159.49, 119.49])).all(axis=-1) & (step > 0)
+    assert ended.sum() > 30 and inside.sum() > 300
+    found = np.reshape(found, (120, 160))
+    assert not found[ended].any() and found[inside].all()
+
+
+def test_a_lens_without_an_inverse_is_told_where_its_rays_are_needed(page, made):
+    opened(page, made, 0)
+    page.evaluate(
+        """() => {
+            const { scene } = Graycast.opened();
+            scene.view.distortion = [-2, 0, 0, 0, 0];
+            scene.rays = scene.projected = null;
+        }"""
+    )
+    page.click('[data-view="column"]')
+    page.wait_for_selector(".note:has-text('has no inverse over this picture')")
+    page.click('[data-view="cloud"]')
+    page.wait_for_selector(".stage.cloud .sorry:has-text('has no inverse over this picture')")
+    page.click('[data-view="scanner"]')
+    assert pressed(page) == "scanner"
 
 
 def test_pattern_bits_are_the_code_s(page, made):

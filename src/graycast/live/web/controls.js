@@ -51,7 +51,9 @@
   };
 
   function build(panel, controls, set) {
-    const open = new Set([...panel.querySelectorAll("details[open]")].map((one) => one.dataset.group));
+    const open = new Set(
+      [...panel.querySelectorAll("details[open]")].map((one) => one.dataset.group),
+    );
     const groups = new Map();
     made.clear();
     for (const control of controls) {
@@ -64,12 +66,7 @@
     const text = panel.querySelector("#all-words");
     panel.replaceChildren(
       ...[...groups].map(([name, rows]) =>
-        el(
-          "details",
-          { "data-group": name, open: shown.has(name) },
-          el("summary", {}, name),
-          rows,
-        ),
+        el("details", { "data-group": name, open: shown.has(name) }, el("summary", {}, name), rows),
       ),
       ...(text ? [text] : []),
     );
@@ -89,7 +86,12 @@
     );
     return el(
       "div",
-      { class: "control", "data-key": control.key, "data-cost": control.cost, title: COSTS[control.cost] },
+      {
+        class: "control",
+        "data-key": control.key,
+        "data-cost": control.cost,
+        title: COSTS[control.cost],
+      },
       el("span", { class: "label" }, el("i", { class: `cost ${control.cost}` }), control.label),
       ...inputs,
       back,
@@ -138,7 +140,8 @@
   }
 
   function choice(panel, control, set) {
-    const words = (one) => (Array.isArray(one) ? one.map(digits).join(" + ") : String(one).replaceAll("_", " "));
+    const words = (one) =>
+      Array.isArray(one) ? one.map(digits).join(" + ") : String(one).replaceAll("_", " ");
     const select = el(
       "select",
       { "aria-label": control.label },
@@ -150,7 +153,9 @@
     const show = (now) => {
       const text = JSON.stringify(now);
       if (![...select.options].some((one) => one.value === text))
-        select.append(el("option", { value: text }, now === null || now === undefined ? "–" : words(now)));
+        select.append(
+          el("option", { value: text }, now === null || now === undefined ? "–" : words(now)),
+        );
       select.value = text;
     };
     return { element: row(panel, control, set, select), show };

@@ -3,6 +3,7 @@
 
 {
   const { el, percent, words } = Graycast;
+  /** @type {(id: string) => any} */
   const at = (id) => document.getElementById(id);
   const main = at("main"),
     panel = at("controls");
@@ -23,7 +24,8 @@
     pointSize: 1.5,
   });
   Graycast.VIEWS.splice(-1, 1, { id: "sigma", label: "σ of depth" }); // 3D stands beside them
-  const live = (Graycast.live = { latencies: [], errors: [], painted: 0 });
+  const live = { latencies: [], errors: [], painted: 0 };
+  Graycast.live = live;
   let version = 0,
     state = null,
     header = null,
@@ -60,7 +62,8 @@
           body: JSON.stringify(command),
         });
         const answer = await reply.json();
-        if (answer.number) live.latencies.push({ number: answer.number, since, ms: null, change: null });
+        if (answer.number)
+          live.latencies.push({ number: answer.number, since, ms: null, change: null });
         if (answer.error) {
           tell(answer.error);
           refresh(); // the control goes back to what is set
@@ -272,7 +275,8 @@
     if (view !== "sigma") return paint(of, view, now, out);
     const high = Graycast.sigmaLimit(of);
     for (let i = 0; i < of.n; i++) {
-      const [r, g, b] = of.sigma[i] === of.sigma[i] ? Graycast.heat("magma", of.sigma[i] / high) : [58, 60, 66];
+      const [r, g, b] =
+        of.sigma[i] === of.sigma[i] ? Graycast.heat("magma", of.sigma[i] / high) : [58, 60, 66];
       out.set([r, g, b, 255], 4 * i);
     }
     return {
@@ -321,7 +325,11 @@
           },
         },
         [header.axis, `sigma_${header.axis}`].map((axis) =>
-          el("option", { value: axis, selected: axis === prefs.axis }, axis.replace("sigma_", "σ of ")),
+          el(
+            "option",
+            { value: axis, selected: axis === prefs.axis },
+            axis.replace("sigma_", "σ of "),
+          ),
         ),
       ),
       el("span", { class: "spring" }),
@@ -387,26 +395,40 @@
         place = of.positions[header.axis]?.[i],
         spread = of.positions[`sigma_${header.axis}`]?.[i],
         { low_dn, high_dn } = of.frames.content;
-      const dn = (level) => (on ? `≈ ${Math.round(low_dn + ((high_dn - low_dn) * level) / 255)} DN` : "–");
+      const dn = (level) =>
+        on ? `≈ ${Math.round(low_dn + ((high_dn - low_dn) * level) / 255)} DN` : "–";
       return {
         perfect: mm(depth),
         scanner: mm(scan),
         difference: on && depth && scan ? `${Graycast.signed(scan - depth)} mm` : "–",
-        "σ": on && scan ? `${of.sigma[i].toFixed(3)} mm` : "–",
+        σ: on && scan ? `${of.sigma[i].toFixed(3)} mm` : "–",
         reason: on && reason ? words(reason.name) : "–",
-        [header.axis]: on && place === place ? `${place.toFixed(2)} ± ${spread.toFixed(2)} px` : "–",
+        [header.axis]:
+          on && place === place ? `${place.toFixed(2)} ± ${spread.toFixed(2)} px` : "–",
         "white frame": dn(of.white[4 * i]),
         "this frame": dn(of.levels[i]),
-        part: on && of.instance[i] ? (bodies?.names[of.instance[i] - 1] ?? String(of.instance[i] - 1)) : "–",
+        part:
+          on && of.instance[i]
+            ? (bodies?.names[of.instance[i] - 1] ?? String(of.instance[i] - 1))
+            : "–",
       };
     };
     const columns = held ? [twice(scene), twice(held)] : [twice(scene)];
-    const head = el("tr", {}, el("th", {}, on ? `pixel ${i % scene.width}, ${Math.floor(i / scene.width)}` : "pixel"),
-      (held ? ["now", "held"] : [""]).map((name) => el("td", {}, name)));
+    const head = el(
+      "tr",
+      {},
+      el("th", {}, on ? `pixel ${i % scene.width}, ${Math.floor(i / scene.width)}` : "pixel"),
+      (held ? ["now", "held"] : [""]).map((name) => el("td", {}, name)),
+    );
     at("readout").replaceChildren(
       head,
       ...Object.keys(columns[0]).map((name) =>
-        el("tr", { "data-name": name }, el("th", {}, name), columns.map((one) => el("td", {}, one[name]))),
+        el(
+          "tr",
+          { "data-name": name },
+          el("th", {}, name),
+          columns.map((one) => el("td", {}, one[name])),
+        ),
       ),
     );
   }
@@ -424,10 +446,15 @@
       ["σ on parts", pair("sigma_mm", mm)],
       ["exposure", pair("exposure_ms", (v) => `${v.toPrecision(3)} ms`)],
       ["white saturated", pair("saturated", (v) => percent(v))],
-      ["baseline", `${header.rig.baseline_mm.toFixed(0)} mm, axes at ${header.rig.axes_deg.toFixed(1)}°`],
+      [
+        "baseline",
+        `${header.rig.baseline_mm.toFixed(0)} mm, axes at ${header.rig.axes_deg.toFixed(1)}°`,
+      ],
     ];
     at("figures").replaceChildren(
-      ...rows.map(([name, value]) => [el("dt", {}, name), el("dd", { "data-name": name }, value)]).flat(),
+      ...rows
+        .map(([name, value]) => [el("dt", {}, name), el("dd", { "data-name": name }, value)])
+        .flat(),
     );
     at("reasons").replaceChildren(
       ...Graycast.report.reasons
@@ -438,7 +465,12 @@
             { title: r.meaning },
             el("i", { style: `background:${r.color}` }),
             el("span", {}, words(r.name)),
-            el("em", {}, percent(figures.reasons[r.name]), before ? ` | ${percent(before.reasons[r.name])}` : ""),
+            el(
+              "em",
+              {},
+              percent(figures.reasons[r.name]),
+              before ? ` | ${percent(before.reasons[r.name])}` : "",
+            ),
           ),
         ),
     );
@@ -451,7 +483,11 @@
     at("undo").disabled = !state.undo;
     at("redo").disabled = !state.redo;
     const name = at("save-name");
-    if (!name.value) name.value = `${state.path.split("/").at(-1).replace(/\.ya?ml$/, "")}_live.yaml`;
+    if (!name.value)
+      name.value = `${state.path
+        .split("/")
+        .at(-1)
+        .replace(/\.ya?ml$/, "")}_live.yaml`;
     if (!header) return;
     const values = { ...header.values, ...state.values };
     Graycast.showControls(panel, { controls: header.controls, values }, state.said, set);
@@ -462,13 +498,22 @@
   function allWords() {
     let words = at("all-words");
     if (!words) {
-      const text = el("textarea", { id: "text", spellcheck: "false", rows: 14, "aria-label": "the configuration" });
+      const text = el("textarea", {
+        id: "text",
+        spellcheck: "false",
+        rows: 14,
+        "aria-label": "the configuration",
+      });
       words = el(
         "details",
         { id: "all-words", "data-group": "text" },
         el("summary", {}, "All keys, as YAML"),
         text,
-        el("button", { id: "apply", onclick: () => send({ do: "rewrite", text: text.value }) }, "apply"),
+        el(
+          "button",
+          { id: "apply", onclick: () => send({ do: "rewrite", text: text.value }) },
+          "apply",
+        ),
       );
       panel.append(words);
     }
@@ -506,7 +551,11 @@
   };
   at("back").onclick = () => send({ do: "return", number: heldNumber });
   addEventListener("keydown", (event) => {
-    if (!(event.ctrlKey || event.metaKey) || event.target.matches("textarea, input:not([type=range])")) return;
+    if (
+      !(event.ctrlKey || event.metaKey) ||
+      /** @type {HTMLElement} */ (event.target).matches("textarea, input:not([type=range])")
+    )
+      return;
     if (event.key.toLowerCase() !== "z") return;
     event.preventDefault();
     send({ do: event.shiftKey ? "redo" : "undo" });

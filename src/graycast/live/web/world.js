@@ -58,7 +58,8 @@
         }
       }
       if (things) {
-        if (things.bin && now.bin) out.push({ thing: things.bin, place: put(unit), tint: BIN, open: true });
+        if (things.bin && now.bin)
+          out.push({ thing: things.bin, place: put(unit), tint: BIN, open: true });
         if (now.parts)
           world.kinds.forEach((kind, k) =>
             out.push({
@@ -183,7 +184,11 @@
     const toggle = (name, label) =>
       el(
         "button",
-        { "data-toggle": name, "aria-pressed": String(prefs[name]), onclick: () => set(name, !prefs[name]) },
+        {
+          "data-toggle": name,
+          "aria-pressed": String(prefs[name]),
+          onclick: () => set(name, !prefs[name]),
+        },
         label,
       );
     return [
@@ -214,7 +219,9 @@
         ["side", "the side"],
         ["top", "above"],
         ["camera", "the camera"],
-      ].map(([name, label]) => el("button", { "data-look": name, onclick: () => look(name) }, label)),
+      ].map(([name, label]) =>
+        el("button", { "data-look": name, onclick: () => look(name) }, label),
+      ),
       el("span", {}, "drag turns; drag the rig (black line) to move it, with shift to and fro"),
     ];
   };

@@ -4,7 +4,7 @@
 {
   const { el } = Graycast;
   const main = document.getElementById("main"),
-    help = document.getElementById("help");
+    help = /** @type {HTMLDialogElement} */ (document.getElementById("help"));
   const table = ([title, keys]) =>
     el(
       "section",
@@ -13,7 +13,9 @@
       el(
         "table",
         {},
-        keys.map(([key, text]) => el("tr", {}, el("th", {}, el("kbd", {}, key)), el("td", {}, text))),
+        keys.map(([key, text]) =>
+          el("tr", {}, el("th", {}, el("kbd", {}, key)), el("td", {}, text)),
+        ),
       ),
     );
   const [first, ...rest] = Object.entries(Graycast.KEYS).map(table);
@@ -74,7 +76,8 @@
   addEventListener("hashchange", route);
   const TYPED = "select, input:not([type=range]):not([type=checkbox])";
   addEventListener("keydown", (event) => {
-    const { target } = event;
+    const target = /** @type {HTMLElement} */ (event.target),
+      more = /** @type {HTMLDetailsElement} */ (document.querySelector("#more[open]"));
     if (event.ctrlKey || event.metaKey || event.altKey || help.open) return;
     if (target.matches(TYPED)) {
       if (event.key === "Escape") target.blur();
@@ -84,8 +87,7 @@
     if (event.key === " " && target.matches("button, summary")) return; // presses it
     if (event.key === "t") change();
     else if (event.key === "?") help.showModal();
-    else if (event.key === "Escape" && document.querySelector("#more[open]"))
-      document.getElementById("more").open = false;
+    else if (event.key === "Escape" && more) more.open = false;
     else if (event.key === "Escape" && location.hash.length > 2) location.hash = "#/";
     else if (event.key === "Enter" && target.matches("button, summary, a")) return;
     else if (!Graycast.sceneKey(event) && !Graycast.gridKey(event)) return;

@@ -50,17 +50,18 @@
    * picture, a list of {thing, place (a matrix), tint, open (only its front is drawn)}, or of lines
    * {thing, lines: true}. perfect: whether the perfect surface and the boxes are shown as well.
    */
-  Graycast.makeCloud = (
-    scene,
-    { space = Graycast.shapes.space(scene), bodies = null, perfect = true } = {},
-  ) => {
+  Graycast.makeCloud = (scene, { space = null, bodies = null, perfect = true } = {}) => {
     const canvas = el("canvas", { id: "cloud" }),
       stage = el("div", { class: "stage cloud" }, canvas);
     const gl = canvas.getContext("webgl2", { antialias: true, preserveDrawingBuffer: true });
-    if (!gl) {
-      stage.append(
-        el("p", { class: "sorry" }, "This browser gives no WebGL 2, which the 3D view needs."),
-      );
+    let refused = gl ? null : "This browser gives no WebGL 2, which the 3D view needs.";
+    try {
+      space ??= Graycast.shapes.space(scene);
+    } catch (error) {
+      refused = error.message;
+    }
+    if (refused) {
+      stage.append(el("p", { class: "sorry" }, refused));
       return { stage, draw() {}, look() {}, swap() {}, onScreen: () => null, close() {} };
     }
     const program = link(gl),
@@ -104,7 +105,8 @@
       gl.enable(gl.CULL_FACE); // only the side that the camera saw: one looks in through a wall
       if (surface && prefs.surface !== false) put(surface, gl.TRIANGLES, 1);
       gl.disable(gl.CULL_FACE);
-      if (points && prefs.points !== false) put(points, gl.POINTS, LIT.includes(prefs.pointPaint) ? 1 : 0);
+      if (points && prefs.points !== false)
+        put(points, gl.POINTS, LIT.includes(prefs.pointPaint) ? 1 : 0);
       if (boxes && prefs.boxes) put(boxes, gl.LINES, 0);
       for (const body of moving?.(prefs) ?? []) {
         if (body.lines) {
@@ -221,10 +223,8 @@
       far = eye.distance + 40 * reach,
       f = 1 / Math.tan(FIELD_RAD / 2),
       d = near - far;
-    const row = [
-      [right, f / aspect],
-      [up, f],
-    ].map(([axis, k]) => [axis[0] * k, axis[1] * k, axis[2] * k, dot(axis) * k]);
+    const scaled = (axis, k) => [axis[0] * k, axis[1] * k, axis[2] * k, dot(axis) * k];
+    const row = [scaled(right, f / aspect), scaled(up, f)];
     const z = [...back, dot(back)],
       a = (far + near) / d,
       b = (2 * far * near) / d;

@@ -1,7 +1,8 @@
 "use strict";
 // What the other scripts share: elements, numbers in words, and scenes brought in as scripts.
 
-const Graycast = { report: null, prefs: {} };
+/** @type {Shared} */
+const Graycast = /** @type {any} */ ({ report: null, prefs: {} });
 
 // --- elements -----------------------------------------------------------------------------------
 
@@ -64,6 +65,7 @@ Graycast.reasonColors = () => {
   return table;
 };
 
+/** @type {Record<string, Uint8Array>} */
 const colormaps = {};
 Graycast.colormap = (name) => {
   const hex = Graycast.report.colormaps[name];
@@ -104,7 +106,12 @@ const waiting = new Map(); // key -> what the script's call resolves
 /** Called by a scene's scripts. */
 Graycast.receive = (content) => waiting.get(content.key)?.(content);
 
-/** What a script hands over; a script tag is the only way to read a file from the disk. */
+/**
+ * What a script hands over; a script tag is the only way to read a file from the disk.
+ * @param {string} file
+ * @param {string} name
+ * @returns {Promise<any>}
+ */
 function bring(file, name) {
   return new Promise((resolve, reject) => {
     const script = Graycast.el("script", { src: `scenes/${file}` });
@@ -117,9 +124,7 @@ function bring(file, name) {
       // after a call that received, nobody waits any more
       script.remove();
       waiting.delete(name);
-      reject(
-        new Error(`scenes/${file} is missing or of another scene: run graycast report again`),
-      );
+      reject(new Error(`scenes/${file} is missing or of another scene: run graycast report again`));
     };
     document.head.append(script);
   });
@@ -214,13 +219,22 @@ Graycast.letGo = (scene) => {
 
 Object.assign(Graycast, { bring, inflate, pixels, unpackWords: words });
 
+/**
+ * @param {string} text
+ * @returns {Promise<Uint8Array>}
+ */
 async function inflate(text) {
   const packed = Uint8Array.from(atob(text), (c) => c.charCodeAt(0));
   const stream = new Blob([packed]).stream().pipeThrough(new DecompressionStream("deflate"));
   return new Uint8Array(await new Response(stream).arrayBuffer());
 }
 
-/** Undoes packing.pack_words: adds up what the plane through three neighbours left over. */
+/**
+ * Undoes packing.pack_words: adds up what the plane through three neighbours left over.
+ * @param {Uint8Array} bytes
+ * @param {number} width
+ * @param {number} height
+ */
 function words(bytes, width, height) {
   const n = width * height,
     out = new Uint16Array(n);
@@ -234,7 +248,12 @@ function words(bytes, width, height) {
   return out;
 }
 
-/** Undoes packing.pack_difference. */
+/**
+ * Undoes packing.pack_difference.
+ * @param {Uint8Array} bytes
+ * @param {Uint16Array} base
+ * @param {Uint8Array} reason
+ */
 function difference(bytes, base, reason) {
   const n = base.length,
     out = new Uint16Array(n);
@@ -246,7 +265,11 @@ function difference(bytes, base, reason) {
   return out;
 }
 
-/** RGBA of a picture that came as a data URL; a file's would be closed to scripts. */
+/**
+ * RGBA of a picture that came as a data URL; a file's would be closed to scripts.
+ * @param {string} url
+ * @param {{width: number, height: number}} size
+ */
 async function pixels(url, { width, height }) {
   const image = new Image();
   image.src = url;

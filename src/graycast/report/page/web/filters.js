@@ -36,11 +36,13 @@
     thumb: "thumb.jpg",
   });
   let filter = blank();
+  /** @type {(range: number[]) => boolean} */
   const whole = ([low, high]) => low <= 0 && high >= 100;
 
   Graycast.thumbName = () => filter.thumb;
 
   Graycast.filtered = () => {
+    /** @type {(value: number | null, range: number[]) => boolean} */
     const within = (value, [low, high]) =>
       whole([low, high]) ||
       (value !== null && 100 * value >= low - 1e-9 && 100 * value <= high + 1e-9);
@@ -60,11 +62,7 @@
       at = filter.sort,
       value = (row) => (at in row ? row[at] : Graycast.found.count(row, at));
     return rows.sort((a, b) =>
-      value(a) === null
-        ? 1
-        : value(b) === null
-          ? -1
-          : sign * (value(a) - value(b)) || a.id - b.id,
+      value(a) === null ? 1 : value(b) === null ? -1 : sign * (value(a) - value(b)) || a.id - b.id,
     );
   };
 
@@ -225,7 +223,8 @@
         type: "search",
         value: filter.find,
         placeholder: "find: number, part, tag  ( / )",
-        title: "A scene's number, a span such as 5-12, a part's name or a tag; every word must fit.",
+        title:
+          "A scene's number, a span such as 5-12, a part's name or a tag; every word must fit.",
         "aria-label": "find scenes",
         oninput: set("find"),
       }),
@@ -262,12 +261,19 @@
   /** Scenes with what is missed or false; scenes opened from there show just that. */
   function foundControls(changed, set, select) {
     if (!Graycast.report.detections) return [];
-    const pick = select("found", "what the detector missed or found wrongly", Graycast.found.FILTERS);
+    const pick = select(
+      "found",
+      "what the detector missed or found wrongly",
+      Graycast.found.FILTERS,
+    );
     pick.addEventListener("change", () => Graycast.found.follow(filter.found));
-    return [pick, Graycast.found.slider("least-score", Graycast.prefs, (value) => {
-      Graycast.prefs.score = value;
-      changed();
-    })];
+    return [
+      pick,
+      Graycast.found.slider("least-score", Graycast.prefs, (value) => {
+        Graycast.prefs.score = value;
+        changed();
+      }),
+    ];
   }
 
   function tagChoices() {
@@ -311,7 +317,9 @@
         ),
         "%",
       );
-    const reasons = Graycast.report.reasons.slice(1).map((r) => [r.name, `reason: ${words(r.name)}`]);
+    const reasons = Graycast.report.reasons
+      .slice(1)
+      .map((r) => [r.name, `reason: ${words(r.name)}`]);
     return el(
       "details",
       { id: "more" },
@@ -326,7 +334,7 @@
     );
   }
   addEventListener("pointerdown", (event) => {
-    const open = document.querySelector("#more[open]");
-    if (open && !open.contains(event.target)) open.open = false;
+    const open = /** @type {HTMLDetailsElement} */ (document.querySelector("#more[open]"));
+    if (open && !open.contains(/** @type {Node} */ (event.target))) open.open = false;
   });
 }

@@ -3,7 +3,9 @@
 
 {
   const { el, prefs } = Graycast;
-  const found = (Graycast.found = {});
+  /** @type {Found} */
+  const found = /** @type {any} */ ({});
+  Graycast.found = found;
   const COLOR = { hit: "#35d07f", mistake: "#ff4b4b", missed: "#ffb01f", ignored: "#b9c0c8" };
   const LABEL = { hit: "hit", mistake: "false", missed: "missed", ignored: "ignored" };
   const SHOWN = {
@@ -41,7 +43,13 @@
   /** How good the detections are, above the grid; nothing where there are none. */
   found.told = () => {
     const lines = Graycast.report.detections?.told ?? [];
-    return lines.length ? el("section", { id: "found-told" }, lines.map((line) => el("p", {}, line))) : null;
+    return lines.length
+      ? el(
+          "section",
+          { id: "found-told" },
+          lines.map((line) => el("p", {}, line)),
+        )
+      : null;
   };
 
   /** How many of a row's instances are missed, or how many detections are false; null if unseen. */
@@ -83,8 +91,12 @@
       "div",
       { class: "found-line" },
       `${held.wanted - missed} of ${held.wanted} found`,
-      missed ? [", ", el("b", { style: `border-color:${COLOR.missed}` }, `${missed} missed`)] : null,
-      mistakes ? [", ", el("b", { style: `border-color:${COLOR.mistake}` }, `${mistakes} false`)] : null,
+      missed
+        ? [", ", el("b", { style: `border-color:${COLOR.missed}` }, `${missed} missed`)]
+        : null,
+      mistakes
+        ? [", ", el("b", { style: `border-color:${COLOR.mistake}` }, `${mistakes} false`)]
+        : null,
     );
   };
 
@@ -125,7 +137,14 @@
       .map(([k]) => {
         const { box, name, visible } = scene.instances[k];
         const [x, y, w, h] = box; // BOP's boxes span pixel centres
-        return { name, state: "missed", instance: Number(k), visible, text: "", box: [x, y, w + 1, h + 1] };
+        return {
+          name,
+          state: "missed",
+          instance: Number(k),
+          visible,
+          text: "",
+          box: [x, y, w + 1, h + 1],
+        };
       });
     return [...seen, ...missed];
   }
@@ -161,7 +180,9 @@
   /** The list beside the picture; actions.light marks one. */
   found.list = (scene, prefs, { light }) => {
     if (!scene.found)
-      return Graycast.report.detections ? [el("p", {}, "The detector did not look at this scene.")] : [];
+      return Graycast.report.detections
+        ? [el("p", {}, "The detector did not look at this scene.")]
+        : [];
     const all = marks(scene, prefs.score),
       count = (state) => all.filter((one) => one.state === state).length;
     const order = ["mistake", "missed", "ignored", "hit"];
@@ -173,7 +194,12 @@
         "div",
         { id: "found-counts" },
         ["hit", "mistake", "missed", "ignored"].map((state) =>
-          el("span", {}, el("i", { style: `background:${COLOR[state]}` }), `${count(state)} ${LABEL[state]}`),
+          el(
+            "span",
+            {},
+            el("i", { style: `background:${COLOR[state]}` }),
+            `${count(state)} ${LABEL[state]}`,
+          ),
         ),
       ),
       el(

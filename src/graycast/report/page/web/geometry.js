@@ -2,7 +2,10 @@
 // The dataset's camera models: rays of pixels, points, and where the projector sees them.
 // Units as in the files: pixels and millimetres; the rig is in metres.
 
-/** Ideal directions (x, y, 1) of all pixels of a scene's maps, two numbers each. */
+/**
+ * Ideal directions (x, y, 1) of all pixels of a scene's maps, two numbers each.
+ * An error is thrown where the lens has no inverse over the picture, as by `optics.undistort`.
+ */
 Graycast.rays = (scene) => {
   if (scene.rays) return scene.rays;
   const { width, height, stride, view } = scene;
@@ -20,7 +23,11 @@ Graycast.rays = (scene) => {
   return out;
 };
 
-/** Brown-Conrady, OpenCV's order (k1, k2, p1, p2, k3). */
+/**
+ * Brown-Conrady, OpenCV's order (k1, k2, p1, p2, k3).
+ * @param {number[]} ideal
+ * @param {number[]} distortion
+ */
 function distort([x, y], [k1, k2, p1, p2, k3]) {
   const r2 = x * x + y * y,
     radial = 1 + r2 * (k1 + r2 * (k2 + r2 * k3));
@@ -30,16 +37,50 @@ function distort([x, y], [k1, k2, p1, p2, k3]) {
   ];
 }
 
-/** The inverse by fixed point: every step takes off what the last guess was distorted by. */
+/**
+ * The inverse by Newton's method; it ends and refuses where `lens_inverse.py` does.
+ * @param {number[]} target
+ * @param {number[]} distortion
+ */
 function undistort(target, distortion) {
+  const [k1, k2, p1, p2, k3] = distortion;
   let [x, y] = target;
-  for (let k = 0; k < 25; k++) {
-    const [dx, dy] = distort([x, y], distortion);
-    x += target[0] - dx;
-    y += target[1] - dy;
-    if (Math.abs(target[0] - dx) + Math.abs(target[1] - dy) < 1e-8) break;
+  for (let k = 0; k < 20; k++) {
+    const [dx, dy] = distort([x, y], distortion),
+      r2 = x * x + y * y,
+      radial = 1 + r2 * (k1 + r2 * (k2 + r2 * k3)),
+      slope = 2 * (k1 + r2 * (2 * k2 + 3 * r2 * k3)); // d radial / d r2, times 2
+    const a = radial + slope * x * x + 2 * p1 * y + 6 * p2 * x,
+      b = slope * x * y + 2 * p1 * x + 2 * p2 * y,
+      d = radial + slope * y * y + 6 * p1 * y + 2 * p2 * x,
+      determinant = a * d - b * b;
+    const [ex, ey] = [dx - target[0], dy - target[1]],
+      off = Math.max(Math.abs(ex), Math.abs(ey));
+    if (off < 1e-14 || (k === 19 && off < 1e-9)) {
+      if (determinant > 0) return [x, y];
+      break; // folded over
+    }
+    x -= (d * ex - b * ey) / determinant;
+    y -= (a * ey - b * ex) / determinant;
   }
-  return [x, y];
+  throw new Error(
+    `The camera's distortion (${distortion.join(", ")}) has no inverse over this picture: its ` +
+      "coefficients have to be in the order k1, k2, p1, p2, k3 and fitted to it.",
+  );
+}
+
+/**
+ * Whether radial distortion grows outwards up to this squared ideal radius: the lens model ends
+ * where it folds over, as in `optics.project`. 1 + 3 k1 s + 5 k2 s^2 + 7 k3 s^3 has no root there.
+ * @param {number} r2
+ * @param {number[]} distortion
+ */
+function grows(r2, [k1, k2, , , k3]) {
+  const growth = (s) => 1 + s * (3 * k1 + s * (5 * k2 + s * 7 * k3));
+  const [a, b, c] = [21 * k3, 10 * k2, 3 * k1], // its slope: a s^2 + b s + c
+    root = Math.sqrt(b * b - 4 * a * c),
+    turns = a ? [(-b - root) / (2 * a), (-b + root) / (2 * a)] : [-c / b];
+  return [r2, ...turns.filter((s) => s > 0 && s < r2)].every((s) => growth(s) > 0);
 }
 
 /**
@@ -65,6 +106,7 @@ Graycast.projectorMap = (scene, which) => {
     const q = [0, 1, 2].map((k) => T[0][k] * p[0] + T[1][k] * p[1] + T[2][k] * p[2]);
     if (q[2] <= 0) continue;
     const ideal = [q[0] / q[2], q[1] / q[2]];
+    if (bent && !grows(ideal[0] ** 2 + ideal[1] ** 2, lens.distortion)) continue;
     const [x, y] = bent ? distort(ideal, lens.distortion) : ideal;
     const u = x * lens.fx_px + lens.cx_px,
       v = y * lens.fy_px + lens.cy_px;
@@ -93,9 +135,9 @@ Graycast.toWorld = (scene, x, y, z) => {
 Graycast.boxEdges = ([R, center, size]) => {
   const corner = (k) => {
     const d = [0, 1, 2].map((axis) => (((k >> axis) & 1) - 0.5) * size[axis]);
-    return [0, 1, 2].map(
-      (row) => center[row] + R[3 * row] * d[0] + R[3 * row + 1] * d[1] + R[3 * row + 2] * d[2],
-    );
+    const along = (row) =>
+      center[row] + R[3 * row] * d[0] + R[3 * row + 1] * d[1] + R[3 * row + 2] * d[2];
+    return /** @type {Point} */ ([along(0), along(1), along(2)]);
   };
   const ends = [];
   for (const bit of [1, 2, 4])

@@ -39,7 +39,11 @@
 
   const nothingFits = () => [
     el("p", {}, "No scene fits all of these filters."),
-    el("button", { id: "lift-all", onclick: () => open.bar.lift(Graycast.liftAll()) }, "lift them all"),
+    el(
+      "button",
+      { id: "lift-all", onclick: () => open.bar.lift(Graycast.liftAll()) },
+      "lift them all",
+    ),
   ];
 
   function place() {
@@ -86,10 +90,13 @@
   /** The height of the highest text under a picture: of the rows with most and longest names. */
   function textHeight(list, card) {
     longest ??= Graycast.rows()
-      .map((row) => [partLines(row).reduce((sum, line) => sum + 20 + line.length, 0), row])
-      .sort(([a], [b]) => b - a)
+      .map((row) => ({
+        row,
+        long: partLines(row).reduce((sum, line) => sum + 20 + line.length, 0),
+      }))
+      .sort((a, b) => b.long - a.long)
       .slice(0, 3)
-      .map(([, row]) => row);
+      .map(({ row }) => row);
     const probes = longest.map((row) =>
       el("div", { class: "card", style: `width:${card}px` }, text(row)),
     );
@@ -107,7 +114,9 @@
   function partLines(row) {
     const names = Graycast.report.classes,
       counts = Object.entries(row.objects).sort(([, a], [, b]) => b - a);
-    const lines = counts.slice(0, MOST_NAMES).map(([id, n]) => `${n} × ${names[id] ?? `object ${id}`}`);
+    const lines = counts
+      .slice(0, MOST_NAMES)
+      .map(([id, n]) => `${n} × ${names[id] ?? `object ${id}`}`);
     if (counts.length > MOST_NAMES) lines.push(`and ${counts.length - MOST_NAMES} more kinds`);
     return lines.length ? lines : ["no parts"];
   }
@@ -181,7 +190,9 @@
 
   /** All that shows ticks and tags, the scroll left as it is. */
   function renew() {
-    const focused = document.activeElement?.closest(".card")?.dataset.key;
+    const focused = /** @type {HTMLElement | undefined} */ (
+      document.activeElement?.closest(".card")
+    )?.dataset.key;
     open.bar.renew();
     refill(false);
     if (focused) open.shown.get(focused)?.querySelector("a").focus({ preventScroll: true });
@@ -214,17 +225,35 @@
           renew();
         }),
         rest
-          ? el("button", { id: "tick-all", onclick: () => {
-              for (const row of open.rows) tags.tick(row.key, true);
-              renew();
-            } }, "tick all shown")
+          ? el(
+              "button",
+              {
+                id: "tick-all",
+                onclick: () => {
+                  for (const row of open.rows) tags.tick(row.key, true);
+                  renew();
+                },
+              },
+              "tick all shown",
+            )
           : null,
-        el("button", { id: "untick", onclick: () => {
-            tags.ticked.clear();
-            renew();
-          } }, "untick all"),
+        el(
+          "button",
+          {
+            id: "untick",
+            onclick: () => {
+              tags.ticked.clear();
+              renew();
+            },
+          },
+          "untick all",
+        ),
         tags.forgetful
-          ? el("span", {}, "This browser keeps no tags for pages from the disk: save them as a file.")
+          ? el(
+              "span",
+              {},
+              "This browser keeps no tags for pages from the disk: save them as a file.",
+            )
           : null,
       ].filter(Boolean),
     );
@@ -267,7 +296,8 @@
     next = Math.max(0, Math.min(rows.length - 1, next));
     at = rows[next].key;
     const above = start + Math.floor(next / columns) * height,
-      head = document.querySelector(".filters").offsetHeight + 60;
+      bar = /** @type {HTMLElement} */ (document.querySelector(".filters")),
+      head = bar.offsetHeight + 60;
     if (above < head) scrollBy(0, above - head);
     else if (above + height > innerHeight - 50) scrollBy(0, above + height - innerHeight + 50);
     place();
@@ -280,6 +310,10 @@
     at = key;
   };
   Graycast.focusCard = () => {
-    if (at && open.rows.some((row) => row.key === at)) go(open.rows.findIndex((r) => r.key === at), 0);
+    if (at && open.rows.some((row) => row.key === at))
+      go(
+        open.rows.findIndex((r) => r.key === at),
+        0,
+      );
   };
 }

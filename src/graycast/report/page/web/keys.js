@@ -26,7 +26,7 @@ Graycast.KEYS = {
     ["g", "tag the scene"],
     ["Esc", "back to all scenes"],
   ],
-  "Everywhere": [
+  Everywhere: [
     ["t", "light or dark"],
     ["?", "these keys"],
   ],

@@ -78,14 +78,14 @@
 
   /** As many tiles in each row, and each plot as wide as its tile. */
   function drawPlots() {
-    const section = document.querySelector(".plots"),
+    const section = /** @type {HTMLElement} */ (document.querySelector(".plots")),
       room = section?.clientWidth;
     if (!room || section.dataset.room === String(room)) return;
     const most = Math.max(Math.floor((room + GAP_PX) / (TILE_PX + GAP_PX)), 1),
       rows = Math.ceil(varying.length / most),
       columns = Math.max(Math.ceil(varying.length / Math.max(rows, 1)), 1);
     section.dataset.room = String(room);
-    section.style.setProperty("--columns", columns);
+    section.style.setProperty("--columns", String(columns));
     const width = Math.floor((room + GAP_PX) / columns) - GAP_PX - INSIDE_PX;
     section.replaceChildren(...varying.map((one) => one.draw(width)));
   }
@@ -191,13 +191,11 @@
         [...total].reverse().findIndex((n) => n > 0),
         0,
       );
-    const bins = s.side_edges_px
-      .slice(first, last + 1)
-      .map((from, k) => ({
-        from,
-        to: s.side_edges_px[first + k + 1],
-        label: `${from.toFixed(0)} to ${s.side_edges_px[first + k + 1].toFixed(0)}`,
-      }));
+    const bins = s.side_edges_px.slice(first, last + 1).map((from, k) => ({
+      from,
+      to: s.side_edges_px[first + k + 1],
+      label: `${from.toFixed(0)} to ${s.side_edges_px[first + k + 1].toFixed(0)}`,
+    }));
     const series = classes(s, "side_px").map((one) => ({
       ...one,
       values: one.values.slice(first, last + 1),
@@ -321,7 +319,7 @@
       .map(([name, counts, color]) => {
         const values = new Array(64).fill(0),
           total = Object.values(counts).reduce((a, b) => a + b, 0);
-        for (const [level, c] of Object.entries(counts)) values[level >> 2] += c / total;
+        for (const [level, c] of Object.entries(counts)) values[Number(level) >> 2] += c / total;
         return { name, color, values };
       });
     return histogram({

@@ -35,8 +35,18 @@
     return Graycast.VIEWS.filter((view) => has[view.id]);
   };
 
-  /** Paint a view into RGBA bytes; returns {bar: {map, low, high, unit}, note, shown: a frame}. */
+  /** Paint a view into RGBA bytes; what cannot be had leaves it dark, and the note says why. */
   Graycast.paint = (scene, view, prefs, out) => {
+    try {
+      return painted(scene, view, prefs, out);
+    } catch (error) {
+      blank(scene, out);
+      return { note: error.message };
+    }
+  };
+
+  /** @type {Shared["paint"]} */
+  function painted(scene, view, prefs, out) {
     switch (view) {
       case "color":
         out.set(scene.rgb);
@@ -55,7 +65,7 @@
       default:
         return paintDepth(scene, view === "perfect" ? scene.depth : scene.scanner, out);
     }
-  };
+  }
 
   function paintMap(out, map, n, share) {
     const table = Graycast.colormap(map);
@@ -153,15 +163,9 @@
   /** A captured frame, as the decoder saw it. */
   function paintFrame(scene, prefs, out) {
     const n = scene.kept.frames.length,
-      k = prefs.frame % n;
-    let levels = null;
-    try {
+      k = prefs.frame % n,
       levels = Graycast.frame(scene, k, Graycast.repaint);
-      if (levels) Graycast.frame(scene, (k + 1) % n, Graycast.repaint); // the next one, ahead
-    } catch (error) {
-      blank(scene, out);
-      return { note: error.message };
-    }
+    if (levels) Graycast.frame(scene, (k + 1) % n, Graycast.repaint); // the next one, ahead
     if (!levels) {
       blank(scene, out);
       return { note: "bringing the captured frames …" };
@@ -181,13 +185,7 @@
 
   /** Decoded positions, or their standard deviations, as stored. */
   function paintStoredColumn(scene, prefs, out) {
-    let maps = null;
-    try {
-      maps = Graycast.columns(scene, Graycast.repaint);
-    } catch (error) {
-      blank(scene, out);
-      return { note: error.message };
-    }
+    const maps = Graycast.columns(scene, Graycast.repaint);
     if (!maps) {
       blank(scene, out);
       return { note: "bringing the code maps …" };

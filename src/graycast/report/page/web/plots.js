@@ -144,12 +144,7 @@
           : k >= 0
             ? [say(series[0].values[k])]
             : [];
-      Graycast.tip(
-        event,
-        k < 0
-          ? ""
-          : `${binWords(bins[k], unit)}: ${names.join(", ") || say(0)}`,
-      );
+      Graycast.tip(event, k < 0 ? "" : `${binWords(bins[k], unit)}: ${names.join(", ") || say(0)}`);
     });
     svg.addEventListener("pointerleave", (event) => Graycast.tip(event, ""));
     return frame(title, note, svg, series.length > 1 && series.length <= 8 ? series : []);

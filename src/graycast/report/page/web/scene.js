@@ -155,7 +155,9 @@
 
   /** The second view is one of this scene's, and another than the first. */
   function settleSecond() {
-    const others = open.views.map((view) => view.id).filter((id) => id !== "cloud" && id !== prefs.view);
+    const others = open.views
+      .map((view) => view.id)
+      .filter((id) => id !== "cloud" && id !== prefs.view);
     if (!others.length) prefs.compare = false;
     else if (!others.includes(prefs.second))
       prefs.second = others.includes(prefs.last) ? prefs.last : others[0];
@@ -188,7 +190,7 @@
     document.querySelector("#main .under").replaceChildren(...toolbar.under(said, names));
     side.readout(open.scene, pointed);
     for (const id of ["frame-slider", "choose-frame"]) {
-      const control = document.getElementById(id);
+      const control = /** @type {HTMLInputElement} */ (document.getElementById(id));
       if (control) control.value = String(prefs.frame);
     }
   }
@@ -238,11 +240,13 @@
         act([key], value);
         showTags();
       };
-    document.getElementById("tags").replaceChildren(...side.tags(key, {
-      add: done(tags.add),
-      remove: done(tags.remove),
-      tick: done(() => tags.tick(key)),
-    }));
+    document.getElementById("tags").replaceChildren(
+      ...side.tags(key, {
+        add: done(tags.add),
+        remove: done(tags.remove),
+        tick: done(() => tags.tick(key)),
+      }),
+    );
   }
 
   function light(lit) {
@@ -263,7 +267,9 @@
       if (shown) light({ instance: k });
       document
         .querySelectorAll("#instances tr")
-        .forEach((tr) => tr.classList.toggle("lit", tr.dataset.k === String(k)));
+        .forEach((/** @type {HTMLElement} */ tr) =>
+          tr.classList.toggle("lit", tr.dataset.k === String(k)),
+        );
     }
     Graycast.tip(event, shown && k >= 0 ? `${k} ${open.scene.instances[k].name}` : "");
   }

@@ -5,7 +5,9 @@
   const SURFACE_VERTICES = 450000,
     TILT_RAD = 0.02, // what a step of depth may tilt a normal by
     FAR_PX = 6; // at most, between the neighbours that a normal is taken from
-  const shapes = (Graycast.shapes = {});
+  /** @type {Shapes} */
+  const shapes = /** @type {any} */ ({});
+  Graycast.shapes = shapes;
 
   /** Makes a pixel and its steps of depth a point of the world. */
   shapes.pointOf = (scene) => {
@@ -112,7 +114,11 @@
   shapes.lines = (gl, place, [r, g, b]) => {
     const made = arrays(gl, place, null, null),
       count = place.length / 3;
-    upload(gl, made, Uint8Array.from({ length: 4 * count }, (_, k) => [r, g, b, 255][k % 4]));
+    upload(
+      gl,
+      made,
+      Uint8Array.from({ length: 4 * count }, (_, k) => [r, g, b, 255][k % 4]),
+    );
     return { ...made, count };
   };
 

@@ -3,7 +3,9 @@
 
 {
   const { el, percent, words } = Graycast;
-  const side = (Graycast.side = {});
+  /** @type {Side} */
+  const side = /** @type {any} */ ({});
+  Graycast.side = side;
 
   /** Fill the table of values for pixel `i`, -1 for none. */
   side.readout = (scene, i) => {
@@ -17,8 +19,7 @@
       on && scene.has.scanner
         ? Graycast.report.reasons.find((r) => r.number === scene.reason[i])
         : null;
-    const map =
-      on && scan && Graycast.report.claim.rig ? Graycast.projectorMap(scene, "scanner") : null;
+    const map = on && scan && Graycast.report.claim.rig ? positions(scene) : null;
     const lines = [
       [
         "pixel",
@@ -54,6 +55,15 @@
         ),
       );
   };
+
+  /** Where the projector saw each pixel; null of a lens that has no inverse: its picture says so. */
+  function positions(scene) {
+    try {
+      return Graycast.projectorMap(scene, "scanner");
+    } catch {
+      return null;
+    }
+  }
 
   /** As stored, once it has been looked at: the page brings it in then. */
   function decoded(scene, axis, i) {

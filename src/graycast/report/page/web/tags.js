@@ -5,7 +5,9 @@
 {
   const KIND = "graycast-scenes",
     LONGEST = 40;
-  const tags = (Graycast.tags = { ticked: new Set(), forgetful: false });
+  /** @type {Tags} */
+  const tags = /** @type {any} */ ({ ticked: new Set(), forgetful: false });
+  Graycast.tags = tags;
   let held = null; // scene's key -> its tags, sorted
 
   const drawer = () => `graycast-tags ${Graycast.report.name} ${Graycast.report.fingerprint}`;
@@ -122,7 +124,11 @@
         drop
           ? el(
               "button",
-              { title: `remove the tag ${tag}`, "aria-label": `remove ${tag}`, onclick: () => drop(tag) },
+              {
+                title: `remove the tag ${tag}`,
+                "aria-label": `remove ${tag}`,
+                onclick: () => drop(tag),
+              },
               "×",
             )
           : null,

@@ -24,7 +24,9 @@
     ["sigma_column", "σ of column"],
     ["sigma_row", "σ of row"],
   ];
-  const bar = (Graycast.toolbar = {});
+  /** @type {Toolbar} */
+  const bar = /** @type {any} */ ({});
+  Graycast.toolbar = bar;
 
   /** A button per view; a part of its name that narrow windows leave out is in brackets. */
   bar.views = (views, prefs, pick) =>
@@ -171,7 +173,11 @@
       prefs.view === "column" || prefs.second === "column"
         ? null
         : source(scene, prefs, set, "pattern"),
-      el("button", { id: "frame-back", title: "frame before (↑ or [)", onclick: () => flip(-1) }, "‹"),
+      el(
+        "button",
+        { id: "frame-back", title: "frame before (↑ or [)", onclick: () => flip(-1) },
+        "‹",
+      ),
       el("input", {
         id: "frame-slider",
         type: "range",

@@ -145,8 +145,16 @@
     const { width, height } = scene;
     const base = el("canvas", { width, height, id: `picture${end}` }),
       over = el("canvas", { width, height, id: `overlay${end}` });
-    const boxes = el("svg", { viewBox: `0 0 ${width} ${height}`, id: `boxes${end}`, class: "boxes" });
-    const found = el("svg", { viewBox: `0 0 ${width} ${height}`, id: `found${end}`, class: "found" });
+    const boxes = el("svg", {
+      viewBox: `0 0 ${width} ${height}`,
+      id: `boxes${end}`,
+      class: "boxes",
+    });
+    const found = el("svg", {
+      viewBox: `0 0 ${width} ${height}`,
+      id: `found${end}`,
+      class: "found",
+    });
     const sheet = el("div", { class: "sheet" }, base, over, boxes, found),
       name = el("span", { class: "pane-name" }),
       cross = el("i", { class: "cross", hidden: true });

@@ -17,7 +17,7 @@
       ["b", "bin and table"],
       ["Esc", "back to all bins"],
     ],
-    "Everywhere": [
+    Everywhere: [
       ["t", "light or dark"],
       ["?", "these keys"],
     ],
@@ -115,19 +115,21 @@
   function list() {
     const { bins } = Graycast.report;
     const shown = bins.filter((bin) => !outcomes.any() || bin.attempts.some(outcomes.looked));
-    document.getElementById("bins").replaceChildren(
-      el(
-        "div",
-        { class: "chips", id: "filter" },
-        el("em", {}, "show"),
-        outcomes.buttons(Graycast.report.summary.outcomes, list),
-        outcomes.any()
-          ? el("button", { id: "reset", onclick: () => (outcomes.clear(), list()) }, "all")
-          : null,
-        el("em", {}, `${count(shown.length)} of ${count(bins.length)} bins`),
-      ),
-      el("table", { id: "bin-list" }, el("tbody", {}, shown.map(row))),
-    );
+    document
+      .getElementById("bins")
+      .replaceChildren(
+        el(
+          "div",
+          { class: "chips", id: "filter" },
+          el("em", {}, "show"),
+          outcomes.buttons(Graycast.report.summary.outcomes, list),
+          outcomes.any()
+            ? el("button", { id: "reset", onclick: () => (outcomes.clear(), list()) }, "all")
+            : null,
+          el("em", {}, `${count(shown.length)} of ${count(bins.length)} bins`),
+        ),
+        el("table", { id: "bin-list" }, el("tbody", {}, shown.map(row))),
+      );
   }
 
   function row(bin) {

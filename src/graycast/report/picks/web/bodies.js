@@ -8,12 +8,25 @@
     BIN = [0.72, 0.58, 0.4],
     TABLE = { light: [0.83, 0.83, 0.81], dark: [0.24, 0.25, 0.27] };
 
+  /** @type {(place: number[]) => Float32Array} a shift, and a quaternion, its real part last */
   const matrix = ([x, y, z, a, b, c, d]) =>
     Float32Array.of(
-      1 - 2 * (b * b + c * c), 2 * (a * b + c * d), 2 * (a * c - b * d), 0,
-      2 * (a * b - c * d), 1 - 2 * (a * a + c * c), 2 * (b * c + a * d), 0,
-      2 * (a * c + b * d), 2 * (b * c - a * d), 1 - 2 * (a * a + b * b), 0,
-      x, y, z, 1,
+      1 - 2 * (b * b + c * c),
+      2 * (a * b + c * d),
+      2 * (a * c - b * d),
+      0,
+      2 * (a * b - c * d),
+      1 - 2 * (a * a + c * c),
+      2 * (b * c + a * d),
+      0,
+      2 * (a * c + b * d),
+      2 * (b * c - a * d),
+      1 - 2 * (a * a + b * b),
+      0,
+      x,
+      y,
+      z,
+      1,
     );
 
   const times = (p, q) =>
@@ -27,7 +40,24 @@
 
   /** Of a rotation and a shift. */
   const inverse = (p) => {
-    const out = Float32Array.of(p[0], p[4], p[8], 0, p[1], p[5], p[9], 0, p[2], p[6], p[10], 0, 0, 0, 0, 1);
+    const out = Float32Array.of(
+      p[0],
+      p[4],
+      p[8],
+      0,
+      p[1],
+      p[5],
+      p[9],
+      0,
+      p[2],
+      p[6],
+      p[10],
+      0,
+      0,
+      0,
+      0,
+      1,
+    );
     for (let r = 0; r < 3; r++)
       out[12 + r] = -(out[r] * p[12] + out[4 + r] * p[13] + out[8 + r] * p[14]);
     return out;
@@ -123,7 +153,8 @@
           const before = attempt.parts[k],
             taken = number === motion.part;
           if (!prefs.parts && !taken) return;
-          const place = (taken && Graycast.carried(motion, time, before)) || Graycast.resting(now(), k);
+          const place =
+            (taken && Graycast.carried(motion, time, before)) || Graycast.resting(now(), k);
           if (place)
             out.push({
               thing: parts[content.kinds[number]],

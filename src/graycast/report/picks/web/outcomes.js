@@ -3,7 +3,9 @@
 
 {
   const { el } = Graycast;
-  const outcomes = (Graycast.outcomes = {});
+  /** @type {Outcomes} */
+  const outcomes = /** @type {any} */ ({});
+  Graycast.outcomes = outcomes;
   const chosen = new Set(); // numbers of outcomes; none: all are looked at
 
   outcomes.of = (k) => Graycast.report.outcomes[k];

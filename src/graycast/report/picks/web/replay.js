@@ -28,7 +28,8 @@
     const number = /^\d+$/.test(text) ? Number(text) : start(bin);
     if (number >= bin.attempts.length)
       throw new Error(`${name} has ${bin.attempts.length} attempts, and no number ${number + 1}`);
-    const content = open?.bin === bin ? open.content : await Graycast.bring(`${name}/scene.js`, name);
+    const content =
+      open?.bin === bin ? open.content : await Graycast.bring(`${name}/scene.js`, name);
     const scan = await bringAttempt(bin, number);
     if (!isCurrent()) return;
     if (open?.bin !== bin) await enter(main, bin, content, scan, number, isCurrent);
@@ -157,7 +158,12 @@
     const toggle = (name, key, label, title) =>
       el(
         "button",
-        { id: `toggle-${name}`, title, "aria-pressed": String(!!prefs[name]), onclick: () => set(name, !prefs[name]) },
+        {
+          id: `toggle-${name}`,
+          title,
+          "aria-pressed": String(!!prefs[name]),
+          onclick: () => set(name, !prefs[name]),
+        },
         el("kbd", {}, key),
         label,
       );
@@ -178,13 +184,24 @@
         ["depth", "by depth"],
         ["colour", "as in the picture"],
       ]),
-      choose("pointSize", [1, 2, 3, 4].map((v) => [v, `${v} px`])),
+      choose(
+        "pointSize",
+        [1, 2, 3, 4].map((v) => [v, `${v} px`]),
+      ),
       toggle("parts", "m", "true parts", "where the parts truly lay"),
       toggle("robot", "r", "robot", "arm and tool"),
       toggle("bin", "b", "bin", "bin and table"),
       el("span", { class: "spring" }),
       ...["robot", "bin", "side", "top"].map((name) =>
-        el("button", { "data-look": name, title: `look at or from: ${name}`, onclick: () => open.cloud.look(name) }, name),
+        el(
+          "button",
+          {
+            "data-look": name,
+            title: `look at or from: ${name}`,
+            onclick: () => open.cloud.look(name),
+          },
+          name,
+        ),
       ),
     );
   }
@@ -206,7 +223,8 @@
       open.cloud.swap(scan);
     }
     if (another) open.time = 0;
-    document.getElementById("attempt-picture").src = scan.picture;
+    const picture = /** @type {HTMLImageElement} */ (document.getElementById("attempt-picture"));
+    picture.src = scan.picture;
     told();
     facts();
     attempts();
@@ -221,11 +239,13 @@
   function told() {
     const attempt = open.content.attempts[open.number],
       one = outcomes.named(attempt.outcome);
-    document.getElementById("ended").replaceChildren(
-      el("h1", {}, outcomes.swatch(one), attempt.outcome),
-      el("p", {}, `Attempt ${open.number + 1} of ${open.bin.attempts.length}: ${one.meaning}.`),
-      attempt.detail ? el("p", { class: "soft" }, attempt.detail) : "",
-    );
+    document
+      .getElementById("ended")
+      .replaceChildren(
+        el("h1", {}, outcomes.swatch(one), attempt.outcome),
+        el("p", {}, `Attempt ${open.number + 1} of ${open.bin.attempts.length}: ${one.meaning}.`),
+        attempt.detail ? el("p", { class: "soft" }, attempt.detail) : "",
+      );
   }
 
   function facts() {
@@ -241,10 +261,18 @@
       ["score of the grip", attempt.score?.toFixed(3)],
       [
         "pose off by",
-        error ? `${((error.angle_rad * 180) / Math.PI).toFixed(2)}°, ${(1000 * error.distance_m).toFixed(2)} mm` : null,
+        error
+          ? `${((error.angle_rad * 180) / Math.PI).toFixed(2)}°, ${(1000 * error.distance_m).toFixed(2)} mm`
+          : null,
       ],
-      ["holds at least", attempt.least_factor === null ? null : `${attempt.least_factor.toFixed(2)} × the load`],
-      ["scan, motion", `${attempt.seconds.scan.toFixed(2)} s, ${attempt.seconds.motion.toFixed(2)} s`],
+      [
+        "holds at least",
+        attempt.least_factor === null ? null : `${attempt.least_factor.toFixed(2)} × the load`,
+      ],
+      [
+        "scan, motion",
+        `${attempt.seconds.scan.toFixed(2)} s, ${attempt.seconds.motion.toFixed(2)} s`,
+      ],
       ["machine", thought.map(([stage, s]) => `${stage} ${s.toFixed(2)}`).join(", ") + " s"],
     ].filter(([, value]) => value !== null && value !== undefined);
     document
@@ -255,6 +283,7 @@
   }
 
   function tally() {
+    /** @type {Record<string, number>} */
     const counts = {};
     for (const { outcome } of open.content.attempts) counts[outcome] = (counts[outcome] ?? 0) + 1;
     return counts;
@@ -308,7 +337,11 @@
       el("span", { id: "clock" }),
       el(
         "select",
-        { id: "speed", "aria-label": "speed", onchange: (event) => faster(Number(event.target.value)) },
+        {
+          id: "speed",
+          "aria-label": "speed",
+          onchange: (event) => faster(Number(event.target.value)),
+        },
         SPEEDS.map((v) => el("option", { value: v, selected: v === prefs.speed }, `× ${v}`)),
       ),
       el(
@@ -333,7 +366,8 @@
 
   function seek(time) {
     open.time = Math.min(Math.max(time, 0), length());
-    document.getElementById("time").value = open.time;
+    const slider = /** @type {HTMLInputElement} */ (document.getElementById("time"));
+    slider.value = String(open.time);
     document.getElementById("clock").textContent =
       `${open.time.toFixed(2)} of ${length().toFixed(2)} s`;
     document.querySelector("#main .under").textContent = words();

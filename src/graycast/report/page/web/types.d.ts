@@ -1,0 +1,340 @@
+// What the scripts of the pages share, for TypeScript's checker and for editors; no page loads it.
+// Distances are in millimetres, except where a name says otherwise.
+
+type Point = [number, number, number];
+type Prefs = Record<string, any>; // what the user chose
+
+/** Where a camera stands and what it sees, as BOP's scene_camera.json says it. */
+interface View {
+  cam_K: number[];
+  cam_R_w2c: number[];
+  cam_t_w2c: number[];
+  distortion: number[];
+}
+
+/** One part of a scene; boxes are BOP's, spans of pixel centres. */
+interface Instance {
+  name: string;
+  obj_id: number;
+  visible: number | null;
+  area: number;
+  box: number[];
+  amodal: number[] | null;
+  t: Point | null;
+  box3d: [number[], Point, Point] | null; // rotation, centre and size
+}
+
+/** What the camera models ask for: a scan, or the scene of a dataset. */
+interface Seen {
+  width: number; // of the maps, which hold every `stride`-th pixel of the picture
+  height: number;
+  stride: number;
+  n: number; // pixels of the maps
+  depth_scale_mm: number; // one step of depth
+  view: View;
+  has: { depth: boolean; scanner: boolean };
+  depth?: Uint16Array; // perfect, in steps; 0 for none
+  scanner?: Uint16Array;
+  rays?: Float32Array; // once they were asked for
+  projected?: Record<string, Positions>;
+}
+
+interface Scene extends Seen {
+  key: string;
+  full: [number, number]; // width and height of the picture
+  kept: { frames: string[]; columns: string[] }; // names of what the dataset stores
+  instances: Instance[];
+  reason: Uint8Array;
+  instance: Uint16Array; // its number plus 1; 0 for none
+  sigma?: Float32Array;
+  sigmaHigh?: number;
+  range?: [number, number]; // of depth, for colours
+  rgb: Uint8ClampedArray; // four bytes a pixel
+  white?: Uint8ClampedArray;
+  frames?: any; // captured ones, as they come
+  columns?: any; // decoded ones, as they come
+  positions?: Record<string, Float32Array>; // decoded ones, of a live page
+  levels?: Uint8Array; // the captured frame, of a live page
+  shown?: Uint8Array; // the captured frame that is looked at
+  found?: any; // what a detector found
+  manifest?: any;
+}
+
+/** Projector positions of pixels [px]; NaN for none. */
+interface Positions {
+  column: Float32Array;
+  row: Float32Array;
+}
+
+/** What a painted picture's colours mean, and what else is to be said of it. */
+interface Said {
+  bar?: Bar | null;
+  note?: string;
+  shown?: Uint8Array;
+}
+
+interface Bar {
+  map: string;
+  low: number;
+  high: number;
+  unit: string;
+  digits: number;
+  whole?: boolean; // no pixel is without a value
+}
+
+interface Lit {
+  instance?: number;
+  reason?: number | null;
+  mark?: number;
+}
+
+/** A scene moved so that what one turns about is at the origin. */
+interface Space {
+  point: (i: number, step: number) => number[];
+  middle: number[];
+  reach: number; // how far what is looked at goes from there
+  views: Record<string, Eye>;
+  start: Eye;
+}
+
+interface Eye {
+  yaw: number;
+  pitch: number;
+  distance: number;
+  pan?: number[];
+}
+
+/** Arrays on the GPU. */
+interface Thing {
+  array: WebGLVertexArrayObject;
+  color: WebGLBuffer;
+  buffers: WebGLBuffer[];
+  index: boolean;
+  count: number;
+  from?: ArrayLike<number>; // the pixel of each vertex
+  paint?: string;
+}
+
+interface Drawn {
+  thing: Thing;
+  place?: Float32Array; // a matrix
+  tint?: number[];
+  open?: boolean; // only its front is drawn
+  lines?: boolean;
+}
+
+/** A 3D view. */
+interface Cloud {
+  stage: HTMLElement;
+  draw(prefs: Prefs): void;
+  look(name: string): void;
+  swap(scene: Scene): void;
+  onScreen(point: number[]): number[] | null;
+  close(): void;
+}
+
+/** One picture, or two to compare. */
+interface Viewer {
+  stage: HTMLElement;
+  home(): void;
+  zoomAt(factor: number, px?: number, py?: number): void;
+  close(): void;
+  paint(views: string[], prefs: Prefs): Said[];
+  cover(prefs: Prefs, lit: Lit): void;
+}
+
+type GL = WebGL2RenderingContext;
+
+interface Shapes {
+  pointOf(scene: Seen): (i: number, step: number) => Point;
+  space(scene: Scene): Space;
+  mesh(gl: GL, scene: Scene, space: Space): Thing;
+  cloud(gl: GL, scene: Scene, space: Space): Thing;
+  body(gl: GL, vertices: Float32Array, faces: Uint32Array): Thing;
+  lines(gl: GL, place: Float32Array, color: number[]): Thing;
+  edges(gl: GL, scene: Scene, space: Space): Thing;
+  drop(gl: GL, thing: Thing): void;
+  recolor(gl: GL, scene: Scene, thing: Thing, paint: string, prefs: Prefs): void;
+  normals(scene: Scene, from: ArrayLike<number>): Int8Array;
+}
+
+interface Tags {
+  ticked: Set<string>;
+  forgetful: boolean; // the browser keeps nothing
+  of(key: string): string[];
+  read(text: string): string[];
+  add(keys: string[], list: string[]): void;
+  remove(keys: string[], tag: string): void;
+  among(keys: Iterable<string>): [string, number][];
+  all(): [string, number][];
+  tick(key: string, on?: boolean): void;
+  save(keys: Iterable<string>): void;
+  take(name: string, text: string): string;
+  chips(list: string[][], drop?: (tag: string) => void): HTMLElement[];
+  field(id: string, take: (list: string[]) => void): HTMLElement;
+}
+
+interface Found {
+  KINDS: [string, string][];
+  FILTERS: [string, string][];
+  SORTS: [string, string][];
+  words(filter: string): string;
+  told(): HTMLElement | null;
+  count(row: Row, what: string): number | null;
+  fits(row: Row, filter: string): boolean;
+  follow(filter: string): void;
+  line(row: Row): HTMLElement | null;
+  slider(id: string, held: Prefs, change: (score: number) => void): HTMLElement;
+  draw(scene: Scene, svg: SVGElement, prefs: Prefs, lit: Lit): void;
+  list(scene: Scene, prefs: Prefs, actions: { light: (lit: Lit) => void }): HTMLElement[];
+}
+
+interface Side {
+  readout(scene: Scene, i: number): void;
+  tags: (...given: any[]) => any;
+  legend: (...given: any[]) => any;
+  instances: (...given: any[]) => any;
+  facts: (...given: any[]) => any;
+}
+
+interface Toolbar {
+  views: (...given: any[]) => any;
+  compare: (...given: any[]) => any;
+  options: (...given: any[]) => any;
+  under(said: Said[], names: string[]): HTMLElement[];
+}
+
+interface Outcome {
+  name: string;
+  color: string;
+  meaning: string;
+}
+
+interface Outcomes {
+  of(k: number): Outcome;
+  named(name: string): Outcome;
+  number(name: string): number;
+  looked(k: number): boolean;
+  any(): boolean;
+  clear(): void;
+  swatch(one: Outcome): HTMLElement;
+  buttons(counts: Record<string, number>, changed: () => void): HTMLElement[];
+}
+
+type Row = Record<string, any>; // a scene of the grid, by the names of index.js's columns
+
+interface Shared {
+  report: any; // what index.js holds
+  prefs: Prefs;
+
+  // core.js
+  el(tag: string, attributes?: Record<string, any>, ...children: any[]): any;
+  tip(event: MouseEvent, text?: string): void;
+  words(name: string): string;
+  count(value: number): string;
+  percent(share: number | null | undefined, digits?: number): string;
+  mm(value: number | null | undefined, digits?: number): string;
+  signed(value: number, digits?: number): string;
+  allRows?: Row[];
+  rows(): Row[];
+  reasonColors(): Uint8ClampedArray; // three bytes for each number of a reason
+  colormap(name: string): Uint8Array; // 256 times three bytes
+  heat(name: string, share: number): Uint8Array;
+  sigmaLimit(scene: Scene): number;
+  instanceColor(index: number): Point;
+  receive(content: any): void;
+  bring(file: string, name: string): Promise<any>;
+  bringFound(key: string): Promise<any>;
+  load(key: string): Promise<Scene>;
+  frame(scene: Scene, k: number, ready: () => void): Uint8Array | null;
+  columns(scene: Scene, ready: () => void): Record<string, Float32Array> | null;
+  letGo(scene: Scene): void;
+  inflate(text: string): Promise<Uint8Array>;
+  pixels(url: string, size: { width: number; height: number }): Promise<Uint8ClampedArray>;
+  unpackWords(bytes: Uint8Array, width: number, height: number): Uint16Array;
+
+  // geometry.js
+  rays(scene: Seen): Float32Array; // x and y of each pixel
+  projectorMap(scene: Seen, which: string): Positions;
+  toWorld(scene: Seen, x: number, y: number, z: number): Point;
+  boxEdges(box: [number[], Point, Point]): Point[];
+
+  // paint.js
+  VIEWS: { id: string; label: string }[];
+  ERROR_LIMITS_MM: number[];
+  viewsOf(scene: Scene): { id: string; label: string }[];
+  paint(scene: Scene, view: string, prefs: Prefs, out: Uint8ClampedArray): Said;
+  paintOverlay(scene: Scene, prefs: Prefs, lit: Lit, out: Uint8ClampedArray): void;
+  depthRange(scene: Scene): [number, number];
+  errorLimit(prefs: Prefs): number;
+  sourcesOf(scene: Scene, view: string, prefs: Prefs): string[];
+  sourceOf(scene: Scene, view: string, prefs: Prefs): string;
+  frameNames(scene: Scene): string[];
+  highest(values: Float32Array, share: number): number;
+
+  // what is looked at
+  makeViewer(
+    scene: Scene,
+    onPointer: (i: number, event: PointerEvent) => void,
+    other?: Scene,
+  ): Viewer;
+  makeCloud(
+    scene: Scene,
+    options?: {
+      space?: Space;
+      bodies?: (gl: GL) => (prefs: Prefs) => Drawn[];
+      perfect?: boolean;
+    },
+  ): Cloud;
+  shapes: Shapes;
+  found: Found;
+  side: Side;
+  toolbar: Toolbar;
+  tags: Tags;
+  KEYS: Record<string, string[][]>;
+
+  // the overview and its grid
+  onlyValue(plot: any): string | null;
+  plot(plot: any): HTMLElement;
+  shares(plot: any): HTMLElement;
+  stack(...given: any[]): HTMLElement;
+  thumbName(): string;
+  filtered(): Row[];
+  filterBar(changed: () => void): any;
+  liftAll(): void;
+  showGrid(section: HTMLElement): any;
+  cameFrom(key: string): void;
+
+  // which page is shown, and its keys
+  showOverview(main: HTMLElement): void;
+  showScene(main: HTMLElement, key: string, isCurrent: () => boolean): Promise<void>;
+  closeScene(): void;
+  focusCard(): void;
+  gridKey(event: KeyboardEvent): boolean;
+  sceneKey(event: KeyboardEvent): boolean;
+  redraw(): void;
+  repaint(): void;
+  opened(): any; // for tests
+
+  // the page of picks
+  outcomes: Outcomes;
+  limbsAt(motion: any, time: number): Float32Array[];
+  carried(motion: any, time: number, before: number[]): Float32Array | null;
+  makeBodies(middle: number[], now: () => any): Promise<(gl: GL) => (prefs: Prefs) => Drawn[]>;
+  resting(now: any, k: number): Float32Array;
+
+  // the live page
+  live: { latencies: number[]; errors: string[]; painted: number };
+  makeWorld(scene: Scene, drag: (changes: any, draft: boolean) => void): any;
+  worldOptions(
+    prefs: Prefs,
+    set: (name: string, value: any) => void,
+    look: (name: string) => void,
+  ): HTMLElement[];
+  showControls(
+    panel: HTMLElement & { values?: Record<string, any> },
+    given: { controls: any; values: Record<string, any> },
+    said: any,
+    set: any,
+  ): void;
+}

@@ -1,0 +1,93 @@
+"""The scripts of the pages, read by TypeScript's checker with the types that their JSDoc says."""
+
+import json
+import shutil
+import subprocess
+from pathlib import Path
+
+import pytest
+
+from graycast.live import server
+from graycast.report.page import build as page
+from graycast.report.picks import build as picks
+
+pytestmark = pytest.mark.slow
+ROOT = Path(__file__).resolve().parents[1]
+SOURCE = ROOT / "src" / "graycast"
+WEB = SOURCE / "report/page/web"
+OPTIONS = {
+    "allowJs": True,
+    "checkJs": True,
+    "noEmit": True,
+    "target": "es2023",
+    "lib": ["es2023", "dom", "dom.iterable"],
+    "types": [],
+    "noFallthroughCasesInSwitch": True,
+    "noImplicitReturns": True,
+    "noImplicitThis": True,
+    "noUnusedLocals": True,
+}
+# What each page loads, but for the script that holds its content.
+PAGES = {
+    "page": (WEB, ("core.js", *page._WEB.scripts, "app.js")),
+    "picks": (SOURCE / "report/picks/web", ("core.js", *picks._WEB.scripts, "app.js")),
+    "live": (
+        SOURCE / "live/web",
+        tuple(name for name in (*server._SHARED, *server._OWN) if name.endswith(".js")),
+    ),
+}
+
+
+def run(tool, *arguments):
+    node, program = shutil.which("node"), ROOT / ".venv-javascript/node_modules" / tool
+    if node is None or not program.is_file():
+        pytest.skip("needs TypeScript's checker and Prettier, which need npm: make javascript")
+    command = [node, str(program), *map(str, arguments)]
+    return subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
+
+
+def scripts(name):
+    """The scripts of a page: its own, or those of the page of a dataset."""
+    folder, names = PAGES[name]
+    return [folder / one if (folder / one).is_file() else WEB / one for one in names]
+
+
+def checked(folder, files):
+    """What TypeScript's checker says of some scripts that one page loads."""
+    told = folder / "tsconfig.json"
+    files = [str(one) for one in (WEB / "types.d.ts", *files)]
+    told.write_text(json.dumps({"compilerOptions": OPTIONS, "files": files}))
+    return run("typescript/bin/tsc", "--pretty", "false", "-p", told)
+
+
+@pytest.mark.parametrize("name", PAGES)
+def test_the_scripts_of_a_page_fit_the_types_that_they_say(name, tmp_path):
+    done = checked(tmp_path, scripts(name))
+    assert done.returncode == 0, done.stdout
+
+
+@pytest.mark.parametrize(
+    ("right", "wrong"),
+    [
+        ("scene.depth_scale_mm", "scene.depth_scale_m"),  # no such field
+        ("Graycast.toWorld(scene, 0, 0, 0)", "Graycast.toWorld(scene, 0, 0)"),
+        ("Graycast.colormap(map)", "Graycast.colourmap(map)"),
+        ("scene.depth_scale_mm / (2 * limit)", "scene.depth_scale_mm / (2 * 'limit')"),
+    ],
+)
+def test_a_name_or_a_number_of_arguments_that_is_wrong_is_noticed(right, wrong, tmp_path):
+    """The check has teeth: scripts read without their types would pass whatever they say."""
+    broken = []
+    for path in scripts("page"):
+        text = path.read_text(encoding="utf-8")
+        broken.append(tmp_path / path.name)
+        broken[-1].write_text(text.replace(right, wrong, 1), encoding="utf-8")
+    done = checked(tmp_path, broken)
+    assert done.returncode != 0 and "error TS" in done.stdout
+
+
+def test_every_script_is_as_the_formatter_writes_it_and_belongs_to_a_page():
+    there = sorted(SOURCE.rglob("*.js"))
+    assert set(there) == {path for name in PAGES for path in scripts(name)}
+    done = run("prettier/bin/prettier.cjs", "--check", *there, WEB / "types.d.ts")
+    assert done.returncode == 0, done.stdout + done.stderr

@@ -44,6 +44,7 @@ ORDER = (
     "detections",
     "pose_results",
     "domain",
+    "views",
     "config",
     "cell",
     "simulate",

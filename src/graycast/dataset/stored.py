@@ -12,21 +12,25 @@ from typing import Any, final
 
 import numpy as np
 from pycocotools import mask as coco_mask
+from pydantic import RootModel
 
 from ..array_types import Bool, Float32, Int, UInt8, UInt16
 from ..errors import DatasetError
 from . import records
 from .example import Example, Label, label_arrays, metres
-from .places import CLAIM, SPLITS, finished_scenes
+from .places import CLAIM, SPLITS, camera_file, finished_scenes
 from .reading import Unreadable, read_json
 from .real import RealClaim, RealInfo, RealPose, RealView, is_real
-from .records import OneImage
 from .scene_folder import SceneFolder
+from .seal import facts_of
 
 NO_REASON = 255  # a pixel without scanner depth in a dataset that does not say why
 _HELD = frozenset({"rgb", "gray_sl", "depth", "depth_sl", "masks", "amodal", "poses", "shares"})
 _PIXELS = {"rgb": (3, np.uint8), "gray_sl": (2, np.uint8), "reason_sl": (2, np.uint8)}
 _DEPTH = (2, np.uint16)
+
+
+_Anything = RootModel[Any]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -76,9 +80,11 @@ class SceneContent:
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class StoredScene:
-    """One scene of a dataset, each file read and checked when it is asked for.
+    """One image of a scene of a dataset, each file read and checked when it is asked for.
 
-    Every method raises DatasetError where a file is missing, damaged or contradicts another.
+    Most scenes have one; `sensor` is the name of the scanner that took it, "" of the only one that
+    has none, and `image` counts each scanner's own. Every method raises DatasetError where a file
+    is missing, damaged or contradicts another.
     """
 
     folder: Path
@@ -88,10 +94,12 @@ class StoredScene:
     categories: Mapping[int, str] = field(hash=False)
     real: bool
     holds: frozenset[str]
+    sensor: str = ""
+    image: int = 0
 
     @property
     def key(self) -> str:
-        """Its name among all scenes of the dataset."""
+        """Its scene's name among all scenes of the dataset."""
         return f"{self.split}-{self.scene_id:06d}"
 
     @property
@@ -110,7 +118,9 @@ class StoredScene:
 
     def manifest(self) -> dict[str, Any]:
         """What the run that made it had to say."""
-        return self._read("manifest", records.Manifest).root
+        files = SceneFolder(self.folder)
+        whole = self._checked(partial(files.record, "manifest", records.Manifest))
+        return facts_of(whole.root, self.sensor, self.image)
 
     def obj_ids(self) -> tuple[int, ...]:
         """What each instance is, seen or not: all that one small file tells."""
@@ -133,7 +143,7 @@ class StoredScene:
     def png(self, name: str) -> Path:
         """A picture's file, found whole and of the right form."""
         self._image(name)
-        return self._files.png_path(name)
+        return self._files.png_path(name, self.image)
 
     def rgb(self) -> UInt8[np.ndarray, "h w 3"]:
         return np.ascontiguousarray(self._image("rgb")[..., ::-1])
@@ -189,11 +199,11 @@ class StoredScene:
 
     def said(self, name: str) -> Any:
         """What a JSON file says of the scene's image, as it is."""
-        return self._of_image(name, Any)
+        return self._of_image(name, _Anything).root
 
     def poses(self) -> list[Any]:
         """What `scene_gt.json` says of every instance, seen or not."""
-        poses = self._of_image("scene_gt", list[RealPose if self.real else records.Pose])
+        poses = self._of_instances("scene_gt", RealPose if self.real else records.Pose)
         for obj_id in {pose.obj_id for pose in poses}.difference(self.categories):
             raise DatasetError(
                 f"{self.folder / 'scene_gt.json'}: has object {obj_id}, {CLAIM} has "
@@ -206,8 +216,9 @@ class StoredScene:
         if "masks" not in self.holds:
             return [], [], []
         poses = self.poses()
-        infos = self._of_image("scene_gt_info", list[RealInfo if self.real else records.Info])
-        annotations = self._read("scene_gt_coco", records.SceneCoco).annotations
+        infos = self._of_instances("scene_gt_info", RealInfo if self.real else records.Info)
+        whole = self._checked(partial(self._files.record, "scene_gt_coco", records.SceneCoco))
+        annotations = [entry for entry in whole.annotations if entry.image_id == self.image]
         seen = sum(info.px_count_visib > 0 for info in infos)
         if len(poses) != len(infos) or seen != len(annotations):
             raise DatasetError(
@@ -257,7 +268,7 @@ class StoredScene:
                 StoredInstance(obj_id=pose.obj_id, area_px=info.px_count_visib, box=info.bbox_visib)
                 for pose, info in zip(poses, infos, strict=True)
             )
-        boxes = self._of_image("scene_gt_box3d", list[records.Box3d])
+        boxes = self._of_instances("scene_gt_box3d", records.Box3d)
         if len(boxes) != len(poses):
             raise DatasetError(
                 f"{self.folder}: scene_gt_box3d.json has {len(boxes)} boxes, scene_gt.json "
@@ -287,32 +298,32 @@ class StoredScene:
 
     def _image(self, name: str) -> np.ndarray:
         axes, kind = _PIXELS.get(name, _DEPTH)
-        image = self._checked(partial(self._files.png, name))
+        image = self._checked(partial(self._files.png, name, self.image))
         if image.ndim != axes or image.dtype != kind or image.shape[:2] != self.size_px:
             height_px, width_px = self.size_px
             must = f"{np.dtype(kind)}, {width_px} x {height_px} pixels"
+            path = self._files.png_path(name, self.image)
             raise DatasetError(
-                f"{self._files.png_path(name)}: is {image.dtype} {image.shape}, it must be {must}: "
-                "run graycast validate"
+                f"{path}: is {image.dtype} {image.shape}, it must be {must}: run graycast validate"
             )
         return image
 
     def _mask(self, name: str, i: int) -> Bool[np.ndarray, "h w"]:
-        mask = self._checked(partial(self._files.mask, name, i))
+        mask = self._checked(partial(self._files.mask, name, i, self.image))
         if mask.shape != self.size_px:
-            path = self._files.mask_path(name, i)
+            path = self._files.mask_path(name, i, self.image)
             raise DatasetError(f"{path}: is {mask.shape}, not {self.size_px}")
         return mask
 
     @property
     def _files(self) -> SceneFolder:
-        return SceneFolder(self.folder)
+        return SceneFolder(self.folder, self.sensor)
 
     def _of_image(self, name: str, form: Any) -> Any:
-        return self._read(name, OneImage[form]).image
+        return self._checked(partial(self._files.of_image, name, self.image, form))
 
-    def _read(self, name: str, form: type) -> Any:
-        return self._checked(partial(self._files.record, name, form))
+    def _of_instances(self, name: str, form: Any) -> Any:
+        return self._checked(partial(self._files.of_instances, name, self.image, form))
 
     def _checked(self, read: partial) -> Any:
         try:
@@ -332,7 +343,9 @@ class StoredDataset:
         categories: object ids and the parts' names.
         scene_ids: the scenes of each split's folder. Graycast writes `train` alone; who moves
             scenes to `val` and `test` has them counted and shown apart.
-        size_px: height, width.
+        sizes_px: height, width of each scanner's pictures, by its name, "" of the only one that
+            has none; the first scanner first.
+        images: every image of a scene: its scanner's name, and its number among that one's own.
         holds: which of rgb, gray_sl, depth, depth_sl, masks, amodal, poses and shares (visible
             ones) its scenes have.
     """
@@ -341,8 +354,14 @@ class StoredDataset:
     claim: Mapping[str, Any]
     categories: Mapping[int, str]
     scene_ids: Mapping[str, tuple[int, ...]]
-    size_px: tuple[int, int]
+    sizes_px: Mapping[str, tuple[int, int]]
+    images: tuple[tuple[str, int], ...]
     holds: frozenset[str]
+
+    @property
+    def size_px(self) -> tuple[int, int]:
+        """Height, width of the first scanner's pictures."""
+        return next(iter(self.sizes_px.values()))
 
     @property
     def real(self) -> bool:
@@ -354,22 +373,35 @@ class StoredDataset:
 
     @property
     def scenes(self) -> tuple[StoredScene, ...]:
-        """The scenes of all splits."""
+        """The scenes of all splits, each by its first image."""
         return tuple(
             self.scene(scene_id, split=split)
             for split, scene_ids in self.scene_ids.items()
             for scene_id in scene_ids
         )
 
-    def scene(self, scene_id: int, *, split: str = "train") -> StoredScene:
+    def scene(
+        self, scene_id: int, *, split: str = "train", sensor: str | None = None, image: int = 0
+    ) -> StoredScene:
+        """One image of a scene: without a sensor's name of the first scanner, its first one."""
+        sensor = self.images[0][0] if sensor is None else sensor
         return StoredScene(
             folder=self.folder / split / f"{scene_id:06d}",
             split=split,
             scene_id=scene_id,
-            size_px=self.size_px,
+            size_px=self.sizes_px[sensor],
             categories=self.categories,
             real=self.real,
             holds=self.holds,
+            sensor=sensor,
+            image=image,
+        )
+
+    def images_of(self, scene: StoredScene) -> tuple[StoredScene, ...]:
+        """All images of a scene, whichever of them is given."""
+        return tuple(
+            self.scene(scene.scene_id, split=scene.split, sensor=sensor, image=image)
+            for sensor, image in self.images
         )
 
 
@@ -382,7 +414,11 @@ def open_dataset(folder: Path) -> StoredDataset:
     real = is_real(folder)
     try:
         claim = read_json(folder / CLAIM, RealClaim if real else records.Claim)
-        camera = read_json(folder / "camera.json", records.Camera)
+        images = [("", 0)] if real else claim.images
+        cameras = {
+            sensor: read_json(folder / camera_file(sensor), records.Camera)
+            for sensor in dict.fromkeys(sensor for sensor, _ in images)
+        }
     except Unreadable as error:
         raise DatasetError(f"{folder} is not a Graycast dataset: {error}") from error
     scene_ids = {split: tuple(sorted(finished_scenes(folder, split))) for split in SPLITS}
@@ -393,6 +429,7 @@ def open_dataset(folder: Path) -> StoredDataset:
         claim=claim.model_dump(),
         categories={part.obj_id: part.name for part in claim.parts},
         scene_ids=scene_ids,
-        size_px=(camera.height, camera.width),
+        sizes_px={name: (camera.height, camera.width) for name, camera in cameras.items()},
+        images=tuple(images),
         holds=frozenset(claim.holds) if real else _HELD,
     )

@@ -28,9 +28,9 @@ from .scene import Bin, Scene
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Cell:
-    """A configuration with its files read: what all scenes of a dataset share.
+    """A configuration with all its files read. All scenes of a dataset share it.
 
-    `scene` holds every kind of part; a scene drops one kind of it, or all where `config.mix`.
+    `scene` holds every kind of part; a scene drops one of the kinds, or all if `config.mix` is set.
     """
 
     config: Config
@@ -51,17 +51,17 @@ class Cell:
         return self.scanner.light_code()
 
     def patterns(self) -> UInt8[np.ndarray, "n ph pw"]:
-        """What the projector is given: grey levels that undo its response."""
+        """The grey levels for the projector, with its response inverted."""
         return self.code.render(lambda share: grey_levels(self.scanner.rig, share))
 
 
 def resolve_cell(config: Config, folder: Path, *, on_stage: OnStage = lambda stage: None) -> Cell:
-    """Read what a configuration names; `folder` is where its relative paths start.
+    """Read the files that a configuration names; relative paths start in `folder`.
 
-    `on_stage` is told what is read, where that may take seconds.
+    `on_stage` is called with the name of each step that may take seconds.
 
     Raises:
-        GraycastError, ValueError: a file or a value that cannot be used, named.
+        GraycastError, ValueError: a file or a value cannot be used; the error names it.
     """
     parts, notes = resolve_parts(config, folder, on_stage=on_stage)
     scanner = resolve_scanner(config, folder)
@@ -80,7 +80,7 @@ def resolve_cell(config: Config, folder: Path, *, on_stage: OnStage = lambda sta
     if config.table is not None:
         scene = replace(scene, table=resolve_material(config.table, folder))
     if config.domain is not None:
-        on_stage("reading the files that the domain names")
+        on_stage("reading the files of the domain section")
     domain = None if config.domain is None else resolve_domain(config.domain, folder, scene=scene)
     return Cell(
         config=config,
@@ -93,16 +93,16 @@ def resolve_cell(config: Config, folder: Path, *, on_stage: OnStage = lambda sta
 
 
 def reach_m(cell: Cell) -> float:
-    """How deep a cell's depth pictures must reach [m], as z of the camera.
+    """The largest depth that a cell's depth pictures must hold [m], along the camera's z.
 
-    To the end of the rig's working range, and to the deepest corner of the bin wherever the domain
-    may hang the rig. What lies deeper is the table, which has no end.
+    It covers the rig's working range and the deepest corner of the bin for every pose of the
+    rig that the domain allows. Only the table, which is infinite, lies deeper.
     """
     return max(cell.scene.rig.far_m, deepest_m(cell.config.domain, cell.scene))
 
 
 def hang(view: ViewSection, rig: Rig, box: Bin) -> Float[np.ndarray, "4 4"]:
-    """`T_world_cam`: the one given, or the rig placed above the bin."""
+    """`T_world_cam` as configured, or from the rig's place above the bin."""
     if view.T_world_cam is not None:
         return np.reshape(view.T_world_cam, (4, 4)).astype(np.float64)
     return place(
@@ -122,7 +122,7 @@ def open_cell_renderer(
     on_frame: OnFrame | None = None,
     on_pass: OnPass | None = None,
 ) -> Renderer:
-    """The renderer that a cell's configuration asks for; arguments as of `open_renderer`."""
+    """Open the renderer that a cell's configuration names; see `open_renderer`."""
     render = cell.config.render
     return open_renderer(
         render.backend,

@@ -52,8 +52,8 @@ class Workers:
     def __post_init__(self) -> None:
         if self.threads is not None and not 1 <= self.threads <= MOST_THREADS:
             raise ValueError(
-                f"threads is {self.threads} per worker; give 1 to {MOST_THREADS}: more than the "
-                "machine has processors make nothing faster"
+                f"threads is {self.threads} per worker; give 1 to {MOST_THREADS}: more threads "
+                "than processors do not make a run faster"
             )
 
 
@@ -163,8 +163,8 @@ def save_scene(cell: Cell, shot: Shot, out: Path) -> Path:
     scene_id = manifest["scene_id"]
     if manifest["config"] != cell.config.model_dump(mode="json", exclude={"scenes", "seed"}):
         raise ValueError(
-            f"scene {scene_id} was made from another configuration than this cell's: "
-            "give the cell that make_scene was given"
+            f"scene {scene_id} was made from another configuration than this cell's: give the "
+            "cell with which make_scene made it"
         )
     task = SceneTask(
         cell=cell,
@@ -194,7 +194,7 @@ def depth_step_mm(cell: Cell) -> float:
         return depth_scale_mm(reach_m(cell))
     except ValueError as error:
         raise ConfigError(
-            f"the bin lies up to {reach_m(cell):.4g} m before the camera, depth pictures end at "
+            f"the bin is up to {reach_m(cell):.4g} m from the camera, and depth pictures end at "
             "65.535 m: give a smaller view.distance_m, or another store.depth_step_mm"
         ) from error
 
@@ -335,7 +335,7 @@ def _shown(error: Exception) -> Exception:
     """What a user is to be told; what nobody foresaw says at least what it is."""
     if _foreseen(error):
         return error
-    told = GraycastError(f"{_told(error)}: this is a fault of Graycast or of the machine")
+    told = GraycastError(f"{_told(error)}: this is an error in Graycast or in the machine")
     told.__cause__ = error
     return told
 

@@ -80,7 +80,10 @@ def cropped(camera: Optics, size_px: tuple[int, int]) -> Optics:
     left, top = (camera.width_px - width_px) // 2, (camera.height_px - height_px) // 2
     if left < 0 or top < 0 or min(size_px) < 1:
         own = f"{camera.width_px} x {camera.height_px}"
-        raise ValueError(f"size {width_px} x {height_px} is no crop of the camera's {own} px")
+        raise ValueError(
+            f"size {width_px} x {height_px} does not fit into the camera's {own} px: give a "
+            "smaller size"
+        )
     return replace(
         camera,
         width_px=width_px,

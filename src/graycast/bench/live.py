@@ -82,4 +82,4 @@ def _finished(session: Session, heard: "SimpleQueue[Message]") -> tuple[float, f
             first_ms = message.content["waited_ms"]
         if message.content["exact"]:
             return first_ms, message.content["waited_ms"]
-    raise GraycastError(f"no finished picture within {WAIT_S:g} s: is the machine that busy?")
+    raise GraycastError(f"no finished picture within {WAIT_S:g} s: the machine may be too busy")

@@ -134,7 +134,7 @@ def _chosen(
         if example.T_cam_part is None or example.scanner_depth_m is None or example.depth_m is None:
             raise GraycastError(
                 f"{examples.folder}: scene {scene_id} lacks poses or one of the depths: give a "
-                "dataset of graycast generate"
+                "dataset that graycast generate made"
             )
         there += [(scene_id, i) for i in np.flatnonzero(example.visib_fract >= min_visibility)]
     if not there:

@@ -151,7 +151,10 @@ def _sum_problems(out: Path, version: int, finished: Iterable[int]) -> list[Prob
             continue
         problems += [Problem(scene=scene_id, what=w) for w in seal_problems(folder, manifest)]
         if manifest.get("scene_id", scene_id) != scene_id:  # of real pictures it tells of none
-            what = f"{MANIFEST}: scene_id is {manifest['scene_id']}: a copy of another scene?"
+            what = (
+                f"{MANIFEST}: scene_id is {manifest['scene_id']}: the folder may be a copy "
+                "of another scene"
+            )
             problems.append(Problem(scene=scene_id, what=what))
     return problems
 
@@ -160,7 +163,7 @@ def _claim_problems(out: Path, claim: records.Claim) -> Iterator[str]:
     """What `graycast.json` says of itself, of the models and of the camera."""
     held = json.loads((out / CLAIM).read_bytes())
     if fingerprint(held) != claim.fingerprint:
-        yield f"{CLAIM} is not as it was written: its fingerprint is another"
+        yield f"{CLAIM} was changed after it was written: its fingerprint differs"
     if claim.format_version >= SEALED_SINCE:
         if not claim.sha256:
             yield f"{CLAIM}: sha256 is missing, which every dataset of this format has"
@@ -236,7 +239,11 @@ def _split_problems(
     try:
         split = read_json(out / "train_coco.json", records.SplitCoco)
     except Unreadable as error:
-        yield f"{error}: has the run finished?" if "missing" in str(error) else str(error)
+        yield (
+            f"{error}: let the run finish, then validate again"
+            if "missing" in str(error)
+            else str(error)
+        )
         return
     names = {part.obj_id: part.name for part in claim.parts}
     if {entry.id: entry.name for entry in split.categories} != names:

@@ -18,7 +18,9 @@ def differing_files(scene: Path, files: Iterable[tuple[str, bytes]]) -> dict[str
     new = dict(files)
     stored = {str(p.relative_to(scene)): p for p in scene.rglob("*") if p.is_file()}
     differing = dict.fromkeys(new.keys() - stored.keys(), "is not stored")
-    differing |= dict.fromkeys(stored.keys() - new.keys(), "is stored, but was not made again")
+    differing |= dict.fromkeys(
+        stored.keys() - new.keys(), "is stored, but the new scene does not have it"
+    )
     for name in new.keys() & stored.keys():
         content = stored[name].read_bytes()
         if content != new[name] and (how := _difference(name, content, new[name])):

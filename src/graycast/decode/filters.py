@@ -51,23 +51,31 @@ class FilterSpec:
         Field(
             ge=0,
             lt=90,
-            description="pixels between two surfaces go where a step is seen at more than this",
+            description="Pixels between two surfaces are removed if the line of sight meets "
+            "the step at more than this angle, in degrees from the normal.",
         ),
     ] = None
     outlier_sigmas: Annotated[
         float | None,
         Field(
             ge=0,
-            description="pixels go that are this many standard deviations off their neighbours",
+            description="Pixels are removed whose depth differs from their neighbours by "
+            "more than this number of standard deviations.",
         ),
     ] = None
     outlier_share: Annotated[
-        float, Field(ge=0, description="and farther than this share of depth")
+        float,
+        Field(
+            ge=0,
+            description="An outlier must also differ from its neighbours by "
+            "more than this share of its depth.",
+        ),
     ] = 3e-4
     outlier_repair: Annotated[
         bool,
         Field(
-            description="an outlier within a surface gets its depth, and does not go",
+            description="Whether an outlier within a surface gets the depth of that surface "
+            "instead of being removed.",
             exclude_if=unsaid,
         ),
     ] = False
@@ -75,14 +83,15 @@ class FilterSpec:
         float | None,
         Field(
             ge=0,
-            description="pixels go that a nearer surface hides from the projector by more noise",
+            description="Pixels are removed that a nearer surface hides from the projector "
+            "by more than this number of standard deviations.",
             exclude_if=unsaid,
         ),
     ] = None
     island_px: Annotated[int | None, Field(ge=0, description="surfaces of fewer pixels go")] = None
     smoothing_px: Annotated[
         float | None,
-        Field(ge=0, le=10, description="standard deviation of the smoothing kernel"),
+        Field(ge=0, le=10, description="Standard deviation of the smoothing kernel in pixels."),
     ] = None
     raster_px: Annotated[
         float | None,
@@ -98,7 +107,8 @@ class FilterSpec:
         Field(
             gt=0,
             lt=90,
-            description="neighbours seen at more than this angle are two surfaces",
+            description="Neighbouring pixels belong to two surfaces if the surface through "
+            "both is seen at more than this angle, in degrees from the normal.",
         ),
     ] = 80.0
 

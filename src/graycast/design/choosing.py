@@ -125,7 +125,7 @@ def sentences(spec: DesignSpec, rows: Sequence[Row]) -> str:
     told = (
         f"{where(best)} measures {_percent(best.measured)} of the open surface of the parts, with "
         f"a sigma of {1e3 * best.figure['sigma_m']:.2f} mm and a bias of "
-        f"{1e3 * best.figure['bias_m']:+.2f} mm. It sees features from "
+        f"{1e3 * best.figure['bias_m']:+.2f} mm. It resolves features from "
         f"{1e3 * best.figure['feature_m']:.1f} mm and takes {best.figure['seconds']:.2f} s a scan."
     )
     lost = [f"{share:.1%} {_WORDS[fate]}" for fate, share in best.missing()[:3]]
@@ -136,7 +136,9 @@ def sentences(spec: DesignSpec, rows: Sequence[Row]) -> str:
     fit = [row for row in rows if meets(spec, row) and row is not best]
     like = [name for name, less in unlike(fit, best).items() if not less.low > 0]
     if like and spec.layouts > 1:
-        told += f" By these {spec.layouts} heaps it cannot be told from {_list(like)}."
+        told += (
+            f" On these {spec.layouts} heaps its difference is not significant from {_list(like)}."
+        )
     return told
 
 

@@ -68,8 +68,8 @@ def settings_of(spec: DesignSpec) -> tuple[Setting, ...]:
     name, times = Counter(setting.name for setting in found).most_common(1)[0]
     if times > 1:
         raise ConfigError(
-            f"the setting {name} comes {times} times: leave it out of one sweep, or give rig files "
-            "other names"
+            f"the setting {name} comes {times} times: remove it from one sweep, or rename a rig "
+            "file"
         )
     return found
 
@@ -185,8 +185,8 @@ def _refuse_out_of_range(
     z_m = transform_points(inverse(T_world_cam), corners)[:, 2]
     if z_m.max() < rig.near_m or z_m.min() > rig.far_m:
         raise ConfigError(
-            f"the bin lies {z_m.min():.3g} to {z_m.max():.3g} m before the camera, but the range "
-            f"of {rig.name} is {rig.near_m:g} to {rig.far_m:g} m: give another distance_m"
+            f"the bin lies {z_m.min():.3g} to {z_m.max():.3g} m from the camera, but the working "
+            f"range of {rig.name} is {rig.near_m:g} to {rig.far_m:g} m: give another distance_m"
         )
 
 

@@ -114,7 +114,8 @@ def load_backbone(body: Body, state: Mapping[str, Tensor]) -> None:
     for key in sorted(own.keys() ^ kept.keys()):
         has, lacks = ("backbone", "file") if key in own else ("file", "backbone")
         raise GraycastError(
-            f"these weights are not of {body.name}: the {has} has {key!r}, the {lacks} has not"
+            f"these weights do not belong to {body.name}: the {has} has {key!r} and the {lacks} "
+            "has not"
         )
     for key, value in kept.items():
         if value.shape != own[key].shape:

@@ -168,7 +168,7 @@ def pictures_of(
     """
     if not (any((folder / name).is_file() for name in (CLAIM, RECORD)) or is_foreign(folder)):
         if split != "all":
-            raise GraycastError(f"{folder}: is no dataset, so it has no set {split}: take all")
+            raise GraycastError(f"{folder}: is not a dataset, so it has no set {split}: choose all")
         found = find_shots(folder)
         return Chosen(
             examples=shots(found, scale_m=scale_m),

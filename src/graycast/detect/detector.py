@@ -69,7 +69,7 @@ class About:
         held = {name: obj_id for obj_id, name in categories.items() if name in self.names}
         if not held:
             raise GraycastError(
-                f"{folder}: has {', '.join(categories.values())}, and the detector knows "
+                f"{folder}: has {', '.join(categories.values())}, and the detector was trained on "
                 f"{', '.join(self.names)}: give a dataset of the same parts"
             )
         return held
@@ -229,7 +229,7 @@ def load_detector(path: Path, *, device: str = "auto") -> Detector:
     """
     file = path / WEIGHTS if path.is_dir() else path
     if not file.is_file():
-        raise GraycastError(f"{file}: is not there: give a folder that graycast train has written")
+        raise GraycastError(f"{file}: does not exist: give a folder that graycast train wrote")
     try:
         held = torch.load(file, map_location="cpu", weights_only=True)
         said = json.loads(held["about"])
@@ -243,7 +243,9 @@ def load_detector(path: Path, *, device: str = "auto") -> Detector:
         state = held["state"]
     except Exception as error:  # unpickling raises whatever the bytes lead it to
         why = " ".join(str(error).split())[:120]
-        raise GraycastError(f"{file}: is damaged or no detector ({why}): train it again") from error
+        raise GraycastError(
+            f"{file}: is damaged or is not a detector ({why}): train it again"
+        ) from error
     network = about.open_network()
     try:
         network.load_state_dict(state)
@@ -264,7 +266,7 @@ def choose_device(name: str) -> torch.device:
         GraycastError: a GPU is asked for, and torch finds none.
     """
     if name == "cuda" and not torch.cuda.is_available():
-        raise GraycastError("torch finds no NVIDIA GPU: take --device cpu, or mend the driver")
+        raise GraycastError("torch finds no NVIDIA GPU: use --device cpu, or repair the driver")
     gpu = name == "cuda" or (name == "auto" and torch.cuda.is_available())
     return torch.device("cuda" if gpu else "cpu")
 

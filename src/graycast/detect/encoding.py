@@ -62,7 +62,7 @@ class Encoding:
         if self.holes not in HOLES:
             raise GraycastError(f"holes is {self.holes!r}: choose one of {', '.join(HOLES)}")
         if min(self.size_px) < 32 or any(side % 32 for side in self.size_px):
-            raise GraycastError(f"size_px is {self.size_px}: multiples of 32 from 32 up")
+            raise GraycastError(f"size_px is {self.size_px}: give a multiple of 32 of at least 32")
         if self.deep and not 0 < (self.near_m or 0) < (self.far_m or 0):
             raise GraycastError(
                 f"the depth's range is {self.near_m} to {self.far_m} m: give 0 < near < far"

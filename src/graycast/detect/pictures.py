@@ -45,7 +45,7 @@ class Augmentation:
     def __post_init__(self) -> None:
         if min(self.zoom, self.brightness) < 1 or not 0 <= self.depth_shift < 1:
             raise GraycastError(
-                f"zoom is {self.zoom}, brightness {self.brightness} (factors from 1 up) and "
+                f"zoom is {self.zoom}, brightness {self.brightness} (both at least 1) and "
                 f"depth_shift {self.depth_shift} (a share): change what is out of range"
             )
 
@@ -158,7 +158,8 @@ def room_for(file: Path, shape: Sequence[int]) -> np.memmap:
     if needed > free:
         raise GraycastError(
             f"{file.parent}: has {free / 1e9:.1f} GB free and the encoded pictures take "
-            f"{needed / 1e9:.1f} GB: free space, choose another --out or a smaller --size"
+            f"{needed / 1e9:.1f} GB: free disk space, choose another --out, or choose a smaller "
+            "--size"
         )
     try:
         held = np.lib.format.open_memmap(file, mode="w+", dtype=np.float16, shape=tuple(shape))
@@ -166,7 +167,7 @@ def room_for(file: Path, shape: Sequence[int]) -> np.memmap:
             os.posix_fallocate(opened.fileno(), 0, opened.seek(0, os.SEEK_END))
     except OSError as error:
         raise GraycastError(
-            f"{file}: cannot be written ({error.strerror}): choose another --out with space"
+            f"{file}: cannot be written ({error.strerror}): choose another --out with free space"
         ) from error
     return held
 
@@ -180,11 +181,14 @@ def _labelled(
     folder: Path,
 ) -> _Labelled:
     if example.box_px is None or example.obj_id is None:
-        raise GraycastError(f"{folder}: scene {example.scene_id} has no boxes to learn from")
+        raise GraycastError(
+            f"{folder}: scene {example.scene_id} has no boxes for the training: give a dataset "
+            "with labels"
+        )
     if masks and example.mask is None:
         raise GraycastError(
-            f"{folder}: scene {example.scene_id} has no masks, which this model learns: train "
-            "--model yolov3, which needs boxes alone, or give a dataset with masks"
+            f"{folder}: scene {example.scene_id} has no masks, which this model needs: train "
+            "--model yolov3, which needs only boxes, or give a dataset with masks"
         )
     picture_px = encoding.picture_px(example)
     scale = encoding.scale(picture_px)

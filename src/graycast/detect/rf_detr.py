@@ -44,7 +44,7 @@ class RfDetr(nn.Module):
             from rfdetr.models.lwdetr import build_criterion_from_config, build_model_from_config
         except ImportError as error:
             raise GraycastError(
-                f"model rf-detr needs rfdetr ({error}): pip install 'graycast[rf-detr]'"
+                f"model rf-detr needs rfdetr ({error}): run pip install 'graycast[rf-detr]'"
             ) from error
         match backbone or "nano":
             case "nano":

@@ -89,8 +89,8 @@ class RunFolder:
             ) from error
         if lock is None:
             raise GraycastError(
-                f"{self.path}: another training is going on in this folder: wait for it, or choose "
-                "another --out"
+                f"{self.path}: another training runs in this folder: wait until it ends, or "
+                "choose another --out"
             )
         return lock
 
@@ -99,7 +99,7 @@ class RunFolder:
             if held.get(key) != asked.get(key):
                 raise GraycastError(
                     f"{self.path}: is a run with {key} {_short(held.get(key))}, and now it is "
-                    f"{_short(asked.get(key))}: repeat the command that began it, or choose "
+                    f"{_short(asked.get(key))}: repeat the command that started it, or choose "
                     "another --out"
                 )
 
@@ -134,7 +134,7 @@ class RunFolder:
             return Progress(**json.loads(held["progress"]))
         except Exception as error:  # unpickling raises whatever the bytes lead it to
             raise GraycastError(
-                f"{file}: is damaged: remove it, and the run begins anew"
+                f"{file}: is damaged: remove it, and the training starts again"
             ) from error
 
     def tell(self, rows: Sequence[Row]) -> None:

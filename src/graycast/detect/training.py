@@ -90,11 +90,15 @@ class TrainSpec:
     def __post_init__(self) -> None:
         for name in ("epochs", "patience", "longest_px"):
             if getattr(self, name) < 1:
-                raise GraycastError(f"{name} is {getattr(self, name)}: a whole number from 1 up")
+                raise GraycastError(
+                    f"{name} is {getattr(self, name)}: give a whole number of at least 1"
+                )
         if self.batch is not None and self.batch < 1:
-            raise GraycastError(f"batch is {self.batch}: a whole number from 1 up")
+            raise GraycastError(f"batch is {self.batch}: give a whole number of at least 1")
         if self.learning_rate is not None and not self.learning_rate > 0:
-            raise GraycastError(f"learning_rate is {self.learning_rate}: a number above 0")
+            raise GraycastError(
+                f"learning_rate is {self.learning_rate}: give a number greater than 0"
+            )
 
     def recipe(self, network: Network) -> Recipe:
         """The network's own, with what was said."""
@@ -303,7 +307,7 @@ class _Training:
                 loss = torch.stack(list(losses.values())).sum()
             if not torch.isfinite(loss):
                 raise GraycastError(
-                    f"the loss is no number after {progress.step} steps: lower --learning-rate "
+                    f"the loss is not a number after {progress.step} steps: lower --learning-rate "
                     f"(it is {recipe.learning_rate})"
                 )
             optimizer.zero_grad(set_to_none=True)

@@ -251,8 +251,8 @@ def _lamp(
         if not in_the_way(lamp_of(drawn, scene), scene, cones):
             return drawn
     raise ConfigError(
-        f"domain.lamps: {LAMP_TRIES} lamps in a row stood in the bin or in the rig's view: give "
-        "a lower elevation_deg, a larger distance_m or a smaller size_m"
+        f"domain.lamps: {LAMP_TRIES} consecutive lamps were inside the bin or in the rig's view: "
+        "give a lower elevation_deg, a larger distance_m or a smaller size_m"
     )
 
 

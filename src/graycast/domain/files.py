@@ -81,7 +81,7 @@ def _listed(folder: Path, path: Path, endings: tuple[str, ...], key: str) -> tup
     found = tuple(path / name for name in names if Path(name).suffix.lower() in endings)
     if not found:
         raise ConfigError(
-            f"domain.{key}: {folder / path} has no {' or '.join(endings)} file: put some in"
+            f"domain.{key}: {folder / path} has no {' or '.join(endings)} file: add at least one"
         )
     return found
 

@@ -262,5 +262,5 @@ def _texture(files: tuple[Path, ...], drawn: Record) -> np.ndarray | None:
 def _file(files: tuple[Path, ...], name: str) -> Path:
     found = [file for file in files if file.name == name]
     if not found:
-        raise ConfigError(f"the domain has no file {name}: was it taken out of its folder?")
+        raise ConfigError(f"the domain has no file {name}: put it back into its folder")
     return found[0]

@@ -50,8 +50,8 @@ def body_of(part: Part, hulls: tuple[Hull, ...]) -> Body:
     volume = np.linalg.det(corner) / 6
     if volume.sum() <= 0:
         raise ValueError(
-            f"part {part.name} encloses {1e9 * volume.sum():.3g} mm^3: is its mesh closed and "
-            "are its faces counter-clockwise seen from outside?"
+            f"part {part.name} encloses {1e9 * volume.sum():.3g} mm^3: give a closed mesh whose "
+            "faces are counter-clockwise seen from outside"
         )
     total = corner.sum(axis=1)
     center_m = np.einsum("f,fi->i", volume, total) / 4 / volume.sum()

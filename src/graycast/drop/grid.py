@@ -75,6 +75,6 @@ def _orientation(
     size = " x ".join(f"{1e3 * s:.0f}" for s in np.ptp(points, axis=0))
     opening = " x ".join(f"{1e3 * w:.0f}" for w in width_m)
     raise ValueError(
-        f"a part of {size} mm found no orientation between walls {opening} mm apart: "
-        "is its unit right? Take a larger bin"
+        f"a part of {size} mm found no orientation between walls {opening} mm apart: check its "
+        "unit, or use a larger bin"
     )

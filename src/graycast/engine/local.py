@@ -149,7 +149,7 @@ def _obituary(process: BaseProcess | None) -> str:
     if code is None or code >= 0:
         return f"its worker process ended (exit code {code})"
     name = signal.Signals(-code).name
-    why = ", by hand or by the system for lack of memory" if name == "SIGKILL" else ""
+    why = ", by a user or by the operating system for lack of memory" if name == "SIGKILL" else ""
     return f"its worker process was killed ({name}{why})"
 
 

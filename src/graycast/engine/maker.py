@@ -120,19 +120,18 @@ def _refuse_undecoded(reasons: Mapping[str, float]) -> None:
         return
     most = max(reasons, key=lambda name: reasons[name])
     raise DecodeError(
-        f"the scanner finds a depth in {reasons['decoded']:.2%} of the pixels, that is in none: "
-        f"{reasons[most]:.0%} are {most}: "
-        f"{_REMEDIES.get(most, 'see graycast preview')}"
+        f"the scanner finds a depth in {reasons['decoded']:.2%} of the pixels, so in none: "
+        f"{reasons[most]:.0%} are {most}: {_REMEDIES.get(most, 'see graycast preview')}"
     )
 
 
-_LIGHT = "give a longer exposure.exposure_s, or leave it out, or a nearer view.distance_m"
+_LIGHT = "give a longer exposure.exposure_s, or remove that key, or a nearer view.distance_m"
 _REMEDIES = {
     "shadow": _LIGHT,
     "low_modulation": _LIGHT,
-    "saturated": "give a shorter exposure.exposure_s, or leave it out",
-    "out_of_range": "bring the bin into the rig's near_m to far_m (view.distance_m)",
-    "outside_projector": "bring the bin to where the projector shines (view.distance_m)",
+    "saturated": "give a shorter exposure.exposure_s, or remove that key",
+    "out_of_range": "change view.distance_m so that the bin is between the rig's near_m and far_m",
+    "outside_projector": "change view.distance_m so that the projector lights the bin",
 }
 
 

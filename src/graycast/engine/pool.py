@@ -80,6 +80,6 @@ def make_all(pool: Pool, scene_ids: Iterable[int]) -> Generator[Made | Failed, N
         if len(lost) >= _IN_VAIN + at_work:
             why = " ".join(str(error).split()) or type(error).__name__
             raise GraycastError(
-                f"{len(lost)} scenes in a row were lost, the last because {why}: run again when "
-                "the machine is well; what is finished stays"
+                f"{len(lost)} scenes in a row were lost, the last because {why}: repair the "
+                "machine and run the same command again; the finished scenes are kept"
             ) from error

@@ -36,8 +36,8 @@ def evaluate_depth(
     stored = open_dataset(dataset)
     if lacks := sorted({"depth", "depth_sl"} - stored.holds):
         raise GraycastError(
-            f"{dataset}: has no {' and no '.join(lacks)}: the scanner's depth is judged by perfect "
-            "depth, which a simulated dataset has"
+            f"{dataset}: has no {' and no '.join(lacks)}: the scanner's depth is compared with "
+            "perfect depth, so give a simulated dataset"
         )
 
     def read(pass_: int) -> Iterable[SceneContent]:

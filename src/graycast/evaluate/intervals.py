@@ -59,7 +59,7 @@ def differences(
     if scores.scene_ids != other.scene_ids:
         raise GraycastError(
             f"results of {len(scores.scene_ids)} scenes cannot be compared with results of "
-            f"{len(other.scene_ids)} others: give results of the same scenes"
+            f"{len(other.scene_ids)} other scenes: give results of the same scenes"
         )
     mine, its = (figures_of_draws(one.matches, times) for one in (scores, other))
     return {

@@ -110,8 +110,8 @@ def _scene_ids(task: Task, run: Run, held: Mapping[int, Examples]) -> tuple[int,
     if odd := set(run.scene_ids) - set(held):
         split = next(iter(held.values())).split
         raise GraycastError(
-            f"{run.path}: looked at scene {min(odd)}, which the set {split} of "
-            f"{task.dataset} does not have: give --on the dataset that it looked at"
+            f"{run.path}: has detections in scene {min(odd)}, which the set {split} of "
+            f"{task.dataset} does not have: give the dataset of the detections with --on"
         )
     return run.scene_ids
 

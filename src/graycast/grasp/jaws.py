@@ -37,11 +37,13 @@ class Jaws:
     def __post_init__(self) -> None:
         for name in ("opening_m", "force_n", "pad_radius_m"):
             if not getattr(self, name) > 0:
-                raise ValueError(f"{name} is {getattr(self, name)}; it must be above 0")
+                raise ValueError(f"{name} is {getattr(self, name)}; it must be greater than 0")
         if self.opening_m > 1:
-            raise ValueError(f"opening_m is {self.opening_m:g}: jaws open less; give metres")
+            raise ValueError(
+                f"opening_m is {self.opening_m:g}: this is too large; give metres, not millimetres"
+            )
         if not self.friction >= 0:
-            raise ValueError(f"friction is {self.friction}; it is 0 or more")
+            raise ValueError(f"friction is {self.friction}; it must be at least 0")
 
 
 def jaw_load_factor(

@@ -35,13 +35,17 @@ class Cup:
     def __post_init__(self) -> None:
         for name in ("radius_m", "height_m", "vacuum_pa"):
             if not getattr(self, name) > 0:
-                raise ValueError(f"{name} is {getattr(self, name)}; it must be above 0")
+                raise ValueError(f"{name} is {getattr(self, name)}; it must be greater than 0")
         if self.radius_m > 0.2:
-            raise ValueError(f"radius_m is {self.radius_m:g}: a cup is smaller; give metres")
+            raise ValueError(
+                f"radius_m is {self.radius_m:g}: this is too large; give metres, not millimetres"
+            )
         if self.vacuum_pa > 101_325:
-            raise ValueError(f"vacuum_pa is {self.vacuum_pa:g}; air presses with 101325 Pa at most")
+            raise ValueError(
+                f"vacuum_pa is {self.vacuum_pa:g}; it can be at most 101325, the air pressure in Pa"
+            )
         if not self.friction >= 0:
-            raise ValueError(f"friction is {self.friction}; it is 0 or more")
+            raise ValueError(f"friction is {self.friction}; it must be at least 0")
 
     @property
     def pull_n(self) -> float:
@@ -98,7 +102,7 @@ def seals(
         ValueError: the patch ends under the cup.
     """
     if np.abs(aside_m).max() + cup.radius_m > patch.reach_m * (1 + 1e-9):
-        raise ValueError(f"the patch of {patch.reach_m} m about the axis ends under the cup")
+        raise ValueError(f"the patch of {patch.reach_m} m about the axis is smaller than the cup")
     around = 2 * np.pi * np.arange(LIP_POINTS) / LIP_POINTS
     free = cup.radius_m * np.stack([np.cos(around), np.sin(around)], axis=-1)
     height_m = patch.at(free + aside_m[:, None]) - lean @ free.T

@@ -59,8 +59,8 @@ def working_volume(rig: Rig) -> Volume:
     shared = [(z, field) for z, field in fields if field is not None]
     if len(shared) < 2:
         raise ValueError(
-            f"camera and projector of rig {rig.name} have no common field between {rig.near_m} and "
-            f"{rig.far_m} m: check T_cam_proj and the working range"
+            f"camera and projector of rig {rig.name} have no common field of view between "
+            f"{rig.near_m} and {rig.far_m} m: check T_cam_proj and the working range"
         )
     low = np.min([field[0] for _, field in shared], axis=0)
     high = np.max([field[1] for _, field in shared], axis=0)

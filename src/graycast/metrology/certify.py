@@ -161,7 +161,10 @@ def _plan(lab: Lab) -> _Plan:
     rig, volume, scope = lab.rig, lab.volume, lab.scope
     field = common_rectangle_m(rig, volume.depth_m(0.0))
     if field is None:
-        raise ValueError(f"camera and projector of {rig.name} share too small a field up close")
+        raise ValueError(
+            f"camera and projector of {rig.name} have too small a common field of view at the "
+            "near distance"
+        )
     most_m = SMALLEST_FIELD_SHARE * float((field[1] - field[0]).min())
     radius_m = min(PROBING_SHARE * volume.diagonal_m, most_m) / 2
     bar_radius_m = min(BAR_SPHERE_SHARE * volume.diagonal_m, most_m) / 2
@@ -243,7 +246,8 @@ def _judge_plane(
     seen = middle & np.isfinite(first_m)
     if not seen.any():
         raise ValueError(
-            f"the plane {pose.name!r} has no depth in its middle: is it in focus and in range?"
+            f"the plane {pose.name!r} has no depth in its middle: check the focus and the working "
+            "range"
         )
     result = PlaneResult(
         name=pose.name,

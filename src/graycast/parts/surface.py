@@ -48,13 +48,13 @@ class Surface:
         if bad:
             raise Refusal(f"{bad} vertices are NaN or infinite; export the mesh again")
         if self.longest == 0:
-            raise Refusal("all vertices are in one place; export the mesh again")
+            raise Refusal("all vertices have the same position; export the mesh again")
 
 
 def too_many(faces: int) -> str:
     return (
-        f"{faces} faces are more than {MAX_FACES}; decimate the mesh, a camera pixel sees no such "
-        "detail"
+        f"{faces} faces are more than {MAX_FACES}; decimate the mesh, because a camera pixel does "
+        "not resolve such detail"
     )
 
 

@@ -43,28 +43,34 @@ class Frame:
         if self.kind in ("white", "black"):
             return
         if self.axis not in AXES:
-            raise ValueError(f"a {self.kind} frame has axis {self.axis!r}; it is column or row")
+            raise ValueError(f"a {self.kind} frame has axis {self.axis!r}; give column or row")
         if self.kind == "gray" and not 0 <= self.bit < 24:
-            raise ValueError(f"a gray frame has bit {self.bit}; 0 (finest) to 23")
+            raise ValueError(f"a gray frame has bit {self.bit}; give 0 (the finest bit) to 23")
         if self.kind == "gray" and not -1 <= self.xor_bit < 24:
-            raise ValueError(f"a gray frame has xor_bit {self.xor_bit}; 0 to 23, -1 for none")
+            raise ValueError(
+                f"a gray frame has xor_bit {self.xor_bit}; give 0 to 23, or -1 for none"
+            )
         if self.kind in ("phase", "line", "complementary") and not self.period_px >= 2:
-            raise ValueError(f"a {self.kind} frame has period_px {self.period_px}; 2 or more")
+            raise ValueError(f"a {self.kind} frame has period_px {self.period_px}; give at least 2")
         if self.kind in ("phase", "line"):
             if self.steps < 3:
-                raise ValueError(f"a {self.kind} frame has steps {self.steps}; 3 or more")
+                raise ValueError(f"a {self.kind} frame has steps {self.steps}; give at least 3")
             if not 0 <= self.step < self.steps:
                 raise ValueError(
-                    f"a {self.kind} frame has step {self.step:g}; from 0 to below {self.steps}, "
-                    "which is its steps"
+                    f"a {self.kind} frame has step {self.step:g}; give at least 0 and less than "
+                    f"its steps, which is {self.steps}"
                 )
             if self.inverse:
-                raise ValueError(f"a {self.kind} frame has no inverse: leave it out")
+                raise ValueError(f"a {self.kind} frame has no inverse: remove it")
         if self.kind == "line" and self.step != int(self.step):
-            raise ValueError(f"lines move by a pixel a step: step is {self.step:g}, no whole one")
+            raise ValueError(
+                f"lines move by one pixel per step: step is {self.step:g}, but it must be a whole "
+                "number"
+            )
         if self.kind == "line" and self.steps != self.period_px:
             raise ValueError(
-                f"lines move by a pixel a step: steps is {self.steps}, period_px {self.period_px}"
+                "lines move by one pixel per step, so the two must be equal: steps is "
+                f"{self.steps}, period_px {self.period_px}"
             )
 
     @property

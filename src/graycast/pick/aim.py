@@ -40,7 +40,7 @@ class Target:
 
     def __post_init__(self) -> None:
         if self.mask is None and self.box_px is None:
-            raise ValueError("a target has a mask or a box")
+            raise ValueError("a target must have a mask or a box")
 
     def inside(self, shape: tuple[int, ...]) -> Bool[np.ndarray, "h w"]:
         if self.mask is not None:

@@ -171,10 +171,10 @@ def _unlike(ready: Ready, view: Sight, aim: Aim) -> Blocked | None:
     under = np.linalg.norm(patch.node_m, axis=-1) <= cup.radius_m
     height_m = patch.height_m[under]  # NaN is neither above nor below
     if np.mean(height_m > UNLIKE_M) > UNLIKE_SHARE:
-        detail = "something lies where the cup would go"
+        detail = "an object is at the place of the cup"
         return Blocked(outcome=Outcome.COLLISION_SEEN, detail=detail)
     if np.mean(height_m < -UNLIKE_M) > UNLIKE_SHARE:
-        detail = "the part is not where the cup would go"
+        detail = "the part is not at the place of the cup"
         return Blocked(outcome=Outcome.NOTHING_FOUND, detail=detail)
     return None
 
@@ -185,7 +185,7 @@ def _blocked_tool(ready: Ready, aim: Aim, heap: _Heap) -> Blocked | None:
     hit = tool_touches(_pieces(ready, aim), ready.here.flange(aim.T_world_tool), obstacles)
     if hit is None:
         return None
-    return Blocked(outcome=Outcome.COLLISION_SEEN, detail=f"the tool would be in {hit}")
+    return Blocked(outcome=Outcome.COLLISION_SEEN, detail=f"the tool would collide with {hit}")
 
 
 def _ways(ready: Ready, q: Joints, aim: Aim, heap: _Heap, seed: int) -> Ways | Blocked:

@@ -163,7 +163,7 @@ def read_episodes(out: Path) -> tuple[StoredEpisode, ...]:
         GraycastError: the folder holds no picks, or a file is damaged.
     """
     if not (out / CLAIM).is_file():
-        raise GraycastError(f"{out}: holds no picks: give a folder that graycast pick has written")
+        raise GraycastError(f"{out}: holds no picks: give a folder that graycast pick wrote")
     return tuple(
         _read(folder) for folder in sorted((out / BINS).iterdir()) if folder.name.isdecimal()
     )

@@ -76,7 +76,7 @@ def make_ready(cell: PickCell, *, on_stage: OnStage = lambda stage: None) -> Rea
     known = {}
     if config.picking.knows == "part":
         for i, (part, body) in enumerate(zip(parts, bodies, strict=True)):
-            on_stage(f"{part.name}: places to grip it are looked for")
+            on_stage(f"{part.name}: searching for grasps")
             known[i] = _known(config.tool, part, body)
     return Ready(
         cell=cell,
@@ -100,7 +100,8 @@ def _surroundings(cell: PickCell, robot: Robot, load: Load) -> Surroundings:
     hit = robot.touches(robot.home, still)
     if hit is not None:
         raise ConfigError(
-            f"robot.home_rad: the arm is in {hit} there: give other angles, or move robot.base_m"
+            f"robot.home_rad: the arm collides with {hit} at these angles: give other angles, or "
+            "move robot.base_m"
         )
     here = Surroundings(
         T_base_world=T_base_world,
@@ -122,8 +123,8 @@ def _surroundings(cell: PickCell, robot: Robot, load: Load) -> Surroundings:
     hits = [loaded.touches(q, still) for q in reached]
     if None not in hits:
         raise ConfigError(
-            f"picking.place_m is {picking.place_m}: the arm, with a part of up to "
-            f"{load.below_m:.3f} m below its tip, is in {hits[0]} there: move it"
+            f"picking.place_m is {picking.place_m}: the arm with a part of up to "
+            f"{load.below_m:.3f} m below its tip collides with {hits[0]} there: move the place"
         )
     return replace(here, q_place=reached[hits.index(None)])
 
@@ -133,8 +134,8 @@ def _known(tool: Tool, part: Part, body: Body) -> KnownPart:
     grips = best_first(tool_places(tool, part, body, count=_PLACES))
     if not grips:
         raise ConfigError(
-            f"tool: it holds part {part.name} ({body.mass_kg * GRAVITY_M_S2:.2f} N) nowhere: "
-            "give it another size or more force"
+            f"tool: it holds part {part.name} ({body.mass_kg * GRAVITY_M_S2:.2f} N) nowhere: give "
+            "the tool another size or more force"
         )
     return KnownPart(model=pose_model(part.mesh, part.symmetry), grips=tuple(grips))
 
@@ -149,7 +150,7 @@ def _detector(cell: PickCell) -> Any | None:
     names = [part.name for part in cell.cell.scene.parts]
     if len(names) > 1 and not set(detector.about.names) <= set(names):
         raise ConfigError(
-            f"picking.detector: it knows {', '.join(detector.about.names)}, the cell has "
-            f"{', '.join(names)}: train it on parts of these names"
+            f"picking.detector: it knows {', '.join(detector.about.names)}, and the cell has "
+            f"{', '.join(names)}: train the detector on parts with these names"
         )
     return detector

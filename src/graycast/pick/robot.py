@@ -236,8 +236,8 @@ def open_robot(text: str, *, folder: Path, home: Sequence[float | int] | None = 
         path = folder / text
         if not path.is_file():
             raise ConfigError(
-                f"robot: no robot {text!r}: choose one of {', '.join(ARMS)}, or name a URDF file "
-                f"in {folder}"
+                f"robot: the robot {text!r} is not known: choose one of {', '.join(ARMS)}, or "
+                f"name a URDF file in {folder}"
             )
         try:
             model = pin.buildModelFromUrdf(str(path))
@@ -248,10 +248,12 @@ def open_robot(text: str, *, folder: Path, home: Sequence[float | int] | None = 
             raise ConfigError(f"robot {path}: {str(error).strip()}") from error
     _check_joints(text, model)
     if not model.existFrame("flange"):
-        raise ConfigError(f"robot {text}: has no link called flange, to which the tool is mounted")
+        raise ConfigError(f"robot {text}: has no link called flange, on which the tool is mounted")
     home = np.zeros(model.nq) if home is None else np.array(home, float)
     if home.shape != (model.nq,):
-        raise ConfigError(f"robot {text}: home has {home.size} angles, the robot {model.nq} joints")
+        raise ConfigError(
+            f"robot {text}: home has {home.size} angles, and the robot has {model.nq} joints"
+        )
     low, high = np.array(model.lowerPositionLimit), np.array(model.upperPositionLimit)
     beyond = np.flatnonzero((home < low) | (home > high))
     if len(beyond):
@@ -272,10 +274,10 @@ def _check_joints(text: str, model: Any) -> None:
     for name, joint in list(zip(model.names, model.joints, strict=True))[1:]:
         if joint.nq != 1:
             raise ConfigError(
-                f"robot {text}: {name} turns without end, which is not known here: give it the "
+                f"robot {text}: {name} is a continuous joint, which is not supported: give it the "
                 "type revolute and limits"
             )
         if not model.velocityLimit[joint.idx_v] > 0:
             raise ConfigError(
-                f"robot {text}: {name} has no speed: give its limit a velocity above 0"
+                f"robot {text}: {name} has no speed limit: give its limit a velocity greater than 0"
             )

@@ -113,7 +113,7 @@ def pair(first: Sequence[StoredEpisode], second: Sequence[StoredEpisode]) -> Pai
             grips, other = _grips(episode), _grips(others[episode.bin_id])
             counts.update(zip(grips, other, strict=False))
     if not counts:
-        raise GraycastError("the two folders share no bin in which both arms moved")
+        raise GraycastError("the two folders have no common bin in which both robots tried a grip")
     return Paired(
         pairs=sum(counts.values()),
         both=counts[True, True],

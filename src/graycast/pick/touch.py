@@ -108,7 +108,7 @@ def _pushed(
                 if deep_m > PUSHED_M:
                     return NotHeld(
                         outcome=Outcome.COLLISION_UNSEEN,
-                        detail=f"the {piece.name} pushes {1e3 * deep_m:.0f} mm into a part",
+                        detail=f"the {piece.name} is pressed {1e3 * deep_m:.0f} mm into a part",
                         part=i,
                     )
     return None
@@ -130,7 +130,7 @@ def _lay(
     if at_m > tool.stroke_m:
         return NotHeld(
             outcome=Outcome.COLLISION_UNSEEN,
-            detail=f"a part stands {1e3 * at_m:.0f} mm higher than the cup was sent",
+            detail=f"a part is {1e3 * at_m:.0f} mm higher than the target of the cup",
             part=part,
         )
     # The lip's middle comes to lie on the surface; over the edge to another part air gets in.
@@ -138,9 +138,9 @@ def _lay(
     lies = seal(cup, patch)
     if not lies.holds:
         how = (
-            f"{lies.open_share:.0%} of the ground under the cup are open"
+            f"{lies.open_share:.0%} of the area under the cup has no surface"
             if lies.open_share
-            else f"its springs would change by {lies.strain:.0%}"
+            else f"the springs of the cup would be strained by {lies.strain:.0%}"
         )
         return NotHeld(outcome=Outcome.NOT_HELD, detail=how, part=part)
     set_down = T_world_tool @ rigid(np.eye(3), np.array([0.0, 0.0, at_m]))
@@ -201,7 +201,8 @@ def _close(
     if slope > jaws.friction:
         return NotHeld(
             outcome=Outcome.NOT_HELD,
-            detail=f"the pads lie at a slope of {slope:.2f}, friction is {jaws.friction:.2f}",
+            detail=f"the pads meet the part at a slope of {slope:.2f}, and the friction is "
+            f"{jaws.friction:.2f}",
             part=part,
         )
     # The jaws close about the tool's middle: the part is drawn there, or the arm gives way.

@@ -143,11 +143,16 @@ class _Search:
         before[:3, 3] += here.approach_m * tip[:3, 2]
         reached = robot.reach(here.flange(before), here.q_place, seed=self.seed)
         if not reached:
-            return Blocked(outcome=Outcome.UNREACHABLE, detail="no joint angles before the grip")
+            return Blocked(
+                outcome=Outcome.UNREACHABLE,
+                detail="no joint angles reach the start of the approach",
+            )
         hits = [robot.touches(each, self.obstacles) for each in reached]
         free = [each for each, hit in zip(reached, hits, strict=True) if hit is None]
         if not free:
-            return Blocked(outcome=Outcome.COLLISION_SEEN, detail=f"the arm would be in {hits[0]}")
+            return Blocked(
+                outcome=Outcome.COLLISION_SEEN, detail=f"the arm would collide with {hits[0]}"
+            )
         found: Ways | Blocked = Blocked(outcome=Outcome.UNREACHABLE)
         for q_before in free[:ELBOWS]:
             found = self._by(q, q_before, tip)
@@ -171,11 +176,13 @@ class _Search:
             lines[name], last = line, line[-1]
         to = plan(robot, q, q_before, self.obstacles, seed=self.seed)
         if to is None:
-            return Blocked(outcome=Outcome.UNREACHABLE, detail="no free way to the grip")
+            return Blocked(outcome=Outcome.UNREACHABLE, detail="no collision-free path to the grip")
         loaded = robot.mount((self.load.piece(here.T_flange_tip),))
         away = plan(loaded, last, here.q_place, self.obstacles, seed=self.seed)
         if away is None:
-            return Blocked(outcome=Outcome.UNREACHABLE, detail="no free way with the part")
+            return Blocked(
+                outcome=Outcome.UNREACHABLE, detail="no collision-free path with the part"
+            )
         up = np.concatenate([lines["up"], lines["upright"][1:]])
         down_s, up_s = here.approach_m / here.straight_m_s, self.up_m / here.straight_m_s
         return Ways(
@@ -191,9 +198,9 @@ class _Search:
         if straight(self.robot, q, T_base_flange, ()) is not None:
             for obstacle in self.obstacles:
                 if straight(self.robot, q, T_base_flange, (obstacle,)) is None:
-                    detail = f"the way {name} is through {obstacle.name}"
+                    detail = f"the path {name} collides with {obstacle.name}"
                     return Blocked(outcome=Outcome.COLLISION_SEEN, detail=detail)
-        return Blocked(outcome=Outcome.UNREACHABLE, detail=f"no straight way {name}")
+        return Blocked(outcome=Outcome.UNREACHABLE, detail=f"no straight path {name}")
 
 
 def _upright(T: Float[np.ndarray, "4 4"]) -> Float[np.ndarray, "4 4"]:

@@ -122,9 +122,9 @@ def _found(
 ) -> PoseFound:
     if depth_m.shape != (camera.height_px, camera.width_px) or inside.shape != depth_m.shape:
         raise ValueError(
-            f"the depth is {depth_m.shape[1]} x {depth_m.shape[0]} px, the mask "
-            f"{inside.shape[1]} x {inside.shape[0]}, the camera {camera.width_px} x "
-            f"{camera.height_px}: are they of one picture?"
+            f"the depth is {depth_m.shape[1]} x {depth_m.shape[0]} px, the mask {inside.shape[1]} "
+            f"x {inside.shape[0]}, the camera {camera.width_px} x {camera.height_px}: give depth, "
+            "mask and camera of one picture"
         )
     seen = crop(
         depth_m,

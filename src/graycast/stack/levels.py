@@ -67,7 +67,7 @@ def measure_levels(frames: Stack, code: Code, known: LevelsSection) -> MeasuredL
         if known.offset_dn >= saturation_dn:
             raise DecodeError(
                 f"levels.offset_dn is {known.offset_dn:g}, but pixels saturate at "
-                f"{saturation_dn:g} DN: are they exchanged?"
+                f"{saturation_dn:g} DN: the two may be exchanged"
             )
         offset_dn, why = known.offset_dn, "as stated"
     offset_dn = min(offset_dn, saturation_dn - 1)

@@ -31,8 +31,8 @@ def light_problems(scene: Evidence) -> Iterator[str]:
     decoded = float((scene.reason == Reason.DECODED).mean())
     if decoded < LEAST_DECODED:
         yield (
-            f"{decoded:.2%} of the pixels have a scanner depth, that is none: is the scene in the "
-            "rig's working range, and is it lit?"
+            f"{decoded:.2%} of the pixels have a scanner depth, so no pixel has one: the scene "
+            "may be outside of the rig's working range or unlit"
         )
     yield from _scale_problems(scene)
     if scene.scanning is None:

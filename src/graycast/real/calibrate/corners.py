@@ -61,7 +61,9 @@ def find_corners(image: Shaped[np.ndarray, "h w"], board: Board) -> Corners:
     position_px, good = refine_corners(grey, start_px, px_per_square, reach=reach)
     if good.sum() < MIN_CORNERS:
         seen = f"{good.sum()} of {board.corner_count} corners are sharp enough"
-        raise CalibrationError(f"{seen}, {MIN_CORNERS} are needed: is it blurred or too dark?")
+        raise CalibrationError(
+            f"{seen}, {MIN_CORNERS} are needed: the picture may be blurred or too dark"
+        )
     return Corners(id=id_[good], position_px=position_px[good], px_per_square=px_per_square[good])
 
 
@@ -120,7 +122,9 @@ def _to_range(image: Shaped[np.ndarray, "h w"]) -> Float[np.ndarray, "h w"]:
         raise CalibrationError("the white picture has values that are not finite")
     low, high = np.percentile(image, [1.0, 99.5])
     if not high > low:
-        raise CalibrationError(f"the white picture is {low:g} all over: is it the white frame?")
+        raise CalibrationError(
+            f"the white picture is {low:g} everywhere: check that it is the white frame"
+        )
     return np.clip((image.astype(np.float64) - low) / (high - low), 0.0, 1.0)
 
 
@@ -149,8 +153,8 @@ def _not_found(byte, board: Board) -> str:
     squares = f"{board.squares_x} x {board.squares_y}"
     if board.marker_m is not None:
         return (
-            f"no ChArUco board of {squares} squares, {board.dictionary}, in the white picture: "
-            "check counts and dictionary, try ':legacy', light the board, show more of it"
+            f"no ChArUco board of {squares} squares, {board.dictionary}, is in the white picture: "
+            "check counts and dictionary, try ':legacy', light the board, or show more of it"
         )
     larger = Board(
         squares_x=board.squares_x + 1, squares_y=board.squares_y + 1, square_m=board.square_m
@@ -161,8 +165,8 @@ def _not_found(byte, board: Board) -> str:
             f"so give {larger.squares_x}x{larger.squares_y}"
         )
     return (
-        f"no chessboard of {squares} squares ({inner} inner corners) in the white picture: all of "
-        "it must be seen, evenly lit, with a white margin"
+        f"no chessboard of {squares} squares ({inner} inner corners) is in the white picture: "
+        "show the whole board, evenly lit, with a white margin"
     )
 
 

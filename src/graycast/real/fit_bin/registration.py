@@ -107,7 +107,7 @@ def find_pose(
     for grid in grids if stated is None else ():
         starts += start_poses(box, grid, each=_STARTS, seed=seed)
     if not starts:
-        raise GraycastError("no flat surface is in the depth that could be the bin's floor")
+        raise GraycastError("the depth has no flat surface that could be the bin's floor")
     few = np.concatenate([view.cloud(1500 // len(views)) for view in views])
     coarse = _best_first(shape, grids, [register(few, T, shape, iterations=20) for T in starts])
     cloud = np.concatenate([view.cloud() for view in views])
@@ -219,9 +219,9 @@ def judge(
     if agreeing < _LEAST_AGREEING:
         size = " x ".join(f"{1e3 * length:.0f}" for length in shape.inner_m)
         raise GraycastError(
-            f"no bin of {size} mm inside is in the depth: at best {agreeing:.0%} of it "
-            "agrees; are the size, the scale of the depth and the intrinsics right, and are floor "
-            "and walls in view?"
+            f"no bin of {size} mm inside is in the depth: at best {agreeing:.0%} of it agrees; "
+            "check the size, the scale of the depth and the intrinsics, and that floor and walls "
+            "are in view"
         )
     space = _in_bin(shape, pairs.point)
     sigma = _deviations(_equations(shape, pairs)[0])

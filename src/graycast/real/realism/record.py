@@ -208,7 +208,7 @@ def read_record(path: Path) -> Realism:
         raise DatasetError(f"{file}: {where}: {first['msg']}: {remedy}") from error
     if record.format_version != FORMAT_VERSION:
         raise DatasetError(
-            f"{file}: has format_version {record.format_version}, this program reads "
-            f"{FORMAT_VERSION}: measure the depth maps again"
+            f"{file}: has format_version {record.format_version}, and this version of Graycast "
+            f"reads {FORMAT_VERSION}: measure the depth maps again"
         )
     return record

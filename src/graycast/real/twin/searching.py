@@ -70,8 +70,8 @@ def require_cma() -> None:
     """Raises GraycastError where cma is not installed."""
     if importlib.util.find_spec("cma") is None:
         raise GraycastError(
-            "cma is not installed, and the twin's parameters are searched with it: "
-            "pip install 'graycast[twin]'"
+            "the search for the twin's parameters needs cma, which is not installed: run pip "
+            "install 'graycast[twin]'"
         )
 
 
@@ -158,7 +158,7 @@ class _Court:
         rows = self.rows(code, x, seed)
         loss = loss_of(rows) if rows else _DARK_LOSS
         self.done, self.least = self.done + 1, min(self.least, loss)
-        self.on_trial(self.done, self.total, f"best misfit {self.least:.2f}")
+        self.on_trial(self.done, self.total, f"lowest misfit {self.least:.2f}")
         return loss
 
     def first_look(self, code: CodeSpec, x0: Float[np.ndarray, " n"]) -> Float[np.ndarray, " n"]:

@@ -24,7 +24,7 @@ _TURNS = {
 _CUTS = (-0.207, -0.093, 0.011, 0.113, 0.193)  # of the width: odd, so as not to run along edges
 _UPRIGHT = 0.9  # least cosine between the floor's normal and z
 _INWARD = 0.7  # least cosine between a wall's normal and the way inside: it leans up to 45 degrees
-_LEAST_DEPTH = 0.1  # of the bin's height: what is shallower is a plate
+_LEAST_DEPTH = 0.1  # as a share of the bin's height: what is shallower is a plate
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

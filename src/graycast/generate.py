@@ -1,4 +1,4 @@
-"""Many scenes of one cell into a dataset's folder, by workers wherever they are.
+"""Many scenes of one cell, made by workers and written to the folder of a dataset.
 
 A scene depends on (configuration, dataset seed, scene id) alone, not on the number of workers, the
 order of scenes or a restart.
@@ -42,7 +42,7 @@ MOST_THREADS = 1024  # Blender's own limit; tens of thousands end the process
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Workers:
-    """Who makes the scenes; as of `engine.open_pool`."""
+    """Who makes the scenes; as in `engine.open_pool`."""
 
     engine: str = "local"
     count: int = 1
@@ -86,7 +86,7 @@ def generate(
     """Make the scenes 0 .. scenes-1 that are not in `out` yet, and the split's COCO file.
 
     A scene that fails for good is set aside and the others are made; `set_aside.json` names it,
-    and the next run tries it anew.
+    and the next run tries it again.
 
     Args:
         out: the dataset's folder; made, or continued where the same configuration began it.
@@ -94,10 +94,9 @@ def generate(
         on_start: called with the number of scenes that are there already.
         on_made: called in this process after each scene.
         on_failed: called after each try that did not come out.
-        on_frame: as of `open_renderer`, where this process makes all.
-        on_stage: told which part is made ready to fall; and as of `make_scene`, where this process
-            makes all.
-        on_note: told of a part that the engine can only collide coarsely.
+        on_frame: as in `open_renderer`, where this process makes all.
+        on_stage: called with the name of each part that is prepared; see also `make_scene`.
+        on_note: called with a note on each part whose collision hulls are coarse.
 
     Raises:
         DatasetError: the folder is another dataset's, is in use, or the disk refuses.
@@ -114,7 +113,7 @@ def generate(
     with open_store(out, **_claimed(task)) as store:
         found = store.finished()
         todo = [scene_id for scene_id in range(scenes) if scene_id not in found]
-        store.set_aside(())  # those of the last run are tried anew
+        store.set_aside(())  # scenes that the last run set aside are tried again
         on_start(scenes - len(todo))
         run = _Run(store=store, found=len(found), on_made=on_made, on_failed=on_failed)
         try:
@@ -239,7 +238,7 @@ def rerender(
 
     Raises:
         DatasetError: no such scene, or the dataset is of another configuration.
-        DropError, ValueError, DeviceError: as of `make_scene` and `open_renderer`.
+        DropError, ValueError, DeviceError: as in `make_scene` and `open_renderer`.
     """
     task = SceneTask(
         cell=cell,
@@ -256,14 +255,14 @@ def rerender(
 
 
 def _device(cell: Cell, device: str, engine: str) -> str:
-    """'auto' settled, so that all workers take the same; a cluster has devices of its own."""
+    """Resolve 'auto' so that all workers use the same device; a cluster resolves it itself."""
     if engine == "ray":
         return device
     return choose_device(cell.config.render.backend, device)
 
 
 def _claimed(task: SceneTask) -> dict[str, Any]:
-    """What a dataset's folder is claimed for."""
+    """The content of `graycast.json` for this run."""
     cell = task.cell
     config = cell.config.model_dump(mode="json", exclude={"scenes", "seed"})
     beside = (cell.file_digests, described_scanner(cell.scanner))
@@ -300,7 +299,7 @@ _HOPELESS = 3  # scenes given up before any came out: then the rest would be, to
 
 
 class _Run:
-    """What has come out so far."""
+    """The results so far."""
 
     def __init__(
         self,
@@ -332,7 +331,7 @@ class _Run:
 
 
 def _shown(error: Exception) -> Exception:
-    """What a user is to be told; what nobody foresaw says at least what it is."""
+    """The text of an error for the user; an unforeseen error includes its type."""
     if _foreseen(error):
         return error
     told = GraycastError(f"{_told(error)}: this is an error in Graycast or in the machine")

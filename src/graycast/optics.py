@@ -133,7 +133,7 @@ def optics_of(
     """The lens of a camera matrix, by rows; `size_px` is height and width.
 
     Raises:
-        ValueError: as of `Optics`, and where there are not five terms of distortion.
+        ValueError: as in `Optics`, and where there are not five terms of distortion.
     """
     (fx_px, _, cx_px), (_, fy_px, cy_px), _ = np.reshape(K, (3, 3)).tolist()
     k1, k2, p1, p2, k3 = distortion

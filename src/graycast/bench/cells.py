@@ -65,7 +65,7 @@ def materials_cell(size_px: tuple[int, int]) -> Cell:
 
 
 def dropped(cell: Cell, each: int, *, seed: int) -> Layout:
-    """So many of every kind of part, at rest."""
+    """A layout at rest with the given number of each kind of part."""
     counts = (each,) * len(cell.scene.parts)
     return drop(cell.scene, counts, seed=seed, limits=DropLimits())
 
@@ -94,7 +94,7 @@ def cropped(camera: Optics, size_px: tuple[int, int]) -> Optics:
 
 
 def exposed_alike(scanner: Scanner, radiance: Radiance) -> Scanner:
-    """The scanner with the fixed exposure that it would choose for these pictures."""
+    """The scanner with its automatic exposure for these pictures as a fixed exposure."""
     rule = scanner.exposure
     time_s = auto_exposure_s(
         radiance.white + radiance.ambient,

@@ -1,4 +1,4 @@
-"""What reading costs a training, and what a detector costs beside its bare network."""
+"""The time of reading in a training, and the time of a detector and of its network."""
 
 import tempfile
 import time

@@ -1,4 +1,4 @@
-"""The file of a study that takes hours: written as figures come, read by the run that goes on."""
+"""The file of a long study: it is written after each row, and a later run continues from it."""
 
 import json
 from collections.abc import Sequence

@@ -1,4 +1,4 @@
-"""How long one waits for what a live cell shows: the three kinds of change, without the browser."""
+"""Response times of a live cell for the three kinds of change, without the browser."""
 
 import math
 import time

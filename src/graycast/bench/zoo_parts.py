@@ -1,4 +1,4 @@
-"""A zoo of parts: what bins are full of, modelled in code with the dimensions of the standards.
+"""A zoo of parts that are typical for bins, modelled in code with standard dimensions.
 
 The built-in parts are five; a drop that lays these five well may fail on a bolt. Here is one part
 of each family of the trade, each closed, counter-clockwise seen from outside, centred on its

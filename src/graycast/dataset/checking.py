@@ -1,4 +1,4 @@
-"""Checks a dataset from its files alone: no renderer, no configuration, no trust."""
+"""Checks a dataset by its files only, without the renderer and the configuration."""
 
 import json
 from collections.abc import Iterable, Iterator
@@ -30,7 +30,7 @@ _MODEL_MM = 1e-3  # nine digits in a PLY, read back in single precision
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Problem:
-    """What is wrong, and in which scene; `scene` None is the dataset as a whole."""
+    """A problem and its scene; a `scene` of None means the whole dataset."""
 
     scene: int | None
     what: str
@@ -53,8 +53,8 @@ def validate(out: Path, *, fast: bool = False) -> tuple[Problem, ...]:
 
     Of real pictures only what they hold is checked: pictures, masks, counts and run lengths.
 
-    Beside the sums, what the files say must be possible together; see `sense/`, which also tells
-    what it leaves out.
+    In addition to the digests, the contents of the files must be consistent; `sense/` describes
+    these checks and their limits.
 
     Raises:
         DatasetError: the folder holds no dataset at all, one of a later format, or one without
@@ -132,7 +132,7 @@ def has_sums(out: Path) -> bool:
     """Whether the SHA-256 of a dataset's files is known.
 
     Raises:
-        DatasetError: as of `validate`.
+        DatasetError: as in `validate`.
     """
     return _version(out, fast=False) >= SEALED_SINCE
 
@@ -188,7 +188,7 @@ def _camera_problems(camera: records.Camera, claim: records.Claim) -> Iterator[s
 
 
 def _leftovers(out: Path) -> Iterator[str]:
-    """Traces of a killed run, and what does not belong into the split."""
+    """Traces of a killed run, and files that do not belong to the split."""
     for path in sorted([*out.glob(".tmp-*"), *out.glob("train/.tmp-*")]):
         yield f"{path.relative_to(out)} is left over from a killed run: the next run removes it"
     names = {f"{scene_id:06d}" for scene_id in finished_scenes(out)}

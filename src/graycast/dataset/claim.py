@@ -38,7 +38,7 @@ _CLAIMED = ("format_version", "seed", "depth_scale_mm", "rig", "parts", "distrac
 def make_claim(
     config: Mapping[str, Any], seed: int, parts: tuple[Part, ...], rig: Rig, depth_scale_mm: float
 ) -> dict[str, Any]:
-    """What `graycast.json` says of a run; the fingerprint covers all but versions and sources."""
+    """The content of `graycast.json`; its fingerprint covers all but versions and sources."""
     known = [part for part in parts if part.labelled]
     described = [
         {"obj_id": obj_id, "name": part.name, "content": part_digest(part)}
@@ -71,16 +71,16 @@ def make_claim(
 
 
 def fingerprint(claim: Mapping[str, Any]) -> str:
-    """SHA-256 over what makes a dataset this one and no other."""
+    """SHA-256 over everything that determines the contents of a dataset."""
     told = {key: value for key, value in claim.items() if key not in _BESIDE}
     text = json.dumps(told, sort_keys=True, allow_nan=False)
     return hashlib.sha256(text.encode()).hexdigest()
 
 
 def described_values(value: Any) -> dict[str, Any]:
-    """The fields of a frozen value, fit for JSON: an infinite number is the word 'inf'.
+    """The fields of a frozen value for JSON; an infinite number becomes the word 'inf'.
 
-    Fields that came later are left out where they are off.
+    Fields that older versions lack are omitted while they are off.
     """
 
     def worded(item: Any) -> Any:
@@ -115,7 +115,7 @@ def read_scanning(described: Mapping[str, Any]) -> tuple[SensorSpec, DecodeSpec]
 
 
 def _unworded(item: Any) -> Any:
-    """Lists are tuples, the word 'inf' is the number."""
+    """Turn lists into tuples, and the word 'inf' into the number."""
     if isinstance(item, Mapping):
         return {key: _unworded(inner) for key, inner in item.items()}
     if isinstance(item, list):

@@ -1,4 +1,4 @@
-"""Standard deviation of depth where a pixel's light is not centred in it, as speckle makes it."""
+"""The standard deviation of depth if a pixel's light is off its centre, as with speckle."""
 
 from dataclasses import replace
 
@@ -15,7 +15,7 @@ STEP_RATIO = 4.0  # a position that rises this much faster than on a facing surf
 def with_displacement(
     depth: DepthMap, codes: CodeMap, rig: Rig, off_px: Float[np.ndarray, "h w"]
 ) -> DepthMap:
-    """The same depth, whose sigma also holds that light is centred off its pixel.
+    """The same depth, with the displacement of light within a pixel added to sigma.
 
     A centre that lies `off_px` aside (one sigma along either axis) shows the position decoded
     there, `grad u . off`, and depth is wrong by `dz/du` times that. The gradient is seen between

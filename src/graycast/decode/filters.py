@@ -1,4 +1,4 @@
-"""What scanners do to a depth map afterwards: flying pixels, outliers, islands, smoothing, raster.
+"""Filters of a decoded depth map: flying pixels, outliers, islands, smoothing, raster.
 
 They run in that order; each sees what the ones before it left. None makes depth where there was
 none. Smoothing and the outlier test work on inverse depth, which is linear along a line of pixels
@@ -30,7 +30,7 @@ NEGLIGIBLE_WEIGHT = 0.01  # of the smoothing kernel's middle: where the kernel e
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FilterSpec:
-    """Which filters run; None or 0 switches one off, and all are off to begin with.
+    """The settings of the filters; None or 0 switches a filter off, and all are off by default.
 
     `flying_angle_deg`: pixels within a depth step go, where the way from one surface to the other
     is seen at more than this angle of incidence (90 is grazing).
@@ -117,7 +117,7 @@ class FilterSpec:
 
 
 def filter_depth(depth: DepthMap, spec: FilterSpec, camera: Optics) -> DepthMap:
-    """Take out what is not believed, then smooth the rest.
+    """Remove unreliable pixels, then smooth the others.
 
     Args:
         depth: z and its standard deviation [m]; the noise of pixels is taken as independent.
@@ -171,7 +171,7 @@ def filter_depth(depth: DepthMap, spec: FilterSpec, camera: Optics) -> DepthMap:
 
 
 def _framed(image: Float[np.ndarray, "h w"], margin_px: int) -> Float[np.ndarray, "H W"]:
-    """With NaN around it, so that no loop need ask for the border."""
+    """The map with a border of NaN, so that no loop needs a special case."""
     h, w = image.shape
     framed = np.full((h + 2 * margin_px, w + 2 * margin_px), np.nan, dtype=np.float32)
     framed[margin_px : margin_px + h, margin_px : margin_px + w] = image
@@ -290,7 +290,7 @@ def _hanging(z, sigma, rays, flying_tan, fall, margin, removed):
 @numba.njit(cache=True)
 @no_type_check  # the tests' type checker wraps functions, which numba cannot compile
 def _goes_on(z, sigma, rays, flying_tan, y, x, down, right):
-    """Whether a pixel's surface appears again beyond a small hole."""
+    """Whether the surface of a pixel continues beyond a small hole."""
     for k in range(2, FLYING_REACH_PX + 1):
         v, u = y + k * down, x + k * right
         if not np.isnan(z[v, u]):
@@ -329,7 +329,7 @@ def _within_step(z, fall, y, x, down, right, first, last):
 
 
 def _islands(z_m, sigma_m, rays, step_tan, island_px: int, margin_px: int, removed) -> None:
-    """Connected over the four sides of a pixel; what is smaller than `island_px` is removed."""
+    """Remove surfaces smaller than `island_px`, connected over the four sides of a pixel."""
     h, w = removed.shape
     torn = np.zeros((2, *z_m.shape), dtype=np.int8)
     _falls(z_m, sigma_m, rays, step_tan, torn)

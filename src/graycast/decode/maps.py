@@ -1,4 +1,4 @@
-"""What decoding takes and gives: what digital numbers mean, what is believed, maps and reasons."""
+"""Inputs and results of decoding: sensor levels, thresholds, maps and reasons."""
 
 from dataclasses import dataclass
 from enum import IntEnum, IntFlag
@@ -27,17 +27,17 @@ class Reason(IntEnum):
 
     @property
     def color(self) -> str:
-        """Of maps of reasons, so that a reason looks alike in all pictures."""
+        """The colour of the reason in all maps of reasons."""
         return _TOLD[self][0]
 
     @property
     def meaning(self) -> str:
-        """What pages say of it."""
+        """The explanation of the reason on web pages."""
         return _TOLD[self][1]
 
     @property
     def label(self) -> str:
-        """Its name in figures and files."""
+        """The name of the reason in figures and files."""
         return self.name.lower()
 
     @property
@@ -74,7 +74,7 @@ def reason_shares(reason: UInt8[np.ndarray, "h w"]) -> dict[str, float]:
 
 
 class Mark(IntFlag):
-    """What is known of a pixel beside its reason, decoded or not."""
+    """Properties of a pixel in addition to its reason."""
 
     CLIPPED = 1  # a frame that its place is read from is at the top of the range
     SETTLED = 2  # its own phases allow several places; its neighbours chose among them
@@ -82,7 +82,7 @@ class Mark(IntFlag):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Levels:
-    """What a sensor's digital numbers mean, and how they scatter.
+    """The offset, the saturation and the noise of a sensor's digital numbers.
 
     The variance of a stored value y is `floor_dn2 + slope_dn (y - offset_dn)` [DN^2]: read noise
     and quantisation, and photons (EMVA 1288).
@@ -107,7 +107,7 @@ class Levels:
 
 
 def levels_of(sensor: SensorSpec) -> Levels:
-    """The levels of a sensor that is known."""
+    """The levels of a sensor whose specification is known."""
     return Levels(
         offset_dn=sensor.offset_dn,
         saturation_dn=float(stored_saturation_dn(sensor)),
@@ -118,7 +118,7 @@ def levels_of(sensor: SensorSpec) -> Levels:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class DecodeSpec:
-    """What a pixel must show to be believed.
+    """The conditions under which a pixel is decoded.
 
     `min_contrast`: brightest minus darkest frame (of a phase code: twice its amplitude), as a share
     of the sensor's range, and `min_sigmas` the same in standard deviations of the darkest

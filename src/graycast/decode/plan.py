@@ -1,6 +1,6 @@
-"""How a list of frames is to be read: per axis its bits, and its phases.
+"""The interpretation of a list of frames: the bits and the phases of each axis.
 
-All that can be wrong with a list of frames is found here, before any pixel is looked at.
+All errors in a list of frames are found here, before any pixel is decoded.
 """
 
 import math
@@ -59,7 +59,7 @@ class AxisPlan:
 
 
 def read_frames(plans: dict[Axis, AxisPlan], count: int) -> Bool[np.ndarray, " n"]:
-    """Which of `count` frames places are read from: a bit without inverse is held against all."""
+    """The frames that determine positions; a bit without an inverse uses all of them."""
     read = np.zeros(count, dtype=bool)
     for plan in plans.values():
         for bit in plan.bits:
@@ -72,7 +72,7 @@ def read_frames(plans: dict[Axis, AxisPlan], count: int) -> Bool[np.ndarray, " n
 
 
 def plan_axes(code: Code, fine_bits: int) -> dict[Axis, AxisPlan]:
-    """How each coded axis is to be read.
+    """The plan of each coded axis.
 
     Raises:
         DecodeError: frames are missing or do not fit together; the text names them.
@@ -148,7 +148,7 @@ def _with_complementary(
     cell_px: float,
     periods: tuple[Period, ...],
 ) -> tuple[tuple[Bit, ...], float]:
-    """The bits with the complementary one behind them, where the Gray code counts periods.
+    """The bits followed by the complementary bit, if the Gray code counts periods.
 
     A Gray code finer than that does not need it.
     """

@@ -1,4 +1,4 @@
-"""A detector as an ONNX file, checked against torch before anybody gets it."""
+"""A detector as an ONNX file, whose output is compared with torch before it is written."""
 
 import io
 import json
@@ -99,7 +99,7 @@ def _noise(detector: Detector, seed: int) -> Tensor:
 
 
 def _compare(session, model: Callable[[Tensor], tuple[Tensor, ...]], image: Tensor) -> None:
-    """Both find the same things; of what has nearly the least score, either may keep another."""
+    """Compare the detections of both; detections near the lowest score may differ."""
     with torch.no_grad():
         box, _, score = (each.numpy() for each in model(image)[:3])
     try:

@@ -26,7 +26,7 @@ Rle = Mapping[str, Any]
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Augmentation:
-    """What is drawn anew for each picture and epoch; no turning, no mosaic.
+    """The random augmentation of each picture in each epoch, without rotation and mosaic.
 
     Attributes:
         flip: mirrored left to right and top to bottom, each in half of the pictures. A flip turns
@@ -88,7 +88,7 @@ class Pictures(torch.utils.data.Dataset):
 
         Args:
             examples: sets, each with the class of each of its object ids.
-            file: where the encoded pictures go; it is made anew.
+            file: the file of the encoded pictures, which is overwritten.
             masks: whether targets have masks.
             min_visibility: an instance of which a smaller share is visible is ignored.
             on_picture: called after each picture.
@@ -135,7 +135,7 @@ class Pictures(torch.utils.data.Dataset):
         )
 
     def at(self, epoch: int) -> "Pictures":
-        """Itself, drawing what belongs to that epoch."""
+        """Select the epoch whose augmentation is drawn, and return the set itself."""
         self.epoch = epoch
         return self
 
@@ -148,7 +148,7 @@ def collate(items: Sequence[tuple[Tensor, Target]]) -> tuple[Tensor, list[Target
 def room_for(file: Path, shape: Sequence[int]) -> np.memmap:
     """A new file of encoded pictures, mapped into memory.
 
-    Its room is taken at once: a disk that filled up later would end the process without a word.
+    Its space is allocated at once, because a full disk would later crash the process.
 
     Raises:
         GraycastError: the disk has no room for it.
@@ -281,7 +281,7 @@ class _Move:
         return np.stack([self._warped(layer, cv2.INTER_LINEAR) for layer in image])
 
     def labels(self, labels: _Labelled) -> _Labelled:
-        """What lies inside afterwards; of what is cut to less than a third, nobody is asked."""
+        """The labels inside the crop; instances cut to less than a third are ignored."""
         (sx, sy), (ox, oy) = self.scale, self.offset_px
         x = np.sort(labels.box[:, 0::2] * sx + ox, axis=1)
         y = np.sort(labels.box[:, 1::2] * sy + oy, axis=1)

@@ -1,6 +1,6 @@
-"""A cell's scene as a record of drawn values makes it: nothing is random here.
+"""The scene that follows from a cell and a record of drawn values, without randomness.
 
-What is not in the record is as in the cell, so the record tells all.
+Values that are not in the record are those of the cell, so the record is complete.
 """
 
 from collections.abc import Mapping
@@ -66,7 +66,7 @@ def shared_out(counts: tuple[int, ...], share: float) -> tuple[int, ...]:
 
 
 def _adapted(scene: Scene, record: Record) -> Scene:
-    """The cell as built. Where nothing is off, values stay what they are, bit for bit."""
+    """The adapted scene. Values without a deviation are unchanged to the bit."""
     camera, box = record["camera"], record["bin"]
     T_world_cam = scene.T_world_cam
     if any(camera["offset_m"]) or any(camera["rotation_rad"]):

@@ -67,7 +67,7 @@ def start_poses(
 def _orientation(
     points: Float[np.ndarray, "k 3"], width_m: Float[np.ndarray, "2"], rng: np.random.Generator
 ) -> Float[np.ndarray, "3 3"]:
-    """A random rotation, uniform over those that keep the points inside a cell this wide."""
+    """A uniformly random rotation that keeps the points inside a cell of this width."""
     for _ in range(ORIENTATION_TRIES):
         rotation = rotation_from_quaternion(random_quaternions(1, rng)[0])
         if (np.abs(points @ rotation[:2].T).max(axis=0) * 2 <= width_m).all():

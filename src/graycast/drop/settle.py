@@ -24,7 +24,7 @@ HEAP_ABOVE_RIM = 1.5  # no heap holds more than this many bins full
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class DropLimits:
-    """What a layout must keep to be used. At rest, and all parts inside, it must be anyway.
+    """Limits of an acceptable layout, which must also be at rest with all parts inside.
 
     `simulated_s` is how long one attempt may fall and settle, in simulated time.
     """
@@ -56,7 +56,7 @@ class DropLimits:
 
 
 def flaws(layout: Layout, limits: DropLimits) -> tuple[str, ...]:
-    """What is wrong with a layout, in words with numbers; empty if it may be used."""
+    """The defects of a layout in words with numbers; empty if it is acceptable."""
     found = []
     if layout.outside:
         found.append(f"{layout.outside} of {len(layout.part_index)} parts lie outside the bin")
@@ -136,7 +136,7 @@ def make_bodies(
     """Each kind of part as the engine needs it.
 
     Raises:
-        ValueError, GraycastError: as of `convex_hulls` and `body_of`.
+        ValueError, GraycastError: as in `convex_hulls` and `body_of`.
     """
     prepared = prepare(parts, hull_folder=hull_folder, on_stage=on_stage)
     return tuple(body_of(part, made.hulls) for part, made in zip(parts, prepared, strict=True))
@@ -148,7 +148,7 @@ def prepare(
     """The collision hulls of each part, made now where the cache has none; `drop` finds them there.
 
     Raises:
-        ValueError, GraycastError: as of `convex_hulls`.
+        ValueError, GraycastError: as in `convex_hulls`.
     """
 
     def of(part: Part) -> Decomposition:
@@ -162,7 +162,7 @@ def prepare(
 
 
 def hull_notes(parts: Iterable[Part], prepared: Iterable[Decomposition]) -> tuple[str, ...]:
-    """What to tell of parts whose collision hulls are farther off than they should be."""
+    """Notes on parts whose collision hulls exceed their tolerance."""
     return tuple(
         f"{part.name}: its collision hulls are too coarse: they are up to "
         f"{1e3 * made.error.worst_m:.2f} mm from its surface, and the bound is "
@@ -174,7 +174,7 @@ def hull_notes(parts: Iterable[Part], prepared: Iterable[Decomposition]) -> tupl
 
 
 def _failure(box: Bin, count: int, tried: list[Layout], limits: DropLimits) -> str:
-    """What happened in all attempts, and what helps against what went wrong in the best of them."""
+    """A text on all failed attempts, with remedies for the defects of the best one."""
     best = min(tried, key=_badness)
     what = f"{count} part{'s' if count > 1 else ''} in a bin of {_mm(box.inner_m)}"
     remedies = []
@@ -212,7 +212,7 @@ def _check_sizes(box: Bin, parts: tuple[Part, ...]) -> None:
 
 
 def _check_volume(box: Bin, bodies: tuple[Body, ...], number: tuple[int, ...]) -> None:
-    """Refuses what no drop can succeed at, before time is spent on it."""
+    """Refuse a volume of parts that cannot fit, before any simulation."""
     volume_m3 = sum(n * body.volume_m3 for n, body in zip(number, bodies, strict=True))
     bin_m3 = float(np.prod(box.inner_m))
     if volume_m3 / PACKING > HEAP_ABOVE_RIM * bin_m3:

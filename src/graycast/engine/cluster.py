@@ -76,7 +76,7 @@ class RayPool:
 
 
 def _knock(address: str) -> None:
-    """Refuse an address at once where nobody listens: Ray itself would try for minutes.
+    """Refuse an address without a server at once, because Ray itself would try for minutes.
 
     Raises:
         OSError: nobody listens.

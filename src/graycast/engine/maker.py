@@ -1,4 +1,4 @@
-"""What a worker does, wherever it runs: scenes of one task, from seeds to the bytes of files."""
+"""The work of a worker: scenes of one task, from their seeds to the bytes of their files."""
 
 import time
 from collections.abc import Mapping
@@ -56,7 +56,7 @@ class SceneMaker:
 
         Raises:
             DropError, DecodeError, ValueError: this scene cannot be made; the next one may be.
-            Exception: what nobody foresaw; the renderer is opened anew for the next scene.
+            Exception: an unforeseen error; the renderer is opened again for the next scene.
         """
         start = time.perf_counter()
         task = self.task
@@ -111,7 +111,7 @@ class SceneMaker:
 
 
 def _refuse_undecoded(reasons: Mapping[str, float]) -> None:
-    """A scene without scanner depth is none, and `validate` would say so.
+    """Refuse a scene without scanner depth, which `validate` would report.
 
     Raises:
         DecodeError: hardly a pixel was decoded; says why most were not, and what helps.
@@ -136,9 +136,9 @@ _REMEDIES = {
 
 
 def is_the_scenes_own(error: BaseException) -> bool:
-    """Whether an error would come again: parts that find no rest, values out of their range.
+    """Whether the scene itself causes an error, so that another try would fail in the same way.
 
-    All else (a lost driver, memory, a process that was killed) may be the machine's.
+    Other errors (a lost driver, memory, a killed process) may be caused by the machine.
     """
     foreseen = isinstance(error, (GraycastError, ValueError))
     return foreseen and not isinstance(error, (DeviceError, WorkerDied))

@@ -109,7 +109,7 @@ def _figures(row: DepthRow, reasons: Sequence[str]) -> list[str]:
 
 
 def _reasons(tables: Tables, order: Iterable[str]) -> list[str]:
-    """What there is of them, in that order; those that it lacks come last."""
+    """The reasons that occur, in the given order; others come last."""
     held = {name for rows in tables.values() for row in rows for name in row.reason}
     first = [name for name in order if name in held and name != "decoded"]
     return first + sorted(held - {"decoded", *first})

@@ -1,4 +1,4 @@
-"""What there is to find in a picture."""
+"""The labels of a picture: the instances that are to be found."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass

@@ -1,4 +1,4 @@
-"""Which detection finds which instance, by COCO's rule, for all thresholds at once.
+"""The matching of detections and instances by COCO's rule, for all thresholds at once.
 
 Within a scene and a class the detections take, best score first, the instance that they overlap
 most among those not yet taken, if they overlap it enough. An instance that counts goes before one
@@ -44,7 +44,7 @@ class Pair:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Overlaps:
-    """All that is known before anything is matched.
+    """The overlaps of all detections and instances before the matching.
 
     Attributes:
         labels: in the order of their scenes' ids.
@@ -84,7 +84,7 @@ class ClassMatches:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Outside:
-    """What is left out of a part of the figures, such as all but large instances.
+    """Instances and detections outside a group, such as all that are not large.
 
     Attributes:
         instance: instances that are ignored there too; they overlap as before, not as crowds do.
@@ -127,7 +127,7 @@ def overlaps(
 
 
 def match(known: Overlaps, outside: Outside | None = None) -> dict[int, ClassMatches]:
-    """Give every detection what it finds; classes by their object id."""
+    """Match every detection; classes are keyed by their object id."""
     return {obj_id: _match_class(known, pairs, outside) for obj_id, pairs in known.pairs.items()}
 
 

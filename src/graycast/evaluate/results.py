@@ -15,7 +15,7 @@ from ..export.split import Split
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Run:
-    """What `detect.json` says of the results beside it; None is what a file alone does not tell.
+    """The content of `detect.json`; fields are None for a single file of results.
 
     Attributes:
         path: of the results.

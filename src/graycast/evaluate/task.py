@@ -28,9 +28,9 @@ _ONE_CLASS = 1  # the object id of everything where classes do not matter
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Task:
-    """What to judge by what; None of `split` and `division` is what the results say of themselves.
+    """The results and the labels to compare; None as `split` or `division` uses those of the results.
 
-    `one_class` takes all parts for one.
+    `one_class` treats all parts as one class.
     """
 
     results: Path

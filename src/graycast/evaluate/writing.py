@@ -27,7 +27,7 @@ _TITLES = {"ap": "AP", "ap50": "AP50", "ap75": "AP75", "ar": "AR"}
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Evaluation:
-    """What was judged, how, and what came of it."""
+    """An evaluation: its subject, its settings and its results."""
 
     dataset: str
     split: str

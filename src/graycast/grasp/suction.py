@@ -1,4 +1,4 @@
-"""Does a suction cup seal on a surface, and what does it hold there?
+"""The seal of a suction cup on a surface, and the load that it holds.
 
 The seal follows Mahler et al., "Dex-Net 3.0", ICRA 2018: the cup is a cone of springs whose lip is
 laid on the surface; it seals where no spring is stretched or pressed by more than a tenth, and
@@ -55,7 +55,7 @@ class Cup:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Seal:
-    """How a cup lies on a surface.
+    """The state of a cup that is laid on a surface.
 
     `strain` is the largest change of a spring's length, as a share of it; NaN where the lip has
     nothing to lie on. `open_share` is the share of the ground under the cup where no surface is, or
@@ -90,7 +90,7 @@ def seals(
     aside_m: Float[np.ndarray, "k 2"],
     lean: Float[np.ndarray, "k 2"],
 ) -> tuple[Float[np.ndarray, " k"], Float[np.ndarray, " k"]]:
-    """`Seal`'s two numbers for a cup that is set down otherwise than the tool's axis says.
+    """The two numbers of `Seal` for a cup that deviates from the tool's axis.
 
     Args:
         cup: what is laid on.
@@ -137,7 +137,7 @@ def load_factor(
     *,
     friction: Float[np.ndarray, " k"] | None = None,
 ) -> Float[np.ndarray, " k"]:
-    """How many times a load a sealed cup holds; below 1 it lets go.
+    """The safety factor of a load on a sealed cup; below 1 the cup loses the part.
 
     The lip is a ring that is pressed on the surface with N: the vacuum's pull and what the load
     adds along the axis. Three limits, each met first by some load:

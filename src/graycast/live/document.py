@@ -118,7 +118,7 @@ def checked(document: Document, path: Path) -> Config:
     """The configuration that the document's own words are, without what is turned beside them.
 
     Raises:
-        ConfigError: as of `load_config`; the text names the file.
+        ConfigError: as in `load_config`; the text names the file.
     """
     return check_settings(document.content, Config, path)
 

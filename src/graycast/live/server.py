@@ -42,7 +42,7 @@ class Server:
         """Read the configuration and take the port.
 
         Raises:
-            ConfigError: as of `load_config`.
+            ConfigError: as in `load_config`.
             GraycastError: the port is taken.
         """
         self.session = Session(path, scene_id=scene_id, device=device, on_message=self._tell)

@@ -57,7 +57,7 @@ class Session:
             on_message: called for everything that a page shall hear.
 
         Raises:
-            ConfigError: as of `load_config`.
+            ConfigError: as in `load_config`.
         """
         self._path, self._scene_id, self._device = path, scene_id, device
         self._on_message = on_message
@@ -116,7 +116,7 @@ class Session:
     # --- what a user does ---------------------------------------------------------------------
 
     def set(self, key: str, value: Any, *, draft: bool = False) -> None:
-        """Set one value, as of `document.changed`; drafts in a row are one step of undo.
+        """Set one value, as in `document.changed`; drafts in a row are one step of undo.
 
         Raises:
             ConfigError: the configuration would be refused; what was set stays.

@@ -20,7 +20,7 @@ from ..rig import Rig
 from ..scene import Quad, Sphere
 
 EDGE_PX = 2.0  # of either picture, which artefacts keep clear of
-RANGE_MARGIN = 0.03  # of the range at both ends, so that noise takes no point out of it
+RANGE_MARGIN = 0.03  # as a share of the range at both ends, so that noise takes no point out of it
 DEPTHS = 41  # looked at for a common field
 FIELD_GRID_PX = (48, 64)
 FACING_POINTS = 400  # on a sphere, about half of which face the camera

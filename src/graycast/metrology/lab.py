@@ -21,7 +21,8 @@ from .artefacts import Volume, in_view, working_volume
 from .certificate import Scope
 
 ERODED_PX = 3  # off the outline of every artefact
-MIN_DECODED = 0.05  # of an artefact's pixels: fewer say more of the settings than of its shape
+# as a share of an artefact's pixels: fewer say more of the settings than of its shape
+MIN_DECODED = 0.05
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -1,8 +1,8 @@
-"""The user's own meshes: files read, judged, and refused with a remedy.
+"""Mesh files of the user: reading, checking, and errors with a remedy.
 
-A file is taken as it is or refused. What is put right without changing the shape (vertices
-merged, repeated faces dropped) is reported. The mesh keeps the file's own frame; its shading
-normals are made anew.
+A file is accepted or refused. Repairs that do not change the shape (merged vertices, dropped
+repeated faces) are reported. The mesh keeps the file's coordinate frame; its shading normals
+are computed again.
 """
 
 import importlib
@@ -41,12 +41,12 @@ def load_part(
     """A part from an OBJ, PLY, STL or GLB file.
 
     Args:
-        path: as of `load_mesh`, and so are `unit` and `material`.
+        path: as in `load_mesh`, and so are `unit` and `material`.
         name: of the part; None takes the file's name without its ending.
         symmetry: in the file's own frame, lengths in metres.
 
     Returns:
-        The part, and what was found in the file but is no reason to refuse it, a sentence each.
+        The part, and notes on the file that are no reason to refuse it, a sentence each.
 
     Raises:
         MeshError, ValueError: see `load_mesh`.
@@ -79,7 +79,7 @@ def load_mesh(
         material: None takes the file's texture on a plain dielectric, or plain grey.
 
     Returns:
-        Mesh, material, and what was found in the file but is no reason to refuse it.
+        Mesh, material, and notes on the file that are no reason to refuse it.
 
     Raises:
         MeshError: the file cannot be read, is no closed surface facing outwards, or is of an
@@ -110,10 +110,10 @@ def load_mesh(
 
 
 def _load_reader() -> None:
-    """Load trimesh in a thread, while this one hears Ctrl-C and SIGTERM.
+    """Load trimesh in a thread, while this thread handles Ctrl-C and SIGTERM.
 
-    It swallows what a signal's handler raises as it is loaded, and Python runs handlers in the
-    main thread alone.
+    While it is loaded, it suppresses exceptions of signal handlers, which Python runs only in
+    the main thread.
     """
     loader = threading.Thread(target=importlib.import_module, args=("trimesh",), daemon=True)
     loader.start()

@@ -1,4 +1,4 @@
-"""What a part is: a mesh, a material, and the few facts that physics and datasets need."""
+"""A part: a mesh, a material, and the properties that physics and datasets need."""
 
 import math
 from dataclasses import dataclass, field, replace
@@ -110,7 +110,7 @@ class Symmetry:
 class Part:
     """One kind of part. `source` says where it came from, for datasets and error messages.
 
-    A part that is not `labelled` lies among the others and hides them, but no annotation knows it.
+    A part that is not `labelled` lies among the others and hides them, but is not annotated.
     """
 
     name: str

@@ -1,4 +1,4 @@
-"""The closed shells of one mesh file, as the one solid that they are meant to be."""
+"""Conversion of the closed shells of a mesh file to one solid."""
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -11,7 +11,7 @@ TOUCHING = 1e-4
 
 
 class ShellError(Exception):
-    """Why shells are no solid, and the remedy."""
+    """The shells do not form a solid; the text states why, and the remedy."""
 
 
 def shells_of(

@@ -1,4 +1,4 @@
-"""A surface as a file holds it, and what makes it a part: that it is closed, and a solid."""
+"""A surface as read from a file, and the checks that it is closed and encloses a solid."""
 
 from dataclasses import dataclass, replace
 
@@ -15,12 +15,12 @@ _MERGE = 1e-6  # vertices closer than this share of the longest side are one: fl
 
 
 class Refusal(Exception):
-    """Why a file cannot be a part, and the remedy; `meshfile` adds the file's name."""
+    """A file cannot be a part; the text states why and the remedy, without the file's name."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Surface:
-    """What a file holds, in its own unit, before anything is judged."""
+    """The content of a file in its own unit, before any check."""
 
     vertices: Float[np.ndarray, "v 3"]
     faces: Int[np.ndarray, "f 3"]
@@ -116,7 +116,7 @@ def _distinct(
 
 
 def judge(surface: Surface, findings: list[str]) -> None:
-    """Refuses a surface that is open, wound both ways, inside out or flat."""
+    """Refuse a surface that is open, inconsistently wound, inside out or flat."""
     faces = surface.faces
     start, end = faces.ravel(), np.roll(faces, -1, axis=1).ravel()
     edge = np.stack([np.minimum(start, end), np.maximum(start, end)], axis=1)

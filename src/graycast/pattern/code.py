@@ -1,4 +1,4 @@
-"""Codes: which frames tell the pixels of a projector apart, and how they are made.
+"""Codes: lists of frames that identify the pixels of a projector.
 
 A pattern is what a projector is given: 8-bit grey levels, 255 is white. The list of frames is all
 that a decoder needs, so a code of one's own is a list of one's own.

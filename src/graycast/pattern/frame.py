@@ -1,4 +1,4 @@
-"""One picture of a coded stack, in the words that real stacks are described with.
+"""One picture of a coded stack, with the terms in which real stacks are described.
 
 A frame says all that is needed to make it and to read it; a code is a list of frames.
 """
@@ -20,8 +20,8 @@ class Frame:
 
     - `gray`: bit `bit` (0 is the finest) of the Gray code of the code value at u; with
       `xor_bit >= 0` that bit, exclusive-or bit `xor_bit` (M. Gupta et al., CVPR 2011);
-    - `complementary`: the bit after the finest of a Gray code that counts periods: it tells the
-      halves of a period apart;
+    - `complementary`: the bit after the finest of a Gray code that counts periods: it
+    distinguishes the halves of a period;
     - `phase`: `(1 + cos 2 pi (u / period_px - step / steps)) / 2`; a foreign scanner's cosine may
       begin between whole steps;
     - `line`: one lit pixel in every `period_px` pixels, moved on by one pixel per step;
@@ -93,7 +93,7 @@ class Frame:
 def level_share(
     frame: Frame, size_px: int, *, offset_px: float = 0.0, stride_px: float = 1.0
 ) -> Float[np.ndarray, " size"]:
-    """What a frame shows along its axis, 0 dark to 1 bright, one number per projector pixel.
+    """The brightness of a frame along its axis, from 0 to 1, one number per projector pixel.
 
     Args:
         size_px: projector pixels along the frame's axis; 1 for white and black.

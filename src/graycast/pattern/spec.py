@@ -1,4 +1,4 @@
-"""A code by its name and few numbers, before it is known for which projector."""
+"""A code as its name and parameters, independent of the size of a projector."""
 
 import inspect
 from collections.abc import Callable

@@ -1,4 +1,4 @@
-"""A robot's cell with its files read: what all bins share, and may travel to a worker."""
+"""The cell of a robot with its files read, which all bins share and workers receive."""
 
 import hashlib
 from dataclasses import dataclass
@@ -57,7 +57,7 @@ class PickCell:
 
     @property
     def detector(self) -> Path | None:
-        """The folder of a trained detector; None where it is truth or none."""
+        """The folder of a trained detector; None if the detector is truth or none."""
         named = self.config.picking.detector
         return None if named in ("truth", "none") else self.folder / named
 

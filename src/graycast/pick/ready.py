@@ -1,4 +1,4 @@
-"""A robot's cell made ready to pick: arm, tool, bodies, known grips, detector. Made once."""
+"""The prepared cell of a robot: arm, tool, bodies, known grips and detector."""
 
 from dataclasses import dataclass, replace
 from typing import Any
@@ -27,7 +27,7 @@ _PLACES = 200  # that are tried on each kind of part
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Ready:
-    """What picking needs beside the bin.
+    """Everything that picking needs in addition to the bin.
 
     `bare` is the arm without its tool. `alike` are the motions that leave each part's shape: a
     gripper feels shapes, so how a part is painted makes no pose another. `known` are the parts by
@@ -60,10 +60,10 @@ class Ready:
 
 
 def make_ready(cell: PickCell, *, on_stage: OnStage = lambda stage: None) -> Ready:
-    """Open the robot and the detector, and look for places where the tool holds the parts.
+    """Open the robot and the detector, and search for grasps of the parts.
 
     Raises:
-        ConfigError: a robot, a place or a tool that cannot serve this cell, named.
+        ConfigError: a robot, a place or a tool does not suit this cell; the error names it.
         GraycastError: no such detector.
     """
     config, parts = cell.config, cell.cell.scene.parts
@@ -93,7 +93,7 @@ def make_ready(cell: PickCell, *, on_stage: OnStage = lambda stage: None) -> Rea
 
 
 def _surroundings(cell: PickCell, robot: Robot, load: Load) -> Surroundings:
-    """Raises ConfigError: the arm stands in something, or cannot put parts away there."""
+    """Raise ConfigError if the arm collides at home or cannot reach the place of parts."""
     picking = cell.config.picking
     T_base_world = inverse(cell.T_world_base)
     still = standing(cell.cell.scene, T_base_world)
@@ -130,7 +130,7 @@ def _surroundings(cell: PickCell, robot: Robot, load: Load) -> Surroundings:
 
 
 def _known(tool: Tool, part: Part, body: Body) -> KnownPart:
-    """Raises ConfigError: the tool holds the part nowhere."""
+    """Raise ConfigError if the tool cannot hold the part anywhere."""
     grips = best_first(tool_places(tool, part, body, count=_PLACES))
     if not grips:
         raise ConfigError(
@@ -141,7 +141,7 @@ def _known(tool: Tool, part: Part, body: Body) -> KnownPart:
 
 
 def _detector(cell: PickCell) -> Any | None:
-    """Raises ConfigError: it tells the cell's parts not apart."""
+    """Raise ConfigError if the detector does not distinguish the cell's parts."""
     if cell.detector is None:
         return None
     from ..detect import load_detector  # torch takes seconds to load

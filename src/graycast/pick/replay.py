@@ -1,4 +1,4 @@
-"""A folder of picks as it is shown: what the robot is made of, and where all of it was when.
+"""A folder of picks for display: the shapes of the robot, and their poses over time.
 
 Everything comes from the folder and from the configuration in it. A cell that names files of its
 own (a URDF, meshes) needs them where its paths lead.
@@ -32,7 +32,7 @@ AT_GRIP_M = 1e-3  # between the tip at the grip and where it was sent: files are
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Motion:
-    """The robot's way in one attempt, and what went with it.
+    """The robot's motion in one attempt, and the part that it carried.
 
     `T_world_limb` says where each limb was at each time. At `grip` of these times the tool was at
     the part. From there `part` went with the limb `carrier`, until `held_until_s`.
@@ -105,7 +105,8 @@ def open_replay(out: Path, *, folder: Path) -> Replay:
         folder: where the relative paths of the cell's configuration start, if it has any.
 
     Raises:
-        GraycastError: no picks, a damaged claim, or files of the cell that are not there or others.
+        GraycastError: there are no picks, the claim is damaged, or files of the cell are
+            missing or changed.
     """
     if not (out / CLAIM).is_file():
         raise GraycastError(f"{out}: holds no picks: give a folder that graycast pick wrote")
@@ -160,7 +161,7 @@ def read_motions(replay: Replay, episode: StoredEpisode) -> tuple[Motion | None,
 
 
 def _motion(replay: Replay, attempt: Mapping[str, Any], told: Mapping[str, Any]) -> Motion:
-    """Raises ValueError: times, angles or the grip do not fit each other."""
+    """Raise ValueError if times, angles and the grip are inconsistent."""
     robot, tool = replay.robot, replay.cell.config.tool
     time_s, q = np.array(told["time_s"], dtype=float), np.array(told["q"], dtype=float)
     if q.shape != (len(time_s), len(robot.home)) or not np.isfinite(q).all() or len(time_s) < 2:
@@ -189,7 +190,7 @@ def _motion(replay: Replay, attempt: Mapping[str, Any], told: Mapping[str, Any])
 def _held_until(
     attempt: Mapping[str, Any], time_s: Float[np.ndarray, " t"], grip: int
 ) -> float | None:
-    """Until when the part went with the tool; None where it never did, or it is not known."""
+    """The time until which the tool carried the part; None if it did not, or if unknown."""
     if attempt["part"] is None:
         return None
     if attempt["outcome"] in {str(outcome) for outcome in TAKEN}:

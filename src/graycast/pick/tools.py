@@ -1,4 +1,4 @@
-"""Tools at the flange: what a user writes of them, where their tip is, and what they are made of.
+"""Tools at the flange: their settings, the pose of their tip, and their shapes.
 
 The tip's frame is that of `grasp`: origin where the tool touches, z along the axis back towards the
 flange, jaws close along x.
@@ -77,7 +77,7 @@ def T_flange_tip(tool: Tool) -> Float[np.ndarray, "4 4"]:
 
 
 def pieces(tool: Tool, *, opening_m: float | None = None) -> tuple[Mounted, ...]:
-    """What a tool may not push into things: all but the cup itself, which gives way.
+    """The rigid shapes of a tool, without the cup, which is compliant.
 
     Args:
         tool: at the flange.

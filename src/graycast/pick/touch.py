@@ -1,6 +1,6 @@
-"""What a tool truly meets where it is sent: the part, its neighbours, or nothing.
+"""The true contact of a tool at its target: the part, its neighbours, or nothing.
 
-Here, and only here, the true parts are looked at. A cup is laid along its axis on the part that is
+Only this module uses the true poses of the parts. A cup is laid along its axis on the part that is
 under its middle; jaws close until both pads touch. What stands in the way of a tool's stiff pieces
 by more than `PUSHED_M` is a collision that the scanner did not show.
 """
@@ -64,7 +64,7 @@ def touch(
     *,
     opening_m: float | None = None,
 ) -> Held | NotHeld:
-    """Set a tool down where it was sent, among the true parts.
+    """Move a tool to its target among the true parts.
 
     Args:
         T_world_tool: where its tip is sent.
@@ -89,7 +89,7 @@ def _pushed(
     part_index: Int[np.ndarray, " n"],
     opening_m: float | None,
 ) -> NotHeld | None:
-    """The stiff pieces of a tool against every part; None where none is in the way."""
+    """Collisions of the rigid shapes of a tool with the parts; None if there is none."""
     import coal
 
     T_world_flange = T_world_tool @ inverse(T_flange_tip(tool))
@@ -217,7 +217,7 @@ def _held(
     set_down: Float[np.ndarray, "4 4"],
     law: Callable[[np.ndarray, np.ndarray], np.ndarray],
 ) -> Held:
-    """A part in a tool whose law says of many loads how many times each it would hold."""
+    """A part in a tool with the law that gives the safety factor of a load."""
 
     def factor(force_n: np.ndarray, moment_nm: np.ndarray) -> float:
         return float(law(force_n[None], moment_nm[None])[0])

@@ -1,4 +1,4 @@
-"""The arm's ways of one pick: to before the grip, down to it, up, and away to where parts go."""
+"""The arm's paths of one pick: to the approach, down, up, and away to the place of parts."""
 
 from dataclasses import dataclass
 
@@ -62,7 +62,7 @@ class Load:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Blocked:
-    """Why no way was found."""
+    """The reason why no path was found."""
 
     outcome: Outcome
     detail: str = ""
@@ -70,7 +70,7 @@ class Blocked:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Surroundings:
-    """What is fixed in planning; poses of the flange are in the robot's base frame."""
+    """The fixed surroundings in planning; flange poses are in the robot's base frame."""
 
     T_base_world: Float[np.ndarray, "4 4"]
     T_flange_tip: Float[np.ndarray, "4 4"]
@@ -128,7 +128,7 @@ def ways(
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _Search:
-    """What is the same for every way to hold the arm and to turn the tool; as of `ways`."""
+    """The values common to all arm configurations and tool rotations; see `ways`."""
 
     robot: Robot
     here: Surroundings
@@ -161,7 +161,7 @@ class _Search:
         return found
 
     def _by(self, q: Joints, q_before: Joints, tip: Float[np.ndarray, "4 4"]) -> Ways | Blocked:
-        """With the arm held so before the grip."""
+        """Plan with this arm configuration at the approach."""
         here, robot = self.here, self.robot
         off, raised = tip.copy(), tip.copy()
         off[2, 3] += OFF_M
@@ -194,7 +194,7 @@ class _Search:
         )
 
     def _why(self, q: Joints, T_base_flange: Float[np.ndarray, "4 4"], name: str) -> Blocked:
-        """A straight way fails by what is touched, or by the arm's own limits."""
+        """The reason why a straight path fails: a collision, or the limits of the arm."""
         if straight(self.robot, q, T_base_flange, ()) is not None:
             for obstacle in self.obstacles:
                 if straight(self.robot, q, T_base_flange, (obstacle,)) is None:
@@ -204,14 +204,14 @@ class _Search:
 
 
 def _upright(T: Float[np.ndarray, "4 4"]) -> Float[np.ndarray, "4 4"]:
-    """The same place with the tool's axis vertical, turned no more than that takes."""
+    """The pose with the tool's axis vertical, by the smallest rotation."""
     x = np.cross(T[:3, 1], [0.0, 0.0, 1.0])
     x /= np.linalg.norm(x)
     return rigid(np.stack([x, np.cross([0.0, 0.0, 1.0], x), [0.0, 0.0, 1.0]], axis=1), T[:3, 3])
 
 
 def _slowly(way: Trajectory, least_s: float) -> Trajectory:
-    """The same way, in no less than so many seconds."""
+    """The same path in at least the given number of seconds."""
     stretch = max(1.0, least_s / max(way.seconds, 1e-9))
     return Trajectory(time_s=way.time_s * stretch, q=way.q.copy())
 

@@ -21,7 +21,7 @@ from ..rig import Rig, common_depths_m
 from ..settings import parse_yaml, read_text
 from .reading import build_optics, build_rig, check_rotation, is_file_storage
 
-MAX_SKEW = 1e-6  # of the focal length; `Optics` has none
+MAX_SKEW = 1e-6  # as a share of the focal length; `Optics` has none
 MIN_BASELINE_M = 0.001  # below it a unit is wrong: no rig is that small
 
 # Spellings met in OpenCV's samples and in public camera-projector calibration programs, without

@@ -42,7 +42,7 @@ from .pictures import Pictures, read_color, read_pictures
 EPIPOLAR_MEDIANS, EPIPOLAR_PX = 5.0, 2.0
 MISPLACED_PX = 3.0  # median epipolar residual of a rig that is not the stack's
 OUT_OF_RANGE = 0.3  # of what decodes
-DECODED_AT_LEAST = 0.01  # of the lit pixels, or the stack is refused
+DECODED_AT_LEAST = 0.01  # as a share of the lit pixels, or the stack is refused
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -15,10 +15,11 @@ from .pictures import Pictures
 from .sense import phase_faults
 
 CLEAR = 0.75  # from the middle, as a share of half the contrast: not blurred to grey
-ALIKE = 0.25  # of the well lit pixels clearly bright, or clearly dark, in pattern and inverse
+# as a share of the well lit pixels clearly bright, or clearly dark, in pattern and inverse
+ALIKE = 0.25
 DRIFT = 0.15  # of brightness between frames
 OUTSIDE = 0.05  # of what decodes
-CONFLICT = 0.2  # of what is well lit
+CONFLICT = 0.2  # as a share of what is well lit
 CLEAR_OF_NOISE = 20.0  # contrast over noise, below which noise alone can make frames contradict
 SATURATED = 0.2
 UNLIT = 0.01

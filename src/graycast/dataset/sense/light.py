@@ -22,7 +22,8 @@ WRONG_SHARE, WRONG_PX = 1e-4, 10
 NOISE_SIGMAS = 10.0  # the extremes of some fifty frames and of the white one, against each other
 STRIPES_SHOW = 1.02  # patterns may outshine white by what a lens's veil leaves of it
 STEP_MAX = 65535
-TOP = 0.75  # of the range: a pixel at its top is that bright in the white frame, with 8 bits too
+# as a share of the range: a pixel at its top is that bright in the white frame, with 8 bits too
+TOP = 0.75
 DIM_SIGMAS = 8.0  # the decoder's own limit for shadow is 6
 
 

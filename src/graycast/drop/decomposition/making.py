@@ -24,12 +24,12 @@ CUT_SHARE = 0.9
 # No drop has time for more pieces, and no user for more cuts, counted by the faces of what is cut
 # (most in the zoo: 43,000, of a turned ring). Then the tolerance grows by this.
 MOST_PIECES, MOST_FACES_CUT, COARSER = 200, 120_000, 2.0
-_CONVEX = 1e-9  # of the hull's volume: what a body may lack by round-off alone
+_CONVEX = 1e-9  # as a share of the hull's volume: what a body may lack by round-off alone
 _TOLD_EACH = 25  # pieces
 
 
 def silent(stage: str) -> None:
-    """An `OnStage` for who does not want to know."""
+    """An `OnStage` that ignores all stages."""
 
 
 def decompose(mesh: Mesh, *, on_stage: OnStage = silent) -> tuple[Hull, ...]:

@@ -19,7 +19,7 @@ from .projector_corners import projector_corners
 MIN_VIEWS = 3  # of a plane in different directions, below which the intrinsics are not determined
 GOOD_VIEWS = 8
 GOOD_SPREAD_RAD = math.radians(20)  # between the two boards that differ most in direction
-GOOD_COVERAGE = 0.4  # of the picture, within the hull of all corners
+GOOD_COVERAGE = 0.4  # as a share of the picture, within the hull of all corners
 OUTLYING = 2.5  # times the median view's residual
 OUTLYING_FLOOR_PX = 0.05  # below it a view is good, whatever the others are
 GOOD_DEVIATION = 0.001  # of the focal length and the baseline

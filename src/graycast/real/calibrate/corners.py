@@ -10,13 +10,14 @@ from scipy.special import erf
 from .board import Board, CalibrationError
 
 MIN_CORNERS = 8  # of a view: a pose and a homography with something left over to judge them by
-REFINE_REACH = 0.45  # of a square; beyond it the next edges come in
+REFINE_REACH = 0.45  # as a share of a square; beyond it the next edges come in
 REFINE_REACH_PX = 15.0  # more costs time and lets distortion bend the edges
 REFINE_ITERATIONS = 20
 SMOOTH_PX = 0.8  # standard deviation of a blur that makes sharp edges wider than a pixel
 MIN_BLUR_PX = 0.5
 MIN_CONTRAST = 0.05  # half the step between dark and bright, of the picture's range
-MAX_MOVE = 0.2  # of a square, by which refining may move a corner: else it found something else
+# as a share of a square, by which refining may move a corner: else it found something else
+MAX_MOVE = 0.2
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

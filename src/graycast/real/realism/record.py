@@ -68,7 +68,7 @@ class Fine(_Record):
     """Noise [m] by second differences in small tiles: what neighbours do not share.
 
     Scaled so that white noise has its own standard deviation; smoothed noise has less here.
-    `percentiles_m` as of `Noise`, over the tiles; `rough` is the share of tiles that are no smooth
+    `percentiles_m` as in `Noise`, over the tiles; `rough` is the share of tiles that are no smooth
     surface. `dark_to_bright` is the noise of the darkest over that of the brightest bin,
     `steep_to_facing` that at 40 to 50 over that at 0 to 10 degrees of incidence.
     """

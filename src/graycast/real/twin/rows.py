@@ -19,7 +19,7 @@ from ..realism.steps import count_steps
 
 Owner = Literal["sensor", "scene"]
 _SIGMAS = 2.0  # within so many standard deviations of the real scans' mean a row is met
-_LEAST_SPREAD = 0.05  # of the mean: three scans do not tell a spread well
+_LEAST_SPREAD = 0.05  # as a share of the mean: three scans do not tell a spread well
 _MOST_Z = 5.0  # a row that is far off counts no more than this
 
 

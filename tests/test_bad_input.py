@@ -56,7 +56,10 @@ def assert_untouched(out: Path):
             ["unknown key parts.0.unti: did you mean unit?\n"],
         ),
         ({"seed": "many"}, ["seed is 'many'", "valid integer"]),
-        ({"count": "many"}, ["count is 'many'", "a number of parts, or [lowest, highest]"]),
+        (
+            {"count": "many"},
+            ["count is 'many'", "give one number of parts, or two numbers [lowest, highest]"],
+        ),
         ({"count": 0}, ["count is 0", "give 1 to 255"]),
         ({"count": 256}, ["count is 256", "give 1 to 255"]),
         ({"count": [5, 2]}, ["count is [5, 2]", "[lowest, highest]"]),
@@ -74,10 +77,13 @@ def assert_untouched(out: Path):
         ({"parts": [{"builtin": "bracket"}]}, ["'bracket'", "choose metal_workpiece_1"]),
         (
             {"parts": [{"builtin": "toothpaste", "mesh": "box.stl"}]},
-            ["parts.0: give either builtin or mesh\n"],
+            ["parts.0: give either builtin or mesh, and not both\n"],
         ),
-        ({"parts": [{"density_kg_m3": 900}]}, ["parts.0: give either builtin or mesh\n"]),
-        ({"parts": [{"mesh": "box.stl", "unit": "mm"}] * 2}, ["two parts are called box"]),
+        (
+            {"parts": [{"density_kg_m3": 900}]},
+            ["parts.0: give either builtin or mesh, and not both\n"],
+        ),
+        ({"parts": [{"mesh": "box.stl", "unit": "mm"}] * 2}, ["two parts have the name box"]),
         ({"rig": "phoxi-xl"}, ["no rig 'phoxi-xl'", "choose one of paper"]),
         ({"code": {"axes": ["row"]}}, ["code.axes is row", "needs column"]),
         ({"light": {"environment": {"map": "none.exr"}}}, ["light.environment.map", "none.exr"]),
@@ -383,7 +389,7 @@ def test_a_picture_or_table_without_a_folder_says_what_to_check(capsys, tmp_path
     nowhere = tmp_path / "none" / "rig.png"
     text = refusal(capsys, "rig", "show", "paper", "--out", nowhere)
     assert str(nowhere) in text
-    assert "give a path in a folder" in text
+    assert "): give a path in an existing folder with free space" in text
     text = refusal(capsys, "rig", "write", "paper", "--out", nowhere)
     assert f"the rig {nowhere}: cannot be written" in text
     assert not nowhere.parent.exists()
@@ -410,7 +416,7 @@ def test_without_llvm_the_command_to_run_is_given(capsys, tmp_path, monkeypatch,
     monkeypatch.setattr(device.shutil, "which", lambda name: f"/bin/{name}" if has_apt else None)
     path = write_cell(tmp_path)
     text = refusal(capsys, "generate", path, "--out", tmp_path / "out")
-    assert "no shared LLVM 19 or newer" in text
+    assert "rendering on the processor needs a shared LLVM 19 or newer" in text
     assert remedy in text
     assert not (tmp_path / "out").exists()
 

@@ -270,7 +270,7 @@ def test_parts_lists_the_built_in_ones_or_those_of_a_configuration(capsys, made)
     assert "\n  box: 1, 0.00 mm (the bound is 0.78 mm)\n" in own and "note:" not in own
 
 
-COARSE = "note: box: collides more coarsely than it should: its collision hulls are up to"
+COARSE = "note: box: its collision hulls are too coarse: they are up to"
 
 
 @pytest.mark.slow

@@ -199,7 +199,7 @@ K_TEXT = "190,190,79.5,59.5"
         (np.full((40, 50), 0.8 + 1j), "complex128 numbers"),
         (np.ones((40, 50), bool), "bool numbers"),
         (np.full((40, 50), 800, np.uint16), "--scale 0.001"),
-        (np.full((2, 40, 50), 0.8), "a depth map has rows and columns"),
+        (np.full((2, 40, 50), 0.8), "give a depth map with rows and columns"),
     ],
 )
 def test_what_is_no_depth_map_is_refused_and_leaves_no_folder(capsys, tmp_path, array, said):

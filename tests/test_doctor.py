@@ -53,7 +53,7 @@ def test_a_missing_package_is_found_and_said_with_its_remedy_and_use(monkeypatch
     assert "MISSING no-such-package-here" in text
     assert "pip install no-such-package-here" in text
     assert "it gives: flying" in text
-    assert text.endswith("not ready: see what is MISSING above")
+    assert text.endswith("This machine is not ready: install what is marked MISSING above.")
 
 
 def test_a_bad_library_named_by_the_user_is_a_finding_and_not_an_error(monkeypatch):

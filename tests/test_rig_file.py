@@ -199,7 +199,7 @@ def test_a_calibration_without_distortion_is_told_with_the_names_that_it_has(tmp
     camera, projector = missing_distortions(write(tmp_path / "c.yaml", other))
     assert "no distortion of the camera" in camera
     assert "no distortion of the projector" in projector
-    assert "is it one of lensTermsA, lensTermsB? then name it cam_kc" in camera
+    assert "if it is one of lensTermsA, lensTermsB, name it cam_kc" in camera
     alone = {key: value for key, value in CALIBRATION.items() if key != "pro_kc"}
     (projector,) = missing_distortions(write(tmp_path / "c.yaml", alone))
     assert "projector" in projector
@@ -310,7 +310,7 @@ BAD_CALIBRATIONS = {
     "3 terms": ({"cam_kc": [0.1, 0.1, 0.1]}, "cam_kc has 3 terms: give"),
     "rational": ({"cam_kc": [0, 0, 0, 0, 0, 0.1, 0, 0]}, "cam_kc has rational.*calibrate with"),
     "folds over": ({"cam_kc": [-9.0, 0, 0, 0, 0]}, "camera: distortion .* has no inverse"),
-    "twice": ({"K1": CALIBRATION["cam_K"]}, "K1 and cam_K both give the camera matrix: keep one"),
+    "twice": ({"K1": CALIBRATION["cam_K"]}, "K1 and cam_K both state the camera matrix: keep one"),
 }
 
 
@@ -417,8 +417,14 @@ BAD_RIGS = {
         "R_cam_proj is not a rotation .det 2, orthogonality error 3",
     ),
     "R of wrong shape": (set_key("R_cam_proj", [[1, 0, 0], [0, 1, 0]]), "R_cam_proj.2 is missing"),
-    "no baseline": (set_key("t_cam_proj_m", [0, 0, 0]), "triangulation needs a baseline"),
-    "millimetres": (set_key("t_cam_proj_m", [230, 0, 0]), "is T in millimetres"),
+    "no baseline": (
+        set_key("t_cam_proj_m", [0, 0, 0]),
+        "camera and projector have the same position: give them a baseline",
+    ),
+    "millimetres": (
+        set_key("t_cam_proj_m", [230, 0, 0]),
+        "m: give T in metres, not in millimetres",
+    ),
     "range": (set_key("far_m", 0.1), "0 < near_m < far_m"),
     "weights": (set_key("band_weights", [1, 1, 1]), "shares of 1"),
     "four terms": (set_key("camera", "distortion", [0, 0, 0, 0]), "camera.distortion.4 is missing"),

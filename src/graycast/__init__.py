@@ -1,6 +1,6 @@
-"""Simulates a structured-light camera and makes bin-picking datasets with it.
+"""Graycast simulates a structured-light camera and makes bin-picking datasets with it.
 
-From Python the whole line is at hand here; `docs/library.md` begins with ten lines that run:
+This module offers every step to Python; `docs/library.md` begins with ten lines that run:
 
     cell = graycast.resolve_cell(graycast.load_config(path), path.parent)
     with graycast.open_cell_renderer(cell) as renderer:
@@ -11,79 +11,80 @@ From Python the whole line is at hand here; `docs/library.md` begins with ten li
 `import graycast` loads nothing else. A name, and the module that it comes from, is loaded when it
 is first asked for.
 
-The map of the house. Each room imports only from rooms above it (`tests/test_imports.py`).
+The packages and modules in order. Each imports only from those above it, which
+`tests/test_imports.py` checks.
 
-What all rooms use:
+What all packages use:
 
     errors           the errors that a caller may want to handle
-    array_types      what annotates arrays with their axes
-    folder           results that appear whole or not at all
-    plotting         how plots look, and how they are written
-    settings         YAML files that are read, checked, and refused with one clear line
+    array_types      annotations of arrays with their axes
+    folder           files and folders that are written completely or not at all
+    plotting         the style of plots, and how they are written
+    settings         YAML files: reading, checking, and errors of one clear line
     usage            time and memory that processes have used
-    color            the one colour encoding of pictures on disk
+    color            the colour encoding of all pictures on disk
     frames           rigid transforms, rotations and the pixel grid
     lens_inverse     the inverse of lens distortion, compiled
     mask_box         the box about a mask's pixels
-    optics           camera and projector: distortion both ways, thin lens, vignetting
-    raster           depth of a mesh at pixel centres, for checking
+    optics           camera and projector: distortion and its inverse, thin lens, vignetting
+    raster           the depth of a mesh at pixel centres, for checks
     ply              point clouds and meshes as PLY files
 
 What is simulated:
 
     pattern          the frames that a projector shows, and the codes made of them
-    rig              a camera and a projector that hold still to each other
-    parts            meshes with materials, built in and one's own
-    grasp            where a part can be gripped: seals of suction cups, jaws
+    rig              a camera and a projector with fixed relative pose
+    parts            meshes with materials, built in or from the user's files
+    grasp            where a part can be gripped by suction cups or jaws
     bins             a bin from a mesh file
-    scene            the world before physics and light; where the parts came to lie
+    scene            the world before physics and light, and where the parts lie
     drop             parts fall until they rest: Scene -> Layout
     render           light: Layout -> Radiance, and the ground truth
-    camera_light     from the renderer's light to the light on the sensor
+    camera_light     from rendered radiance to the light on the sensor
     sensor           noise, saturation, quantisation: Radiance -> Capture
-    speckle          uneven light of a laser within each pixel, and what it moves
-    photon_transfer  a sensor measured from its own flat fields
-    decode           pictures to projector positions to depth: Capture -> DepthMap
-    line_noise       projector lines that are uneven, and what that moves
+    speckle          laser speckle, and its effect on decoded positions
+    photon_transfer  properties of a sensor, measured from flat fields
+    decode           from pictures to projector positions and depth: Capture -> DepthMap
+    line_noise       uneven projector lines, and their effect on decoded positions
     scanner          a rig with its code, sensor, exposure, decoder and filters
-    picture          the colour picture, and what the measuring camera saw
-    rig_file         scanners in files, and calibrations of others
-    stack            pictures of real scanners: described, decoded, written
+    picture          the colour picture and the grey picture of the measuring camera
+    rig_file         scanners in files, and imported calibrations
+    stack            pictures of real scanners: description, decoding, results
 
 What is written, and what makes it:
 
-    dataset          ground truth on disk, BOP and COCO; written, checked, read back
+    dataset          ground truth on disk as BOP and COCO: writing, checking, reading
     detections       what a detector finds in a picture, and COCO's results files
     pose_results     estimated poses, and BOP's results files
-    domain           how scenes differ from their cell, and the record of it
-    views            from where a cell's scanners take their images
-    config           what a user writes in YAML, and the values that it stands for
-    cell             a configuration with its files read, which all scenes share
-    simulate         one scene, all the way from its seeds to its sample
-    engine           who makes the scenes: this process, others, or a cluster
-    generate         many scenes of a cell into a dataset's folder
+    domain           how scenes differ from their cell, and a record of the differences
+    views            the camera poses of a scene's images
+    config           the configuration in YAML, and the values that it resolves to
+    cell             a configuration with all its files read, shared by all scenes
+    simulate         one scene, from its seeds to its sample
+    engine           where scenes are made: this process, other processes, or a cluster
+    generate         many scenes of a cell, written to the folder of a dataset
 
-What is measured, learnt and judged:
+What is measured, trained and scored:
 
-    metrology        what a virtual scanner is worth: its certificate
-    stats            what a dataset holds, in figures
+    metrology        the accuracy of a virtual scanner, as a certificate
+    stats            statistics of a dataset
     card             the card of a dataset
     export           datasets in the formats of other programs
-    real             what a real scanner brings: its rig, its bin, its labels, how its depth looks
-    training         examples for trainers, from datasets and exports alike
-    evaluate         how good detections, poses and depth are; imports nothing that it judges
-    detect           detectors: trained, run
-    pose             where a part is, from a detection and the scanner's depth
+    real             data of a real scanner: its rig, bin, labels and depth statistics
+    training         training examples from datasets and from exports
+    evaluate         scores of detections, poses and depth; imports nothing that it scores
+    detect           detectors: training and inference
+    pose             the pose of a part from a detection and the scanner's depth
     merge            several views of a scene as one cloud, and what each of them adds
-    study_file       what a study's YAML file says
+    study_file       the YAML file of a study
     study            models x inputs x training sets x worlds x seeds, in one table
-    design           which scanner to take and where: settings compared on the same heaps
+    design           comparison of scanners and their poses on the same heaps
     pick             a robot that empties the bin
-    grasp_labels     where tools hold the parts of a dataset, and whether they do
-    report           pictures of what the program works with and makes; the web page
-    live             a cell in the browser, alive
-    doctor           what is installed here, and what each missing thing would give
-    bench            speed and memory, and studies of renderers, drops and poses
+    grasp_labels     grasp labels of the parts of a dataset, simulated in physics
+    report           pictures of inputs and results, and the web page
+    live             a cell in the browser, whose settings can be changed
+    doctor           what is installed, and what each missing piece is for
+    bench            speed and memory; studies of renderers, drops and poses
     cli              the command `graycast`: files in, files out
 """
 
@@ -189,7 +190,7 @@ def __getattr__(name: str) -> object:
 
 
 def _room(name: str) -> object:
-    """A module of the house; None where there is no such module."""
+    """A module of the package; None if there is no such module."""
     full_name = f"{__name__}.{name}"
     try:
         return import_module(full_name)

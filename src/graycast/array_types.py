@@ -1,8 +1,7 @@
-"""What annotates arrays with their axes, where reading for training may do without jaxtyping.
+"""Annotations of arrays with their axes, for modules that must also work without jaxtyping.
 
-Where jaxtyping is not installed, `Float[np.ndarray, "h w"]` says `np.ndarray` and no more: nothing
-is checked then, and nothing else changes. Modules that `graycast.training` does not import take
-the names from jaxtyping itself.
+If jaxtyping is not installed, `Float[np.ndarray, "h w"]` means `np.ndarray`, and nothing is
+checked. Modules that `graycast.training` does not import take the names from jaxtyping.
 """
 
 try:
@@ -10,7 +9,7 @@ try:
 except ImportError:
 
     class _Unchecked:
-        """Annotates an array, and forgets what it holds."""
+        """Annotates an array without a check of its axes and its type."""
 
         def __class_getitem__(cls, told: tuple[type, str]) -> type:
             return told[0]

@@ -1,4 +1,4 @@
-"""A bin from a mesh file: turned upright, set onto the world's origin, measured."""
+"""A bin from a mesh file: it is turned upright, placed at the world's origin, and measured."""
 
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -24,14 +24,15 @@ _TURNS = {
 _CUTS = (-0.207, -0.093, 0.011, 0.113, 0.193)  # of the width: odd, so as not to run along edges
 _UPRIGHT = 0.9  # least cosine between the floor's normal and z
 _INWARD = 0.7  # least cosine between a wall's normal and the way inside: it leans up to 45 degrees
-_LEAST_DEPTH = 0.1  # of the bin's height: what is shallower is a plate
+_LEAST_DEPTH = 0.1  # as a share of the bin's height: what is shallower is a plate
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class MeshBin:
     """A bin's mesh in the world: z up, the origin in the middle of the inner floor.
 
-    `inner_m` is its inside, length and width half way down; `material` is the file's own.
+    `inner_m` is its inner size, with length and width at half its depth; `material` is the one
+    of the file.
     """
 
     mesh: Mesh
@@ -43,9 +44,10 @@ class MeshBin:
 def load_bin(path: Path, *, unit: str | None, up: Up) -> MeshBin:
     """A bin from an OBJ, PLY, STL or GLB file.
 
-    The floor is what most of the cuts through the middle show of surfaces that look up; length and
-    width are between the walls as a cut half way between floor and top shows most of them, so that
-    leaning walls count with their middle. Of the file's frame only the axis that points up matters.
+    The floor is the height at which most of the surface faces up in the vertical cuts through
+    the middle. Length and width are the distances between opposite walls in a horizontal cut at
+    half the height, so that a slanted wall counts at its middle. Only the upward axis of the
+    file's coordinate frame matters.
 
     Args:
         unit: see `load_mesh`.
@@ -61,19 +63,19 @@ def load_bin(path: Path, *, unit: str | None, up: Up) -> MeshBin:
         floor_m = _floor_m(turned)
         depth_m = float(turned.bounds_m[1, 2]) - floor_m
         if depth_m < _LEAST_DEPTH * turned.extent_m[2]:
-            raise _NoBin("its middle is hardly lower than its top")
+            raise _NoBin("the middle is not lower than the top")
         sides = _sides_m(turned, floor_m + depth_m / 2)
     except _NoBin as error:
         raise MeshError(
-            f"{path}: is no open bin whose top is at its {up} end: {error}; say which axis points "
-            f"out of its opening (up_axis: {', '.join(_TURNS)})"
+            f"{path}: is not an open bin whose opening faces {up}: {error}; state with up_axis "
+            f"which axis points out of the opening ({', '.join(_TURNS)})"
         ) from error
     low, high = sides[:, 0], sides[:, 1]
     origin = np.array([*(low + high) / 2, floor_m])
     x, y = (high - low).tolist()
     size = " x ".join(f"{1e3 * length:.0f}" for length in (x, y, depth_m))
     bottom_m = floor_m - float(turned.bounds_m[0, 2])
-    told = f"{size} mm inside, its floor {1e3 * bottom_m:.1f} mm above the table"
+    told = f"{size} mm inside, and its floor is {1e3 * bottom_m:.1f} mm above the table"
     return MeshBin(
         mesh=_moved(turned, np.eye(3), -origin),
         inner_m=(x, y, depth_m),
@@ -83,7 +85,7 @@ def load_bin(path: Path, *, unit: str | None, up: Up) -> MeshBin:
 
 
 class _NoBin(Exception):
-    """What a bin would have, and the mesh has not."""
+    """The mesh lacks a property of a bin, which the text names."""
 
 
 def _moved(mesh: Mesh, R: Float[np.ndarray, "3 3"], shift_m: Float[np.ndarray, "3"]) -> Mesh:
@@ -92,7 +94,7 @@ def _moved(mesh: Mesh, R: Float[np.ndarray, "3 3"], shift_m: Float[np.ndarray, "
 
 
 def _floor_m(mesh: Mesh) -> float:
-    """Height of most of what looks up in cuts along x and y through the middle."""
+    """Weighted median height of the upward faces in the vertical cuts through the middle."""
     middle, extent = mesh.bounds_m.mean(axis=0), mesh.extent_m
     heights, lengths = [], []
     for across in (0, 1):
@@ -103,11 +105,11 @@ def _floor_m(mesh: Mesh) -> float:
             inside = _within(segment[floor, :, along] - middle[along], extent[along] / 4)
             heights.append(segment[floor, :, 2].mean(axis=1))
             lengths.append(inside)
-    return _median(np.concatenate(heights), np.concatenate(lengths), "no surface looks up")
+    return _median(np.concatenate(heights), np.concatenate(lengths), "no surface faces up")
 
 
 def _sides_m(mesh: Mesh, height_m: float) -> Float[np.ndarray, "2 2"]:
-    """Where the walls are, low and high, along x and along y."""
+    """The positions of the lower and the upper wall along x and along y."""
     middle, extent = mesh.bounds_m.mean(axis=0), mesh.extent_m
     segment, normal = _cut(mesh, np.array([0.0, 0.0, 1.0]), np.array([0.0, 0.0, height_m]))
     sides = np.empty((2, 2))
@@ -117,7 +119,7 @@ def _sides_m(mesh: Mesh, height_m: float) -> Float[np.ndarray, "2 2"]:
             place = segment[:, :, across].mean(axis=1) - middle[across]
             wall = (sign * normal[:, across] < -_INWARD) & (sign * place > 0)
             inside = _within(segment[wall, :, along] - middle[along], extent[along] / 4)
-            name = f"no wall is on its {'-+'[k]}{'xy'[across]} side half way up"
+            name = f"no wall is on its {'-+'[k]}{'xy'[across]} side at half its height"
             sides[across, k] = middle[across] + _median(place[wall], inside, name)
     return sides
 
@@ -125,7 +127,7 @@ def _sides_m(mesh: Mesh, height_m: float) -> Float[np.ndarray, "2 2"]:
 def _cut(
     mesh: Mesh, normal: Float[np.ndarray, "3"], point_m: Float[np.ndarray, "3"]
 ) -> tuple[Float[np.ndarray, "n 2 3"], Float[np.ndarray, "n 3"]]:
-    """Segments in which a plane cuts the mesh, and the unit normals of their faces."""
+    """Segments of the intersection of a plane and the mesh, and the normals of their faces."""
     import trimesh
 
     shape = trimesh.Trimesh(mesh.vertices_m, mesh.faces, process=False)
@@ -135,7 +137,7 @@ def _cut(
 
 
 def _within(span_m: Float[np.ndarray, "n 2"], half_m: float) -> Float[np.ndarray, " n"]:
-    """How much of each span lies between -half and half."""
+    """The length of the part of each span that lies between -half and half."""
     low, high = np.clip(np.sort(span_m, axis=1), -half_m, half_m).T
     return high - low
 
@@ -144,7 +146,7 @@ def _median(value: Float[np.ndarray, " n"], weight: Float[np.ndarray, " n"], if_
     """The weighted median.
 
     Raises:
-        _NoBin: nothing has any weight.
+        _NoBin: all weights are 0.
     """
     if not weight.sum() > 0:
         raise _NoBin(if_none)

@@ -98,7 +98,8 @@ def write_card(
     except OSError as error:
         why = error.strerror or str(error)
         raise GraycastError(
-            f"{dataset}: the card cannot be written ({why}): make the folder writable, free space"
+            f"{dataset}: the card cannot be written ({why}): make the folder writable, or free "
+            "disk space"
         ) from error
     return dataset / CARD
 
@@ -113,8 +114,9 @@ def spdx(licence: str) -> str:
         return canonicalize_license_expression(licence)
     except InvalidLicenseExpression as error:
         raise GraycastError(
-            f"licence {licence!r} is no SPDX expression: give one of spdx.org/licenses such as "
-            "CC-BY-4.0 or MIT, several with AND or OR, or LicenseRef- and a name for your own terms"
+            f"licence {licence!r} is not an SPDX expression: give an identifier of "
+            "spdx.org/licenses such as CC-BY-4.0 or MIT, several joined by AND or OR, or "
+            "LicenseRef- and a name for your own terms"
         ) from error
 
 

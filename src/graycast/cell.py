@@ -60,11 +60,11 @@ class Eye:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Cell:
-    """A configuration with its files read: what all scenes of a dataset share.
+    """A configuration with all its files read. All scenes of a dataset share it.
 
-    `scene` holds every kind of part; a scene drops one kind of it, or all where `config.mix`. Its
-    rig and place, and `scanner`, are those of the first image. `named` are all scanners by their
-    names where the configuration gives them names.
+    `scene` holds every kind of part; a scene drops one of the kinds, or all if `config.mix` is set.
+    Its rig and pose, and `scanner`, are those of the first image. `named` holds all scanners by
+    their names, if the configuration gives them names.
     """
 
     config: Config
@@ -86,7 +86,7 @@ class Cell:
         return self.scanner.light_code()
 
     def patterns(self) -> UInt8[np.ndarray, "n ph pw"]:
-        """What the projector is given: grey levels that undo its response."""
+        """The grey levels for the projector, with its response inverted."""
         return patterns_of(self.scanner)
 
     @property
@@ -116,7 +116,7 @@ class Cell:
 
 
 def patterns_of(scanner: Scanner) -> UInt8[np.ndarray, "n ph pw"]:
-    """What a scanner's projector is given: grey levels that undo its response."""
+    """The grey levels for a scanner's projector, with its response inverted."""
     return scanner.light_code().render(lambda share: grey_levels(scanner.rig, share))
 
 
@@ -175,12 +175,12 @@ def _own_views(config: Config, station: int) -> tuple[ViewSection, ...] | Sample
 
 
 def resolve_cell(config: Config, folder: Path, *, on_stage: OnStage = lambda stage: None) -> Cell:
-    """Read what a configuration names; `folder` is where its relative paths start.
+    """Read the files that a configuration names; relative paths start in `folder`.
 
-    `on_stage` is told what is read, where that may take seconds.
+    `on_stage` is called with the name of each step that may take seconds.
 
     Raises:
-        GraycastError, ValueError: a file or a value that cannot be used, named.
+        GraycastError, ValueError: a file or a value cannot be used; the error names it.
     """
     parts, notes = resolve_parts(config, folder, on_stage=on_stage)
     scanners = resolve_scanners(config, folder)
@@ -200,7 +200,7 @@ def resolve_cell(config: Config, folder: Path, *, on_stage: OnStage = lambda sta
     if config.table is not None:
         scene = replace(scene, table=resolve_material(config.table, folder))
     if config.domain is not None:
-        on_stage("reading the files that the domain names")
+        on_stage("reading the files of the domain section")
     domain = None if config.domain is None else resolve_domain(config.domain, folder, scene=scene)
     cell = Cell(
         config=config,
@@ -217,10 +217,10 @@ def resolve_cell(config: Config, folder: Path, *, on_stage: OnStage = lambda sta
 
 
 def reach_m(cell: Cell) -> float:
-    """How deep a cell's depth pictures must reach [m], as z of the camera.
+    """The largest depth that a cell's depth pictures must hold [m], along the camera's z.
 
-    To the end of the rig's working range, and to the deepest corner of the bin wherever the domain
-    may hang the rig. What lies deeper is the table, which has no end.
+    It covers the rig's working range and the deepest corner of the bin for every pose of the
+    rig that the domain allows. Only the table, which is infinite, lies deeper.
     """
     return max(
         max(scene.rig.far_m, deepest_m(cell.config.domain, scene)) for scene in _farthest(cell)
@@ -252,7 +252,7 @@ def open_cell_renderer(
     on_frame: OnFrame | None = None,
     on_pass: OnPass | None = None,
 ) -> Renderer:
-    """The renderer that a cell's configuration asks for; arguments as of `open_renderer`."""
+    """Open the renderer that a cell's configuration names; see `open_renderer`."""
     render = cell.config.render
     return open_renderer(
         render.backend,

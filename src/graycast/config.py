@@ -1,4 +1,4 @@
-"""What a user writes in YAML, checked, and the values that it stands for.
+"""The configuration that a user writes in YAML: it is checked and resolved to values.
 
 Every key that is not known stops the run and is named with its file and the nearest known key.
 Paths in a configuration are relative to its file.
@@ -40,18 +40,19 @@ from .views import DomeSection, JitterSection, ScannerEntry, Views, ViewSection
 
 
 class BinSection(Settings):
-    """A box of a stated inside, or a mesh file."""
+    """A bin: a box of stated inner sizes, or a mesh file."""
 
     inner_m: tuple[Inner, Inner, Inner] = (0.40, 0.30, 0.15)
     wall_m: Wall = 0.012
     mesh: Path | None = Field(
         None,
-        description="An OBJ, PLY, STL or GLB file, which replaces inner_m and wall_m.",
+        description="An OBJ, PLY, STL or GLB file of the bin, which replaces inner_m and wall_m.",
         exclude_if=lambda mesh: mesh is None,  # so that older datasets can go on
     )
     unit: Unit | None = Field(
         None,
-        description="The unit of the mesh file. It must be stated unless metres are plausible.",
+        description="The unit of the mesh file. It must be stated if the sizes are not "
+        "plausible in metres.",
         exclude_if=lambda unit: unit is None,
     )
     up_axis: Up = Field(
@@ -61,11 +62,13 @@ class BinSection(Settings):
     )
     material: MaterialSection | None = Field(
         None,
-        description="Left out, a box is of wood, and a mesh is as its file says.",
+        description="The material of the bin. Without this key, a box is of wood, and a mesh "
+        "has the material of its file.",
     )
     floor: MaterialSection | None = Field(
         None,
-        description="The surface of the inner floor. Left out, it is that of the walls.",
+        description="The material of the inner floor. Without this key, it is the material "
+        "of the walls.",
         exclude_if=lambda floor: floor is None,  # so that older datasets can go on
     )
     friction: Level = 0.5
@@ -98,29 +101,37 @@ class LightSection(Settings):
 
 
 class CyclesSection(Settings):
-    """What only Blender Cycles has."""
+    """Settings that only Blender Cycles has."""
 
     denoise: Literal["none", "oidn", "optix"] = Field(
         "oidn",
-        description="What cleans each picture, as the paper does; optix needs a GPU.",
+        description="The denoiser of every picture. optix needs a GPU.",
     )
     patterns_per_render: Literal[1, 3] = Field(
-        1, description="With 3, red, green and blue bear a pattern each."
+        1,
+        description="The number of patterns in a render. With 3, the red, green and blue "
+        "channels hold one pattern each.",
     )
 
 
 class RenderSection(Settings):
     backend: Literal["mitsuba", "cycles"] = Field(
-        "mitsuba", description="Mitsuba renders all patterns in one pass, Cycles each by itself."
+        "mitsuba",
+        description="The renderer. mitsuba renders all patterns in one pass; "
+        "cycles renders them one after the other.",
     )
     samples: Samples = 16
     depth: PathDepth = 4
-    denoise: bool = Field(True, description="Clean the colour picture, and it alone.")
+    denoise: bool = Field(
+        True,
+        description="Whether the colour picture is denoised. The "
+        "pictures of patterns are not affected.",
+    )
     cycles: CyclesSection = CyclesSection()
 
 
 class StoreSection(Settings):
-    """What a scene's folder keeps beside pictures, depth and labels."""
+    """What a scene's folder holds in addition to pictures, depth and labels."""
 
     frames: bool = Field(
         False, description="Keep every picture as the sensor stored it, for graycast decode."
@@ -133,30 +144,37 @@ class StoreSection(Settings):
         gt=0,
         le=1000,
         exclude=True,  # a dataset says it as its depth_scale, chosen or not
-        description="One step of depth pictures. Left out, 16 bits span the range.",
+        description="One step of the depth pictures in millimetres. Without this key, 16 "
+        "bits span the range.",
     )
 
 
 class Config(ScannerSections):
-    """One dataset: its parts, bin, rig, light and how much of it.
+    """One dataset: its parts, bin, rig, light and number of scenes.
 
-    The sections code, exposure, sensor, decode and filters say what differs from the rig's own.
+    The sections code, exposure, sensor, decode and filters replace settings of the rig.
     """
 
     parts: tuple[PartSection, ...] = Field(min_length=1)
     mix: bool = Field(
         False,
-        description="Each scene has parts of all kinds. Else it has one kind, in turn.",
+        description="Whether each scene has parts of all kinds. Otherwise each scene has one "
+        "kind, and the kinds alternate.",
     )
     count: int | tuple[int, int] = Field(
-        30, description="How many parts a scene has, or the lowest and the highest number."
+        30, description="The number of parts in a scene, or its lowest and its highest value."
     )
-    scenes: int = Field(3, ge=1, description="The number of scenes; --scenes replaces it.")
-    seed: int = Field(0, ge=0, description="The seed of everything random; --seed replaces it.")
+    scenes: int = Field(
+        3, ge=1, description="The number of scenes. The option --scenes replaces it."
+    )
+    seed: int = Field(
+        0, ge=0, description="The seed of all random numbers. The option --seed replaces it."
+    )
     bin: BinSection = BinSection()
     table: MaterialSection | None = Field(
         None,
-        description="The surface of the table that the bin stands on. Left out, it is matt grey.",
+        description="The material of the table on which the bin stands. Without this key, it "
+        "is matt grey.",
         exclude_if=lambda table: table is None,  # so that older datasets can go on
     )
     rig: str = Field("paper", description="The name of a preset, or a rig file.")
@@ -179,7 +197,8 @@ class Config(ScannerSections):
     light: LightSection = LightSection()
     domain: DomainSection | None = Field(
         None,
-        description="How scenes differ from each other beside the poses of their parts.",
+        description="How the scenes differ in light, views and materials, in addition to the "
+        "poses of their parts.",
         exclude_if=lambda domain: domain is None,  # so that older datasets can go on
     )
     render: RenderSection = RenderSection()
@@ -195,10 +214,10 @@ class Config(ScannerSections):
         try:
             count = check(value)
         except ValidationError:
-            raise ValueError("give a number of parts, or [lowest, highest]") from None
+            raise ValueError("give one number of parts, or two numbers [lowest, highest]") from None
         low, high = (count, count) if isinstance(count, int) else count
         if not 1 <= low <= high <= 255:
-            raise ValueError("give 1 to 255, or [lowest, highest] of these")
+            raise ValueError("give a number from 1 to 255, or two such numbers [lowest, highest]")
         return count
 
     @model_validator(mode="after")
@@ -254,11 +273,11 @@ def load_config(path: Path) -> Config:
 def resolve_parts(
     config: Config, folder: Path, *, on_stage: OnStage = lambda stage: None
 ) -> tuple[tuple[Part, ...], tuple[str, ...]]:
-    """The parts of a configuration, and what was noticed about their meshes.
+    """The parts of a configuration, and notes on their meshes.
 
     Raises:
         ConfigError: an unknown built-in part, or a texture that cannot be read.
-        MeshError: a mesh that cannot be a part.
+        MeshError: a mesh cannot be used as a part.
     """
     parts: list[Part] = []
     notes: list[str] = []
@@ -267,17 +286,17 @@ def resolve_parts(
             on_stage(f"reading {section.mesh}")
         part, found = resolve_part(section, folder)
         if part.name in {other.name for other in parts}:
-            raise ConfigError(f"two parts are called {part.name}: give one another name")
+            raise ConfigError(f"two parts have the name {part.name}: rename one of them")
         parts.append(part)
         notes.extend(f"{part.name}: {note}" for note in found)
     return tuple(parts), tuple(notes)
 
 
 def resolve_bin(section: BinSection, folder: Path) -> tuple[Bin, tuple[str, ...]]:
-    """The bin, and what was noticed about its mesh.
+    """The bin of a configuration, and notes on its mesh.
 
     Raises:
-        ConfigError, MeshError: a file that cannot be used, named.
+        ConfigError, MeshError: a file cannot be used; the error names it.
     """
     given = None if section.material is None else resolve_material(section.material, folder)
     floor = None if section.floor is None else resolve_material(section.floor, folder)
@@ -325,7 +344,8 @@ def resolve_scanners(config: Config, folder: Path) -> tuple[tuple[str, Scanner],
     """Every scanner with its name, "" of the only one; with what its sections change.
 
     Raises:
-        ConfigError: no such rig, or a code without the axis that its baseline runs along.
+        ConfigError: there is no such rig, or the code lacks the axis that is parallel to the
+            baseline.
     """
     if config.scanners is None:
         return (("", _resolved(config.rig, config, config.resolution, folder)),)

@@ -1,4 +1,4 @@
-"""What a detector finds in a picture, and COCO's results files, which hold it."""
+"""The detections in a picture, and COCO's results files, which hold them."""
 
 import json
 import math
@@ -20,15 +20,16 @@ WEIGHTS = "detector.pt"  # what `graycast train` leaves in a folder
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Detections:
-    """What was found in one picture, best first.
+    """The detections in one picture, best first.
 
     Attributes:
-        scene_id: of the dataset that the picture is of; COCO's `image_id`.
-        score: falling; 0 to 1 from our detectors.
-        obj_id: what each is; COCO's `category_id`.
-        box_px: [x, y, columns, rows] as COCO has them: (0, 0) is the outer corner of the top-left
-            pixel, so a box from the first column on has x = 0.
-        mask: run lengths of each, compressed as COCO's; None from a detector without masks.
+        scene_id: the scene of the picture; COCO's `image_id`.
+        score: in descending order; from 0 to 1 for the detectors of `detect`.
+        obj_id: the object of each detection; COCO's `category_id`.
+        box_px: [x, y, columns, rows] as in COCO: (0, 0) is the outer corner of the top-left
+            pixel, so a box that begins in the first column has x = 0.
+        mask: the compressed run-length encoding of each mask as in COCO; None from a detector
+            without masks.
     """
 
     scene_id: int
@@ -46,9 +47,9 @@ class Detections:
 
 
 def results_bytes(found: Sequence[Detections]) -> bytes:
-    """COCO's results: a list with an entry for each detection, its box and, if any, its mask.
+    """COCO results: a list with an entry for each detection, with box and optional mask.
 
-    Numbers have as many digits as it takes to read the same ones back.
+    Numbers have as many digits as are needed to read back the same values.
     """
     lines = [json.dumps(entry, allow_nan=False) for each in found for entry in _entries(each)]
     return ("[\n" + ",\n".join(lines) + "\n]\n").encode()
@@ -72,23 +73,23 @@ def _entries(found: Detections) -> list[dict[str, Any]]:
 
 
 def _shortest(value: np.floating) -> float:
-    """The decimal with the fewest digits that is this number in its own precision."""
+    """The shortest decimal that reads back as this number in its own precision."""
     return float(str(value))
 
 
 def read_results(
     path: Path, scene_ids: Sequence[int], *, obj_ids: Collection[int] | None = None
 ) -> list[Detections]:
-    """Detections of each scene from COCO's results, whoever wrote them; none where it has none.
+    """Read the detections of each scene from COCO results of any program.
 
-    An entry with a mask need not have a box: it is the mask's.
+    An entry with a mask may lack a box, which is then the box of the mask.
 
     Args:
-        obj_ids: the objects that the scenes' dataset knows; left out, any are.
+        obj_ids: the objects of the dataset; None accepts all.
 
     Raises:
-        GraycastError: the file is missing or damaged, has a scene or an object that is not among
-            those, or masks for some of its detections alone.
+        GraycastError: the file is missing or damaged, names an unknown scene or object, or has
+            masks for only some of its detections.
     """
     try:
         entries = json.loads(path.read_bytes())
@@ -97,25 +98,28 @@ def read_results(
     except ValueError as error:
         raise GraycastError(f"{path}: is not JSON, or is cut off ({error})") from error
     if not isinstance(entries, list):
-        raise GraycastError(f"{path}: is no list: give a file of COCO results")
+        raise GraycastError(f"{path}: is not a JSON list: give a file of COCO results")
     of_scene: dict[int, list[dict[str, Any]]] = {scene_id: [] for scene_id in scene_ids}
     for i, entry in enumerate(entries):
         where = f"{path}: entry {i}"
         _check(entry, where)
         if entry["image_id"] not in of_scene:
             raise GraycastError(
-                f"{where} is of image {entry['image_id']}, which the dataset's set does "
-                "not have: are these results of another dataset or another split?"
+                f"{where} is of image {entry['image_id']}, which is not in this set of the "
+                "dataset: give results of the same dataset and set"
             )
         if obj_ids is not None and entry["category_id"] not in obj_ids:
             raise GraycastError(
-                f"{where} is of category {entry['category_id']}, the dataset has "
-                f"{', '.join(map(str, sorted(obj_ids)))}: are these results of another dataset?"
+                f"{where} is of category {entry['category_id']}, and the dataset has "
+                f"{', '.join(map(str, sorted(obj_ids)))}: give results of this dataset"
             )
         of_scene[entry["image_id"]].append(entry)
     masked = {"segmentation" in entry for entry in entries}
     if len(masked) > 1:
-        raise GraycastError(f"{path}: some entries have a segmentation and others have none")
+        raise GraycastError(
+            f"{path}: some entries have a segmentation and others have none: give all entries "
+            "one, or none"
+        )
     return [_detections(scene_id, held, masked == {True}) for scene_id, held in of_scene.items()]
 
 
@@ -137,7 +141,7 @@ def _check(entry: Any, where: str) -> None:
         if min(box[2:]) < 0:
             raise GraycastError(
                 f"{where}: bbox is {box!r}; columns and rows, its last two numbers, must not be "
-                "negative: is it x0, y0, x1, y1?"
+                "negative: give x, y, width, height and not x0, y0, x1, y1"
             )
     if "segmentation" in entry:
         _check_runs(entry["segmentation"], f"{where}: segmentation")
@@ -148,10 +152,10 @@ def _finite(value: Any) -> bool:
 
 
 def _check_runs(runs: Any, where: str) -> None:
-    """Run lengths, compressed or not, that fill their picture: pycocotools reads any without."""
+    """Check that run lengths fill their picture, because pycocotools does not check it."""
     if not isinstance(runs, dict) or not isinstance(runs.get("counts"), str | list):
         raise GraycastError(
-            f"{where} is no run lengths (size, counts): give masks as COCO's results have them"
+            f"{where} is not a run-length encoding (size, counts): give masks as in COCO results"
         )
     size, counts = runs.get("size"), runs["counts"]
     if not (isinstance(size, list) and len(size) == 2 and all(type(edge) is int for edge in size)):
@@ -161,15 +165,16 @@ def _check_runs(runs: Any, where: str) -> None:
     if not whole or sum(lengths) != size[0] * size[1]:
         raise GraycastError(
             f"{where}: its run lengths do not fill {size[1]} x {size[0]} pixels: the file is "
-            "damaged, or its masks are of another size than they say"
+            "damaged, or size is wrong"
         )
 
 
 def _lengths(counts: str) -> list[int] | None:
-    """COCO's compressed run lengths; None if they are damaged.
+    """Decode COCO's compressed run lengths; None if they are damaged.
 
-    Each number is in characters of six bits from '0' on, low bits first: five of the number and
-    one that says whether more come; from the third number on the one before the last is taken off.
+    Each number is stored in characters that start at '0' and hold six bits, low bits first:
+    five bits of the number and one bit that tells whether more follow. From the third number
+    on, the stored value is the difference from the number two places before.
     """
     code = np.frombuffer(counts.encode("utf-8", "replace"), np.uint8).astype(np.int64) - 48
     more = (code & 32) > 0

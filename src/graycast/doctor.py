@@ -1,4 +1,4 @@
-"""What is installed here, and what each missing thing would give."""
+"""What is installed on this machine, and what each missing piece is for."""
 
 import os
 import platform
@@ -14,29 +14,29 @@ from .render.device import OLDEST_LLVM, choose_device, examine_cuda, find_llvm, 
 
 _OLDEST_PYTHON = (3, 11)
 _PACKAGES = {  # distribution: what it gives
-    "numpy": "arrays; nothing runs without it",
+    "numpy": "arrays, which every command needs",
     "mitsuba": "rendering",
     "drjit": "rendering",
     "numba": "fast decoding",
     "rapier3d": "dropping parts",
-    "manifold3d": "cutting parts that are not convex",
-    "pyoidn": "a clean colour picture from few samples on a processor",
+    "manifold3d": "convex decomposition of parts",
+    "pyoidn": "denoised colour pictures on a processor",
 }
 _OPTIONAL = {  # distribution: what installs it, what it gives
     "torch": ("make extras", "detectors: train, detect and study"),
     "libreyolo": ("pip install --no-deps libreyolo", "detectors: --model yolov7"),
     "pin": ("pip install 'graycast[pick]'", "robots: kinematics and collision"),
     "ompl": ("pip install 'graycast[pick]'", "robots: planning"),
-    "toppra": ("pip install 'graycast[pick]'", "robots: time along a path"),
+    "toppra": ("pip install 'graycast[pick]'", "robots: timing of paths"),
     "rfdetr": ("pip install 'graycast[rf-detr]'", "detectors: --model rf-detr"),
-    "ray": ("pip install 'graycast[ray]'", "scenes made by a cluster: generate --engine ray"),
+    "ray": ("pip install 'graycast[ray]'", "scenes from a cluster: generate --engine ray"),
     "pyarrow": ("pip install 'graycast[parquet]'", "datasets as tables: export --format parquet"),
 }
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Finding:
-    """One thing that was looked for; `gives` is what it is good for. Not all of them are needed."""
+    """One piece that was looked for; `gives` is what it is for. Not all pieces are needed."""
 
     name: str
     found: str
@@ -53,7 +53,7 @@ class Diagnosis:
 
     @property
     def ready(self) -> bool:
-        """Whether everything that is needed was found."""
+        """Whether every needed piece was found."""
         return all(finding.ok for finding in self.findings if finding.needed)
 
 
@@ -63,15 +63,19 @@ def examine() -> Diagnosis:
 
 
 def describe(diagnosis: Diagnosis) -> str:
-    """One line a finding; under what is missing, what it would give."""
+    """One line for each finding, and below a missing piece what it is for."""
     width = max(len(finding.name) for finding in diagnosis.findings)
     lines = []
     for finding in diagnosis.findings:
         mark = "ok" if finding.ok else ("MISSING" if finding.needed else "none")
         lines.append(f"{mark:8}{finding.name:{width}}  {finding.found}")
         if not finding.ok:
-            lines.append(f"{'':8}{'':{width}}  it gives: {finding.gives}")
-    lines.append("ready" if diagnosis.ready else "not ready: see what is MISSING above")
+            lines.append(f"{'':8}{'':{width}}  it is for: {finding.gives}")
+    lines.append(
+        "ready"
+        if diagnosis.ready
+        else "This machine is not ready: install what is marked MISSING above."
+    )
     return "\n".join(lines)
 
 
@@ -104,7 +108,7 @@ def _machine() -> Iterator[Finding]:
     total, free = (_kib(key) for key in ("MemTotal", "MemAvailable"))
     known = total is not None and free is not None
     amount = f"{total / 2**20:.1f} GiB, {free / 2**20:.1f} GiB available" if known else "unknown"
-    gives = "about 4 GiB render a scene of 1032 x 772 pixels"
+    gives = "rendering, which needs about 4 GiB for a scene of 1032 x 772 pixels"
     yield Finding(name="memory", found=amount, ok=known, gives=gives, needed=False)
 
 
@@ -114,15 +118,15 @@ def _devices() -> Iterator[Finding]:
         name="LLVM found",
         found=libraries or "none",
         ok=bool(libraries),
-        gives=f"rendering on the processor, if {OLDEST_LLVM} or newer",
+        gives=f"rendering on the processor, with version {OLDEST_LLVM} or newer",
         needed=False,
     )
     try:
         chosen = find_llvm()
-        words = str(chosen) if chosen else f"none of {OLDEST_LLVM} or newer"
+        words = str(chosen) if chosen else f"no version {OLDEST_LLVM} or newer is installed"
     except DeviceError as error:
         chosen, words = None, str(error)
-    gives = "rendering on the processor; a GPU does without it"
+    gives = "rendering on the processor; rendering on a GPU does not need it"
     yield Finding(name="LLVM used", found=words, ok=bool(chosen), gives=gives, needed=False)
 
     cycles = examine_cycles()
@@ -144,7 +148,7 @@ def _devices() -> Iterator[Finding]:
     )
     yield Finding(
         name="OptiX",
-        found="libnvoptix.so.1" if cuda.has_optix else "libnvoptix.so.1 does not load",
+        found="libnvoptix.so.1" if cuda.has_optix else "libnvoptix.so.1 cannot be loaded",
         ok=cuda.has_optix,
         gives="ray tracing and denoising on an NVIDIA GPU; it is part of the driver",
         needed=False,

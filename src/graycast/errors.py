@@ -2,7 +2,7 @@
 
 
 class GraycastError(Exception):
-    """Base of the errors below. Its text is one line, fit to be shown to a user."""
+    """Base of the errors below. Its text is one line that can be shown to a user."""
 
 
 class ConfigError(GraycastError):
@@ -10,7 +10,7 @@ class ConfigError(GraycastError):
 
 
 class MeshError(GraycastError):
-    """A mesh file cannot be a part: empty, open, inside out, of impossible size."""
+    """A mesh file cannot be a part: it is empty, open, inside out or of impossible size."""
 
 
 class DeviceError(GraycastError):
@@ -34,10 +34,10 @@ class DecodeError(GraycastError):
 
 
 def told(error: Exception) -> str:
-    """An error in one line; the system's own are told by path first."""
+    """An error as one line; an error of the operating system begins with its path."""
     text = " ".join(str(error).split()) or type(error).__name__
     if not isinstance(error, OSError):
         return text
     if error.filename is not None and error.strerror:
         text = f"{error.filename}: {error.strerror.lower()}"
-    return f"{text}: check that path, that you may write there, and the free space"
+    return f"{text}: check the path, the permission to write there, and the free disk space"

@@ -1,4 +1,4 @@
-"""Results that appear whole or not at all: a file, or all files of a folder."""
+"""Files and folders that are written completely or not at all."""
 
 import fcntl
 import os
@@ -15,23 +15,24 @@ ASIDE = ".tmp-"
 
 
 def write_whole(path: Path, content: bytes) -> None:
-    """Write a file beside its place and rename it: there it is as it was, or as it is to be.
+    """Write a file under a temporary name and rename it, so it is never incomplete.
 
     Raises:
-        GraycastError: the folder is missing or the disk refuses.
+        GraycastError: the folder is missing or the operating system refuses.
     """
     fill_whole(path, lambda file: file.write(content))
 
 
 def fill_whole(path: Path, write: Callable[[IO[bytes]], object]) -> None:
-    """The same for what is written piece by piece.
+    """Like `write_whole`, for a file that is written piece by piece.
 
     Args:
-        path: in a folder that is there.
-        write: fills the open file.
+        path: the file, in a folder that exists.
+        write: a function that writes to the open file.
 
     Raises:
-        GraycastError: the folder is missing or the disk refuses; what was there is as it was.
+        GraycastError: the folder is missing or the operating system refuses; an existing file
+            is unchanged.
     """
     try:
         with beside(path) as aside, open(aside, "xb") as file:
@@ -39,18 +40,19 @@ def fill_whole(path: Path, write: Callable[[IO[bytes]], object]) -> None:
     except OSError as error:
         why = error.strerror or str(error)
         raise GraycastError(
-            f"{path}: cannot be written ({why}): give a path in a folder with space"
+            f"{path}: cannot be written ({why}): give a path in an existing folder with free space"
         ) from error
 
 
 @contextmanager
 def beside(place: Path) -> Iterator[Path]:
-    """A path to write a file or a folder to, renamed to `place` when the block ends well.
+    """Yield a temporary path, which is renamed to `place` when the block succeeds.
 
-    Otherwise it is removed. What a killed run leaves has a name that begins with `ASIDE`.
+    If the block fails, the path is removed. The path of a killed run remains; its name begins
+    with `ASIDE`.
 
     Raises:
-        OSError: the disk refuses, or `place` is a folder that holds something.
+        OSError: the operating system refuses, or `place` is a folder that is not empty.
     """
     aside = place.with_name(f"{ASIDE}{place.name}-{secrets.token_hex(4)}")
     try:
@@ -65,11 +67,11 @@ def beside(place: Path) -> Iterator[Path]:
 
 @contextmanager
 def whole_folder(out: Path) -> Iterator[Path]:
-    """A folder to fill in `out`, whose files are moved up into `out` when the block ends well.
+    """Yield a folder in `out`; its files are moved to `out` when the block succeeds.
 
-    `out` may hold other files, which stay. The folder is made first, so that a path that cannot be
-    written stops a command before its work, not after. When the block fails or is stopped, `out`
-    is as it was before, or is not there.
+    `out` may hold other files, which stay. The folder is made first, so that a command with an
+    unwritable path stops before its work and not after it. If the block fails or is stopped,
+    `out` is unchanged, or does not exist if it did not exist before.
 
     Raises:
         GraycastError: `out` cannot be written.
@@ -90,10 +92,10 @@ def whole_folder(out: Path) -> Iterator[Path]:
 
 
 def take_lock(file: Path) -> IO[str] | None:
-    """A file that is locked until it is closed or its process ends; None where another holds it.
+    """Lock a file until it is closed or the process ends; None if another process holds it.
 
     Raises:
-        OSError: the file cannot be made, or the disk knows no locks.
+        OSError: the file cannot be made, or the file system has no locks.
     """
     lock = open(file, "a")
     try:
@@ -108,10 +110,10 @@ def take_lock(file: Path) -> IO[str] | None:
 
 @contextmanager
 def claimed_folder(out: Path, inside: str, lock_name: str) -> Iterator[None]:
-    """Make a folder with one inside it, and be the only one who writes there.
+    """Make a folder and hold its lock, so that no other run writes to it.
 
     Raises:
-        DatasetError: another run writes there, or the disk refuses.
+        DatasetError: another run writes there, or the operating system refuses.
     """
     try:
         (out / inside).mkdir(parents=True, exist_ok=True)
@@ -121,17 +123,19 @@ def claimed_folder(out: Path, inside: str, lock_name: str) -> Iterator[None]:
             f"{out}: cannot be written ({error.strerror}): choose a writable folder"
         ) from error
     if lock is None:
-        raise DatasetError(f"another run is writing to {out}: wait for it, or choose another")
+        raise DatasetError(
+            f"another run is writing to {out}: wait until it ends, or choose another folder"
+        )
     with lock:
         yield
 
 
 def refuse_foreign(out: Path, mark: str) -> None:
-    """Results of one kind share no folder with anything else.
+    """Raise an error if a folder for results of one kind holds anything else.
 
     Args:
-        out: where they are to go: not there, empty, or holding an earlier result.
-        mark: the file by which an earlier result is known.
+        out: the folder of the results: absent, empty, or with an earlier result.
+        mark: the name of the file that marks an earlier result.
 
     Raises:
         GraycastError: `out` is a file, or holds something else.
@@ -151,12 +155,12 @@ def refuse_foreign(out: Path, mark: str) -> None:
 
 @contextmanager
 def new_folder(out: Path) -> Iterator[Path]:
-    """A folder beside `out` to fill, renamed to `out` in one step when the block ends well.
+    """Yield a temporary folder, which is renamed to `out` when the block succeeds.
 
-    For what is one thing of many files and shares its folder with nothing.
+    It is for a result of many files that shares its folder with nothing else.
 
     Raises:
-        GraycastError: `out` is there and not empty, or cannot be written.
+        GraycastError: `out` exists and is not empty, or cannot be written.
     """
     out = out.absolute()
     if out.is_dir() and any(out.iterdir()):
@@ -170,10 +174,10 @@ def new_folder(out: Path) -> Iterator[Path]:
 
 @contextmanager
 def _aside(parent: Path, prefix: str) -> Iterator[Path]:
-    """A hidden folder that is gone at the end; those that killed runs left go first.
+    """Yield a hidden folder that is removed at the end; first remove those of killed runs.
 
-    Its lock tells the folder of a run that is going on from one that was left. Where the disk
-    knows no locks (some networks'), what was left stays.
+    Its lock distinguishes the folder of a running process from an abandoned one. On file
+    systems without locks, such as some network disks, abandoned folders stay.
     """
     parent.mkdir(parents=True, exist_ok=True)
     for left in [entry for entry in parent.iterdir() if entry.name.startswith(prefix)]:
@@ -206,5 +210,5 @@ def _refusals(out: Path) -> Iterator[None]:
     except OSError as error:
         why = error.strerror or str(error)
         raise GraycastError(
-            f"{out}: cannot be written ({why}): choose a writable folder with space"
+            f"{out}: cannot be written ({why}): choose a writable folder with free space"
         ) from error

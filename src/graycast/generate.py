@@ -1,4 +1,4 @@
-"""Many scenes of one cell into a dataset's folder, by workers wherever they are.
+"""Many scenes of one cell, made by workers and written to the folder of a dataset.
 
 A scene depends on (configuration, dataset seed, scene id) alone, not on the number of workers, the
 order of scenes or a restart.
@@ -43,7 +43,7 @@ MOST_THREADS = 1024  # Blender's own limit; tens of thousands end the process
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Workers:
-    """Who makes the scenes; as of `engine.open_pool`."""
+    """Who makes the scenes; as in `engine.open_pool`."""
 
     engine: str = "local"
     count: int = 1
@@ -53,8 +53,8 @@ class Workers:
     def __post_init__(self) -> None:
         if self.threads is not None and not 1 <= self.threads <= MOST_THREADS:
             raise ValueError(
-                f"threads is {self.threads} per worker; give 1 to {MOST_THREADS}: more than the "
-                "machine has processors make nothing faster"
+                f"threads is {self.threads} per worker; give 1 to {MOST_THREADS}: more threads "
+                "than processors do not make a run faster"
             )
 
 
@@ -87,7 +87,7 @@ def generate(
     """Make the scenes 0 .. scenes-1 that are not in `out` yet, and the split's COCO file.
 
     A scene that fails for good is set aside and the others are made; `set_aside.json` names it,
-    and the next run tries it anew.
+    and the next run tries it again.
 
     Args:
         out: the dataset's folder; made, or continued where the same configuration began it.
@@ -95,10 +95,9 @@ def generate(
         on_start: called with the number of scenes that are there already.
         on_made: called in this process after each scene.
         on_failed: called after each try that did not come out.
-        on_frame: as of `open_renderer`, where this process makes all.
-        on_stage: told which part is made ready to fall; and as of `make_scene`, where this process
-            makes all.
-        on_note: told of a part that the engine can only collide coarsely.
+        on_frame: as in `open_renderer`, where this process makes all.
+        on_stage: called with the name of each part that is prepared; see also `make_scene`.
+        on_note: called with a note on each part whose collision hulls are coarse.
 
     Raises:
         DatasetError: the folder is another dataset's, is in use, or the disk refuses.
@@ -115,7 +114,7 @@ def generate(
     with open_store(out, **_claimed(task)) as store:
         found = store.finished()
         todo = [scene_id for scene_id in range(scenes) if scene_id not in found]
-        store.set_aside(())  # those of the last run are tried anew
+        store.set_aside(())  # scenes that the last run set aside are tried again
         on_start(scenes - len(todo))
         run = _Run(store=store, found=len(found), on_made=on_made, on_failed=on_failed)
         try:
@@ -168,8 +167,8 @@ def save_scene(cell: Cell, shots: Shot | Sequence[Shot], out: Path) -> Path:
     scene_id = manifest["scene_id"]
     if manifest["config"] != cell.config.model_dump(mode="json", exclude={"scenes", "seed"}):
         raise ValueError(
-            f"scene {scene_id} was made from another configuration than this cell's: "
-            "give the cell that make_scene was given"
+            f"scene {scene_id} was made from another configuration than this cell's: give the "
+            "cell with which make_scene made it"
         )
     given = [(sample.sensor, sample.image) for sample in samples]
     if tuple(given) != cell.images:
@@ -205,7 +204,7 @@ def depth_step_mm(cell: Cell) -> float:
         return depth_scale_mm(reach_m(cell))
     except ValueError as error:
         raise ConfigError(
-            f"the bin lies up to {reach_m(cell):.4g} m before the camera, depth pictures end at "
+            f"the bin is up to {reach_m(cell):.4g} m from the camera, and depth pictures end at "
             "65.535 m: give a smaller view.distance_m, or another store.depth_step_mm"
         ) from error
 
@@ -251,7 +250,7 @@ def rerender(
 
     Raises:
         DatasetError: no such scene, or the dataset is of another configuration.
-        DropError, ValueError, DeviceError: as of `make_scene` and `open_renderer`.
+        DropError, ValueError, DeviceError: as in `make_scene` and `open_renderer`.
     """
     task = SceneTask(
         cell=cell,
@@ -268,14 +267,14 @@ def rerender(
 
 
 def _device(cell: Cell, device: str, engine: str) -> str:
-    """'auto' settled, so that all workers take the same; a cluster has devices of its own."""
+    """Resolve 'auto' so that all workers use the same device; a cluster resolves it itself."""
     if engine == "ray":
         return device
     return choose_device(cell.config.render.backend, device)
 
 
 def _claimed(task: SceneTask) -> dict[str, Any]:
-    """What a dataset's folder is claimed for."""
+    """The content of `graycast.json` for this run."""
     cell = task.cell
     config = cell.config.model_dump(mode="json", exclude={"scenes", "seed"})
     beside = (cell.file_digests, described_scanner(cell.scanner))
@@ -328,7 +327,7 @@ _HOPELESS = 3  # scenes given up before any came out: then the rest would be, to
 
 
 class _Run:
-    """What has come out so far."""
+    """The results so far."""
 
     def __init__(
         self,
@@ -360,10 +359,10 @@ class _Run:
 
 
 def _shown(error: Exception) -> Exception:
-    """What a user is to be told; what nobody foresaw says at least what it is."""
+    """The text of an error for the user; an unforeseen error includes its type."""
     if _foreseen(error):
         return error
-    told = GraycastError(f"{_told(error)}: this is a fault of Graycast or of the machine")
+    told = GraycastError(f"{_told(error)}: this is an error in Graycast or in the machine")
     told.__cause__ = error
     return told
 

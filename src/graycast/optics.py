@@ -1,6 +1,6 @@
 """Camera and projector optics: Brown-Conrady distortion both ways, thin lens, vignetting, pixels.
 
-A projector is a camera run backwards, so one description serves both.
+A projector is an inverse camera, so both have the same description.
 """
 
 import math
@@ -26,7 +26,9 @@ def _side(pixels: int) -> int:
 
 def _pupil(metres: float) -> float:
     if metres >= 1:
-        raise ValueError("a pupil's diameter is below 1 m: is it in millimetres?")
+        raise ValueError(
+            "a pupil's diameter must be less than 1 m: give it in metres, not in millimetres"
+        )
     return metres
 
 
@@ -48,31 +50,50 @@ class Optics:
     beyond the monotonic range is refused.
     """
 
-    width_px: Annotated[int, Field(ge=1, description="Image width."), AfterValidator(_side)]
-    height_px: Annotated[int, Field(ge=1, description="Image height."), AfterValidator(_side)]
-    fx_px: Annotated[float, Field(gt=0, description="Focal length along x.")]
-    fy_px: Annotated[float, Field(gt=0, description="Focal length along y.")]
-    cx_px: Annotated[Finite, Field(description="Principal point, x.")]
-    cy_px: Annotated[Finite, Field(description="Principal point, y.")]
+    width_px: Annotated[
+        int, Field(ge=1, description="Width of the image in pixels."), AfterValidator(_side)
+    ]
+    height_px: Annotated[
+        int, Field(ge=1, description="Height of the image in pixels."), AfterValidator(_side)
+    ]
+    fx_px: Annotated[float, Field(gt=0, description="Focal length along x in pixels.")]
+    fy_px: Annotated[float, Field(gt=0, description="Focal length along y in pixels.")]
+    cx_px: Annotated[
+        Finite, Field(description="The x coordinate of the principal point in pixels.")
+    ]
+    cy_px: Annotated[
+        Finite, Field(description="The y coordinate of the principal point in pixels.")
+    ]
     distortion: Annotated[
         tuple[Finite, Finite, Finite, Finite, Finite],
-        Field(description="Brown-Conrady (k1, k2, p1, p2, k3), OpenCV's order."),
+        Field(description="Brown-Conrady coefficients (k1, k2, p1, p2, k3) in OpenCV's order."),
     ] = (0.0, 0.0, 0.0, 0.0, 0.0)
     aperture_m: Annotated[
         float,
-        Field(ge=0, description="Diameter of the pupil; 0 is a pinhole."),
+        Field(ge=0, description="Diameter of the entrance pupil in metres; 0 is a pinhole."),
         AfterValidator(_pupil),
     ] = 0.0
     focus_m: Annotated[
         float,
-        Field(gt=0, description="Distance in focus, along the axis; left out: far away."),
+        Field(
+            gt=0,
+            description="Distance of the plane in focus along the axis in metres; "
+            "infinite if the key is absent.",
+        ),
     ] = math.inf
-    psf_px: Annotated[float, Field(ge=0, description="Radius of the blur at every distance.")] = 0.0
+    psf_px: Annotated[
+        float,
+        Field(ge=0, description="Radius in pixels of a blur that is the same at every distance."),
+    ] = 0.0
     natural_vignetting: Annotated[
-        bool, Field(description="Darker towards the corners by cosines.")
+        bool,
+        Field(
+            description="Whether the image darkens towards its corners with a power "
+            "of the cosine of the field angle."
+        ),
     ] = False
     fill_factor: Annotated[
-        float, Field(gt=0, le=1, description="Share of a pixel's area that works.")
+        float, Field(gt=0, le=1, description="Share of a pixel's area that senses or emits light.")
     ] = 1.0
 
     def __post_init__(self) -> None:
@@ -112,7 +133,7 @@ def optics_of(
     """The lens of a camera matrix, by rows; `size_px` is height and width.
 
     Raises:
-        ValueError: as of `Optics`, and where there are not five terms of distortion.
+        ValueError: as in `Optics`, and where there are not five terms of distortion.
     """
     (fx_px, _, cx_px), (_, fy_px, cy_px), _ = np.reshape(K, (3, 3)).tolist()
     k1, k2, p1, p2, k3 = distortion
@@ -162,8 +183,8 @@ def undistort(
 
     if not undistort_in_place(ideal.reshape(-1, 2), *map(float, distortion)):
         raise ValueError(
-            f"distortion {distortion} has no inverse over this image: are the coefficients "
-            "in the order (k1, k2, p1, p2, k3) and fitted to it?"
+            f"distortion {distortion} has no inverse over this image: give coefficients in the "
+            "order (k1, k2, p1, p2, k3) that were fitted to it"
         )
     return ideal
 

@@ -75,7 +75,7 @@ def photon_transfer(
         ValueError: too few levels to fit, or an offset so low that dark noise is cut at 0 DN.
     """
     if levels < 10:
-        raise ValueError(f"levels is {levels}; give 10 or more, 50 for EMVA 1288")
+        raise ValueError(f"levels is {levels}; give 10 or more, or 50 as in EMVA 1288")
     bench = _Bench(sensor=sensor, side_px=side_px, rng=np.random.default_rng(seed))
     saturating_s = bench.saturating_exposure_s()
     times_s = np.linspace(0.0, OVEREXPOSURE, levels + 1)[1:] * saturating_s
@@ -83,8 +83,8 @@ def photon_transfer(
     dark_dn, dark_dn2 = bench.pair(times_s[0], radiance=0.0)
     if dark_dn < 3 * math.sqrt(max(dark_dn2 - 1 / 12, 0.0)):
         raise ValueError(
-            f"the dark picture has {dark_dn:.3g} DN at a noise of {math.sqrt(dark_dn2):.3g} DN: it "
-            "is cut at 0; raise offset_dn to 3 times the noise"
+            f"the dark picture has {dark_dn:.3g} DN at a noise of {math.sqrt(dark_dn2):.3g} DN: "
+            "its values are clipped at 0; raise offset_dn to at least 3 times the noise"
         )
     signal_dn = mean_dn - dark_dn
     linear = times_s <= LINEAR_SHARE * saturating_s
@@ -149,8 +149,8 @@ class _Bench:
         free = mean_dn < 0.5 * self.sensor.saturation_dn
         if free.sum() < 2:
             raise ValueError(
-                f"longest_dark_s is {longest_s}: dark current alone fills the sensor in an eighth "
-                "of it; shorten it"
+                f"longest_dark_s is {longest_s}: the dark current alone fills the sensor in an "
+                "eighth of that time; give a shorter time"
             )
         slope, start = np.polyfit(times_s[free], mean_dn[free], 1)
         return float(slope), float(start)

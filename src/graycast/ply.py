@@ -95,7 +95,7 @@ def split(path: Path) -> tuple[list[str], bytes]:
     data = path.read_bytes()
     end = re.search(rb"\nend_header[ \t]*\r?\n", data)
     if not data.startswith(b"ply") or end is None:
-        raise DatasetError(f"{path}: is not a PLY: its header is missing")
+        raise DatasetError(f"{path}: is not a PLY file: its header is missing")
     return data[: end.start()].decode("ascii", errors="replace").splitlines(), data[end.end() :]
 
 
@@ -117,7 +117,9 @@ def read_vertices(path: Path) -> tuple[list[str], Mapping[str, np.ndarray], int]
         return lines, _ascii(path, body, count, names), count
     kind = np.dtype([(name, order + code) for name, code in names])
     if len(body) < count * kind.itemsize:
-        raise DatasetError(f"{path}: ends before its {count} vertices do: copy it again")
+        raise DatasetError(
+            f"{path}: ends before its {count} vertices are complete: copy the file again"
+        )
     table = np.frombuffer(body, dtype=kind, count=count)
     return lines, {name: table[name] for name, _ in names}, count
 

@@ -66,11 +66,12 @@ def read_pose_results(path: Path) -> list[PoseEstimate]:
     except OSError as error:
         raise GraycastError(f"{path}: cannot be read ({error.strerror})") from error
     except UnicodeDecodeError as error:
-        raise GraycastError(f"{path}: is not text: give a CSV file of BOP's results") from error
+        raise GraycastError(f"{path}: is not text: give a CSV file of BOP results") from error
     rows = list(csv.reader(lines))
     if not rows or tuple(cell.strip() for cell in rows[0]) != HEADER:
         raise GraycastError(
-            f"{path}: does not begin with the line {','.join(HEADER)}: give BOP's results"
+            f"{path}: does not begin with the line {','.join(HEADER)}: give a CSV file of BOP "
+            "results"
         )
     found = [_estimate(row, f"{path}: line {n}") for n, row in enumerate(rows[1:], start=2) if row]
     _check_times(path, found)
@@ -88,13 +89,15 @@ def _estimate(row: list[str], where: str) -> PoseEstimate:
     score = _numbers(cell["score"], 1, f"{where}: score")[0]
     time_s = _numbers(cell["time"], 1, f"{where}: time")[0]
     if time_s < 0 and time_s != -1:
-        raise GraycastError(f"{where}: time is {time_s}; seconds, or -1 where it is not known")
+        raise GraycastError(
+            f"{where}: time is {time_s}; give seconds, or -1 if the time is not known"
+        )
     R = np.array(_numbers(cell["R"], 9, f"{where}: R")).reshape(3, 3)
     t_m = np.array(_numbers(cell["t"], 3, f"{where}: t")) / _MM_PER_M
     T = rigid(R, t_m)
     if not is_rigid(T, ROTATION_TOLERANCE):
         raise GraycastError(
-            f"{where}: R is no rotation: it must be nine numbers row by row, orthonormal, "
+            f"{where}: R is not a rotation: give nine numbers row by row that are orthonormal "
             "with determinant 1"
         )
     return PoseEstimate(**ids, score=score, T_cam_part=T, time_s=time_s)
@@ -106,7 +109,7 @@ def _whole(text: str, where: str) -> int:
     except ValueError:
         value = -1
     if value < 0:
-        raise GraycastError(f"{where} is {text!r}; it must be a whole number from 0 on")
+        raise GraycastError(f"{where} is {text!r}; it must be a whole number of at least 0")
     return value
 
 

@@ -28,7 +28,7 @@ def _rising(response: tuple[float, ...]) -> tuple[float, ...]:
         raise ValueError("give 2 to 256 values, each above the last")
     if (response[0], response[-1]) != (0.0, 1.0):
         raise ValueError(
-            "it starts at 0 and ends at 1, shares of white's radiance: black's own light is "
+            "it must start at 0 and end at 1, relative to white: state the light of black with "
             "contrast_ratio"
         )
     return response
@@ -57,45 +57,77 @@ class Rig:
     place, time or the picture.
     """
 
-    name: Annotated[str, Field(min_length=1, description="Name in reports and datasets.")]
+    name: Annotated[
+        str, Field(min_length=1, description="Name of the rig in reports and datasets.")
+    ]
     camera: Optics
     projector: Optics
     T_cam_proj: Float[np.ndarray, "4 4"]
-    near_m: Annotated[float, Field(gt=0, description="Nearest depth of the working range.")]
-    far_m: Annotated[float, Field(gt=0, description="Farthest depth of the working range.")]
+    near_m: Annotated[
+        float, Field(gt=0, description="Nearest depth of the working range in metres.")
+    ]
+    far_m: Annotated[
+        float, Field(gt=0, description="Farthest depth of the working range in metres.")
+    ]
     intensity_w_sr: Annotated[
         float, Field(gt=0, description="Radiant intensity of a white projector pixel [W/sr].")
     ] = 10.0
     band_weights: Annotated[
         tuple[float, float, float],
-        Field(description="Shares of red, green and blue; sum 1."),
+        Field(
+            description="Shares of red, green and blue in the projector's light; their sum is 1."
+        ),
     ] = (1 / 3, 1 / 3, 1 / 3)
     picture_level: Annotated[
         float,
-        Field(ge=0, le=1, description="Projector's level while the colour picture is taken."),
+        Field(
+            ge=0,
+            le=1,
+            description="Grey level of the projector while the colour picture "
+            "is taken, from 0 to 1.",
+        ),
     ] = 0.0
     response: Annotated[
         tuple[float, ...],
-        Field(description="Radiance at equally spaced grey levels, shares of white's."),
+        Field(
+            description="Radiance of the projector at equally spaced grey levels, relative "
+            "to white."
+        ),
         AfterValidator(_rising),
     ] = (0.0, 1.0)
     contrast_ratio: Annotated[
         float,
-        Field(gt=1, description="The projector's white over black; left out: black is black."),
+        Field(
+            gt=1,
+            description="Ratio of the projector's white to its black; infinite if "
+            "the key is absent.",
+        ),
     ] = math.inf
-    veil: Annotated[float, Field(ge=0, lt=1, description="Share of stray light in the camera.")] = (
-        0.0
-    )
+    veil: Annotated[
+        float,
+        Field(
+            ge=0,
+            lt=1,
+            description="Share of the light that the "
+            "camera's lens spreads over the "
+            "image as stray light.",
+        ),
+    ] = 0.0
     speckle_contrast: Annotated[
         float,
         Field(
-            ge=0, le=1, description="At a point of the sensor, of a laser on black; 0 for an LED."
+            ge=0,
+            le=1,
+            description="Speckle contrast at a point of the sensor, on a black "
+            "surface: 1 for a laser, 0 for an LED.",
         ),
     ] = 0.0
     speckle_volume: Annotated[
         float,
         Field(
-            ge=0, description="How much less a white surface speckles than a black one; 0: as much."
+            ge=0,
+            description="Reduction of the speckle contrast by scattering inside a "
+            "white surface; 0 is no reduction.",
         ),
     ] = 0.0
     line_noise: Annotated[
@@ -118,14 +150,18 @@ class Rig:
             raise ValueError(f"working range is {span}; it needs 0 < near_m < far_m")
         if self.baseline_m < 1e-6:
             raise ValueError(
-                "camera and projector are in one place; triangulation needs a baseline"
+                "camera and projector have the same position: give them a baseline, which "
+                "triangulation needs"
             )
         if self.baseline_m > 10:
             raise ValueError(
-                f"baseline is {self.baseline_m:.3g} m: is T in millimetres? it must be in metres"
+                f"baseline is {self.baseline_m:.3g} m: give T in metres, not in millimetres"
             )
         if min(self.band_weights) < 0 or abs(sum(self.band_weights) - 1) > 1e-6:
-            raise ValueError(f"band_weights are {self.band_weights}; shares of 1 in R, G, B")
+            raise ValueError(
+                f"band_weights are {self.band_weights}; give the shares of R, G and B, whose sum "
+                "is 1"
+            )
 
     @property
     def baseline_m(self) -> float:

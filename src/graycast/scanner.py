@@ -54,7 +54,8 @@ class ExposureSpec:
         tuple[Positive, ...],
         Field(
             min_length=1,
-            description="times taken, in shares of that one; several are merged (HDR)",
+            description="The exposure times as multiples of the chosen exposure; several "
+            "pictures are merged (HDR).",
         ),
     ] = (1.0,)
 

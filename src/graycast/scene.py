@@ -74,7 +74,10 @@ class Quad:
     def __post_init__(self) -> None:
         u, v = np.array(self.half_u_m), np.array(self.half_v_m)
         if not (u.any() and v.any()) or abs(u @ v) > 1e-6 * np.linalg.norm(u) * np.linalg.norm(v):
-            raise ValueError(f"a quad needs two half edges at right angles, not {u} and {v}")
+            raise ValueError(
+                f"the two half edges of a quad are {u} and {v}; they must be perpendicular and "
+                "not 0"
+            )
 
     @property
     def texture_repeats(self) -> tuple[float, float]:
@@ -126,7 +129,9 @@ class Lamp:
     def __post_init__(self) -> None:
         check_fields(self)
         if self.center_m == self.target_m:
-            raise ValueError(f"the lamp at {self.center_m} looks at itself: move its target_m")
+            raise ValueError(
+                f"the lamp at {self.center_m} has its target at its own position: move target_m"
+            )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -154,7 +159,7 @@ class Scene:
             raise ValueError("T_world_cam is not a rotation and a translation")
         labelled = [part.labelled for part in self.parts]
         if labelled != sorted(labelled, reverse=True):  # a label is a place among the parts
-            raise ValueError(f"labelled parts are {labelled}: those without a label go last")
+            raise ValueError(f"labelled parts are {labelled}: parts without a label must come last")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -188,7 +193,7 @@ def bin_of(scene: Scene) -> Bin:
         ValueError: the scene has none.
     """
     if scene.bin is None:
-        raise ValueError("this scene has no bin, which it needs here: give Scene(bin=...)")
+        raise ValueError("this scene has no bin, which this function needs: give Scene(bin=...)")
     return scene.bin
 
 

@@ -42,7 +42,7 @@ class SensorSpec:
     pixel_pitch_m: Annotated[float, Field(gt=0, le=1e-3)] = 3.45e-6
     quantum_efficiency: Annotated[float, Field(gt=0, le=1)] = 0.6
     wavelength_m: Annotated[
-        float, Field(gt=0, le=1e-4, description="of the light that is measured")
+        float, Field(gt=0, le=1e-4, description="Wavelength of the measured light in metres.")
     ] = 525e-9
     f_number: Positive = 8.0
     lens_transmission: Annotated[float, Field(gt=0, le=1)] = 1.0
@@ -52,12 +52,26 @@ class SensorSpec:
     gain_dn_per_e: Positive = 0.39
     offset_dn: Level = 64.0
     bit_depth: Annotated[int, Field(ge=1, le=16)] = 12
-    dsnu_e: Annotated[float, Field(ge=0, description="fixed pattern of the offsets")] = 0.0
+    dsnu_e: Annotated[
+        float,
+        Field(ge=0, description="Standard deviation of the pixels' offsets in electrons (DSNU)."),
+    ] = 0.0
     prnu: Annotated[
-        float, Field(ge=0, lt=0.25, description="fixed pattern of the gains, a share")
+        float,
+        Field(
+            ge=0,
+            lt=0.25,
+            description="Standard deviation of the pixels' gains, "
+            "relative to the mean gain (PRNU).",
+        ),
     ] = 0.0
     fpn_seed: Annotated[
-        int, Field(ge=0, description="of both fixed patterns; they belong to the sensor")
+        int,
+        Field(
+            ge=0,
+            description="Seed of both fixed patterns, which belong to the "
+            "sensor and not to the scene.",
+        ),
     ] = 0
 
     def __post_init__(self) -> None:
@@ -149,8 +163,9 @@ def auto_exposure_s(
     level = float(np.percentile(brightest, percentile))
     if not level > 0:
         raise ValueError(
-            f"percentile {percentile} of the brightest frame is {level}: the scene is dark there; "
-            "set exposure_s, raise the percentile, or point the rig at the scene"
+            f"percentile {percentile} of the brightest frame is {level}: the scene is too dark "
+            "for automatic exposure; set exposure_s, raise the percentile, or point the rig at "
+            "the scene"
         )
     range_e = (sensor.saturation_dn - sensor.offset_dn) / sensor.gain_dn_per_e
     return target * range_e / (sensor.responsivity * level + sensor.dark_current_e_s)
@@ -225,9 +240,9 @@ def merge_exposures(captures: Sequence[Capture]) -> Capture:
     A pixel within its noise of saturation is chosen by its noise, which lowers its mean a little.
     """
     if not captures:
-        raise ValueError("there are no captures to merge; give at least one")
+        raise ValueError("no captures are given to merge; give at least one")
     if any(isinstance(capture.exposure_s, np.ndarray) for capture in captures):
-        raise ValueError("a capture to merge is merged already; give single exposures")
+        raise ValueError("one of the captures is already merged; give single exposures")
     first, *longer = sorted(captures, key=lambda capture: capture.exposure_s)
     for other in longer:
         if (other.frames.shape, other.sensor) != (first.frames.shape, first.sensor):

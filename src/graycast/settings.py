@@ -37,7 +37,7 @@ Finite = Annotated[float, Field(allow_inf_nan=False)]  # in files every number i
 
 def _ordered(span: tuple[Any, Any]) -> tuple[Any, Any]:
     if span[0] > span[1]:
-        raise ValueError("give [lowest, highest], the lowest first")
+        raise ValueError("give two numbers [lowest, highest] in this order")
     return span
 
 
@@ -217,9 +217,11 @@ def read_text(path: Path) -> str:
     except FileNotFoundError as error:
         raise ConfigError(f"{path}: no such file: check the path") from error
     except OSError as error:
-        raise ConfigError(f"{path}: cannot be read ({error.strerror}): give a file") from error
+        raise ConfigError(
+            f"{path}: cannot be read ({error.strerror}): give a readable file"
+        ) from error
     except UnicodeDecodeError as error:
-        raise ConfigError(f"{path}: is not a text file: give YAML") from error
+        raise ConfigError(f"{path}: is not a text file: give a YAML file") from error
 
 
 def parse_yaml(text: str, path: Path) -> Mapping[str, Any]:
@@ -230,11 +232,13 @@ def parse_yaml(text: str, path: Path) -> Mapping[str, Any]:
         mark = getattr(error, "problem_mark", None)
         line = f" in line {mark.line + 1}" if mark else ""
         why = getattr(error, "problem", None) or "bad characters"
-        raise ConfigError(f"{path}: is not YAML{line} ({why}): mend or remove that line") from error
+        raise ConfigError(
+            f"{path}: is not YAML{line} ({why}): correct or remove that line"
+        ) from error
     except (ValueError, RecursionError) as error:  # an impossible date, brackets without end
-        raise ConfigError(f"{path}: is not YAML ({error}): mend or remove that line") from error
+        raise ConfigError(f"{path}: is not YAML ({error}): correct or remove that line") from error
     if not isinstance(content, Mapping):
-        raise ConfigError(f"{path}: holds no keys: give a mapping such as 'name: value' lines")
+        raise ConfigError(f"{path}: holds no keys: give lines such as 'name: value'")
     return content
 
 

@@ -119,7 +119,7 @@ def _taken(
         )
     with _timed(timings, "sensor"):
         capture = take(scanner, rendering.radiance, seed=seeds["noise"])
-    on_stage("the pictures are decoded")
+    on_stage("decoding the pictures")
     with _timed(timings, "picture"):
         noisy = config.render.denoise and quality.denoise == "none"
         rgb = color_picture(

@@ -11,57 +11,83 @@ from .settings import Positive, Settings, Share, read_settings
 
 
 class TestSection(Settings):
-    """Sets of scenes that detectors are scored on; one for each part, or one for all."""
+    """The scenes on which detectors are scored: one dataset for each part, or one for all parts."""
 
-    datasets: tuple[Path, ...] = Field(min_length=1, description="folders, relative to the file")
+    datasets: tuple[Path, ...] = Field(
+        min_length=1, description="Folders of datasets, relative to the study's file."
+    )
     split: Literal["train", "val", "test", "all"] = Field(
-        "all", description="test: the scenes that the training left, of its own dataset"
+        "all",
+        description="The set of scenes to score: test holds the scenes that the "
+        "training did not use.",
     )
     as_real: bool = Field(
-        False, description="hide perfect depth: what was trained on it sees the scanner's"
+        False,
+        description="Whether perfect depth is hidden, so that a detector trained on "
+        "it gets the scanner's depth.",
     )
 
 
 class ModelSection(Settings):
     """A network to train."""
 
-    model: str = Field(description="as graycast train --model has it")
-    backbone: str | None = Field(None, description="left out: the model's own")
-    epochs: int | None = Field(None, ge=1, description="left out: the study's")
-    learning_rate: Positive | None = Field(None, description="left out: the model's")
-    seeds: tuple[int, ...] | None = Field(None, min_length=1, description="left out: the study's")
+    model: str = Field(description="The network, with a name as in graycast train --model.")
+    backbone: str | None = Field(
+        None, description="The backbone. Without this key, it is the model's own."
+    )
+    epochs: int | None = Field(None, ge=1, description="Without this key, it is the study's value.")
+    learning_rate: Positive | None = Field(
+        None, description="The highest learning rate. Without this key, it is the model's own."
+    )
+    seeds: tuple[int, ...] | None = Field(
+        None, min_length=1, description="Without this key, it is the study's value."
+    )
 
 
 class EncodingSection(Settings):
-    """How depth is told to a network; more than one make an ablation."""
+    """How depth is encoded for a network. Several encodings make an ablation study."""
 
-    name: str = Field(description="in the table")
+    name: str = Field(description="The name of the encoding in the table.")
     holes: Literal["channel", "zero", "far"] = "channel"
     relief: bool = True
 
 
 class StudySpec(Settings):
-    """Detectors to train and worlds to score them in; each of all combinations is one run.
+    """Detectors to train and test sets to score them on; each combination is one run.
 
-    Relative paths start at the file's folder.
+    Relative paths start in the folder of the study's file.
     """
 
-    title: str = Field("Study", description="of the table")
+    title: str = Field("Study", description="The title of the table.")
     models: tuple[ModelSection, ...] = Field(min_length=1)
-    inputs: tuple[str, ...] = Field(min_length=1, description="as graycast train --input has them")
+    inputs: tuple[str, ...] = Field(
+        min_length=1,
+        description="The inputs of the networks, with names as in graycast train --input.",
+    )
     encodings: tuple[EncodingSection, ...] = (EncodingSection(name="default"),)
     training: dict[str, tuple[Path, ...]] = Field(
-        min_length=1, description="sets to learn from, by name: each some folders of datasets"
+        min_length=1,
+        description="The training sets by name; each is a list of folders of datasets.",
     )
-    tests: dict[str, TestSection] = Field(min_length=1, description="worlds, by name")
-    gap: tuple[str, str] | None = Field(None, description="a world and another: own less other")
+    tests: dict[str, TestSection] = Field(min_length=1, description="The test sets by name.")
+    gap: tuple[str, str] | None = Field(
+        None,
+        description="Two test sets; the table states "
+        "the score in the first minus the "
+        "score in the second.",
+    )
     seeds: tuple[int, ...] = (0,)
     split: tuple[Share, Share, Share] = Field(
-        (0.8, 0.1, 0.1), description="shares of train, val and test in the sets to learn from"
+        (0.8, 0.1, 0.1),
+        description="The shares of train, val and test scenes in the training sets.",
     )
-    one_class: bool = Field(False, description="where something is, not what it is")
+    one_class: bool = Field(
+        False, description="Whether all parts are one class, so that the kind of a part is ignored."
+    )
     epochs: int = Field(20, ge=1)
-    longest_px: int = Field(320, ge=32, description="the longer side of a network's input")
+    longest_px: int = Field(
+        320, ge=32, description="The longer side of the network's input picture in pixels."
+    )
     batch: int | None = Field(None, ge=1)
     min_visibility: Share = 0.1
 
@@ -69,10 +95,16 @@ class StudySpec(Settings):
     def _known_worlds(self) -> "StudySpec":
         for name in self.gap or ():
             if name not in self.tests:
-                raise ValueError(f"gap names {name!r}, which is none of {', '.join(self.tests)}")
+                raise ValueError(
+                    f"gap names {name!r}, which is no test set: choose two of "
+                    f"{', '.join(self.tests)}"
+                )
         counts = {len(self.tests[name].datasets) for name in self.gap or ()}
         if len(counts) > 1:
-            raise ValueError("gap: both worlds need as many datasets, of the same parts in turn")
+            raise ValueError(
+                "gap: the two test sets must have the same number of datasets, with the same "
+                "parts in the same order"
+            )
         return self
 
     @property

@@ -29,21 +29,25 @@ Count = Annotated[int, Field(ge=1, le=MOST_VIEWS)]
 
 
 class ViewSection(Settings):
-    """Where the rig hangs. At azimuth 0 its baseline runs along the world's x."""
+    """The pose of the rig. At azimuth 0, its baseline is parallel to the world's x axis."""
 
     distance_m: Positive | None = Field(
         None,
-        description="From the baseline's middle to the target. Left out, the axes meet there.",
+        description="The distance from the middle of the baseline to the target in metres. "
+        "Without this key, the optical axes of camera and projector meet at the "
+        "target.",
     )
     tilt_deg: float = Field(0.0, ge=0, le=80)
     azimuth_deg: float = 0.0
     target_m: Vector | None = Field(
         None,
-        description="What the rig looks at. Left out, it is a third of the bin's height up.",
+        description="The point in the world that the rig looks at, in metres. Without this "
+        "key, it is above the middle of the floor at a third of the bin's height.",
     )
     T_world_cam: tuple[float, ...] | None = Field(
         None,
-        description="The camera's pose, which replaces all other keys: 4x4, by rows [m].",
+        description="The camera's pose, which replaces all other keys: the 16 numbers of a "
+        "4x4 matrix by rows, in metres.",
         exclude_if=lambda pose: pose is None,  # so that older datasets can go on
     )
 

@@ -163,7 +163,10 @@ def test_a_stored_scene_without_any_scanner_depth_is_a_problem(copy):
         path = copy / "train/000000" / name / "000000.png"
         image = cv2.imread(str(path), -1)
         cv2.imwrite(str(path), np.full_like(image, value))
-    assert any("have a scanner depth, that is none" in p.what for p in validate(copy))
+    assert any(
+        "of the pixels have a scanner depth, so no pixel has one: the scene" in p.what
+        for p in validate(copy)
+    )
 
 
 CELLS = {

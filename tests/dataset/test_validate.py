@@ -268,7 +268,7 @@ DATASET_DAMAGE = {
     "a scene dropped": (lambda out: shutil.rmtree(out / "train/000003"), "see .3."),
     "a half scene": (lambda out: (out / "train/.tmp-000005-ab").mkdir(), "left over"),
     "a stray folder": (lambda out: (out / "train/new").mkdir(), "train/new is no scene"),
-    "no split file": (lambda out: (out / "train_coco.json").unlink(), "has the run finished"),
+    "no split file": (lambda out: (out / "train_coco.json").unlink(), "let the run finish"),
     "no camera": (lambda out: (out / "camera.json").unlink(), "camera.json is missing"),
     "no model": (lambda out: (out / "models/obj_000002.ply").unlink(), "obj_000002.ply is missing"),
     "half a model": (lambda out: truncate(out / "models/obj_000001.ply"), "obj_000001.ply"),

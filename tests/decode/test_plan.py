@@ -33,14 +33,17 @@ def is_complementary(f):
             "5 Gray bits of 1 px reach 32 px, the projector has 64: is the coarsest bit missing",
         ),
         (without(GRAY, bit_is(3, False)), "bit 3 has an inverse but no frame of its own"),
-        (without(GRAY, lambda f: f.bit == 3), "Gray bit 3 is missing between others"),
+        (
+            without(GRAY, lambda f: f.bit == 3),
+            "Gray bit 3 is missing between finer and coarser bits",
+        ),
         (
             without(xor_gray(64, 48, inverses=False), bit_is(1, False)),
-            "Gray bit 1 is missing between others|which must be there on its own",
+            "Gray bit 1 is missing between finer and coarser bits|which must be there on its own",
         ),
         (
             without(xor_gray(64, 48, base_bit=0, inverses=False), bit_is(0, False)),
-            "bit 5 is combined with bit 0, which must be there on its own",
+            "bit 5 is combined with bit 0, which the code must also have uncombined",
         ),
         (
             without(PHASE, is_complementary),
@@ -48,13 +51,13 @@ def is_complementary(f):
         ),
         (
             without(PHASE, lambda f: is_complementary(f) and not f.inverse),
-            "the complementary bit is there as an inverse only",
+            "the complementary bit has an inverse frame but no frame of its own",
         ),
         (
             without(PHASE, lambda f: f.kind == "gray"),
-            "a complementary bit, but no Gray bits before it",
+            "the code has a complementary bit but no Gray bits: add the Gray bits",
         ),
-        (replace(PHASE, stride_px=(32.0, 32.0)), "is stride_px the period"),
+        (replace(PHASE, stride_px=(32.0, 32.0)), "stride_px must be the period"),
         (
             replace(
                 PHASE,
@@ -71,11 +74,11 @@ def is_complementary(f):
         ),
         (
             without(multi_frequency(128, 96), lambda f: f.kind == "phase" and f.step > 0),
-            "no period has all its steps; one must",
+            "no period has all its steps; give at least one period with all its",
         ),
         (
             without(PHASE, lambda f: f.kind in ("gray", "complementary")),
-            "one period of 16 px repeats over the projector's 128 px",
+            "one period of 16 px repeats within the projector's 128 px",
         ),
     ],
 )
@@ -119,7 +122,7 @@ def test_impossible_settings_are_refused_by_name(name, value):
 @pytest.mark.parametrize(
     ("words", "message"),
     [
-        ({"saturation_dn": 10.0}, "saturation lies above the offset"),
+        ({"saturation_dn": 10.0}, "saturation_dn must be greater than offset_dn"),
         ({"floor_dn2": 0.0}, "the floor is positive"),
         ({"slope_dn": -0.1}, "the slope not negative"),
     ],

@@ -122,7 +122,7 @@ def test_the_committed_study_compares_24_settings():
         ),
         (
             {"sweeps": [{"distance_m": [0.6]}, {"distance_m": [0.6, 0.9]}]},
-            ["the setting 0.6m comes 2 times", "leave it out of one sweep"],
+            ["the setting 0.6m comes 2 times", "remove it from one sweep, or rename a rig file"],
         ),
         (
             {"sweeps": [{"distance_m": [850]}]},

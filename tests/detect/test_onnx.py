@@ -77,5 +77,5 @@ def test_a_file_that_finds_other_things_is_refused(moved_px, dimmed, agrees):
     if agrees:
         _compare(session, known, torch.zeros(1))
         return
-    with pytest.raises(GraycastError, match="onnxruntime finds other things than torch"):
+    with pytest.raises(GraycastError, match="onnxruntime finds other detections than torch"):
         _compare(session, known, torch.zeros(1))

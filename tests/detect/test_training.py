@@ -198,11 +198,11 @@ def test_what_cannot_be_trained_is_said_in_one_line(dataset, tmp_path, capsys):
     assert "is not a Graycast dataset" in told(given=tmp_path / "nowhere")
     assert "no backbone 'vgg'" in told("--backbone", "vgg", to=tmp_path / "v")
     assert "split: val gets none" in told("--split", "0.99,0.01,0", to=tmp_path / "s")
-    assert "is not there: give a file of weights" in told(
+    assert "does not exist: give a file of weights" in told(
         "--weights", tmp_path / "no.pth", to=tmp_path / "w"
     )
     (tmp_path / "text.pth").write_text("no weights")
-    assert "is damaged or no file of weights" in told(
+    assert "is damaged or is not a file of weights" in told(
         "--weights", tmp_path / "text.pth", to=tmp_path / "w2"
     )
     (tmp_path / "full").mkdir()
@@ -226,7 +226,7 @@ def test_a_training_that_could_not_begin_leaves_the_folder_free(dataset, tmp_pat
         with pytest.raises(GraycastError):
             train([dataset], tmp_path / "run", replace(SMALL, **changed))
         assert not (tmp_path / "run").exists()
-    with pytest.raises(GraycastError, match="the loss is no number"):
+    with pytest.raises(GraycastError, match="the loss is not a number after"):
         train([dataset], tmp_path / "run", replace(SMALL, learning_rate=1e30, epochs=20))
     train([dataset], tmp_path / "run", SMALL)
 
@@ -235,7 +235,10 @@ def test_two_trainings_in_one_folder_are_refused(dataset, tmp_path):
     """Also before the first checkpoint, and only as long as the other one goes on."""
     other = RunFolder(tmp_path / "run")
     with other.claimed({}):
-        with pytest.raises(GraycastError, match="another training is going on in this folder"):
+        with pytest.raises(
+            GraycastError,
+            match="another training runs in this folder: wait until it ends, or choose",
+        ):
             train([dataset], tmp_path / "run", replace(SMALL, epochs=1))
         assert json.loads((tmp_path / "run" / "run.json").read_text()) == {}
     train([dataset], tmp_path / "run", replace(SMALL, epochs=1))
@@ -309,7 +312,7 @@ def test_weights_of_another_model_are_refused(dataset, tmp_path):
 
 
 def test_a_loss_that_is_no_number_stops_the_training(dataset, tmp_path):
-    with pytest.raises(GraycastError, match=r"the loss is no number after \d+ steps: lower"):
+    with pytest.raises(GraycastError, match=r"the loss is not a number after \d+ steps: lower"):
         train([dataset], tmp_path / "run", replace(SMALL, learning_rate=1e30, epochs=20))
 
 
@@ -318,12 +321,14 @@ def test_a_damaged_checkpoint_or_detector_is_named(dataset, tmp_path):
     train([dataset], run, SMALL)
     content = (run / "detector.pt").read_bytes()
     (run / "detector.pt").write_bytes(content[: len(content) // 2])
-    with pytest.raises(GraycastError, match=r"detector\.pt: is damaged or no detector"):
+    with pytest.raises(GraycastError, match=r"detector.pt: is damaged or is not a detector"):
         load_detector(run)
     (run / "checkpoint.pt").write_bytes(b"")
     with pytest.raises(GraycastError, match=r"checkpoint\.pt: is damaged: remove it"):
         train([dataset], run, SMALL)
-    with pytest.raises(GraycastError, match="is not there: give a folder that graycast train"):
+    with pytest.raises(
+        GraycastError, match="does not exist: give a folder that graycast train wrote"
+    ):
         load_detector(tmp_path / "nowhere")
 
 
@@ -365,7 +370,9 @@ def test_what_cannot_be_looked_at_is_said_in_one_line(dataset, run, tmp_path, ca
     assert "is not empty and holds no earlier result" in told(out=tmp_path / "mine")
     assert "no pictures are given" in refusal(capsys, "detect", run, "--out", tmp_path / "found")
     if not torch.cuda.is_available():
-        assert "torch finds no NVIDIA GPU: take --device cpu" in told("--device", "cuda")
+        assert "torch finds no NVIDIA GPU: use --device cpu, or repair the driver" in told(
+            "--device", "cuda"
+        )
     assert not (tmp_path / "found").exists()
 
 
@@ -375,7 +382,7 @@ def test_a_dataset_of_other_parts_is_refused(run, tmp_path, capsys):
         text = (other / name).read_text()
         (other / name).write_text(text.replace('"disc"', '"nut"').replace('"box"', '"bolt"'))
     told = refusal(capsys, "detect", run, other, "--out", tmp_path / "found")
-    assert "has nut, bolt, and the detector knows disc, box" in told
+    assert "has nut, bolt, and the detector was trained on disc, box" in told
 
 
 def test_a_picture_that_is_cut_off_is_named(run, tmp_path, capsys):
@@ -398,7 +405,7 @@ def test_a_full_disk_is_said_before_the_training(dataset, tmp_path, monkeypatch)
 @pytest.mark.parametrize(
     ("changed", "told"),
     [
-        ({"epochs": 0}, "epochs is 0: a whole number from 1 up"),
+        ({"epochs": 0}, "epochs is 0: give a whole number of at least 1"),
         ({"batch": 0}, "batch is 0"),
         ({"learning_rate": 0.0}, "learning_rate is 0"),
         ({"model": "yolov9"}, "no model 'yolov9': choose one of mask-rcnn"),

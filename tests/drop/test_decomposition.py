@@ -309,7 +309,10 @@ def test_a_part_of_too_much_detail_is_cut_more_coarsely_and_says_so(monkeypatch)
     monkeypatch.setattr(making, "MOST_PIECES", 4)
     hulls = decompose(zoo_part("nut").mesh, on_stage=told.append)
     assert 1 <= len(hulls) <= 4
-    assert any(stage.startswith("too detailed for that: cutting within 1.00 mm") for stage in told)
+    assert any(
+        stage.startswith("the mesh is too detailed for this bound: cutting within 1.00 mm")
+        for stage in told
+    )
 
 
 def test_hulls_off_by_more_than_their_bound_say_so_with_the_measured_figure():

@@ -86,7 +86,7 @@ def test_a_worker_that_is_killed_is_replaced_and_its_scene_made_again(task):
     (failed,) = [outcome for outcome in outcomes if isinstance(outcome, Failed)]
     assert isinstance(failed.error, WorkerDied)
     assert str(failed.error) == (
-        "its worker process was killed (SIGKILL, by hand or by the system for lack of memory)"
+        "its worker process was killed (SIGKILL, by a user or by the operating system for lack of memory)"
     )
     made = [outcome.scene_id for outcome in outcomes if isinstance(outcome, Made)]
     assert sorted(made) == [0, 1, 2]

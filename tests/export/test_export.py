@@ -73,7 +73,7 @@ def test_a_folder_in_use_is_left_alone(master, tmp_path):
         export(master, tmp_path, Options(format="coco"))
     with pytest.raises(GraycastError, match="is a file"):
         export(master, tmp_path / "thesis.txt", Options(format="coco"))
-    with pytest.raises(GraycastError, match="lies in the dataset"):
+    with pytest.raises(GraycastError, match="is inside the dataset: choose a folder outside of it"):
         export(master, master / "export", Options(format="coco"))
     assert [path.name for path in tmp_path.iterdir()] == ["thesis.txt"]
     with pytest.raises(DatasetError, match="is not a Graycast dataset"):
@@ -103,7 +103,7 @@ def test_a_link_to_another_disk_says_so(master, tmp_path, monkeypatch):
         raise OSError(18, "Invalid cross-device link")
 
     monkeypatch.setattr(os, "link", refuse)
-    with pytest.raises(GraycastError, match="export to the same disk, or copy"):
+    with pytest.raises(GraycastError, match="export to the same disk, or omit --link"):
         export(master, tmp_path / "out", Options(format="yolo", link=True))
     assert not list(tmp_path.iterdir())
 

@@ -52,7 +52,7 @@ def _place(seed, scene_id):
         ({f"train-{k:06d}": [] for k in range(10, 15)}, {}, r"000012 and 2 more"),
         ({}, {}, "names no scene"),
         ({"train-000003": []}, {"fingerprint": "0"}, r"another dataset \(bins\)"),
-        ({"train-000003": []}, {"kind": "coco"}, "no selection of scenes"),
+        ({"train-000003": []}, {"kind": "coco"}, "is not a selection of scenes"),
     ],
 )
 def test_a_file_that_does_not_fit_is_refused_and_nothing_is_left(

@@ -97,7 +97,10 @@ def test_a_part_that_changed_is_refused(folder, capsys):
     told["config"]["parts"][0]["density_kg_m3"] = 2.0
     claim.write_text(json.dumps(told))
     assert label(folder) == 1
-    assert "is not what it was" in capsys.readouterr().err
+    assert (
+        "has changed since the dataset was made: restore its files, or use the"
+        in capsys.readouterr().err
+    )
     assert not (folder / "ds/grasps").exists()
 
 

@@ -41,7 +41,7 @@ def test_a_value_is_put_at_its_place_and_nothing_else_moves():
         ("parts.x", 1, "x is none of them"),
         ("ambient", -1, "ambient is -1"),
         ("ambient", "much", "give a number"),
-        ("rig.power", 0, "give a factor above 0"),
+        ("rig.power", 0, "give a factor greater than 0 and at most 1000"),
         ("rig.toe_in_deg", 61, "give degrees from -60 to 60"),
         ("rig.weight", 1, "the keys are power, baseline, toe_in_deg"),
     ],

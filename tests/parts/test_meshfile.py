@@ -301,7 +301,7 @@ REFUSALS = [
     (wrong_index, {}, ["unreadable as OBJ", "index 99"]),
     (nan_vertex, {}, ["1 vertices are NaN or infinite", "export"]),
     (infinite_vertex, {}, ["1 vertices are NaN or infinite", "export"]),
-    (one_point, {}, ["all vertices are in one place"]),
+    (one_point, {}, ["all vertices have the same position; export the mesh again"]),
     (open_box, {}, ["open: 3 boundary edges", "close its holes"]),
     (one_face_turned, {}, ["wound both ways round at 3 edges", "recalculate the normals"]),
     (inside_out, {}, ["inside out", "negative volume", "flip its normals"]),

@@ -159,8 +159,11 @@ WHITE = Frame(kind="white")
         (lambda: Frame(kind="gray", bit=1), "has axis None"),
         (lambda: Frame(kind="gray", axis="column"), "bit -1; 0 .finest. to 23"),
         (lambda: Frame(kind="gray", axis="row", bit=3, xor_bit=24), "xor_bit 24"),
-        (lambda: Frame(kind="phase", axis="row", period_px=1.0), "period_px 1.0; 2 or more"),
-        (lambda: Frame(kind="phase", axis="row", period_px=9.0, steps=2), "steps 2; 3 or more"),
+        (lambda: Frame(kind="phase", axis="row", period_px=1.0), "period_px 1.0; give at least 2"),
+        (
+            lambda: Frame(kind="phase", axis="row", period_px=9.0, steps=2),
+            "steps 2; give at least 3",
+        ),
         (
             lambda: Frame(kind="phase", axis="row", period_px=9.0, steps=4, step=4),
             "step 4; from 0 to below 4",
@@ -171,14 +174,14 @@ WHITE = Frame(kind="white")
         ),
         (lambda: Frame(kind="line", axis="row", period_px=9.0, steps=4), "steps is 4, period_px 9"),
         (lambda: Code(width_px=8, height_px=8, frames=(WHITE,)), "no frame carries a code"),
-        (lambda: Code(width_px=8, height_px=8, frames=gray(8, 8).frames * 2), "white is there tw"),
+        (lambda: Code(width_px=8, height_px=8, frames=gray(8, 8).frames * 2), "white occurs twice"),
         (
             lambda: Code(width_px=8, height_px=8, frames=gray(8, 8).frames, stride_px=(0.0, 1.0)),
             "stride_px is .0.0, 1.0.",
         ),
         (lambda: multi_frequency(40, 30, period_px=16.0), "3.5 periods of 16.0 px"),
         (lambda: gray_phase(16, 12, period_px=16.0), "one period spans all pixels"),
-        (lambda: gray_line_shift(64, 8, period_px=7.5), "period_px is 7.5; lines move by whole"),
+        (lambda: gray_line_shift(64, 8, period_px=7.5), "period_px is 7.5; give a whole number"),
     ],
 )
 def test_frames_and_codes_without_sense_are_refused(make, message):

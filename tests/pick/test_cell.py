@@ -50,9 +50,15 @@ def test_the_small_cell_itself_is_fine(tmp_path):
         ({"tool": {"kind": "jaws"}, "picking": {"knows": "depth"}}, "jaws need a known model"),
         ({"picking": {"knows": "part", "detector": "none"}}, "needs a detector"),
         ({"picking": {"detector": "nowhere"}}, "nowhere"),
-        ({"picking": {"depth": "noisy"}}, "depth_noise_m belong together"),
-        ({"picking": {"place_m": [0.0, 0.0, 0.3]}}, "over the bin itself"),
-        ({"picking": {"place_m": [0.0, -0.4, 0.02]}}, "the arm, with a part of up to"),
+        (
+            {"picking": {"depth": "noisy"}},
+            "depth: noisy and depth_noise_m are used only together: give both or",
+        ),
+        (
+            {"picking": {"place_m": [0.0, 0.0, 0.3]}},
+            "which is over the bin: give a place beside the bin",
+        ),
+        ({"picking": {"place_m": [0.0, -0.4, 0.02]}}, "the arm with a part of up to"),
         ({"picking": {"most_lean_deg": 95}}, "most_lean_deg"),
         ({"domain": {"kind": "adapted"}}, "remove domain"),
     ],

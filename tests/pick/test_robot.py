@@ -121,7 +121,7 @@ def test_a_urdf_file_is_the_robot_that_it_says(tmp_path):
         ),
         (
             re.sub('velocity="[^"]*"', 'velocity="0"', urdf(ARMS["ur5e"]), count=1),
-            "joint1 has no speed: give its limit a velocity above 0",
+            "joint1 has no speed limit: give its limit a velocity greater than 0",
         ),
         (
             re.sub("<sphere [^>]*>", '<mesh filename="gone.stl" />', urdf(ARMS["ur5e"]), count=1),

@@ -124,7 +124,7 @@ def test_too_little_depth_finds_nothing(bracket, model):
 
 def test_another_cameras_picture_is_refused(bracket, model):
     depth, mask = scan(bracket.mesh, pose(0))
-    with pytest.raises(ValueError, match="are they of one picture"):
+    with pytest.raises(ValueError, match="give depth, mask and camera of one picture"):
         find_pose(model, depth[:-1], CAMERA, mask[:-1])
 
 

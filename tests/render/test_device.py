@@ -104,7 +104,7 @@ def test_a_user_s_link_is_judged_by_what_it_points_to(tmp_path, monkeypatch):
 
 @pytest.mark.parametrize(
     ("name", "message"),
-    [("gone/libLLVM-19.so", "which is no file: unset"), ("odd.so", "whose release is unknown")],
+    [("gone/libLLVM-19.so", "which is no file: unset"), ("odd.so", "whose version is unknown")],
 )
 def test_a_user_s_library_that_cannot_be_is_refused(tmp_path, monkeypatch, name, message):
     make_library(tmp_path, "odd.so")
@@ -166,7 +166,7 @@ def test_without_a_library_the_one_command_is_told(monkeypatch, tmp_path, name, 
 
 @pytest.mark.parametrize(
     ("cuda", "why"),
-    [(NO_GPU, "no NVIDIA driver"), (CudaState(devices=("X",)), "libnvoptix.so.1 does not load")],
+    [(NO_GPU, "no NVIDIA driver"), (CudaState(devices=("X",)), "libnvoptix.so.1 cannot be loaded")],
 )
 def test_cuda_that_is_not_there_says_why(monkeypatch, cuda, why):
     monkeypatch.setattr(device, "examine_cuda", lambda: cuda)

@@ -73,7 +73,7 @@ def test_the_table_tells_sizes_masses_materials_and_symmetries():
     assert cells[0][:4] == ["small", "10.0 x 20.0 x 30.0", "12 g", "12"]
     assert cells[0][4:6] == ["metal, colour 0.5 0.5 0.5, roughness 0.3", "any turn about y"]
     assert cells[1][:4] == ["a_long_name", "100.0 x 200.0 x 300.0", "12 kg", "12"]
-    assert cells[1][4:6] == ["dielectric, texture 30 x 20, roughness 0.7", "4 poses look alike"]
+    assert cells[1][4:6] == ["dielectric, texture 30 x 20, roughness 0.7", "4 equivalent poses"]
     assert cells[2][4:6] == ["Lambertian, colour 0.5 0.5 0.5", "none"]
     # Columns are flush: every size ends where the head's does.
     ends = {row.index(cell[1]) + len(cell[1]) for row, cell in zip(rows, cells, strict=True)}

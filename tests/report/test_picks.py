@@ -269,7 +269,10 @@ def test_damaged_picks_are_told_in_one_line(copied, tmp_path, capfd, damage, sai
             ["report", "{picks}", "--out", "{out}", "--detections", "x"],
             "--detections applies only to a dataset",
         ),
-        (["report", "{picks}", "--out", "{picks}"], "page a folder of its own"),
+        (
+            ["report", "{picks}", "--out", "{picks}"],
+            "is the dataset itself: give another folder for the page",
+        ),
         (["replay", "{out}", "--out", "{out}.gif"], "holds no picks"),
         (["report", "{picks}", "--out", "{out}", "--cell", "/nowhere/c.yaml"], "give the cell's"),
     ],
@@ -289,6 +292,6 @@ def test_mixed_cells_need_to_know_which_part_is_which(replay, picks):
     scene = replay.cell.cell.scene
     two = replace(scene, parts=(*scene.parts, replace(scene.parts[0], name="other")))
     mixed = replace(replay, cell=replace(replay.cell, cell=replace(replay.cell.cell, scene=two)))
-    with pytest.raises(GraycastError, match="which part is of which kind"):
+    with pytest.raises(GraycastError, match="does not state the kind of each part: remove"):
         mixed.kinds(episode)
     assert mixed.kinds(replace(episode, kinds=(1, 0))) == (1, 0)

@@ -199,7 +199,7 @@ def test_a_stack_file_that_is_not_there_or_no_yaml_is_named(tmp_path):
 @pytest.mark.parametrize(
     ("level", "says"),
     [
-        (4, "nothing is lit: .*values are 4 to 4 DN"),
+        (4, "no pixel is lit .*values are 4 to 4 DN"),
         (255, "are saturated .*255 to 255 DN"),
     ],
 )
@@ -211,7 +211,7 @@ def test_pictures_that_are_all_dark_or_all_white_are_refused(level, says, make, 
 
 def test_pictures_that_are_overexposed_are_refused_or_warned_of(make):
     """Of 40 times the light even the dark frames, 3 % of white, are at the top."""
-    with pytest.raises(GraycastError, match=r"hardly a pixel decodes: .* are saturated"):
+    with pytest.raises(GraycastError, match=r"almost no pixel is decoded: .* are saturated"):
         decode_stack(make(lambda *_: None, stack=shoot(RIG, GRAY, bright=40.0)))
     stack = shoot(RIG, GRAY)
     stack[:, :, :60] = shoot(RIG, GRAY, bright=40.0)[:, :, :60]
@@ -329,12 +329,14 @@ def test_a_wrong_period_without_gray_bits_contradicts_itself(make):
             if e["kind"] == "phase" and abs(e["period_px"] - 16) < 1e-6:
                 e["period_px"] = 17.0
 
-    with pytest.raises(GraycastError, match=r"hardly a pixel decodes: \d+ % .* contradictory"):
+    with pytest.raises(GraycastError, match=r"almost no pixel is decoded: \d+ % .* contradictory"):
         decode_stack(make(edit, THREE))
 
 
 def test_files_that_are_shifted_by_one_are_refused_with_the_first_symptom(make):
-    with pytest.raises(GraycastError, match=r"hardly a pixel decodes.*\(white is darker than bl.*"):
+    with pytest.raises(
+        GraycastError, match=r"almost no pixel is decoded.*\(white is darker than bl.*"
+    ):
         decode_stack(make(shifted_by_one))
 
 

@@ -69,7 +69,7 @@ def test_without_pytorch_it_says_what_to_install(monkeypatch):
 
 
 def test_a_loader_of_pytorch_reads_it_in_its_own_processes(master):
-    torch = pytest.importorskip("torch", reason="PyTorch is not installed: pip install torch")
+    torch = pytest.importorskip("torch", reason="PyTorch is not installed: run pip install torch")
     from graycast.training.torch_dataset import TorchExamples
 
     loader = torch.utils.data.DataLoader(

@@ -1,12 +1,13 @@
 """The agreement study: the same scenes by two renderers that share no code.
 
 Both get the same layouts, patterns, path depth and, for decoding, one exposure of a sensor without
-noise; Mitsuba renders without its footprint filter, whose bias is not Cycles'. What differs is then
-the light transport and the Monte Carlo noise, which in Mitsuba is one for all patterns and in
-Cycles each frame's own: it widens the spread of single pixels' ratios, and leaves the medians.
-Where little light arrives noise decides which pixels can be decoded. So the first renderer, which
-is quick, takes many more samples, and is held against itself with as few as the second, too: that
-is what noise alone does.
+noise; Mitsuba renders without its footprint filter, whose bias is not Cycles'. The renderers
+then differ only in the light transport and in the Monte Carlo noise, which is common to all
+patterns in Mitsuba and independent in each frame of Cycles. The noise widens the spread of the
+ratios of single pixels but does not move their medians. Where little light arrives, noise
+decides which pixels can be decoded. The first renderer, which is fast, therefore uses many more
+samples. It is also compared with itself at the number of samples of the second renderer, which
+shows the effect of noise only.
 """
 
 from collections.abc import Sequence
@@ -29,7 +30,7 @@ EACH = 3  # parts of each material in a scene
 FIRST_FACTOR = 8  # of the second's samples that the first takes
 FEWER_SEED = 10_000  # away from the scenes' own
 BOX = "bin"  # the class of whatever is no part
-LIT_SHARE = 0.02  # of the 99th percentile: enough light for a ratio
+LIT_SHARE = 0.02  # as a share of the 99th percentile: enough light for a ratio
 RATIO_EDGES = np.linspace(0.8, 1.2, 81)
 COLUMN_EDGES = np.linspace(-1.0, 1.0, 81)
 
@@ -49,9 +50,9 @@ class Decoded:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Pair:
-    """One scene by both; `kind` is each pixel's class, an index of names, `BOX` the last.
+    """One scene by both renderers; `kind` is the class of each pixel, and `BOX` is the last class.
 
-    `fewer` is by the first again, with the second's number of samples.
+    `fewer` is by the first renderer with the second's number of samples.
     """
 
     first: Decoded
@@ -146,9 +147,9 @@ def compare(pairs: Sequence[Pair], names: tuple[str, ...]) -> Figures:
 def _lit(
     pairs: Sequence[Pair], light: str, kind: int
 ) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, " n"]]:
-    """The light of both on the pixels of a class that have enough of it in their mean.
+    """The light of both renderers on the pixels of a class whose mean light is sufficient.
 
-    A choice by one renderer's picture would choose its noise as well.
+    A selection by the picture of one renderer would be biased by its noise.
     """
     found = []
     for pair in pairs:
@@ -176,7 +177,7 @@ def _ratios(one: Float[np.ndarray, " n"], other: Float[np.ndarray, " n"]) -> Fig
 
 
 def _depth(pairs: Sequence[Pair]) -> tuple[Figures, Float[np.ndarray, " n"]]:
-    """Decoded depth of the second less the first, and the differences in columns."""
+    """The second renderer's decoded depth minus the first's, and the differences in columns."""
     columns, depth_mm, alike, only = [], [], [], {"first": 0, "second": 0}
     for pair in pairs:
         one, other = pair.first.result, pair.second.result
@@ -224,7 +225,7 @@ def _truth(pairs: Sequence[Pair]) -> Figures:
 
 
 def _accepted(rows: list[Figures], depth: Figures) -> Figures:
-    """Whether each limit is kept."""
+    """Whether each figure is within its limit."""
     judged = {}
     for row in rows:
         if row["light"] == "white" and row["class"] in MEDIAN_RATIO:

@@ -1,11 +1,12 @@
-"""Whether a layout is in balance, asked of another physics engine: MuJoCo.
+"""A check by another physics engine, MuJoCo, whether a layout is in balance.
 
 MuJoCo shares no code with the drop's engine: other contacts, another cone of friction, another
 integrator. It takes the collision hulls and the distance that they keep, starts from rest, damps
-nothing and steps by 0.5 ms. What was only held by the drop's own numerics slides, rolls or falls.
+nothing and steps by 0.5 ms. A part that only numerical effects of the drop kept in place
+slides, rolls or falls.
 
 Contacts are as stiff as the step allows: under its weight a part sinks by about a micrometre.
-A bin that is a mesh is not known here.
+A bin that is a mesh is not supported.
 """
 
 import numpy as np
@@ -28,7 +29,7 @@ IMPEDANCE = (0.99, 0.999, 1e-4, 0.5, 2.0)
 def unbalanced_m(
     box: Bin, bodies: tuple[Body, ...], layout: Layout, *, seconds: float = 1.0
 ) -> Float[np.ndarray, " n"]:
-    """How far a point of each part moves within `seconds` when the layout is let go [m].
+    """The largest motion of a point of each part within `seconds` of free simulation [m].
 
     Args:
         box: a bin that is a box.
@@ -84,7 +85,7 @@ def _spec(box: Bin, bodies: tuple[Body, ...], layout: Layout):
 
 
 def _add_box(spec, box: Bin, bodies: tuple[Body, ...]) -> None:
-    """Floor and walls. Their friction counts alone, so it is the mean that the drop takes."""
+    """Add floor and walls, with the mean friction that the drop uses for each contact."""
     import mujoco
 
     friction = (box.friction + float(np.mean([body.friction for body in bodies]))) / 2

@@ -65,7 +65,7 @@ def materials_cell(size_px: tuple[int, int]) -> Cell:
 
 
 def dropped(cell: Cell, each: int, *, seed: int) -> Layout:
-    """So many of every kind of part, at rest."""
+    """A layout at rest with the given number of each kind of part."""
     counts = (each,) * len(cell.scene.parts)
     return drop(cell.scene, counts, seed=seed, limits=DropLimits())
 
@@ -80,7 +80,10 @@ def cropped(camera: Optics, size_px: tuple[int, int]) -> Optics:
     left, top = (camera.width_px - width_px) // 2, (camera.height_px - height_px) // 2
     if left < 0 or top < 0 or min(size_px) < 1:
         own = f"{camera.width_px} x {camera.height_px}"
-        raise ValueError(f"size {width_px} x {height_px} is no crop of the camera's {own} px")
+        raise ValueError(
+            f"size {width_px} x {height_px} does not fit into the camera's {own} px: give a "
+            "smaller size"
+        )
     return replace(
         camera,
         width_px=width_px,
@@ -91,7 +94,7 @@ def cropped(camera: Optics, size_px: tuple[int, int]) -> Optics:
 
 
 def exposed_alike(scanner: Scanner, radiance: Radiance) -> Scanner:
-    """The scanner with the fixed exposure that it would choose for these pictures."""
+    """The scanner with its automatic exposure for these pictures as a fixed exposure."""
     rule = scanner.exposure
     time_s = auto_exposure_s(
         radiance.white + radiance.ambient,

@@ -1,4 +1,4 @@
-"""How decoded depth nears a converged reference as a renderer takes more samples."""
+"""Convergence of decoded depth to a reference with the number of samples of a renderer."""
 
 import math
 import time
@@ -31,7 +31,7 @@ REFERENCE_SEED = 10_000
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Reference:
-    """A scene, a renderer's converged pictures of it, and what the scanner makes of them."""
+    """A scene, a renderer's converged pictures of it, and the depth decoded from them."""
 
     cell: Cell
     layout: Layout
@@ -93,10 +93,10 @@ def error_row(
 
 
 def samples_for(rows: Sequence[Figures], measure: str, target: float) -> tuple[float, str]:
-    """At how many samples rows of one kind have an error of `target`, between two by powers.
+    """The number of samples at which rows of one kind have the error `target`, by a power law.
 
     Returns:
-        The samples, and '' or the side on which the truth lies of what was tried: '<' or '>'.
+        The samples, and '<' or '>' if the target is outside of the tried range, else ''.
     """
     rows = sorted(rows, key=lambda row: row["samples"])
     if rows[0][measure] <= target:

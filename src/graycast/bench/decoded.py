@@ -18,7 +18,7 @@ LEAST_CONTRAST = 0.1  # white less black, as a share of the 99th percentile
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Decoded:
-    """What a scanner makes of one stack."""
+    """The decoded result of one stack."""
 
     codes: CodeMap
     depth: DepthMap
@@ -35,7 +35,7 @@ def decoded(scanner: Scanner, radiance: Radiance, *, seed: int) -> Decoded:
 
 
 def decoding_error(result: Decoded, reference: Decoded) -> dict[str, float]:
-    """How far a result is off its reference. All shares are of the reference's pixels with depth.
+    """The error of a result. All shares are relative to the reference's pixels with depth.
 
     `wrong_share`: both have depth, the columns differ by more than one. `hole_share`: the depth is
     lost. `extra_share`: there is depth where the reference has none. `bad_share` is their sum.
@@ -64,7 +64,7 @@ def decoding_error(result: Decoded, reference: Decoded) -> dict[str, float]:
 def edge_shifts(
     radiance: Radiance, reference: Radiance, code: Code, on_surface: Bool[np.ndarray, "h w"]
 ) -> dict[str, float]:
-    """Where the edges of wide stripes lie along the camera's rows, against the reference.
+    """The shifts of the edges of wide stripes along the camera's rows from the reference.
 
     An edge is where a bit's picture crosses the middle between white and black, linear between two
     pixels. `edge_bias_px` is the mean shift towards the right, `edge_growth_px` the mean by which
@@ -94,7 +94,7 @@ def edge_shifts(
 
 
 def fine_contrast(radiance: Radiance, code: Code, on_surface: Bool[np.ndarray, "h w"]) -> float:
-    """Mean distance of the finest bit from the middle, of 1: what stripes of two pixels keep."""
+    """Mean contrast of the finest bit, from 0 to 1, whose stripes are two pixels wide."""
     finest = min((f.bit, k) for k, f in enumerate(code.frames) if f.kind == "gray")[1]
     level = _levels(radiance, code, finest)[on_surface]
     return float(np.nanmean(np.minimum(np.abs(2 * level), 1.0)))

@@ -78,7 +78,9 @@ def sample_counts(most: int) -> tuple[int, ...]:
         ValueError: `most` is less than the fewest.
     """
     if most < FEWEST:
-        raise ValueError(f"samples is {most}; {FEWEST} or more, for a series that starts there")
+        raise ValueError(
+            f"samples is {most}; {FEWEST} or more are needed, because the series starts there"
+        )
     counts = [FEWEST]
     while 2 * counts[-1] <= most:
         counts.append(2 * counts[-1])

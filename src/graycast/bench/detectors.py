@@ -1,4 +1,4 @@
-"""What reading costs a training, and what a detector costs beside its bare network."""
+"""The time of reading in a training, and the time of a detector and of its network."""
 
 import tempfile
 import time
@@ -78,7 +78,10 @@ def _detection(detector: Detector, dataset: Path) -> Figures:
 def _step(detector: Detector, dataset: Path) -> Figures:
     examples = open_examples(dataset)
     if len(examples) < BATCH * ROUNDS:
-        raise GraycastError(f"{dataset}: has {len(examples)} scenes, {BATCH * ROUNDS} are needed")
+        raise GraycastError(
+            f"{dataset}: has {len(examples)} scenes, and {BATCH * ROUNDS} are needed: give a "
+            "larger dataset"
+        )
     with tempfile.TemporaryDirectory() as folder:
         pictures = Pictures(
             [(examples, detector.about.classes(examples.categories))],

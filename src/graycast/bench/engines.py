@@ -1,4 +1,4 @@
-"""What workers cost and bring: scenes per second of a bare loop, of processes, and of Ray."""
+"""Scenes per second of a plain loop, of worker processes, and of Ray."""
 
 import os
 import time

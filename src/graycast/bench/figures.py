@@ -1,4 +1,4 @@
-"""What a benchmark or a study gives: plain numbers, ready for JSON, and how they are told."""
+"""The figures of a benchmark or a study: plain numbers for JSON, and their text form."""
 
 import os
 import platform

@@ -1,4 +1,4 @@
-"""Convex hulls of the zoo: how many, how near, how soon; and of meshes of many faces."""
+"""Number, accuracy and computing time of the convex hulls of the zoo and of large meshes."""
 
 import time
 

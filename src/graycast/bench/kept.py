@@ -1,4 +1,4 @@
-"""The file of a study that takes hours: written as figures come, read by the run that goes on."""
+"""The file of a long study: it is written after each row, and a later run continues from it."""
 
 import json
 from collections.abc import Sequence
@@ -32,8 +32,8 @@ def kept_rows(file: Path, study: str, settings: Figures) -> list[Figures]:
     for name, value in settings.items():
         if before.get(name) != value:
             raise GraycastError(
-                f"{file}: was made with {name} {_short(before.get(name))}, and {_short(value)} is "
-                f"asked for: {_OTHER}, or ask for the same to go on"
+                f"{file}: was made with {name} {_short(before.get(name))}, and this command has "
+                f"{_short(value)}: {_OTHER}, or give the same options to continue"
             )
     return rows
 

@@ -1,4 +1,4 @@
-"""How long one waits for what a live cell shows: the three kinds of change, without the browser."""
+"""Response times of a live cell for the three kinds of change, without the browser."""
 
 import math
 import time
@@ -82,4 +82,4 @@ def _finished(session: Session, heard: "SimpleQueue[Message]") -> tuple[float, f
             first_ms = message.content["waited_ms"]
         if message.content["exact"]:
             return first_ms, message.content["waited_ms"]
-    raise GraycastError(f"no finished picture within {WAIT_S:g} s: is the machine that busy?")
+    raise GraycastError(f"no finished picture within {WAIT_S:g} s: the machine may be too busy")

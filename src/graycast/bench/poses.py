@@ -1,4 +1,4 @@
-"""How often poses are found, by what the detection gives and by whose depth; and how fast."""
+"""Success rate and time of pose estimation for each kind of detection and of depth."""
 
 import math
 import time
@@ -134,7 +134,7 @@ def _chosen(
         if example.T_cam_part is None or example.scanner_depth_m is None or example.depth_m is None:
             raise GraycastError(
                 f"{examples.folder}: scene {scene_id} lacks poses or one of the depths: give a "
-                "dataset of graycast generate"
+                "dataset that graycast generate made"
             )
         there += [(scene_id, i) for i in np.flatnonzero(example.visib_fract >= min_visibility)]
     if not there:

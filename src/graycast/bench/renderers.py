@@ -73,7 +73,7 @@ def study_renderers(
         ValueError: too few samples, or a size that is no crop of the camera's.
     """
     if samples <= FEW_SAMPLES:
-        raise ValueError(f"samples is {samples}; more than {FEW_SAMPLES}, which is timed as well")
+        raise ValueError(f"samples is {samples}; give more than {FEW_SAMPLES}, which is also timed")
     cell = bracket_cell(count, PHASE_BOTH, size_px)
     layout = dropped(cell, count, seed=0)
     all_three = (mitsuba, cycles, three)

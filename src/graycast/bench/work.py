@@ -1,4 +1,4 @@
-"""How far a long study has come: done work over all work, in megapixel samples of Cycles."""
+"""The progress of a long study: completed work over all work, in megapixel samples of Cycles."""
 
 import math
 from collections.abc import Callable

@@ -1,4 +1,4 @@
-"""Does every family of parts come to rest, and is what rests in balance? One drop a seed.
+"""A study of whether each family of parts comes to rest and is in balance, one drop per seed.
 
 Each family of `ZOO` is dropped into one bin, as many parts as asked for or as many as it holds
 loosely. A layout counts as made where `drop` returns it with the limits that a configuration has
@@ -56,8 +56,8 @@ def study_zoo(
         hull_folder: where collision hulls are kept.
         file: where the figures are written after each drop. What an earlier study with the same
             settings has left there is taken from it.
-        on_work: is told the share of the work that is done, and what comes next.
-        on_row: is told each row when it is there.
+        on_work: called with the share of completed work and the name of the next step.
+        on_row: called with each completed row.
 
     Raises:
         ValueError: no such family.

@@ -1,4 +1,4 @@
-"""A zoo of parts: what bins are full of, modelled in code with the dimensions of the standards.
+"""A zoo of parts that are typical for bins, modelled in code with standard dimensions.
 
 The built-in parts are five; a drop that lays these five well may fail on a bolt. Here is one part
 of each family of the trade, each closed, counter-clockwise seen from outside, centred on its
@@ -50,7 +50,7 @@ def zoo_part(name: str) -> Part:
     if name in BUILTIN:
         return builtin_part(name)
     if name not in _FAMILIES:
-        raise ValueError(f"no part {name!r} in the zoo: choose one of {', '.join(ZOO)}")
+        raise ValueError(f"the zoo has no part {name!r}: choose one of {', '.join(ZOO)}")
     family = _FAMILIES[name]
     made = family.shape().to_mesh64()
     vertices_mm = np.array(made.vert_properties[:, :3], dtype=np.float64)

@@ -220,7 +220,9 @@ def _check_shapes(sample: Sample, size: tuple[int, int]) -> None:
             raise ValueError(f"{name} is {image.shape}, the camera has {size} (rows, columns)")
     count, poses = len(sample.truth.amodal), len(sample.layout.T_world_part)
     if count != poses or sample.truth.instance.max(initial=-1) >= poses:
-        raise ValueError(f"{poses} poses, {count} silhouettes: another layout's ground truth?")
+        raise ValueError(
+            f"{poses} poses, {count} silhouettes: the ground truth belongs to another layout"
+        )
 
 
 def _depth_steps(

@@ -1,4 +1,4 @@
-"""Checks a dataset from its files alone: no renderer, no configuration, no trust."""
+"""Checks a dataset by its files only, without the renderer and the configuration."""
 
 import json
 from collections.abc import Iterable, Iterator, Mapping
@@ -30,7 +30,7 @@ _MODEL_MM = 1e-3  # nine digits in a PLY, read back in single precision
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Problem:
-    """What is wrong, and in which scene; `scene` None is the dataset as a whole."""
+    """A problem and its scene; a `scene` of None means the whole dataset."""
 
     scene: int | None
     what: str
@@ -53,8 +53,8 @@ def validate(out: Path, *, fast: bool = False) -> tuple[Problem, ...]:
 
     Of real pictures only what they hold is checked: pictures, masks, counts and run lengths.
 
-    Beside the sums, what the files say must be possible together; see `sense/`, which also tells
-    what it leaves out.
+    In addition to the digests, the contents of the files must be consistent; `sense/` describes
+    these checks and their limits.
 
     Raises:
         DatasetError: the folder holds no dataset at all, one of a later format, or one without
@@ -135,7 +135,7 @@ def has_sums(out: Path) -> bool:
     """Whether the SHA-256 of a dataset's files is known.
 
     Raises:
-        DatasetError: as of `validate`.
+        DatasetError: as in `validate`.
     """
     return _version(out, fast=False) >= SEALED_SINCE
 
@@ -154,7 +154,10 @@ def _sum_problems(out: Path, version: int, finished: Iterable[int]) -> list[Prob
             continue
         problems += [Problem(scene=scene_id, what=w) for w in seal_problems(folder, manifest)]
         if manifest.get("scene_id", scene_id) != scene_id:  # of real pictures it tells of none
-            what = f"{MANIFEST}: scene_id is {manifest['scene_id']}: a copy of another scene?"
+            what = (
+                f"{MANIFEST}: scene_id is {manifest['scene_id']}: the folder may be a copy "
+                "of another scene"
+            )
             problems.append(Problem(scene=scene_id, what=what))
     return problems
 
@@ -163,7 +166,7 @@ def _claim_problems(out: Path, claim: records.Claim) -> Iterator[str]:
     """What `graycast.json` says of itself, of the models and of the camera."""
     held = json.loads((out / CLAIM).read_bytes())
     if fingerprint(held) != claim.fingerprint:
-        yield f"{CLAIM} is not as it was written: its fingerprint is another"
+        yield f"{CLAIM} was changed after it was written: its fingerprint differs"
     if claim.format_version >= SEALED_SINCE:
         if not claim.sha256:
             yield f"{CLAIM}: sha256 is missing, which every dataset of this format has"
@@ -192,7 +195,7 @@ def _camera_problems(cameras: Mapping[str, records.Camera], claim: records.Claim
 
 
 def _leftovers(out: Path) -> Iterator[str]:
-    """Traces of a killed run, and what does not belong into the split."""
+    """Traces of a killed run, and files that do not belong to the split."""
     for path in sorted([*out.glob(".tmp-*"), *out.glob("train/.tmp-*")]):
         yield f"{path.relative_to(out)} is left over from a killed run: the next run removes it"
     names = {f"{scene_id:06d}" for scene_id in finished_scenes(out)}
@@ -243,7 +246,11 @@ def _split_problems(
     try:
         split = read_json(out / "train_coco.json", records.SplitCoco)
     except Unreadable as error:
-        yield f"{error}: has the run finished?" if "missing" in str(error) else str(error)
+        yield (
+            f"{error}: let the run finish, then validate again"
+            if "missing" in str(error)
+            else str(error)
+        )
         return
     names = {part.obj_id: part.name for part in claim.parts}
     if {entry.id: entry.name for entry in split.categories} != names:

@@ -67,7 +67,7 @@ def make_claim(
     depth_scale_mm: float,
     takers: tuple[Taker, ...] = (),
 ) -> dict[str, Any]:
-    """What `graycast.json` says of a run; the fingerprint covers all but versions and sources.
+    """The content of `graycast.json`; its fingerprint covers all but versions and sources.
 
     `takers` are given where a scene has several images, or a scanner has a name.
     """
@@ -113,16 +113,16 @@ def _described_taker(taker: Taker) -> dict[str, Any]:
 
 
 def fingerprint(claim: Mapping[str, Any]) -> str:
-    """SHA-256 over what makes a dataset this one and no other."""
+    """SHA-256 over everything that determines the contents of a dataset."""
     told = {key: value for key, value in claim.items() if key not in _BESIDE}
     text = json.dumps(told, sort_keys=True, allow_nan=False)
     return hashlib.sha256(text.encode()).hexdigest()
 
 
 def described_values(value: Any) -> dict[str, Any]:
-    """The fields of a frozen value, fit for JSON: an infinite number is the word 'inf'.
+    """The fields of a frozen value for JSON; an infinite number becomes the word 'inf'.
 
-    Fields that came later are left out where they are off.
+    Fields that older versions lack are omitted while they are off.
     """
 
     def worded(item: Any) -> Any:
@@ -157,7 +157,7 @@ def read_scanning(described: Mapping[str, Any]) -> tuple[SensorSpec, DecodeSpec]
 
 
 def _unworded(item: Any) -> Any:
-    """Lists are tuples, the word 'inf' is the number."""
+    """Turn lists into tuples, and the word 'inf' into the number."""
     if isinstance(item, Mapping):
         return {key: _unworded(inner) for key, inner in item.items()}
     if isinstance(item, list):

@@ -1,4 +1,4 @@
-"""A stored scene against one that was made again."""
+"""Comparison of a stored scene with the same scene made again."""
 
 import json
 from collections.abc import Iterable
@@ -14,11 +14,13 @@ _NOT_COMPARED = {"timings", FURTHER_TIMINGS, SUMS, OWN}
 
 
 def differing_files(scene: Path, files: Iterable[tuple[str, bytes]]) -> dict[str, str]:
-    """Which files of a stored scene are not these, and how; timings in manifests may differ."""
+    """The files of a stored scene that differ, and how; timings in manifests are ignored."""
     new = dict(files)
     stored = {str(p.relative_to(scene)): p for p in scene.rglob("*") if p.is_file()}
     differing = dict.fromkeys(new.keys() - stored.keys(), "is not stored")
-    differing |= dict.fromkeys(stored.keys() - new.keys(), "is stored, but was not made again")
+    differing |= dict.fromkeys(
+        stored.keys() - new.keys(), "is stored, but the new scene does not have it"
+    )
     for name in new.keys() & stored.keys():
         content = stored[name].read_bytes()
         if content != new[name] and (how := _difference(name, content, new[name])):

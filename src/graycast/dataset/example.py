@@ -78,7 +78,7 @@ def shown(example: Example) -> UInt8[np.ndarray, "h w 3"]:
         return np.repeat(example.gray[..., None], 3, axis=2)
     depth_m = example.scanner_depth_m if example.depth_m is None else example.depth_m
     if depth_m is None:
-        raise DatasetError(f"scene {example.scene_id}: has no picture to look at")
+        raise DatasetError(f"scene {example.scene_id}: has no picture to show")
     known = np.isfinite(depth_m)
     near_m, far_m = np.quantile(depth_m[known], [0.01, 0.99]) if known.any() else (0.0, 1.0)
     light = np.clip((far_m - depth_m) / max(far_m - near_m, 1e-6), 0, 1)

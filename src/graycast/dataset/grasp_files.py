@@ -46,7 +46,7 @@ class GraspClaim(Record):
 
 
 class Simulated(Record):
-    """What became of a grasp that was carried out in physics."""
+    """The outcome of a grasp that was simulated with physics."""
 
     success: bool
     ended: Ended
@@ -54,7 +54,7 @@ class Simulated(Record):
 
 
 class Grasp(Record):
-    """Where a tool goes: its frame in the model's [mm] and in the camera's, and what it is worth.
+    """A grasp: the tool's frame in the model's [mm] and in the camera's frame, and its score.
 
     `opening` [mm] is between the pads of jaws that touch the part.
     """

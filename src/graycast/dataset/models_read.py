@@ -29,7 +29,7 @@ def read_models(dataset: Path) -> dict[int, StoredModel]:
     """
     folder = dataset / "models"
     if not folder.is_dir():
-        raise DatasetError(f"{dataset}: has no models: give a dataset of graycast generate")
+        raise DatasetError(f"{dataset}: has no models: give a dataset that graycast generate made")
     try:
         infos = read_json(folder / "models_info.json", records.ModelsInfo).root
     except Unreadable as error:

@@ -56,7 +56,7 @@ def seal_problems(folder: Path, manifest: Mapping[str, Any]) -> Iterator[str]:
         yield f"{MANIFEST}: {SUMS} or {OWN} is missing, which every scene of this format has"
         return
     if manifest[OWN] != _own(manifest):
-        yield f"{MANIFEST} is not as it was written: its own SHA-256 is another"
+        yield f"{MANIFEST} was changed after it was written: its own SHA-256 differs"
     there = (str(path.relative_to(folder)) for path in folder.rglob("*") if path.is_file())
     # What a file browser leaves (.DS_Store) is nobody's data.
     visible = {name for name in there if not Path(name).name.startswith(".")} - {MANIFEST}

@@ -118,7 +118,9 @@ class Store:
         finished = sorted(self.finished())
         missing = sorted(set(scene_ids) - set(finished))
         if missing:
-            raise DatasetError(f"{self.out}: scenes {missing} are not finished: run them first")
+            raise DatasetError(
+                f"{self.out}: scenes {missing} are not finished: run graycast generate to make them"
+            )
         categories = [
             {"id": obj_id, "name": name, "supercategory": "graycast"}
             for obj_id, name in self.categories
@@ -269,7 +271,7 @@ def _refusing_other(place: Path) -> Iterator[None]:
     except OSError as error:
         if error.errno not in (errno.ENOTEMPTY, errno.EEXIST):
             raise
-        raise DatasetError(f"{place} is there already: remove it to make it again") from error
+        raise DatasetError(f"{place} exists already: remove it to make it again") from error
 
 
 def _sync(path: Path) -> None:
@@ -303,7 +305,7 @@ def _locked(out: Path) -> IO[str]:
         lock = take_lock(out / _LOCK)
     if lock is None:
         raise DatasetError(
-            f"another run is writing to {out}: wait for it, or choose another folder"
+            f"another run is writing to {out}: wait until it ends, or choose another folder"
         )
     return lock
 
@@ -366,10 +368,10 @@ def _disk_errors(out: Path) -> Iterator[None]:
     except OSError as error:
         remedy = {
             errno.ENOSPC: "free space",
-            errno.EDQUOT: "free space in your quota",
+            errno.EDQUOT: "free space in your disk quota",
             errno.EACCES: "make the folder writable",
             errno.EROFS: "choose a folder on a writable disk",
-        }.get(error.errno or 0, "find out why the disk refuses")
+        }.get(error.errno or 0, "find the cause of this error of the operating system")
         raise DatasetError(
             f"cannot write to {out} ({error.strerror or error}{_free(out)}): {remedy} and run the "
             "same command again; finished scenes are kept"

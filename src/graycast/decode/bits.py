@@ -1,4 +1,4 @@
-"""Gray bits, row by row: what they read, and what doubt in them costs."""
+"""Gray bits, row by row: their values, and the variance from uncertain bits."""
 
 import math
 from typing import no_type_check
@@ -23,10 +23,10 @@ BLURRED, SHARP = 0.5, 0.8
 @numba.njit(parallel=True, cache=True, error_model="numpy")
 @no_type_check  # the tests' type checker wraps functions, which numba cannot compile
 def read_gray(stack, bits, grid, law, high, low, coarse, variance, rival, why):
-    """Bits to the middle of the code value's cell, and what doubt in them makes of it.
+    """Decode bits to the middle of the cell of the code value, with its uncertainty.
 
-    `variance` is what doubt adds [px^2], `rival` how far off the value lies that a doubtful bit, if
-    there is one, would make of it [px].
+    `variance` is the variance from uncertain bits [px^2]. `rival` is the distance to the value
+    that results if the uncertain bit, if there is one, is inverted [px].
     """
     count, w = len(bits), high.shape[1]
     for y in numba.prange(len(high)):
@@ -44,7 +44,7 @@ def read_gray(stack, bits, grid, law, high, low, coarse, variance, rival, why):
 @numba.njit(parallel=True, cache=True)
 @no_type_check  # the tests' type checker wraps functions, which numba cannot compile
 def lose_bits(stack, bits, high, low, top, saturation_dn, why):
-    """Say where a bit is lost: it and its inverse, or it and its threshold, are at the top.
+    """Mark pixels where a bit is lost because it and its inverse or threshold are saturated.
 
     A pattern at the top whose inverse is not is brighter by at least what is seen. The threshold
     without inverse lies higher than it seems where lit stripes are at the top: a wide stripe is
@@ -112,7 +112,7 @@ def _read_bits(stack, y, bits, high, low, margin, value):
 @numba.njit(cache=True, error_model="numpy")
 @no_type_check  # the tests' type checker wraps functions, which numba cannot compile
 def _weigh_doubts(bits, grid, law, high, low, margin, value, variance, rival, why):
-    """What doubtful bits cost: variance [px^2], or a contradiction."""
+    """The effect of uncertain bits: a variance [px^2], or a contradiction."""
     offset_dn, floor_dn2, slope_dn, doubt, fine_error = law
     cell_px, reach = grid[1], grid[2]
     count, w = margin.shape
@@ -184,10 +184,11 @@ def _fine_limits(noise, contrast, fine_error, scale, sure):
 @numba.njit(cache=True, error_model="numpy")
 @no_type_check  # the tests' type checker wraps functions, which numba cannot compile
 def _weigh_fine(of_bit, coarser, sure, flip, value, cell_px, variance):
-    """What a fine bit adds to the variance [px^2]; `coarser` is empty where blur cannot be told.
+    """The variance from a fine bit [px^2]; `coarser` is empty if the blur is not known.
 
-    Where stripes are sharp, a small signal means that the bit's edge is near: the truth lies
-    between both values. Where blur has taken it, the truth lies in the one or in the other.
+    If stripes are sharp, a small signal means that the edge of the bit is near, and the true
+    position is between both values. If blur has removed the signal, the true position is in one
+    of the two cells.
     """
     zero, one, half = np.float32(0), np.float32(1), np.float32(0.5)
     cell2 = half * cell_px * cell_px

@@ -1,6 +1,6 @@
-"""Standard deviation of depth beyond the sensor's noise: what moves positions.
+"""Standard deviation of depth beyond the sensor's noise: what displaces decoded positions.
 
-Speckle puts a pixel's light off its centre; a projector whose lines are uneven shifts positions.
+Speckle moves a pixel's light off its centre; uneven projector lines shift decoded positions.
 """
 
 from dataclasses import replace
@@ -23,7 +23,7 @@ def with_displacement(
     *,
     place_px: float = 0.0,
 ) -> DepthMap:
-    """The same depth, whose sigma also holds that light is centred off its pixel.
+    """The same depth, with the displacement of light within a pixel added to sigma.
 
     A centre that lies `off_px` aside (one sigma along either axis) shows the position decoded
     there, `grad u . off`, and depth is wrong by `dz/du` times that. The gradient is seen between

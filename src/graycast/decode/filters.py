@@ -1,4 +1,4 @@
-"""What scanners do to a depth map afterwards: flying pixels, outliers, islands, smoothing, raster.
+"""Filters of a decoded depth map: flying pixels, outliers, islands, smoothing, raster.
 
 They run in that order; each sees what the ones before it left. None makes depth where there was
 none. Smoothing and the outlier test work on inverse depth, which is linear along a line of pixels
@@ -30,7 +30,7 @@ NEGLIGIBLE_WEIGHT = 0.01  # of the smoothing kernel's middle: where the kernel e
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FilterSpec:
-    """Which filters run; None or 0 switches one off, and all are off to begin with.
+    """The settings of the filters; None or 0 switches a filter off, and all are off by default.
 
     `flying_angle_deg`: pixels within a depth step go, where the way from one surface to the other
     is seen at more than this angle of incidence (90 is grazing).
@@ -51,23 +51,31 @@ class FilterSpec:
         Field(
             ge=0,
             lt=90,
-            description="pixels between two surfaces go where a step is seen at more than this",
+            description="Pixels between two surfaces are removed if the line of sight meets "
+            "the step at more than this angle, in degrees from the normal.",
         ),
     ] = None
     outlier_sigmas: Annotated[
         float | None,
         Field(
             ge=0,
-            description="pixels go that are this many standard deviations off their neighbours",
+            description="Pixels are removed whose depth differs from their neighbours by "
+            "more than this number of standard deviations.",
         ),
     ] = None
     outlier_share: Annotated[
-        float, Field(ge=0, description="and farther than this share of depth")
+        float,
+        Field(
+            ge=0,
+            description="An outlier must also differ from its neighbours by "
+            "more than this share of its depth.",
+        ),
     ] = 3e-4
     outlier_repair: Annotated[
         bool,
         Field(
-            description="an outlier within a surface gets its depth, and does not go",
+            description="Whether an outlier within a surface gets the depth of that surface "
+            "instead of being removed.",
             exclude_if=unsaid,
         ),
     ] = False
@@ -75,14 +83,15 @@ class FilterSpec:
         float | None,
         Field(
             ge=0,
-            description="pixels go that a nearer surface hides from the projector by more noise",
+            description="Pixels are removed that a nearer surface hides from the projector "
+            "by more than this number of standard deviations.",
             exclude_if=unsaid,
         ),
     ] = None
     island_px: Annotated[int | None, Field(ge=0, description="surfaces of fewer pixels go")] = None
     smoothing_px: Annotated[
         float | None,
-        Field(ge=0, le=10, description="standard deviation of the smoothing kernel"),
+        Field(ge=0, le=10, description="Standard deviation of the smoothing kernel in pixels."),
     ] = None
     raster_px: Annotated[
         float | None,
@@ -98,7 +107,8 @@ class FilterSpec:
         Field(
             gt=0,
             lt=90,
-            description="neighbours seen at more than this angle are two surfaces",
+            description="Neighbouring pixels belong to two surfaces if the surface through "
+            "both is seen at more than this angle, in degrees from the normal.",
         ),
     ] = 80.0
 
@@ -107,7 +117,7 @@ class FilterSpec:
 
 
 def filter_depth(depth: DepthMap, spec: FilterSpec, camera: Optics) -> DepthMap:
-    """Take out what is not believed, then smooth the rest.
+    """Remove unreliable pixels, then smooth the others.
 
     Args:
         depth: z and its standard deviation [m]; the noise of pixels is taken as independent.
@@ -161,7 +171,7 @@ def filter_depth(depth: DepthMap, spec: FilterSpec, camera: Optics) -> DepthMap:
 
 
 def _framed(image: Float[np.ndarray, "h w"], margin_px: int) -> Float[np.ndarray, "H W"]:
-    """With NaN around it, so that no loop need ask for the border."""
+    """The map with a border of NaN, so that no loop needs a special case."""
     h, w = image.shape
     framed = np.full((h + 2 * margin_px, w + 2 * margin_px), np.nan, dtype=np.float32)
     framed[margin_px : margin_px + h, margin_px : margin_px + w] = image
@@ -280,7 +290,7 @@ def _hanging(z, sigma, rays, flying_tan, fall, margin, removed):
 @numba.njit(cache=True)
 @no_type_check  # the tests' type checker wraps functions, which numba cannot compile
 def _goes_on(z, sigma, rays, flying_tan, y, x, down, right):
-    """Whether a pixel's surface appears again beyond a small hole."""
+    """Whether the surface of a pixel continues beyond a small hole."""
     for k in range(2, FLYING_REACH_PX + 1):
         v, u = y + k * down, x + k * right
         if not np.isnan(z[v, u]):
@@ -319,7 +329,7 @@ def _within_step(z, fall, y, x, down, right, first, last):
 
 
 def _islands(z_m, sigma_m, rays, step_tan, island_px: int, margin_px: int, removed) -> None:
-    """Connected over the four sides of a pixel; what is smaller than `island_px` is removed."""
+    """Remove surfaces smaller than `island_px`, connected over the four sides of a pixel."""
     h, w = removed.shape
     torn = np.zeros((2, *z_m.shape), dtype=np.int8)
     _falls(z_m, sigma_m, rays, step_tan, torn)

@@ -1,4 +1,4 @@
-"""What decoding takes and gives: what digital numbers mean, what is believed, maps and reasons."""
+"""Inputs and results of decoding: sensor levels, thresholds, maps and reasons."""
 
 from dataclasses import dataclass
 from enum import IntEnum, IntFlag
@@ -27,17 +27,17 @@ class Reason(IntEnum):
 
     @property
     def color(self) -> str:
-        """Of maps of reasons, so that a reason looks alike in all pictures."""
+        """The colour of the reason in all maps of reasons."""
         return _TOLD[self][0]
 
     @property
     def meaning(self) -> str:
-        """What pages say of it."""
+        """The explanation of the reason on web pages."""
         return _TOLD[self][1]
 
     @property
     def label(self) -> str:
-        """Its name in figures and files."""
+        """The name of the reason in figures and files."""
         return self.name.lower()
 
     @property
@@ -47,17 +47,23 @@ class Reason(IntEnum):
 
 _TOLD = {
     Reason.DECODED: ("#dcdad2", "there is a depth"),
-    Reason.SHADOW: ("#25283d", "not reached by the projector: the frames differ by noise alone"),
-    Reason.LOW_MODULATION: ("#6b6e87", "reached by the projector, but too weakly to be believed"),
-    Reason.SATURATED: ("#f2b134", "bits or phases are lost at the top of the sensor's range"),
-    Reason.CONTRADICTORY: ("#c8385a", "bits or phases that no single place of the projector shows"),
+    Reason.SHADOW: (
+        "#25283d",
+        "the projector does not reach the pixel: the frames differ only by noise",
+    ),
+    Reason.LOW_MODULATION: ("#6b6e87", "the projector's light is too weak to be decoded reliably"),
+    Reason.SATURATED: ("#f2b134", "bits or phases are lost because the sensor saturates"),
+    Reason.CONTRADICTORY: (
+        "#c8385a",
+        "the bits or phases do not fit any single projector position",
+    ),
     Reason.INTERREFLECTION: (
         "#e07b39",
-        "the coarse code contradicts the fine: indirect light",
+        "the coarse code contradicts the fine code, usually because of indirect light",
     ),
-    Reason.OUTSIDE_PROJECTOR: ("#3b8ea5", "a code that is none of the projector's pixels"),
-    Reason.OUT_OF_RANGE: ("#7d5ba6", "no depth within the rig's working range"),
-    Reason.OUTLIER: ("#4f9d69", "off its epipolar line, or taken out by a filter"),
+    Reason.OUTSIDE_PROJECTOR: ("#3b8ea5", "the code is outside of the projector's pixels"),
+    Reason.OUT_OF_RANGE: ("#7d5ba6", "the depth is outside of the rig's working range"),
+    Reason.OUTLIER: ("#4f9d69", "the point is off its epipolar line, or a filter removed it"),
 }
 REASON_COLOR = {reason.label: reason.color for reason in Reason}
 
@@ -68,7 +74,7 @@ def reason_shares(reason: UInt8[np.ndarray, "h w"]) -> dict[str, float]:
 
 
 class Mark(IntFlag):
-    """What is known of a pixel beside its reason, decoded or not."""
+    """Properties of a pixel in addition to its reason."""
 
     CLIPPED = 1  # a frame that its place is read from is at the top of the range
     SETTLED = 2  # its own phases allow several places; its neighbours chose among them
@@ -76,7 +82,7 @@ class Mark(IntFlag):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Levels:
-    """What a sensor's digital numbers mean, and how they scatter.
+    """The offset, the saturation and the noise of a sensor's digital numbers.
 
     The variance of a stored value y is `floor_dn2 + slope_dn (y - offset_dn)` [DN^2]: read noise
     and quantisation, and photons (EMVA 1288).
@@ -90,7 +96,7 @@ class Levels:
     def __post_init__(self) -> None:
         if not self.saturation_dn > self.offset_dn:
             span = f"offset_dn {self.offset_dn}, saturation_dn {self.saturation_dn}"
-            raise ValueError(f"{span}: saturation lies above the offset")
+            raise ValueError(f"{span}: saturation_dn must be greater than offset_dn")
         if not (self.floor_dn2 > 0 and self.slope_dn >= 0):
             law = f"floor_dn2 {self.floor_dn2}, slope_dn {self.slope_dn}"
             raise ValueError(f"noise is {law}; the floor is positive, the slope not negative")
@@ -101,7 +107,7 @@ class Levels:
 
 
 def levels_of(sensor: SensorSpec) -> Levels:
-    """The levels of a sensor that is known."""
+    """The levels of a sensor whose specification is known."""
     return Levels(
         offset_dn=sensor.offset_dn,
         saturation_dn=float(stored_saturation_dn(sensor)),
@@ -112,7 +118,7 @@ def levels_of(sensor: SensorSpec) -> Levels:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class DecodeSpec:
-    """What a pixel must show to be believed.
+    """The conditions under which a pixel is decoded.
 
     `min_contrast`: brightest minus darkest frame (of a phase code: twice its amplitude), as a share
     of the sensor's range, and `min_sigmas` the same in standard deviations of the darkest
@@ -131,7 +137,8 @@ class DecodeSpec:
         float,
         Field(
             ge=0,
-            description="least contrast in standard deviations of the darkest frame's noise",
+            description="Lowest contrast of a decoded pixel, in standard deviations of the "
+            "noise of the darkest frame.",
             exclude_if=unsaid,
         ),
     ] = 0.0
@@ -139,7 +146,12 @@ class DecodeSpec:
     fine_bits: Annotated[int, Field(ge=0)] = 3
     max_epipolar_px: Annotated[
         float,
-        Field(ge=0, description="farther off its epipolar line a point is an outlier; 0: never"),
+        Field(
+            ge=0,
+            description="Largest distance of a point from its epipolar line in "
+            "projector pixels; a point beyond it is an outlier. 0 "
+            "switches the test off.",
+        ),
     ] = 2.0
 
     def __post_init__(self) -> None:

@@ -1,4 +1,4 @@
-"""Pixels that lie off the surface around them: which they are, and what that surface's depth is."""
+"""Detection of pixels that are off the surface around them, and the depth of that surface."""
 
 from typing import no_type_check
 
@@ -67,7 +67,7 @@ def _in_line(inverse, noise, y, x, sigmas, share):
 @numba.njit(cache=True)
 @no_type_check  # the tests' type checker wraps functions, which numba cannot compile
 def _outlies(inverse, noise, y, x, sigmas, share):
-    """Against the median of 5 x 5 pixels from which the median slopes are taken off.
+    """Compare a pixel with the median of 5 x 5 pixels, corrected for the median slopes.
 
     Beside the verdict: that median, and the pixels' deviation about it; 0 if they are no surface.
     """
@@ -95,6 +95,6 @@ def _outlies(inverse, noise, y, x, sigmas, share):
 @numba.njit(cache=True)
 @no_type_check  # the tests' type checker wraps functions, which numba cannot compile
 def _median(values):
-    """Of what is not NaN; NaN of fewer than 4 values."""
+    """The median of the values that are not NaN; NaN for fewer than 4 values."""
     known = values[~np.isnan(values)]
     return np.median(known) if len(known) >= 4 else np.nan

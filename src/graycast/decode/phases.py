@@ -1,4 +1,4 @@
-"""Phases, row by row: from levels to phases, and which period each one lies in."""
+"""Phases, row by row: computing phases from levels, and counting their periods."""
 
 import math
 from typing import no_type_check
@@ -104,7 +104,7 @@ def _lone_frame(frame, first, cosine, noise2):
 @numba.njit(parallel=True, cache=True)
 @no_type_check  # the tests' type checker wraps functions, which numba cannot compile
 def lose_phases(stack, index, top, saturation_dn, why):
-    """Say where a phase is lost: one of its own frames is at the top."""
+    """Mark pixels where a phase is lost because one of its own frames is saturated."""
     for y in numba.prange(len(why)):
         if not top[y].any():
             continue
@@ -121,7 +121,7 @@ def lose_phases(stack, index, top, saturation_dn, why):
 def count_by_gray(periods, cell_px, turn, place, variance, rival, why):
     """The period that brings the first phase next to the Gray code's cell; `place` is both.
 
-    A doubtful bit does no harm where the period is the same with it and without.
+    An uncertain bit has no effect if the period is the same with either value.
     """
     period, half, two = np.float32(periods[0, 0]), np.float32(0.5), np.float32(2)
     slack = half * cell_px + np.float32(OFF_CELL_PERIODS) * period
@@ -139,9 +139,9 @@ def count_by_gray(periods, cell_px, turn, place, variance, rival, why):
 @numba.njit(parallel=True, cache=True, error_model="numpy")
 @no_type_check  # the tests' type checker wraps functions, which numba cannot compile
 def count_by_phases(periods, delta, size_px, turn, noise2, place, state):
-    """The period of the first group that all others agree with: a search over all of them.
+    """The period of the first group with which all others agree, by a search over all periods.
 
-    Refused where none agrees, open where two do.
+    The count is refused if no period agrees, and open if two agree.
     """
     for y in numba.prange(len(place)):
         _search_row(periods, delta, size_px, turn[y], noise2[y], place[y], state[y])
@@ -175,7 +175,7 @@ def _search_row(periods, delta, size_px, turn, noise2, place, state):
 @numba.njit(parallel=True, cache=True, error_model="numpy")
 @no_type_check  # the tests' type checker wraps functions, which numba cannot compile
 def open_choices(periods, delta, size_px, turn, noise2, state, choice, cost):
-    """The best periods of counts that are open, and what they cost; best first."""
+    """The best periods of open counts with their costs; best first."""
     for y in numba.prange(len(state)):
         where = np.nonzero(state[y] == OPEN)[0]
         if len(where) == 0:
@@ -217,7 +217,7 @@ def _search_all(periods, delta, size_px, turn, noise2, choice, cost):
 @numba.njit(cache=True, error_model="numpy")
 @no_type_check  # the tests' type checker wraps functions, which numba cannot compile
 def _cost(k, periods, size_px, turn, seen, costs):
-    """What the place in period `k` costs; outside of the picture it is nowhere."""
+    """The cost of the position in period `k`; positions outside of the picture are excluded."""
     period, first, at = np.float32(periods[0, 0]), turn[0], np.float32(k)
     slack = np.float32(0.5) + np.float32(SLACK_PERIODS) * period
     end = np.float32(size_px - 1) + slack

@@ -1,4 +1,4 @@
-"""`decode` said in NumPy, frame by frame and slowly: what tests hold the fast one against."""
+"""A slow `decode` in NumPy, frame by frame, with which tests compare the fast one."""
 
 from itertools import product
 
@@ -85,13 +85,13 @@ def decode_plain(
 
 
 def _say(why, where, reason) -> None:
-    """The first thing that is wrong with a pixel is what is said of it."""
+    """Give a pixel the first reason that applies."""
     first = where & (why == 0)
     why[first] = np.broadcast_to(reason, why.shape)[first]
 
 
 def _judge(why, high, low, strength, top, spec: DecodeSpec, levels: Levels):
-    """What is wrong with a pixel's light goes before what is wrong with its code."""
+    """Reasons about a pixel's light take precedence over reasons about its code."""
     noise_dn2 = levels.floor_dn2 + levels.slope_dn * np.maximum(low - levels.offset_dn, 0)
     reason = np.select(
         [
@@ -107,7 +107,7 @@ def _judge(why, high, low, strength, top, spec: DecodeSpec, levels: Levels):
 
 
 def _lost(stack, full, plan: AxisPlan, twice_threshold, levels: Levels):
-    """Where a bit and its inverse, or a bit and its threshold, or a phase's frame is at the top."""
+    """Pixels where a bit and its inverse or threshold, or a frame of a phase, is saturated."""
     lost = np.zeros(twice_threshold.shape, dtype=bool)
     alone = [bit for bit in plan.bits if bit.inverse < 0]
     glare = full[[bit.frame for bit in alone]].any(axis=0)
@@ -277,7 +277,7 @@ def _settle(turn, choice, cost, state, lit):
 
 
 def _beside(dy, dx, *maps):
-    """Maps as a neighbour sees them, and where it lies in the picture."""
+    """Maps shifted to a neighbour, and where that neighbour is inside the picture."""
     h, w = maps[0].shape
     y, x = np.mgrid[0:h, 0:w]
     there = (y + dy >= 0) & (y + dy < h) & (x + dx >= 0) & (x + dx < w)

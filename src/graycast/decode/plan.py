@@ -1,6 +1,6 @@
-"""How a list of frames is to be read: per axis its bits, and its phases.
+"""The interpretation of a list of frames: the bits and the phases of each axis.
 
-All that can be wrong with a list of frames is found here, before any pixel is looked at.
+All errors in a list of frames are found here, before any pixel is decoded.
 """
 
 import math
@@ -59,7 +59,7 @@ class AxisPlan:
 
 
 def read_frames(plans: dict[Axis, AxisPlan], count: int) -> Bool[np.ndarray, " n"]:
-    """Which of `count` frames places are read from: a bit without inverse is held against all."""
+    """The frames that determine positions; a bit without an inverse uses all of them."""
     read = np.zeros(count, dtype=bool)
     for plan in plans.values():
         for bit in plan.bits:
@@ -72,7 +72,7 @@ def read_frames(plans: dict[Axis, AxisPlan], count: int) -> Bool[np.ndarray, " n
 
 
 def plan_axes(code: Code, fine_bits: int) -> dict[Axis, AxisPlan]:
-    """How each coded axis is to be read.
+    """The plan of each coded axis.
 
     Raises:
         DecodeError: frames are missing or do not fit together; the text names them.
@@ -94,12 +94,12 @@ def _plan_axis(code: Code, axis: Axis, fine_bits: int) -> AxisPlan:
     # A code that begins inside the picture was meant for a part of it.
     if bits and code.offset_px[i] <= 0 and reach_px < code.size_px(axis) - 0.5:
         raise DecodeError(
-            f"{axis}: {len(bits)} Gray bits of {cell_px:g} px reach {reach_px:g} px, the projector "
-            f"has {code.size_px(axis)}: is the coarsest bit missing, or stride_px?"
+            f"{axis}: {len(bits)} Gray bits of {cell_px:g} px reach {reach_px:g} px, the "
+            f"projector has {code.size_px(axis)}: add the coarsest bit, or state stride_px"
         )
     if not bits and len(periods) < 2 and periods[0].period_px < code.size_px(axis):
         raise DecodeError(
-            f"{axis}: one period of {periods[0].period_px:g} px repeats over the projector's "
+            f"{axis}: one period of {periods[0].period_px:g} px repeats within the projector's "
             f"{code.size_px(axis)} px; add Gray bits or other periods to count it"
         )
     return AxisPlan(
@@ -124,7 +124,7 @@ def _gray_bits(axis: Axis, indexed: list[tuple[int, Frame]], fine_bits: int) -> 
     numbers = sorted(shown, reverse=True)
     gaps = sorted(set(range(numbers[-1], numbers[0])) - set(numbers))
     if gaps:
-        raise DecodeError(f"{axis}: Gray bit {gaps[0]} is missing between others")
+        raise DecodeError(f"{axis}: Gray bit {gaps[0]} is missing between finer and coarser bits")
     bits = []
     for number in numbers:
         k, frame = shown[number]
@@ -132,8 +132,8 @@ def _gray_bits(axis: Axis, indexed: list[tuple[int, Frame]], fine_bits: int) -> 
         if frame.xor_bit >= 0:
             if frame.xor_bit not in shown or shown[frame.xor_bit][1].xor_bit >= 0:
                 raise DecodeError(
-                    f"{axis}: bit {number} is combined with bit {frame.xor_bit}, "
-                    "which must be there on its own"
+                    f"{axis}: bit {number} is combined with bit {frame.xor_bit}, which the code "
+                    "must also have uncombined"
                 )
             base = numbers.index(frame.xor_bit)
         counts = number - numbers[-1] >= fine_bits or frame.xor_bit >= 0
@@ -148,13 +148,13 @@ def _with_complementary(
     cell_px: float,
     periods: tuple[Period, ...],
 ) -> tuple[tuple[Bit, ...], float]:
-    """The bits with the complementary one behind them, where the Gray code counts periods.
+    """The bits followed by the complementary bit, if the Gray code counts periods.
 
     A Gray code finer than that does not need it.
     """
     found = {f.inverse: (k, f) for k, f in indexed if f.kind == "complementary"}
     if len([1 for _, f in indexed if f.kind == "complementary"]) > len(found):
-        raise DecodeError(f"{axis}: more than one complementary bit")
+        raise DecodeError(f"{axis}: the code has more than one complementary bit: give one")
     if not found:
         if bits and periods and cell_px > 0.75 * periods[0].period_px:
             raise DecodeError(
@@ -163,16 +163,20 @@ def _with_complementary(
             )
         return bits, cell_px
     if False not in found:
-        raise DecodeError(f"{axis}: the complementary bit is there as an inverse only")
+        raise DecodeError(
+            f"{axis}: the complementary bit has an inverse frame but no frame of its own"
+        )
     k, frame = found[False]
     if not bits:
-        raise DecodeError(f"{axis}: a complementary bit, but no Gray bits before it")
+        raise DecodeError(
+            f"{axis}: the code has a complementary bit but no Gray bits: add the Gray bits"
+        )
     if cell_px <= 0.5 * frame.period_px:
         return bits, cell_px
     if abs(cell_px - frame.period_px) > 1e-6 * cell_px:
         raise DecodeError(
             f"{axis}: the complementary bit halves {frame.period_px:g} px, the Gray values are "
-            f"{cell_px:g} px wide: is stride_px the period?"
+            f"{cell_px:g} px wide: stride_px must be the period"
         )
     inverse = found[True][0] if True in found else NO_FRAME
     return (*bits, Bit(frame=k, inverse=inverse)), cell_px / 2
@@ -199,5 +203,7 @@ def _periods(axis: Axis, indexed: list[tuple[int, Frame]]) -> tuple[Period, ...]
         )
     periods.sort(key=lambda p: (not p.full, p.period_px))
     if periods and not periods[0].full:
-        raise DecodeError(f"{axis}: no period has all its steps; one must")
+        raise DecodeError(
+            f"{axis}: no period has all its steps; give at least one period with all its steps"
+        )
     return tuple(periods)

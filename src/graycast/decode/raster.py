@@ -1,8 +1,9 @@
-"""A depth map whose pixels are of places that lie anywhere in them, as a resampled raster's are.
+"""A depth map whose depths belong to points anywhere within their pixels, as after resampling.
 
-A scanner that gives a smaller map than it measures, or a straightened one, takes of each pixel one
-of several points. The point is right; but where the surface is steep, its depth is another than
-that of the pixel's middle. The places are fixed: they belong to the raster and not to a shot.
+A scanner that outputs a smaller or rectified map selects one of several measured points for
+each pixel. The point is right, but on a steep surface its depth differs from the depth at the
+centre of the pixel. The positions are fixed, because they belong to the raster and not to a
+shot.
 """
 
 from dataclasses import replace
@@ -12,12 +13,13 @@ from jaxtyping import Float
 
 from .maps import DepthMap
 
-STEEPEST = 0.02  # of its depth, that a surface may rise from one pixel to the next but one
+# as a share of its depth, that a surface may rise from one pixel to the next but one
+STEEPEST = 0.02
 _SEED = 15  # of the raster; any number would do
 
 
 def on_raster(depth: DepthMap, raster_px: float) -> DepthMap:
-    """The depth of a place `raster_px` (one sigma along either axis) off each pixel's middle.
+    """The depth at a point `raster_px` (one sigma along each axis) from the pixel's centre.
 
     The surface is the plane, in inverse depth, through both neighbours of a pixel along each axis;
     beside steps and holes it is flat. `sigma_m` holds what the place does to the depth.

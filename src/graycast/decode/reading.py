@@ -65,8 +65,8 @@ def decode(
     """
     if len(frames) != len(code.frames):
         raise DecodeError(
-            f"the stack has {len(frames)} frames, the code has {len(code.frames)}: "
-            "another projector size, or inverses missing?"
+            f"the stack has {len(frames)} frames, the code has {len(code.frames)}: check the "
+            "projector size and the inverse frames"
         )
     plans = plan_axes(code, spec.fine_bits)
     stack = np.ascontiguousarray(frames).view()

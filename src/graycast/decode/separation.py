@@ -1,4 +1,4 @@
-"""Direct and global light: what a point gets from the projector itself, and by way of others."""
+"""Separation of the projector's direct light from global light, which comes by other surfaces."""
 
 import numpy as np
 from jaxtyping import Float, UInt8, UInt16

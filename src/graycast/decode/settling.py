@@ -1,4 +1,4 @@
-"""Periods that a pixel's own phases leave open, settled by its neighbours on the same surface."""
+"""Ambiguous periods of a pixel, which its neighbours on the same surface resolve."""
 
 from typing import no_type_check
 
@@ -20,7 +20,7 @@ PASSES = 8  # what one pass settles speaks in the next
 
 
 def settle(periods, turn, choice, cost, place, state, lit, *, min_lead):
-    """Places for counts that are `OPEN`; what no agreement is found on stays so.
+    """Resolve `OPEN` counts by the neighbours; without an agreement they stay open.
 
     A neighbour on the same surface sees the period that the step between both phases leads to, for
     each of a pixel's places another one. Against a place speaks its own cost and, of each
@@ -62,7 +62,7 @@ def _counts(period, first, place, state, lit, count):
 @numba.njit(parallel=True, cache=True)
 @no_type_check  # the tests' type checker wraps functions, which numba cannot compile
 def _take(period, first, pick, place, state, count):
-    """Write what was agreed on; which rows have any."""
+    """Write the agreed periods; return which rows have any."""
     any_taken = np.zeros(len(pick), dtype=np.bool_)
     for y in numba.prange(len(pick)):
         for x in range(pick.shape[1]):

@@ -14,7 +14,7 @@ EPIPOLAR_SIGMAS = 3.0  # of noise that may bring a point off its epipolar line
 
 
 def triangulation_axis(rig: Rig) -> Axis:
-    """The projector axis that the baseline runs along; only its code tells depth."""
+    """The projector axis parallel to the baseline; only the code of this axis gives depth."""
     camera_in_proj = rig.T_proj_cam[:3, 3]
     return "column" if abs(camera_in_proj[0]) >= abs(camera_in_proj[1]) else "row"
 

@@ -1,4 +1,4 @@
-"""Pixels out of order along their epipolar line: a nearer surface hides their place.
+"""Pixels out of order along their epipolar line, which a nearer surface must hide.
 
 The projector lights the first surface on each of its rays, so along an epipolar line positions rise
 from pixel to pixel wherever surfaces are wider than what they hide: between a near surface and what

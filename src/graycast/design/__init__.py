@@ -1,4 +1,4 @@
-"""Which scanner to buy and where to put it: settings compared on the same heaps of parts."""
+"""Comparison of scanners and their poses on the same heaps of parts."""
 
 from .choosing import Row, choose, sentences
 from .judging import Fate

@@ -42,7 +42,7 @@ class Row:
         return mean_interval(self.measured_by_heap)
 
     def missing(self) -> list[tuple[Fate, float]]:
-        """What is not measured, the largest share first."""
+        """The unmeasured shares by reason, largest first."""
         lost = [(fate, self.share[fate]) for fate in FATES if fate is not Fate.MEASURED]
         return sorted((pair for pair in lost if pair[1] > 0), key=lambda pair: -pair[1])
 
@@ -92,7 +92,7 @@ def on_front(values: Float[np.ndarray, "n figures"]) -> list[bool]:
 
 
 def cost(row: Row) -> tuple[float, float, float]:
-    """What is to be small, as it is printed: the share not measured, sigma [mm] and seconds."""
+    """The quantities to minimise, rounded as printed: unmeasured share, sigma [mm], seconds."""
     sigma_mm, seconds = 1e3 * row.figure["sigma_m"], row.figure["seconds"]
     return round(1 - row.measured.value, 3), round(sigma_mm, 2), round(seconds, 2)
 
@@ -109,7 +109,7 @@ def meets(spec: DesignSpec, row: Row) -> bool:
 
 
 def unlike(rows: Sequence[Row], best: Row) -> Mapping[str, Interval]:
-    """How much less of the surface each other row measures than the best, on the same heaps."""
+    """The difference of the measured share between the best row and each other row."""
     return {
         row.name: mean_interval(best.measured_by_heap - row.measured_by_heap)
         for row in rows
@@ -118,14 +118,14 @@ def unlike(rows: Sequence[Row], best: Row) -> Mapping[str, Interval]:
 
 
 def sentences(spec: DesignSpec, rows: Sequence[Row]) -> str:
-    """What to buy and where to put it, in plain words."""
+    """The recommendation in sentences."""
     best = choose(spec, rows)
     if best is None:
         return f"None of the {len(rows)} settings {_wanted(spec)}. {_nearest(spec, rows)}"
     told = (
         f"{where(best)} measures {_percent(best.measured)} of the open surface of the parts, with "
         f"a sigma of {1e3 * best.figure['sigma_m']:.2f} mm and a bias of "
-        f"{1e3 * best.figure['bias_m']:+.2f} mm. It sees features from "
+        f"{1e3 * best.figure['bias_m']:+.2f} mm. It resolves features from "
         f"{1e3 * best.figure['feature_m']:.1f} mm and takes {best.figure['seconds']:.2f} s a scan."
     )
     lost = [f"{share:.1%} {_WORDS[fate]}" for fate, share in best.missing()[:3]]
@@ -136,7 +136,9 @@ def sentences(spec: DesignSpec, rows: Sequence[Row]) -> str:
     fit = [row for row in rows if meets(spec, row) and row is not best]
     like = [name for name, less in unlike(fit, best).items() if not less.low > 0]
     if like and spec.layouts > 1:
-        told += f" By these {spec.layouts} heaps it cannot be told from {_list(like)}."
+        told += (
+            f" On these {spec.layouts} heaps its difference is not significant from {_list(like)}."
+        )
     return told
 
 
@@ -200,7 +202,7 @@ def _wanted(spec: DesignSpec) -> str:
 
 
 def _nearest(spec: DesignSpec, rows: Sequence[Row]) -> str:
-    """The least that any setting has of what is needed."""
+    """The smallest value that any setting has of a required quantity."""
     found = []
     for name in spec.needs.model_dump(exclude_none=True):
         held = [row for row in rows if math.isfinite(row.figure[name])]

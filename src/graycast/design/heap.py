@@ -1,4 +1,4 @@
-"""A heap of parts, dropped once for all settings of a bin, with the surface that is asked about."""
+"""A heap of parts, dropped once for all settings of a bin, with its surface points."""
 
 from dataclasses import dataclass
 from typing import final

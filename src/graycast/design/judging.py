@@ -1,4 +1,4 @@
-"""What one setting made of one heap: where each place of the surface went, and how exactly."""
+"""The result of one setting on one heap: the fate and the depth error of each surface point."""
 
 from dataclasses import dataclass
 from enum import StrEnum
@@ -19,7 +19,7 @@ FEATURE_SIGMAS = 3  # and as high as so many standard deviations
 
 
 class Fate(StrEnum):
-    """What became of a place on the open surface.
+    """The fate of a point on the open surface.
 
     What the camera does not see is not measured; what it sees and has depth for is, or is `WRONG`.
     Of the rest geometry comes first (no light can reach it), then the decoder's own reason.
@@ -126,7 +126,7 @@ class Judged:
 def judge(
     view: SurfaceView, surface: Surface, truth: GroundTruth, depth: DepthMap, *, wrong_m: float
 ) -> Judged:
-    """What became of each point of a surface. The error is that of the pixel which sees it."""
+    """The fate of each point of a surface. Its error is the error of the pixel that sees it."""
     pixel = (view.row, view.column)
     own = truth.instance[pixel] == surface.instance
     error_m = np.where(own, depth.depth_m[pixel] - truth.depth_m[pixel], np.nan)

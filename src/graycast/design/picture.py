@@ -1,4 +1,4 @@
-"""A picture of what one setting made of a heap: the white frame, and each place's fate on it."""
+"""A picture of one setting's result: the white frame, and the fate of each point on it."""
 
 import cv2
 import numpy as np

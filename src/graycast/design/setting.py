@@ -55,7 +55,7 @@ class Setting:
 
     @property
     def lit(self) -> "Setting":
-        """What of it the light depends on: codes and exposures share one rendering."""
+        """The setting without code and exposure, on which the rendered light does not depend."""
         return replace(self, code=None, exposure=None)
 
 
@@ -69,8 +69,8 @@ def settings_of(spec: DesignSpec) -> tuple[Setting, ...]:
     name, times = Counter(setting.name for setting in found).most_common(1)[0]
     if times > 1:
         raise ConfigError(
-            f"the setting {name} comes {times} times: leave it out of one sweep, or give rig files "
-            "other names"
+            f"the setting {name} comes {times} times: remove it from one sweep, or rename a rig "
+            "file"
         )
     return found
 
@@ -90,7 +90,7 @@ class Placed:
     cell: Cell
 
     def described(self, spec: DesignSpec) -> dict[str, Any]:
-        """All that its figures depend on, for JSON: what is measured already is compared with it.
+        """Everything that the figures depend on, for JSON; it is compared with earlier results.
 
         The number of layouts is none of it: more of them may be added later.
         """
@@ -181,18 +181,18 @@ def _config(spec: DesignSpec, config: Config, setting: Setting) -> Config:
 def _refuse_out_of_range(
     rig: Rig, T_world_cam: Float[np.ndarray, "4 4"], bounds_m: Float[np.ndarray, "2 3"]
 ) -> None:
-    """Nothing of a bin that is wholly out of the rig's range is measured: it is a mistake."""
+    """Refuse a bin that is completely outside of the rig's working range."""
     corners = np.stack(np.meshgrid(*bounds_m.T), axis=-1).reshape(-1, 3)
     z_m = transform_points(inverse(T_world_cam), corners)[:, 2]
     if z_m.max() < rig.near_m or z_m.min() > rig.far_m:
         raise ConfigError(
-            f"the bin lies {z_m.min():.3g} to {z_m.max():.3g} m before the camera, but the range "
-            f"of {rig.name} is {rig.near_m:g} to {rig.far_m:g} m: give another distance_m"
+            f"the bin lies {z_m.min():.3g} to {z_m.max():.3g} m from the camera, but the working "
+            f"range of {rig.name} is {rig.near_m:g} to {rig.far_m:g} m: give another distance_m"
         )
 
 
 def lights_of(placed: tuple[Placed, ...]) -> tuple[tuple[Placed, ...], ...]:
-    """Settings that differ in codes and exposures alone stand together: one rendering is enough."""
+    """Groups of settings that differ only in code and exposure, which share one rendering."""
     groups: dict[tuple[object, ...], list[Placed]] = {}
     for one in placed:
         groups.setdefault(astuple(one.setting.lit), []).append(one)

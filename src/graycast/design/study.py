@@ -24,31 +24,38 @@ class SweepSection(Settings):
     """All combinations of its lists are compared. A key that is left out is as in the cell."""
 
     rig: tuple[str, ...] | None = Field(
-        None, min_length=1, description="Names of presets, or rig files."
+        None, min_length=1, description="The rigs: names of presets, or rig files."
     )
     resolution: tuple[Literal["small", "low", "full"], ...] | None = Field(
-        None, min_length=1, description="The sizes of a preset's pictures."
+        None, min_length=1, description="The resolutions of a preset's pictures."
     )
     baseline_m: tuple[Positive, ...] | None = Field(
         None,
         min_length=1,
-        description="How far camera and projector are apart. Both are turned so that their axes "
-        "cross at the target. Left out, the rig keeps its own baseline and angle.",
+        description="The distances between camera and projector in metres. Both are turned "
+        "so that their optical axes meet at the target. Without this key, the "
+        "rig keeps its own baseline and angle.",
     )
     distance_m: tuple[Positive, ...] | None = Field(
-        None, min_length=1, description="From the baseline's middle to the target."
+        None,
+        min_length=1,
+        description="The distances from the middle of the baseline to the target in metres.",
     )
     tilt_deg: tuple[Tilt, ...] | None = Field(
-        None, min_length=1, description="How far the rig hangs from the vertical."
+        None, min_length=1, description="The angles of the rig from the vertical in degrees."
     )
     azimuth_deg: tuple[float, ...] | None = Field(
-        None, min_length=1, description="How far the rig is turned about the vertical."
+        None, min_length=1, description="The angles of the rig about the vertical in degrees."
     )
-    code: tuple[Name, ...] | None = Field(None, min_length=1, description="Names among codes.")
+    code: tuple[Name, ...] | None = Field(
+        None, min_length=1, description="Names of entries in codes."
+    )
     exposure: tuple[Name, ...] | None = Field(
-        None, min_length=1, description="Names among exposures."
+        None, min_length=1, description="Names of entries in exposures."
     )
-    bin: tuple[Name, ...] | None = Field(None, min_length=1, description="Names among bins.")
+    bin: tuple[Name, ...] | None = Field(
+        None, min_length=1, description="Names of entries in bins."
+    )
 
 
 class NeedsSection(Settings):
@@ -68,33 +75,41 @@ class DesignSpec(Settings):
     title: str = Field("Design study", description="The title of the table.")
     cell: Path = Field(description="The configuration of the cell: parts, bin, light, rendering.")
     layouts: int = Field(
-        4, ge=1, le=1000, description="How many heaps each setting scans; all scan the same ones."
+        4,
+        ge=1,
+        le=1000,
+        description="The number of heaps that each setting scans. All "
+        "settings scan the same heaps.",
     )
     seed: int = Field(0, ge=0, description="The seed of the heaps and of the noise.")
     points: int = Field(
         20_000,
         ge=1000,
         le=1_000_000,
-        description="How many points are spread over the surface of a heap's parts.",
+        description="The number of sample points on the surface of the parts of a heap.",
     )
     cone_deg: float = Field(
         30.0,
         ge=0,
         le=80,
-        description="The open surface is what can be seen from a direction that leans at most so "
-        "far from the vertical.",
+        description="The open surface is the surface that is visible from a direction at "
+        "most this angle from the vertical, in degrees.",
     )
     wrong_m: Positive = Field(
-        0.005, description="Depth that is farther off the truth counts as wrong, not as measured."
+        0.005,
+        description="The largest depth error in metres. Depth with a larger error "
+        "counts as wrong, not as measured.",
     )
     readout_s: Level = Field(
-        0.010, description="How long the scanner reads a frame out, beside its exposure."
+        0.010,
+        description="The time that the scanner needs to read out a frame, in seconds, "
+        "in addition to the exposure.",
     )
     codes: dict[Name, Code] = Field({}, description="Codes by name.")
     exposures: dict[Name, Exposure] = Field({}, description="Exposures by name.")
     bins: dict[Name, BinSection] = Field({}, description="Bins by name.")
     sweeps: tuple[SweepSection, ...] = Field(
-        min_length=1, description="The study is the settings of all of them."
+        min_length=1, description="The sweeps, whose settings together make up the study."
     )
     needs: NeedsSection = NeedsSection()
 
@@ -105,7 +120,9 @@ class DesignSpec(Settings):
             for name in (name for sweep in self.sweeps for name in getattr(sweep, key) or ()):
                 if name not in known:
                     those = f"{key}s has {', '.join(known)}" if known else f"{key}s has none"
-                    raise ValueError(f"a sweep names the {key} {name!r}, but {those}: add it there")
+                    raise ValueError(
+                        f"a sweep names the {key} {name!r}, but {those}: add it to {key}s"
+                    )
         return self
 
 

@@ -1,4 +1,4 @@
-"""The surface of a heap's parts as points, and what can be seen of it from somewhere.
+"""The surface of a heap's parts as points, and the visibility of these points.
 
 The points belong to the heap, not to a scanner: all settings are asked about the same places. What
 hides a point is found by rasterising all meshes from the eye, without any renderer.
@@ -24,7 +24,7 @@ RINGS = ((1, 0.0), (6, 0.5), (12, 1.0))  # directions, and how far they lean, of
 
 
 class Sight(IntEnum):
-    """Whether an eye sees a point, and what else it sees there."""
+    """Whether a point is visible from an eye position, and what hides it otherwise."""
 
     SEEN = 0
     OUTSIDE = 1  # of its picture
@@ -59,7 +59,7 @@ class Surface:
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Obstacles:
-    """All that can hide a point, as one mesh; `is_bin` says of which faces the bin's are."""
+    """Everything that can hide a point, as one mesh; `is_bin` marks the faces of the bin."""
 
     mesh: Mesh
     is_bin: Bool[np.ndarray, " f"]

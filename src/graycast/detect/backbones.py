@@ -1,4 +1,4 @@
-"""Backbones: an image in, feature maps at a quarter down to a thirty-second of its size out."""
+"""Backbones: networks that compute feature maps at 1/4 to 1/32 of an image's size."""
 
 from collections import OrderedDict
 from collections.abc import Mapping, Sequence
@@ -19,9 +19,9 @@ NORM_MOMENTUM = 0.1
 
 @final
 class Body(nn.Module):
-    """A classifier without its end: one feature map for each stride.
+    """A classifier without its head: one feature map for each stride.
 
-    Its state dict has the names of the published classifier, so the maker's file fits.
+    Its state dict has the names of the published classifier, so that published files fit.
 
     Attributes:
         name: one of `BACKBONES`.
@@ -84,7 +84,7 @@ def open_backbone(name: str, *, channels: int) -> Body:
 
 
 def follow_fast(network: nn.Module) -> None:
-    """Lets the norms of a network follow its training within tens of steps."""
+    """Let the norms of a network follow its training within tens of steps."""
     for module in network.modules():
         if isinstance(module, nn.BatchNorm2d):
             module.momentum = NORM_MOMENTUM
@@ -114,7 +114,8 @@ def load_backbone(body: Body, state: Mapping[str, Tensor]) -> None:
     for key in sorted(own.keys() ^ kept.keys()):
         has, lacks = ("backbone", "file") if key in own else ("file", "backbone")
         raise GraycastError(
-            f"these weights are not of {body.name}: the {has} has {key!r}, the {lacks} has not"
+            f"these weights do not belong to {body.name}: the {has} has {key!r} and the {lacks} "
+            "has not"
         )
     for key, value in kept.items():
         if value.shape != own[key].shape:

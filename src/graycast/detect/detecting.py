@@ -1,4 +1,4 @@
-"""A detector let loose on a dataset or on pictures: COCO's results, drawings, and times."""
+"""Detection in a dataset or in pictures: COCO results, drawings and times."""
 
 import json
 import time
@@ -108,7 +108,7 @@ def shots(found: Sequence[RealPicture], *, scale_m: float | None) -> Iterator[Ex
 
 
 def looked_at(folder: Path) -> dict[str, Any]:
-    """What an earlier `detect` says that it looked at, and how; nothing where there was none.
+    """The scenes and settings of an earlier `detect`; empty if there was none.
 
     Raises:
         GraycastError: its file is damaged.
@@ -168,7 +168,7 @@ def pictures_of(
     """
     if not (any((folder / name).is_file() for name in (CLAIM, RECORD)) or is_foreign(folder)):
         if split != "all":
-            raise GraycastError(f"{folder}: is no dataset, so it has no set {split}: take all")
+            raise GraycastError(f"{folder}: is not a dataset, so it has no set {split}: choose all")
         found = find_shots(folder)
         return Chosen(
             examples=shots(found, scale_m=scale_m),

@@ -1,4 +1,4 @@
-"""A trained detector: a network, how it sees, and what its classes are, in one file."""
+"""A trained detector in one file: the network, the encoding of its input, and its classes."""
 
 import json
 import sys
@@ -30,14 +30,14 @@ _FORM = 1
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class About:
-    """All that a detector is but its weights.
+    """The description of a detector without its weights.
 
     Attributes:
         model: one of `networks.MODELS`.
         backbone: of the model; None is the model's own choice.
         encoding: from pictures to the network's input.
         names: of the classes.
-        trained: what the training had to say: datasets, settings, versions.
+        trained: a record of the training: datasets, settings, versions.
     """
 
     model: str
@@ -48,7 +48,7 @@ class About:
 
     @property
     def tells_apart(self) -> bool:
-        """Whether it has a class for each part, not one for all."""
+        """Whether it has a class for each kind of part, and not one class for all."""
         return self.names != (ONE_CLASS,)
 
     def classes(self, categories: Mapping[int, str]) -> dict[int, int]:
@@ -69,7 +69,7 @@ class About:
         held = {name: obj_id for obj_id, name in categories.items() if name in self.names}
         if not held:
             raise GraycastError(
-                f"{folder}: has {', '.join(categories.values())}, and the detector knows "
+                f"{folder}: has {', '.join(categories.values())}, and the detector was trained on "
                 f"{', '.join(self.names)}: give a dataset of the same parts"
             )
         return held
@@ -153,7 +153,7 @@ class Detector:
     def answer(
         self, image: Float32[torch.Tensor, "1 c h w"], *, most: int, least_score: float
     ) -> Found:
-        """The network's own, in the arithmetic that suits the device, in pixels of its input."""
+        """The answer of the network in pixels of its input, with the device's precision."""
         with torch.inference_mode(), autocast(self.device), without_denormals():
             return self.network.find(image, most=most, least_score=least_score)[0]
 
@@ -229,7 +229,7 @@ def load_detector(path: Path, *, device: str = "auto") -> Detector:
     """
     file = path / WEIGHTS if path.is_dir() else path
     if not file.is_file():
-        raise GraycastError(f"{file}: is not there: give a folder that graycast train has written")
+        raise GraycastError(f"{file}: does not exist: give a folder that graycast train wrote")
     try:
         held = torch.load(file, map_location="cpu", weights_only=True)
         said = json.loads(held["about"])
@@ -243,7 +243,9 @@ def load_detector(path: Path, *, device: str = "auto") -> Detector:
         state = held["state"]
     except Exception as error:  # unpickling raises whatever the bytes lead it to
         why = " ".join(str(error).split())[:120]
-        raise GraycastError(f"{file}: is damaged or no detector ({why}): train it again") from error
+        raise GraycastError(
+            f"{file}: is damaged or is not a detector ({why}): train it again"
+        ) from error
     network = about.open_network()
     try:
         network.load_state_dict(state)
@@ -264,17 +266,16 @@ def choose_device(name: str) -> torch.device:
         GraycastError: a GPU is asked for, and torch finds none.
     """
     if name == "cuda" and not torch.cuda.is_available():
-        raise GraycastError("torch finds no NVIDIA GPU: take --device cpu, or mend the driver")
+        raise GraycastError("torch finds no NVIDIA GPU: use --device cpu, or repair the driver")
     gpu = name == "cuda" or (name == "auto" and torch.cuda.is_available())
     return torch.device("cuda" if gpu else "cpu")
 
 
 @contextmanager
 def without_denormals() -> Iterator[None]:
-    """Numbers too small for full precision are zero inside: processors take long for them, and
-    networks make many.
+    """Treat denormal numbers as zero inside the block, because processors are slow with them.
 
-    At the end it is as it was before, because it holds for all code of the thread: SciPy's k-d
+    The mode is restored at the end, because it affects all code of the thread: SciPy's k-d
     tree, for one, never ends where the difference of two unequal numbers is zero.
     """
     before = sys.float_info.min / 2 == 0  # torch sets the mode but does not tell it

@@ -1,6 +1,6 @@
-"""How a picture becomes a network's input: which channels, what a missing depth is, which size.
+"""The encoding of a picture for a network: its channels, missing depth, and size.
 
-The encoding is stored with the weights and applied by whoever runs them, so the two cannot differ.
+The encoding is stored with the weights, so that training and detection use the same one.
 """
 
 import math
@@ -22,7 +22,7 @@ HOLES = ("channel", "zero", "far")
 _RGB_MEAN = np.array([0.485, 0.456, 0.406], np.float32)
 _RGB_DEVIATION = np.array([0.229, 0.224, 0.225], np.float32)
 BLACK = -_RGB_MEAN / _RGB_DEVIATION  # what encodes no light
-_RELIEF_WINDOW = 1 / 10  # of the longer side of the input
+_RELIEF_WINDOW = 1 / 10  # as a share of the longer side of the input
 _RELIEF_SHARE = 1 / 20  # of the working volume: what saturates the relief
 _NOISY_SIGMA_M = 1e-3
 _NOISY_HOLES_SHARE = 0.05
@@ -62,7 +62,7 @@ class Encoding:
         if self.holes not in HOLES:
             raise GraycastError(f"holes is {self.holes!r}: choose one of {', '.join(HOLES)}")
         if min(self.size_px) < 32 or any(side % 32 for side in self.size_px):
-            raise GraycastError(f"size_px is {self.size_px}: multiples of 32 from 32 up")
+            raise GraycastError(f"size_px is {self.size_px}: give a multiple of 32 of at least 32")
         if self.deep and not 0 < (self.near_m or 0) < (self.far_m or 0):
             raise GraycastError(
                 f"the depth's range is {self.near_m} to {self.far_m} m: give 0 < near < far"
@@ -175,9 +175,9 @@ def fitting_size(picture_px: tuple[int, int], longest_px: int) -> tuple[int, int
 
 
 def noisy(depth_m: Float32[np.ndarray, "h w"], *, seed: int) -> Float32[np.ndarray, "h w"]:
-    """Perfect depth as most simulators roughen it: Gaussian noise of 1 mm, 5 % in round holes.
+    """Perfect depth with the noise of most simulators: Gaussian of 1 mm, 5 % in round holes.
 
-    It is here to be compared with, so it knows nothing of light: its holes lie anywhere.
+    It serves for comparison only: its holes do not depend on the light.
     """
     rng = np.random.default_rng([seed, 0x6E6F6973])
     rough = depth_m + rng.normal(0.0, _NOISY_SIGMA_M, depth_m.shape).astype(np.float32)

@@ -145,7 +145,7 @@ def _covered(box: Float[Tensor, "n 4"], by: Float[Tensor, "m 4"]) -> Float[Tenso
 
 
 def _told(target: Target) -> dict[str, Tensor]:
-    """Labels as torchvision takes them: 0 is the background, -1 counts for nothing."""
+    """Labels in torchvision's convention: 0 is the background, and -1 is ignored."""
     return {
         "boxes": target.box,
         "labels": torch.where(target.ignored, -1, target.label + 1),

@@ -1,4 +1,4 @@
-"""What every network can do: learn from labels, and find parts. One file for each behind it."""
+"""The interface of all networks: training on labels and finding parts."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -52,7 +52,7 @@ class Found:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Recipe:
-    """How a network is trained where nobody says otherwise.
+    """The default settings of a network's training.
 
     Attributes:
         optimizer: `sgd` (momentum 0.9) or `adamw`.
@@ -69,7 +69,7 @@ class Recipe:
 
 @runtime_checkable
 class Network(Protocol):
-    """A `torch.nn.Module` that answers these questions too.
+    """A `torch.nn.Module` with these further methods.
 
     Input is `(b, channels, h, w)` float, h and w multiples of 32, made by `encoding.Encoding`. All
     random choices use torch's global generator, which the training loop owns.

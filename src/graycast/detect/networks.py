@@ -43,5 +43,7 @@ def network_class(model: str) -> type:
         case "rf-detr":
             from .rf_detr import RfDetr as Chosen
         case _:
-            raise GraycastError(f"no model {model!r}: choose one of {', '.join(MODELS)}")
+            raise GraycastError(
+                f"the model {model!r} does not exist: choose one of {', '.join(MODELS)}"
+            )
     return Chosen

@@ -1,4 +1,4 @@
-"""A detector as an ONNX file, checked against torch before anybody gets it."""
+"""A detector as an ONNX file, whose output is compared with torch before it is written."""
 
 import io
 import json
@@ -42,7 +42,7 @@ def write_onnx(
     under `graycast`, as JSON.
 
     Raises:
-        GraycastError: onnx is not installed, the network cannot be told in ONNX, or onnxruntime
+        GraycastError: onnx is not installed, the network cannot be written as ONNX, or onnxruntime
             and torch find different things in a picture of noise.
     """
     onnx, runtime = _libraries()
@@ -72,7 +72,7 @@ def write_onnx(
         content = held.SerializeToString()
     except (torch.onnx.OnnxExporterError, RuntimeError, TypeError) as error:
         why = " ".join(str(error).split())[:120]
-        raise GraycastError(f"{detector.about.model} cannot be told in ONNX ({why})") from error
+        raise GraycastError(f"{detector.about.model} cannot be written as ONNX ({why})") from error
     options = runtime.SessionOptions()
     options.log_severity_level = 3  # sizes that differ from picture to picture are no news
     session = runtime.InferenceSession(content, options)
@@ -87,7 +87,7 @@ def _libraries():
         import onnxruntime
     except ImportError as error:
         raise GraycastError(
-            "ONNX files need onnx and onnxruntime: pip install 'graycast[detect]'"
+            "ONNX files need onnx and onnxruntime: run pip install 'graycast[detect]'"
         ) from error
     return onnx, onnxruntime
 
@@ -99,7 +99,7 @@ def _noise(detector: Detector, seed: int) -> Tensor:
 
 
 def _compare(session, model: Callable[[Tensor], tuple[Tensor, ...]], image: Tensor) -> None:
-    """Both find the same things; of what has nearly the least score, either may keep another."""
+    """Compare the detections of both; detections near the lowest score may differ."""
     with torch.no_grad():
         box, _, score = (each.numpy() for each in model(image)[:3])
     try:
@@ -116,6 +116,6 @@ def _compare(session, model: Callable[[Tensor], tuple[Tensor, ...]], image: Tens
         if off_score <= _MOST_OFF_SCORE and off_px <= _MOST_OFF_PX:
             return
     raise GraycastError(
-        f"onnxruntime finds other things than torch ({len(told_box)} and {len(box)} in a picture "
-        "of noise): the file is not written; another release of torch or onnxruntime may agree"
+        f"onnxruntime finds other detections than torch ({len(told_box)} and {len(box)} in a "
+        "picture of noise): the file is not written; try another release of torch or onnxruntime"
     )

@@ -26,7 +26,7 @@ Rle = Mapping[str, Any]
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Augmentation:
-    """What is drawn anew for each picture and epoch; no turning, no mosaic.
+    """The random augmentation of each picture in each epoch, without rotation and mosaic.
 
     Attributes:
         flip: mirrored left to right and top to bottom, each in half of the pictures. A flip turns
@@ -45,7 +45,7 @@ class Augmentation:
     def __post_init__(self) -> None:
         if min(self.zoom, self.brightness) < 1 or not 0 <= self.depth_shift < 1:
             raise GraycastError(
-                f"zoom is {self.zoom}, brightness {self.brightness} (factors from 1 up) and "
+                f"zoom is {self.zoom}, brightness {self.brightness} (both at least 1) and "
                 f"depth_shift {self.depth_shift} (a share): change what is out of range"
             )
 
@@ -88,7 +88,7 @@ class Pictures(torch.utils.data.Dataset):
 
         Args:
             examples: sets, each with the class of each of its object ids.
-            file: where the encoded pictures go; it is made anew.
+            file: the file of the encoded pictures, which is overwritten.
             masks: whether targets have masks.
             min_visibility: an instance of which a smaller share is visible is ignored.
             on_picture: called after each picture.
@@ -135,7 +135,7 @@ class Pictures(torch.utils.data.Dataset):
         )
 
     def at(self, epoch: int) -> "Pictures":
-        """Itself, drawing what belongs to that epoch."""
+        """Select the epoch whose augmentation is drawn, and return the set itself."""
         self.epoch = epoch
         return self
 
@@ -148,7 +148,7 @@ def collate(items: Sequence[tuple[Tensor, Target]]) -> tuple[Tensor, list[Target
 def room_for(file: Path, shape: Sequence[int]) -> np.memmap:
     """A new file of encoded pictures, mapped into memory.
 
-    Its room is taken at once: a disk that filled up later would end the process without a word.
+    Its space is allocated at once, because a full disk would later crash the process.
 
     Raises:
         GraycastError: the disk has no room for it.
@@ -158,7 +158,8 @@ def room_for(file: Path, shape: Sequence[int]) -> np.memmap:
     if needed > free:
         raise GraycastError(
             f"{file.parent}: has {free / 1e9:.1f} GB free and the encoded pictures take "
-            f"{needed / 1e9:.1f} GB: free space, choose another --out or a smaller --size"
+            f"{needed / 1e9:.1f} GB: free disk space, choose another --out, or choose a smaller "
+            "--size"
         )
     try:
         held = np.lib.format.open_memmap(file, mode="w+", dtype=np.float16, shape=tuple(shape))
@@ -166,7 +167,7 @@ def room_for(file: Path, shape: Sequence[int]) -> np.memmap:
             os.posix_fallocate(opened.fileno(), 0, opened.seek(0, os.SEEK_END))
     except OSError as error:
         raise GraycastError(
-            f"{file}: cannot be written ({error.strerror}): choose another --out with space"
+            f"{file}: cannot be written ({error.strerror}): choose another --out with free space"
         ) from error
     return held
 
@@ -180,11 +181,14 @@ def _labelled(
     folder: Path,
 ) -> _Labelled:
     if example.box_px is None or example.obj_id is None:
-        raise GraycastError(f"{folder}: scene {example.scene_id} has no boxes to learn from")
+        raise GraycastError(
+            f"{folder}: scene {example.scene_id} has no boxes for the training: give a dataset "
+            "with labels"
+        )
     if masks and example.mask is None:
         raise GraycastError(
-            f"{folder}: scene {example.scene_id} has no masks, which this model learns: train "
-            "--model yolov3, which needs boxes alone, or give a dataset with masks"
+            f"{folder}: scene {example.scene_id} has no masks, which this model needs: train "
+            "--model yolov3, which needs only boxes, or give a dataset with masks"
         )
     picture_px = encoding.picture_px(example)
     scale = encoding.scale(picture_px)
@@ -277,7 +281,7 @@ class _Move:
         return np.stack([self._warped(layer, cv2.INTER_LINEAR) for layer in image])
 
     def labels(self, labels: _Labelled) -> _Labelled:
-        """What lies inside afterwards; of what is cut to less than a third, nobody is asked."""
+        """The labels inside the crop; instances cut to less than a third are ignored."""
         (sx, sy), (ox, oy) = self.scale, self.offset_px
         x = np.sort(labels.box[:, 0::2] * sx + ox, axis=1)
         y = np.sort(labels.box[:, 1::2] * sy + oy, axis=1)

@@ -1,4 +1,4 @@
-"""RF-DETR: boxes by a transformer that is told nothing of anchors, from rfdetr (Apache-2.0).
+"""RF-DETR: boxes by a transformer without anchors, from rfdetr (Apache-2.0).
 
 Network, matching, loss and choice of boxes are the library's. Ours here: any number of channels,
 nothing downloaded, and what ignored instances mean. Its largest sizes, which have another licence,
@@ -44,7 +44,7 @@ class RfDetr(nn.Module):
             from rfdetr.models.lwdetr import build_criterion_from_config, build_model_from_config
         except ImportError as error:
             raise GraycastError(
-                f"model rf-detr needs rfdetr ({error}): pip install 'graycast[rf-detr]'"
+                f"model rf-detr needs rfdetr ({error}): run pip install 'graycast[rf-detr]'"
             ) from error
         match backbone or "nano":
             case "nano":
@@ -141,7 +141,7 @@ class RfDetr(nn.Module):
         labels: list[dict[str, Tensor]],
         hidden: Sequence[Tensor],
     ) -> dict[str, Tensor]:
-        """A layer's logits, silent but for queries that the matching gives to an instance.
+        """A layer's logits, suppressed except for queries that are matched to an instance.
 
         The matching of the changed answer is that of the answer: only pairs outside it got worse.
         """

@@ -1,4 +1,4 @@
-"""The folder of a training run: what it is of, how far it is, how it went."""
+"""The folder of a training: its settings, progress and history."""
 
 import csv
 import hashlib
@@ -29,7 +29,7 @@ Row = dict[str, float | int]
 @final
 @dataclass(slots=True, kw_only=True)
 class Progress:
-    """How far a run is: all that it needs to go on as if it had never been stopped.
+    """The progress of a training, with everything that is needed to continue it.
 
     Attributes:
         step: steps done, of all epochs.
@@ -49,13 +49,13 @@ class Progress:
 @final
 @dataclass(frozen=True, slots=True)
 class RunFolder:
-    """Where a run lives; every file in it appears whole or not at all."""
+    """The folder of a training; every file in it is written completely or not at all."""
 
     path: Path
 
     @contextmanager
     def claimed(self, content: Mapping[str, Any]) -> Iterator[None]:
-        """Make the folder, or find the same run in it; nobody else trains there inside the block.
+        """Make the folder or open the same training in it, locked against other trainings.
 
         A run that never came to its first checkpoint gives way to another.
 
@@ -89,8 +89,8 @@ class RunFolder:
             ) from error
         if lock is None:
             raise GraycastError(
-                f"{self.path}: another training is going on in this folder: wait for it, or choose "
-                "another --out"
+                f"{self.path}: another training runs in this folder: wait until it ends, or "
+                "choose another --out"
             )
         return lock
 
@@ -99,13 +99,13 @@ class RunFolder:
             if held.get(key) != asked.get(key):
                 raise GraycastError(
                     f"{self.path}: is a run with {key} {_short(held.get(key))}, and now it is "
-                    f"{_short(asked.get(key))}: repeat the command that began it, or choose "
+                    f"{_short(asked.get(key))}: repeat the command that started it, or choose "
                     "another --out"
                 )
 
     @property
     def cache(self) -> Path:
-        """A folder for what can be made again."""
+        """A folder for files that can be made again."""
         folder = self.path / CACHE
         folder.mkdir(exist_ok=True)
         return folder
@@ -119,7 +119,7 @@ class RunFolder:
         fill_whole(self.path / CHECKPOINT, lambda file: torch.save(held, file))
 
     def resume(self, network: torch.nn.Module, optimizer: Any) -> Progress:
-        """The last checkpoint taken into both; a fresh start where there is none.
+        """Load the last checkpoint into both; start from the beginning if there is none.
 
         Raises:
             GraycastError: the checkpoint is damaged.
@@ -134,11 +134,11 @@ class RunFolder:
             return Progress(**json.loads(held["progress"]))
         except Exception as error:  # unpickling raises whatever the bytes lead it to
             raise GraycastError(
-                f"{file}: is damaged: remove it, and the run begins anew"
+                f"{file}: is damaged: remove it, and the training starts again"
             ) from error
 
     def tell(self, rows: Sequence[Row]) -> None:
-        """History as CSV, as a picture, and for TensorBoard, made anew from the rows."""
+        """Write the history as CSV, as a picture and for TensorBoard, from the rows."""
         text = io.StringIO()
         names = list(dict.fromkeys(name for row in rows for name in row))
         table = csv.DictWriter(text, names, lineterminator="\n")
@@ -157,7 +157,7 @@ def _json(file: Path) -> Any:
 
 
 def _short(value: Any) -> str:
-    """The value, or its beginning and a mark by which two long ones differ."""
+    """The value, or its beginning with a digest that distinguishes two long values."""
     text = json.dumps(value)
     if len(text) <= 60:
         return text

@@ -46,7 +46,7 @@ NMS_SIGMA = 2.0
 
 @dataclass(frozen=True, slots=True)
 class _Size:
-    """How much head: `width` and `depth` of its towers, `kernel` channels of the masks' map."""
+    """The size of the head: `width` and `depth` of its towers, `kernel` channels of masks."""
 
     width: int
     depth: int
@@ -168,7 +168,7 @@ class Solov2(nn.Module):
 
 @final
 class _Painter(nn.Module):
-    """The map that kernels read: all levels at a quarter of the picture, added up."""
+    """The mask feature map: the sum of all levels at a quarter of the picture's size."""
 
     def __init__(self, outside: int, width: int = 128) -> None:
         super().__init__()

@@ -1,4 +1,4 @@
-"""What detectors of boxes share: of boxes that overlap, the best stays."""
+"""Non-maximum suppression for detectors of boxes."""
 
 from jaxtyping import Float
 from torch import Tensor

@@ -1,4 +1,4 @@
-"""Training a detector: one loop for every network; stopped at any moment, it goes on as it was."""
+"""Training of a detector: one loop for every network, which can be stopped and continued."""
 
 import math
 import time
@@ -39,7 +39,7 @@ SHARES = (0.8, 0.1, 0.1)
 _SAVE_EVERY_S = 60.0
 _WARM_UP_SHARE = 0.05
 _MOST_NORM = 10.0
-_RANGE_MARGIN = 0.05  # of the depth's span, at both ends
+_RANGE_MARGIN = 0.05  # as a share of the depth's span, at both ends
 
 
 @final
@@ -61,7 +61,7 @@ class TrainSpec:
         patience: validations without a better score after which training stops; those before the
             first score above 0 do not count.
         split: which scenes train, validate and test; exports have their own.
-        augmentation: what is drawn anew in every epoch.
+        augmentation: the random augmentation of every epoch.
         weights: a file of published weights to start from.
         device: `auto`, `cpu` or `cuda`.
         workers: processes that read; 0 reads in the training's own.
@@ -90,11 +90,15 @@ class TrainSpec:
     def __post_init__(self) -> None:
         for name in ("epochs", "patience", "longest_px"):
             if getattr(self, name) < 1:
-                raise GraycastError(f"{name} is {getattr(self, name)}: a whole number from 1 up")
+                raise GraycastError(
+                    f"{name} is {getattr(self, name)}: give a whole number of at least 1"
+                )
         if self.batch is not None and self.batch < 1:
-            raise GraycastError(f"batch is {self.batch}: a whole number from 1 up")
+            raise GraycastError(f"batch is {self.batch}: give a whole number of at least 1")
         if self.learning_rate is not None and not self.learning_rate > 0:
-            raise GraycastError(f"learning_rate is {self.learning_rate}: a number above 0")
+            raise GraycastError(
+                f"learning_rate is {self.learning_rate}: give a number greater than 0"
+            )
 
     def recipe(self, network: Network) -> Recipe:
         """The network's own, with what was said."""
@@ -105,7 +109,7 @@ class TrainSpec:
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Told:
-    """What a training says while it goes on; `row` is an epoch's history where one has ended."""
+    """A progress message of a training; `row` is the history of an epoch that has ended."""
 
     stage: str
     done: int
@@ -120,7 +124,7 @@ def train(
     *,
     on_told: Callable[[Told], None] = lambda told: None,
 ) -> Detector:
-    """Train a detector on datasets, or go on with a training that was stopped.
+    """Train a detector on datasets, or continue a training that was stopped.
 
     Args:
         datasets: folders that `open_examples` reads; classes are their parts' names.
@@ -189,7 +193,7 @@ class _Sets:
 
 
 def _settings(spec: TrainSpec) -> dict[str, Any]:
-    """What the weights depend on: neither the device nor the processes that read."""
+    """The settings that the weights depend on, without device and reading processes."""
     said = asdict(spec)
     for name in ("device", "workers"):
         del said[name]
@@ -287,7 +291,7 @@ class _Training:
         optimizer: torch.optim.Optimizer,
         progress: Progress,
     ) -> None:
-        """What is left of an epoch."""
+        """Train for the remaining steps of an epoch."""
         self.network.train()
         saved = time.monotonic()
         total = self.spec.epochs * steps
@@ -303,7 +307,7 @@ class _Training:
                 loss = torch.stack(list(losses.values())).sum()
             if not torch.isfinite(loss):
                 raise GraycastError(
-                    f"the loss is no number after {progress.step} steps: lower --learning-rate "
+                    f"the loss is not a number after {progress.step} steps: lower --learning-rate "
                     f"(it is {recipe.learning_rate})"
                 )
             optimizer.zero_grad(set_to_none=True)

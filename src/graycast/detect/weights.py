@@ -24,13 +24,15 @@ def load_weights(network: Network, file: Path) -> None:
     if own.keys() == state.keys():
         fitting = {key: value for key, value in state.items() if value.shape == own[key].shape}
         if len(fitting) < 0.5 * len(own):
-            raise GraycastError(f"{file}: holds weights of other shapes: is it the same backbone?")
+            raise GraycastError(
+                f"{file}: holds weights of other shapes: give weights of the same backbone"
+            )
         network.load_state_dict(own | fitting)
         return
     if not hasattr(network, "body"):
         raise GraycastError(
-            f"{file}: holds weights of another network; this model starts from another run's "
-            "detector.pt or from random numbers"
+            f"{file}: holds weights of another network; give detector.pt of another training of "
+            "this model, or omit --weights"
         )
     try:
         load_backbone(network.body, state)
@@ -40,16 +42,18 @@ def load_weights(network: Network, file: Path) -> None:
 
 def _state(file: Path) -> Mapping[str, Any]:
     if not file.is_file():
-        raise GraycastError(f"{file}: is not there: give a file of weights")
+        raise GraycastError(f"{file}: does not exist: give a file of weights")
     try:
         held = torch.load(file, map_location="cpu", weights_only=True)
         for key in ("state", "model", "state_dict"):
             held = held.get(key, held)
     except Exception as error:  # unpickling raises whatever the bytes lead it to
-        raise GraycastError(f"{file}: is damaged or no file of weights: fetch it again") from error
+        raise GraycastError(
+            f"{file}: is damaged or is not a file of weights: download it again"
+        ) from error
     if not held or not all(isinstance(value, torch.Tensor) for value in held.values()):
         raise GraycastError(
-            f"{file}: holds no weights by name: give a backbone as its makers publish it, or "
-            "detector.pt of another run"
+            f"{file}: holds no weights by name: give a published backbone, or detector.pt of "
+            "another training"
         )
     return held

@@ -60,7 +60,7 @@ class Yolov3(nn.Module):
         self._expect_few()
 
     def _expect_few(self) -> None:
-        """Starts from an objectness of one in a hundred: nearly all anchors are empty."""
+        """Start from an objectness of 0.01, because nearly all anchors are empty."""
         for end in self.ends:
             with torch.no_grad():
                 end.last.weight.normal_(std=0.01)
@@ -124,7 +124,7 @@ class Yolov3(nn.Module):
 
 @final
 class _Neck(nn.Module):
-    """From the coarsest map down: what is known there is doubled in size and joins the next."""
+    """Feature pyramid from the coarsest map down: each map is upsampled and joined to the next."""
 
     def __init__(self, inside: tuple[int, ...], widths: tuple[int, ...]) -> None:
         super().__init__()
@@ -192,7 +192,7 @@ def _cross_entropy(logit: Float[Tensor, "..."], truth: Float[Tensor, "..."]) -> 
 def assign(
     anchor: Float[Tensor, "anchors 4"], stride: Float[Tensor, " anchors"], target: Target
 ) -> tuple[Int64[Tensor, " anchors"], Bool[Tensor, " anchors"]]:
-    """Which anchor answers for which instance, and which must stay silent.
+    """The assignment of anchors to instances, and the negative anchors.
 
     An instance owns the anchors of the cell of its centre that overlap it by more than `OVERLAP`,
     and in any case the best of them. An ignored instance owns none, but what it would own, and

@@ -41,14 +41,17 @@ class Yolov7(nn.Module):
     ) -> None:
         super().__init__()
         if backbone is not None:
-            raise GraycastError(f"model yolov7 has a backbone of its own: leave out {backbone!r}")
+            raise GraycastError(
+                f"model yolov7 has a backbone of its own: remove --backbone {backbone}"
+            )
         try:
             from libreyolo.models.yolo7.loss import YOLOv7Loss
             from libreyolo.models.yolo7.net import YOLOv7Model
             from libreyolo.postprocess.yolo7 import decode_v7_head
         except ImportError as error:
             raise GraycastError(
-                f"model yolov7 needs libreyolo ({error}): pip install --no-deps 'libreyolo>=1.6'"
+                f"model yolov7 needs libreyolo ({error}): run pip install --no-deps "
+                "'libreyolo>=1.6'"
             ) from error
         self.classes = classes
         self.network = YOLOv7Model(num_classes=classes)

@@ -1,4 +1,4 @@
-"""How scenes differ from the cell: within its tolerances, or drawn at random, and fully recorded.
+"""Variation of scenes: within the tolerances of the cell, or drawn at random, and recorded.
 
 The cell's `Scene` and a random generator give a record of drawn values, plain enough for JSON; the
 record alone gives the scene that is dropped and rendered.

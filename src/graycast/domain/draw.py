@@ -1,4 +1,4 @@
-"""Values of a domain drawn from their distributions: all that differs from the cell, as JSON.
+"""Random values of a domain: everything in which a scene differs from the cell, as JSON.
 
 Each section has a random stream of its own, so that a change in one leaves the others as they were.
 """
@@ -40,12 +40,12 @@ Streams = Mapping[str, np.random.Generator]
 def draw(
     domain: Domain, scene: Scene, counts: tuple[int, ...], rng: np.random.Generator
 ) -> dict[str, Any]:
-    """What `vary` needs to make one scene of the cell's.
+    """Draw the values from which `vary` makes one scene.
 
     Args:
         scene: the cell.
         counts: how many of each of its parts.
-        rng: of this alone; it must be able to `spawn`.
+        rng: a generator for this purpose only; it must be able to `spawn`.
 
     Raises:
         ConfigError: no lamp of these ranges leaves the view free, or the rig is not above the bin.
@@ -187,7 +187,7 @@ def _distractors(
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _Cone:
-    """What a lens may see, or light: all directions up to `half_angle_rad` from its axis."""
+    """A cone of view or light: all directions up to `half_angle_rad` from its axis."""
 
     apex_m: Float[np.ndarray, "3"]
     axis: Float[np.ndarray, "3"]
@@ -251,8 +251,8 @@ def _lamp(
         if not in_the_way(lamp_of(drawn, scene), scene, cones):
             return drawn
     raise ConfigError(
-        f"domain.lamps: {LAMP_TRIES} lamps in a row stood in the bin or in the rig's view: give "
-        "a lower elevation_deg, a larger distance_m or a smaller size_m"
+        f"domain.lamps: {LAMP_TRIES} consecutive lamps were inside the bin or in the rig's view: "
+        "give a lower elevation_deg, a larger distance_m or a smaller size_m"
     )
 
 
@@ -264,14 +264,14 @@ def _uniform(rng: np.random.Generator, span: tuple[float, float]) -> float:
 
 
 def _log_uniform(rng: np.random.Generator, span: tuple[float, float]) -> float:
-    """Uniform in the logarithm: each factor is as likely up as down."""
+    """A value that is uniform in the logarithm."""
     if span[0] == span[1]:
         return float(span[0])  # exactly: exp(log(x)) is not
     return float(np.exp(rng.uniform(*np.log(span))))
 
 
 def _off(rng: np.random.Generator, most: float, n: int) -> list[float]:
-    """Uniform within a tolerance, either way."""
+    """A value that is uniform within plus and minus a tolerance."""
     return rng.uniform(-most, most, n).tolist()
 
 

@@ -1,4 +1,4 @@
-"""The files that a domain's settings name, found: maps, textures, foreign parts."""
+"""The files that a domain names: maps, textures and distractors."""
 
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -11,7 +11,7 @@ from .sections import AdaptedSection, DistractorRanges, RandomizedSection
 
 MAPS, PICTURES = (".exr", ".hdr"), (".png", ".jpg", ".jpeg")
 METAL_PARTS = ("metal_workpiece_1", "metal_workpiece_2")
-SMALL = 0.5  # of the bin's shorter side: longer distractors are not put in unasked
+SMALL = 0.5  # as a share of the bin's shorter side: longer distractors are not put in unasked
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -51,7 +51,7 @@ def domain_files(
     """Every file that a domain names, relative to `folder`.
 
     Raises:
-        ConfigError: a folder that is none, or has no pictures.
+        ConfigError: a folder does not exist or has no pictures.
     """
     if not isinstance(section, RandomizedSection):
         return ()
@@ -81,7 +81,7 @@ def _listed(folder: Path, path: Path, endings: tuple[str, ...], key: str) -> tup
     found = tuple(path / name for name in names if Path(name).suffix.lower() in endings)
     if not found:
         raise ConfigError(
-            f"domain.{key}: {folder / path} has no {' or '.join(endings)} file: put some in"
+            f"domain.{key}: {folder / path} has no {' or '.join(endings)} file: add at least one"
         )
     return found
 

@@ -1,4 +1,4 @@
-"""How deep a cell may lie before the camera, wherever its domain lets rig and bin be."""
+"""The largest depth of a cell over all poses of rig and bin that its domain allows."""
 
 import itertools
 import math

@@ -30,36 +30,58 @@ Counts = SpanOf[Annotated[int, Field(ge=0, le=255)]]
 
 
 class CameraTolerance(Settings):
-    """How the rig may hang otherwise than the view says."""
+    """How far the pose of the rig may deviate from the configured view."""
 
-    position_m: Level = Field(1e-3, description="along each of the world's axes")
-    rotation_deg: Level = Field(0.1, le=10, description="about each of the camera's axes")
+    position_m: Level = Field(
+        1e-3, description="The largest shift of the rig along each axis of the world, in metres."
+    )
+    rotation_deg: Level = Field(
+        0.1,
+        le=10,
+        description="The largest rotation of the rig about each axis of the camera, in degrees.",
+    )
 
 
 class BinTolerance(Settings):
-    """How the bin may stand otherwise than in the middle of the cell, flat on the table."""
+    """How far the bin may deviate from the middle of the cell, flat on the table."""
 
-    position_m: Level = Field(2e-3, description="along x and along y")
-    rotation_deg: Level = Field(0.5, le=180, description="about z")
+    position_m: Level = Field(
+        2e-3, description="The largest shift of the bin along x and along y, in metres."
+    )
+    rotation_deg: Level = Field(
+        0.5, le=180, description="The largest rotation of the bin about z, in degrees."
+    )
 
 
 class LampTolerance(Settings):
-    """How lamps and environment may differ from what the light says."""
+    """How far the lamps and the environment may deviate from the configured light."""
 
-    position_m: Level = Field(5e-3, description="of a lamp, along each axis")
-    level: Share = Field(0.05, description="of each lamp's radiance, as a share of it")
-    environment_level: Share = Field(0.05, description="of the environment's, as a share of it")
+    position_m: Level = Field(
+        5e-3, description="The largest shift of a lamp along each axis of the world, in metres."
+    )
+    level: Share = Field(
+        0.05, description="The largest change of a lamp's radiance, relative to the radiance."
+    )
+    environment_level: Share = Field(
+        0.05,
+        description="The largest change of the environment's radiance, relative to the radiance.",
+    )
 
 
 class PartTolerance(Settings):
-    """How a batch of parts may look otherwise, all parts of a kind alike."""
+    """How far the look of a batch of parts may deviate. All parts of a kind look alike."""
 
-    reflectance: Share = Field(0.03, description="of all bands together, as a share of it")
-    roughness: Share = Field(0.02, description="added, within 0.05 to 1")
+    reflectance: Share = Field(
+        0.03,
+        description="The largest change of the reflectance, relative to it and equal in all bands.",
+    )
+    roughness: Share = Field(
+        0.02, description="The largest change of the roughness. The result is limited to 0.05 to 1."
+    )
 
 
 class AdaptedSection(Settings):
-    """The cell as it is. A tolerance is the most by which a value is off, either way, uniformly."""
+    """The real cell. A value deviates uniformly by at most its tolerance in either direction."""
 
     kind: Literal["adapted"]
     camera: CameraTolerance = CameraTolerance()
@@ -74,105 +96,165 @@ class AdaptedSection(Settings):
 class ColorRanges(Settings):
     """A colour by hue, saturation and value of its sRGB encoding."""
 
-    hue_deg: Hue = Field((0.0, 360.0), description="0 red, 120 green")
-    saturation: ShareSpan = Field((0.0, 1.0), description="0 grey")
-    value: ShareSpan = Field((0.1, 0.9), description="of the strongest band, sRGB encoded")
+    hue_deg: Hue = Field(
+        (0.0, 360.0), description="The range of the hue in degrees: 0 is red, 120 is green."
+    )
+    saturation: ShareSpan = Field((0.0, 1.0), description="The range of the saturation: 0 is grey.")
+    value: ShareSpan = Field(
+        (0.1, 0.9), description="The range of the strongest band's value in sRGB encoding."
+    )
 
 
 class SurfaceRanges(Settings):
-    """A surface's look: plain, or a picture out of a folder."""
+    """The look of a surface: a plain colour, or a picture from a folder."""
 
     color: ColorRanges = ColorRanges()
-    textures: Path | None = Field(None, description="folder of PNG or JPEG pictures (sRGB)")
+    textures: Path | None = Field(None, description="A folder of PNG or JPEG pictures in sRGB.")
     textured_share: Share = Field(
-        0.5, description="of the scenes that get a picture, where there is a folder"
+        0.5, description="The share of scenes whose surface gets a picture, if a folder is given."
     )
     texture_size_m: PositiveSpan = Field(
-        (0.2, 1.0), description="that a picture covers before it repeats; log-uniform"
+        (0.2, 1.0),
+        description="The range of the length that a picture covers before it repeats, in "
+        "metres, log-uniform.",
     )
-    roughness: RoughnessSpan = Field((0.3, 1.0), description="0.05 polished to 1 matt")
-    metal_share: Share = Field(0.0, description="of the scenes in which it is bare metal")
+    roughness: RoughnessSpan = Field(
+        (0.3, 1.0), description="The range of the roughness: 0.05 is polished, 1 is matt."
+    )
+    metal_share: Share = Field(
+        0.0, description="The share of scenes in which the surface is bare metal."
+    )
 
 
 class BinRanges(SurfaceRanges):
-    """The bin's look, inside and outside alike, and its size."""
+    """The look of the bin, which is the same inside and outside, and its size."""
 
     size_factor: SizeFactor = Field(
-        (1.0, 1.0), description="of the inner size, one factor for all three; log-uniform"
+        (1.0, 1.0),
+        description="The range of the factor by which all three inner sizes are scaled, "
+        "log-uniform.",
     )
 
 
 class CameraRanges(Settings):
-    """How the rig moves from where the view has it, about the point that it looks at."""
+    """How the rig moves from its configured view, about the target of the view."""
 
     distance_factor: DistanceFactor = Field(
-        (0.9, 1.1), description="of the distance to that point; log-uniform"
+        (0.9, 1.1),
+        description="The range of the factor on the distance to the target, log-uniform.",
     )
-    tilt_deg: Tilt = Field((-10.0, 10.0), description="added to the view's")
-    azimuth_deg: Angle = Field((-180.0, 180.0), description="added to the view's")
-    roll_deg: Angle = Field((0.0, 0.0), description="about the rig's own axis")
-    shift_m: Span = Field((-0.02, 0.02), description="of the point, along each of the world's axes")
+    tilt_deg: Tilt = Field(
+        (-10.0, 10.0),
+        description="The range of the angle that is added to the view's tilt, in degrees.",
+    )
+    azimuth_deg: Angle = Field(
+        (-180.0, 180.0),
+        description="The range of the angle that is added to the view's azimuth, in degrees.",
+    )
+    roll_deg: Angle = Field(
+        (0.0, 0.0), description="The range of the rotation about the viewing axis, in degrees."
+    )
+    shift_m: Span = Field(
+        (-0.02, 0.02),
+        description="The range of the target's shift along each axis of the world, in metres.",
+    )
 
 
 class EnvironmentRanges(Settings):
     """Light from all around."""
 
     radiance: PositiveSpan = Field(
-        (0.02, 0.4), description="W/(sr m^2): mean of directions and bands; log-uniform"
+        (0.02, 0.4),
+        description="The range of the radiance in W/(sr m^2), averaged over directions and "
+        "bands, log-uniform.",
     )
     maps: Path | None = Field(
-        None, description="folder of latitude-longitude EXR or HDR pictures, in any unit"
+        None, description="A folder of latitude-longitude EXR or HDR pictures in any unit."
     )
-    rotation_deg: Angle = Field((-180.0, 180.0), description="of a map, about z")
-    color_temperature_k: Kelvins = Field((2700.0, 7500.0), description="where there are no maps")
+    rotation_deg: Angle = Field(
+        (-180.0, 180.0), description="The range of the rotation of a map about z, in degrees."
+    )
+    color_temperature_k: Kelvins = Field(
+        (2700.0, 7500.0),
+        description="The range of the colour temperature in kelvins, if no maps are given.",
+    )
 
 
 class LampRanges(Settings):
-    """Square lamps that take the place of the cell's; they look at the middle of the bin."""
+    """Square lamps that replace the lamps of the cell and face the middle of the bin."""
 
-    count: Counts = Field((1, 3), description="lowest and highest number")
-    distance_m: PositiveSpan = Field((1.0, 2.5), description="to the middle of the bin")
-    elevation_deg: Elevation = Field(
-        (30.0, 80.0), description="above the horizon; directions are uniform over solid angle"
+    count: Counts = Field((1, 3), description="The lowest and the highest number of lamps.")
+    distance_m: PositiveSpan = Field(
+        (1.0, 2.5),
+        description="The range of a lamp's distance from the middle of the bin, in metres.",
     )
-    azimuth_deg: Angle = Field((-180.0, 180.0), description="0 is the world's +x, 90 its +y")
-    size_m: PositiveSpan = Field((0.1, 0.6), description="edge; log-uniform")
+    elevation_deg: Elevation = Field(
+        (30.0, 80.0),
+        description="The range of a lamp's angle above the horizon, in degrees. Directions "
+        "are uniform over the solid angle.",
+    )
+    azimuth_deg: Angle = Field(
+        (-180.0, 180.0),
+        description="The range of a lamp's azimuth in degrees: 0 is the world's +x, 90 is its +y.",
+    )
+    size_m: PositiveSpan = Field(
+        (0.1, 0.6), description="The range of the edge length of a lamp, in metres, log-uniform."
+    )
     irradiance: PositiveSpan = Field(
         (0.05, 1.0),
-        description="W/m^2 per band on a surface at the bin that faces the lamp; log-uniform",
+        description="The range of the irradiance of each band in W/m^2, on a surface at the "
+        "bin that faces the lamp, log-uniform.",
     )
-    color_temperature_k: Kelvins = Field((2700.0, 6500.0))
+    color_temperature_k: Kelvins = Field(
+        (2700.0, 6500.0), description="The range of the colour temperature of a lamp, in kelvins."
+    )
 
 
 class PartRanges(Settings):
-    """The look of each kind of part, all parts of a kind alike."""
+    """The look of each kind of part. All parts of a kind look alike."""
 
     brightness: PositiveSpan = Field(
-        (0.7, 1.4), description="factor of the reflectance, at most to 1; log-uniform"
+        (0.7, 1.4),
+        description="The range of the factor on the reflectance, log-uniform. The result is "
+        "at most 1.",
     )
     tint: PositiveSpan = Field(
-        (0.9, 1.1), description="one more factor for each band, of textures too; log-uniform"
+        (0.9, 1.1),
+        description="The range of one further factor for each band, also of textures, log-uniform.",
     )
-    roughness: Span = Field((-0.1, 0.1), description="added, within 0.05 to 1")
-    metallic: Span = Field((0.0, 0.0), description="added, within 0 to 1")
+    roughness: Span = Field(
+        (-0.1, 0.1),
+        description="The range of the change of the roughness. The result is limited to 0.05 to 1.",
+    )
+    metallic: Span = Field(
+        (0.0, 0.0),
+        description="The range of the change of metallic. The result is limited to 0 to 1.",
+    )
     repainted_share: Share = Field(
-        0.0, description="of the scenes in which a kind has a random colour instead"
+        0.0, description="The share of scenes in which a kind of part has a random colour."
     )
-    color: ColorRanges = Field(ColorRanges(), description="of repainted parts")
+    color: ColorRanges = Field(
+        ColorRanges(), description="The ranges of the colour of repainted parts."
+    )
 
 
 class DistractorRanges(Settings):
-    """Foreign parts that lie among the others and hide them, and are in no annotation."""
+    """Foreign parts that lie among the others and hide them. They are not annotated."""
 
-    count: Counts = Field((0, 3), description="lowest and highest number; 255 with all others")
+    count: Counts = Field(
+        (0, 3),
+        description="The lowest and the highest number of distractors. A scene has at most "
+        "255 parts in all.",
+    )
     parts: tuple[PartSection, ...] | None = Field(
         None,
-        description="left out: built-in metal parts that are none of the cell's and small enough",
+        description="The kinds of distractors. Without this key, they are built-in metal "
+        "parts that the cell does not use and that are small enough for its bin.",
     )
 
 
 class RandomizedSection(Settings):
-    """Each scene otherwise. A section that is null leaves things as the cell has them."""
+    """A different look in each scene. A section that is null keeps what the cell has."""
 
     kind: Literal["randomized"]
     camera: CameraRanges | None = CameraRanges()
@@ -182,7 +264,9 @@ class RandomizedSection(Settings):
     table: SurfaceRanges | None = SurfaceRanges()
     parts: PartRanges | None = PartRanges()
     count_share: CountShare = Field(
-        (0.5, 1.0), description="of the parts that count says; rounded, at least 1 of each kind"
+        (0.5, 1.0),
+        description="The range of the share of the configured count of parts. It is rounded, "
+        "with at least 1 part of each kind.",
     )
     distractors: DistractorRanges | None = DistractorRanges()
 
@@ -191,7 +275,7 @@ class RandomizedSection(Settings):
 
 
 def _spelt_out(value: Any) -> Any:
-    """A plain word is that kind with all its defaults."""
+    """Turn a plain word into the section of that kind with all its defaults."""
     if isinstance(value, str):
         value = {"kind": value}
     if isinstance(value, dict) and value.get("kind") not in KINDS:

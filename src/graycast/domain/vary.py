@@ -1,6 +1,6 @@
-"""A cell's scene as a record of drawn values makes it: nothing is random here.
+"""The scene that follows from a cell and a record of drawn values, without randomness.
 
-What is not in the record is as in the cell, so the record tells all.
+Values that are not in the record are those of the cell, so the record is complete.
 """
 
 from collections.abc import Mapping
@@ -73,7 +73,7 @@ def shared_out(counts: tuple[int, ...], share: float) -> tuple[int, ...]:
 
 
 def _adapted(scene: Scene, record: Record) -> Scene:
-    """The cell as built. Where nothing is off, values stay what they are, bit for bit."""
+    """The adapted scene. Values without a deviation are unchanged to the bit."""
     box = record["bin"]
     lamps = tuple(
         replace(
@@ -281,5 +281,5 @@ def _texture(files: tuple[Path, ...], drawn: Record) -> np.ndarray | None:
 def _file(files: tuple[Path, ...], name: str) -> Path:
     found = [file for file in files if file.name == name]
     if not found:
-        raise ConfigError(f"the domain has no file {name}: was it taken out of its folder?")
+        raise ConfigError(f"the domain has no file {name}: put it back into its folder")
     return found[0]

@@ -31,7 +31,7 @@ class Body:
 
     @property
     def box_m(self) -> Float[np.ndarray, "8 3"]:
-        """Corners of the box about the hulls: where a part moves, one of them moves as far."""
+        """Corners of the box around the hulls, which bound the motion of all points."""
         vertices = np.vstack([vertices for vertices, _ in self.hulls])
         spans = zip(vertices.min(axis=0), vertices.max(axis=0), strict=True)
         return np.array(list(product(*spans)))
@@ -50,8 +50,8 @@ def body_of(part: Part, hulls: tuple[Hull, ...]) -> Body:
     volume = np.linalg.det(corner) / 6
     if volume.sum() <= 0:
         raise ValueError(
-            f"part {part.name} encloses {1e9 * volume.sum():.3g} mm^3: is its mesh closed and "
-            "are its faces counter-clockwise seen from outside?"
+            f"part {part.name} encloses {1e9 * volume.sum():.3g} mm^3: give a closed mesh whose "
+            "faces are counter-clockwise seen from outside"
         )
     total = corner.sum(axis=1)
     center_m = np.einsum("f,fi->i", volume, total) / 4 / volume.sum()
@@ -71,7 +71,7 @@ def body_of(part: Part, hulls: tuple[Hull, ...]) -> Body:
 def motion_m(
     T_world_part: Float[np.ndarray, "t n 4 4"], box_m: Float[np.ndarray, "n 8 3"]
 ) -> Float[np.ndarray, " n"]:
-    """How far a point of each part was at most from where it is in the last of the poses [m].
+    """The largest distance of a point of each part from its position in the last pose [m].
 
     `box_m` are corners of a box about each part, in its frame. Distance from a fixed pose is a
     convex function of the point, so no point in the box was farther than a corner.

@@ -67,7 +67,7 @@ def start_poses(
 def _orientation(
     points: Float[np.ndarray, "k 3"], width_m: Float[np.ndarray, "2"], rng: np.random.Generator
 ) -> Float[np.ndarray, "3 3"]:
-    """A random rotation, uniform over those that keep the points inside a cell this wide."""
+    """A uniformly random rotation that keeps the points inside a cell of this width."""
     for _ in range(ORIENTATION_TRIES):
         rotation = rotation_from_quaternion(random_quaternions(1, rng)[0])
         if (np.abs(points @ rotation[:2].T).max(axis=0) * 2 <= width_m).all():
@@ -75,6 +75,6 @@ def _orientation(
     size = " x ".join(f"{1e3 * s:.0f}" for s in np.ptp(points, axis=0))
     opening = " x ".join(f"{1e3 * w:.0f}" for w in width_m)
     raise ValueError(
-        f"a part of {size} mm found no orientation between walls {opening} mm apart: "
-        "is its unit right? Take a larger bin"
+        f"a part of {size} mm found no orientation between walls {opening} mm apart: check its "
+        "unit, or use a larger bin"
     )

@@ -1,11 +1,11 @@
-"""A part is lifted out of the heap by a tool that holds it, or lets go.
+"""Simulation of a tool that lifts a part out of the heap and holds or loses it.
 
 The tool moves along a given path and nothing moves it. What it holds hangs on it by springs and
 dampers, as a cup on its bellows does; their force is known at every step, and the tool's own law
-says whether it can carry it. So what is asked of a grip is its true load: weight, neighbours that
-lie on the part, walls that it scrapes along, and what the path's accelerations add.
+says whether it can carry it. The grip therefore carries its true load: the weight, neighbours
+on the part, friction at walls, and the accelerations of the path.
 
-Leaves out: the tool's body, which pushes nothing aside; that is the planner's to forbid.
+Leaves out: collisions of the tool's body, which the planner must prevent.
 """
 
 import math
@@ -33,7 +33,7 @@ SPEED_M_S = 10.0
 class Hold:
     """How a tool holds a part.
 
-    `T_part_tool` is where on the part it is. `factor` says how many times a load it would hold:
+    `T_part_tool` is the tool's pose on the part. `factor` returns the safety factor of a load:
     a force [N] and its moment about the tool's origin [Nm], both in the tool's frame, as the part
     pulls at the tool. `stiffness_n_m` is along each axis, `turning_nm` about each [Nm/rad].
     """
@@ -53,9 +53,9 @@ class Hold:
 class Lift:
     """How a lift ended.
 
-    `T_world_part` are the poses at its end. `lost_s` is when the tool let go, None where it still
-    holds. `least_factor` is the least by which the load was held, with `force_n` and `moment_nm`
-    at that moment, in the tool's frame.
+    `T_world_part` are the poses at its end. `lost_s` is the time at which the tool lost the
+    part, or None. `least_factor` is the smallest safety factor during the lift, with `force_n`
+    and `moment_nm` at that moment in the tool's frame.
     """
 
     T_world_part: Float[np.ndarray, "n 4 4"]

@@ -1,7 +1,7 @@
-"""How deep two convex bodies press into each other, exactly.
+"""The exact penetration depth of two convex bodies.
 
-The engine's own figure cannot be trusted where it matters: of 255 concave parts a pair or two
-in each heap is reported metres deep, and a wrong alarm would spoil every full bin.
+The engine's own figure is not reliable: in a heap of 255 concave parts it reports a depth of
+metres for one or two pairs, and such a false alarm would reject every full bin.
 """
 
 import numpy as np

@@ -1,4 +1,4 @@
-"""The physics engine, Rapier 0.36: the only file that knows it.
+"""The physics engine Rapier 0.36, which only this file uses.
 
 Lengths are scaled by 20 inside, gravity too, because Rapier's contact model is tuned to things
 of a metre; times and masses are not. Rapier's defaults leave 1 mm of overlap or never rest. One
@@ -42,7 +42,7 @@ WALL_M = 0.15  # thickness outwards of what parts collide with: nothing tunnels 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Terms:
-    """On which terms parts move."""
+    """The conditions under which parts move."""
 
     guided: bool = False  # between walls that stand on the bin's
     clustered: bool = False  # see `_world`
@@ -65,7 +65,7 @@ class Kind:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _Block:
-    """What stands still; each piece is the corners [m] of something convex."""
+    """A fixed obstacle; each piece is the corners [m] of a convex body."""
 
     pieces_m: Float[np.ndarray, "p c 3"]
 
@@ -119,7 +119,7 @@ def open_heap(
     T_world_part: Float[np.ndarray, "n 4 4"],
     part_index: Int[np.ndarray, " n"],
 ) -> Heap:
-    """A fresh world: no speed, no force and no contact is remembered from an earlier stage."""
+    """Open a new world without speeds, forces or contacts of an earlier stage."""
     world = _world(terms)
     ceiling_m = float(T_world_part[:, 2, 3].max(initial=0.0)) + 1.0 if terms.guided else None
     blocks = _add_bin(world, box, ceiling_m, friction=terms.friction)
@@ -183,7 +183,7 @@ def _add_bin(
 
 
 def _add_mesh(world: rapier3d.PhysicsWorld, mesh: Mesh, friction: float, *, label: int) -> _Block:
-    """A mesh that stands still, as the triangles that it is."""
+    """Add a fixed mesh as triangles."""
     shape = rapier3d.SharedShape.trimesh(
         (mesh.vertices_m * SCALE).astype(np.float32),
         mesh.faces.astype(np.uint32),

@@ -1,13 +1,14 @@
 """Parts fall and come to rest, in stages, until the heap holds by itself.
 
-Rest is a statement on where parts are, not on an instant's speed: see `REST_MOTION_M`. They fall
-and settle between walls that stand on the bin's and guide them. Then all that is not physics is
-taken away (`_LET_GO`), and the heap has to hold by itself. Where it does not, it settles on from
-there without the walls and is let go once more.
+Rest is defined by positions over time, not by an instantaneous speed: see `REST_MOTION_M`. They
+    fall
+and settle between walls that stand on the bin's and guide them. Then all unphysical aids are
+removed (`_LET_GO`), and the heap must be stable by itself. If it is not, it settles further
+without the walls and is tested once more.
 
-Damping stands in for what the engine leaves out (rolling friction, bending, air): little at first,
-then growing, so that what rocks for ever calms down. Parts fall no faster than 1 m/s, as if let
-down by hand.
+Damping replaces what the engine does not model (rolling friction, bending, air). It is small at
+first and then grows, so that rocking parts come to rest. Parts fall no faster than 1 m/s, as if
+let down by hand.
 """
 
 from collections import deque
@@ -37,7 +38,7 @@ DAMPING_GROWTH = 64.0
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _Stage:
-    """On which terms parts move, and when a damped stage ends.
+    """The conditions under which parts move, and when a damped stage ends.
 
     It ends where no point of a part was more than `motion_m` from where it is, for `looks` looks.
     """
@@ -71,7 +72,7 @@ def simulate(
     nine tenths of the friction, no point moved by 0.5 mm. So what leans over the rim falls off.
 
     Returns:
-        The end, judged by nobody: `flaws` does that. `deepest_penetration_m` is the
+        The final state without a verdict, which `flaws` gives. `deepest_penetration_m` is the
         deepest overlap of any two hulls of different parts, or of a hull and the bin.
     """
     kinds = [Kind.of(body) for body in bodies]

@@ -24,25 +24,29 @@ HEAP_ABOVE_RIM = 1.5  # no heap holds more than this many bins full
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class DropLimits:
-    """What a layout must keep to be used. At rest, and all parts inside, it must be anyway.
+    """Limits of an acceptable layout, which must also be at rest with all parts inside.
 
     `simulated_s` is how long one attempt may fall and settle, in simulated time.
     """
 
     penetration_m: Annotated[
         float,
-        Field(gt=0, le=0.1, description="The deepest overlap of parts that is accepted."),
+        Field(
+            gt=0,
+            le=0.1,
+            description="The deepest overlap between parts that is accepted, in metres.",
+        ),
     ] = 0.5e-3
     attempts: Annotated[
-        int, Field(ge=1, description="How often the parts are dropped at most.")
+        int, Field(ge=1, description="The largest number of attempts to drop the parts.")
     ] = 5
     simulated_s: Annotated[
         float,
         Field(
             gt=0,
             le=600,
-            description="How much simulated time the parts of one attempt may take to come to "
-            "rest.",
+            description="The simulated time in which the parts of one attempt must come to "
+            "rest, in seconds.",
             exclude_if=lambda seconds: seconds == 20.0,  # so that older datasets can go on
         ),
     ] = 20.0
@@ -52,7 +56,7 @@ class DropLimits:
 
 
 def flaws(layout: Layout, limits: DropLimits) -> tuple[str, ...]:
-    """What is wrong with a layout, in words with numbers; empty if it may be used."""
+    """The defects of a layout in words with numbers; empty if it is acceptable."""
     found = []
     if layout.outside:
         found.append(f"{layout.outside} of {len(layout.part_index)} parts lie outside the bin")
@@ -63,8 +67,8 @@ def flaws(layout: Layout, limits: DropLimits) -> tuple[str, ...]:
         )
     if not layout.deepest_penetration_m <= limits.penetration_m:  # NaN must fail too
         found.append(
-            f"parts press {1e3 * layout.deepest_penetration_m:.2f} mm into each other or the bin, "
-            f"the limit is {1e3 * limits.penetration_m:.2f} mm"
+            f"parts press {1e3 * layout.deepest_penetration_m:.2f} mm into each other or into the "
+            f"bin, and the limit is {1e3 * limits.penetration_m:.2f} mm"
         )
     return tuple(found)
 
@@ -96,7 +100,9 @@ def drop(
         DropError: no attempt was within the limits; says what the best one came to.
     """
     if scene.bin is None:
-        raise ValueError("the scene has no bin to drop parts into")
+        raise ValueError(
+            "the scene has no bin into which parts can be dropped: give Scene(bin=...)"
+        )
     if len(counts) != len(scene.parts) or min(counts, default=0) < 0:
         names = ", ".join(part.name for part in scene.parts)
         raise ValueError(f"counts is {counts}; give a number, 0 or more, for each of: {names}")
@@ -130,7 +136,7 @@ def make_bodies(
     """Each kind of part as the engine needs it.
 
     Raises:
-        ValueError, GraycastError: as of `convex_hulls` and `body_of`.
+        ValueError, GraycastError: as in `convex_hulls` and `body_of`.
     """
     prepared = prepare(parts, hull_folder=hull_folder, on_stage=on_stage)
     return tuple(body_of(part, made.hulls) for part, made in zip(parts, prepared, strict=True))
@@ -142,7 +148,7 @@ def prepare(
     """The collision hulls of each part, made now where the cache has none; `drop` finds them there.
 
     Raises:
-        ValueError, GraycastError: as of `convex_hulls`.
+        ValueError, GraycastError: as in `convex_hulls`.
     """
 
     def of(part: Part) -> Decomposition:
@@ -156,19 +162,19 @@ def prepare(
 
 
 def hull_notes(parts: Iterable[Part], prepared: Iterable[Decomposition]) -> tuple[str, ...]:
-    """What to tell of parts whose collision hulls are farther off than they should be."""
+    """Notes on parts whose collision hulls exceed their tolerance."""
     return tuple(
-        f"{part.name}: collides more coarsely than it should: its collision hulls are up to "
-        f"{1e3 * made.error.worst_m:.2f} mm off its surface, the bound is "
-        f"{1e3 * made.tolerance_m:.2f} mm. Parts may lie apart or in each other by as much. A mesh "
-        "with less detail helps, without what is inside the part"
+        f"{part.name}: its collision hulls are too coarse: they are up to "
+        f"{1e3 * made.error.worst_m:.2f} mm from its surface, and the bound is "
+        f"{1e3 * made.tolerance_m:.2f} mm. Resting parts may be this far apart or inside each "
+        "other. A simpler mesh without the inside of the part helps"
         for part, made in zip(parts, prepared, strict=True)
         if made.coarse
     )
 
 
 def _failure(box: Bin, count: int, tried: list[Layout], limits: DropLimits) -> str:
-    """What happened in all attempts, and what helps against what went wrong in the best of them."""
+    """A text on all failed attempts, with remedies for the defects of the best one."""
     best = min(tried, key=_badness)
     what = f"{count} part{'s' if count > 1 else ''} in a bin of {_mm(box.inner_m)}"
     remedies = []
@@ -180,8 +186,8 @@ def _failure(box: Bin, count: int, tried: list[Layout], limits: DropLimits) -> s
         )
     if not best.deepest_penetration_m <= limits.penetration_m:
         remedies.append(
-            f"accept more overlap (drop.penetration_m, now {limits.penetration_m:g} m) or look at "
-            "the parts with graycast parts: do they have the right unit?"
+            f"accept more overlap (drop.penetration_m, now {limits.penetration_m:g} m) or check "
+            "the unit of the parts with graycast parts"
         )
     if best.at_rest or count > 1:  # another start of one restless part ends as restless
         remedies.append(f"allow more attempts (drop.attempts, now {limits.attempts})")
@@ -201,19 +207,20 @@ def _check_sizes(box: Bin, parts: tuple[Part, ...]) -> None:
         if part.mesh.extent_m.min() > opening_m:
             raise ValueError(
                 f"part {part.name} measures {_mm(part.mesh.extent_m)} and does not fit into a bin "
-                f"of {_mm(box.inner_m)}: is its unit right? Take a larger bin"
+                f"of {_mm(box.inner_m)}: check its unit, or use a larger bin"
             )
 
 
 def _check_volume(box: Bin, bodies: tuple[Body, ...], number: tuple[int, ...]) -> None:
-    """Refuses what no drop can succeed at, before time is spent on it."""
+    """Refuse a volume of parts that cannot fit, before any simulation."""
     volume_m3 = sum(n * body.volume_m3 for n, body in zip(number, bodies, strict=True))
     bin_m3 = float(np.prod(box.inner_m))
     if volume_m3 / PACKING > HEAP_ABOVE_RIM * bin_m3:
         most = int(sum(number) * HEAP_ABOVE_RIM * bin_m3 * PACKING / volume_m3)
         raise ValueError(
-            f"{sum(number)} parts of {1e3 * volume_m3:.3g} litres in all, heaped loosely, do not "
-            f"fit into a bin of {1e3 * bin_m3:.3g} litres: drop {most} at most, or enlarge the bin"
+            f"{sum(number)} parts of {1e3 * volume_m3:.3g} litres in total, in a loose heap, do "
+            f"not fit into a bin of {1e3 * bin_m3:.3g} litres: drop {most} at most, or enlarge "
+            "the bin"
         )
 
 

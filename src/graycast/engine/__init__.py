@@ -1,4 +1,4 @@
-"""Who makes the scenes of a run: this process, processes of this machine, or a Ray cluster."""
+"""Workers that make scenes: this process, processes of this machine, or a Ray cluster."""
 
 from ..render import OnFrame
 from ..simulate import OnStage
@@ -40,8 +40,8 @@ def open_pool(
         threads: processor threads per worker; None shares this machine's out among local workers,
             and is one on Ray.
         address: of a Ray cluster's head; None starts Ray on this machine.
-        on_frame: as of `open_renderer`, where this process makes all.
-        on_stage: as of `make_scene`, where this process makes all.
+        on_frame: as in `open_renderer`, where this process makes all.
+        on_stage: as in `make_scene`, where this process makes all.
 
     Raises:
         GraycastError: Ray is not installed, or does not answer.

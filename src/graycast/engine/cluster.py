@@ -76,14 +76,14 @@ class RayPool:
 
 
 def _knock(address: str) -> None:
-    """Refuse an address at once where nobody listens: Ray itself would try for minutes.
+    """Refuse an address without a server at once, because Ray itself would try for minutes.
 
     Raises:
         OSError: nobody listens.
         ValueError: the address is of Ray's client, whose tasks end when its connection does.
     """
     if address.startswith("ray://"):
-        raise ValueError("ray:// is for short work from outside: give the head's HOST:PORT")
+        raise ValueError("addresses with ray:// are not supported: give HOST:PORT of the head node")
     host, _, port = address.rpartition(":")
     if host and port.isdecimal():
         socket.create_connection((host, int(port)), timeout=10).close()

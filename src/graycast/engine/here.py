@@ -7,7 +7,7 @@ from .pool import Failed
 
 
 class Here:
-    """A pool of this process alone: what is submitted is made when it is gathered."""
+    """A pool with only this process: a submitted scene is made when it is gathered."""
 
     def __init__(
         self, task: Job, *, threads: int | None, on_frame: OnFrame | None, on_stage: OnStage

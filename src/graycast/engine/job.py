@@ -1,4 +1,4 @@
-"""What workers are told, and what they give back."""
+"""The tasks of workers, and their results."""
 
 from abc import ABC, abstractmethod
 from dataclasses import dataclass, replace
@@ -29,7 +29,7 @@ class Made:
 
 
 def keep_to_threads(threads: int | None) -> None:
-    """Let Numba take so many threads, and no more than it was started with; None leaves it."""
+    """Limit Numba to this number of threads; None does not change it."""
     if threads is not None:
         numba.set_num_threads(min(threads, numba.config.NUMBA_NUM_THREADS))
 
@@ -45,7 +45,7 @@ class Maker(Protocol):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Job(ABC):
-    """What workers are told, and can be sent to them: who opens it makes its scenes.
+    """A task that can be sent to a worker, which opens it to make its scenes.
 
     `device` is one that is there: 'auto' was settled before, so that all workers take the same. For
     a cluster it may be 'auto'. `graycast` is the release.
@@ -71,6 +71,6 @@ class Job(ABC):
 
         Args:
             threads: processor threads that it may use; None leaves them as they are.
-            on_frame: as of `open_renderer`.
-            on_stage: as of `make_scene`.
+            on_frame: as in `open_renderer`.
+            on_stage: as in `make_scene`.
         """

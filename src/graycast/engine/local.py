@@ -18,7 +18,7 @@ from .job import Job, Made, Maker
 from .maker import GPU_DEVICES, is_the_scenes_own
 from .pool import Failed
 
-_MEMORY_SHARE = 0.8  # of the machine's memory, for all workers together
+_MEMORY_SHARE = 0.8  # as a share of the machine's memory, for all workers together
 # Libraries that would each take all cores. Open Image Denoise also binds its threads to the first
 # cores, where those of the other workers sit already.
 _THREAD_VARIABLES = (
@@ -114,7 +114,7 @@ class _Worker:
         return future
 
     def result(self) -> Made | Failed:
-        """What the ended scene came to; a worker that died or met a surprise is replaced."""
+        """The result of the finished scene; a worker that failed unexpectedly is replaced."""
         future, self.future = self.future, None
         try:
             return future.result()
@@ -129,7 +129,7 @@ class _Worker:
         return Failed(scene_id=self._scene_id, error=error)
 
     def end(self) -> None:
-        """End the process, which has no scene in hand; the next scene starts another."""
+        """End the idle process; the next scene starts another."""
         if self._pool is not None:
             self._pool.shutdown(wait=True)
         self._pool = self._process = None
@@ -149,13 +149,13 @@ def _obituary(process: BaseProcess | None) -> str:
     if code is None or code >= 0:
         return f"its worker process ended (exit code {code})"
     name = signal.Signals(-code).name
-    why = ", by hand or by the system for lack of memory" if name == "SIGKILL" else ""
+    why = ", by a user or by the operating system for lack of memory" if name == "SIGKILL" else ""
     return f"its worker process was killed ({name}{why})"
 
 
 @contextmanager
 def _deaf_to_interrupts() -> Iterator[None]:
-    """Processes started inside do not hear Ctrl-C: their parent does, and ends them quietly.
+    """Start processes that ignore Ctrl-C, because their parent ends them.
 
     Blocked, not ignored: a process hands its mask on, and what comes meanwhile is heard afterwards.
     """

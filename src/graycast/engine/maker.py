@@ -1,4 +1,4 @@
-"""What a worker does, wherever it runs: scenes of one task, from seeds to the bytes of files."""
+"""The work of a worker: scenes of one task, from their seeds to the bytes of their files."""
 
 import time
 from collections.abc import Iterable, Iterator, Mapping
@@ -56,7 +56,7 @@ class SceneMaker:
 
         Raises:
             DropError, DecodeError, ValueError: this scene cannot be made; the next one may be.
-            Exception: what nobody foresaw; the renderer is opened anew for the next scene.
+            Exception: an unforeseen error; the renderer is opened again for the next scene.
         """
         start = time.perf_counter()
         task = self.task
@@ -125,7 +125,7 @@ def _decoded(shots: Iterable[Shot], shares: list[Mapping[str, float]]) -> Iterat
 
 
 def _refuse_undecoded(reasons: Mapping[str, float], image: str) -> None:
-    """An image without scanner depth is none, and `validate` would say so.
+    """Refuse an image without scanner depth, which `validate` would report.
 
     Raises:
         DecodeError: hardly a pixel was decoded; says why most were not, and what helps.
@@ -134,27 +134,25 @@ def _refuse_undecoded(reasons: Mapping[str, float], image: str) -> None:
         return
     most = max(reasons, key=lambda name: reasons[name])
     raise DecodeError(
-        f"{image}: the scanner finds a depth in {reasons['decoded']:.2%} of the pixels, that is "
-        "in none: "
-        f"{reasons[most]:.0%} are {most}: "
-        f"{_REMEDIES.get(most, 'see graycast preview')}"
+        f"{image}: the scanner finds a depth in {reasons['decoded']:.2%} of the pixels, so in none: "
+        f"{reasons[most]:.0%} are {most}: {_REMEDIES.get(most, 'see graycast preview')}"
     )
 
 
-_LIGHT = "give a longer exposure.exposure_s, or leave it out, or a nearer view.distance_m"
+_LIGHT = "give a longer exposure.exposure_s, or remove that key, or a nearer view.distance_m"
 _REMEDIES = {
     "shadow": _LIGHT,
     "low_modulation": _LIGHT,
-    "saturated": "give a shorter exposure.exposure_s, or leave it out",
-    "out_of_range": "bring the bin into the rig's near_m to far_m (view.distance_m)",
-    "outside_projector": "bring the bin to where the projector shines (view.distance_m)",
+    "saturated": "give a shorter exposure.exposure_s, or remove that key",
+    "out_of_range": "change view.distance_m so that the bin is between the rig's near_m and far_m",
+    "outside_projector": "change view.distance_m so that the projector lights the bin",
 }
 
 
 def is_the_scenes_own(error: BaseException) -> bool:
-    """Whether an error would come again: parts that find no rest, values out of their range.
+    """Whether the scene itself causes an error, so that another try would fail in the same way.
 
-    All else (a lost driver, memory, a process that was killed) may be the machine's.
+    Other errors (a lost driver, memory, a killed process) may be caused by the machine.
     """
     foreseen = isinstance(error, (GraycastError, ValueError))
     return foreseen and not isinstance(error, (DeviceError, WorkerDied))

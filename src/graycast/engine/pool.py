@@ -1,4 +1,4 @@
-"""Many scenes on whatever makes them; what fails is tried again, and set aside in the end."""
+"""Many scenes on a pool of workers; failed scenes are retried and finally set aside."""
 
 from collections import Counter, deque
 from collections.abc import Generator, Iterable
@@ -40,7 +40,7 @@ class Pool(Protocol):
         ...
 
     def gather(self) -> Made | Failed:
-        """Wait for the next scene that ends, well or not."""
+        """Wait for the next scene that succeeds or fails."""
         ...
 
     def close(self) -> None:
@@ -49,7 +49,7 @@ class Pool(Protocol):
 
 
 def make_all(pool: Pool, scene_ids: Iterable[int]) -> Generator[Made | Failed, None, None]:
-    """Every scene, as it ends. One that fails goes to the queue's end, up to `TRIES` times.
+    """Yield every finished scene. A failed one is retried later, up to `TRIES` times.
 
     Raises:
         GraycastError: scene after scene was lost and not by its own fault, so that the rest of them
@@ -80,6 +80,6 @@ def make_all(pool: Pool, scene_ids: Iterable[int]) -> Generator[Made | Failed, N
         if len(lost) >= _IN_VAIN + at_work:
             why = " ".join(str(error).split()) or type(error).__name__
             raise GraycastError(
-                f"{len(lost)} scenes in a row were lost, the last because {why}: run again when "
-                "the machine is well; what is finished stays"
+                f"{len(lost)} scenes in a row were lost, the last because {why}: repair the "
+                "machine and run the same command again; the finished scenes are kept"
             ) from error

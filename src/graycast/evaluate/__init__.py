@@ -1,4 +1,4 @@
-"""How good detections are: the judge, which imports nothing of what it judges."""
+"""Scores of detections, poses and depth; it imports nothing that it scores."""
 
 from .depth_files import DEPTH, evaluate_depth, write_depth
 from .judging import Judgement, Protocol, Row, judge

@@ -1,4 +1,4 @@
-"""Precision over recall of matched detections, and of scenes drawn anew from the same ones.
+"""Precision over recall of matched detections, also for bootstrap resamples of the scenes.
 
 A scene that is drawn twice counts twice. Its detections stand beside their copies in the order of
 scores, so counting each as often as its scene was drawn gives the same curve as copies would: hits

@@ -42,7 +42,7 @@ def depth_rows(scenes: Iterable[SceneContent], *, parts_only: bool = False) -> l
     """Every scene is read once; a row for each range of angles and one for edges.
 
     Args:
-        parts_only: count pixels of visible parts alone.
+        parts_only: count only pixels of visible parts.
     """
     steps = [Counter[int]() for _ in range(EDGE + 1)]
     reasons = [Counter[str]() for _ in range(EDGE + 1)]

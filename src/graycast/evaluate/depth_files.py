@@ -36,8 +36,8 @@ def evaluate_depth(
     stored = open_dataset(dataset)
     if lacks := sorted({"depth", "depth_sl"} - stored.holds):
         raise GraycastError(
-            f"{dataset}: has no {' and no '.join(lacks)}: the scanner's depth is judged by perfect "
-            "depth, which a simulated dataset has"
+            f"{dataset}: has no {' and no '.join(lacks)}: the scanner's depth is compared with "
+            "perfect depth, so give a simulated dataset"
         )
 
     def read(pass_: int) -> Iterable[SceneContent]:
@@ -109,7 +109,7 @@ def _figures(row: DepthRow, reasons: Sequence[str]) -> list[str]:
 
 
 def _reasons(tables: Tables, order: Iterable[str]) -> list[str]:
-    """What there is of them, in that order; those that it lacks come last."""
+    """The reasons that occur, in the given order; others come last."""
     held = {name for rows in tables.values() for row in rows for name in row.reason}
     first = [name for name in order if name in held and name != "decoded"]
     return first + sorted(held - {"decoded", *first})

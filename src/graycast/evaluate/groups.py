@@ -1,4 +1,4 @@
-"""Parts of the figures: by visibility, by size, by the scanner's holes.
+"""Figures by groups of instances: by visibility, by size, by the scanner's holes.
 
 Instances outside a group are ignored: they need not be found, and what finds one is neither a hit
 nor a mistake. They overlap as ever (intersection over union), so a bad outline of one is a mistake
@@ -33,7 +33,7 @@ MISSING_EDGES = (0.0, 0.05, 0.2, 0.5, 1.0)
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Group:
-    """One bin: from `low` up to but without `high`, or with it where it is the last."""
+    """One group: from `low` to `high`, without `high` except in the last group."""
 
     by: str
     low: float
@@ -46,7 +46,7 @@ class Group:
 
 
 def groups(labels: Sequence[Labels], *, kind: Kind, min_visibility: float) -> Iterator[Group]:
-    """The bins that the labels allow: a share that they do not know makes none."""
+    """The groups that the labels allow; an unknown share makes no groups."""
     if all(one.visib_fract is not None for one in labels):
         above = [edge for edge in VISIBILITY_EDGES if edge > min_visibility]
         for low, high in _bins([min_visibility, *above]):

@@ -1,7 +1,7 @@
-"""How sure the figures are: intervals over scenes by the bootstrap.
+"""Confidence intervals of the figures by the bootstrap over scenes.
 
-What a network meets is scenes: parts of one scene share light and clutter, so scenes are drawn, not
-parts. Each draw takes as many scenes as there are, with repetition; detections are matched once.
+Parts of one scene share light and clutter, so scenes are resampled and not parts. Each draw
+takes as many scenes as there are, with repetition; detections are matched once.
 
 Percentiles of such draws are too narrow for few scenes, by the factor sqrt((n - 1) / n) and by
 what Student's t is wider than the normal distribution. Both are put right by taking percentiles
@@ -27,7 +27,7 @@ DRAWS = 1000
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Interval:
-    """A figure and where it lies with a confidence of 95 %; NaN where that is not known."""
+    """A figure with its 95 % confidence interval; NaN if the interval is not known."""
 
     value: float
     low: float
@@ -35,7 +35,7 @@ class Interval:
 
 
 def draw_scenes(scenes: int, *, seed: int, draws: int = DRAWS) -> Int[np.ndarray, "draws scenes"]:
-    """How often each scene counts in each draw; the same for all results of as many scenes."""
+    """The weight of each scene in each draw; equal for results of equally many scenes."""
     return np.random.default_rng(seed).multinomial(scenes, np.full(scenes, 1 / scenes), size=draws)
 
 
@@ -59,7 +59,7 @@ def differences(
     if scores.scene_ids != other.scene_ids:
         raise GraycastError(
             f"results of {len(scores.scene_ids)} scenes cannot be compared with results of "
-            f"{len(other.scene_ids)} others: give results of the same scenes"
+            f"{len(other.scene_ids)} other scenes: give results of the same scenes"
         )
     mine, its = (figures_of_draws(one.matches, times) for one in (scores, other))
     return {
@@ -74,7 +74,7 @@ def differences(
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Drawn:
-    """A figure and what it is in each draw of scenes, so that sums of figures get intervals too.
+    """A figure with its value in each draw, so that sums of figures also get intervals.
 
     Figures of the same scenes from the same seed are paired: their difference has the interval of
     the paired difference. Figures of different sets of scenes come from different seeds.

@@ -33,7 +33,8 @@ class Protocol:
                 raise GraycastError(f"{name} is {getattr(self, name)}: it must be {least} or more")
         if not 0 <= self.min_visibility < 1:
             raise GraycastError(
-                f"min_visibility is {self.min_visibility}: give a share from 0 up to below 1"
+                f"min_visibility is {self.min_visibility}: give a share of at least 0 and less "
+                "than 1"
             )
 
 

@@ -1,4 +1,4 @@
-"""What there is to find in a picture."""
+"""The labels of a picture: the instances that are to be found."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -60,7 +60,7 @@ def labels_of(example: Example, *, min_visibility: float) -> Labels:
     """
     if example.obj_id is None or example.box_px is None:
         raise GraycastError(
-            f"scene {example.scene_id}: has no labels to compare detections with: choose a dataset "
+            f"scene {example.scene_id}: has no labels to compare detections with: give a dataset "
             "with labels"
         )
     return Labels(

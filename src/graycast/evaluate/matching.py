@@ -1,4 +1,4 @@
-"""Which detection finds which instance, by COCO's rule, for all thresholds at once.
+"""The matching of detections and instances by COCO's rule, for all thresholds at once.
 
 Within a scene and a class the detections take, best score first, the instance that they overlap
 most among those not yet taken, if they overlap it enough. An instance that counts goes before one
@@ -44,7 +44,7 @@ class Pair:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Overlaps:
-    """All that is known before anything is matched.
+    """The overlaps of all detections and instances before the matching.
 
     Attributes:
         labels: in the order of their scenes' ids.
@@ -84,7 +84,7 @@ class ClassMatches:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Outside:
-    """What is left out of a part of the figures, such as all but large instances.
+    """Instances and detections outside a group, such as all that are not large.
 
     Attributes:
         instance: instances that are ignored there too; they overlap as before, not as crowds do.
@@ -105,7 +105,7 @@ def overlaps(
             sizes, or one of them has no masks to compare.
     """
     if most < 1:
-        raise ValueError(f"most is {most}; look at one detection or more")
+        raise ValueError(f"most is {most}; give at least 1")
     by_scene = {one.scene_id: one for one in found}
     ordered = sorted(labels, key=lambda one: one.scene_id)
     scene_ids = [one.scene_id for one in ordered]
@@ -127,7 +127,7 @@ def overlaps(
 
 
 def match(known: Overlaps, outside: Outside | None = None) -> dict[int, ClassMatches]:
-    """Give every detection what it finds; classes by their object id."""
+    """Match every detection; classes are keyed by their object id."""
     return {obj_id: _match_class(known, pairs, outside) for obj_id, pairs in known.pairs.items()}
 
 
@@ -139,8 +139,8 @@ def _check_scenes(labelled: list[int], found: list[int]) -> None:
     if odd := set(labelled) ^ set(found):
         lacks = "detections" if min(odd) in labelled else "labels"
         raise GraycastError(
-            f"scene {min(odd)} has no {lacks}: give labels and detections of the same scenes, also "
-            "where nothing was found"
+            f"scene {min(odd)} has no {lacks}: give labels and detections of the same scenes, "
+            "including scenes without detections"
         )
 
 
@@ -150,19 +150,20 @@ def _shapes(there: Labels, seen: Detections, kind: Kind) -> tuple[list[Any], lis
         return there.box_px.astype(float).tolist(), seen.box_px.astype(float).tolist()
     if there.mask is None:
         raise GraycastError(
-            f"scene {there.scene_id}: its labels have no masks: compare boxes, or draw masks"
+            f"scene {there.scene_id}: its labels have no masks: score boxes with --kind, or add "
+            "masks to the labels"
         )
     if seen.mask is None and len(seen):
         raise GraycastError(
-            f"scene {there.scene_id}: its detections have no masks: compare boxes, or take a "
-            "detector that finds masks"
+            f"scene {there.scene_id}: its detections have no masks: score boxes with --kind, or "
+            "use a detector that finds masks"
         )
     for mask in seen.mask or ():
         if there.size_px is not None and tuple(mask["size"]) != there.size_px:
             raise GraycastError(
                 f"scene {there.scene_id}: a detection's mask is of {mask['size'][1]} x "
                 f"{mask['size'][0]} pixels, the picture has {there.size_px[1]} x "
-                f"{there.size_px[0]}: are these results of another dataset?"
+                f"{there.size_px[0]}: give results of this dataset"
             )
     return list(there.mask), list(seen.mask or ())
 

@@ -1,4 +1,4 @@
-"""Where detections fail: at a working point, which instances are missed and which alarms are false.
+"""Missed instances and false alarms of detections at a working point.
 
 The working point is the score from which detections count. The one that is chosen here has the best
 F1 (harmonic mean of precision and recall at an overlap of 0.5) over all classes of the scenes that
@@ -23,7 +23,7 @@ Why = Literal["found twice", "badly placed", "another class", "nothing there"]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class WorkingPoint:
-    """What detections from a score on are worth, at an overlap of 0.5."""
+    """Precision and recall of detections above a score, at an overlap of 0.5."""
 
     score: float
     precision: float

@@ -1,4 +1,4 @@
-"""How far an estimated pose is off, in BOP's terms.
+"""Errors of estimated poses as BOP defines them.
 
 Source: T. Hodan et al., "BOP Challenge 2020 on 6D Object Localization", ECCVW 2020, section 2.2;
 "BOP Challenge 2024 on Model-Based and Model-Free 6D Object Pose Estimation" keeps the three errors

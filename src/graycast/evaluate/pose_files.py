@@ -173,13 +173,13 @@ def _by_scene(
         if one.scene_id not in of_scene or one.im_id != 0:
             raise GraycastError(
                 f"{results}: has scene {one.scene_id}, image {one.im_id}, which the dataset's set "
-                "does not have (its scenes have one image, 0): are these results of another "
-                "dataset or another split?"
+                "does not have (its scenes have one image, 0): give results of the same dataset "
+                "and set"
             )
         if one.obj_id not in solids:
             raise GraycastError(
                 f"{results}: has object {one.obj_id}, the dataset has "
-                f"{', '.join(map(str, sorted(solids)))}: are these results of another dataset?"
+                f"{', '.join(map(str, sorted(solids)))}: give results of this dataset"
             )
         of_scene[one.scene_id].append(one)
     return of_scene
@@ -189,8 +189,8 @@ def _truth(dataset: Path, example: Example, min_visibility: float) -> Truth:
     measured = example.scanner_depth_m if example.scanner_depth_m is not None else example.depth_m
     if example.T_cam_part is None or measured is None:
         raise GraycastError(
-            f"{dataset}: scene {example.scene_id} has no poses or no depth: poses are judged by a "
-            "dataset of graycast generate"
+            f"{dataset}: scene {example.scene_id} has no poses or no depth: give a dataset that "
+            "graycast generate made"
         )
     return Truth(
         scene_id=example.scene_id,

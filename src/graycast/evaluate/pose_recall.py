@@ -45,7 +45,7 @@ class Truth:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Solid:
-    """A part as the judge sees it: shape [m], diameter and the motions that leave it as it is."""
+    """A part for the scoring: its shape [m], diameter and symmetry motions."""
 
     vertices_m: Float[np.ndarray, "v 3"]
     faces: Int[np.ndarray, "f 3"]

@@ -1,4 +1,4 @@
-"""How well a score ranks what succeeds: the area under the ROC curve."""
+"""The area under the ROC curve, which states how well a score predicts success."""
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -8,7 +8,7 @@ from .intervals import Interval, draw_scenes, interval_of
 
 
 def roc_auc(score: Float[np.ndarray, " n"], success: Bool[np.ndarray, " n"]) -> float:
-    """The chance that of a success and a failure the success has the higher score; ties are half.
+    """The probability that a success has a higher score than a failure; ties count half.
 
     NaN where nothing succeeds, or everything. It is Mann and Whitney's U, as a share of all pairs:
     the sum of the successes' ranks, less the least that it can be.
@@ -28,7 +28,7 @@ def roc_auc_of_scenes(
     *,
     seed: int,
 ) -> Interval:
-    """The same with its interval: what is of one scene is drawn together."""
+    """The same with its interval by resampling of scenes."""
     ids, place = np.unique(scene, return_inverse=True)
     drawn = []
     for times in draw_scenes(len(ids), seed=seed) if len(ids) > 1 else ():

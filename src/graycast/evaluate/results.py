@@ -15,7 +15,7 @@ from ..export.split import Split
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Run:
-    """What `detect.json` says of the results beside it; None is what a file alone does not tell.
+    """The content of `detect.json`; fields are None for a single file of results.
 
     Attributes:
         path: of the results.
@@ -58,8 +58,8 @@ def open_run(path: Path) -> Run:
         )
     if not (path / LOOKED).is_file():
         raise GraycastError(
-            f"{path}: has no {LOOKED}, which says what scenes were looked at: give "
-            f"{path / RESULTS} itself, and say with --split which scenes it is of"
+            f"{path}: has no {LOOKED}, which lists the scenes of the detections: give "
+            f"{path / RESULTS} itself, and state its set of scenes with --split"
         )
     return _run(path / RESULTS, path / LOOKED)
 
@@ -75,8 +75,8 @@ def read_found(
     looked_at = scene_ids if run.scene_ids is None else run.scene_ids
     if odd := set(scene_ids) - set(looked_at):
         raise GraycastError(
-            f"{run.path}: scene {min(odd)} was not looked at: judge the scenes of the set that "
-            "graycast detect was given"
+            f"{run.path}: scene {min(odd)} was not used by graycast detect: score the set of "
+            "scenes that it used"
         )
     found = read_results(run.path, looked_at, obj_ids=set(categories))
     wanted = set(scene_ids)
@@ -108,5 +108,5 @@ def _run(results: Path, said: Path) -> Run:
 
 def _whole(value: Any) -> int:
     if type(value) is not int:
-        raise ValueError(f"{value!r} is no whole number")
+        raise ValueError(f"{value!r} is not a whole number")
     return value

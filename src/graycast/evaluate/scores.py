@@ -17,7 +17,7 @@ FIGURES = ("ap", "ap50", "ap75", "ar")
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Scores:
-    """How good detections are; NaN where there is nothing to find.
+    """The scores of detections; NaN if there is nothing to find.
 
     Attributes:
         ap: average precision, the mean over thresholds of 0.50 to 0.95 and over the classes.

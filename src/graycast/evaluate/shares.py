@@ -1,4 +1,4 @@
-"""How sure a share is, and whether two shares of the same cases differ."""
+"""The confidence interval of a share, and a test for the difference of two paired shares."""
 
 import math
 
@@ -19,7 +19,7 @@ def wilson(hits: int, of: int) -> tuple[float, float]:
 
 
 def mcnemar(only_first: int, only_second: int) -> float:
-    """The chance that pairs differ so unevenly by luck: McNemar's exact test, two-sided.
+    """The two-sided p-value of McNemar's exact test.
 
     Args:
         only_first: pairs of which the first alone is a success.

@@ -19,14 +19,14 @@ from .mistakes import NEAR, FalseAlarm, Miss
 SHOWN = 20
 TRUTH_COLOR, FOUND_COLOR = "#3ddc84", "#ff4d4d"
 _COLUMNS = 5
-_MARGIN = 0.6  # of the longer side of what is shown, on each side
+_MARGIN = 0.6  # as a share of the longer side of what is shown, on each side
 _LEAST_PX = 48
 
 Picture = Callable[[int], UInt8[np.ndarray, "h w 3"]]
 
 
 def draw_misses(judgement: Judgement, picture: Picture, path: Path) -> bool:
-    """The most visible of the instances that were missed; False if there is none.
+    """Draw the most visible instances that were missed; False if there are none.
 
     Raises:
         GraycastError: the file cannot be written.
@@ -44,7 +44,7 @@ def draw_misses(judgement: Judgement, picture: Picture, path: Path) -> bool:
 
 
 def draw_false_alarms(judgement: Judgement, picture: Picture, path: Path) -> bool:
-    """The surest of the detections that found nothing; False if there is none.
+    """Draw the detections with the highest scores that found nothing; False if there are none.
 
     Raises:
         GraycastError: the file cannot be written.

@@ -28,9 +28,9 @@ _ONE_CLASS = 1  # the object id of everything where classes do not matter
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Task:
-    """What to judge by what; None of `split` and `division` is what the results say of themselves.
+    """The results and the labels to compare; None as `split` or `division` uses those of the results.
 
-    `one_class` takes all parts for one.
+    `one_class` treats all parts as one class.
     """
 
     results: Path
@@ -110,8 +110,8 @@ def _scene_ids(task: Task, run: Run, held: Mapping[int, Examples]) -> tuple[int,
     if odd := set(run.scene_ids) - set(held):
         split = next(iter(held.values())).split
         raise GraycastError(
-            f"{run.path}: looked at scene {min(odd)}, which the set {split} of "
-            f"{task.dataset} does not have: give --on the dataset that it looked at"
+            f"{run.path}: has detections in scene {min(odd)}, which the set {split} of "
+            f"{task.dataset} does not have: give the dataset of the detections with --on"
         )
     return run.scene_ids
 

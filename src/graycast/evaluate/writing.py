@@ -27,7 +27,7 @@ _TITLES = {"ap": "AP", "ap50": "AP50", "ap75": "AP75", "ar": "AR"}
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Evaluation:
-    """What was judged, how, and what came of it."""
+    """An evaluation: its subject, its settings and its results."""
 
     dataset: str
     split: str
@@ -114,7 +114,10 @@ def _paragraphs(evaluation: Evaluation) -> Iterator[str]:
         yield _mistakes(one)
         yield "\n".join(_table(one))
         if one.against is not None and evaluation.against is not None:
-            yield f"Less the results of {evaluation.against.name}, on the same draws of scenes:"
+            yield (
+                f"Difference from the results of {evaluation.against.name}, on the same draws of "
+                "scenes:"
+            )
             yield "\n".join(
                 [
                     "| " + " | ".join(_TITLES[name] for name in FIGURES) + " |",
@@ -141,7 +144,7 @@ def _what(evaluation: Evaluation) -> str:
 
 def _point(one: Judgement) -> str:
     if np.isnan(one.point.score):
-        return "Nothing was found, so there is no score to work at."
+        return "Nothing was found, so there is no recommended threshold on the score."
     return (
         f"From a score of {one.point.score:.2f} on (best F1 at an overlap of 0.5): "
         f"{one.point.recall:.1%} are found, {one.point.precision:.1%} of the detections are right."

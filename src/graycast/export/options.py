@@ -77,7 +77,7 @@ class Options:
         for name in self.given():
             if name not in FORMATS[self.format]:
                 raise GraycastError(
-                    f"{self.format} knows no {name}: leave it out; it knows "
+                    f"{self.format} has no option {name}: remove it; the options are "
                     f"{', '.join(FORMATS[self.format])}"
                 )
         for name, allowed in _CHOICES.items():
@@ -86,9 +86,13 @@ class Options:
             if (value := getattr(self, name)) not in (None, *allowed):
                 raise GraycastError(f"{name} is {value!r}: choose one of {', '.join(allowed)}")
         if self.shard_scenes is not None and self.shard_scenes < 1:
-            raise GraycastError(f"shard_scenes is {self.shard_scenes}: scenes per file, from 1 up")
+            raise GraycastError(
+                f"shard_scenes is {self.shard_scenes}: give at least 1 scene per file"
+            )
         if self.min_visibility is not None and not 0 <= self.min_visibility <= 1:
-            raise GraycastError(f"min_visibility is {self.min_visibility}: a share from 0 to 1")
+            raise GraycastError(
+                f"min_visibility is {self.min_visibility}: give a share from 0 to 1"
+            )
 
     def given(self) -> list[str]:
         """The options that were said."""
@@ -112,9 +116,13 @@ class Options:
             chosen["depth"] = next((known[n] for n in known if n in holds), "none")
         if self.format in ("coco", "yolo"):
             if "masks" not in holds:
-                raise GraycastError(f"{stored.folder}: has no masks, {self.format} needs them")
+                raise GraycastError(
+                    f"{stored.folder}: has no masks, which the format {self.format} needs"
+                )
             if chosen["image"] is None:
-                raise GraycastError(f"{stored.folder}: has no pictures, {self.format} needs them")
+                raise GraycastError(
+                    f"{stored.folder}: has no pictures, which the format {self.format} needs"
+                )
         return replace(self, **chosen)
 
     def _refuse(self, name: str, value: str, stored: StoredDataset) -> None:

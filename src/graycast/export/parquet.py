@@ -20,7 +20,7 @@ try:
     import pyarrow.parquet as pq
 except ImportError as error:
     raise GraycastError(
-        "Parquet needs pyarrow, which is not installed: pip install 'graycast[parquet]'"
+        "Parquet needs pyarrow, which is not installed: run pip install 'graycast[parquet]'"
     ) from error
 
 _GROUP = 16  # scenes in memory at once

@@ -21,4 +21,4 @@ def place(source: Path, target: Path, *, link: bool) -> None:
         os.link(source, target)
     except OSError as error:
         why = f"cannot be linked to {source} ({error.strerror})"
-        raise GraycastError(f"{target}: {why}: export to the same disk, or copy") from error
+        raise GraycastError(f"{target}: {why}: export to the same disk, or omit --link") from error

@@ -57,7 +57,7 @@ def read_record(folder: Path) -> ExportRecord:
     try:
         record = read_json(folder / RECORD, ExportRecord)
     except Unreadable as error:
-        raise DatasetError(f"{folder} is no export of Graycast: {error}") from error
+        raise DatasetError(f"{folder} is not an export of Graycast: {error}") from error
     if record.format not in FORMATS:
         known = ", ".join(FORMATS)
         raise DatasetError(f"{folder}: its format {record.format!r} is none of {known}")

@@ -31,14 +31,15 @@ def chosen_scenes(path: Path, stored: StoredDataset) -> tuple[int, ...]:
         selection = read_json(path, Selection)
     except Unreadable as error:
         raise GraycastError(
-            f"{path} is no selection of scenes ({error}): save one on the page of graycast report"
+            f"{path} is not a selection of scenes ({error}): save one on the page of graycast "
+            "report"
         ) from error
     if not selection.scenes:
-        raise GraycastError(f"{path} names no scene: tick some on the page of graycast report")
+        raise GraycastError(f"{path} names no scene: select some on the page of graycast report")
     if selection.fingerprint != stored.claim.get("fingerprint", ""):
         raise DatasetError(
-            f"{path} names scenes of another dataset ({selection.dataset}), not of {stored.folder}:"
-            " give the dataset that the page was made of"
+            f"{path} names scenes of another dataset ({selection.dataset}), not of "
+            f"{stored.folder}: give the dataset of that page"
         )
     known = {stored.scene(scene_id).key: scene_id for scene_id in stored.scene_ids["train"]}
     foreign = sorted(set(selection.scenes) - set(known))
@@ -46,6 +47,6 @@ def chosen_scenes(path: Path, stored: StoredDataset) -> tuple[int, ...]:
         more = f" and {len(foreign) - _SOME} more" if len(foreign) > _SOME else ""
         raise DatasetError(
             f"{path} names {', '.join(foreign[:_SOME])}{more}, which {stored.folder}/train lacks: "
-            "make the page anew and save the selection again"
+            "make the page again and save the selection again"
         )
     return tuple(sorted(known[key] for key in selection.scenes))

@@ -29,8 +29,8 @@ class Split:
     def __post_init__(self) -> None:
         if min(self.shares) < 0 or abs(sum(self.shares) - 1) > 1e-6:
             raise GraycastError(
-                f"split is {self.shares}: give shares of train, val and test from 0 up that add "
-                "up to 1, such as 0.8,0.1,0.1"
+                f"split is {self.shares}: give shares of train, val and test that are at least 0 "
+                "and add up to 1, such as 0.8,0.1,0.1"
             )
 
     def place(self, scene_id: int) -> str:

@@ -46,7 +46,7 @@ def export(
     chosen = options.resolved(stored)
     splits = chosen.split.assign(scene_ids)
     if out.absolute().is_relative_to(dataset.absolute()):
-        raise GraycastError(f"{out}: lies in the dataset: choose a folder outside of it")
+        raise GraycastError(f"{out}: is inside the dataset: choose a folder outside of it")
     total, done = len(scene_ids), 0
 
     def counted(scene_ids: Iterable[int]) -> Iterator[StoredScene]:

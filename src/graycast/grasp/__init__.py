@@ -1,4 +1,4 @@
-"""Where a part can be gripped: surfaces under a tool, seals of suction cups, what a grip holds."""
+"""Grips of a part: surfaces under a tool, seals of suction cups, and loads that a grip holds."""
 
 from .grip import Grip, best_first
 from .jaws import CLEARANCE_M, Jaws, closing, jaw_load_factor, jaw_places

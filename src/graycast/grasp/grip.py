@@ -1,4 +1,4 @@
-"""A grip: where a tool goes on a part, and how it may lean there."""
+"""A grip: the pose of a tool on a part, and the directions in which it may lean."""
 
 from collections.abc import Iterable
 from dataclasses import dataclass
@@ -13,7 +13,7 @@ LEAN_RAD = np.radians(30)  # a bin's walls and neighbours make a tool lean by ab
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Grip:
-    """Where a tool goes, in the part's frame, and how sure it is to hold there (0 to 1).
+    """The pose of a tool in the part's frame, and the score of the grip (0 to 1).
 
     The tool's z points away from the part. `opening_m` is how far jaws stand apart there.
     """
@@ -40,6 +40,6 @@ def frame_on(point_m: Float[np.ndarray, "3"], normal: Float[np.ndarray, "3"]) ->
 
 
 def downs() -> Float[np.ndarray, "5 3"]:
-    """Which way is down for a tool that stands upright, or leans to one of four sides."""
+    """The direction of gravity for a tool that is upright or leans to one of four sides."""
     s, c = np.sin(LEAN_RAD), np.cos(LEAN_RAD)
     return np.array([[0, 0, -1], [s, 0, -c], [-s, 0, -c], [0, s, -c], [0, -s, -c]], dtype=float)

@@ -1,4 +1,4 @@
-"""Parallel jaws on a part whose mesh is known: where they close, and what they hold by friction."""
+"""Parallel jaws on a part with a known mesh: grasp search, and loads held by friction."""
 
 from dataclasses import dataclass
 from typing import no_type_check
@@ -37,17 +37,19 @@ class Jaws:
     def __post_init__(self) -> None:
         for name in ("opening_m", "force_n", "pad_radius_m"):
             if not getattr(self, name) > 0:
-                raise ValueError(f"{name} is {getattr(self, name)}; it must be above 0")
+                raise ValueError(f"{name} is {getattr(self, name)}; it must be greater than 0")
         if self.opening_m > 1:
-            raise ValueError(f"opening_m is {self.opening_m:g}: jaws open less; give metres")
+            raise ValueError(
+                f"opening_m is {self.opening_m:g}: this is too large; give metres, not millimetres"
+            )
         if not self.friction >= 0:
-            raise ValueError(f"friction is {self.friction}; it is 0 or more")
+            raise ValueError(f"friction is {self.friction}; it must be at least 0")
 
 
 def jaw_load_factor(
     jaws: Jaws, force_n: Float[np.ndarray, "k 3"], moment_nm: Float[np.ndarray, "k 3"]
 ) -> Float[np.ndarray, " k"]:
-    """How many times a load two pads hold by friction; below 1 it slips or turns.
+    """The safety factor of a load between two pads with friction; below 1 the part slips.
 
     Both pads together carry 2 friction force across their axis, and about it the moment of two
     discs of even pressure, 2 friction force (2/3 r). The load's moment about other axes is held
@@ -79,7 +81,7 @@ def jaw_places(
     chances: int = 24,
     seed: int = 0,
 ) -> list[Grip]:
-    """Every place that open fingers fit round, also where they do not hold.
+    """All places around which open fingers fit, including those where they do not hold.
 
     They hold where both normals lie in the cone of friction about the line between the pads, and no
     point of the part lies in an open finger or in the palm: so one finger may stand in a hole or
@@ -135,7 +137,7 @@ def closing(
     *,
     opening_m: float | None = None,
 ) -> tuple[float, float] | None:
-    """What jaws meet that close on a mesh: the middle between the pads, and the steeper slope.
+    """The contact of jaws that close on a mesh: the middle between the pads, and the steeper slope.
 
     Lines parallel to the jaws' axis are followed from each open pad to the other: the first surface
     that a pad meets. What lies beyond an open pad is not between them. The slope is the tangent

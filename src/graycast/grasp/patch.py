@@ -76,7 +76,7 @@ def patch_of_mesh(
     radius_m: float,
     step_m: float,
 ) -> Patch:
-    """What a mesh shows to a tool that comes along its axis: the highest surface everywhere."""
+    """The patch of a mesh under a tool: the highest surface along the tool's axis."""
     seen = transform_points(inverse(T_mesh_tool), mesh.vertices_m.astype(np.float64))
     return _patch(seen[mesh.faces], radius_m, step_m)
 
@@ -90,7 +90,7 @@ def patch_of_depth(
     step_m: float,
     steepest_rad: float = np.radians(80),
 ) -> Patch:
-    """What a scanner saw there: triangles between neighbouring pixels.
+    """The patch of a depth map: triangles between neighbouring pixels.
 
     Where depth is missing, and where neighbours stand so steeply to the line of sight that they may
     be two surfaces, nothing is known.

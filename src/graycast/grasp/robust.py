@@ -1,4 +1,4 @@
-"""How sure a suction grip is: the share of chances in which it seals and holds."""
+"""The robustness of a suction grip: the share of random trials in which it seals and holds."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -15,7 +15,7 @@ SHAKE = 1.5  # times its weight that a part pulls then at most
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Doubt:
-    """What is not known of a grip, each a standard deviation of a normal distribution.
+    """The uncertainties of a grip as standard deviations of normal distributions.
 
     `position_m` and `angle_rad` are of the tool on the part: calibration, robot and the part's pose
     together. `friction_share` is of the friction. `center_m` is of the centre of mass, each way.
@@ -29,7 +29,7 @@ class Doubt:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Burden:
-    """What hangs on the tool, in its frame: a weight, its place, and which way is down."""
+    """The load of the tool in its frame: a weight, its position, and the direction of gravity."""
 
     weight_n: float
     center_m: Float[np.ndarray, "3"]
@@ -39,7 +39,7 @@ class Burden:
 def robustness(
     cup: Cup, patch: Patch, burdens: Sequence[Burden], doubt: Doubt, *, seed: int, chances: int = 24
 ) -> float:
-    """The share of chances in which the cup seals and holds its burden, the least of all burdens.
+    """The share of random trials in which the cup seals and holds, the smallest over all burdens.
 
     The first chance is the grip as planned. Positions off by more than three deviations count as
     three, so that the patch need not be larger than that.
@@ -66,5 +66,5 @@ def robustness(
 
 
 def patch_radius_m(cup: Cup, doubt: Doubt) -> float:
-    """How large a patch `robustness` needs."""
+    """The radius of the patch that `robustness` needs."""
     return cup.radius_m + 3 * doubt.position_m

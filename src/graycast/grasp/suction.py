@@ -1,4 +1,4 @@
-"""Does a suction cup seal on a surface, and what does it hold there?
+"""The seal of a suction cup on a surface, and the load that it holds.
 
 The seal follows Mahler et al., "Dex-Net 3.0", ICRA 2018: the cup is a cone of springs whose lip is
 laid on the surface; it seals where no spring is stretched or pressed by more than a tenth, and
@@ -35,13 +35,17 @@ class Cup:
     def __post_init__(self) -> None:
         for name in ("radius_m", "height_m", "vacuum_pa"):
             if not getattr(self, name) > 0:
-                raise ValueError(f"{name} is {getattr(self, name)}; it must be above 0")
+                raise ValueError(f"{name} is {getattr(self, name)}; it must be greater than 0")
         if self.radius_m > 0.2:
-            raise ValueError(f"radius_m is {self.radius_m:g}: a cup is smaller; give metres")
+            raise ValueError(
+                f"radius_m is {self.radius_m:g}: this is too large; give metres, not millimetres"
+            )
         if self.vacuum_pa > 101_325:
-            raise ValueError(f"vacuum_pa is {self.vacuum_pa:g}; air presses with 101325 Pa at most")
+            raise ValueError(
+                f"vacuum_pa is {self.vacuum_pa:g}; it can be at most 101325, the air pressure in Pa"
+            )
         if not self.friction >= 0:
-            raise ValueError(f"friction is {self.friction}; it is 0 or more")
+            raise ValueError(f"friction is {self.friction}; it must be at least 0")
 
     @property
     def pull_n(self) -> float:
@@ -51,7 +55,7 @@ class Cup:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Seal:
-    """How a cup lies on a surface.
+    """The state of a cup that is laid on a surface.
 
     `strain` is the largest change of a spring's length, as a share of it; NaN where the lip has
     nothing to lie on. `open_share` is the share of the ground under the cup where no surface is, or
@@ -86,7 +90,7 @@ def seals(
     aside_m: Float[np.ndarray, "k 2"],
     lean: Float[np.ndarray, "k 2"],
 ) -> tuple[Float[np.ndarray, " k"], Float[np.ndarray, " k"]]:
-    """`Seal`'s two numbers for a cup that is set down otherwise than the tool's axis says.
+    """The two numbers of `Seal` for a cup that deviates from the tool's axis.
 
     Args:
         cup: what is laid on.
@@ -98,7 +102,7 @@ def seals(
         ValueError: the patch ends under the cup.
     """
     if np.abs(aside_m).max() + cup.radius_m > patch.reach_m * (1 + 1e-9):
-        raise ValueError(f"the patch of {patch.reach_m} m about the axis ends under the cup")
+        raise ValueError(f"the patch of {patch.reach_m} m about the axis is smaller than the cup")
     around = 2 * np.pi * np.arange(LIP_POINTS) / LIP_POINTS
     free = cup.radius_m * np.stack([np.cos(around), np.sin(around)], axis=-1)
     height_m = patch.at(free + aside_m[:, None]) - lean @ free.T
@@ -133,7 +137,7 @@ def load_factor(
     *,
     friction: Float[np.ndarray, " k"] | None = None,
 ) -> Float[np.ndarray, " k"]:
-    """How many times a load a sealed cup holds; below 1 it lets go.
+    """The safety factor of a load on a sealed cup; below 1 the cup loses the part.
 
     The lip is a ring that is pressed on the surface with N: the vacuum's pull and what the load
     adds along the axis. Three limits, each met first by some load:

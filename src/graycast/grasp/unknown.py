@@ -104,7 +104,7 @@ def suction_in_depth(
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _Judge:
-    """All that is the same for every place; fields as of `suction_in_depth`."""
+    """All that is the same for every place; fields as in `suction_in_depth`."""
 
     depth_m: Float[np.ndarray, "h w"]
     camera: Optics

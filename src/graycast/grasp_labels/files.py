@@ -73,7 +73,9 @@ def open_labels(
             f"{out}: cannot be written ({error.strerror}): make the folder writable"
         ) from error
     if lock is None:
-        raise DatasetError(f"another run is writing to {out}: wait for it, or give another --name")
+        raise DatasetError(
+            f"another run is writing to {out}: wait until it ends, or give another --name"
+        )
     with lock:
         if (out / GRASP_CLAIM).exists():
             _refuse_other(out, claim)

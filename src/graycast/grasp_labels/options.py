@@ -19,16 +19,25 @@ class Labelling(Settings):
     """Which labels a dataset gets; another one is another set of labels."""
 
     tool: SuctionTool | JawTool = Field(discriminator="kind")
-    places: int = Field(400, ge=1, description="that are tried on each kind of part")
-    per_instance: int = Field(20, ge=1, description="labels of each instance at most")
-    simulate: int = Field(10, ge=0, description="labels of each scene that physics carries out")
-    most_lean_deg: float = Field(40.0, gt=0, le=80, description="of the tool's axis")
+    places: int = Field(
+        400, ge=1, description="The number of candidate grasps on each kind of part."
+    )
+    per_instance: int = Field(20, ge=1, description="The largest number of labels of an instance.")
+    simulate: int = Field(
+        10, ge=0, description="The number of labels of each scene that are simulated with physics."
+    )
+    most_lean_deg: float = Field(
+        40.0,
+        gt=0,
+        le=80,
+        description="The largest angle between the tool's axis and the vertical, in degrees.",
+    )
 
     @model_validator(mode="after")
     def _enough(self) -> "Labelling":
         if self.places < self.per_instance:
             raise ValueError(
-                f"places is {self.places}: try at least the {self.per_instance} of per_instance"
+                f"places is {self.places}: give at least per_instance, which is {self.per_instance}"
             )
         return self
 

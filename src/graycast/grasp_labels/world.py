@@ -68,10 +68,13 @@ def read_stock(dataset: StoredDataset, files: Path) -> Stock:
     """
     claim = dataset.claim
     if dataset.real:
-        raise DatasetError(f"{dataset.folder}: holds real pictures, whose poses nobody knows")
+        raise DatasetError(
+            f"{dataset.folder}: holds real pictures, whose poses are not known: give a simulated "
+            "dataset"
+        )
     if claim["distractors"]:
         raise DatasetError(
-            f"{dataset.folder}: has foreign parts among its own, and no file says where they lie: "
+            f"{dataset.folder}: has foreign parts among its own, and no file states their poses: "
             "make a dataset without domain.distractors"
         )
     told = {key: value for key, value in claim["config"].items() if key not in BESIDE_CONFIG}
@@ -86,8 +89,8 @@ def read_stock(dataset: StoredDataset, files: Path) -> Stock:
     for part, held in zip(parts, claim["parts"], strict=True):
         if part_digest(part) != held["content"]:
             raise DatasetError(
-                f"{dataset.folder}: part {held['name']} is not what it was when the dataset was "
-                "made: give its files as they were, or the version of Graycast that made it"
+                f"{dataset.folder}: part {held['name']} has changed since the dataset was made: "
+                "restore its files, or use the version of Graycast that made the dataset"
             )
     return Stock(bin=resolve_bin(config.bin, files)[0], parts=parts, rig=rig_of(claim["rig"]))
 
@@ -103,10 +106,12 @@ def make_world(
     bodies = make_bodies(stock.parts, on_stage=on_stage)
     places = []
     for part, body in zip(stock.parts, bodies, strict=True):
-        on_stage(f"{part.name}: places to grip it are looked for")
+        on_stage(f"{part.name}: searching for grasps")
         places.append(tuple(tool_places(labelling.tool, part, body, count=labelling.places)))
     if not any(places):
-        raise ConfigError(f"tool: its jaws fit round none of {_named(stock.parts)}: open them more")
+        raise ConfigError(
+            f"tool: its jaws fit around none of {_named(stock.parts)}: increase opening_m"
+        )
     return World(
         stock=stock,
         tool=labelling.tool,

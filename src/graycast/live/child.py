@@ -41,7 +41,7 @@ def _work(connection: Connection, folder: Path, scene_id: int, device: str) -> N
             except Exception as error:  # the page must hear of what nobody foresaw
                 text = f"{type(error).__name__} {told(error)}"
                 connection.send(
-                    _refusal(ask, f"{text}: this is a fault of Graycast or of the machine")
+                    _refusal(ask, f"{text}: this is an error in Graycast or in the machine")
                 )
     line.close()
 

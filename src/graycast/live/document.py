@@ -34,7 +34,8 @@ class RigChange:
         for name in ("power", "baseline"):
             if not 0 < getattr(self, name) <= 1000:
                 raise ConfigError(
-                    f"rig.{name} is {getattr(self, name)}: give a factor above 0, up to 1000"
+                    f"rig.{name} is {getattr(self, name)}: give a factor greater than 0 and at "
+                    "most 1000"
                 )
         if not -60 <= self.toe_in_deg <= 60:
             raise ConfigError(f"rig.toe_in_deg is {self.toe_in_deg}: give degrees from -60 to 60")
@@ -78,7 +79,7 @@ def changed(document: Document, key: str, value: Any) -> Document:
             name = key.removeprefix("rig.")
             if name not in RigChange.__dataclass_fields__:
                 known = ", ".join(RigChange.__dataclass_fields__)
-                raise ConfigError(f"no {key} to turn: the keys are {known}")
+                raise ConfigError(f"the key {key} does not exist: the keys are {known}")
             given = getattr(RigChange(), name) if value is None else float(value)
             return replace(document, rig=replace(document.rig, **{name: given}))
     except (TypeError, ValueError) as error:
@@ -109,7 +110,7 @@ def _put(content: dict[str, Any], key: str, value: Any) -> None:
 
 def _item(node: list[Any], step: str, key: str) -> Any:
     if not step.isdecimal() or int(step) >= len(node):
-        raise ConfigError(f"{key}: the list has {len(node)} entries, and {step} is none of them")
+        raise ConfigError(f"{key}: the list has {len(node)} entries, and {step} is not one of them")
     return node[int(step)]
 
 
@@ -117,7 +118,7 @@ def checked(document: Document, path: Path) -> Config:
     """The configuration that the document's own words are, without what is turned beside them.
 
     Raises:
-        ConfigError: as of `load_config`; the text names the file.
+        ConfigError: as in `load_config`; the text names the file.
     """
     return check_settings(document.content, Config, path)
 

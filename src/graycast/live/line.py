@@ -113,7 +113,7 @@ class Line:
 
         Raises:
             Superseded: before it was finished.
-            GraycastError, ValueError, OSError: as of `resolve_cell` and `make_scene`.
+            GraycastError, ValueError, OSError: as in `resolve_cell` and `make_scene`.
         """
         start = time.perf_counter()
         cell = self._resolved(ask.config)

@@ -42,7 +42,7 @@ class Server:
         """Read the configuration and take the port.
 
         Raises:
-            ConfigError: as of `load_config`.
+            ConfigError: as in `load_config`.
             GraycastError: the port is taken.
         """
         self.session = Session(path, scene_id=scene_id, device=device, on_message=self._tell)
@@ -55,8 +55,8 @@ class Server:
         except OSError as error:
             self.session.close()
             raise GraycastError(
-                f"port {port} of this machine cannot be taken ({error.strerror}): give another "
-                "--port, or end what holds it"
+                f"port {port} of this machine cannot be opened ({error.strerror}): give another "
+                "--port, or end the program that uses it"
             ) from error
         self.port = self._http.server_address[1]
         self.url = f"http://{HOST}:{self.port}/"
@@ -196,7 +196,7 @@ class _Handler(BaseHTTPRequestHandler):
             body = resources.files(package).joinpath("web", name).read_bytes()
             self._send(body, _TYPES[Path(name).suffix])
         else:
-            self._refuse(HTTPStatus.NOT_FOUND, f"there is no {name} here")
+            self._refuse(HTTPStatus.NOT_FOUND, f"the page has no file {name}")
 
     def do_POST(self) -> None:
         if not self._is_ours():

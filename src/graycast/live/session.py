@@ -57,7 +57,7 @@ class Session:
             on_message: called for everything that a page shall hear.
 
         Raises:
-            ConfigError: as of `load_config`.
+            ConfigError: as in `load_config`.
         """
         self._path, self._scene_id, self._device = path, scene_id, device
         self._on_message = on_message
@@ -116,7 +116,7 @@ class Session:
     # --- what a user does ---------------------------------------------------------------------
 
     def set(self, key: str, value: Any, *, draft: bool = False) -> None:
-        """Set one value, as of `document.changed`; drafts in a row are one step of undo.
+        """Set one value, as in `document.changed`; drafts in a row are one step of undo.
 
         Raises:
             ConfigError: the configuration would be refused; what was set stays.
@@ -145,7 +145,7 @@ class Session:
         """Set all as it was when the picture of that number was asked for."""
         with self._lock:
             if number not in self._asked:
-                raise ConfigError(f"picture {number} is no more known: set its values by hand")
+                raise ConfigError(f"picture {number} is no longer stored: set its values by hand")
             self._take(self._asked[number], draft=False)
 
     def look(self, frame: int) -> None:
@@ -166,7 +166,7 @@ class Session:
         """
         if not _NAME.fullmatch(name):
             raise ConfigError(
-                f"{name!r} is no name for the file: give letters, digits, dots and dashes, with "
+                f"{name!r} is not a valid file name: give letters, digits, dots and dashes, with "
                 ".yaml at the end"
             )
         with self._lock:
@@ -178,7 +178,7 @@ class Session:
                 files[rig_path] = now.rig_text
             for file in files:
                 if file.exists() and file not in self._own:
-                    raise GraycastError(f"{file} is there already: give the file another name")
+                    raise GraycastError(f"{file} exists already: give another name")
             for file, text in files.items():
                 write_whole(file, text.encode())
                 self._own.add(file)

@@ -20,7 +20,7 @@ from ..rig import Rig
 from ..scene import Quad, Sphere
 
 EDGE_PX = 2.0  # of either picture, which artefacts keep clear of
-RANGE_MARGIN = 0.03  # of the range at both ends, so that noise takes no point out of it
+RANGE_MARGIN = 0.03  # as a share of the range at both ends, so that noise takes no point out of it
 DEPTHS = 41  # looked at for a common field
 FIELD_GRID_PX = (48, 64)
 FACING_POINTS = 400  # on a sphere, about half of which face the camera
@@ -59,8 +59,8 @@ def working_volume(rig: Rig) -> Volume:
     shared = [(z, field) for z, field in fields if field is not None]
     if len(shared) < 2:
         raise ValueError(
-            f"camera and projector of rig {rig.name} have no common field between {rig.near_m} and "
-            f"{rig.far_m} m: check T_cam_proj and the working range"
+            f"camera and projector of rig {rig.name} have no common field of view between "
+            f"{rig.near_m} and {rig.far_m} m: check T_cam_proj and the working range"
         )
     low = np.min([field[0] for _, field in shared], axis=0)
     high = np.max([field[1] for _, field in shared], axis=0)

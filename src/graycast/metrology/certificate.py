@@ -31,20 +31,23 @@ class Scope:
     def __post_init__(self) -> None:
         if self.distances < 3 or self.distances % 2 == 0:
             raise ValueError(
-                f"distances is {self.distances}; an odd number, 3 or more: near, middle and far"
+                f"distances is {self.distances}; give an odd number of at least 3, for near, "
+                "middle and far"
             )
         if not all(0 < tilt < 80 for tilt in self.tilts_deg):
-            raise ValueError(f"tilts_deg are {self.tilts_deg}; each above 0 and under 80")
+            raise ValueError(
+                f"tilts_deg are {self.tilts_deg}; give angles greater than 0 and less than 80"
+            )
         if not 1 <= self.spheres <= 10:
-            raise ValueError(f"spheres is {self.spheres}; 1 to 10")
+            raise ValueError(f"spheres is {self.spheres}; give 1 to 10")
         if not 1 <= self.bars <= 7:
-            raise ValueError(f"bars is {self.bars}; 1 to 7")
+            raise ValueError(f"bars is {self.bars}; give 1 to 7")
         if self.captures < 2:
-            raise ValueError(f"captures is {self.captures}; noise takes 2 or more")
+            raise ValueError(f"captures is {self.captures}; give at least 2, which the noise needs")
         if not 0 < self.albedo <= 1:
-            raise ValueError(f"albedo is {self.albedo}; above 0, up to 1")
+            raise ValueError(f"albedo is {self.albedo}; give a value greater than 0 and at most 1")
         if not 0 <= self.ambient_w_sr_m2 < math.inf:
-            raise ValueError(f"ambient_w_sr_m2 is {self.ambient_w_sr_m2}; it must be 0 or more")
+            raise ValueError(f"ambient_w_sr_m2 is {self.ambient_w_sr_m2}; it must be at least 0")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -31,12 +31,14 @@ from .conditions import blur, conditions, fields_m, rig_figures
 from .lab import Lab, Shots, incidence_rad, measured_points, open_lab, shoot
 from .measures import flatness, modulation, point_spacing_m, probing, temporal_noise_m
 
-MIDDLE_SHARE = 0.5  # of the common field's box, each way: where noise is measured
-MIDDLE_DEPTH = 0.05  # of a tilted plane's distance: what lies further from it is not its middle
+MIDDLE_SHARE = 0.5  # as a share of the common field's box, each way: where noise is measured
+# as a share of a tilted plane's distance: what lies further from it is not its middle
+MIDDLE_DEPTH = 0.05
 FLATNESS_TILT_DEG = 30.0
 STEEPEST_DEG = 60.0  # incidence of camera or projector up to which a sphere's points are taken
 PROBING_SHARE, BAR_SPHERE_SHARE = 0.1, 0.05  # spheres' diameters, of the volume's diagonal
-SMALLEST_FIELD_SHARE = 0.35  # of the field at the near end, which a sphere may take at most
+# as a share of the field at the near end, which a sphere may take at most
+SMALLEST_FIELD_SHARE = 0.35
 MAP_WIDTH = 104
 
 # Where the probing spheres stand (u, v, w): across the field and from near to far.
@@ -161,7 +163,10 @@ def _plan(lab: Lab) -> _Plan:
     rig, volume, scope = lab.rig, lab.volume, lab.scope
     field = common_rectangle_m(rig, volume.depth_m(0.0))
     if field is None:
-        raise ValueError(f"camera and projector of {rig.name} share too small a field up close")
+        raise ValueError(
+            f"camera and projector of {rig.name} have too small a common field of view at the "
+            "near distance"
+        )
     most_m = SMALLEST_FIELD_SHARE * float((field[1] - field[0]).min())
     radius_m = min(PROBING_SHARE * volume.diagonal_m, most_m) / 2
     bar_radius_m = min(BAR_SPHERE_SHARE * volume.diagonal_m, most_m) / 2
@@ -243,7 +248,8 @@ def _judge_plane(
     seen = middle & np.isfinite(first_m)
     if not seen.any():
         raise ValueError(
-            f"the plane {pose.name!r} has no depth in its middle: is it in focus and in range?"
+            f"the plane {pose.name!r} has no depth in its middle: check the focus and the working "
+            "range"
         )
     result = PlaneResult(
         name=pose.name,

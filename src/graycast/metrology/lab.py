@@ -21,7 +21,8 @@ from .artefacts import Volume, in_view, working_volume
 from .certificate import Scope
 
 ERODED_PX = 3  # off the outline of every artefact
-MIN_DECODED = 0.05  # of an artefact's pixels: fewer say more of the settings than of its shape
+# as a share of an artefact's pixels: fewer say more of the settings than of its shape
+MIN_DECODED = 0.05
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -107,8 +108,8 @@ def _check_decoded(scan: DepthMap, where: Bool[np.ndarray, "h w"], exposure_s: f
         counts = np.bincount(scan.reason[where], minlength=len(Reason))
         why = Reason(int(counts[1:].argmax()) + 1).label
         raise ValueError(
-            f"{share:.1%} of an artefact has depth, most of the rest is {why} at an exposure of "
-            f"{1e3 * exposure_s:.3g} ms: change the exposure, the code or the filters"
+            f"{share:.1%} of an artefact has depth, and most of the rest is {why} at an exposure "
+            f"of {1e3 * exposure_s:.3g} ms: change the exposure, the code or the filters"
         )
 
 
@@ -142,7 +143,7 @@ def _metered(
     if not where.any():
         raise ValueError(
             f"an artefact has no pixel in the volume of rig {lab.rig.name}: is the camera's "
-            f"resolution, {lab.rig.camera.width_px} px across, too low for it?"
+            f"resolution, {lab.rig.camera.width_px} px, may be too low"
         )
     exposure = lab.scanner.exposure
     if exposure.exposure_s is not None:

@@ -59,7 +59,9 @@ def fit_plane(point: Float[np.ndarray, "n 3"]) -> PlaneFit:
         ValueError: fewer than three points.
     """
     if len(point) < 3:
-        raise ValueError(f"a plane needs 3 points, not {len(point)}: was it seen and decoded?")
+        raise ValueError(
+            f"a plane needs 3 points, not {len(point)}: check that it is in view and decoded"
+        )
     middle = point.mean(axis=0)
     off = point - middle
     normal = np.linalg.eigh(off.T @ off)[1][:, 0]
@@ -78,7 +80,9 @@ def fit_sphere(point: Float[np.ndarray, "n 3"]) -> SphereFit:
         ValueError: fewer than four points, or points that do not make a sphere.
     """
     if len(point) < 4:
-        raise ValueError(f"a sphere needs 4 points, not {len(point)}: was it seen and decoded?")
+        raise ValueError(
+            f"a sphere needs 4 points, not {len(point)}: check that it is in view and decoded"
+        )
     origin = point.mean(axis=0)
     p = point - origin
     linear = np.column_stack([2 * p, np.ones(len(p))])
@@ -151,7 +155,7 @@ def temporal_noise_m(depth_m: Float[np.ndarray, "n h w"], where: Bool[np.ndarray
     """
     n = len(depth_m)
     if n < 2:
-        raise ValueError(f"{n} captures have no scatter; take 2 or more")
+        raise ValueError(f"{n} captures have no scatter; give at least 2")
     sample = depth_m[:, where].astype(np.float64)
     sample = sample[:, np.isfinite(sample).all(axis=0)]
     if sample.shape[1] == 0:

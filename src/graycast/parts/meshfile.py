@@ -1,8 +1,8 @@
-"""The user's own meshes: files read, judged, and refused with a remedy.
+"""Mesh files of the user: reading, checking, and errors with a remedy.
 
-A file is taken as it is or refused. What is put right without changing the shape (vertices
-merged, repeated faces dropped) is reported. The mesh keeps the file's own frame; its shading
-normals are made anew.
+A file is accepted or refused. Repairs that do not change the shape (merged vertices, dropped
+repeated faces) are reported. The mesh keeps the file's coordinate frame; its shading normals
+are computed again.
 """
 
 import importlib
@@ -41,12 +41,12 @@ def load_part(
     """A part from an OBJ, PLY, STL or GLB file.
 
     Args:
-        path: as of `load_mesh`, and so are `unit` and `material`.
+        path: as in `load_mesh`, and so are `unit` and `material`.
         name: of the part; None takes the file's name without its ending.
         symmetry: in the file's own frame, lengths in metres.
 
     Returns:
-        The part, and what was found in the file but is no reason to refuse it, a sentence each.
+        The part, and notes on the file that are no reason to refuse it, a sentence each.
 
     Raises:
         MeshError, ValueError: see `load_mesh`.
@@ -79,7 +79,7 @@ def load_mesh(
         material: None takes the file's texture on a plain dielectric, or plain grey.
 
     Returns:
-        Mesh, material, and what was found in the file but is no reason to refuse it.
+        Mesh, material, and notes on the file that are no reason to refuse it.
 
     Raises:
         MeshError: the file cannot be read, is no closed surface facing outwards, or is of an
@@ -87,7 +87,7 @@ def load_mesh(
         ValueError: `unit` is not one of `UNITS_M`.
     """
     if unit is not None and unit not in UNITS_M:
-        raise ValueError(f"unit is {unit!r}; one of {', '.join(UNITS_M)}")
+        raise ValueError(f"unit is {unit!r}; choose one of {', '.join(UNITS_M)}")
     try:
         surface = _read(path)
         findings = list(surface.findings)
@@ -110,10 +110,10 @@ def load_mesh(
 
 
 def _load_reader() -> None:
-    """Load trimesh in a thread, while this one hears Ctrl-C and SIGTERM.
+    """Load trimesh in a thread, while this thread handles Ctrl-C and SIGTERM.
 
-    It swallows what a signal's handler raises as it is loaded, and Python runs handlers in the
-    main thread alone.
+    While it is loaded, it suppresses exceptions of signal handlers, which Python runs only in
+    the main thread.
     """
     loader = threading.Thread(target=importlib.import_module, args=("trimesh",), daemon=True)
     loader.start()
@@ -148,10 +148,13 @@ def _read(path: Path) -> Surface:
         # (IndexError, JSONDecodeError, struct.error, even ModuleNotFoundError).
         except Exception as error:
             reason = f"unreadable as {suffix[1:].upper()} ({_one_line(error)})"
-            raise Refusal(f"{reason}; is it cut off? export it again") from error
+            raise Refusal(f"{reason}; the file may be incomplete, so export it again") from error
     if not pieces:
         # Which of the two a cut file gives depends on what else is installed beside the reader.
-        raise Refusal("no triangles in it; is it cut off, or points? export it again, as a mesh")
+        raise Refusal(
+            "it has no triangles; it may be incomplete or hold only points, so export it again "
+            "as a mesh"
+        )
     return _surface(pieces, shares_vertices=suffix != ".stl")
 
 
@@ -161,7 +164,7 @@ def _check_file(path: Path, suffix: str) -> None:
         raise Refusal("there is no such file; check the path")
     if not path.is_file():  # a pipe would be waited for, and a device never ends
         kind = "a folder" if path.is_dir() else "a device or a pipe"
-        raise Refusal(f"this is {kind}; give the path of a mesh file")
+        raise Refusal(f"it is {kind}; give the path of a mesh file")
     if suffix not in EXTENSIONS:
         raise Refusal(f"cannot read {suffix or 'no ending'}; export {', '.join(EXTENSIONS)}")
     size = path.stat().st_size
@@ -169,8 +172,8 @@ def _check_file(path: Path, suffix: str) -> None:
         raise Refusal("the file is empty; export the mesh again")
     if size > MAX_BYTES:
         raise Refusal(
-            f"the file has {size / 1e6:.0f} MB, more than the {MAX_BYTES / 1e6:.0f} MB that a mesh "
-            f"of {MAX_FACES} faces needs; decimate the mesh, or export its textures smaller"
+            f"the file has {size / 1e6:.0f} MB, more than the {MAX_BYTES / 1e6:.0f} MB that a "
+            f"mesh of {MAX_FACES} faces needs; decimate the mesh, or export smaller textures"
         )
     if suffix == ".stl":
         _check_stl_count(path, size)
@@ -273,7 +276,7 @@ def _metres_per_unit(longest: float, suffix: str, unit: str | None, findings: li
         return UNITS_M[stated or "m"]
     each = {u: longest * factor for u, factor in UNITS_M.items()}
     fits = [u for u, size in each.items() if UNSTATED_SIZE_M[0] <= size <= UNSTATED_SIZE_M[1]]
-    remedy = f"say unit: {' or '.join(fits)}" if fits else "scale the mesh"
+    remedy = f"state unit: {' or '.join(fits)}" if fits else "scale the mesh"
     if stated is None:
         listed = [f"{_size(size)} if in {u}" for u, size in each.items()]
         raise Refusal(f"no unit stated and the longest side is {longest:.4g}, that is "
@@ -293,8 +296,8 @@ def _material(surface: Surface, given: Material | None, findings: list[str]) -> 
     if given is not None:
         if given.texture is not None and surface.corner_uv is None:
             raise Refusal(
-                "the material has a texture, but the mesh no texture coordinates; "
-                "unwrap it and export OBJ or GLB, or give a base colour"
+                "the material has a texture, but the mesh has no texture coordinates; unwrap it "
+                "and export OBJ or GLB, or give a base colour"
             )
         return given
     if surface.texture is None:

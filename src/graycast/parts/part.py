@@ -1,4 +1,4 @@
-"""What a part is: a mesh, a material, and the few facts that physics and datasets need."""
+"""A part: a mesh, a material, and the properties that physics and datasets need."""
 
 import math
 from dataclasses import dataclass, field, replace
@@ -69,7 +69,7 @@ class Mesh:
             if array is not None:
                 array.flags.writeable = False
         if len(self.faces) == 0:
-            raise ValueError("the mesh has no faces")
+            raise ValueError("the mesh has no faces; give a mesh with triangles")
         if self.faces.min() < 0 or self.faces.max() >= len(self.vertices_m):
             span = f"[{self.faces.min()}, {self.faces.max()}]"
             raise ValueError(
@@ -110,7 +110,7 @@ class Symmetry:
 class Part:
     """One kind of part. `source` says where it came from, for datasets and error messages.
 
-    A part that is not `labelled` lies among the others and hides them, but no annotation knows it.
+    A part that is not `labelled` lies among the others and hides them, but is not annotated.
     """
 
     name: str
@@ -124,9 +124,14 @@ class Part:
 
     def __post_init__(self) -> None:
         if not self.density_kg_m3 > 0:
-            raise ValueError(f"part {self.name}: density_kg_m3 is {self.density_kg_m3}; above 0")
+            raise ValueError(
+                f"part {self.name}: density_kg_m3 is {self.density_kg_m3}; it must be greater "
+                "than 0"
+            )
         if not self.friction >= 0:
-            raise ValueError(f"part {self.name}: friction is {self.friction}; 0 or more")
+            raise ValueError(
+                f"part {self.name}: friction is {self.friction}; it must be at least 0"
+            )
 
     def scaled(self, factor: float) -> "Part":
         """The same part `factor` times as large, of the same material."""

@@ -44,7 +44,7 @@ def dense_points(
 def spread_points(
     mesh: Mesh, count: int
 ) -> tuple[Float[np.ndarray, "n 3"], Float[np.ndarray, "n 3"]]:
-    """So many points, with equal shares of the area, and the faces' outward normals there."""
+    """The given number of points with equal shares of the area, and their outward normals."""
     cross = mesh.face_cross_m2
     area = np.linalg.norm(cross, axis=1) / 2
     point, face = _candidates(mesh, area, count)

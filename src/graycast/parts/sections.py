@@ -22,13 +22,26 @@ Unit = Literal["m", "cm", "mm", "inch"]
 class MaterialSection(Settings):
     """A surface in a few physical words."""
 
-    base_color: Color = Field((0.5, 0.5, 0.5), description="linear RGB reflectance, each 0 to 1")
-    texture: Path | None = Field(None, description="picture file that replaces base_color (sRGB)")
-    metallic: Share = Field(0.0, description="0 plastic, paint, wood, card; 1 bare metal")
-    roughness: Roughness = Field(0.5, description="0.05 polished to 1 matt")
-    specular: Share = Field(0.5, description="0 Lambertian, 0.5 clear coat of index 1.5")
+    base_color: Color = Field(
+        (0.5, 0.5, 0.5), description="The linear RGB reflectance; each value is from 0 to 1."
+    )
+    texture: Path | None = Field(
+        None, description="A picture file in sRGB that replaces base_color."
+    )
+    metallic: Share = Field(
+        0.0, description="The kind of surface: 0 is plastic, paint, wood or card; 1 is bare metal."
+    )
+    roughness: Roughness = Field(0.5, description="The roughness: 0.05 is polished, 1 is matt.")
+    specular: Share = Field(
+        0.5,
+        description="The strength of the clear coat: 0 is "
+        "Lambertian, 0.5 is a coat of refractive index "
+        "1.5.",
+    )
     projector_reflectance: Share | None = Field(
-        None, description="at the projector's wavelength; left out: base_color in its bands"
+        None,
+        description="The reflectance at the projector's wavelength. Without this key, "
+        "it follows from base_color and the projector's bands.",
     )
 
 
@@ -40,7 +53,7 @@ class ContinuousSymmetry(Settings):
     @classmethod
     def _direction(cls, axis: Vector) -> Vector:
         if not any(axis):
-            raise ValueError("an axis has a direction, such as [0, 0, 1]")
+            raise ValueError("an axis must have a direction, such as [0, 0, 1]")
         x, y, z = np.array(axis) / np.linalg.norm(axis)  # datasets hold unit vectors
         return float(x), float(y), float(z)
 
@@ -49,7 +62,9 @@ class SymmetrySection(Settings):
     """Rigid motions that leave the part looking the same, in its own frame."""
 
     discrete: tuple[tuple[float, ...], ...] = Field(
-        (), description="4x4 transforms, row by row (16 numbers, metres)"
+        (),
+        description="The discrete symmetries as 4x4 transforms: 16 numbers row by row, "
+        "lengths in metres.",
     )
     continuous: tuple[ContinuousSymmetry, ...] = ()
 
@@ -66,24 +81,34 @@ class SymmetrySection(Settings):
 class PartSection(Settings):
     """A kind of part: one of the built-in ones, or a mesh file of your own."""
 
-    builtin: str | None = Field(None, description=f"one of {', '.join(BUILTIN)}")
-    mesh: Path | None = Field(None, description="OBJ, PLY, STL or GLB file")
+    builtin: str | None = Field(
+        None, description=f"The built-in part: one of {', '.join(BUILTIN)}."
+    )
+    mesh: Path | None = Field(None, description="The OBJ, PLY, STL or GLB file of the part.")
     unit: Unit | None = Field(
-        None, description="the mesh file's unit; asked for unless metres are plausible"
+        None,
+        description="The unit of the mesh file. It must be stated if the sizes are not "
+        "plausible in metres.",
     )
     scale: Positive = Field(
-        1.0, description="times the size of the file or the built-in part: 1.005 is a large batch"
+        1.0,
+        description="The factor on the size of the file or of the built-in part; 1.005 "
+        "makes parts 0.5 % larger.",
     )
     name: str | None = None
-    material: MaterialSection | None = Field(None, description="instead of the part's own")
-    density_kg_m3: Positive | None = Field(None, description="a solid mesh: 7800 is steel")
+    material: MaterialSection | None = Field(
+        None, description="The material, which replaces the part's own."
+    )
+    density_kg_m3: Positive | None = Field(
+        None, description="The density of a solid mesh in kg/m^3; steel has 7800."
+    )
     friction: float | None = Field(None, ge=0)
     symmetry: SymmetrySection | None = None
 
     @model_validator(mode="after")
     def _one_source(self) -> "PartSection":
         if (self.builtin is None) == (self.mesh is None):
-            raise ValueError("give either builtin or mesh")
+            raise ValueError("give either builtin or mesh, and not both")
         if self.builtin is not None and (self.unit or self.name or self.symmetry):
             raise ValueError("unit, name and symmetry belong to a mesh, not to a built-in part")
         return self

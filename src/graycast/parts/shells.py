@@ -1,4 +1,4 @@
-"""The closed shells of one mesh file, as the one solid that they are meant to be."""
+"""Conversion of the closed shells of a mesh file to one solid."""
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -11,7 +11,7 @@ TOUCHING = 1e-4
 
 
 class ShellError(Exception):
-    """Why shells are no solid, and the remedy."""
+    """The shells do not form a solid; the text states why, and the remedy."""
 
 
 def shells_of(
@@ -27,7 +27,7 @@ def shells_of(
     whole = Manifold(Mesh64(vert_properties=vertices.copy(), tri_verts=faces.astype(np.uint64)))
     if whole.status() != Error.NoError:
         raise ShellError(
-            f"the surface is no boundary of a solid ({whole.status().name}); close its holes and "
+            f"the surface does not enclose a solid ({whole.status().name}); close its holes and "
             "turn its faces outward"
         )
     shells = separate(whole)
@@ -82,8 +82,8 @@ def union_if_overlapping(
         around = [i for i in order if holds[i] and outward[i].volume() > -shell.volume()]
         if not around:
             raise ShellError(
-                "a part of the surface is inside out: a shell that faces inwards lies in no other; "
-                "flip its normals"
+                "a part of the surface is inside out: a shell that faces inwards is not inside "
+                "another shell; flip its normals"
             )
         cavities[around[0]].append(shell)
     if len(outward) == 1:

@@ -1,4 +1,4 @@
-"""A surface as a file holds it, and what makes it a part: that it is closed, and a solid."""
+"""A surface as read from a file, and the checks that it is closed and encloses a solid."""
 
 from dataclasses import dataclass, replace
 
@@ -15,12 +15,12 @@ _MERGE = 1e-6  # vertices closer than this share of the longest side are one: fl
 
 
 class Refusal(Exception):
-    """Why a file cannot be a part, and the remedy; `meshfile` adds the file's name."""
+    """A file cannot be a part; the text states why and the remedy, without the file's name."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Surface:
-    """What a file holds, in its own unit, before anything is judged."""
+    """The content of a file in its own unit, before any check."""
 
     vertices: Float[np.ndarray, "v 3"]
     faces: Int[np.ndarray, "f 3"]
@@ -48,13 +48,13 @@ class Surface:
         if bad:
             raise Refusal(f"{bad} vertices are NaN or infinite; export the mesh again")
         if self.longest == 0:
-            raise Refusal("all vertices are in one place; export the mesh again")
+            raise Refusal("all vertices have the same position; export the mesh again")
 
 
 def too_many(faces: int) -> str:
     return (
-        f"{faces} faces are more than {MAX_FACES}; decimate the mesh, a camera pixel sees no such "
-        "detail"
+        f"{faces} faces are more than {MAX_FACES}; decimate the mesh, because a camera pixel does "
+        "not resolve such detail"
     )
 
 
@@ -116,7 +116,7 @@ def _distinct(
 
 
 def judge(surface: Surface, findings: list[str]) -> None:
-    """Refuses a surface that is open, wound both ways, inside out or flat."""
+    """Refuse a surface that is open, inconsistently wound, inside out or flat."""
     faces = surface.faces
     start, end = faces.ravel(), np.roll(faces, -1, axis=1).ravel()
     edge = np.stack([np.minimum(start, end), np.maximum(start, end)], axis=1)

@@ -1,4 +1,4 @@
-"""Symmetries as sets of rigid motions, and the symmetry that a shape has by itself."""
+"""Symmetries as sets of rigid motions, and the detection of the symmetry of a shape."""
 
 from itertools import permutations, product
 
@@ -13,7 +13,7 @@ from .sampling import dense_points
 STEP = 0.01  # BOP: the rim of a turned body moves by at most this share of its diameter
 SHAPE_STEP = 0.04  # spacing of the points that a shape is compared by, as a share of its diameter
 SHAPE_TOLERANCE = 0.01  # a motion that moves the surface by less, as a share, leaves the shape
-LEFT = 0.98  # of the points that have to be left on the surface
+LEFT = 0.98  # as a share of the points that have to be left on the surface
 FOLDS = (2, 3, 4, 5, 6, 8)  # turns by a full circle over these are tried
 MANY = 36  # turns that a body of revolution has to bear
 
@@ -78,7 +78,7 @@ def shape_symmetry(mesh: Mesh) -> Symmetry:
 
 
 def joined(first: Symmetry, second: Symmetry) -> Symmetry:
-    """What either has; the second's continuous axes where the first has none.
+    """The union of two symmetries; the second's continuous axes apply if the first has none.
 
     A body has one motion at most for each rotation, so motions are told apart by that alone.
     """

@@ -1,4 +1,4 @@
-"""Codes: which frames tell the pixels of a projector apart, and how they are made.
+"""Codes: lists of frames that identify the pixels of a projector.
 
 A pattern is what a projector is given: 8-bit grey levels, 255 is white. The list of frames is all
 that a decoder needs, so a code of one's own is a list of one's own.
@@ -35,12 +35,12 @@ class Code:
     def __post_init__(self) -> None:
         if self.width_px < 2 or self.height_px < 2:
             size = f"{self.width_px} x {self.height_px}"
-            raise ValueError(f"projector is {size} px; a code needs 2 or more on each side")
+            raise ValueError(f"projector is {size} px; a code needs at least 2 on each side")
         if not self.axes:
             raise ValueError("no frame carries a code: give gray or phase frames")
         twice = [f.name for f in self.frames if self.frames.count(f) > 1]
         if twice:
-            raise ValueError(f"frame {twice[0]} is there twice")
+            raise ValueError(f"frame {twice[0]} occurs twice: remove one")
         _check_even_steps(self.frames)
         if min(self.stride_px) <= 0:
             raise ValueError(f"stride_px is {self.stride_px}; projector pixels per code, above 0")
@@ -103,8 +103,8 @@ def _check_even_steps(frames: tuple[Frame, ...]) -> None:
         if len(members) >= 3 and len(parts) > 1:
             told = ", ".join(f"{frame.step:g}" for frame in members)
             raise ValueError(
-                f"{axis}: the steps of period {period_px:g} px are {told} of {steps}: they differ "
-                "by whole steps"
+                f"{axis}: the steps of period {period_px:g} px are {told} of {steps}: all of them "
+                "must differ by whole steps"
             )
 
 
@@ -185,7 +185,9 @@ def gray_line_shift(
     a cosine at a quarter of its light: less photon noise, more read noise.
     """
     if period_px != int(period_px):
-        raise ValueError(f"period_px is {period_px}; lines move by whole pixels")
+        raise ValueError(
+            f"period_px is {period_px}; give a whole number, because lines move by whole pixels"
+        )
     shifted = gray_phase(
         width_px, height_px, axes=axes, inverses=inverses, period_px=period_px, steps=int(period_px)
     )
@@ -213,7 +215,10 @@ def multi_frequency(
         length_px = sizes[axis] + period_px
         count = length_px / period_px
         if count < 4:
-            raise ValueError(f"{axis}: {count:.1f} periods of {period_px} px; it takes 4 or more")
+            raise ValueError(
+                f"{axis}: {count:.1f} periods of {period_px} px; give a period that fits at least "
+                "4 times"
+            )
         for number in (count, count - math.sqrt(count), count - 1):
             frames += _steps("phase", axis, length_px / number, steps)
     return Code(width_px=width_px, height_px=height_px, frames=(*_ENDS, *frames))
@@ -281,14 +286,17 @@ def _sizes(axes: tuple[Axis, ...], width_px: int, height_px: int) -> dict[Axis, 
         raise ValueError(f"axes are {axes}; give column, row or both, each once")
     if width_px < 2 or height_px < 2:
         size = f"{width_px} x {height_px}"
-        raise ValueError(f"projector is {size} px; a code needs 2 or more on each side")
+        raise ValueError(f"projector is {size} px; a code needs at least 2 on each side")
     sizes: dict[Axis, int] = {"column": width_px, "row": height_px}
     return {axis: sizes[axis] for axis in axes}
 
 
 def _gray_bits(axis: Axis, values: int, inverses: bool) -> list[Frame]:
     if values < 2:
-        raise ValueError(f"{axis}: one period spans all pixels; a Gray code counts shorter ones")
+        raise ValueError(
+            f"{axis}: one period spans all pixels; give a shorter period, which the Gray code "
+            "counts"
+        )
     return [
         Frame(kind="gray", axis=axis, bit=bit, inverse=inverse)
         for bit in reversed(range((values - 1).bit_length()))

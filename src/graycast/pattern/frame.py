@@ -1,4 +1,4 @@
-"""One picture of a coded stack, in the words that real stacks are described with.
+"""One picture of a coded stack, with the terms in which real stacks are described.
 
 A frame says all that is needed to make it and to read it; a code is a list of frames.
 """
@@ -20,8 +20,8 @@ class Frame:
 
     - `gray`: bit `bit` (0 is the finest) of the Gray code of the code value at u; with
       `xor_bit >= 0` that bit, exclusive-or bit `xor_bit` (M. Gupta et al., CVPR 2011);
-    - `complementary`: the bit after the finest of a Gray code that counts periods: it tells the
-      halves of a period apart;
+    - `complementary`: the bit after the finest of a Gray code that counts periods: it
+    distinguishes the halves of a period;
     - `phase`: `(1 + cos 2 pi (u / period_px - step / steps)) / 2`; a foreign scanner's cosine may
       begin between whole steps;
     - `line`: one lit pixel in every `period_px` pixels, moved on by one pixel per step;
@@ -43,28 +43,34 @@ class Frame:
         if self.kind in ("white", "black"):
             return
         if self.axis not in AXES:
-            raise ValueError(f"a {self.kind} frame has axis {self.axis!r}; it is column or row")
+            raise ValueError(f"a {self.kind} frame has axis {self.axis!r}; give column or row")
         if self.kind == "gray" and not 0 <= self.bit < 24:
-            raise ValueError(f"a gray frame has bit {self.bit}; 0 (finest) to 23")
+            raise ValueError(f"a gray frame has bit {self.bit}; give 0 (the finest bit) to 23")
         if self.kind == "gray" and not -1 <= self.xor_bit < 24:
-            raise ValueError(f"a gray frame has xor_bit {self.xor_bit}; 0 to 23, -1 for none")
+            raise ValueError(
+                f"a gray frame has xor_bit {self.xor_bit}; give 0 to 23, or -1 for none"
+            )
         if self.kind in ("phase", "line", "complementary") and not self.period_px >= 2:
-            raise ValueError(f"a {self.kind} frame has period_px {self.period_px}; 2 or more")
+            raise ValueError(f"a {self.kind} frame has period_px {self.period_px}; give at least 2")
         if self.kind in ("phase", "line"):
             if self.steps < 3:
-                raise ValueError(f"a {self.kind} frame has steps {self.steps}; 3 or more")
+                raise ValueError(f"a {self.kind} frame has steps {self.steps}; give at least 3")
             if not 0 <= self.step < self.steps:
                 raise ValueError(
-                    f"a {self.kind} frame has step {self.step:g}; from 0 to below {self.steps}, "
-                    "which is its steps"
+                    f"a {self.kind} frame has step {self.step:g}; give at least 0 and less than "
+                    f"its steps, which is {self.steps}"
                 )
             if self.inverse:
-                raise ValueError(f"a {self.kind} frame has no inverse: leave it out")
+                raise ValueError(f"a {self.kind} frame has no inverse: remove it")
         if self.kind == "line" and self.step != int(self.step):
-            raise ValueError(f"lines move by a pixel a step: step is {self.step:g}, no whole one")
+            raise ValueError(
+                f"lines move by one pixel per step: step is {self.step:g}, but it must be a whole "
+                "number"
+            )
         if self.kind == "line" and self.steps != self.period_px:
             raise ValueError(
-                f"lines move by a pixel a step: steps is {self.steps}, period_px {self.period_px}"
+                "lines move by one pixel per step, so the two must be equal: steps is "
+                f"{self.steps}, period_px {self.period_px}"
             )
 
     @property
@@ -87,7 +93,7 @@ class Frame:
 def level_share(
     frame: Frame, size_px: int, *, offset_px: float = 0.0, stride_px: float = 1.0
 ) -> Float[np.ndarray, " size"]:
-    """What a frame shows along its axis, 0 dark to 1 bright, one number per projector pixel.
+    """The brightness of a frame along its axis, from 0 to 1, one number per projector pixel.
 
     Args:
         size_px: projector pixels along the frame's axis; 1 for white and black.

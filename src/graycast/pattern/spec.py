@@ -1,4 +1,4 @@
-"""A code by its name and few numbers, before it is known for which projector."""
+"""A code as its name and parameters, independent of the size of a projector."""
 
 import inspect
 from collections.abc import Callable
@@ -40,21 +40,29 @@ class CodeSpec:
     `base_bit` is the bit that `xor_gray` combines the coarser ones with.
     """
 
-    codec: Annotated[Codec, Field(description="how positions are coded")] = "gray"
+    codec: Annotated[Codec, Field(description="How projector positions are coded.")] = "gray"
     axes: Annotated[
         tuple[Axis, ...],
-        Field(description="what is coded; the axis along the baseline gives depth"),
+        Field(
+            description="The axes that are coded. Depth needs the axis that is parallel to "
+            "the baseline."
+        ),
     ] = ("column", "row")
     inverses: Annotated[
-        bool | None, Field(description="show each binary picture's inverse as well")
+        bool | None, Field(description="Whether the inverse of each binary pattern is also shown.")
     ] = None
     period_px: Annotated[
-        float | None, Field(gt=0, description="of phases and lines, projector pixels")
+        float | None,
+        Field(gt=0, description="The period of phase patterns and lines in projector pixels."),
     ] = None
-    steps: Annotated[int | None, Field(ge=3, description="of each phase")] = None
+    steps: Annotated[
+        int | None, Field(ge=3, description="The number of phase shifts of each period.")
+    ] = None
     base_bit: Annotated[
         int | None,
-        Field(ge=0, description="xor_gray: the bit that coarser ones are combined with"),
+        Field(
+            ge=0, description="The bit with which coarser bits are combined, in the code xor_gray."
+        ),
     ] = None
 
     def __post_init__(self) -> None:

@@ -1,4 +1,4 @@
-"""From a scan to grips: which parts are looked at, and where the tool could go on them."""
+"""From a scan to grips: the choice of parts, and the candidate places of the tool on them."""
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -14,22 +14,22 @@ from ..pose import PoseModel, find_pose, find_pose_in_box
 from ..scene import Bin
 from .tools import SuctionTool
 
-LEAST_AREA = 0.3  # of the largest detection's pixels, which a detection must have
+LEAST_AREA = 0.3  # as a share of the largest detection's pixels, which a detection must have
 FLOOR_M = 3e-3  # what lies lower than this above the bin's floor is the floor
 WALL_M = 5e-3  # what lies nearer to a wall is the wall
 LEAST_POSE = 0.3  # a pose's score below which no grip is taken from it
 BESIDE_PX = 2  # so near an outline, what covers a part is looked for
 COVERED_M = 8e-3  # what is nearer to the camera by more than this lies on the part
-COVERED_SHARE = 0.08  # of an outline, by which a part counts as covered
+COVERED_SHARE = 0.08  # as a share of an outline, by which a part counts as covered
 PLACES = 40  # in each round of the search for suction places, for each detection
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Target:
-    """Something in the picture that may be a part: its outline, or a box [x, y, columns, rows].
+    """A candidate part in the picture: its outline, or a box [x, y, columns, rows].
 
-    `kind` is its place among the cell's parts, None where nobody told. `T_cam_part` is the true
-    pose, where it is to be used.
+    `kind` is the index among the cell's parts, or None if unknown. `T_cam_part` is the true
+    pose if it is to be used.
     """
 
     kind: int | None
@@ -40,7 +40,7 @@ class Target:
 
     def __post_init__(self) -> None:
         if self.mask is None and self.box_px is None:
-            raise ValueError("a target has a mask or a box")
+            raise ValueError("a target must have a mask or a box")
 
     def inside(self, shape: tuple[int, ...]) -> Bool[np.ndarray, "h w"]:
         if self.mask is not None:
@@ -53,7 +53,7 @@ class Target:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Aim:
-    """A grip in the world: where the tip goes, how sure it is, and where it comes from."""
+    """A grip in the world: the pose of the tip, its score, and its source."""
 
     T_world_tool: Float[np.ndarray, "4 4"]
     score: float
@@ -69,7 +69,7 @@ class Aim:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Sight:
-    """What the robot acts on: depth [m], NaN where it is missing, from where."""
+    """The depth that the robot uses [m], NaN where it is missing, and the pose of the camera."""
 
     depth_m: Float[np.ndarray, "h w"]
     camera: Optics
@@ -111,7 +111,7 @@ def ranked(
 
 
 def covered_share(inside: Bool[np.ndarray, "h w"], depth_m: Float[np.ndarray, "h w"]) -> float:
-    """Of an outline's pixels, the share beside which something nearer to the camera is seen.
+    """The share of an outline's pixels next to which something nearer to the camera is seen.
 
     There another part covers this one, or stands close before it.
     """
@@ -196,7 +196,7 @@ def aims_in_depth(
     places: int,
     seed: int,
 ) -> list[Aim]:
-    """Suction on what was measured, with no model."""
+    """Suction grips on the measured surface, without a model."""
     down = view.T_world_cam[:3, :3].T @ np.array([0.0, 0.0, -1.0])
     aims = []
     for number, target in enumerate(targets):
@@ -221,12 +221,12 @@ def aims_in_depth(
 
 
 def best_first(aims: Sequence[Aim]) -> list[Aim]:
-    """Surest first; of those that are as sure to a tenth, the highest first."""
+    """Highest score first; among scores within 0.1, the highest position first."""
     return sorted(aims, key=lambda aim: (-round(aim.score, 1), -float(aim.place_m[2])))
 
 
 def spread(aims: Sequence[Aim], apart_m: float) -> Iterator[Aim]:
-    """The same without those that are nearly one: a tip nearer than that, along about one axis."""
+    """Remove grips that nearly repeat another: a near tip with a similar axis."""
     taken: list[Aim] = []
     for aim in aims:
         axis = aim.T_world_tool[:3, 2]

@@ -1,4 +1,4 @@
-"""What becomes of a grip: the tool is set down, the part is lifted and carried, the rest settle."""
+"""Execution of a grip: the tool grips, lifts and carries the part, and the rest settles."""
 
 from dataclasses import dataclass, replace
 
@@ -41,7 +41,7 @@ class World:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Carried:
-    """How a grip ended; fields as of `Attempt`, but `part` is its place in the layout."""
+    """How a grip ended; fields as in `Attempt`, but `part` is its place in the layout."""
 
     outcome: Outcome
     detail: str = ""
@@ -52,7 +52,7 @@ class Carried:
 
 
 def carry_out(ready: Ready, world: World, choice: Choice) -> tuple[Carried, World]:
-    """Do what was chosen, in the true world."""
+    """Execute the chosen grip in the true world."""
     layout, aim = world.layout, choice.aim
     met = touch(
         ready.tool,
@@ -89,7 +89,7 @@ def carry_out(ready: Ready, world: World, choice: Choice) -> tuple[Carried, Worl
 def _tabu(
     tabu: tuple[Float[np.ndarray, "3"], ...], place_m: Float[np.ndarray, "3"], *, taken: bool
 ) -> tuple[Float[np.ndarray, "3"], ...]:
-    """Where grips failed; a pick frees what was near it, and leaves the rest as it was."""
+    """Places where grips failed; a successful pick clears those near it."""
     if not taken:
         return (*tabu, place_m)
     return tuple(failed for failed in tabu if np.linalg.norm(failed - place_m) > FREED_M)
@@ -140,7 +140,7 @@ def _path(
 def _settled(
     ready: Ready, world: World, T_world_part: Float[np.ndarray, "n 4 4"], kept: np.ndarray
 ) -> World:
-    """What is left, at rest again; what falls out of the bin meanwhile is gone, too."""
+    """The remaining parts, at rest again, without those that fell out of the bin."""
     box, limits = ready.cell.box, ready.cell.config.drop
     numbers, index, poses = world.numbers[kept], world.layout.part_index[kept], T_world_part[kept]
     if not len(numbers):
@@ -154,7 +154,7 @@ def _settled(
 
 
 def _pose_error(ready: Ready, layout: Layout, aim: Aim) -> tuple[float, float] | None:
-    """Of the pose that a grip came from, against the nearest part of its kind."""
+    """The error of the pose of a grip, compared with the nearest part of its kind."""
     if aim.T_cam_part is None or aim.target.kind is None:
         return None
     scene, kind = ready.cell.cell.scene, aim.target.kind
@@ -169,6 +169,6 @@ def _pose_error(ready: Ready, layout: Layout, aim: Aim) -> tuple[float, float] |
 
 
 def _blamed(outcome: Outcome, error: tuple[float, float] | None) -> Outcome:
-    """A pose that was off is the reason of what followed."""
+    """Attribute a failure to the pose if the pose was wrong."""
     off = error is not None and (error[0] > WRONG_RAD or error[1] > WRONG_M)
     return Outcome.WRONG_POSE if off else outcome

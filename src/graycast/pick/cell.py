@@ -1,4 +1,4 @@
-"""A robot's cell with its files read: what all bins share, and may travel to a worker."""
+"""The cell of a robot with its files read, which all bins share and workers receive."""
 
 import hashlib
 from dataclasses import dataclass
@@ -57,7 +57,7 @@ class PickCell:
 
     @property
     def detector(self) -> Path | None:
-        """The folder of a trained detector; None where it is truth or none."""
+        """The folder of a trained detector; None if the detector is truth or none."""
         named = self.config.picking.detector
         return None if named in ("truth", "none") else self.folder / named
 
@@ -75,14 +75,14 @@ def resolve_pick_cell(
     )
     if cell.detector is not None and not cell.detector.exists():
         raise ConfigError(
-            f"picking.detector: no folder {cell.detector}: give one that graycast train has "
-            "written, or truth or none"
+            f"picking.detector: no folder {cell.detector}: give a folder that graycast train "
+            "wrote, or truth or none"
         )
     place_m = np.array(config.picking.place_m)
     half = cell.box.bounds_m
     if ((place_m[:2] > half[0, :2]) & (place_m[:2] < half[1, :2])).all():
         raise ConfigError(
-            f"picking.place_m is {config.picking.place_m}, over the bin itself: give a place "
-            "beside it"
+            f"picking.place_m is {config.picking.place_m}, which is over the bin: give a place "
+            "beside the bin"
         )
     return cell

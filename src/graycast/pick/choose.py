@@ -1,4 +1,4 @@
-"""Which grip is taken: the surest that can be reached, of the parts that lie highest."""
+"""The choice of a grip: the best that can be reached on the parts that lie highest."""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
@@ -39,7 +39,7 @@ UNLIKE_M, UNLIKE_SHARE = 4e-3, 0.02
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Choice:
-    """A grip, and the arm's ways there and away with the part."""
+    """A grip with the arm's paths to it and away with the part."""
 
     aim: Aim
     ways: Ways
@@ -55,7 +55,7 @@ def choose(
     seed: int,
     clock: Clock,
 ) -> Choice | Blocked:
-    """A grip for what was found; or why there is none.
+    """Choose a grip for the targets, or state why there is none.
 
     Args:
         q: joint angles where the arm is.
@@ -86,7 +86,7 @@ def choose(
 
 
 def _together(groups: Sequence[Sequence[Target]], count: int) -> Iterator[Sequence[Target]]:
-    """So many at once, those of one group."""
+    """Batches of targets of one group."""
     for group in groups:
         for start in range(0, len(group), count):
             yield group[start : start + count]
@@ -120,7 +120,7 @@ class _Heap:
 
 
 class _Heaps:
-    """What was measured, for fingers without the part that they are to close round."""
+    """The measured heap; for fingers, without the part that they grip."""
 
     def __init__(self, ready: Ready, view: Sight) -> None:
         self._ready, self._view = ready, view
@@ -154,7 +154,7 @@ def _pieces(ready: Ready, aim: Aim) -> tuple[Mounted, ...]:
 
 
 def _unlike(ready: Ready, view: Sight, aim: Aim) -> Blocked | None:
-    """Whether the surface under a cup was measured otherwise than the part's pose says.
+    """Whether the measured surface under a cup differs from the part at its pose.
 
     Another part lies on it, or the pose is wrong.
     """
@@ -171,21 +171,21 @@ def _unlike(ready: Ready, view: Sight, aim: Aim) -> Blocked | None:
     under = np.linalg.norm(patch.node_m, axis=-1) <= cup.radius_m
     height_m = patch.height_m[under]  # NaN is neither above nor below
     if np.mean(height_m > UNLIKE_M) > UNLIKE_SHARE:
-        detail = "something lies where the cup would go"
+        detail = "an object is at the place of the cup"
         return Blocked(outcome=Outcome.COLLISION_SEEN, detail=detail)
     if np.mean(height_m < -UNLIKE_M) > UNLIKE_SHARE:
-        detail = "the part is not where the cup would go"
+        detail = "the part is not at the place of the cup"
         return Blocked(outcome=Outcome.NOTHING_FOUND, detail=detail)
     return None
 
 
 def _blocked_tool(ready: Ready, aim: Aim, heap: _Heap) -> Blocked | None:
-    """Whether the tool alone would be in something at the grip, which costs little to ask."""
+    """Whether the tool alone would collide at the grip, which is fast to check."""
     obstacles = (*ready.here.standing, heap.obstacle)
     hit = tool_touches(_pieces(ready, aim), ready.here.flange(aim.T_world_tool), obstacles)
     if hit is None:
         return None
-    return Blocked(outcome=Outcome.COLLISION_SEEN, detail=f"the tool would be in {hit}")
+    return Blocked(outcome=Outcome.COLLISION_SEEN, detail=f"the tool would collide with {hit}")
 
 
 def _ways(ready: Ready, q: Joints, aim: Aim, heap: _Heap, seed: int) -> Ways | Blocked:

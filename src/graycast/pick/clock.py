@@ -1,4 +1,4 @@
-"""This machine's seconds, by stage."""
+"""Computing time in seconds by stage."""
 
 import time
 from collections.abc import Iterator

@@ -31,7 +31,7 @@ SHOWN_S = 0.05  # between the arm's poses that are kept
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Episode:
-    """What became of one bin.
+    """The record of one emptied bin.
 
     `filled` is how many parts there were, `taken` how many the tool took out, `left` how many lie
     in the bin at the end; the rest fell beside it. `pictures` (RGB) and `depths_m` (what the robot
@@ -119,7 +119,7 @@ def _counts(ready: Ready, rng: np.random.Generator) -> tuple[int, ...]:
 
 
 def _hand_eye(picking: PickingSection, rng: np.random.Generator) -> Float[np.ndarray, "4 4"]:
-    """Where the tip truly goes, about the bin's middle, beside where it was sent."""
+    """The calibration error: the transform from planned to true poses of the tip."""
     turn = Rotation.from_rotvec(picking.hand_eye_rad * rng.normal(size=3)).as_matrix()
     return rigid(turn, picking.hand_eye_m * rng.normal(size=3))
 

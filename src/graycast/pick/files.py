@@ -1,4 +1,4 @@
-"""Picks on disk: a folder of bins, each whole or not there, of one cell and one seed.
+"""Picks on disk: a folder of complete bins of one cell and one seed.
 
 picks.json            what the folder is of; another cell's picks are refused
 bins/000000/
@@ -85,7 +85,7 @@ class PickFolder:
         return {int(bin_.name) for bin_ in (self.out / BINS).iterdir() if bin_.name.isdecimal()}
 
     def write(self, bin_id: int, files: Sequence[tuple[str, bytes]]) -> None:
-        """One bin, all of it or nothing.
+        """Write one bin completely or not at all.
 
         Raises:
             GraycastError: the disk refuses, or the bin is there already.
@@ -99,7 +99,7 @@ class PickFolder:
 
 @contextmanager
 def open_picks(out: Path, cell: PickCell, *, seed: int) -> Iterator[PickFolder]:
-    """Make a folder of picks, or go on with one of the same cell and seed.
+    """Make a folder of picks, or continue one of the same cell and seed.
 
     Raises:
         DatasetError: the folder is another cell's, holds something else, or is in use.
@@ -130,7 +130,7 @@ def open_picks(out: Path, cell: PickCell, *, seed: int) -> Iterator[PickFolder]:
 
 
 def _tidy(out: Path) -> None:
-    """A cell that turned out to be impossible does not keep the folder."""
+    """Remove the claim of a folder in which no bin was finished."""
     with suppress(OSError):
         (out / BINS).rmdir()  # only where no bin was finished
         (out / CLAIM).unlink(missing_ok=True)
@@ -163,7 +163,7 @@ def read_episodes(out: Path) -> tuple[StoredEpisode, ...]:
         GraycastError: the folder holds no picks, or a file is damaged.
     """
     if not (out / CLAIM).is_file():
-        raise GraycastError(f"{out}: holds no picks: give a folder that graycast pick has written")
+        raise GraycastError(f"{out}: holds no picks: give a folder that graycast pick wrote")
     return tuple(
         _read(folder) for folder in sorted((out / BINS).iterdir()) if folder.name.isdecimal()
     )

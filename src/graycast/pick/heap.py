@@ -1,11 +1,11 @@
-"""The heap as the scanner saw it, for the planner to keep out of.
+"""The measured heap as an obstacle for the planner.
 
 Measured points become heights over a grid on the bin's floor. Where the scanner saw nothing there
 may be a part: such a place is taken to be as high as the highest that was seen within `GUESSED_M`
 of the nearest place that was seen. So a shadow beside a part is as high as the part, and
-the middle of a dark, wide hole as high as its rim. A point that stands alone, as spikes do, is not
-believed. Each place is as high as the highest beside it, for a scanner loses the rim of a part and
-the grid rounds: so a tool keeps `CELL_M` away from what it could brush.
+the middle of a dark, wide hole as high as its rim. An isolated point, such as a spike, is
+ignored. Each place gets the height of its highest neighbour, because a scanner loses the rim of
+a part and the grid rounds. A tool therefore keeps a distance of `CELL_M`.
 """
 
 from dataclasses import dataclass

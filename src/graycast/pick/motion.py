@@ -1,4 +1,4 @@
-"""Ways from here to there: free of collision by OMPL, as fast as the joints allow by TOPP-RA.
+"""Collision-free paths by OMPL, timed as fast as the joints allow by TOPP-RA.
 
 A straight line in joint angles is taken where it is free, else RRT-Connect's tree finds a way that
 is then shortened. Calls to the collision check are counted, not seconds, so that one seed gives one
@@ -49,9 +49,9 @@ class Trajectory:
 def plan(
     robot: Robot, start: Joints, goal: Joints, obstacles: Sequence[Obstacle], *, seed: int
 ) -> Float[np.ndarray, "k joints"] | None:
-    """Corners of a free way between two sets of joint angles; None where none was found.
+    """Corners of a collision-free path between two sets of joint angles; None if none was found.
 
-    None as well where start or goal are not free themselves.
+    It is also None if the start or the goal collides.
     """
 
     def free(q: Joints) -> bool:
@@ -128,7 +128,7 @@ def _state(space: object, q: Joints) -> object:
 def drive(
     robot: Robot, corners: Float[np.ndarray, "k joints"], *, step_s: float = 0.004
 ) -> Trajectory:
-    """Along a way in the least time that speeds and accelerations of the joints allow.
+    """The fastest motion along a path that the joints' speeds and accelerations allow.
 
     A spline through points `SPACED_RAD` apart follows the way, so that corners are rounded by less
     than that. It starts and ends at rest. Accelerations rise and fall within `RISE_S`, as robots'
@@ -177,9 +177,9 @@ def straight(
     step_m: float = 0.01,
     step_rad: float = 0.1,
 ) -> Float[np.ndarray, "k joints"] | None:
-    """Along a straight line of the flange, turning evenly: approach and retreat of a tool.
+    """A straight motion of the flange with even rotation, for the approach and the retreat.
 
-    None where a pose on the line is out of reach, touches something, or would make a joint jump.
+    It is None if a pose on the line is out of reach, collides, or makes a joint jump.
     """
     here = robot.flange(start)
     away_m = T_base_flange[:3, 3] - here[:3, 3]

@@ -1,4 +1,4 @@
-"""What stands in an arm's way, as Coal knows it: bin, table, rig, and the measured heap."""
+"""The obstacles of the arm as shapes of Coal: bin, table, rig, and the measured heap."""
 
 from typing import Any
 

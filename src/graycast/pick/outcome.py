@@ -1,4 +1,4 @@
-"""How attempts to pick a part end: the closed list, and what is kept of each."""
+"""The possible outcomes of an attempt to pick a part, and its record."""
 
 from dataclasses import dataclass
 from enum import StrEnum
@@ -9,7 +9,7 @@ from jaxtyping import Float
 
 
 class Outcome(StrEnum):
-    """How a scan and what followed it ended. The first four come before the arm has moved."""
+    """The outcome of a scan and its grip. The first four occur before the arm moves."""
 
     NOTHING_FOUND = "nothing found"  # no part, no pose, or no place that a tool would hold
     COLLISION_SEEN = "collision seen"  # every grip would push the tool into what was measured

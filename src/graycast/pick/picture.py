@@ -1,4 +1,4 @@
-"""Pictures of attempts: what the camera saw, what the robot went for, and how it ended."""
+"""Pictures of attempts: the camera picture with the chosen grip and the outcome."""
 
 import cv2
 import numpy as np

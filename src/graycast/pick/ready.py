@@ -1,4 +1,4 @@
-"""A robot's cell made ready to pick: arm, tool, bodies, known grips, detector. Made once."""
+"""The prepared cell of a robot: arm, tool, bodies, known grips and detector."""
 
 from dataclasses import dataclass, replace
 from typing import Any
@@ -27,7 +27,7 @@ _PLACES = 200  # that are tried on each kind of part
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Ready:
-    """What picking needs beside the bin.
+    """Everything that picking needs in addition to the bin.
 
     `bare` is the arm without its tool. `alike` are the motions that leave each part's shape: a
     gripper feels shapes, so how a part is painted makes no pose another. `known` are the parts by
@@ -60,10 +60,10 @@ class Ready:
 
 
 def make_ready(cell: PickCell, *, on_stage: OnStage = lambda stage: None) -> Ready:
-    """Open the robot and the detector, and look for places where the tool holds the parts.
+    """Open the robot and the detector, and search for grasps of the parts.
 
     Raises:
-        ConfigError: a robot, a place or a tool that cannot serve this cell, named.
+        ConfigError: a robot, a place or a tool does not suit this cell; the error names it.
         GraycastError: no such detector.
     """
     config, parts = cell.config, cell.cell.scene.parts
@@ -76,7 +76,7 @@ def make_ready(cell: PickCell, *, on_stage: OnStage = lambda stage: None) -> Rea
     known = {}
     if config.picking.knows == "part":
         for i, (part, body) in enumerate(zip(parts, bodies, strict=True)):
-            on_stage(f"{part.name}: places to grip it are looked for")
+            on_stage(f"{part.name}: searching for grasps")
             known[i] = _known(config.tool, part, body)
     return Ready(
         cell=cell,
@@ -93,14 +93,15 @@ def make_ready(cell: PickCell, *, on_stage: OnStage = lambda stage: None) -> Rea
 
 
 def _surroundings(cell: PickCell, robot: Robot, load: Load) -> Surroundings:
-    """Raises ConfigError: the arm stands in something, or cannot put parts away there."""
+    """Raise ConfigError if the arm collides at home or cannot reach the place of parts."""
     picking = cell.config.picking
     T_base_world = inverse(cell.T_world_base)
     still = standing(cell.cell.scene, T_base_world)
     hit = robot.touches(robot.home, still)
     if hit is not None:
         raise ConfigError(
-            f"robot.home_rad: the arm is in {hit} there: give other angles, or move robot.base_m"
+            f"robot.home_rad: the arm collides with {hit} at these angles: give other angles, or "
+            "move robot.base_m"
         )
     here = Surroundings(
         T_base_world=T_base_world,
@@ -122,25 +123,25 @@ def _surroundings(cell: PickCell, robot: Robot, load: Load) -> Surroundings:
     hits = [loaded.touches(q, still) for q in reached]
     if None not in hits:
         raise ConfigError(
-            f"picking.place_m is {picking.place_m}: the arm, with a part of up to "
-            f"{load.below_m:.3f} m below its tip, is in {hits[0]} there: move it"
+            f"picking.place_m is {picking.place_m}: the arm with a part of up to "
+            f"{load.below_m:.3f} m below its tip collides with {hits[0]} there: move the place"
         )
     return replace(here, q_place=reached[hits.index(None)])
 
 
 def _known(tool: Tool, part: Part, body: Body) -> KnownPart:
-    """Raises ConfigError: the tool holds the part nowhere."""
+    """Raise ConfigError if the tool cannot hold the part anywhere."""
     grips = best_first(tool_places(tool, part, body, count=_PLACES))
     if not grips:
         raise ConfigError(
-            f"tool: it holds part {part.name} ({body.mass_kg * GRAVITY_M_S2:.2f} N) nowhere: "
-            "give it another size or more force"
+            f"tool: it holds part {part.name} ({body.mass_kg * GRAVITY_M_S2:.2f} N) nowhere: give "
+            "the tool another size or more force"
         )
     return KnownPart(model=pose_model(part.mesh, part.symmetry), grips=tuple(grips))
 
 
 def _detector(cell: PickCell) -> Any | None:
-    """Raises ConfigError: it tells the cell's parts not apart."""
+    """Raise ConfigError if the detector does not distinguish the cell's parts."""
     if cell.detector is None:
         return None
     from ..detect import load_detector  # torch takes seconds to load
@@ -149,7 +150,7 @@ def _detector(cell: PickCell) -> Any | None:
     names = [part.name for part in cell.cell.scene.parts]
     if len(names) > 1 and not set(detector.about.names) <= set(names):
         raise ConfigError(
-            f"picking.detector: it knows {', '.join(detector.about.names)}, the cell has "
-            f"{', '.join(names)}: train it on parts of these names"
+            f"picking.detector: it knows {', '.join(detector.about.names)}, and the cell has "
+            f"{', '.join(names)}: train the detector on parts with these names"
         )
     return detector

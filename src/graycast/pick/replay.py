@@ -1,4 +1,4 @@
-"""A folder of picks as it is shown: what the robot is made of, and where all of it was when.
+"""A folder of picks for display: the shapes of the robot, and their poses over time.
 
 Everything comes from the folder and from the configuration in it. A cell that names files of its
 own (a URDF, meshes) needs them where its paths lead.
@@ -32,7 +32,7 @@ AT_GRIP_M = 1e-3  # between the tip at the grip and where it was sent: files are
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Motion:
-    """The robot's way in one attempt, and what went with it.
+    """The robot's motion in one attempt, and the part that it carried.
 
     `T_world_limb` says where each limb was at each time. At `grip` of these times the tool was at
     the part. From there `part` went with the limb `carrier`, until `held_until_s`.
@@ -92,8 +92,8 @@ class Replay:
         if len(self.cell.cell.scene.parts) == 1:
             return (0,) * episode.filled
         raise GraycastError(
-            f"{self.folder / BINS / f'{episode.bin_id:06d}'}: does not say which part is of which "
-            "kind: remove this folder and run graycast pick again"
+            f"{self.folder / BINS / f'{episode.bin_id:06d}'}: does not state the kind of each "
+            "part: remove this folder and run graycast pick again"
         )
 
 
@@ -105,10 +105,11 @@ def open_replay(out: Path, *, folder: Path) -> Replay:
         folder: where the relative paths of the cell's configuration start, if it has any.
 
     Raises:
-        GraycastError: no picks, a damaged claim, or files of the cell that are not there or others.
+        GraycastError: there are no picks, the claim is damaged, or files of the cell are
+            missing or changed.
     """
     if not (out / CLAIM).is_file():
-        raise GraycastError(f"{out}: holds no picks: give a folder that graycast pick has written")
+        raise GraycastError(f"{out}: holds no picks: give a folder that graycast pick wrote")
     try:
         claim = json.loads((out / CLAIM).read_bytes())
         told = dict(claim["config"])
@@ -119,21 +120,22 @@ def open_replay(out: Path, *, folder: Path) -> Replay:
     except (OSError, ValueError, KeyError, TypeError, ValidationError) as error:
         why = " ".join(str(error).split())
         raise GraycastError(
-            f"{out / CLAIM}: cannot be read ({why}): it was damaged, or written by another version "
-            "of graycast"
+            f"{out / CLAIM}: cannot be read ({why}): it is damaged, or another version of "
+            "Graycast wrote it"
         ) from error
     try:
         cell = resolve_pick_cell(config, folder)
         robot = open_robot(config.robot.arm, folder=folder, home=config.robot.home_rad)
     except (GraycastError, ValueError, OSError) as error:
         raise GraycastError(
-            f"{out}: its cell names files of its own ({error}): give the cell's file with --cell"
+            f"{out}: its cell names files that were not found ({error}): give the cell's file "
+            "with --cell"
         ) from error
     changed = [name for name, digest in digests.items() if cell.file_digests.get(name) != digest]
     if changed:
         raise GraycastError(
-            f"{out}: {changed[0]} is not the file that these picks were made with: give the cell's "
-            "file of then with --cell"
+            f"{out}: {changed[0]} has changed since these picks were made: give the original "
+            "cell's file with --cell"
         )
     limbs = (*_arm_limbs(robot), *_tool_limbs(config.tool))
     return Replay(folder=out, claim=claim, cell=cell, robot=robot, limbs=limbs)
@@ -159,7 +161,7 @@ def read_motions(replay: Replay, episode: StoredEpisode) -> tuple[Motion | None,
 
 
 def _motion(replay: Replay, attempt: Mapping[str, Any], told: Mapping[str, Any]) -> Motion:
-    """Raises ValueError: times, angles or the grip do not fit each other."""
+    """Raise ValueError if times, angles and the grip are inconsistent."""
     robot, tool = replay.robot, replay.cell.config.tool
     time_s, q = np.array(told["time_s"], dtype=float), np.array(told["q"], dtype=float)
     if q.shape != (len(time_s), len(robot.home)) or not np.isfinite(q).all() or len(time_s) < 2:
@@ -171,7 +173,7 @@ def _motion(replay: Replay, attempt: Mapping[str, Any], told: Mapping[str, Any])
     off_m = np.linalg.norm(tip_m - sent[:3, 3], axis=1)
     grip = int(off_m.argmin())
     if off_m[grip] > AT_GRIP_M:
-        raise ValueError(f"the tool comes no nearer than {1e3 * off_m[grip]:.1f} mm to its grip")
+        raise ValueError(f"the tool stays {1e3 * off_m[grip]:.1f} mm away from its grip")
     width_m = attempt["opening_m"]
     open_m = None if width_m is None else width_m + 2 * CLEARANCE_M  # until the jaws close
     limbs = [replay.T_world_limb(one, open_m if i < grip else width_m) for i, one in enumerate(q)]
@@ -188,7 +190,7 @@ def _motion(replay: Replay, attempt: Mapping[str, Any], told: Mapping[str, Any])
 def _held_until(
     attempt: Mapping[str, Any], time_s: Float[np.ndarray, " t"], grip: int
 ) -> float | None:
-    """Until when the part went with the tool; None where it never did, or it is not known."""
+    """The time until which the tool carried the part; None if it did not, or if unknown."""
     if attempt["part"] is None:
         return None
     if attempt["outcome"] in {str(outcome) for outcome in TAKEN}:

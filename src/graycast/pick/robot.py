@@ -1,4 +1,4 @@
-"""A robot: where its flange is, how it gets there, and what it touches.
+"""A robot: forward and inverse kinematics, and collision checks.
 
 Kinematics and collision are Pinocchio's and Coal's. A robot is one of the built-in arms or a URDF
 file of the user's. Its base's frame is the URDF's first link, z up.
@@ -96,7 +96,7 @@ class Robot:
         return self._data.oMf[self._flange].homogeneous.copy()
 
     def limbs(self) -> tuple[tuple[int, Any, Float[np.ndarray, "4 4"]], ...]:
-        """What it is made of: the place in `places`, a shape of Coal's, and `T_joint_shape`."""
+        """Its shapes: the index in `places`, a shape of Coal, and `T_joint_shape`."""
         return tuple(
             (int(thing.parentJoint), thing.geometry, thing.placement.homogeneous.copy())
             for thing in self._geometry.geometryObjects
@@ -127,7 +127,7 @@ class Robot:
         return sorted(found, key=lambda q: float(np.abs(q - near).max()))
 
     def follow(self, T_base_flange: Float[np.ndarray, "4 4"], near: Joints) -> Joints | None:
-        """Joint angles for a pose near to where the arm is; None where Newton goes astray."""
+        """Joint angles for a pose near the present one; None if Newton's method fails."""
         return self._solve(T_base_flange, near, near)
 
     def _solve(
@@ -152,7 +152,7 @@ class Robot:
         return None
 
     def touches(self, q: Joints, obstacles: Sequence[Obstacle]) -> str | None:
-        """What the arm is in at joint angles: itself, or the first obstacle; None where free."""
+        """The collision at joint angles: the arm itself or the first obstacle; None if free."""
         import pinocchio as pin
 
         if pin.computeCollisions(self._model, self._data, self._geometry, self._placed, q, True):
@@ -193,7 +193,7 @@ def tool_touches(
     T_base_flange: Float[np.ndarray, "4 4"],
     obstacles: Sequence[Obstacle],
 ) -> str | None:
-    """What a tool alone is in, wherever the arm is; None where it is free."""
+    """The obstacle with which the tool alone collides; None if there is none."""
     for piece in pieces:
         for obstacle in obstacles:
             if _meets(piece.shape, T_base_flange @ piece.T_flange_shape, obstacle):
@@ -212,7 +212,7 @@ def _meets(shape: Any, T_base_shape: Float[np.ndarray, "4 4"], obstacle: Obstacl
 
 
 def _turned(q: Joints, near: Joints, low: Joints, high: Joints) -> Joints:
-    """The same pose by whole turns: near to other angles, within the limits where that can be."""
+    """Equivalent angles by whole turns, near to other angles and within the limits if possible."""
     turn = 2 * np.pi
     q = q + turn * np.round((near - q) / turn)
     return q + turn * ((q < low).astype(float) - (q > high))
@@ -236,8 +236,8 @@ def open_robot(text: str, *, folder: Path, home: Sequence[float | int] | None = 
         path = folder / text
         if not path.is_file():
             raise ConfigError(
-                f"robot: no robot {text!r}: choose one of {', '.join(ARMS)}, or name a URDF file "
-                f"in {folder}"
+                f"robot: the robot {text!r} is not known: choose one of {', '.join(ARMS)}, or "
+                f"name a URDF file in {folder}"
             )
         try:
             model = pin.buildModelFromUrdf(str(path))
@@ -248,10 +248,12 @@ def open_robot(text: str, *, folder: Path, home: Sequence[float | int] | None = 
             raise ConfigError(f"robot {path}: {str(error).strip()}") from error
     _check_joints(text, model)
     if not model.existFrame("flange"):
-        raise ConfigError(f"robot {text}: has no link called flange, to which the tool is mounted")
+        raise ConfigError(f"robot {text}: has no link called flange, on which the tool is mounted")
     home = np.zeros(model.nq) if home is None else np.array(home, float)
     if home.shape != (model.nq,):
-        raise ConfigError(f"robot {text}: home has {home.size} angles, the robot {model.nq} joints")
+        raise ConfigError(
+            f"robot {text}: home has {home.size} angles, and the robot has {model.nq} joints"
+        )
     low, high = np.array(model.lowerPositionLimit), np.array(model.upperPositionLimit)
     beyond = np.flatnonzero((home < low) | (home > high))
     if len(beyond):
@@ -264,7 +266,7 @@ def open_robot(text: str, *, folder: Path, home: Sequence[float | int] | None = 
 
 
 def _check_joints(text: str, model: Any) -> None:
-    """Each joint has one number, between limits, and may move.
+    """Check that each joint has one variable, limits and a speed.
 
     Raises:
         ConfigError: one has not.
@@ -272,10 +274,10 @@ def _check_joints(text: str, model: Any) -> None:
     for name, joint in list(zip(model.names, model.joints, strict=True))[1:]:
         if joint.nq != 1:
             raise ConfigError(
-                f"robot {text}: {name} turns without end, which is not known here: give it the "
+                f"robot {text}: {name} is a continuous joint, which is not supported: give it the "
                 "type revolute and limits"
             )
         if not model.velocityLimit[joint.idx_v] > 0:
             raise ConfigError(
-                f"robot {text}: {name} has no speed: give its limit a velocity above 0"
+                f"robot {text}: {name} has no speed limit: give its limit a velocity greater than 0"
             )

@@ -1,4 +1,4 @@
-"""Many bins of one cell, by workers wherever they are, into a folder of picks."""
+"""Many bins of one cell, emptied by workers and written to a folder of picks."""
 
 import time
 from collections.abc import Callable
@@ -58,7 +58,7 @@ class BinEmptier:
 
         Raises:
             DropError, ValueError: this bin cannot be filled; the next one may be.
-            ConfigError: robot, tool or place cannot serve the cell.
+            ConfigError: robot, tool or place do not suit the cell.
         """
         start = time.perf_counter()
         if self._renderer is None:
@@ -108,7 +108,7 @@ def pick_bins(
         out: the folder of picks; made, or continued where the same cell began it.
         device: of the renderer.
         on_start: called with the number of bins that are there already.
-        on_made, on_failed, on_stage: as of `generate`.
+        on_made, on_failed, on_stage: as in `generate`.
 
     Returns:
         The bins that could not be made.

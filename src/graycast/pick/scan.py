@@ -1,4 +1,4 @@
-"""One look into the bin: light, sensor, decoding, and what is found in it."""
+"""One scan of the bin: light, sensor, decoding and detection."""
 
 from dataclasses import dataclass
 from typing import Any
@@ -24,7 +24,7 @@ LEAST_SCORE = 0.3  # of a detector's detection
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Look:
-    """What the cell saw, and what the true scene looks like from there.
+    """The result of a scan, and the true scene from the same view.
 
     `instance` is the number of the part in each pixel, -1 elsewhere: for truth's detections and
     for pictures of outcomes. `seconds` are simulated: frames by exposure and read-out.
@@ -41,7 +41,7 @@ class Look:
 def scan(
     cell: PickCell, renderer: Renderer, layout: Layout, *, seed: np.random.SeedSequence
 ) -> Look:
-    """Look at parts as they lie; what decoding cannot tell is missing.
+    """Scan the parts in their poses; depth that cannot be decoded is missing.
 
     Raises:
         ValueError: the picture is dark, or a value is out of its range.
@@ -95,7 +95,7 @@ def _picture(
 
 
 def targets(cell: PickCell, seen: Look, layout: Layout, detector: Any | None) -> tuple[Target, ...]:
-    """What may be a part in a scan.
+    """The candidate parts in a scan.
 
     Args:
         layout: the parts as they lie, for truth alone.

@@ -19,11 +19,15 @@ class RobotSection(Settings):
         description=f"The arm is {', '.join(ARMS)}, or a URDF file with a link called flange.",
     )
     base_m: Vector = Field(
-        (-0.45, 0.0, 0.0), description="Where its base stands, from the middle of the bin's floor."
+        (-0.45, 0.0, 0.0),
+        description="The position of the arm's base relative to the "
+        "middle of the bin's floor, in metres.",
     )
     base_yaw_deg: float = 0.0
     home_rad: tuple[float, ...] | None = Field(
-        None, description="The joint angles at the start. Left out, they are the arm's own."
+        None,
+        description="The joint angles at the start in radians. Without this key, they "
+        "are the arm's own.",
     )
 
 
@@ -32,55 +36,86 @@ class PickingSection(Settings):
 
     knows: Literal["part", "depth"] = Field(
         "part",
-        description="Grips come from the part's model and pose, or from the depth alone.",
+        description="The source of the grips: part uses the part's model and pose, depth "
+        "uses the depth map only.",
     )
     detector: str = Field(
         "truth",
-        description="What finds parts: truth, none, or a folder that graycast train has written.",
+        description="The detector: truth, none, or a folder that graycast train wrote.",
     )
-    pose: Literal["found", "truth"] = Field("found", description="Where a part's pose comes from.")
+    pose: Literal["found", "truth"] = Field("found", description="The source of a part's pose.")
     depth: Literal["scanner", "perfect", "noisy"] = Field(
         "scanner",
-        description="What the robot acts on. Noisy is perfect depth with Gaussian noise.",
+        description="The depth that the robot uses. noisy is perfect depth with Gaussian noise.",
     )
     depth_noise_m: Positive | None = Field(
-        None, description="The standard deviation of noisy depth."
+        None, description="The standard deviation of the noise of noisy depth, in metres."
     )
-    place_m: Vector = Field((0.0, -0.45, 0.15), description="Where the tool's tip lets a part go.")
+    place_m: Vector = Field(
+        (0.0, -0.45, 0.15),
+        description="The position of the tool's tip where it releases a part, in metres.",
+    )
     approach_m: Positive = Field(
-        0.06, description="How long the straight way along the tool's axis to a grip is."
+        0.06,
+        description="The length of the straight approach to a grip along the tool's "
+        "axis, in metres.",
     )
     clear_m: Level = Field(
-        0.05, description="How far a part is lifted above rim and heap before it is carried away."
+        0.05,
+        description="The height above rim and heap to which a part is lifted before it "
+        "is carried away, in metres.",
     )
-    straight_m_s: Positive = Field(0.25, description="The speed on straight ways.")
+    straight_m_s: Positive = Field(
+        0.25, description="The speed on straight paths in metres per second."
+    )
     lift_off_m_s: Positive = Field(
-        0.05, description="The speed of the first 10 mm up, while the weight comes on the tool."
+        0.05, description="The speed of the first 10 mm of the lift, in metres per second."
     )
     most_lean_deg: float = Field(
         40.0, gt=0, le=80, description="The largest angle between the tool's axis and the vertical."
     )
-    least_score: Share = Field(0.25, description="The least score of a grip that is tried.")
+    least_score: Share = Field(0.25, description="The lowest score of a grip that the robot tries.")
     targets: int = Field(
-        3, ge=1, description="How many detections are looked at together, the highest first."
+        3,
+        ge=1,
+        description="The number of detections for which grips are planned together, "
+        "the highest first.",
     )
-    grips: int = Field(12, ge=1, description="How many grips are planned for each scan at most.")
-    failures: int = Field(5, ge=1, description="How many scans in a row without a pick end a bin.")
+    grips: int = Field(
+        12, ge=1, description="The largest number of grips that are planned for a scan."
+    )
+    failures: int = Field(
+        5,
+        ge=1,
+        description="The number of consecutive scans without a "
+        "pick after which the robot leaves a bin.",
+    )
     hand_eye_m: Level = Field(
-        0.5e-3, description="The calibration's error along each axis, as one standard deviation."
+        0.5e-3,
+        description="The standard deviation of the hand-eye calibration's error "
+        "along each axis, in metres.",
     )
-    hand_eye_rad: Level = Field(1e-3, description="The same about each axis.")
+    hand_eye_rad: Level = Field(
+        1e-3,
+        description="The standard deviation of the hand-eye "
+        "calibration's error about each axis, in "
+        "radians.",
+    )
     readout_s: Level = Field(
-        0.010, description="How long the scanner reads a frame out, beside its exposure."
+        0.010,
+        description="The time that the scanner needs to read out a frame, in seconds, "
+        "in addition to the exposure.",
     )
 
     @model_validator(mode="after")
     def _whole(self) -> "PickingSection":
         if (self.depth == "noisy") != (self.depth_noise_m is not None):
-            raise ValueError("depth: noisy and depth_noise_m belong together: give both, or none")
+            raise ValueError(
+                "depth: noisy and depth_noise_m are used only together: give both or neither"
+            )
         if self.knows == "part" and self.detector == "none":
             raise ValueError(
-                "knows: part needs a detector to look for poses: give truth or a folder, or "
+                "knows: part needs a detector: give truth or a folder as detector, or give "
                 "knows: depth"
             )
         return self
@@ -96,7 +131,7 @@ class PickConfig(Config):
     @model_validator(mode="after")
     def _possible(self) -> "PickConfig":
         if self.domain is not None:
-            raise ValueError("a robot's cell stands as it is: remove domain")
+            raise ValueError("the cell of a robot does not vary: remove domain")
         if self.picking.knows == "depth" and self.tool.kind == "jaws":
             raise ValueError("jaws need a known model: give picking.knows: part, or a suction tool")
         return self

@@ -1,4 +1,4 @@
-"""What Coal's shapes look like: triangles of robots, tools and what stands about them."""
+"""Triangle meshes of Coal's shapes, for robots, tools and obstacles."""
 
 from collections.abc import Iterable
 from typing import Any

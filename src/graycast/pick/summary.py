@@ -1,4 +1,4 @@
-"""What became of many picks: rates with intervals, reasons, times; and two arms side by side."""
+"""A summary of picks: rates with intervals, outcomes and times, and paired comparisons."""
 
 from collections import Counter
 from collections.abc import Mapping, Sequence
@@ -57,7 +57,7 @@ class Summary:
 
 
 def summarize(episodes: Sequence[StoredEpisode]) -> Summary:
-    """Raises GraycastError: there is no bin yet."""
+    """Raise GraycastError if no bin is finished."""
     if not episodes:
         raise GraycastError("no bin is finished yet: run graycast pick first")
     attempts = [attempt for episode in episodes for attempt in episode.attempts]
@@ -105,7 +105,7 @@ class Paired:
 
 
 def pair(first: Sequence[StoredEpisode], second: Sequence[StoredEpisode]) -> Paired:
-    """Raises GraycastError: they share no bin."""
+    """Raise GraycastError if the two have no common bin."""
     others = {episode.bin_id: episode for episode in second}
     counts: Counter[tuple[bool, bool]] = Counter()
     for episode in first:
@@ -113,7 +113,7 @@ def pair(first: Sequence[StoredEpisode], second: Sequence[StoredEpisode]) -> Pai
             grips, other = _grips(episode), _grips(others[episode.bin_id])
             counts.update(zip(grips, other, strict=False))
     if not counts:
-        raise GraycastError("the two folders share no bin in which both arms moved")
+        raise GraycastError("the two folders have no common bin in which both robots tried a grip")
     return Paired(
         pairs=sum(counts.values()),
         both=counts[True, True],
@@ -132,7 +132,7 @@ def compared(runs: Mapping[str, Sequence[StoredEpisode]]) -> str:
     """Runs over the same bins as a Markdown table; each is paired with the first.
 
     Raises:
-        GraycastError: one has no bin, or none that it shares with the first.
+        GraycastError: one has no bin, or no common bin with the first.
     """
     lines = [
         "| run | grips | success | 95 % | cleared | picks an hour "

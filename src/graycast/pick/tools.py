@@ -1,4 +1,4 @@
-"""Tools at the flange: what a user writes of them, where their tip is, and what they are made of.
+"""Tools at the flange: their settings, the pose of their tip, and their shapes.
 
 The tip's frame is that of `grasp`: origin where the tool touches, z along the axis back towards the
 flange, jaws close along x.
@@ -24,9 +24,15 @@ class SuctionTool(Settings):
 
     kind: Literal["suction"] = "suction"
     cup: Cup = Cup()
-    length_m: Positive = Field(0.20, description="The way from the flange to the cup's lip.")
-    tube_m: Positive = Field(0.012, description="The radius of the tube that carries the cup.")
-    stroke_m: Positive = Field(0.010, description="How far the cup's holder springs back.")
+    length_m: Positive = Field(
+        0.20, description="The distance from the flange to the lip of the cup, in metres."
+    )
+    tube_m: Positive = Field(
+        0.012, description="The radius of the tube that carries the cup, in metres."
+    )
+    stroke_m: Positive = Field(
+        0.010, description="The stroke of the spring in the cup's holder, in metres."
+    )
     stiffness_n_m: Positive = Field(
         2000.0, description="The stiffness of the bellows along each axis [N/m]."
     )
@@ -38,10 +44,11 @@ class JawTool(Settings):
     kind: Literal["jaws"]
     jaws: Jaws = Jaws()
     length_m: Positive = Field(
-        0.16, description="The way from the flange to the middle between the pads."
+        0.16, description="The distance from the flange to the middle between the pads, in metres."
     )
     palm_m: tuple[Positive, Positive] = Field(
-        (0.12, 0.06), description="The size of the palm along the closing axis and across it."
+        (0.12, 0.06),
+        description="The size of the palm along the closing axis and across it, in metres.",
     )
     stiffness_n_m: Positive = Field(
         20_000.0, description="The stiffness of the fingers along each axis [N/m]."
@@ -70,7 +77,7 @@ def T_flange_tip(tool: Tool) -> Float[np.ndarray, "4 4"]:
 
 
 def pieces(tool: Tool, *, opening_m: float | None = None) -> tuple[Mounted, ...]:
-    """What a tool may not push into things: all but the cup itself, which gives way.
+    """The rigid shapes of a tool, without the cup, which is compliant.
 
     Args:
         tool: at the flange.

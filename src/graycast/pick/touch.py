@@ -1,6 +1,6 @@
-"""What a tool truly meets where it is sent: the part, its neighbours, or nothing.
+"""The true contact of a tool at its target: the part, its neighbours, or nothing.
 
-Here, and only here, the true parts are looked at. A cup is laid along its axis on the part that is
+Only this module uses the true poses of the parts. A cup is laid along its axis on the part that is
 under its middle; jaws close until both pads touch. What stands in the way of a tool's stiff pieces
 by more than `PUSHED_M` is a collision that the scanner did not show.
 """
@@ -64,7 +64,7 @@ def touch(
     *,
     opening_m: float | None = None,
 ) -> Held | NotHeld:
-    """Set a tool down where it was sent, among the true parts.
+    """Move a tool to its target among the true parts.
 
     Args:
         T_world_tool: where its tip is sent.
@@ -89,7 +89,7 @@ def _pushed(
     part_index: Int[np.ndarray, " n"],
     opening_m: float | None,
 ) -> NotHeld | None:
-    """The stiff pieces of a tool against every part; None where none is in the way."""
+    """Collisions of the rigid shapes of a tool with the parts; None if there is none."""
     import coal
 
     T_world_flange = T_world_tool @ inverse(T_flange_tip(tool))
@@ -108,7 +108,7 @@ def _pushed(
                 if deep_m > PUSHED_M:
                     return NotHeld(
                         outcome=Outcome.COLLISION_UNSEEN,
-                        detail=f"the {piece.name} pushes {1e3 * deep_m:.0f} mm into a part",
+                        detail=f"the {piece.name} is pressed {1e3 * deep_m:.0f} mm into a part",
                         part=i,
                     )
     return None
@@ -130,7 +130,7 @@ def _lay(
     if at_m > tool.stroke_m:
         return NotHeld(
             outcome=Outcome.COLLISION_UNSEEN,
-            detail=f"a part stands {1e3 * at_m:.0f} mm higher than the cup was sent",
+            detail=f"a part is {1e3 * at_m:.0f} mm higher than the target of the cup",
             part=part,
         )
     # The lip's middle comes to lie on the surface; over the edge to another part air gets in.
@@ -138,9 +138,9 @@ def _lay(
     lies = seal(cup, patch)
     if not lies.holds:
         how = (
-            f"{lies.open_share:.0%} of the ground under the cup are open"
+            f"{lies.open_share:.0%} of the area under the cup has no surface"
             if lies.open_share
-            else f"its springs would change by {lies.strain:.0%}"
+            else f"the springs of the cup would be strained by {lies.strain:.0%}"
         )
         return NotHeld(outcome=Outcome.NOT_HELD, detail=how, part=part)
     set_down = T_world_tool @ rigid(np.eye(3), np.array([0.0, 0.0, at_m]))
@@ -201,7 +201,8 @@ def _close(
     if slope > jaws.friction:
         return NotHeld(
             outcome=Outcome.NOT_HELD,
-            detail=f"the pads lie at a slope of {slope:.2f}, friction is {jaws.friction:.2f}",
+            detail=f"the pads meet the part at a slope of {slope:.2f}, and the friction is "
+            f"{jaws.friction:.2f}",
             part=part,
         )
     # The jaws close about the tool's middle: the part is drawn there, or the arm gives way.
@@ -216,7 +217,7 @@ def _held(
     set_down: Float[np.ndarray, "4 4"],
     law: Callable[[np.ndarray, np.ndarray], np.ndarray],
 ) -> Held:
-    """A part in a tool whose law says of many loads how many times each it would hold."""
+    """A part in a tool with the law that gives the safety factor of a load."""
 
     def factor(force_n: np.ndarray, moment_nm: np.ndarray) -> float:
         return float(law(force_n[None], moment_nm[None])[0])

@@ -1,4 +1,4 @@
-"""The arm's ways of one pick: to before the grip, down to it, up, and away to where parts go."""
+"""The arm's paths of one pick: to the approach, down, up, and away to the place of parts."""
 
 from dataclasses import dataclass
 
@@ -62,7 +62,7 @@ class Load:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Blocked:
-    """Why no way was found."""
+    """The reason why no path was found."""
 
     outcome: Outcome
     detail: str = ""
@@ -70,7 +70,7 @@ class Blocked:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Surroundings:
-    """What is fixed in planning; poses of the flange are in the robot's base frame."""
+    """The fixed surroundings in planning; flange poses are in the robot's base frame."""
 
     T_base_world: Float[np.ndarray, "4 4"]
     T_flange_tip: Float[np.ndarray, "4 4"]
@@ -128,7 +128,7 @@ def ways(
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _Search:
-    """What is the same for every way to hold the arm and to turn the tool; as of `ways`."""
+    """The values common to all arm configurations and tool rotations; see `ways`."""
 
     robot: Robot
     here: Surroundings
@@ -143,11 +143,16 @@ class _Search:
         before[:3, 3] += here.approach_m * tip[:3, 2]
         reached = robot.reach(here.flange(before), here.q_place, seed=self.seed)
         if not reached:
-            return Blocked(outcome=Outcome.UNREACHABLE, detail="no joint angles before the grip")
+            return Blocked(
+                outcome=Outcome.UNREACHABLE,
+                detail="no joint angles reach the start of the approach",
+            )
         hits = [robot.touches(each, self.obstacles) for each in reached]
         free = [each for each, hit in zip(reached, hits, strict=True) if hit is None]
         if not free:
-            return Blocked(outcome=Outcome.COLLISION_SEEN, detail=f"the arm would be in {hits[0]}")
+            return Blocked(
+                outcome=Outcome.COLLISION_SEEN, detail=f"the arm would collide with {hits[0]}"
+            )
         found: Ways | Blocked = Blocked(outcome=Outcome.UNREACHABLE)
         for q_before in free[:ELBOWS]:
             found = self._by(q, q_before, tip)
@@ -156,7 +161,7 @@ class _Search:
         return found
 
     def _by(self, q: Joints, q_before: Joints, tip: Float[np.ndarray, "4 4"]) -> Ways | Blocked:
-        """With the arm held so before the grip."""
+        """Plan with this arm configuration at the approach."""
         here, robot = self.here, self.robot
         off, raised = tip.copy(), tip.copy()
         off[2, 3] += OFF_M
@@ -171,11 +176,13 @@ class _Search:
             lines[name], last = line, line[-1]
         to = plan(robot, q, q_before, self.obstacles, seed=self.seed)
         if to is None:
-            return Blocked(outcome=Outcome.UNREACHABLE, detail="no free way to the grip")
+            return Blocked(outcome=Outcome.UNREACHABLE, detail="no collision-free path to the grip")
         loaded = robot.mount((self.load.piece(here.T_flange_tip),))
         away = plan(loaded, last, here.q_place, self.obstacles, seed=self.seed)
         if away is None:
-            return Blocked(outcome=Outcome.UNREACHABLE, detail="no free way with the part")
+            return Blocked(
+                outcome=Outcome.UNREACHABLE, detail="no collision-free path with the part"
+            )
         up = np.concatenate([lines["up"], lines["upright"][1:]])
         down_s, up_s = here.approach_m / here.straight_m_s, self.up_m / here.straight_m_s
         return Ways(
@@ -187,24 +194,24 @@ class _Search:
         )
 
     def _why(self, q: Joints, T_base_flange: Float[np.ndarray, "4 4"], name: str) -> Blocked:
-        """A straight way fails by what is touched, or by the arm's own limits."""
+        """The reason why a straight path fails: a collision, or the limits of the arm."""
         if straight(self.robot, q, T_base_flange, ()) is not None:
             for obstacle in self.obstacles:
                 if straight(self.robot, q, T_base_flange, (obstacle,)) is None:
-                    detail = f"the way {name} is through {obstacle.name}"
+                    detail = f"the path {name} collides with {obstacle.name}"
                     return Blocked(outcome=Outcome.COLLISION_SEEN, detail=detail)
-        return Blocked(outcome=Outcome.UNREACHABLE, detail=f"no straight way {name}")
+        return Blocked(outcome=Outcome.UNREACHABLE, detail=f"no straight path {name}")
 
 
 def _upright(T: Float[np.ndarray, "4 4"]) -> Float[np.ndarray, "4 4"]:
-    """The same place with the tool's axis vertical, turned no more than that takes."""
+    """The pose with the tool's axis vertical, by the smallest rotation."""
     x = np.cross(T[:3, 1], [0.0, 0.0, 1.0])
     x /= np.linalg.norm(x)
     return rigid(np.stack([x, np.cross([0.0, 0.0, 1.0], x), [0.0, 0.0, 1.0]], axis=1), T[:3, 3])
 
 
 def _slowly(way: Trajectory, least_s: float) -> Trajectory:
-    """The same way, in no less than so many seconds."""
+    """The same path in at least the given number of seconds."""
     stretch = max(1.0, least_s / max(way.seconds, 1e-9))
     return Trajectory(time_s=way.time_s * stretch, q=way.q.copy())
 

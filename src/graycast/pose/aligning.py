@@ -1,4 +1,4 @@
-"""The last step of a pose: surface and outline of the drawn part laid on the measured ones."""
+"""Final alignment of a pose: surface and outline of the part are fitted to the measured ones."""
 
 import math
 from typing import no_type_check
@@ -130,7 +130,7 @@ def _outwards(drawn, i, j):
 @numba.njit(cache=True, nogil=True, error_model="numpy")
 @no_type_check
 def _drawn_end(drawn, i, j, nx, ny):
-    """Where along its normal the drawn part ends."""
+    """The position along the normal at which the drawn part ends."""
     s = 0.0
     while s < 3:
         r, c = round(i + s * ny), round(j + s * nx)
@@ -147,7 +147,7 @@ def _drawn_end(drawn, i, j, nx, ny):
 def _measured_end(z, inside, tight, i, j, nx, ny, zc, edge_m, near):
     """Where along that normal the measured part ends, the place nearest to `near`; NaN if nowhere.
 
-    An end before something nearer is no end of the part.
+    An edge in front of which something nearer lies is not an edge of the part.
     """
     best, before = np.nan, -1
     s = near - REACH_PX - LINE_STEP_PX

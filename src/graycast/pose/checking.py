@@ -1,4 +1,4 @@
-"""A pose held against the measured depth: which pixels speak for it, which against it."""
+"""Comparison of a pose with the measured depth: pixels that agree and that contradict."""
 
 from typing import no_type_check
 
@@ -31,7 +31,7 @@ OFF_CENTRE = 0.3  # of the box's pixels, taken off if the part's middle is at th
 @numba.njit(cache=True, nogil=True, error_model="numpy")
 @no_type_check  # the tests' type checker wraps functions, which numba cannot compile
 def count(drawn, z, inside, tolerance_m):
-    """How many pixels are of each kind, and the first and last column and row not hidden."""
+    """The number of pixels of each kind, and the first and last visible column and row."""
     number = np.zeros(KINDS, np.int64)
     h, w = z.shape
     edge = np.array([w, h, -1, -1])
@@ -71,7 +71,7 @@ def misfits(drawn, z, inside, tolerance_m):
 @numba.njit(cache=True, nogil=True, error_model="numpy")
 @no_type_check
 def tight_score(number, misfit):
-    """Of the pixels that the outline or the part at its pose lays claim to, the share that agrees.
+    """The share of agreeing pixels among those of the outline or of the part at its pose.
 
     What is hidden outside the outline and what is unknown within it says nothing; within the
     outline nothing may lie before the part (`misfit`).
@@ -84,7 +84,7 @@ def tight_score(number, misfit):
 @numba.njit(cache=True, nogil=True, error_model="numpy")
 @no_type_check
 def loose_score(number, edge, box, going_on):
-    """Pixels that agree, less those that speak against, over those of the box.
+    """Agreeing minus contradicting pixels, divided by the pixels of the box.
 
     A box around a part holds other things too, so what the part does not cover says nothing.
     """

@@ -10,7 +10,7 @@ from jaxtyping import Float, Int
 from scipy.spatial import cKDTree
 
 CELLS = 60  # along the diameter
-BEYOND = 0.2  # of the diameter that the grid reaches beyond the part's box
+BEYOND = 0.2  # as a share of the diameter that the grid reaches beyond the part's box
 ALIKE = 0.5  # the least cosine between normals of places that may correspond
 DAMPING = 1e-3  # of the mean curvature: keeps still what the points do not say
 

@@ -1,4 +1,4 @@
-"""From a depth map to points with normals, within the part of the picture that is looked at."""
+"""Points with normals from a depth map, within a window of the picture."""
 
 import math
 from dataclasses import dataclass
@@ -12,8 +12,8 @@ from ..mask_box import mask_box
 from ..optics import Optics, rays
 
 OUTLIER_SIGMAS = 2.5  # neighbours farther off a first plane are no part of the second
-LEAST_SHARE = 0.4  # of a window that has to be of one surface, or there is no normal
-ROUNDING = 1e-6  # of the depth: below it a plane has no outliers
+LEAST_SHARE = 0.4  # as a share of a window that has to be of one surface, or there is no normal
+ROUNDING = 1e-6  # as a share of the depth: below it a plane has no outliers
 STEEP = 3.0  # depth over width that a surface may have: 72 degrees to the ray
 
 

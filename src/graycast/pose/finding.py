@@ -22,7 +22,7 @@ SCENE_POINTS = 220  # of a detection take part in voting at least, four times as
 REFERENCES = 90  # of them vote for poses
 CORE = 0.6  # of a box, from its middle, that reference points are taken from
 PEAKS = 6  # poses from each reference point
-ALIKE = 0.15  # of the diameter: poses whose key points are nearer are one
+ALIKE = 0.15  # as a share of the diameter: poses whose key points are nearer are one
 KEPT = 200  # poses that are laid on the depth by ICP and drawn
 CHOSEN = 16  # poses that are aligned
 GATES = (0.12, 0.06, 0.03)  # of the diameter, of ICP, with so many rounds each
@@ -33,7 +33,7 @@ TRIES = 3  # how often the best pose's other ways are tried anew
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PoseFound:
-    """A part's pose and what speaks for it; pixels of the drawn part but for `missed`.
+    """A part's pose and its evidence: counts of pixels of the drawn part, except `missed`.
 
     Attributes:
         T_cam_part: None if there was too little depth to look for one.
@@ -105,8 +105,8 @@ def find_poses(
 ) -> list[PoseFound]:
     """The poses of several instances of a part in one picture, each found by itself.
 
-    What takes time is compiled and runs in threads side by side; the result does not depend on
-    how many.
+    The slow steps are compiled and run in parallel threads; the result does not depend on their
+    number.
     """
     with ThreadPoolExecutor(threads) as pool:
         return list(pool.map(lambda mask: find_pose(model, depth_m, camera, mask), masks))
@@ -122,9 +122,9 @@ def _found(
 ) -> PoseFound:
     if depth_m.shape != (camera.height_px, camera.width_px) or inside.shape != depth_m.shape:
         raise ValueError(
-            f"the depth is {depth_m.shape[1]} x {depth_m.shape[0]} px, the mask "
-            f"{inside.shape[1]} x {inside.shape[0]}, the camera {camera.width_px} x "
-            f"{camera.height_px}: are they of one picture?"
+            f"the depth is {depth_m.shape[1]} x {depth_m.shape[0]} px, the mask {inside.shape[1]} "
+            f"x {inside.shape[0]}, the camera {camera.width_px} x {camera.height_px}: give depth, "
+            "mask and camera of one picture"
         )
     seen = crop(
         depth_m,
@@ -205,7 +205,7 @@ def _bundled(model: PoseModel, T: np.ndarray, weight: np.ndarray) -> np.ndarray:
 
 
 def _best(model: PoseModel, seen: Crop, guesses: Float[np.ndarray, "n 4 4"]) -> PoseFound:
-    """The guesses drawn and held against the depth, the best aligned, then put otherwise."""
+    """Compare the guesses with the depth, align the best, and try equivalent alternatives."""
     trials = Trials(model, seen)
     first = np.array([trials.judge(T).worth for T in guesses])
     best: Judged | None = None

@@ -1,4 +1,4 @@
-"""What a search for a part needs of it, made once."""
+"""The model of a part for the search, which is prepared once."""
 
 from dataclasses import dataclass
 
@@ -20,7 +20,7 @@ MOST_DENSE = 40_000
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PoseModel:
-    """A part as the search sees it; all in its own frame.
+    """The data of a part for the search, in the part's frame.
 
     Attributes:
         diameter_m: the largest distance between two of its vertices, but for a little.

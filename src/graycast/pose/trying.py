@@ -1,4 +1,4 @@
-"""One detection's poses, drawn, judged and moved; it holds the pictures that are drawn into."""
+"""Drawing, scoring and alignment of the candidate poses of one detection."""
 
 from dataclasses import dataclass
 from typing import Optional, final
@@ -12,7 +12,7 @@ from .cloud import Crop
 from .drawing import draw, lens
 from .model import PoseModel
 
-TOLERANCE = 0.02  # of the diameter that a measurement may be off the part, or
+TOLERANCE = 0.02  # as a share of the diameter that a measurement may be off the part, or
 TOLERANCE_SIGMAS = 3.5  # times the noise, if that is more
 # In tolerances: within which a pixel's depth pulls at the pose, step by step. The first reaches
 # as far as ICP may have left the pose, the last is what counts as visible and a half.
@@ -25,7 +25,7 @@ LEAST_PIXELS = 30  # on which a pose that is put otherwise is placed
 @final
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Judged:
-    """A pose, what it is worth (1 at best), and its pixels by kind (`checking`)."""
+    """A pose, its score (at most 1), and its pixels by kind (`checking`)."""
 
     T: Float[np.ndarray, "4 4"]
     worth: float

@@ -40,7 +40,7 @@ def read_intrinsics(text: str) -> Float[np.ndarray, "3 3"]:
         shape = " x ".join(str(length) for length in K.shape)
         raise DatasetError(f"intrinsics {text}: holds {shape} numbers: {wanted}")
     if not (np.isfinite(K).all() and np.allclose(K[2], [0, 0, 1]) and min(K[0, 0], K[1, 1]) > 0):
-        raise DatasetError(f"intrinsics {text}: {K.tolist()} is no camera matrix: {wanted}")
+        raise DatasetError(f"intrinsics {text}: {K.tolist()} is not a camera matrix: {wanted}")
     return K
 
 
@@ -65,17 +65,23 @@ def read_depth(
         value = load_npy(path) if path.suffix.lower() == ".npy" else read_image(path)
     if K is None:
         raise DatasetError(
-            f"{path}: its camera is not known: give the intrinsics (--intrinsics fx,fy,cx,cy)"
+            f"{path}: the file does not state its camera: give the intrinsics (--intrinsics "
+            "fx,fy,cx,cy)"
         )
     if value.ndim == 3 and value.shape[2] == 1:  # one channel, as pictures of a batch are kept
         value = value[..., 0]
     if value.ndim != 2:
-        raise DatasetError(f"{path}: has the shape {value.shape}: a depth map has rows and columns")
+        raise DatasetError(
+            f"{path}: has the shape {value.shape}: give a depth map with rows and columns"
+        )
     if value.dtype.kind not in "uif":
-        raise DatasetError(f"{path}: has {value.dtype} numbers: depth is integers or floats")
+        raise DatasetError(
+            f"{path}: has {value.dtype} numbers: give integers or floating-point numbers"
+        )
     if value.dtype.kind in "ui" and scale_m is None:
         raise DatasetError(
-            f"{path}: has {value.dtype} numbers: give the scale, metres per unit (--scale 0.001)"
+            f"{path}: has {value.dtype} numbers: give the scale in metres per unit (such as "
+            "--scale 0.001)"
         )
     return in_metres(value, 1.0 if scale_m is None else scale_m, str(path)), gray, K
 
@@ -83,13 +89,13 @@ def read_depth(
 def in_metres(value: np.ndarray, scale_m: float, name: str) -> Float[np.ndarray, "h w"]:
     """Depth [m] in which 0 and what is not finite is NaN."""
     if not 0 < scale_m < np.inf:
-        raise DatasetError(f"{name}: scale is {scale_m}; metres per unit, above 0")
+        raise DatasetError(f"{name}: scale is {scale_m}; give metres per unit, greater than 0")
     known = np.isfinite(value) & (value != 0)
     depth_m = np.where(known, value.astype(np.float64) * scale_m, np.nan)
     if known.any() and np.nanmedian(depth_m) > _FARTHEST_M:
         raise DatasetError(
             f"{name}: the median depth is {np.nanmedian(depth_m):.4g} m, up to {_FARTHEST_M:.0f} "
-            "are allowed: are they millimetres? give a scale of 0.001"
+            "are allowed: if the unit is millimetres, give a scale of 0.001"
         )
     return depth_m
 
@@ -139,7 +145,7 @@ def load_json(path: Path) -> dict[str, Any]:
     except (OSError, ValueError) as error:
         raise DatasetError(f"{path}: cannot be read as JSON ({error}): check the file") from error
     if not isinstance(content, dict):
-        raise DatasetError(f"{path}: holds no keys: is it of another kind?")
+        raise DatasetError(f"{path}: holds no keys: give a file of intrinsics")
     return content
 
 

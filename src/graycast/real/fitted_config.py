@@ -33,7 +33,7 @@ def refuse_there(*paths: Path) -> None:
     """
     for path in paths:
         if path.exists():
-            raise GraycastError(f"{path}: is there already: choose another name, or remove it")
+            raise GraycastError(f"{path}: exists already: choose another name, or remove it")
 
 
 def fitted_text(

@@ -64,8 +64,8 @@ def camera_of(point: Float[np.ndarray, "h w 3"]) -> Float[np.ndarray, "3 3"]:
     rms_px = float(np.sqrt((off**2).mean()))
     if min(rank_x, rank_y) < 2 or rms_px > _FIT_PX or min(fx, fy) <= 0:
         raise ValueError(
-            f"the points are {rms_px:.2f} px RMS off every pinhole camera, {_FIT_PX} are allowed: "
-            "give the intrinsics, or export the cloud in the camera frame"
+            f"the points are {rms_px:.2f} px RMS from the best pinhole camera, and {_FIT_PX} are "
+            "allowed: give the intrinsics, or export the cloud in the camera frame"
         )
     return np.array([[fx, 0.0, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]])
 
@@ -81,13 +81,13 @@ def _size(
             said[_SIZE[words[1]]] = int(words[2])
     if size_px is None and len(said) < 2:
         raise DatasetError(
-            f"{path}: does not say how its {count} vertices make rows and columns: export it "
-            "organised with 'obj_info num_cols' and 'obj_info num_rows', or give the size"
+            f"{path}: does not state how its {count} vertices form rows and columns: export an "
+            "organised cloud with 'obj_info num_cols' and 'obj_info num_rows', or give the size"
         )
     width_px, height_px = size_px or (said["width"], said["height"])
     if width_px * height_px != count:
         raise DatasetError(
             f"{path}: has {count} vertices, {width_px} x {height_px} pixels need "
-            f"{width_px * height_px}: export every pixel, the missing ones as 0 0 0 or nan"
+            f"{width_px * height_px}: export every pixel, and the missing ones as 0 0 0 or nan"
         )
     return width_px, height_px

@@ -90,8 +90,8 @@ def find_shots(folder: Path) -> list[RealPicture]:
         if missing := [stem for stem in stems if stem not in by_stem]:
             other = next(n for n in found if missing[0] in found[n])
             raise DatasetError(
-                f"{folder}: {other} has a picture {missing[0]}, {name} has none: add it, or take "
-                "the other away"
+                f"{folder}: {other} has a picture {missing[0]}, and {name} has none: add it, or "
+                "remove the other"
             )
     files = {name: found.get(name, {}) for name in FOLDERS}
     return [
@@ -124,7 +124,8 @@ def read_shot(
             rgb = read_ply(shot.depth, size_px).rgb
     elif K is None:
         raise DatasetError(
-            f"{shot.stem}: its camera is not known: give the intrinsics (--intrinsics fx,fy,cx,cy)"
+            f"{shot.stem}: the file does not state its camera: give the intrinsics (--intrinsics "
+            "fx,fy,cx,cy)"
         )
     _refuse_sizes(shot, {"rgb": rgb, "gray": gray, "depth": depth_m})
     return Seen(rgb=rgb, gray=gray, depth_m=depth_m, K=K)
@@ -144,8 +145,8 @@ def depth_step_mm(shots: Sequence[RealPicture], deepest_m: float, scale_m: float
         return depth_scale_mm(deepest_m or _NEAREST_M)  # without any depth the step means nothing
     except ValueError as error:
         raise DatasetError(
-            f"the deepest point lies at {deepest_m:.4g} m, 16-bit depth ends at 65.535 m: is the "
-            "scale right? else remove such points"
+            f"the deepest point lies at {deepest_m:.4g} m, and 16-bit depth ends at 65.535 m: "
+            "correct the scale, or remove such points"
         ) from error
 
 
@@ -175,16 +176,16 @@ def _read_rgb(path: Path) -> UInt8[np.ndarray, "h w 3"]:
 def _refuse_impossible(depth_m: Float[np.ndarray, "h w"], path: Path) -> None:
     known = depth_m[~np.isnan(depth_m)]
     if not known.size:
-        raise DatasetError(f"{path}: has no depth at all: take the picture out")
+        raise DatasetError(f"{path}: has no depth: remove the picture")
     if known.min() <= 0:
         raise DatasetError(
-            f"{path}: has a depth of {known.min():.4g} m: depth is z of the camera frame, which "
-            "points into the scene"
+            f"{path}: has a depth of {known.min():.4g} m: give depth along the camera's z axis, "
+            "which points into the scene"
         )
     if np.median(known) < _NEAREST_M:
         raise DatasetError(
-            f"{path}: the median depth is {np.median(known):.4g} m, {_NEAREST_M} m and more are "
-            "allowed: is the scale right? floats in metres need none"
+            f"{path}: the median depth is {np.median(known):.4g} m, {_NEAREST_M} m is the least "
+            "allowed: correct the scale; floating-point numbers in metres need none"
         )
 
 
@@ -195,7 +196,7 @@ def _refuse_sizes(shot: RealPicture, images: Mapping[str, np.ndarray | None]) ->
         if other != size:
             raise DatasetError(
                 f"{shot.files[name]}: is {other[1]} x {other[0]} pixels, the {first} picture "
-                f"{size[1]} x {size[0]}: depth and pictures must be of one camera"
+                f"{size[1]} x {size[0]}: give depth and pictures of one camera"
             )
 
 

@@ -77,7 +77,9 @@ def open_renderer(
                 patterns_per_render=patterns_per_render,
                 on_frame=on_frame,
             )
-    raise ValueError(f"no renderer {name!r}: choose 'mitsuba', 'cycles' or 'reference'")
+    raise ValueError(
+        f"the renderer {name!r} does not exist: choose 'mitsuba', 'cycles' or 'reference'"
+    )
 
 
 def choose_device(backend: str, name: str) -> str:

@@ -126,17 +126,17 @@ def choose_device(name: str) -> str:
     """
     if name == "optix":
         raise ValueError(
-            "device optix is of Cycles alone (--backend cycles): of Mitsuba choose auto, cpu or "
-            "cuda, which traces its rays by OptiX too"
+            "device optix exists only for Cycles (--backend cycles): for Mitsuba choose auto, "
+            "cpu or cuda, which also uses OptiX"
         )
     if name not in DEVICES:
-        raise ValueError(f"no device {name!r}: choose one of {', '.join(DEVICES)}")
+        raise ValueError(f"the device {name!r} does not exist: choose one of {', '.join(DEVICES)}")
     if name in ("auto", "cuda"):
         cuda = examine_cuda()
         if cuda.usable:
             return "cuda"
         if name == "cuda":
-            why = cuda.problem or "libnvoptix.so.1 does not load"
+            why = cuda.problem or "libnvoptix.so.1 cannot be loaded"
             raise DeviceError(
                 f"device cuda cannot be used: {why}; use --device cpu or repair the driver"
             )
@@ -161,7 +161,7 @@ def open_device(device: str, *, threads: int | None = None) -> None:
         ValueError: no such device, or `threads` below 1.
     """
     if device not in _VARIANT:
-        raise ValueError(f"no device {device!r} to open: choose {' or '.join(_VARIANT)}")
+        raise ValueError(f"the device {device!r} cannot be opened: choose {' or '.join(_VARIANT)}")
     if threads is not None and threads < 1:
         raise ValueError(f"threads is {threads}; it must be at least 1")
     if device == "llvm" and "drjit" not in sys.modules:
@@ -183,7 +183,7 @@ def open_device(device: str, *, threads: int | None = None) -> None:
             mi.set_variant(variant)
         except ImportError as error:
             first_line = str(error).strip().split("\n")[0]
-            raise DeviceError(f"device {device} does not open: {first_line}") from error
+            raise DeviceError(f"device {device} cannot be opened: {first_line}") from error
     if threads is not None:
         dr.set_thread_count(threads)
 
@@ -192,8 +192,8 @@ def _check_loaded_llvm(dr) -> None:
     """Last gate before code generation: whatever LLVM Dr.Jit has loaded must be new enough."""
     if not dr.has_backend(dr.JitBackend.LLVM):
         library = os.environ.get(_USER_CHOICE)
-        why = f"{library} does not load" if library else "drjit was imported before open_device"
-        remedy = f"call open_device first, with a sound libllvm{OLDEST_LLVM} installed"
+        why = f"{library} cannot be loaded" if library else "drjit was imported before open_device"
+        remedy = f"call open_device first, with a working libllvm{OLDEST_LLVM} installed"
         raise DeviceError(f"Dr.Jit has no LLVM: {why}; {remedy}")
     version = dr.detail.llvm_version()
     if version[0] < OLDEST_LLVM:
@@ -204,14 +204,14 @@ def _check_loaded_llvm(dr) -> None:
 
 def _accept_user_choice(chosen: str) -> Path:
     path = Path(chosen)
-    remedy = f"unset {_USER_CHOICE}, or let it name an LLVM of {OLDEST_LLVM} or newer"
+    remedy = f"unset {_USER_CHOICE}, or set it to an LLVM of version {OLDEST_LLVM} or newer"
     if "/" in chosen and not path.is_file():
-        raise DeviceError(f"{_USER_CHOICE} names {chosen}, which is no file: {remedy}")
+        raise DeviceError(f"{_USER_CHOICE} names {chosen}, which is not a file: {remedy}")
     major = _major_from_name(path.resolve()) or _major_from_child(chosen)
     if major is None:
-        raise DeviceError(f"{_USER_CHOICE} names {chosen}, whose release is unknown: {remedy}")
+        raise DeviceError(f"{_USER_CHOICE} names {chosen}, whose version is unknown: {remedy}")
     if major < OLDEST_LLVM:
-        danger = f"LLVM {major}, which can end the process in code generation"
+        danger = f"LLVM {major}, which can crash the process during code generation"
         raise DeviceError(f"{_USER_CHOICE} names {chosen}, {danger}: {remedy}")
     return path
 
@@ -224,7 +224,10 @@ def _no_llvm() -> str:
     else:
         sudo = "" if os.geteuid() == 0 else "sudo "
         remedy = f"run: {sudo}apt-get install libllvm{OLDEST_LLVM}"
-    return f"no shared LLVM {OLDEST_LLVM} or newer to render on the processor{found}; {remedy}"
+    return (
+        f"rendering on the processor needs a shared LLVM {OLDEST_LLVM} or newer, which was not "
+        f"found{found}; {remedy}"
+    )
 
 
 def _major_from_name(path: Path) -> int | None:

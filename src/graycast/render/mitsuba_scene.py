@@ -226,7 +226,7 @@ def _mean_radiance(pixels: np.ndarray, file: Path) -> np.float32:
     mean = float((border[:-1] - border[1:]) / 2 @ pixels.mean(axis=(1, 2), dtype=np.float64))
     if not 0 < mean < np.inf:
         raise ConfigError(
-            f"environment map {file} has the mean radiance {mean}: take out what is not finite, "
-            "or give another map"
+            f"environment map {file} has the mean radiance {mean}: remove values that are not "
+            "finite, or give another map"
         )
     return np.float32(mean)

@@ -13,10 +13,14 @@ from ..scene import Layout, Scene
 from ..settings import check_fields
 
 Denoiser = Literal["oidn", "optix"]
-Samples = Annotated[int, Field(ge=1, le=65536, description="How many light paths a pixel has.")]
+Samples = Annotated[int, Field(ge=1, le=65536, description="The number of light paths per pixel.")]
 PathDepth = Annotated[
     int,
-    Field(ge=1, le=64, description="How many surfaces a path meets. 1 is direct light."),
+    Field(
+        ge=1,
+        le=64,
+        description="The largest number of surfaces on a light path. 1 is direct light only.",
+    ),
 ]
 OnFrame = Callable[[int, int], None]  # hears how many renders of a scene are done, and of how many
 # Hears how many samples of a stack are done, and of how many; what it raises ends the rendering.
@@ -41,7 +45,7 @@ class Quality:
     def __post_init__(self) -> None:
         check_fields(self)
         if self.denoise not in ("none", "oidn", "optix"):
-            raise ValueError(f"denoise is {self.denoise!r}; 'none', 'oidn' or 'optix'")
+            raise ValueError(f"denoise is {self.denoise!r}; choose 'none', 'oidn' or 'optix'")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -189,4 +193,6 @@ def refuse_other_size(pattern: UInt8[np.ndarray, "n ph pw"], projector: Optics) 
     if pattern.shape[1:] != (projector.height_px, projector.width_px):
         size = f"{pattern.shape[2]} x {pattern.shape[1]}"
         wanted = f"{projector.width_px} x {projector.height_px}"
-        raise ValueError(f"patterns are {size} px, the projector is {wanted} px")
+        raise ValueError(
+            f"patterns are {size} px, and the projector has {wanted} px: give patterns of that size"
+        )

@@ -89,19 +89,21 @@ def _refuse_beyond_limits(
     projector = scene.rig.projector
     refuse_other_size(pattern, projector)
     if scene.bin is not None or len(layout.part_index) or scene.lamps:
-        raise ValueError("the reference renderer knows surfaces alone: no parts, bin or lamps")
+        raise ValueError(
+            "the reference renderer renders only surfaces: remove parts, bin and lamps"
+        )
     if any(scene.environment.radiance):
         raise ValueError("the reference renderer has no environment light: set it to 0, 0, 0")
     if quality.depth != 1 or math.isqrt(quality.samples) ** 2 != quality.samples:
         raise ValueError("the reference renderer needs depth 1 and a square number of samples")
     if not (scene.rig.camera.is_pinhole and projector.is_pinhole):
-        raise ValueError("the reference renderer has sharp lenses: set aperture_m and psf_px to 0")
+        raise ValueError("the reference renderer has no defocus: set aperture_m and psf_px to 0")
     if quality.denoise != "none":
-        raise ValueError("the reference renderer has no noise to take off: denoise 'none'")
+        raise ValueError("the reference renderer has no noise: set denoise to 'none'")
     for surface in scene.surfaces:
         material = surface.material
         if material.metallic or material.specular or material.texture is not None:
-            raise ValueError("the reference renderer is Lambertian: metallic 0, specular 0")
+            raise ValueError("the reference renderer is Lambertian: set metallic and specular to 0")
 
 
 def _direct(scene: Scene, pixel: Float[np.ndarray, "h w 2"]) -> tuple:

@@ -33,8 +33,8 @@ def at_one_wavelength(scene: Scene) -> Scene:
             if not _is_grey(material):
                 look = "a texture" if material.texture is not None else str(material.base_color)
                 raise ValueError(
-                    f"patterns_per_render 3 needs light of one wavelength, but rig "
-                    f"{scene.rig.name} shines in {len(shining)} bands and a material has the "
+                    "patterns_per_render 3 needs light of one wavelength, but rig "
+                    f"{scene.rig.name} shines in {len(shining)} bands, and a material has the "
                     f"colour {look}: set patterns_per_render to 1, or give the materials a "
                     "projector_reflectance"
                 )

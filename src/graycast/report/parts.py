@@ -69,7 +69,7 @@ def draw_parts(
         ValueError: no parts.
     """
     if not parts:
-        raise ValueError("there are no parts to draw")
+        raise ValueError("no parts are given: give at least one")
     columns = min(len(parts), 3 if len(parts) <= 6 else 5)
     rows = -(-len(parts) // columns)
     width, height = _TILE_PX
@@ -235,7 +235,7 @@ def _symmetry_words(symmetry: Symmetry) -> str:
     words = [f"any turn about {_axis_words(axis)}" for axis, _ in symmetry.continuous]
     if symmetry.discrete:
         poses = len(symmetry.discrete) + 1
-        words.append(f"{poses} poses look alike")
+        words.append(f"{poses} equivalent poses")
     return ", ".join(words) or "none"
 
 

@@ -63,8 +63,8 @@ def draw_preview(shot: Shot, code: Code, path: Path) -> None:
         ValueError: the capture has another number of frames than the code.
     """
     if len(shot.capture.frames) != len(code.frames):
-        frames = f"{len(shot.capture.frames)} frames, the code has {len(code.frames)}"
-        raise ValueError(f"the capture has {frames}: another code?")
+        frames = f"{len(shot.capture.frames)} frames, and the code has {len(code.frames)}"
+        raise ValueError(f"the capture has {frames}: give the code of the capture")
     sheet = _Sheet(shot.sample.scene.rig.camera)
     _write_head(sheet.figure, shot, code)
     sheet.picture("colour picture", shot.sample.rgb)
@@ -265,7 +265,9 @@ def _draw_error(sheet: _Sheet, shot: Shot) -> None:
     known = error_mm[np.isfinite(error_mm)]
     if known.size:
         beyond = 100 * (np.abs(known) > limit_mm).mean()
-        _note(ax, f"median |error| {np.median(np.abs(known)):.2f} mm, {beyond:.1f} % off the scale")
+        _note(
+            ax, f"median |error| {np.median(np.abs(known)):.2f} mm, {beyond:.1f} % beyond the scale"
+        )
     sheet.color_bar(_ERROR_MAP, limits, "mm, red is too far, grey unknown")
 
 

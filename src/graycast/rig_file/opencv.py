@@ -21,7 +21,7 @@ from ..rig import Rig, common_depths_m
 from ..settings import parse_yaml, read_text
 from .reading import build_optics, build_rig, check_rotation, is_file_storage
 
-MAX_SKEW = 1e-6  # of the focal length; `Optics` has none
+MAX_SKEW = 1e-6  # as a share of the focal length; `Optics` has none
 MIN_BASELINE_M = 0.001  # below it a unit is wrong: no rig is that small
 
 # Spellings met in OpenCV's samples and in public camera-projector calibration programs, without
@@ -122,9 +122,10 @@ def missing_distortions(path: Path) -> tuple[str, ...]:
     understood = {_find(content, role, path) for role in _SPELLINGS}
     understood |= {key for pairs in _SIDES.values() for pair in pairs for key in pair}
     other = ", ".join(str(key) for key in content if key not in understood)
-    hint = f"; is it one of {other}? then name it" if other else "; else add it as"
+    hint = f"; if it is one of {other}, name it" if other else "; otherwise add it as"
     return tuple(
-        f"{path}: states no distortion of the {device}, whose lens is taken without{hint} {example}"
+        f"{path}: states no distortion of the {device}, so its lens is taken to have none{hint} "
+        f"{example}"
         for device, example in (("camera", "cam_kc"), ("projector", "pro_kc"))
         if _find(content, f"{device} distortion", path) is None
     )
@@ -139,8 +140,8 @@ def _common_range_m(
     lit_m = common_depths_m(camera, projector, T_cam_proj, asked_m).tolist()
     if len(lit_m) < 2:
         raise ConfigError(
-            f"{path}: camera and projector see nothing in common between 0.5 and 20 baselines: "
-            "are R and T those of X_projector = R X_camera + T? else give near and far"
+            f"{path}: camera and projector have no common field of view between 0.5 and 20 "
+            "baselines: give R and T of X_projector = R X_camera + T, or give near and far"
         )
     return lit_m[0], lit_m[-1]
 
@@ -154,7 +155,7 @@ def _device(
         raise ConfigError(f"{where} has the skew {matrix[0, 1]:.4g}: calibrate without skew")
     if matrix[1, 0] != 0 or not np.array_equal(matrix[2], [0, 0, 1]):
         raise ConfigError(
-            f"{where} is no camera matrix: give [[fx, 0, cx], [0, fy, cy], [0, 0, 1]]"
+            f"{where} is not a camera matrix: give [[fx, 0, cx], [0, fy, cy], [0, 0, 1]]"
         )
     width_px, height_px = size_px or _size(content, device, path)
     return build_optics(
@@ -196,7 +197,9 @@ def _size(content: Mapping[str, Any], device: str, path: Path) -> tuple[int, int
             raise ConfigError(f"{where} is {size.tolist()}: give [width, height] in pixels")
         return int(size[0]), int(size[1])
     example = _EXAMPLES[f"{device} size"]
-    raise ConfigError(f"{path}: no {device} image size: add {example}, or give it on import")
+    raise ConfigError(
+        f"{path}: the {device} image size is missing: add {example}, or give it as an option"
+    )
 
 
 def _metres_per_unit(T: Float[np.ndarray, "3"], unit: str | None, where: str) -> float:
@@ -212,7 +215,7 @@ def _metres_per_unit(T: Float[np.ndarray, "3"], unit: str | None, where: str) ->
     scale = {"m": 1.0, "mm": 1e-3}[unit]
     if length * scale < MIN_BASELINE_M:
         baseline = f"a baseline of {1e3 * length * scale:.3g} mm"
-        raise ConfigError(f"{where} in {unit} gives {baseline}: is its unit another one?")
+        raise ConfigError(f"{where} in {unit} gives {baseline}: state its unit")
     return scale
 
 
@@ -222,7 +225,7 @@ def _find(content: Mapping[str, Any], role: str, path: Path) -> str | None:
     keys = [key for key in content if isinstance(key, str) and _plain(key) in spellings]
     keys = [key for key in keys if key not in {_RIGHT_CAMERA.get(other) for other in keys}]
     if len(keys) > 1:
-        raise ConfigError(f"{path}: {' and '.join(keys)} both give the {role}: keep one")
+        raise ConfigError(f"{path}: {' and '.join(keys)} both state the {role}: keep one")
     return keys[0] if keys else None
 
 
@@ -270,7 +273,7 @@ def _read_calibration(path: Path) -> Mapping[str, Any]:
         content = json.loads(text)
     except json.JSONDecodeError as error:
         why = f"in line {error.lineno} ({error.msg})"
-        raise ConfigError(f"{path}: is not JSON {why}: mend that line") from error
+        raise ConfigError(f"{path}: is not JSON {why}: correct that line") from error
     if not isinstance(content, Mapping):
         raise ConfigError(f"{path}: holds no keys: give K, D, R and T as a JSON object")
     return content
@@ -291,7 +294,7 @@ def _read_file_storage(path: Path) -> Mapping[str, Any]:
     try:
         storage = cv2.FileStorage(str(path), cv2.FILE_STORAGE_READ)
     except (cv2.error, SystemError) as error:
-        raise ConfigError(f"{path}: OpenCV cannot parse it: is the file whole?") from error
+        raise ConfigError(f"{path}: OpenCV cannot parse it: the file may be incomplete") from error
     root, content = storage.root(), {}
     for key in root.keys():
         node = root.getNode(key)

@@ -34,7 +34,7 @@ RigModel = section_of(
     Rig,
     "RigModel",
     module=__name__,
-    about="A camera and a projector that hold still to each other, and how they measure.",
+    about="A camera and a projector with fixed relative pose, and how they measure.",
     base=ScannerSections,
     more={
         "camera": (OpticsModel, ...),
@@ -42,11 +42,11 @@ RigModel = section_of(
         "T_cam_proj": None,  # a file has it in two keys
         "R_cam_proj": (
             tuple[Row, Row, Row],
-            Field(description="Rotation, row by row: projector to camera coordinates."),
+            Field(description="The rotation from projector to camera coordinates, row by row."),
         ),
         "t_cam_proj_m": (
             Row,
-            Field(description="The projector's centre in camera coordinates [m]."),
+            Field(description="The position of the projector in camera coordinates [m]."),
         ),
     },
 )

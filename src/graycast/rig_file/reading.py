@@ -24,7 +24,9 @@ def check_rotation(R: Float[np.ndarray, "3 3"], where: str) -> None:
         return
     error = np.abs(R @ R.T - np.eye(3)).max()
     numbers = f"det {np.linalg.det(R):.6g}, orthogonality error {error:.2g}"
-    raise ConfigError(f"{where} is not a rotation ({numbers}): write it with all digits, det +1")
+    raise ConfigError(
+        f"{where} is not a rotation ({numbers}): give it with all digits and with determinant +1"
+    )
 
 
 def build_rig(path: Path, **fields: Any) -> Rig:
@@ -40,9 +42,9 @@ def build_rig(path: Path, **fields: Any) -> Rig:
     range_m = np.linspace(rig.near_m, rig.far_m, RANGE_STEPS)
     if not len(common_depths_m(rig.camera, rig.projector, rig.T_cam_proj, range_m)):
         raise ConfigError(
-            f"{path}: camera and projector see nothing in common from {rig.near_m:g} to "
-            f"{rig.far_m:g} m: does the projector look away? R_cam_proj and t_cam_proj_m take its "
-            "coordinates to the camera's; else near_m and far_m are another rig's"
+            f"{path}: camera and projector have no common field of view from {rig.near_m:g} to "
+            f"{rig.far_m:g} m: check that R_cam_proj and t_cam_proj_m map projector coordinates "
+            "to camera coordinates, and check near_m and far_m"
         )
     return rig
 

@@ -19,25 +19,26 @@ ExposureSection = changes_of(
     ExposureSpec,
     "ExposureSection",
     module=__name__,
-    about="A fixed time, or the one that brings a percentile of the white frame to a target.",
+    about="A fixed exposure time, or the time that brings a percentile of the white frame to "
+    "a target.",
 )
 SensorSection = changes_of(
     SensorSpec,
     "SensorSection",
     module=__name__,
-    about="The sensor in EMVA 1288 terms, and the stop of the lens before it.",
+    about="The sensor in EMVA 1288 terms, and the f-number of its lens.",
 )
 DecodeSection = changes_of(
     DecodeSpec,
     "DecodeSection",
     module=__name__,
-    about="What a pixel must show to be believed.",
+    about="The conditions under which a pixel is decoded.",
 )
 FilterSection = changes_of(
     FilterSpec,
     "FilterSection",
     module=__name__,
-    about="What is done to depth afterwards; 0 switches a filter off.",
+    about="The filters of the decoded depth; 0 switches a filter off.",
 )
 
 

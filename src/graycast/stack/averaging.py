@@ -51,8 +51,8 @@ def join_pixels(codes: CodeMap, code: Code, *, fine_bits: int) -> Cells:
     plans = plan_axes(code, fine_bits)
     if len(plans) < 2:
         raise DecodeError(
-            f"averaging joins pixels of one column and row; the stack codes {code.axes[0]}s only: "
-            "leave --average out, or show both axes"
+            "averaging joins pixels with equal column and row, and the stack codes "
+            f"{code.axes[0]}s only: remove --average, or project both axes"
         )
     decoded = codes.reason == Reason.DECODED
     number = np.zeros(int(decoded.sum()), dtype=np.int64)

@@ -42,7 +42,7 @@ from .pictures import Pictures, read_color, read_pictures
 EPIPOLAR_MEDIANS, EPIPOLAR_PX = 5.0, 2.0
 MISPLACED_PX = 3.0  # median epipolar residual of a rig that is not the stack's
 OUT_OF_RANGE = 0.3  # of what decodes
-DECODED_AT_LEAST = 0.01  # of the lit pixels, or the stack is refused
+DECODED_AT_LEAST = 0.01  # as a share of the lit pixels, or the stack is refused
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -203,11 +203,11 @@ class _Clock:
 def _check_axes(code: Code, rig: Rig | None, average: bool, path: Path) -> None:
     """What the frames alone tell, before pictures are read."""
     if average and rig is None:
-        raise DecodeError(f"{path}: averaging makes points, which takes a rig: give --rig")
+        raise DecodeError(f"{path}: averaging computes 3D points, which need a rig: give --rig")
     if average and len(code.axes) < 2:
         raise DecodeError(
-            f"{path}: averaging joins pixels of one column and row; the stack codes "
-            f"{code.axes[0]}s only: leave --average out"
+            f"{path}: averaging joins pixels with equal column and row, and the stack codes "
+            f"{code.axes[0]}s only: remove --average"
         )
     if rig is not None and triangulation_axis(rig) not in code.axes:
         raise DecodeError(
@@ -223,8 +223,8 @@ def _check_camera(pictures: Pictures, rig: Rig | None, path: Path) -> None:
     if (w, h) != (rig.camera.width_px, rig.camera.height_px):
         size = f"{rig.camera.width_px} x {rig.camera.height_px} px"
         raise DecodeError(
-            f"{path}: pictures are {w} x {h} px, the camera of rig {rig.name} {size}: "
-            "another rig, or pictures that were turned or scaled?"
+            f"{path}: pictures are {w} x {h} px, the camera of rig {rig.name} {size}: give the "
+            "rig of this stack, and pictures that were not rotated or scaled"
         )
 
 
@@ -233,8 +233,8 @@ def _check_light(pictures: Pictures, codes: CodeMap, found: list[str], path: Pat
     values = f"values are {lowest} to {highest} DN"
     if (codes.reason == Reason.SHADOW).all():
         raise DecodeError(
-            f"{path}: nothing is lit: no pixel changes by more than its noise from frame to frame "
-            f"({values}): was the projector on, the lens cap off?"
+            f"{path}: no pixel is lit, because none changes by more than its noise from frame to "
+            f"frame ({values}): switch the projector on and remove the lens cap"
         )
     reason = codes.reason[codes.reason != Reason.SHADOW]
     if (reason == Reason.DECODED).mean() > DECODED_AT_LEAST:
@@ -243,7 +243,7 @@ def _check_light(pictures: Pictures, codes: CodeMap, found: list[str], path: Pat
     share = f"{100 * (reason == main).mean():.0f} %"
     words = f"of the lit pixels are {main.words}"
     raise DecodeError(
-        f"{path}: hardly a pixel decodes: {share} {words} ({values}): {_REMEDY[main]}"
+        f"{path}: almost no pixel is decoded: {share} {words} ({values}): {_REMEDY[main]}"
         + (f" ({found[0]})" if found else "")
     )
 
@@ -251,9 +251,10 @@ def _check_light(pictures: Pictures, codes: CodeMap, found: list[str], path: Pat
 _REMEDY = {
     Reason.LOW_MODULATION: "lengthen the exposure, or lower decode.min_contrast",
     Reason.SATURATED: "shorten the exposure, or state levels.saturation_dn",
-    Reason.CONTRADICTORY: "are the frames what the file says they are?",
-    Reason.INTERREFLECTION: "are the frames, periods and steps what the file says they are?",
-    Reason.OUTSIDE_PROJECTOR: "is the projector's size right, or a coarse bit's inverse swapped?",
+    Reason.CONTRADICTORY: "check that the frames are as the stack file states",
+    Reason.INTERREFLECTION: "check that frames, periods and steps are as the stack file states",
+    Reason.OUTSIDE_PROJECTOR: "check the projector's size, and whether a coarse bit is swapped "
+    "with its inverse",
 }
 
 
@@ -287,7 +288,8 @@ def _rig_size(code: Code, rig: Rig) -> list[str]:
         return []
     return [
         f"the stack's projector is {code.width_px} x {code.height_px} px, that of rig {rig.name} "
-        f"{size[0]} x {size[1]}: taken pixel for pixel from the top left; is it the same mode?"
+        f"{size[0]} x {size[1]}: pixels are matched one to one from the top left, so check that "
+        "both use the same display mode"
     ]
 
 
@@ -328,15 +330,16 @@ def _rig_symptoms(depth: DepthMap, residual_px: Float[np.ndarray, "h w"] | None)
     if away > OUT_OF_RANGE * max(placed, 1):
         found.append(
             f"{100 * away / placed:.0f} % of the decoded pixels lie outside the rig's working "
-            "range: is it this stack's rig, with near_m and far_m as they should be?"
+            "range: check that it is the rig of this stack, and its near_m and far_m"
         )
     if residual_px is None or not np.isfinite(residual_px).any():
         return found
     median_px = float(np.nanmedian(np.abs(residual_px)))
     if median_px > MISPLACED_PX:
         found.append(
-            f"the epipolar residual's median is {median_px:.3g} px, under 1 is usual: another "
-            "rig's calibration, a moved camera, offset_px, or exchanged frames?"
+            f"the epipolar residual's median is {median_px:.3g} px, and less than 1 is usual: the "
+            "calibration may be of another rig, the camera may have moved, offset_px may be "
+            "wrong, or frames may be exchanged"
         )
     return found
 

@@ -31,27 +31,32 @@ class FrameSection(Settings):
     file: Path = Field(description="The picture, relative to this file.")
     kind: Literal["white", "black", "gray", "complementary", "phase", "line"]
     axis: Axis | None = Field(None, description="What the frame codes: column or row.")
-    bit: int | None = Field(None, ge=0, le=23, description="Of a Gray code; 0 is the finest.")
-    inverse: bool = Field(False, description="Dark and bright swapped.")
+    bit: int | None = Field(
+        None, ge=0, le=23, description="The number of the bit of a Gray code; 0 is the finest bit."
+    )
+    inverse: bool = Field(False, description="Whether dark and bright are swapped.")
     xor_bit: int | None = Field(
-        None, ge=0, le=23, description="The Gray bit that this one is combined with."
+        None, ge=0, le=23, description="The Gray bit with which this bit is combined by XOR."
     )
     period_px: float | None = Field(None, ge=2, description="Projector pixels per period.")
     step: float | None = Field(
-        None, ge=0, description="Phase step, from 0; a fraction where the cosine begins between."
+        None,
+        ge=0,
+        description="The number of the phase step, counted from 0. It is a "
+        "fraction if the cosine starts between two steps.",
     )
-    steps: int | None = Field(None, ge=3, description="Phase steps in all.")
+    steps: int | None = Field(None, ge=3, description="The number of phase steps.")
 
     @model_validator(mode="after")
     def _says_what_its_kind_needs(self) -> "FrameSection":
         must = _MUST[self.kind]
         for key in must:
             if getattr(self, key) is None:
-                raise ValueError(f"a {self.kind} frame needs {key}; it has none")
+                raise ValueError(f"a {self.kind} frame needs {key}: add it")
         allowed = ("file", "kind", *must, *_MAY.get(self.kind, ()))
         for key in self.model_fields_set.difference(allowed):
             if getattr(self, key) not in (None, False):
-                raise ValueError(f"a {self.kind} frame has no {key}: leave it out")
+                raise ValueError(f"a {self.kind} frame has no {key}: remove it")
         self.frame()
         return self
 
@@ -90,16 +95,28 @@ class OffsetSection(Settings):
 class StrideSection(Settings):
     """Projector pixels per code."""
 
-    column: Positive | None = Field(None, description="Left out: 1, or a phase code's period.")
-    row: Positive | None = Field(None, description="Left out: 1, or a phase code's period.")
+    column: Positive | None = Field(
+        None,
+        description="Projector pixels per coded value. Without this key, it is 1 or the "
+        "period of a phase code.",
+    )
+    row: Positive | None = Field(
+        None,
+        description="Projector pixels per coded value. Without this key, it is 1 or the "
+        "period of a phase code.",
+    )
 
 
 class LevelsSection(Settings):
     """What is known of the camera (EMVA 1288); what is left out is measured in the stack."""
 
-    offset_dn: float | None = Field(None, ge=0, description="Stored value of no light.")
-    saturation_dn: Positive | None = Field(None, description="From here a value is saturated.")
-    read_noise_dn: float | None = Field(None, ge=0, description="Noise in the dark, 1 sigma.")
+    offset_dn: float | None = Field(None, ge=0, description="The stored value without light.")
+    saturation_dn: Positive | None = Field(
+        None, description="The lowest stored value that counts as saturated."
+    )
+    read_noise_dn: float | None = Field(
+        None, ge=0, description="The standard deviation of the noise in the dark."
+    )
     gain_dn_per_e: float | None = Field(None, ge=0, description="Digital numbers per electron.")
 
 
@@ -114,8 +131,9 @@ DecodeSection = section_of(
             Level | None,
             Field(
                 None,
-                description="Farthest from the epipolar line, 0 is any; left out: 5 times the "
-                "median, at least 2.",
+                description="Largest distance from the epipolar line in projector pixels; 0 "
+                "switches the test off. Without this key, it is 5 times the "
+                "median distance, but at least 2.",
             ),
         )
     },
@@ -132,7 +150,7 @@ class StackDescription(Settings):
     levels: LevelsSection = LevelsSection()
     decode: Annotated[Settings, ReadAs(DecodeSection)] = DecodeSection()
     rig: Path | None = Field(
-        None, description="Rig file that it was taken with, relative to this file."
+        None, description="The rig file of the scanner, relative to this file."
     )
 
     def decode_spec(self) -> tuple[DecodeSpec, float | None]:
@@ -148,13 +166,13 @@ class StackDescription(Settings):
             frame = section.frame()
             if frame in seen:
                 both = f"{seen[frame]} and {section.file}"
-                raise ValueError(f"{both} are both {frame.name}: each frame once")
+                raise ValueError(f"{both} are both {frame.name}: give each frame once")
             seen[frame] = section.file
         files = [section.file for section in self.frames]
         twice = [file for file in files if files.count(file) > 1]
         if twice:
             names = " and ".join(s.frame().name for s in self.frames if s.file == twice[0])
-            raise ValueError(f"{twice[0]} is given as {names}: each file once")
+            raise ValueError(f"{twice[0]} is given as {names}: give each file once")
         return self
 
 

@@ -15,10 +15,11 @@ from .pictures import Pictures
 from .sense import phase_faults
 
 CLEAR = 0.75  # from the middle, as a share of half the contrast: not blurred to grey
-ALIKE = 0.25  # of the well lit pixels clearly bright, or clearly dark, in pattern and inverse
+# as a share of the well lit pixels clearly bright, or clearly dark, in pattern and inverse
+ALIKE = 0.25
 DRIFT = 0.15  # of brightness between frames
 OUTSIDE = 0.05  # of what decodes
-CONFLICT = 0.2  # of what is well lit
+CONFLICT = 0.2  # as a share of what is well lit
 CLEAR_OF_NOISE = 20.0  # contrast over noise, below which noise alone can make frames contradict
 SATURATED = 0.2
 UNLIT = 0.01
@@ -52,7 +53,10 @@ def _twins(pictures: Pictures) -> Iterator[str]:
     first: dict[str, str] = {}
     for file, digest in zip(pictures.files, pictures.digests, strict=True):
         if digest in first:
-            yield f"{first[digest]} and {file.name} are the same picture: was one copied twice?"
+            yield (
+                f"{first[digest]} and {file.name} are the same picture: one may have been copied "
+                "twice"
+            )
         first.setdefault(digest, file.name)
 
 
@@ -67,7 +71,8 @@ def _ends(frames: Stack, code: Code, well: Bool[np.ndarray, "h w"]) -> Iterator[
     if "white" in kinds and "black" in kinds:
         step_dn = float(np.median(flat[kinds.index("white")] - flat[kinds.index("black")]))
         if step_dn < 0:
-            yield f"white is darker than black by {-step_dn:.0f} DN (median): are they swapped?"
+            told = "the two may be swapped"
+            yield f"white is darker than black by {-step_dn:.0f} DN (median): {told}"
             return
     for kind, sign in (("white", 1), ("black", -1)):
         if kind not in kinds:
@@ -112,7 +117,7 @@ def _pairs(pictures: Pictures, code: Code, well: Bool[np.ndarray, "h w"]) -> Ite
         if abs(total / usual - 1) > DRIFT:
             yield (
                 f"{code.frames[k].name} and its inverse together are {total / usual:.2f} times as "
-                "bright as the others: did exposure or light change?"
+                "bright as the others: the exposure or the light may have changed"
             )
 
 
@@ -121,8 +126,8 @@ def _shares(code: Code, codes: CodeMap, well: Bool[np.ndarray, "h w"]) -> Iterat
     count = {reason: int((codes.reason[well] == reason).sum()) for reason in Reason}
     if lit.mean() < UNLIT:
         yield (
-            f"{100 * lit.mean():.2f} % of the pixels are lit: is the projector in view and the "
-            "exposure long enough?"
+            f"{100 * lit.mean():.2f} % of the pixels are lit: check that the projector is in view "
+            "and that the exposure is long enough"
         )
     saturated = int((codes.reason == Reason.SATURATED).sum()) / max(int(lit.sum()), 1)
     if saturated > SATURATED:
@@ -132,8 +137,9 @@ def _shares(code: Code, codes: CodeMap, well: Bool[np.ndarray, "h w"]) -> Iterat
     if outside > OUTSIDE:
         size = f"{code.width_px} x {code.height_px} px"
         yield (
-            f"{100 * outside:.0f} % of the codes lie outside the projector of {size}: is its size "
-            "right, are axes or bits exchanged, or is the coarsest bit's inverse its pattern?"
+            f"{100 * outside:.0f} % of the codes lie outside the projector of {size}: its size "
+            "may be wrong, axes or bits may be exchanged, or the coarsest bit may be swapped "
+            "with its inverse"
         )
 
 
@@ -145,7 +151,9 @@ def _contradictions(
     if not conflict.any() or conflict.mean() <= CONFLICT:
         return
     phases = any(frame.kind in ("phase", "line") for frame in code.frames)
-    ask = "are period_px, steps and their order right?" if phases else "is a frame misnamed?"
+    ask = (
+        "check period_px, the steps and their order" if phases else "check the names of the frames"
+    )
     contrast_dn = float(np.median(codes.modulation[well])) * levels.range_dn
     noise_dn = float(np.sqrt(levels.floor_dn2 + levels.slope_dn * contrast_dn / 2))
     if contrast_dn < CLEAR_OF_NOISE * noise_dn:
@@ -177,17 +185,17 @@ def _course(code: Code, codes: CodeMap, well: Bool[np.ndarray, "h w"]) -> Iterat
         elif far > ROUGH:
             jump_px = np.median(np.abs(pairs_px[:, 1] - pairs_px[:, 0]))
             yield (
-                f"{axis}s do not run smoothly: {100 * far:.0f} % of neighbouring well lit pixels "
-                f"are over {FAR_PX:g} apart, median jump {jump_px:.3g} px: are frames in another "
-                "order, axes exchanged, or the period wrong?"
+                f"{axis}s do not change smoothly: {100 * far:.0f} % of neighbouring well lit "
+                f"pixels are over {FAR_PX:g} apart, median jump {jump_px:.3g} px: the order of "
+                "the frames, the axes or the period may be wrong"
             )
     if len(code.axes) == 2:
         mirrored = _mirrored_share(codes, step=2 if code.subpixel else 8)
         if mirrored > 0.7:
             yield (
-                f"the code is a mirror image in {100 * mirrored:.0f} % of the picture: are column "
-                "and row exchanged, is a coarse bit swapped with its inverse, or the projector "
-                "set to rear projection?"
+                f"the code is a mirror image in {100 * mirrored:.0f} % of the picture: column and "
+                "row may be exchanged, a coarse bit may be swapped with its inverse, or the "
+                "projector may be set to rear projection"
             )
 
 
@@ -226,15 +234,15 @@ def _changes(code: Code, plan: AxisPlan) -> Iterator[tuple[str, list[int], int]]
     names = [code.frames[bit.frame].name for bit in plan.bits]
     as_is = [*range(count)]
     for k in as_is:
-        yield f"{names[k]} were its inverse: are the two swapped?", as_is, 1 << (count - 1 - k)
+        yield f"{names[k]} were its inverse: the two may be swapped", as_is, 1 << (count - 1 - k)
     for k, other in combinations(as_is, 2):
         order = as_is.copy()
         order[k], order[other] = other, k
-        yield f"{names[k]} and {names[other]} were exchanged: are they in another order?", order, 0
-    yield "all bits were in the opposite order: is bit 0 the finest?", as_is[::-1], 0
+        yield f"{names[k]} and {names[other]} were exchanged: their order may be wrong", order, 0
+    yield "all bits were in the opposite order: check that bit 0 is the finest", as_is[::-1], 0
     for by in range(1, count):
         moved = f"{by} finer" if 2 * by <= count else f"{count - by} coarser"
-        said = f"each bit were {moved}, in a ring: is a file left out?"
+        said = f"each bit were {moved}, in a cycle: a file may be missing"
         yield said, as_is[by:] + as_is[:by], 0
 
 

@@ -9,7 +9,7 @@ from ..decode import CodeMap, Mark, Reason, reason_shares
 from ..pattern import Code
 from .levels import inverse_pairs
 
-WELL = 0.4  # of the contrast that two of a hundred lit pixels exceed
+WELL = 0.4  # as a share of the contrast that two of a hundred lit pixels exceed
 MAX_SAMPLES = 150_000  # pixels that medians are taken of
 
 

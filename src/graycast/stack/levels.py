@@ -16,7 +16,7 @@ from .steps import from_means, from_steps, full_periods
 Stack = UInt8[np.ndarray, "n h w"] | UInt16[np.ndarray, "n h w"]
 
 FULL_SCALES = (1023, 4095, 16383, 65535)  # of 10 to 16 bits, stored in 16
-PILE_SHARE = 1e-3  # of the lit pixels that share the highest value, where it is the top
+PILE_SHARE = 1e-3  # as a share of the lit pixels that share the highest value, where it is the top
 MAX_PAIRS = 8  # coarse ones: the finest have edges everywhere
 FIRM = 0.8  # |pattern - inverse| as a share of the pixel's contrast: an edge of a stripe has less
 # Of a camera that nothing is known of: dark noise of 1/250 of the range, full well 10,000 e.
@@ -67,7 +67,7 @@ def measure_levels(frames: Stack, code: Code, known: LevelsSection) -> MeasuredL
         if known.offset_dn >= saturation_dn:
             raise DecodeError(
                 f"levels.offset_dn is {known.offset_dn:g}, but pixels saturate at "
-                f"{saturation_dn:g} DN: are they exchanged?"
+                f"{saturation_dn:g} DN: the two may be exchanged"
             )
         offset_dn, why = known.offset_dn, "as stated"
     offset_dn = min(offset_dn, saturation_dn - 1)

@@ -79,8 +79,8 @@ def _check_alike(first: np.ndarray, first_file: Path, other: np.ndarray, file: P
     if other.shape != first.shape:
         sizes = [f"{p.shape[1]} x {p.shape[0]} px" for p in (other, first)]
         raise DecodeError(
-            f"{file} is {sizes[0]}, {first_file.name} is {sizes[1]}: a stack has one size; "
-            "was a picture turned, cropped or scaled?"
+            f"{file} is {sizes[0]}, {first_file.name} is {sizes[1]}: all pictures of a stack must "
+            "have one size; one may have been rotated, cropped or scaled"
         )
     if other.dtype != first.dtype:
         bits = [8 * p.dtype.itemsize for p in (other, first)]

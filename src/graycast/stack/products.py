@@ -106,8 +106,8 @@ def describe_result(result: StackResult) -> str:
         if share
     ]
     for share, words in (
-        (figures.clipped_share, "have a frame at the top of the range"),
-        (figures.settled_share, "see a period that their neighbours settled"),
+        (figures.clipped_share, "are saturated in a frame"),
+        (figures.settled_share, "have a period that was resolved by their neighbours"),
     ):
         if share:
             lines.append(f"{100 * share:.2f} % of the decoded pixels {words}")
@@ -115,9 +115,9 @@ def describe_result(result: StackResult) -> str:
     lines += [f"  {name:28} {value:.3f}" for name, value in figures.modulation.items()]
     if np.isfinite(figures.epipolar_median_px):
         lines.append(
-            f"epipolar residual: median {figures.epipolar_median_px:.3f} px, "
-            f"95 % under {figures.epipolar_95_px:.3g} px; median "
-            f"{figures.epipolar_sure_px:.3f} px of the pixels in no doubt"
+            f"epipolar residual: median {figures.epipolar_median_px:.3f} px, 95 % under "
+            f"{figures.epipolar_95_px:.3g} px; median {figures.epipolar_sure_px:.3f} px of the "
+            "certain pixels"
         )
     if result.depth is not None:
         known = result.depth.depth_m[np.isfinite(result.depth.depth_m)]
@@ -135,7 +135,7 @@ def _count(cloud: Cloud) -> str:
     if cloud.sure_pixels is None:
         return points
     sure = int((cloud.sure_pixels > 0).sum())
-    return f"{points}, one per projector pixel; {sure} of them of camera pixels in no doubt"
+    return f"{points}, one per projector pixel; {sure} of them of certain camera pixels"
 
 
 # --- the preview -------------------------------------------------------------------------------

@@ -119,8 +119,8 @@ def _judge(
     whose = f"the phases of period {px:g} px do not fit the Gray code of the {axis}s"
     if held < UNRELATED:
         yield (
-            f"{whose} in any sense or from any origin (off by {px * edges.miss(1, 0.0):.2g} px at "
-            "the edges of its values): is period_px, or the order of the frames, right?"
+            f"{whose} in any direction or from any origin (off by {px * edges.miss(1, 0.0):.2g} "
+            "px at the edges of its values): check period_px and the order of the frames"
         )
         return
     steps = code.frames[period.frames[0]].steps

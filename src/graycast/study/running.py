@@ -202,8 +202,8 @@ def _check_training(spec: StudySpec, datasets: Sequence[Path]) -> None:
         for model in spec.models:
             if first.mask is None and network_class(model.model).finds_masks:
                 raise GraycastError(
-                    f"{dataset}: scene {first.scene_id} has no masks, which {model.model} learns: "
-                    "give masks, or take a model of boxes alone, such as yolov3"
+                    f"{dataset}: scene {first.scene_id} has no masks, which {model.model} needs: "
+                    "give masks, or choose a model that needs only boxes, such as yolov3"
                 )
 
 

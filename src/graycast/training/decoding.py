@@ -36,7 +36,9 @@ def depth_m(data: bytes, scale_mm: float, name: str) -> Float32[np.ndarray, "h w
     """A 16-bit depth picture in metres."""
     steps = picture(data, name)
     if steps.ndim != 2 or steps.dtype != np.uint16:
-        raise DatasetError(f"{name}: is {steps.dtype} {steps.shape}, depth is 16 bit, one channel")
+        raise DatasetError(
+            f"{name}: is {steps.dtype} {steps.shape}, but depth must have one channel of 16 bits"
+        )
     return metres(steps, scale_mm)
 
 

@@ -250,7 +250,7 @@ def _bop_example(place: tuple[tuple[SceneFolder, int], ...], number: int) -> Exa
         raise DatasetError(
             f"{scene.path}: {error}: training needs a picture, the visible masks of every "
             "instance, and the image in scene_gt.json, scene_gt_info.json and scene_camera.json: "
-            "mend what is damaged, or remove the image from all three"
+            "repair the damaged files, or remove the image from all three"
         ) from error
     pose = [pose_m(poses[i].cam_R_m2c, poses[i].cam_t_m2c) for i in seen]
     depth_m = None if steps is None else metres(steps, camera.depth_scale)
@@ -290,7 +290,7 @@ def _bytes(path: Path) -> bytes:
 def _colour(file: Path) -> np.ndarray:
     image = picture(_bytes(file), str(file))
     if image.dtype != np.uint8:
-        raise DatasetError(f"{file}: is {image.dtype}, a colour picture has 8 bits")
+        raise DatasetError(f"{file}: is {image.dtype}, but a colour picture must have 8 bits")
     if image.ndim == 2:
         return cv2.cvtColor(image, cv2.COLOR_GRAY2RGB)
     return np.ascontiguousarray(image[..., :3][..., ::-1])

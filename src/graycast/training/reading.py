@@ -76,7 +76,7 @@ def open_examples(folder: Path, *, split: str = "train", division: Split | None 
     if not (folder / RECORD).is_file():
         return _from_dataset(open_dataset(folder), split, division or Split())
     if division is not None:
-        raise DatasetError(f"{folder}: was divided when it was exported: give no division")
+        raise DatasetError(f"{folder}: was divided when it was exported: remove --split")
     record = read_record(folder)
     scene_ids = _of_set(folder, record.splits, split)
     return Examples(
@@ -148,6 +148,6 @@ def _reader(name: str) -> Callable[..., ReadOne]:
 
             return open_parquet
     raise DatasetError(
-        f"an export as {name} holds points but no labels: read it with any reader of its files, "
-        "or train from the dataset or another export"
+        f"an export as {name} holds points but no labels: train from the dataset or from another "
+        "export"
     )

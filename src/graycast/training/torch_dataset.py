@@ -16,7 +16,7 @@ try:
     from torch.utils.data import Dataset
 except ImportError as error:
     raise GraycastError(
-        "the torch dataset needs PyTorch, which is not installed: pip install torch"
+        "the torch dataset needs PyTorch, which is not installed: run pip install torch"
     ) from error
 
 

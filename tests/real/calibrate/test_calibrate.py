@@ -502,7 +502,7 @@ def test_a_board_is_read_from_its_text():
         ("chessboard:9x6:25", "square_m is 25.0; metres"),
         ("chessboard:9x2:0.025", "at least 3 each way"),
         ("circles:9x6:0.025", "give chessboard"),
-        ("charuco:8x5:0.03:0.04:DICT_5X5_100", "a marker is smaller than its square"),
+        ("charuco:8x5:0.03:0.04:DICT_5X5_100", "a marker must be smaller than its square"),
         ("charuco:8x5:0.03:0.022:5X5", "no ArUco dictionary '5X5': choose DICT_4X4_100"),
         ("charuco:20x20:0.03:0.022:DICT_4X4_50", "needs 200 markers, DICT_4X4_50 has 50"),
     ],

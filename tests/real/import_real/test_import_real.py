@@ -309,7 +309,11 @@ def test_files_that_do_not_fit_together_are_told(real, samples):
 
 @pytest.mark.parametrize(
     ("scale_m", "what"),
-    [(None, "give the scale"), (1.0, "are they millimetres"), (1e-7, "is the scale right")],
+    [
+        (None, "give the scale"),
+        (1.0, "are allowed: if the unit is millimetres, give a scale of 0.001"),
+        (1e-7, "m, and 16-bit depth ends at 65.535 m: correct the scale, or remove"),
+    ],
 )
 def test_a_wrong_scale_is_told(real, samples, scale_m, what):
     assert what in refusal(real, samples, scale_m=scale_m)
@@ -356,7 +360,7 @@ LABEL_DAMAGE = {
     "an unknown category": (
         coco_damage(lambda c: c["annotations"][0].update(category_id=77)), "category 77"
     ),
-    "no categories": (coco_damage(lambda c: c.pop("categories")), "no COCO file of instances"),
+    "no categories": (coco_damage(lambda c: c.pop("categories")), "is not a COCO file of instances"),
     "no JSON": (
         lambda real: (real / "annotations/instances_train.json").write_text("{"),
         "cannot be read as JSON",

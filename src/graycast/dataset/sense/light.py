@@ -22,7 +22,8 @@ WRONG_SHARE, WRONG_PX = 1e-4, 10
 NOISE_SIGMAS = 10.0  # the extremes of some fifty frames and of the white one, against each other
 STRIPES_SHOW = 1.02  # patterns may outshine white by what a lens's veil leaves of it
 STEP_MAX = 65535
-TOP = 0.75  # of the range: a pixel at its top is that bright in the white frame, with 8 bits too
+# as a share of the range: a pixel at its top is that bright in the white frame, with 8 bits too
+TOP = 0.75
 DIM_SIGMAS = 8.0  # the decoder's own limit for shadow is 6
 
 
@@ -31,8 +32,8 @@ def light_problems(scene: Evidence) -> Iterator[str]:
     decoded = float((scene.reason == Reason.DECODED).mean())
     if decoded < LEAST_DECODED:
         yield (
-            f"{decoded:.2%} of the pixels have a scanner depth, that is none: is the scene in the "
-            "rig's working range, and is it lit?"
+            f"{decoded:.2%} of the pixels have a scanner depth, so no pixel has one: the scene "
+            "may be outside of the rig's working range or unlit"
         )
     yield from _scale_problems(scene)
     if scene.scanning is None:

@@ -55,8 +55,8 @@ def _outlined(color: Float[np.ndarray, "h w"], outline: Bool[np.ndarray, "h w"])
     found = max(_correlation(np.roll(drawn, shift, (0, 1))[near], edges) for shift in _SHIFTS)
     if found < OUTLINE_CORRELATION:
         yield (
-            f"rgb/000000.png has no edges where parts end (correlation {found:.2f}): is it "
-            "another scene's?"
+            f"rgb/000000.png has no edges where parts end (correlation {found:.2f}): the picture "
+            "may be of another scene"
         )
 
 

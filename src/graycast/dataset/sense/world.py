@@ -37,8 +37,8 @@ def _sunk(scene: Evidence) -> Iterator[str]:
         allowed_mm = SUNK_MM + SUNK_SHARE * float(np.linalg.norm(np.ptp(part_mm, axis=0)))
         if z_mm.min() < -allowed_mm:
             yield (
-                f"instance {i} reaches {-z_mm.min():.1f} mm under the bin's floor: is the world's "
-                "pose in scene_camera.json another's?"
+                f"instance {i} reaches {-z_mm.min():.1f} mm under the bin's floor: the pose of "
+                "the world in scene_camera.json may be of another scene"
             )
 
 
@@ -53,14 +53,17 @@ def _floor_problems(
     over = (np.abs(point_mm[:, :2]) < size_mm[:2] / 2 - FLOOR_MM).all(axis=1)
     under = int((over & (point_mm[:, 2] < -near_mm)).sum())
     if under > OUTSIDE_SHARE * over.sum() + FLOOR_LEAST_PX / 10:
-        yield f"depth is under the bin's floor in {under} pixels: is the world's pose another's?"
+        yield (
+            f"depth is under the bin's floor in {under} pixels: the pose of the world may be of "
+            "another scene"
+        )
     floor = np.abs(point_mm[:, 2]) < near_mm
     beyond = (np.abs(point_mm[:, :2]) > size_mm[:2] / 2 + FLOOR_MM).any(axis=1)
     outside = int((floor & beyond).sum())
     if outside > OUTSIDE_SHARE * floor.sum() + FLOOR_LEAST_PX / 10:
         yield (
-            f"the bin's floor reaches beyond its walls in {outside} pixels: is the world's pose "
-            "in scene_camera.json another's?"
+            f"the bin's floor reaches beyond its walls in {outside} pixels: the pose of the world "
+            "in scene_camera.json may be of another scene"
         )
     yield from _unsupported(scene, int(floor.sum()))
 
@@ -72,4 +75,7 @@ def _unsupported(scene: Evidence, floor_px: int) -> Iterator[str]:
     low = [transform_points(scene.T_world_cam, part)[:, 2].min() for part in scene.parts_mm]
     size = [float(np.linalg.norm(np.ptp(part, axis=0))) for part in scene.parts_mm]
     if min(low) > SUNK_MM + SUNK_SHARE * max(size) and "domain" not in scene.manifest:
-        yield f"no part is nearer than {min(low):.1f} mm to the bin's floor: what do they lie on?"
+        yield (
+            f"no part is nearer than {min(low):.1f} mm to the bin's floor: nothing supports the "
+            "parts"
+        )

@@ -1,4 +1,4 @@
-"""A part's mesh as a few convex hulls, which is what the physics engine collides.
+"""Convex decomposition: a part's mesh as a few convex hulls for the physics engine.
 
 The hulls follow the part's outer surface within a tolerance (`tolerance_m`): no point of them lies
 farther outside the part, so a hole stays open, and no point of the surface farther outside all of

@@ -30,7 +30,7 @@ def key_of(mesh: Mesh, settings: tuple[object, ...]) -> str:
 
 
 def read_decomposition(file: Path) -> Decomposition | None:
-    """What a cache file holds; None if there is none or it is damaged (a zip has checksums)."""
+    """The content of a cache file; None if the file is missing or damaged."""
     try:
         # NumPy leaves a file open that it opened itself and then could not read.
         with file.open("rb") as stream, np.load(stream, allow_pickle=False) as data:
@@ -48,7 +48,7 @@ def read_decomposition(file: Path) -> Decomposition | None:
 
 
 def write_decomposition(file: Path, made: Decomposition) -> None:
-    """The file appears at once or not at all."""
+    """Write a cache file, completely or not at all."""
     hulls, error = made.hulls, made.error
     file.parent.mkdir(parents=True, exist_ok=True)
     held = {

@@ -1,8 +1,9 @@
 """Decomposition in a process of its own, which can be ended at any moment.
 
-The libraries do not hear Ctrl-C while they work, and a part of many faces keeps them at it for
-long. So the parent waits, and kills. The mesh goes over and the hulls come back by files; what
-stage the child is at is a line of its stdout; a closed stdin says that the parent is gone.
+The libraries do not react to Ctrl-C while they work, and a part with many faces takes long. The
+parent therefore waits, and can kill the child. Files carry the mesh to the child and the hulls
+back. The child writes each stage as a line to stdout. A closed stdin tells the child that the
+parent has ended.
 """
 
 import json
@@ -60,7 +61,7 @@ def decompose_apart(mesh: Mesh, *, on_stage: OnStage) -> Decomposition:
 
 
 def _follow(child: subprocess.Popen, on_stage: OnStage) -> str | None:
-    """Tell the child's stages until it ends; why it refused the mesh, if it did."""
+    """Report the child's stages until it ends; return why it refused the mesh, if it did."""
     for line in child.stdout:
         message = json.loads(line)
         if "stage" in message:

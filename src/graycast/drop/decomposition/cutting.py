@@ -31,7 +31,7 @@ ROUND = 0.02  # two principal variances that differ less, of the largest, are of
 EACH, EVEN, CUT = 0.01, 0.02, 0.2
 GUESSES, FIRST_GUESSES = 120, 24  # points of a hull that are looked at
 DEEPEST_CUTS = 40  # in a row; what is left too far from its hull then is taken as it is
-THIN = 0.02  # of the limit: sheets and slivers thinner than this, 9 um, are left out
+THIN = 0.02  # as a share of the limit: sheets and slivers thinner than this, 9 um, are left out
 HAIR = 0.01  # of that: how far off a face it is cut
 
 Points = Float[np.ndarray, "_ 3"]
@@ -54,8 +54,8 @@ class Cutter:
     def guessed_harm_m(self, points: Points) -> float:
         """How far the hull of some points reaches out of the body, by a quick look at its faces.
 
-        Too little where no sample is for certain outside: `hold` decides. A first look at a few
-        samples tells most hulls that reach too far.
+        The value may be too small, so `hold` decides. A test of a few samples rejects most
+        hulls that reach too far.
         """
         sample = spread(Manifold.hull_points(points), GUESSES)[0]
         few = sample[:FIRST_GUESSES]
@@ -63,7 +63,7 @@ class Cutter:
         return harm_m if harm_m > self._limit_m else max(harm_m, self._surface.outside_m(sample))
 
     def hold(self, points: Points) -> bool:
-        """Whether the hull of some points reaches out of the body no farther than it may."""
+        """Whether the hull of some points stays within the limit outside the body."""
         return self.harm_m(Manifold.hull_points(points)) <= self._limit_m
 
     def fits(self, piece: Manifold) -> bool:
@@ -111,7 +111,7 @@ class Cutter:
 
 
 def _filling(piece: Manifold) -> float:
-    """Volume that the piece's hull adds to it [m^3]."""
+    """The volume of the hull minus the volume of the piece [m^3]."""
     return piece.hull().volume() - piece.volume()
 
 
@@ -129,7 +129,7 @@ def _split(piece: Manifold, plane: Plane, thin_m: float) -> list[Manifold]:
 
 
 def _parts(piece: Manifold, thin_m: float) -> list[Manifold]:
-    """What a cut left, without what is thinner on the mean."""
+    """The parts of a cut, without those whose mean thickness is below the limit."""
     return [part for part in piece.decompose() if 2 * part.volume() > thin_m * part.surface_area()]
 
 

@@ -1,4 +1,4 @@
-"""How far convex hulls are from the surface that they stand for.
+"""The distance between convex hulls and the surface that they approximate.
 
 The hulls' union must lie within the part grown by the error (nothing is filled that a thing of
 that size could enter), and must reach to the surface within it (no corner is lost).
@@ -25,7 +25,7 @@ LID_SAMPLES = 1000  # of the surface of what a hull fills
 NEAR = 48  # samples whose triangles are asked for the distance of a point
 AT_A_TIME = 32  # points whose exact distance is asked for
 STEEP = 0.5  # cosine to the normal
-_NOTHING = 1e-4  # of the tolerance: a filling thinner than this on the mean is round-off
+_NOTHING = 1e-4  # as a share of the tolerance: a filling thinner than this on the mean is round-off
 
 
 def tolerance_m(mesh: Mesh) -> float:
@@ -70,7 +70,7 @@ class Surface:
     def _farthest_m(
         self, point: Float[np.ndarray, "m 3"], most_m: Float[np.ndarray, " m"]
     ) -> float:
-        """No distance is larger than that to the nearest sample, so few have to be asked for."""
+        """The nearest sample's distance is an upper bound, so few exact ones are needed."""
         order = np.argsort(-most_m)
         farthest, done = 0.0, 0
         while done < len(point) and farthest < most_m[order[done]]:
@@ -142,7 +142,7 @@ class Decomposition:
 
     @property
     def coarse(self) -> bool:
-        """Whether they are farther off than they should be, as of a mesh of too much detail."""
+        """Whether the error exceeds the tolerance, as for a mesh with too much detail."""
         return self.error.worst_m > self.tolerance_m
 
 
@@ -152,7 +152,7 @@ def measured(mesh: Mesh, hulls: tuple[Hull, ...]) -> Decomposition:
 
 
 def hull_error(mesh: Mesh, hulls: tuple[Hull, ...]) -> HullError:
-    """What hulls add to a mesh's bodies and what they lack, measured on the mesh itself."""
+    """The largest error of the hulls outside and inside the mesh."""
     bodies = bodies_of(mesh)
     solid = Manifold.batch_boolean(bodies, OpType.Add)
     surface = surface_samples(solid)

@@ -44,7 +44,7 @@ def _planes(vertices: Float[np.ndarray, "v 3"]) -> Float[np.ndarray, "p 4"]:
 
 
 def thinned(vertices: Float[np.ndarray, "v 3"], limit_m: float) -> Float[np.ndarray, "k 3"]:
-    """Vertices enough for a hull that leaves none of the others further outside than the limit.
+    """A subset of vertices whose hull leaves no other vertex farther outside than the limit.
 
     The engine's cost grows with each vertex. The farthest one outside of each face is added until
     none is outside.

@@ -24,12 +24,12 @@ CUT_SHARE = 0.9
 # No drop has time for more pieces, and no user for more cuts, counted by the faces of what is cut
 # (most in the zoo: 43,000, of a turned ring). Then the tolerance grows by this.
 MOST_PIECES, MOST_FACES_CUT, COARSER = 200, 120_000, 2.0
-_CONVEX = 1e-9  # of the hull's volume: what a body may lack by round-off alone
+_CONVEX = 1e-9  # as a share of the hull's volume: what a body may lack by round-off alone
 _TOLD_EACH = 25  # pieces
 
 
 def silent(stage: str) -> None:
-    """An `OnStage` for who does not want to know."""
+    """An `OnStage` that ignores all stages."""
 
 
 def decompose(mesh: Mesh, *, on_stage: OnStage = silent) -> tuple[Hull, ...]:
@@ -38,7 +38,7 @@ def decompose(mesh: Mesh, *, on_stage: OnStage = silent) -> tuple[Hull, ...]:
     Raises:
         ValueError: the mesh is not closed, or inside out.
     """
-    on_stage(f"reading {len(mesh.faces)} faces as a solid")
+    on_stage(f"building a solid from {len(mesh.faces)} faces")
     tolerance = tolerance_m(mesh)
     thin_m = VERTEX_TOLERANCE_OF_DIAGONAL * float(np.linalg.norm(mesh.extent_m))
     hulls: list[Points] = []
@@ -46,7 +46,7 @@ def decompose(mesh: Mesh, *, on_stage: OnStage = silent) -> tuple[Hull, ...]:
     for number, body in enumerate(bodies, 1):
         of = f", body {number} of {len(bodies)}" if len(bodies) > 1 else ""
         hulls += _hulls_of(body, tolerance, of, on_stage)
-    on_stage(f"thinning {len(hulls)} hulls")
+    on_stage(f"simplifying {len(hulls)} hulls")
     corners = [hull_of(points)[0] for points in hulls]
     return tuple(hull_of(thinned(vertices, thin_m)) for vertices in corners)
 
@@ -83,7 +83,9 @@ def _hulls_of(whole: Manifold, tolerance: float, of: str, on_stage: OnStage) -> 
         if pieces:
             break
         tolerance *= COARSER
-        on_stage(f"too detailed for that: cutting within {1e3 * tolerance:.2f} mm{of}")
+        on_stage(
+            f"the mesh is too detailed for this bound: cutting within {1e3 * tolerance:.2f} mm{of}"
+        )
     points = [surface_of(piece)[0] for piece in pieces]
     if len(points) == 1:
         return points

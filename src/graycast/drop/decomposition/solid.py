@@ -25,7 +25,7 @@ def bodies_of(mesh: Mesh) -> tuple[Manifold, ...]:
     except ShellError as error:
         raise ValueError(str(error)) from error
     if not shells:
-        raise ValueError("the mesh encloses no volume: are its faces turned outward?")
+        raise ValueError("the mesh encloses no volume: turn its faces outward")
     joined = Manifold.batch_boolean(shells, OpType.Add) if len(shells) > 1 else shells[0]
     bodies = [body for body in separate(joined) if body.volume() > 0]
     return tuple(sorted(bodies, key=lambda body: -body.volume()))

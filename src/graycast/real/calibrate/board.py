@@ -41,14 +41,16 @@ class Board:
     def __post_init__(self) -> None:
         if min(self.squares_x, self.squares_y) < MIN_SQUARES:
             size = f"{self.squares_x} x {self.squares_y}"
-            raise ValueError(f"the board has {size} squares; at least {MIN_SQUARES} each way")
+            raise ValueError(
+                f"the board has {size} squares; give at least {MIN_SQUARES} in each direction"
+            )
         if not 0.0005 <= self.square_m <= 2:
-            raise ValueError(f"square_m is {self.square_m}; metres, 0.0005 to 2")
+            raise ValueError(f"square_m is {self.square_m}; give 0.0005 to 2 metres")
         if (self.marker_m is None) != (self.dictionary is None):
             raise ValueError("a ChArUco board needs both marker_m and dictionary")
         if self.marker_m is not None and not 0 < self.marker_m < self.square_m:
             sizes = f"marker_m is {self.marker_m}, square_m {self.square_m}"
-            raise ValueError(f"{sizes}; a marker is smaller than its square")
+            raise ValueError(f"{sizes}; a marker must be smaller than its square")
         if self.dictionary is not None:
             self._check_dictionary(self.dictionary)
 
@@ -58,7 +60,9 @@ class Board:
         held = len(_dictionary(name).bytesList)
         needed = self.squares_x * self.squares_y // 2
         if needed > held:
-            raise ValueError(f"the board needs {needed} markers, {name} has {held}: take a larger")
+            raise ValueError(
+                f"the board needs {needed} markers, {name} has {held}: choose a larger dictionary"
+            )
 
     @property
     def corner_count(self) -> int:

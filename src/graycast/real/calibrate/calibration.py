@@ -19,7 +19,7 @@ from .projector_corners import projector_corners
 MIN_VIEWS = 3  # of a plane in different directions, below which the intrinsics are not determined
 GOOD_VIEWS = 8
 GOOD_SPREAD_RAD = math.radians(20)  # between the two boards that differ most in direction
-GOOD_COVERAGE = 0.4  # of the picture, within the hull of all corners
+GOOD_COVERAGE = 0.4  # as a share of the picture, within the hull of all corners
 OUTLYING = 2.5  # times the median view's residual
 OUTLYING_FLOOR_PX = 0.05  # below it a view is good, whatever the others are
 GOOD_DEVIATION = 0.001  # of the focal length and the baseline
@@ -112,7 +112,7 @@ def calibrate_rig(
     Leaves out: skew; a board that is bent; defocus, whose blur is taken to leave edges in place.
     """
     if radial_terms not in range(4):
-        raise ValueError(f"radial_terms is {radial_terms}; 0 to 3")
+        raise ValueError(f"radial_terms is {radial_terms}; give 0 to 3")
     camera_size_px = _check(views)
     seen, undecoded = _observe(views, board, projector_size_px)
     fit = adjust(
@@ -186,14 +186,15 @@ def _check(views: Sequence[BoardView]) -> tuple[int, int]:
     names = [view.name for view in views]
     twice = sorted({name for name in names if names.count(name) > 1})
     if twice:
-        raise CalibrationError(f"two views are named {', '.join(twice)}: give each its own name")
+        raise CalibrationError(f"two views are named {', '.join(twice)}: rename one of them")
     size = views[0].white.shape
     for view in views:
         for part in (view.white, view.column, view.row):
             if part.shape != size:
                 raise CalibrationError(
                     f"view {view.name} is {part.shape[1]} x {part.shape[0]} px, view "
-                    f"{views[0].name} {size[1]} x {size[0]}: one camera, one size"
+                    f"{views[0].name} {size[1]} x {size[0]}: give pictures of one camera with one "
+                    "size"
                 )
     return size[1], size[0]
 
@@ -228,15 +229,18 @@ def _observe_one(index: int, view: BoardView, board: Board, projector_size_px: t
     decoded = np.isfinite(lit.position_px).all(axis=1)
     if decoded.sum() < MIN_CORNERS:
         raise CalibrationError(
-            f"{decoded.sum()} of {len(decoded)} corners have decoded columns and rows around them, "
-            f"{MIN_CORNERS} are needed: is the board lit by the projector, are both axes coded?"
+            f"{decoded.sum()} of {len(decoded)} corners have decoded columns and rows around "
+            f"them, {MIN_CORNERS} are needed: light the board with the projector, and code both "
+            "axes"
         )
     position_px = lit.position_px[decoded]
     # A corner may lie a little outside, where the fit reads beyond the last lit pixel.
     if position_px.min() < -2 or (position_px > np.array(projector_size_px) + 1).any():
         span = f"({position_px[:, 0].max():.0f}, {position_px[:, 1].max():.0f})"
         size = f"{projector_size_px[0]} x {projector_size_px[1]}"
-        raise CalibrationError(f"code reaches {span}, the projector has {size} px: another size?")
+        raise CalibrationError(
+            f"code reaches {span}, the projector has {size} px: give the right projector size"
+        )
     part = Observations(
         view=np.full(decoded.sum(), index),
         point_m=board.corners_m[corners.id[decoded]],
@@ -301,13 +305,14 @@ def _warnings(rig: Rig, views: Sequence[ViewResidual], fit: Adjustment, coverage
     if spread < GOOD_SPREAD_RAD:
         yield (
             f"the boards are within {math.degrees(spread):.1f} degrees of parallel: the focal "
-            "lengths rest on little; tilt the board by 20 to 45 degrees, in several directions"
+            "lengths are poorly determined; tilt the board by 20 to 45 degrees in several "
+            "directions"
         )
     for device, share in zip(("camera", "projector"), coverage, strict=True):
         if share < GOOD_COVERAGE:
             yield (
-                f"the corners cover {100 * share:.0f} % of the {device}'s picture: distortion "
-                "beyond them is a guess; show the board near the borders too"
+                f"the corners cover {100 * share:.0f} % of the {device}'s picture: the distortion "
+                "elsewhere is extrapolated; show the board also near the borders"
             )
     yield from _outlying(views)
     yield from _loose(rig, fit.deviation)
@@ -320,7 +325,7 @@ def _outlying(views: Sequence[ViewResidual]):
             if not value <= max(OUTLYING * np.median(rms), OUTLYING_FLOOR_PX):
                 yield (
                     f"view {view.name} fits badly: {device} residual {value:.3f} px, the median "
-                    f"view has {np.median(rms):.3f}; did the board move during its stack?"
+                    f"view has {np.median(rms):.3f}; the board may have moved during its stack"
                 )
     for view in views:
         lost = view.left_out + view.undecoded
@@ -337,7 +342,7 @@ def _loose(rig: Rig, deviation: dict[str, float]):
         if not share < GOOD_DEVIATION:
             yield (
                 f"the {device}'s focal length is uncertain by {100 * share:.2f} %: add views, "
-                "tilted ones above all"
+                "especially tilted ones"
             )
     share = deviation["baseline_m"] / rig.baseline_m
     if not share < GOOD_DEVIATION:

@@ -10,13 +10,14 @@ from scipy.special import erf
 from .board import Board, CalibrationError
 
 MIN_CORNERS = 8  # of a view: a pose and a homography with something left over to judge them by
-REFINE_REACH = 0.45  # of a square; beyond it the next edges come in
+REFINE_REACH = 0.45  # as a share of a square; beyond it the next edges come in
 REFINE_REACH_PX = 15.0  # more costs time and lets distortion bend the edges
 REFINE_ITERATIONS = 20
 SMOOTH_PX = 0.8  # standard deviation of a blur that makes sharp edges wider than a pixel
 MIN_BLUR_PX = 0.5
 MIN_CONTRAST = 0.05  # half the step between dark and bright, of the picture's range
-MAX_MOVE = 0.2  # of a square, by which refining may move a corner: else it found something else
+# as a share of a square, by which refining may move a corner: else it found something else
+MAX_MOVE = 0.2
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -61,7 +62,9 @@ def find_corners(image: Shaped[np.ndarray, "h w"], board: Board) -> Corners:
     position_px, good = refine_corners(grey, start_px, px_per_square, reach=reach)
     if good.sum() < MIN_CORNERS:
         seen = f"{good.sum()} of {board.corner_count} corners are sharp enough"
-        raise CalibrationError(f"{seen}, {MIN_CORNERS} are needed: is it blurred or too dark?")
+        raise CalibrationError(
+            f"{seen}, {MIN_CORNERS} are needed: the picture may be blurred or too dark"
+        )
     return Corners(id=id_[good], position_px=position_px[good], px_per_square=px_per_square[good])
 
 
@@ -120,7 +123,9 @@ def _to_range(image: Shaped[np.ndarray, "h w"]) -> Float[np.ndarray, "h w"]:
         raise CalibrationError("the white picture has values that are not finite")
     low, high = np.percentile(image, [1.0, 99.5])
     if not high > low:
-        raise CalibrationError(f"the white picture is {low:g} all over: is it the white frame?")
+        raise CalibrationError(
+            f"the white picture is {low:g} everywhere: check that it is the white frame"
+        )
     return np.clip((image.astype(np.float64) - low) / (high - low), 0.0, 1.0)
 
 
@@ -149,8 +154,8 @@ def _not_found(byte, board: Board) -> str:
     squares = f"{board.squares_x} x {board.squares_y}"
     if board.marker_m is not None:
         return (
-            f"no ChArUco board of {squares} squares, {board.dictionary}, in the white picture: "
-            "check counts and dictionary, try ':legacy', light the board, show more of it"
+            f"no ChArUco board of {squares} squares, {board.dictionary}, is in the white picture: "
+            "check counts and dictionary, try ':legacy', light the board, or show more of it"
         )
     larger = Board(
         squares_x=board.squares_x + 1, squares_y=board.squares_y + 1, square_m=board.square_m
@@ -161,8 +166,8 @@ def _not_found(byte, board: Board) -> str:
             f"so give {larger.squares_x}x{larger.squares_y}"
         )
     return (
-        f"no chessboard of {squares} squares ({inner} inner corners) in the white picture: all of "
-        "it must be seen, evenly lit, with a white margin"
+        f"no chessboard of {squares} squares ({inner} inner corners) is in the white picture: "
+        "show the whole board, evenly lit, with a white margin"
     )
 
 

@@ -7,8 +7,8 @@ from jaxtyping import Float, Int
 
 from .corners import Corners
 
-REACH = 0.9  # of a square: every inner corner has a whole square around it on the board
-MIN_SHARE = 0.3  # of the pixels around a corner that must be decoded and agree
+REACH = 0.9  # as a share of a square: every inner corner has a whole square around it on the board
+MIN_SHARE = 0.3  # as a share of the pixels around a corner that must be decoded and agree
 MIN_PIXELS = 20
 ROUNDS = 12
 OUTLIER = 3.0  # robust standard deviations

@@ -55,7 +55,8 @@ def describe_calibration(calibration: Calibration) -> str:
     lines += ["standard deviations:"]
     lines += [f"  {name:24} {value:.3g}" for name, value in calibration.deviation.items()]
     lines += [
-        f"left out, as the corners do not tell it from 0: {name} ({value:.3g} +- {sigma:.2g})"
+        f"set to 0, because the corners do not distinguish it from 0: {name} ({value:.3g} +- "
+        f"{sigma:.2g})"
         for name, (value, sigma) in calibration.undetermined.items()
     ]
     return "\n".join(lines)

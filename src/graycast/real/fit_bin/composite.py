@@ -28,8 +28,8 @@ def empty_view(views: Sequence[BinView]) -> BinView:
     """
     if len(views) < 2:
         raise DatasetError(
-            f"{len(views)} view is given: the empty bin is put together from what two views or "
-            "more share, give more views"
+            f"{len(views)} view is given: give at least two views, because the empty bin is "
+            "composed of depth on which two views agree"
         )
     depth_m = np.stack([view.depth_m for view in views])
     shared_m = farthest_shared(depth_m)

@@ -123,8 +123,8 @@ def write_fit(
     """
     if fit.pose.loose:
         raise GraycastError(
-            f"nothing is written; no wall or edge holds {', '.join(fit.pose.loose)} of the bin: "
-            "is its size right (--inner)? else add views that show more of it"
+            f"nothing is written: no wall or edge determines {', '.join(fit.pose.loose)} of the "
+            "bin: correct its size with --inner, or add views that show more of it"
         )
     text = fitted_text(read_text(base), base, sections(fit, cell), _comments(fit, base))
     report, picture = (out.with_name(out.stem + end) for end in (".fit.json", ".fit.png"))
@@ -199,19 +199,19 @@ def _scaled_light(config: Config, scale: float) -> dict[str, Any]:
 def _comments(fit: BinFit, base: Path) -> dict[str, str]:
     pose = fit.pose
     told = (
-        f"Fitted by graycast fit-bin to {len(fit.views)} view(s) of the empty bin, from {base.name}"
-        f":\nresiduals RMS {1e3 * pose.rms_m:.2f} mm, {pose.inlier_share:.0%} of the points in the "
-        "bin are its own."
+        f"Fitted by graycast fit-bin to {len(fit.views)} view(s) of the empty bin, from "
+        f"{base.name}:\nresiduals RMS {1e3 * pose.rms_m:.2f} mm, {pose.inlier_share:.0%} of the "
+        "points in the bin belong to it."
     )
     if pose.by_edges:
-        told += f"\nHeld by edges alone, not by walls: {', '.join(pose.by_edges)}."
+        told += f"\nDetermined only by edges, not by walls: {', '.join(pose.by_edges)}."
     comments = {"view": told, "bin": "Shape as given."}
     if fit.look is not None:
         level = np.mean(fit.look.reflectance["floor"])
         color = f"colours from the pictures, relative to a floor that reflects {level:.3f} (stated)"
         comments["bin"] = f"Shape as given; {color}."
         comments["table"] = f"What the bin stands on: {color}."
-        comments["light"] = "Levels from the white and black frames, all by one factor."
+        comments["light"] = "Levels from the white and black frames, scaled by one factor."
     return comments
 
 
@@ -254,14 +254,17 @@ def summary(fit: BinFit) -> list[str]:
     lines = [
         f"camera at ({x:.1f}, {y:.1f}, {z:.1f}) mm from the middle of the bin's floor",
         f"  residuals: RMS {1e3 * pose.rms_m:.2f} mm, median {1e3 * pose.median_m:.2f} mm, 95 % "
-        f"within {1e3 * pose.p95_m:.2f} mm; {pose.inlier_share:.0%} of its points are its own",
+        f"within {1e3 * pose.p95_m:.2f} mm; {pose.inlier_share:.0%} of its points belong to it",
     ]
     lines += [_face_line(face) for face in pose.faces if face.seen_px]
     if pose.loose:
         loose = ", ".join(pose.loose)
-        lines.append(f"  NOT HELD by what was seen: {loose}: add views that show more walls")
+        lines.append(f"  NOT DETERMINED by the views: {loose}: add views that show more walls")
     if pose.by_edges:
-        lines.append(f"  held by edges alone: {', '.join(pose.by_edges)}: walls say too little")
+        lines.append(
+            f"  determined only by edges: {', '.join(pose.by_edges)}, because too little of the "
+            "walls is in view"
+        )
     if fit.apart:
         far_m, turned = (max(values) for values in zip(*fit.apart, strict=True))
         lines.append(
@@ -283,7 +286,7 @@ def _look_lines(look: Look) -> list[str]:
         bands = ", ".join(f"{band:.3f}" for band in color)
         lines.append(f"  {name:10} reflects {bands} ({look.pixels[name]} pixels)")
     if look.light_scale is None:
-        told = "as configured: a picture alone does not tell their level (--white, --black do)"
+        told = "as configured: the level needs --white and --black"
     else:
         told = f"{look.light_scale:.3g} times as configured"
     return [*lines, f"  lamps and environment {told}"]

@@ -95,14 +95,16 @@ def fit_look(
     """
     views = [view for view in views if view.rgb is not None]
     if not views:
-        raise GraycastError("no view has a colour picture: give --rgb, or leave the look out")
+        raise GraycastError("no view has a colour picture: give --rgb, or --pose-only")
     step, grid = views[0].step(_ACROSS_PX), views[0].grid(_ACROSS_PX)
     floor_m = bin_of(cell.scene).floor_m
     masks = [_masks(view, shape, floor_m, T_world_cam) for view in views]
     pixels = {name: sum(int(mask[name].sum()) for mask in masks) for name in SURFACES}
     shown = [name for name in SURFACES if all(m[name].sum() >= _LEAST_PX for m in masks)]
     if "floor" not in shown:
-        raise GraycastError("the pictures show too little of the floor: is it clipped or covered?")
+        raise GraycastError(
+            "the pictures show too little of the floor: it may be clipped or covered"
+        )
     color = {name: mean_color(material) for name, material in _materials(cell.scene).items()}
     level = floor_reflectance or float(np.mean(color["floor"]))
     scene = _seen_scene(cell.scene, grid, T_world_cam)
@@ -273,8 +275,8 @@ def light_scale(
     lit &= (real_black < real_white) & (ambient > 0)
     if lit.sum() < _LEAST_PX:
         raise GraycastError(
-            "the white and black frames show too little of the bin: are they linear, of one "
-            "exposure and not clipped, and does the configuration have lamps or an environment?"
+            "the white and black frames show too little of the bin: give linear pictures of one "
+            "exposure that are not clipped, and a configuration with lamps or an environment"
         )
     ratio = real_black[lit] / real_white[lit]
     scale = white[lit] * (ratio - leak) / (ambient[lit] * (1 - ratio))

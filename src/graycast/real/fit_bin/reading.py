@@ -63,8 +63,8 @@ class BinView:
         known = int(np.isfinite(self.depth_m).sum())
         if known < _LEAST_POINTS:
             raise DatasetError(
-                f"{self.name}: has depth in {known} pixels, {_LEAST_POINTS} are the least: is the "
-                "bin in view and well exposed?"
+                f"{self.name}: has depth in {known} pixels, {_LEAST_POINTS} are needed: check the "
+                "view of the bin and the exposure"
             )
 
     def grid(self, across: int) -> Grid:
@@ -124,8 +124,8 @@ def read_views(
     files = [path for path in paths if not path.is_dir()]
     if rgb and len(rgb) != len(files):
         raise DatasetError(
-            f"{len(rgb)} colour pictures for {len(files)} depth files: give one each, in the same "
-            "order, or none"
+            f"{len(rgb)} colour pictures for {len(files)} depth files: give one for each depth "
+            "file in the same order, or none"
         )
     colours = dict(zip(files, rgb, strict=True)) if rgb else {}
     views: list[BinView] = []
@@ -141,14 +141,15 @@ def read_views(
     for view in views[1:]:
         if view.camera != views[0].camera:
             raise DatasetError(
-                f"{view.name}: is of another camera than {views[0].name}: fit each by itself"
+                f"{view.name}: is of another camera than {views[0].name}: fit the cameras "
+                "separately"
             )
     return tuple(views)
 
 
 def _shot(path: Path, rgb: Path | None) -> RealPicture:
     if path.suffix.lower() not in DEPTH_FILES:
-        raise DatasetError(f"{path}: depth comes as one of {', '.join(DEPTH_FILES)}")
+        raise DatasetError(f"{path}: give depth as one of {', '.join(DEPTH_FILES)}")
     return RealPicture(stem=str(path), rgb=rgb, gray=None, depth=path)
 
 
@@ -179,8 +180,8 @@ def _read_scene(scene: Path) -> list[BinView]:
         cameras = files.record("scene_camera_sl", Images[AnyView]).root
     except Unreadable as error:
         raise DatasetError(
-            f"{scene}/{error}: an image's key is its number, and it needs cam_K (9 numbers), "
-            "depth_scale and, where the lens has distortion, 5 terms of it"
+            f"{scene}/{error}: the key of an image must be its number, and it needs cam_K (9 "
+            "numbers), depth_scale and, where the lens has distortion, 5 terms of it"
         ) from error
     for number, said in cameras.items():
         depth = files.png_path("depth_sl", number)
@@ -200,5 +201,5 @@ def _view(name: str, seen: Seen, distortion: Sequence[float]) -> BinView:
     try:
         camera = optics_of(seen.K, seen.size_px, distortion)
     except ValueError as error:
-        raise DatasetError(f"{name}: its camera is none that can be used: {error}") from error
+        raise DatasetError(f"{name}: its camera cannot be used: {error}") from error
     return BinView(name=name, camera=camera, depth_m=seen.depth_m, rgb=seen.rgb)

@@ -37,7 +37,7 @@ _FINE_M = 0.005  # of the evidence that picks one of the starts
 _SEARCH_PX = 64  # of the grid on which the first search looks
 _NEARLY_SQUARE = 0.8  # width over length of a bin that coarse steps may take crosswise
 _STARTS, _FINALISTS = 10, 4  # poses begun with on each plane, and followed to the end
-_LEAST_AGREEING = 0.35  # of what is measured where the bin should be
+_LEAST_AGREEING = 0.35  # as a share of what is measured where the bin should be
 _LOOSE_M, _LOOSE_RAD = 0.4e-3, np.radians(0.15)
 
 
@@ -107,7 +107,7 @@ def find_pose(
     for grid in grids if stated is None else ():
         starts += start_poses(box, grid, each=_STARTS, seed=seed)
     if not starts:
-        raise GraycastError("no flat surface is in the depth that could be the bin's floor")
+        raise GraycastError("the depth has no flat surface that could be the bin's floor")
     few = np.concatenate([view.cloud(1500 // len(views)) for view in views])
     coarse = _best_first(shape, grids, [register(few, T, shape, iterations=20) for T in starts])
     cloud = np.concatenate([view.cloud() for view in views])
@@ -161,7 +161,7 @@ def register(
     """The pose near a first one in which a cloud lies best on the bin's faces.
 
     Args:
-        cloud: places [m] and normals in the camera frame, as of `BinView.cloud`.
+        cloud: places [m] and normals in the camera frame, as in `BinView.cloud`.
         T_world_cam: the first pose.
         first_m: how far from its face a point may be at first.
         trust: a factor on the weights of each surface's points; None: 1.
@@ -204,7 +204,7 @@ def judge(
     *,
     trust: Float[np.ndarray, " s"] | None = None,
 ) -> PoseFit:
-    """What residuals and geometry say about a pose; `trust` as of `register`.
+    """What residuals and geometry say about a pose; `trust` as in `register`.
 
     Raises:
         GraycastError: too little of what is measured agrees with the bin.
@@ -219,9 +219,9 @@ def judge(
     if agreeing < _LEAST_AGREEING:
         size = " x ".join(f"{1e3 * length:.0f}" for length in shape.inner_m)
         raise GraycastError(
-            f"no bin of {size} mm inside is in the depth: at best {agreeing:.0%} of it "
-            "agrees; are the size, the scale of the depth and the intrinsics right, and are floor "
-            "and walls in view?"
+            f"no bin of {size} mm inside is in the depth: at best {agreeing:.0%} of it agrees; "
+            "check the size, the scale of the depth and the intrinsics, and that floor and walls "
+            "are in view"
         )
     space = _in_bin(shape, pairs.point)
     sigma = _deviations(_equations(shape, pairs)[0])

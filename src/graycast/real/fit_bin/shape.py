@@ -8,7 +8,7 @@ from jaxtyping import Bool, Float, Int
 from .reading import Grid
 
 NO_FACE = -1
-COS_ALIKE = 0.707  # of the largest angle between a point's normal and its face's
+COS_ALIKE = 0.707  # as a share of the largest angle between a point's normal and its face's
 
 
 @runtime_checkable

@@ -48,7 +48,7 @@ def read_annotations(path: Path, stems: Sequence[str]) -> tuple[dict[str, Drawn]
     if path.is_dir():
         files = sorted(path.glob("*.json"))
         if not files:
-            raise DatasetError(f"{path}: has no .json: give a COCO file or LabelMe's files")
+            raise DatasetError(f"{path}: has no .json: give a COCO file or LabelMe files")
         contents = {file: _load(file) for file in files}
         whole = [file for file, content in contents.items() if "images" in content]
         if whole and len(files) > 1:
@@ -63,7 +63,7 @@ def read_annotations(path: Path, stems: Sequence[str]) -> tuple[dict[str, Drawn]
         more = f" and {len(missing) - 1} more" if len(missing) > 1 else ""
         raise DatasetError(
             f"{path}: has no annotation of the picture {missing[0]}{more}: annotate every picture "
-            "(one without parts has an empty list), or take it out"
+            "(one without parts has an empty list), or remove it"
         )
     return {stem: drawn[stem] for stem in stems}, names
 
@@ -91,7 +91,7 @@ def _coco(path: Path) -> tuple[dict[str, Drawn], list[str]]:
         }
     except (KeyError, TypeError, ValueError) as error:
         why = f"{type(error).__name__} {error}"
-        raise DatasetError(f"{path}: is no COCO file of instances ({why})") from error
+        raise DatasetError(f"{path}: is not a COCO file of instances ({why})") from error
     return drawn, [names[category_id] for category_id in sorted(names)]
 
 
@@ -107,7 +107,7 @@ def _coco_image(
         name = f"{path}: annotation {entry['id']} of {image['file_name']}"
         shape = entry["segmentation"]
         if entry.get("iscrowd") and len(entries) > 1:
-            raise DatasetError(f"{name}: is a crowd: draw its instances one by one")
+            raise DatasetError(f"{name}: is a crowd: draw its instances separately")
         if isinstance(shape, list):
             points = [np.array(p, np.float64).reshape(-1, 2) for p in shape]
             masks.append(_rasterised(points, size, name))
@@ -145,7 +145,7 @@ def _labelme(path: Path, content: Mapping[str, Any]) -> Drawn:
             instances.setdefault(key, []).append(points)
     except (KeyError, TypeError, ValueError) as error:
         why = f"{type(error).__name__} {error}"
-        raise DatasetError(f"{path}: is no LabelMe file ({why})") from error
+        raise DatasetError(f"{path}: is not a LabelMe file ({why})") from error
     masks = [
         _rasterised(points, size, f"{path}: instance {i} ({name})")
         for i, ((name, _), points) in enumerate(instances.items(), start=1)
@@ -172,13 +172,13 @@ def _rasterised(
     height_px, width_px = size
     for points in polygons:
         if len(points) < 3 or not np.isfinite(points).all():
-            raise DatasetError(f"{name}: has {len(points)} corners: a polygon has 3 or more")
+            raise DatasetError(f"{name}: has {len(points)} corners: a polygon must have at least 3")
         beyond = (points < 0).any(axis=1) | (points > [width_px, height_px]).any(axis=1)
         if beyond.any():
             x, y = points[beyond][0]
             raise DatasetError(
                 f"{name}: its corner ({x:g}, {y:g}) lies outside of the picture of {width_px} x "
-                f"{height_px} pixels: is it of another picture? else move the corner"
+                f"{height_px} pixels: move the corner, or use the annotation of this picture"
             )
     if not polygons:
         raise DatasetError(f"{name}: has no polygon: draw one, or remove the annotation")
@@ -196,9 +196,9 @@ def _load(path: Path) -> dict[str, Any]:
     try:
         content = json.loads(path.read_text(encoding="utf-8"))
     except FileNotFoundError as error:
-        raise DatasetError(f"{path}: no such file: give a COCO file or LabelMe's") from error
+        raise DatasetError(f"{path}: no such file: give a COCO file or LabelMe files") from error
     except (OSError, ValueError) as error:
         raise DatasetError(f"{path}: cannot be read as JSON ({error}): check the file") from error
     if not isinstance(content, dict):
-        raise DatasetError(f"{path}: holds no keys: give COCO's or LabelMe's files")
+        raise DatasetError(f"{path}: holds no keys: give a COCO file or LabelMe files")
     return content

@@ -115,13 +115,15 @@ def _labels(
 ) -> tuple[dict[str, Drawn], list[str]]:
     if not labelled:
         if annotations is not None:
-            raise DatasetError(f"{annotations}: is given, and pictures without labels are wanted")
+            raise DatasetError(
+                f"{annotations}: labels are given together with --unlabelled: remove one of the two"
+            )
         return {}, []
     path = folder / "annotations" if annotations is None else annotations
     if not path.exists():
         raise DatasetError(
-            f"{path}: no such file or folder: give --annotations, a COCO file or a folder of "
-            "LabelMe's, or say --unlabelled"
+            f"{path}: no such file or folder: give --annotations with a COCO file or a folder of "
+            "LabelMe files, or --unlabelled"
         )
     return read_annotations(path, stems)
 
@@ -131,8 +133,8 @@ def _object_names(found: Sequence[str], given: Sequence[str] | None) -> list[str
         return list(found)
     if unknown := [name for name in found if name not in given]:
         raise DatasetError(
-            f"the annotations speak of {unknown[0]!r}, the objects are {', '.join(given)}: rename "
-            "it there, or leave --like out"
+            f"the annotations name {unknown[0]!r}, and the objects are {', '.join(given)}: rename "
+            "it there, or remove --like"
         )
     return list(given)
 
@@ -149,7 +151,7 @@ def _survey(shots: Sequence[RealPicture], camera: _Camera) -> tuple[Seen, float]
                 for s in (seen, first)
             )
             raise DatasetError(
-                f"{shot.stem}: is {is_}; {shots[0].stem} is {was}: one dataset has one camera"
+                f"{shot.stem}: is {is_}; {shots[0].stem} is {was}: give pictures of one camera"
             )
         if seen.depth_m is not None:
             deepest_m = max(deepest_m, float(np.nanmax(seen.depth_m)))

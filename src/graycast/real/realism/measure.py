@@ -63,7 +63,7 @@ def pool(measurements: Iterable[Measurement], *, name: str) -> Realism:
     """
     maps = list(measurements)
     if not maps:
-        raise GraycastError(f"{name}: no depth map to measure: give at least one")
+        raise GraycastError(f"{name}: it has no depth map: give at least one")
     missing = [m.missing for m in maps]
     depths = [m.median_depth_m for m in maps if not np.isnan(m.median_depth_m)]
     known = {m.known_baseline_m for m in maps}

@@ -16,7 +16,7 @@ ISLAND_PX = 10
 # Octaves, because a sensor's response is judged by ratios; and what is at its end.
 BRIGHTNESS_EDGES = np.array([0, *(2.0**-k for k in range(8, 0, -1)), 0.99, np.nextafter(1.0, 2.0)])
 SIZES_PX = ((1, 1), (2, 4), (5, ISLAND_PX))  # from and to, of islands told by size
-_LEAST_DROP = 0.2  # of the missing share, to be called a step
+_LEAST_DROP = 0.2  # as a share of the missing share, to be called a step
 _NEIGHBOURS = np.ones((3, 3), dtype=int)  # corners connect
 
 

@@ -19,7 +19,7 @@ from .scan import DepthScan
 PATCH_PX = 15
 REACH_PX = 4
 _LEAST_VALID = 0.9  # of a patch's pixels
-_MOST_OUTLIERS = 0.05  # of a patch's pixels, beyond that it is an edge
+_MOST_OUTLIERS = 0.05  # as a share of a patch's pixels, beyond that it is an edge
 _OUTLIER_SIGMAS = 5.0
 _DEGREE = 5  # of the full fit
 _TERMS = (_DEGREE + 1) * (_DEGREE + 2) // 2

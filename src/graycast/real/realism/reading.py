@@ -65,7 +65,7 @@ def read_scans(
     for name, pictures in (("gray", gray), ("reason", reason)):
         if pictures and len(pictures) != len(files):
             counts = f"{len(pictures)} {name} images for {len(files)} depth files"
-            raise DatasetError(f"{counts}: give one each, in the same order, or none")
+            raise DatasetError(f"{counts}: give one for each depth file in the same order, or none")
     for file, gray_file, reason_file in zip_longest(files, gray, reason):
         depth_m, own_gray, own_K = read_depth(file, scale_m, size_px, K)
         yield _scan(
@@ -150,7 +150,9 @@ def _of_the_scene(path: Path) -> Iterator[None]:
     try:
         yield
     except Unreadable as error:
-        raise DatasetError(f"{path}/{error}: each image has cam_K (9) and depth_scale") from error
+        raise DatasetError(
+            f"{path}/{error}: each image needs cam_K (9 numbers) and depth_scale"
+        ) from error
 
 
 def _baseline_m(scene: Path) -> float | None:
@@ -175,6 +177,7 @@ def _read_reason(path: Path) -> UInt8[np.ndarray, "h w"]:
     image = load_npy(path) if path.suffix == ".npy" else read_image(path)
     if image.ndim != 2 or image.dtype != np.uint8:
         raise DatasetError(
-            f"{path}: is {image.dtype} {image.shape}: reasons are 8 bit, one channel"
+            f"{path}: is {image.dtype} {image.shape}: give maps of reasons with one channel of 8 "
+            "bits"
         )
     return image

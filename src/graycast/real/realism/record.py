@@ -68,7 +68,7 @@ class Fine(_Record):
     """Noise [m] by second differences in small tiles: what neighbours do not share.
 
     Scaled so that white noise has its own standard deviation; smoothed noise has less here.
-    `percentiles_m` as of `Noise`, over the tiles; `rough` is the share of tiles that are no smooth
+    `percentiles_m` as in `Noise`, over the tiles; `rough` is the share of tiles that are no smooth
     surface. `dark_to_bright` is the noise of the darkest over that of the brightest bin,
     `steep_to_facing` that at 40 to 50 over that at 0 to 10 degrees of incidence.
     """
@@ -208,7 +208,7 @@ def read_record(path: Path) -> Realism:
         raise DatasetError(f"{file}: {where}: {first['msg']}: {remedy}") from error
     if record.format_version != FORMAT_VERSION:
         raise DatasetError(
-            f"{file}: has format_version {record.format_version}, this program reads "
-            f"{FORMAT_VERSION}: measure the depth maps again"
+            f"{file}: has format_version {record.format_version}, and this version of Graycast "
+            f"reads {FORMAT_VERSION}: measure the depth maps again"
         )
     return record

@@ -35,7 +35,7 @@ class DepthScan:
         for name, image in (("gray", self.gray), ("reason", self.reason)):
             if image is not None and image.shape != self.depth_m.shape:
                 sizes = f"{image.shape}, depth is {self.depth_m.shape} (rows, columns)"
-                raise ValueError(f"{self.name}: {name} is {sizes}: pictures of another scan?")
+                raise ValueError(f"{self.name}: {name} is {sizes}: give pictures of the same scan")
         if not (self.K[0, 0] > 0 and self.K[1, 1] > 0 and np.isfinite(self.K).all()):
             raise ValueError(f"{self.name}: K has focal lengths {self.K[0, 0]}, {self.K[1, 1]} px")
         with np.errstate(invalid="ignore"):
@@ -47,7 +47,9 @@ class DepthScan:
             )
         if self.gray is not None and not (self.gray.min() >= 0 and self.gray.max() <= 1):
             span = f"[{self.gray.min():.4g}, {self.gray.max():.4g}]"
-            raise ValueError(f"{self.name}: gray spans {span}; a share of the range, 0 to 1")
+            raise ValueError(
+                f"{self.name}: gray spans {span}; give shares of the range, from 0 to 1"
+            )
         for array in (self.depth_m, self.K, self.gray, self.reason):
             if array is not None:
                 array.flags.writeable = False

@@ -85,8 +85,8 @@ def two_sample_test(
     for scans, name in ((first, names[0]), (second, names[1])):
         if len(scans) < 2:
             raise GraycastError(
-                f"{name}: has {len(scans)} depth map: the test leaves out maps in turn, give two "
-                "or more"
+                f"{name}: has {len(scans)} depth map: give at least two, because the test leaves "
+                "out each map once"
             )
     step_m = max(depth_step_m(first), depth_step_m(second))
     on_stage(f"cutting squares of {names[0]}")
@@ -137,8 +137,8 @@ def require_sklearn() -> None:
     """Raises GraycastError where scikit-learn is not installed."""
     if importlib.util.find_spec("sklearn") is None:
         raise GraycastError(
-            "scikit-learn is not installed, and the two-sample test learns with it: "
-            "pip install 'graycast[twin]'"
+            "the two-sample test needs scikit-learn, which is not installed: run pip install "
+            "'graycast[twin]'"
         )
 
 

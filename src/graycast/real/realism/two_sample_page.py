@@ -25,7 +25,8 @@ def two_sample_table(test: TwoSample) -> str:
     lines = []
     for place in PLACES:
         lines += [
-            f"AUC on {_PLACE[place]} (0.5: nothing tells the sets apart; 1: everything does)",
+            f"AUC on {_PLACE[place]} (0.5: the sets cannot be distinguished; 1: they are always "
+            "distinguished)",
             "",
             "| sets | " + " | ".join(GROUPS) + " | squares |",
             "|---" * (len(GROUPS) + 2) + "|",
@@ -89,9 +90,9 @@ def _draw(
     a, b = (squares.at(place) for squares in test.squares)
     of_first, of_second = test.score[place]
     rows = (
-        ("first set, surest", a, first, _best(-of_first)),
-        ("second set, surest", b, second, _best(of_second)),
-        ("second set, taken for the first", b, second, _best(-of_second)),
+        ("first set, most certain", a, first, _best(-of_first)),
+        ("second set, most certain", b, second, _best(of_second)),
+        ("second set, classified as the first", b, second, _best(-of_second)),
     )
     figure = Figure(figsize=(1.6 * _SHOWN, 5.6), layout="constrained")
     FigureCanvasAgg(figure)

@@ -68,7 +68,7 @@ def make_twin(
             quality=resolve_quality(cell.config),
             on_stage=on_stage,
         )
-    on_stage("the real scans are measured")
+    on_stage("measuring the real scans")
     figures = figures_of(real, find_floor([scan.depth_m for scan in real]))
     found = search(
         cell.scanner,
@@ -83,11 +83,11 @@ def make_twin(
     other = seed + 100_000  # the noise of what is judged is not that of the search
     before = scans_of(lit, cell.scanner, {}, seed=other, name="as configured")
     after = scans_of(lit, found.scanner, found.values, seed=other, name="twin")
-    on_stage("a classifier looks at the scans before the search")
+    on_stage("classifying the scans before the search")
     classified = {
         "before": two_sample_test(real, before, names=("real", "as configured"), seed=seed)
     }
-    on_stage("a classifier looks at the twin's scans")
+    on_stage("classifying the twin's scans")
     perfect = [one.truth for one in lit]
     classified["after"] = two_sample_test(
         real, after, perfect=perfect, names=("real", "twin"), seed=seed
@@ -108,7 +108,7 @@ def check_scans(real: Sequence[DepthScan], cell: Cell) -> None:
     """
     if len(real) < LEAST_SCANS:
         raise GraycastError(
-            f"{len(real)} scans are given: {LEAST_SCANS} are the least, so that their spread is "
+            f"{len(real)} scans are given: give at least {LEAST_SCANS}, so that their spread is "
             "known"
         )
     camera = cell.scanner.rig.camera

@@ -31,15 +31,15 @@ def refuse_without_shadow(scans: Sequence[DepthScan]) -> None:
     }
     if not told:
         raise GraycastError(
-            f"the scans have {max(right, left, below, above):.0f} depth steps a map at most, too "
-            f"few to see what made them ({_LEAST_JUMPS} are the least): give scans with parts "
-            "that stand out"
+            f"the scans have {max(right, left, below, above):.0f} depth steps per map, which are "
+            f"too few to identify the kind of scanner (at least {_LEAST_JUMPS} are needed): give "
+            "scans with parts that stand out"
         )
     if min(told.values()) > _MOST_SHARE:
         raise GraycastError(
-            f"the scans have no shadow side: of the depth steps between valid neighbours "
+            "the scans have no shadow side: of the depth steps between valid neighbours "
             f"{right:.0f} a map fall to the right, {left:.0f} to the left, {below:.0f} downwards "
-            f"and {above:.0f} upwards. Active stereo and time of flight look so; a twin is made "
-            "of structured light alone, where one direction has hardly any: give raw scans of "
-            "such a scanner, or another simulator"
+            f"and {above:.0f} upwards. Such scans are typical of active stereo and time of "
+            "flight. A twin needs structured light, where one direction has almost no such "
+            "steps: give raw scans of a structured-light scanner, or use another simulator"
         )

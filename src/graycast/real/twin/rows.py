@@ -19,7 +19,7 @@ from ..realism.steps import count_steps
 
 Owner = Literal["sensor", "scene"]
 _SIGMAS = 2.0  # within so many standard deviations of the real scans' mean a row is met
-_LEAST_SPREAD = 0.05  # of the mean: three scans do not tell a spread well
+_LEAST_SPREAD = 0.05  # as a share of the mean: three scans do not tell a spread well
 _LEAST_KNOWN = 0.7  # of a square's differences, to tell tails
 _LEAST_SQUARES = 5
 _SMOOTH_M = 5e-4  # a square whose differences scatter more is no smooth surface

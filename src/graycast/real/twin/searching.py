@@ -26,11 +26,11 @@ from .rows import Figures, Row, compare, figures_of, loss_of
 from .stage import Lit, scan_lit
 
 FIRST_STEP = 0.2  # of the way between the bounds
-_FIRST_PART = 0.15  # of the trials, for the short search of each code
+_FIRST_PART = 0.15  # as a share of the trials, for the short search of each code
 _DARK_LOSS = 1e3  # of a scanner that sees nothing
 _FIRST_LOOK = (0.0, 0.5, 1.0)  # shares at which a parameter is tried alone before the search
 _PROFILE = np.linspace(0.0, 1.0, 5)  # shares at which a parameter is tried alone, beside the best
-_DECIDED = 0.5  # of its range: a parameter held worse than this is not decided
+_DECIDED = 0.5  # as a share of its range: a parameter held worse than this is not decided
 
 OnTrial = Callable[[int, int, str], None]
 
@@ -71,8 +71,8 @@ def require_cma() -> None:
     """Raises GraycastError where cma is not installed."""
     if importlib.util.find_spec("cma") is None:
         raise GraycastError(
-            "cma is not installed, and the twin's parameters are searched with it: "
-            "pip install 'graycast[twin]'"
+            "the search for the twin's parameters needs cma, which is not installed: run pip "
+            "install 'graycast[twin]'"
         )
 
 
@@ -162,7 +162,7 @@ class _Court:
         if seed is None:
             self.tried.append((code, x.copy(), loss))
         self.done, self.least = self.done + 1, min(self.least, loss)
-        self.on_trial(self.done, self.total, f"best misfit {self.least:.2f}")
+        self.on_trial(self.done, self.total, f"lowest misfit {self.least:.2f}")
         return loss
 
     def first_look(self, code: CodeSpec, x0: Float[np.ndarray, " n"]) -> Float[np.ndarray, " n"]:

@@ -74,8 +74,9 @@ def report_text(twin: Twin) -> str:
         "",
         "## What was fitted",
         "",
-        "One at a time over its range, with all others as found: between `from` and `to` the fit "
-        "is as good as two draws of noise are alike. What two parameters do together is not told.",
+        "Each parameter was varied over its range, with all others at their fitted values: "
+        "between `from` and `to` the misfit is within the variation of the noise. Effects of two "
+        "parameters together are not shown.",
         "",
         "| key | twin | from | to | do the scans decide it? |",
         "|---|---|---|---|---|",
@@ -85,7 +86,7 @@ def report_text(twin: Twin) -> str:
         "|---|---|",
         *(f"| {period or '-'} | {loss:.3f} |" for period, loss in found.by_code.items()),
         "",
-        "## Can a classifier tell?",
+        "## Can a classifier distinguish the twin from the real scans?",
         "",
     ]
     for name, test in twin.classified.items():
@@ -109,7 +110,7 @@ def summary(twin: Twin) -> list[str]:
         )
     loose = [held.parameter.key for held in found.held if not held.decided]
     if loose:
-        lines.append(f"the scans do not decide {', '.join(loose)}")
+        lines.append(f"the scans do not determine {', '.join(loose)}")
     return lines
 
 

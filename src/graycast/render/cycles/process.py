@@ -22,7 +22,7 @@ PYTHON_VARIABLE = "GRAYCAST_CYCLES_PYTHON"
 _OWN_PLACE = Path(".venv-cycles") / "bin" / "python"
 _ASK_LIMIT_S = 60.0
 _LOG_LINES = 5
-_REMEDY = f"run make cycles, or let {PYTHON_VARIABLE} name a Python that has it"
+_REMEDY = f"run make cycles, or set {PYTHON_VARIABLE} to a Python that has it"
 
 
 class CyclesDied(Exception):

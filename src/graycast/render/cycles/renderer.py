@@ -54,7 +54,7 @@ def choose_cycles_device(name: str, cycles: CyclesState) -> str:
         ValueError: no such name.
     """
     if name not in DEVICES:
-        raise ValueError(f"no device {name!r} for Cycles: choose one of {', '.join(DEVICES)}")
+        raise ValueError(f"Cycles has no device {name!r}: choose one of {', '.join(DEVICES)}")
     if not cycles.usable:
         raise DeviceError(cycles.problem)
     if name == "cpu":
@@ -64,7 +64,7 @@ def choose_cycles_device(name: str, cycles: CyclesState) -> str:
     if name == "auto":
         return "optix" if usable else "cpu"
     if not usable:
-        why = cuda.problem or "libnvoptix.so.1 does not load"
+        why = cuda.problem or "libnvoptix.so.1 cannot be loaded"
         raise DeviceError(f"device {name} cannot be used: {why}; use --device cpu")
     return name
 
@@ -85,7 +85,9 @@ class CyclesRenderer(Renderer):
         on_frame: OnFrame | None = None,
     ):
         if patterns_per_render not in (1, 3):
-            raise ValueError(f"patterns_per_render is {patterns_per_render}; 1 or 3 (R, G and B)")
+            raise ValueError(
+                f"patterns_per_render is {patterns_per_render}; give 1, or 3 (R, G and B)"
+            )
         cycles = examine_cycles()
         self.device = choose_cycles_device(device, cycles)
         self.versions = {"bpy": str(cycles.version)}
@@ -128,13 +130,13 @@ class CyclesRenderer(Renderer):
         refuse_other_size(pattern, rig.projector)
         if rig.projector.psf_px:
             raise ValueError(
-                "Cycles has no constant blur of the projector: set its psf_px to 0, or use mitsuba"
+                "Cycles cannot render the blur psf_px of the projector: set it to 0, or use mitsuba"
             )
         if quality.denoise == "optix" and self.device == "cpu":
             raise ValueError("denoise optix needs an NVIDIA GPU: use oidn, or --device optix")
         if self.device == "cuda" and not is_simple(rig.camera):
             raise ValueError(
-                "Cycles on CUDA has no cameras but pinholes with square pixels and without "
+                "Cycles on CUDA supports only pinhole cameras with square pixels and without "
                 "distortion: use --device optix or cpu"
             )
         if self.patterns_per_render == 3 and quality.denoise != "none":
@@ -202,7 +204,8 @@ class CyclesRenderer(Renderer):
                 self.close()  # it may be in the middle of a job
                 raise
         raise GraycastError(
-            f"Blender Cycles died {MAX_DEATHS} times on one scene; the last time {why}"
+            f"the process of Blender Cycles ended {MAX_DEATHS} times on one scene; the last time "
+            f"{why}"
         )
 
 

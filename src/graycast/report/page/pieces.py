@@ -76,8 +76,8 @@ def writing_page(out: Path, source: Path) -> Iterator[None]:
     except OSError as error:
         why = error.strerror or str(error)
         raise GraycastError(
-            f"{out}: cannot be written ({why}): free space or choose another folder and run the "
-            "same command again; what is finished is kept"
+            f"{out}: cannot be written ({why}): free disk space or choose another folder, and run "
+            "the same command again; the finished scenes are kept"
         ) from error
 
 
@@ -147,7 +147,7 @@ def write_web(out: Path, web: Web) -> None:
 
 def _open_folder(out: Path, source: Path) -> None:
     if out.resolve() == source.resolve():
-        raise GraycastError(f"{out} is the dataset itself: give the page a folder of its own")
+        raise GraycastError(f"{out} is the dataset itself: give another folder for the page")
     try:
         out.mkdir(parents=True, exist_ok=True)
         entries = [entry.name for entry in out.iterdir()]

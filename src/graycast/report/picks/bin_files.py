@@ -26,7 +26,7 @@ _TOLD = (
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class BinPiece:
-    """A bin of a folder of picks; `cell_folder` as of `open_replay`."""
+    """A bin of a folder of picks; `cell_folder` as in `open_replay`."""
 
     out: Path
     cell_folder: Path

@@ -94,15 +94,15 @@ def write_film(
         GraycastError: no such bin, a damaged one, a file of another kind, or too small a picture.
     """
     if out.suffix.lower() not in KINDS:
-        raise GraycastError(f"{out}: a film is a {' or '.join(KINDS)} file: give it such a name")
+        raise GraycastError(f"{out}: give a file name that ends with {' or '.join(KINDS)}")
     if width_px < LEAST_PX:
         raise GraycastError(
-            f"a film of {width_px} pixels has no room for words: at least {LEAST_PX}"
+            f"a width of {width_px} pixels is too small for the captions: give at least {LEAST_PX}"
         )
     episodes = {episode.bin_id: episode for episode in read_episodes(picks)}
     if bin_id not in episodes:
         held = f"it has {min(episodes)} to {max(episodes)}" if episodes else "none is finished yet"
-        raise GraycastError(f"{picks}: there is no bin {bin_id}: {held}")
+        raise GraycastError(f"{picks}: bin {bin_id} does not exist: {held}")
     replay = open_replay(picks, folder=cell_folder)
     episode = episodes[bin_id]
     on_start(len(episode.attempts))

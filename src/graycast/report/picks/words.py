@@ -19,18 +19,18 @@ OUTCOME_COLOR = {
     Outcome.NOTHING_FOUND: "#9aa3ad",
 }
 _MEANING = {
-    Outcome.PICKED: "the part has left the bin with the tool",
-    Outcome.TWO_AT_ONCE: "another part has left the bin with it",
-    Outcome.LOST_SEAL: "the cup let go on the way",
-    Outcome.SLIPPED: "the jaws let go on the way",
+    Outcome.PICKED: "the tool took the part out of the bin",
+    Outcome.TWO_AT_ONCE: "the tool took another part out of the bin as well",
+    Outcome.LOST_SEAL: "the cup lost the part on the way",
+    Outcome.SLIPPED: "the jaws lost the part on the way",
     Outcome.NOT_HELD: "the cup did not seal, or the jaws did not close on both sides",
-    Outcome.MISSED: "nothing was where the tool went",
-    Outcome.WRONG_POSE: "it did not hold, and the pose of the part was wrong",
-    Outcome.COLLISION_UNSEEN: "the tool pushed into something that the scanner did not show",
-    Outcome.COLLISION_SEEN: "every grip would push the tool into what was measured; no motion",
-    Outcome.UNREACHABLE: "no joint angles, or no free way, to any grip; no motion",
-    Outcome.GIVEN_UP: "every grip is where one has failed before; no motion",
-    Outcome.NOTHING_FOUND: "no part, no pose or no place that the tool would hold; no motion",
+    Outcome.MISSED: "there was no part at the target of the tool",
+    Outcome.WRONG_POSE: "the grip did not hold, and the estimated pose of the part was wrong",
+    Outcome.COLLISION_UNSEEN: "the tool collided with something that the scanner had not measured",
+    Outcome.COLLISION_SEEN: "every grip would hit the measured scene; the robot did not move",
+    Outcome.UNREACHABLE: "no grip can be reached without a collision; the robot did not move",
+    Outcome.GIVEN_UP: "every grip is at a place where one failed before; the robot did not move",
+    Outcome.NOTHING_FOUND: "no part, no pose or no grip was found; the robot did not move",
 }
 
 

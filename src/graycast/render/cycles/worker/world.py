@@ -100,8 +100,8 @@ def _mean_radiance(image: bpy.types.Image, file: str) -> float:
     mean = float((border[:-1] - border[1:]) / 2 @ rows)
     if not 0 < mean < math.inf:
         raise ValueError(
-            f"environment map {file} has the mean radiance {mean}: take out what is not finite, "
-            "or give another map"
+            f"environment map {file} has the mean radiance {mean}: remove values that are not "
+            "finite, or give another map"
         )
     return mean
 

@@ -3,6 +3,7 @@
 import argparse
 import json
 import re
+import shutil
 import subprocess
 import sys
 from contextlib import contextmanager
@@ -68,6 +69,7 @@ OPTIONS = {
     "--most --seed",
     "doctor": "",
     "schema": "kind",
+    "completion": "shell",
     "bench render": "--json --count --device",
     "bench decode": "--json",
     "bench detectors": "--json detectors --on",
@@ -453,3 +455,35 @@ def test_an_error_of_several_lines_is_shown_as_one(capsys, monkeypatch):
     monkeypatch.setattr(machine, "_doctor", fail)
     assert main(["doctor"]) == 1
     assert capsys.readouterr().err == "graycast: error: what is wrong: this and that\n"
+
+
+ASK = r"""
+source "$1"
+shift
+complete -p "$1" >/dev/null || exit 1
+COMP_WORDS=("$@"); COMP_CWORD=$(($# - 1)); COMP_LINE="$*"; COMP_POINT=${#COMP_LINE}
+"$(complete -p "$1" | sed 's/.*-F \([^ ]*\).*/\1/')" "$1" "${COMP_WORDS[COMP_CWORD]}"
+printf '%s\n' "${COMPREPLY[@]}"
+"""
+
+
+@pytest.mark.parametrize(
+    ("typed", "offered"),
+    [
+        (["gen"], ["generate"]),
+        (["rig", ""], ["calibrate", "import", "show", "write"]),
+        (["generate", "--ba"], ["--backend"]),
+        (["generate", "--backend", "m"], ["mitsuba"]),
+        (["generate", "cell"], ["cell.yaml", "cells"]),
+        (["generate", "cell.yaml", "--out", "cells"], ["cells"]),
+    ],
+)
+def test_bash_completes_commands_options_choices_and_files(capsys, tmp_path, typed, offered):
+    if shutil.which("bash") is None:
+        pytest.skip("needs bash, which is not here")
+    (tmp_path / "graycast.bash").write_text(run(capsys, "completion", "bash"))
+    (tmp_path / "cell.yaml").touch()
+    (tmp_path / "cells").mkdir()
+    command = ["bash", "-c", ASK, "bash", "graycast.bash", "graycast", *typed]
+    done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=True)
+    assert sorted(done.stdout.split()) == offered

@@ -2,7 +2,7 @@
 
 import pytest
 
-from graycast.engine import SceneMaker, SceneTask, maker
+from graycast.engine import SceneMaker, SceneTask, kept, maker
 from graycast.errors import DecodeError, DeviceError, DropError
 from graycast.render import Renderer
 
@@ -32,7 +32,7 @@ def opened_for(task, monkeypatch, *errors):
         assert not renderer.closed
         raise left.pop(0)
 
-    monkeypatch.setattr(maker, "open_cell_renderer", open_one)
+    monkeypatch.setattr(kept, "open_cell_renderer", open_one)
     monkeypatch.setattr(maker, "make_images", make)
     with SceneMaker(task) as worker:
         for scene_id, error in enumerate(errors):

@@ -4,8 +4,8 @@ from collections import Counter
 
 import pytest
 
-from graycast.engine import TRIES, Failed, Made, make_all, open_pool
-from graycast.errors import DeviceError, DropError, GraycastError, WorkerDied
+from graycast.engine import TRIES, Failed, Made, make_all, make_each, open_pool
+from graycast.errors import ConfigError, DeviceError, DropError, GraycastError, WorkerDied
 
 IDS = range(20)
 
@@ -16,6 +16,7 @@ class Scripted:
     def __init__(self, script=()):
         self.script = {scene_id: list(errors) for scene_id, errors in dict(script).items()}
         self.running, self.submitted = [], Counter()
+        self.closed = False
 
     @property
     def free(self):
@@ -33,7 +34,7 @@ class Scripted:
         return Made(scene_id=scene_id, files=(), seconds=1.0, reasons={}, rss_bytes=0)
 
     def close(self):
-        pass
+        self.closed = True
 
 
 def outcomes(script=()):
@@ -99,3 +100,31 @@ def test_scenes_that_are_lost_now_and_then_do_not_end_a_run():
 def test_an_unknown_engine_is_refused(task):
     with pytest.raises(ValueError, match="no engine 'slurm': choose 'local' or 'ray'"):
         open_pool(task, engine="slurm", workers=2)
+
+
+def handed(script, ids=IDS):
+    """What `make_each` hands over of a pool that fails so, what it gives up, and the pool."""
+    pool, made, failed = Scripted(script), [], []
+    try:
+        lost = make_each(pool, ids, on_made=made.append, on_failed=failed.append)
+    except Exception as raised:
+        lost = raised
+    return [one.scene_id for one in made], [one.scene_id for one in failed], lost, pool
+
+
+def test_scenes_that_are_given_up_are_told_once_the_others_are_made():
+    made, failed, lost, pool = handed({4: [DropError("no rest")], 7: [MemoryError()]})
+    assert sorted(made) == [scene_id for scene_id in IDS if scene_id != 4]
+    assert (sorted(failed), lost, pool.closed) == ([4, 7], (4,), True)
+
+
+def test_a_cell_that_serves_no_scene_stops_the_run():
+    error = ConfigError("the tool fits round no part")
+    made, failed, lost, pool = handed({0: [error], 1: [error], 2: [error]})
+    assert (made, failed, lost, pool.closed) == ([], [], error, True)
+
+
+def test_where_all_are_given_up_the_last_error_is_raised():
+    errors = [DropError("no rest"), DropError("none either")]
+    _, failed, lost, pool = handed({0: [errors[0]], 1: [errors[1]]}, ids=(0, 1))
+    assert len(failed) == 2 and lost in errors and pool.closed

@@ -9,6 +9,7 @@ from .. import __version__
 from ..errors import GraycastError, told
 from . import (
     benching,
+    completing,
     datasets,
     designing,
     detecting,
@@ -100,4 +101,5 @@ def _parser() -> argparse.ArgumentParser:
     measuring.add_commands(commands)
     machine.add_commands(commands)
     benching.add_commands(commands)
+    completing.add_commands(commands, parser)
     return parser

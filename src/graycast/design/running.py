@@ -2,20 +2,17 @@
 
 import time
 from collections.abc import Callable
-from contextlib import closing
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
-from ..cell import open_cell_renderer
 from ..config import resolve_quality
 from ..drop import OnStage, prepare
-from ..engine import Failed, Job, Made, keep_to_threads, make_all, open_pool
-from ..errors import ConfigError, DeviceError
+from ..engine import Failed, Job, KeptRenderer, Made, make_each, open_pool
 from ..generate import Workers
 from ..picture import gray_picture
-from ..render import OnFrame, Renderer, Rendering, choose_device
+from ..render import OnFrame, Rendering, choose_device
 from ..scanner import measure, scan_seconds, take
 from ..usage import rss_bytes
 from .files import heap_files, open_design
@@ -64,9 +61,8 @@ class Comparer:
         on_frame: OnFrame | None,
         on_stage: OnStage,
     ) -> None:
-        self._task, self._threads = task, threads
-        self._on_frame, self._on_stage = on_frame, on_stage
-        self._renderer: Renderer | None = None
+        self._task, self._on_stage = task, on_stage
+        self._kept = KeptRenderer(device=task.device, threads=threads, on_frame=on_frame)
         self._heaps: dict[tuple[str | None, int], Heap] = {}
 
     def make(self, scene_id: int) -> Made:
@@ -125,30 +121,18 @@ class Comparer:
             for (code, patterns), end in zip(shown.items(), ends, strict=True)
         }
         self._on_stage(f"{cell.config.render.backend} renders {group[0].setting.lit.name}")
-        rendering = self._opened(group[0]).render(
-            cell.scene,
-            heap.layout,
-            np.concatenate(list(shown.values())),
-            quality=resolve_quality(cell.config),
-            seed=heap.render_seed,
-        )
+        with self._kept.of(cell) as renderer:
+            rendering = renderer.render(
+                cell.scene,
+                heap.layout,
+                np.concatenate(list(shown.values())),
+                quality=resolve_quality(cell.config),
+                seed=heap.render_seed,
+            )
         return rendering, [own[placed.cell.scanner.code] for placed in group]
 
-    def _opened(self, placed: Placed) -> Renderer:
-        if self._renderer is None:
-            keep_to_threads(self._threads)
-            self._renderer = open_cell_renderer(
-                placed.cell,
-                device=self._task.device,
-                threads=self._threads,
-                on_frame=self._on_frame,
-            )
-        return self._renderer
-
     def close(self) -> None:
-        renderer, self._renderer = self._renderer, None
-        if renderer is not None:
-            renderer.close()
+        self._kept.close()
 
 
 def run_design(
@@ -183,7 +167,15 @@ def run_design(
     backend = placed[0].cell.config.render.backend
     chosen = device if workers.engine == "ray" else choose_device(backend, device)
     task = DesignTask(spec=spec, lights=lights_of(placed), seed=spec.seed, device=chosen)
-    lost: list[str] = []
+
+    def named(scene_id: int) -> tuple[str, int]:
+        group, layout = task.named(scene_id)
+        return _light_name(group), layout
+
+    def keep(made: Made) -> None:
+        folder.write(made.files)
+        on_made(*named(made.scene_id), made)
+
     with open_design(out) as folder:
         for one in placed:
             folder.claim(one, one.described(spec))
@@ -205,22 +197,13 @@ def run_design(
             address=workers.address,
             on_stage=on_stage,
         )
-        with closing(pool):
-            for outcome in make_all(pool, todo):
-                group, layout = task.named(outcome.scene_id)
-                name = _light_name(group)
-                if isinstance(outcome, Made):
-                    folder.write(outcome.files)
-                    on_made(name, layout, outcome)
-                    continue
-                if isinstance(outcome.error, (ConfigError, DeviceError)):
-                    raise outcome.error
-                on_failed(name, layout, outcome)
-                if outcome.final:
-                    lost.append(f"{name}/{layout:03d}")
-                    if len(lost) == len(todo):
-                        raise outcome.error
-    return tuple(lost)
+        lost = make_each(
+            pool,
+            todo,
+            on_made=keep,
+            on_failed=lambda failed: on_failed(*named(failed.scene_id), failed),
+        )
+    return tuple("{}/{:03d}".format(*named(scene_id)) for scene_id in lost)
 
 
 def _light_name(group: tuple[Placed, ...]) -> str:

@@ -3,13 +3,15 @@
 from ..render import OnFrame
 from ..simulate import OnStage
 from .job import Job, Made, Maker, keep_to_threads
+from .kept import KeptRenderer
 from .maker import SceneMaker, SceneTask
-from .pool import TRIES, Failed, Pool, make_all
+from .pool import TRIES, Failed, Pool, make_all, make_each
 
 __all__ = [
     "TRIES",
     "Failed",
     "Job",
+    "KeptRenderer",
     "Made",
     "Maker",
     "Pool",
@@ -17,6 +19,7 @@ __all__ = [
     "SceneTask",
     "keep_to_threads",
     "make_all",
+    "make_each",
     "open_pool",
 ]
 

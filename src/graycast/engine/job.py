@@ -7,6 +7,7 @@ from typing import Protocol, TypeVar, runtime_checkable
 import numba
 
 from .. import __version__
+from ..errors import DeviceError, GraycastError, WorkerDied
 from ..render import OnFrame
 from ..simulate import OnStage
 
@@ -32,6 +33,15 @@ def keep_to_threads(threads: int | None) -> None:
     """Limit Numba to this number of threads; None does not change it."""
     if threads is not None:
         numba.set_num_threads(min(threads, numba.config.NUMBA_NUM_THREADS))
+
+
+def is_the_scenes_own(error: BaseException) -> bool:
+    """Whether an error would come again: parts that find no rest, values out of their range.
+
+    All else (a lost driver, memory, a process that was killed) may be the machine's.
+    """
+    foreseen = isinstance(error, (GraycastError, ValueError))
+    return foreseen and not isinstance(error, (DeviceError, WorkerDied))
 
 
 @runtime_checkable

@@ -14,8 +14,8 @@ from multiprocessing.process import BaseProcess
 from pathlib import Path
 
 from ..errors import WorkerDied
-from .job import Job, Made, Maker
-from .maker import GPU_DEVICES, is_the_scenes_own
+from .job import Job, Made, Maker, is_the_scenes_own
+from .maker import GPU_DEVICES
 from .pool import Failed
 
 _MEMORY_SHARE = 0.8  # as a share of the machine's memory, for all workers together

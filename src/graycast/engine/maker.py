@@ -5,14 +5,15 @@ from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from types import TracebackType
 
-from ..cell import Cell, open_cell_renderer
+from ..cell import Cell
 from ..dataset import scene_files
 from ..dataset.sample import LEAST_DECODED, Sample
-from ..errors import DecodeError, DeviceError, GraycastError, WorkerDied
-from ..render import OnFrame, Renderer
+from ..errors import DecodeError
+from ..render import OnFrame
 from ..simulate import OnStage, Shot, make_images
 from ..usage import rss_bytes
-from .job import Job, Made, keep_to_threads
+from .job import Job, Made
+from .kept import KeptRenderer
 
 GPU_DEVICES = ("cuda", "optix")
 
@@ -46,10 +47,8 @@ class SceneMaker:
         on_stage: OnStage = lambda stage: None,
     ) -> None:
         self.task = task
-        self._threads = threads
-        self._on_frame = on_frame
         self._on_stage = on_stage
-        self._renderer: Renderer | None = None
+        self._kept = KeptRenderer(device=task.device, threads=threads, on_frame=on_frame)
 
     def make(self, scene_id: int) -> Made:
         """One scene.
@@ -60,22 +59,16 @@ class SceneMaker:
         """
         start = time.perf_counter()
         task = self.task
-        try:
-            if self._renderer is None:
-                self._renderer = self._open()
-            shares: list[Mapping[str, float]] = []
+        shares: list[Mapping[str, float]] = []
+        with self._kept.of(task.cell) as renderer:
             shots = make_images(
                 task.cell,
                 scene_id,
                 seed=task.seed,
-                renderer=self._renderer,
+                renderer=renderer,
                 on_stage=self._on_stage,
             )
             files = tuple(scene_files(_decoded(shots, shares), task.depth_scale_mm))
-        except BaseException as error:
-            if not is_the_scenes_own(error):
-                self.close()
-            raise
         return Made(
             scene_id=scene_id,
             files=files,
@@ -84,19 +77,8 @@ class SceneMaker:
             rss_bytes=rss_bytes(),
         )
 
-    def _open(self) -> Renderer:
-        keep_to_threads(self._threads)
-        return open_cell_renderer(
-            self.task.cell,
-            device=self.task.device,
-            threads=self._threads,
-            on_frame=self._on_frame,
-        )
-
     def close(self) -> None:
-        renderer, self._renderer = self._renderer, None
-        if renderer is not None:
-            renderer.close()
+        self._kept.close()
 
     def __enter__(self) -> "SceneMaker":
         return self
@@ -134,8 +116,8 @@ def _refuse_undecoded(reasons: Mapping[str, float], image: str) -> None:
         return
     most = max(reasons, key=lambda name: reasons[name])
     raise DecodeError(
-        f"{image}: the scanner finds a depth in {reasons['decoded']:.2%} of the pixels, so in none: "
-        f"{reasons[most]:.0%} are {most}: {_REMEDIES.get(most, 'see graycast preview')}"
+        f"{image}: the scanner finds a depth in {reasons['decoded']:.2%} of the pixels, so in "
+        f"none: {reasons[most]:.0%} are {most}: {_REMEDIES.get(most, 'see graycast preview')}"
     )
 
 
@@ -147,12 +129,3 @@ _REMEDIES = {
     "out_of_range": "change view.distance_m so that the bin is between the rig's near_m and far_m",
     "outside_projector": "change view.distance_m so that the projector lights the bin",
 }
-
-
-def is_the_scenes_own(error: BaseException) -> bool:
-    """Whether the scene itself causes an error, so that another try would fail in the same way.
-
-    Other errors (a lost driver, memory, a killed process) may be caused by the machine.
-    """
-    foreseen = isinstance(error, (GraycastError, ValueError))
-    return foreseen and not isinstance(error, (DeviceError, WorkerDied))

@@ -1,13 +1,13 @@
 """Many scenes on a pool of workers; failed scenes are retried and finally set aside."""
 
 from collections import Counter, deque
-from collections.abc import Generator, Iterable
+from collections.abc import Callable, Collection, Generator, Iterable
+from contextlib import closing
 from dataclasses import dataclass
 from typing import Protocol, runtime_checkable
 
-from ..errors import GraycastError
-from .job import Made
-from .maker import is_the_scenes_own
+from ..errors import ConfigError, DeviceError, GraycastError
+from .job import Made, is_the_scenes_own
 
 TRIES = 3
 _IN_VAIN = 10  # scenes lost one after another, beside those at work: then the machine is not well
@@ -83,3 +83,36 @@ def make_all(pool: Pool, scene_ids: Iterable[int]) -> Generator[Made | Failed, N
                 f"{len(lost)} scenes in a row were lost, the last because {why}: repair the "
                 "machine and run the same command again; the finished scenes are kept"
             ) from error
+
+
+def make_each(
+    pool: Pool,
+    scene_ids: Collection[int],
+    *,
+    on_made: Callable[[Made], None],
+    on_failed: Callable[[Failed], None],
+) -> tuple[int, ...]:
+    """Hand over every scene as it ends, and close the pool.
+
+    Returns:
+        The scenes that were given up.
+
+    Raises:
+        ConfigError, DeviceError: what serves no scene.
+        Exception: that of the last scene, where all were given up.
+        GraycastError: as of `make_all`.
+    """
+    lost: list[int] = []
+    with closing(pool):
+        for outcome in make_all(pool, scene_ids):
+            if isinstance(outcome, Made):
+                on_made(outcome)
+                continue
+            if isinstance(outcome.error, (ConfigError, DeviceError)):
+                raise outcome.error
+            on_failed(outcome)
+            if outcome.final:
+                lost.append(outcome.scene_id)
+                if len(lost) == len(scene_ids):
+                    raise outcome.error
+    return tuple(lost)

@@ -2,13 +2,11 @@
 
 import time
 from collections.abc import Callable
-from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
 
 from ..dataset.stored import StoredDataset, open_dataset
-from ..engine import Failed, Job, Made, keep_to_threads, make_all, open_pool
-from ..errors import ConfigError
+from ..engine import Failed, Job, Made, keep_to_threads, make_each, open_pool
 from ..render import OnFrame
 from ..simulate import OnStage
 from ..usage import rss_bytes
@@ -109,27 +107,24 @@ def label_dataset(
     """
     dataset = open_dataset(folder)
     stock = read_stock(dataset, files)
-    lost: list[str] = []
+    scenes = dataset.scenes
+
+    def keep(made: Made) -> None:
+        scene = scenes[made.scene_id]
+        out.write(scene, made.files[0][1])
+        on_made(scene.key, made)
+
     with open_labels(dataset, name, labelling, seed) as out:
-        scenes = dataset.scenes
         todo = [k for k, scene in enumerate(scenes) if not out.of(scene).exists()]
         on_start(len(scenes) - len(todo), len(scenes))
         if not todo:
             return ()
         task = LabelTask(dataset=dataset, stock=stock, labelling=labelling, seed=seed, device="cpu")
         pool = open_pool(task, workers=min(workers, len(todo)), on_stage=on_stage)
-        with closing(pool):
-            for outcome in make_all(pool, todo):
-                scene = scenes[outcome.scene_id]
-                if isinstance(outcome, Made):
-                    out.write(scene, outcome.files[0][1])
-                    on_made(scene.key, outcome)
-                    continue
-                if isinstance(outcome.error, ConfigError):
-                    raise outcome.error
-                on_failed(scene.key, outcome)
-                if outcome.final:
-                    lost.append(scene.key)
-                    if len(lost) == len(todo):
-                        raise outcome.error
-    return tuple(lost)
+        lost = make_each(
+            pool,
+            todo,
+            on_made=keep,
+            on_failed=lambda failed: on_failed(scenes[failed.scene_id].key, failed),
+        )
+    return tuple(scenes[k].key for k in lost)

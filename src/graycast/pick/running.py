@@ -2,16 +2,13 @@
 
 import time
 from collections.abc import Callable
-from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
 
-from ..cell import open_cell_renderer
 from ..drop import OnStage, prepare
-from ..engine import Failed, Job, Made, keep_to_threads, make_all, open_pool
-from ..errors import ConfigError, DeviceError
+from ..engine import Failed, Job, KeptRenderer, Made, make_each, open_pool
 from ..generate import Workers
-from ..render import OnFrame, Renderer, choose_device
+from ..render import OnFrame, choose_device
 from ..usage import rss_bytes
 from .cell import PickCell
 from .episode import empty_bin
@@ -48,9 +45,8 @@ class BinEmptier:
         on_frame: OnFrame | None,
         on_stage: OnStage,
     ) -> None:
-        self._task, self._threads = task, threads
-        self._on_frame, self._on_stage = on_frame, on_stage
-        self._renderer: Renderer | None = None
+        self._task, self._on_stage = task, on_stage
+        self._kept = KeptRenderer(device=task.device, threads=threads, on_frame=on_frame)
         self._ready: Ready | None = None
 
     def make(self, scene_id: int) -> Made:
@@ -61,19 +57,13 @@ class BinEmptier:
             ConfigError: robot, tool or place do not suit the cell.
         """
         start = time.perf_counter()
-        if self._renderer is None:
-            keep_to_threads(self._threads)
-            self._renderer = open_cell_renderer(
-                self._task.cell.cell,
-                device=self._task.device,
-                threads=self._threads,
-                on_frame=self._on_frame,
+        task = self._task
+        with self._kept.of(task.cell.cell) as renderer:
+            if self._ready is None:
+                self._ready = make_ready(task.cell, on_stage=self._on_stage)
+            episode = empty_bin(
+                self._ready, renderer, scene_id, seed=task.seed, on_stage=self._on_stage
             )
-        if self._ready is None:
-            self._ready = make_ready(self._task.cell, on_stage=self._on_stage)
-        episode = empty_bin(
-            self._ready, self._renderer, scene_id, seed=self._task.seed, on_stage=self._on_stage
-        )
         outcomes = [str(attempt.outcome) for attempt in episode.attempts]
         return Made(
             scene_id=scene_id,
@@ -84,9 +74,7 @@ class BinEmptier:
         )
 
     def close(self) -> None:
-        renderer, self._renderer = self._renderer, None
-        if renderer is not None:
-            renderer.close()
+        self._kept.close()
 
 
 def pick_bins(
@@ -121,7 +109,11 @@ def pick_bins(
     backend = cell.config.render.backend
     chosen = device if workers.engine == "ray" else choose_device(backend, device)
     task = PickTask(cell=cell, seed=seed, device=chosen)
-    lost: list[int] = []
+
+    def keep(made: Made) -> None:
+        folder.write(made.scene_id, made.files)
+        on_made(made)
+
     with open_picks(out, cell, seed=seed) as folder:
         found = folder.finished()
         todo = [bin_id for bin_id in range(bins) if bin_id not in found]
@@ -137,17 +129,4 @@ def pick_bins(
             address=workers.address,
             on_stage=on_stage,
         )
-        with closing(pool):
-            for outcome in make_all(pool, todo):
-                if isinstance(outcome, Made):
-                    folder.write(outcome.scene_id, outcome.files)
-                    on_made(outcome)
-                    continue
-                if isinstance(outcome.error, (ConfigError, DeviceError)):
-                    raise outcome.error
-                on_failed(outcome)
-                if outcome.final:
-                    lost.append(outcome.scene_id)
-                    if len(lost) == len(todo):
-                        raise outcome.error
-    return tuple(lost)
+        return make_each(pool, todo, on_made=keep, on_failed=on_failed)

@@ -215,7 +215,8 @@ def _hold(
     fits = np.array([at for c, at, was in court.tried if c == code and was <= limit])
     found = []
     for i, parameter in enumerate(court.parameters):
-        good, bad = fits[:, i].tolist(), []
+        good: list[float] = fits[:, i].tolist()
+        bad: list[float] = []
         for share in _PROFILE:
             moved = x.copy()
             moved[i] = share

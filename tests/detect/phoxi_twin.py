@@ -5,8 +5,9 @@ cd tests && python -m detect.phoxi_twin --out ../out/phoxi
 graycast generate ../out/phoxi/twin.yaml --out ../out/phoxi/twin
 graycast study ../out/phoxi/study.yaml --out ../out/phoxi/study
 
-The first command writes the twin's configuration and the scans as a dataset; the last one trains in
-the twin on four inputs and scores on the twin and on the scans. Bin, household meshes and scans are
+The first command writes the twin's configuration and the scans as a dataset, and `cell.yaml` for
+`graycast twin`; the last one trains in the twin on four inputs and scores on the twin and on the
+scans. Bin, household meshes and scans are
 in ../shared/data, which is no part of the project.
 """
 
@@ -26,7 +27,7 @@ from graycast.bench.zoo_parts import zoo_part
 from graycast.frames import axis_rotation, inverse, rigid
 from graycast.real.import_real import import_real
 from graycast.rig_file import save_scanner
-from graycast.scanner import preset
+from graycast.scanner import Scanner, preset
 
 DATA = Path(__file__).resolve().parents[3] / "shared" / "data"
 REAL = DATA / "phoxi"
@@ -127,6 +128,18 @@ def configuration(meshes: Path) -> dict:
     }
 
 
+def cell_to_fit(known: dict) -> dict:
+    """The same cell for `graycast twin`: what is fitted is the preset's, and pictures are quiet."""
+    fitted = {key: value for key, value in known.items() if key not in ("exposure", "decode")}
+    return fitted | {"rig": "cell_rig.yaml", "render": {"samples": 128}}
+
+
+def every_second_pixel(known: Scanner) -> Scanner:
+    """The scans are every second pixel of the device's map, so a pixel senses with a quarter."""
+    camera = replace(known.rig.camera, fill_factor=0.25)
+    return replace(known, rig=replace(known.rig, name="phoxi-cell", camera=camera))
+
+
 def _part(file: Path, unit: str, rng: np.random.Generator) -> dict:
     color = [round(float(c), 3) for c in rng.uniform(0.02, 0.8, 3)]
     return {
@@ -204,10 +217,11 @@ def main() -> None:
     _refuse_without_data()
     (out / "meshes").mkdir(parents=True, exist_ok=True)
     save_scanner(scanner(), out / "rig.yaml")
-    text = yaml.safe_dump(configuration((out / "meshes").absolute()), sort_keys=False)
-    (out / "twin.yaml").write_text(text, encoding="utf-8")
-    study = yaml.safe_dump(STUDY, sort_keys=False)
-    (out / "study.yaml").write_text(study, encoding="utf-8")
+    save_scanner(every_second_pixel(scanner()), out / "cell_rig.yaml")
+    content = configuration((out / "meshes").absolute())
+    written = {"twin.yaml": content, "cell.yaml": cell_to_fit(content), "study.yaml": STUDY}
+    for name, value in written.items():
+        (out / name).write_text(yaml.safe_dump(value, sort_keys=False), encoding="utf-8")
     write_real(out)
 
 

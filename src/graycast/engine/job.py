@@ -36,9 +36,9 @@ def keep_to_threads(threads: int | None) -> None:
 
 
 def is_the_scenes_own(error: BaseException) -> bool:
-    """Whether an error would come again: parts that find no rest, values out of their range.
+    """Whether the scene itself causes an error, so that another try would fail in the same way.
 
-    All else (a lost driver, memory, a process that was killed) may be the machine's.
+    Other errors (a lost driver, memory, a killed process) may be caused by the machine.
     """
     foreseen = isinstance(error, (GraycastError, ValueError))
     return foreseen and not isinstance(error, (DeviceError, WorkerDied))

@@ -170,9 +170,9 @@ def _texture(scan: DepthScan) -> list[float]:
     """How noise along rows and columns relates to the fine noise, and what neighbours share."""
     mixed = second_difference(scan.depth_m)
     known = mixed[~np.isnan(mixed)]
-    if len(known) < 500:
-        return [float("nan")] * 4
     fine_m = robust_sigma(known)
+    if len(known) < 500 or not fine_m:  # depth without any noise has no texture
+        return [float("nan")] * 4
     along_x, along_y = third_difference(scan.depth_m), third_difference(scan.depth_m.T)
     ratios = [robust_sigma(a[~np.isnan(a)]) / fine_m for a in (along_x, along_y)]
     return [*ratios, _shared(along_x), _shared(along_y)]

@@ -50,8 +50,8 @@ class Held:
 
     @property
     def decided(self) -> bool:
-        """Whether the data decide it: they hold it to less than half of its range."""
-        return self.parameter.share(self.high) - self.parameter.share(self.low) < _DECIDED
+        """Whether the data decide it: they hold it to at most half of its range."""
+        return self.parameter.share(self.high) - self.parameter.share(self.low) <= _DECIDED
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -208,14 +208,19 @@ def _hold(
 ) -> tuple[Held, ...]:
     """Each parameter alone over its range, and in all trials before: where the fit is worse.
 
-    Worse is by more than two other draws of the noise make of the best itself, or by a twentieth.
+    Worse is by more than two other draws of the noise make of the best itself, or by a twentieth,
+    and than the scanner itself would be: the means of so few scans and scenes differ, in spreads,
+    with a variance of one over either number.
     """
     other = [court.loss(code, x, seed + 1000 * k) for k in (1, 2)]
     limit = loss + max(2 * float(np.abs(np.array(other) - loss).max()), 0.05 * loss, 1e-9)
+    scans = max(len(values) for values in court.real.value.values())
+    limit = max(limit, 1 / scans + 1 / len(court.lit))
     fits = np.array([at for c, at, was in court.tried if c == code and was <= limit])
     found = []
     for i, parameter in enumerate(court.parameters):
-        good, bad = fits[:, i].tolist(), []
+        good: list[float] = fits[:, i].tolist()
+        bad: list[float] = []
         for share in _PROFILE:
             moved = x.copy()
             moved[i] = share

@@ -1,0 +1,62 @@
+"""Statistics by closed forms: a normal law has no tails, a mixture its own; holes are counted."""
+
+from math import sqrt
+
+import numpy as np
+import pytest
+from scipy.stats import norm
+
+from graycast.real.twin.rows import figures_of
+
+from ..realism.synthetic import plane, scan
+
+SIGMA_M = 1e-4
+
+
+def row(depth_m, name):
+    return figures_of([scan(depth_m)], None).value[name][0]
+
+
+def noisy(spread, seed=0):
+    """A plane with normal noise whose standard deviation varies from square to square, or not."""
+    z_m = plane()
+    return z_m + SIGMA_M * spread * np.random.default_rng(seed).standard_normal(z_m.shape)
+
+
+def test_normal_noise_has_no_tails():
+    assert row(noisy(1.0), "tails of the noise") == pytest.approx(0, abs=1.5)
+    assert row(noisy(1.0), "differences far out") < 0.1
+
+
+def test_noise_that_varies_within_a_square_has_the_tails_of_its_mixture():
+    """Left half of each square of 32 px is three times as noisy: the median of a mixture of two
+    normal laws by bisection, its standard deviation by sums.
+    """
+    z_m = plane()
+    spread = np.where(np.arange(z_m.shape[1]) % 32 < 16, 3.0, 1.0)
+    low, high = 0.0, 10.0
+    for _ in range(60):
+        middle = (low + high) / 2
+        share = np.mean([2 * norm.cdf(middle / s) - 1 for s in (1, 3)])
+        low, high = (middle, high) if share < 0.5 else (low, middle)
+    limit = 4 * 1.4826 * low
+
+    def cut(s):  # second moment of a normal law within the limit, and its probability
+        a = limit / s
+        inside = 2 * norm.cdf(a) - 1
+        return s * s * (inside - 2 * a * norm.pdf(a)), inside
+
+    parts = [cut(s) for s in (1.0, 3.0)]
+    core = sqrt(sum(p[0] for p in parts) / sum(p[1] for p in parts))
+    expected = 100 * (core / (1.4826 * low) - 1)
+    found = row(noisy(spread[None]), "tails of the noise")
+    assert found == pytest.approx(expected, rel=0.2)  # differences reach over the borders
+
+
+def test_single_holes_in_flat_places_are_counted_and_others_are_not():
+    z_m = plane().copy()
+    z_m[40:200:20, 40:200:20] = np.nan  # alone in a plane
+    z_m[220:224, 100:140] = np.nan  # a wide one
+    single = 8 * 8
+    places = 238 * 318 - 8 * single - 6 * 42  # that have eight neighbours with depth
+    assert row(z_m, "holes in flat places") == pytest.approx(1e4 * single / places, rel=1e-9)

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import yaml
 
-from graycast.cell import eyes, reach_m, resolve_cell
+from graycast.cell import eyes, reach_m, refuse_several, resolve_cell
 from graycast.config import load_config
 from graycast.dataset.seeds import OF_IMAGE, image_seeds, scene_seeds
 from graycast.errors import ConfigError, GraycastError
@@ -237,3 +237,10 @@ def test_left_out_a_configuration_says_nothing_of_views(tmp_path):
     path.write_text(yaml.safe_dump(PARTS))
     told = load_config(path).model_dump(mode="json")
     assert not {"views", "scanners"} & told.keys()
+
+
+def test_what_looks_once_refuses_a_cell_of_several_images(tmp_path):
+    one, two = resolved(tmp_path), resolved(tmp_path, views=[{}, {"tilt_deg": 10}])
+    refuse_several(one, "graycast design")
+    with pytest.raises(ConfigError, match="graycast design takes one image of a scene: remove"):
+        refuse_several(two, "graycast design")

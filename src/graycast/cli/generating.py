@@ -78,8 +78,7 @@ def _generate(options: argparse.Namespace) -> int:
     backend = config.render.backend
     print(
         f"{scenes} scenes of {', '.join(part.name for part in cell.scene.parts)} by "
-        f"{backend}{_where(backend, options)}, rig {cell.scene.rig.name}, seed {chosen_seed}, "
-        f"{_who(workers)}"
+        f"{backend}{_where(backend, options)}, {_rigs(cell)}, seed {chosen_seed}, {_who(workers)}"
     )
     with progress_bar() as bar:
         shown = _Shown(bar, scenes)
@@ -109,6 +108,13 @@ def _where(backend: str, options: argparse.Namespace) -> str:
     if options.engine == "ray":
         return ""  # each machine of the cluster chooses its own device
     return f" on {choose_device(backend, options.device)}"
+
+
+def _rigs(cell) -> str:
+    if len(cell.images) == 1:
+        return f"rig {cell.scene.rig.name}"
+    rigs = ", ".join(" ".join(filter(None, (s.rig.name, name))) for name, s in cell.scanners)
+    return f"{len(cell.images)} images a scene by rig {rigs}"
 
 
 def _who(workers) -> str:

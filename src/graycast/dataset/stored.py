@@ -4,7 +4,7 @@ Nothing is trusted: a file that is missing, damaged or contradicts another is a 
 says which one.
 """
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
@@ -12,15 +12,15 @@ from typing import Any, final
 
 import numpy as np
 from pycocotools import mask as coco_mask
+from pydantic import RootModel
 
 from ..array_types import Bool, Float32, Int, UInt8, UInt16
 from ..errors import DatasetError
 from . import records
 from .example import Example, Label, label_arrays, metres
-from .places import CLAIM, SPLITS, finished_scenes
+from .places import CLAIM, SPLITS, camera_file, finished_scenes
 from .reading import Unreadable, read_json
 from .real import RealClaim, RealInfo, RealPose, RealView, is_real
-from .records import OneImage
 from .scene_folder import SceneFolder
 
 NO_REASON = 255  # a pixel without scanner depth in a dataset that does not say why
@@ -76,9 +76,17 @@ class SceneContent:
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class StoredScene:
-    """One scene of a dataset, each file read and checked when it is asked for.
+    """One picture of a scene, with all that belongs to it; most scenes have only one.
 
-    Every method raises DatasetError where a file is missing, damaged or contradicts another.
+    Each file is read and checked when it is asked for. Every method raises DatasetError where a
+    file is missing, damaged or contradicts another.
+
+    Attributes:
+        folder: the scene's, which its pictures share.
+        place: of the picture among those of the scene, from 0.
+        of: how many pictures a scene has.
+        sensor: the name of the scanner that took it, where it has one.
+        image: its number among the pictures of that scanner.
     """
 
     folder: Path
@@ -88,21 +96,30 @@ class StoredScene:
     categories: Mapping[int, str] = field(hash=False)
     real: bool
     holds: frozenset[str]
+    place: int = 0
+    of: int = 1
+    sensor: str = ""
+    image: int = 0
+
+    @property
+    def image_id(self) -> int:
+        """Its number among all pictures of the split: the scene's, where that has only one."""
+        return self.scene_id * self.of + self.place
 
     @property
     def key(self) -> str:
-        """Its name among all scenes of the dataset."""
-        return f"{self.split}-{self.scene_id:06d}"
+        """Its name among all pictures of the dataset: the scene's, where that has only one."""
+        return self.scene_key if self.of == 1 else f"{self.scene_key}-{self.picture_name}"
 
     @property
     def scene_key(self) -> str:
-        """The name of the scene that the picture is of, among all scenes of the dataset."""
+        """The scene's name among all scenes of the dataset."""
         return f"{self.split}-{self.scene_id:06d}"
 
     @property
     def picture_name(self) -> str:
-        """Its name among the pictures of its scene."""
-        return "0"
+        """Its name among the pictures of its scene: `1`, or `left-1` of the scanner `left`."""
+        return f"{self.sensor}-{self.image}" if self.sensor else f"{self.image}"
 
     def view(self) -> records.View | Any:
         """Intrinsics and depth scale; of simulated scenes also where the camera stood."""
@@ -133,7 +150,7 @@ class StoredScene:
     def png(self, name: str) -> Path:
         """A picture's file, found whole and of the right form."""
         self._image(name)
-        return self._files.png_path(name)
+        return self._files.png_path(name, self.image)
 
     def rgb(self) -> UInt8[np.ndarray, "h w 3"]:
         return np.ascontiguousarray(self._image("rgb")[..., ::-1])
@@ -158,7 +175,7 @@ class StoredScene:
         view, labels = self.view(), self.labels(min_visibility=min_visibility)
         known = labels if "masks" in self.holds else None
         return Example(
-            scene_id=self.scene_id,
+            scene_id=self.image_id,
             K=np.array(view.cam_K).reshape(3, 3),
             distortion=tuple(view.distortion),
             rgb=self.rgb() if "rgb" in self.holds else None,
@@ -188,12 +205,12 @@ class StoredScene:
         )
 
     def said(self, name: str) -> Any:
-        """What a JSON file says of the scene's image, as it is."""
-        return self._of_image(name, Any)
+        """What a JSON file says of the picture, as it is."""
+        return self._of_image(name, RootModel[Any]).root
 
     def poses(self) -> list[Any]:
         """What `scene_gt.json` says of every instance, seen or not."""
-        poses = self._of_image("scene_gt", list[RealPose if self.real else records.Pose])
+        poses = self._of_instances("scene_gt", RealPose if self.real else records.Pose)
         for obj_id in {pose.obj_id for pose in poses}.difference(self.categories):
             raise DatasetError(
                 f"{self.folder / 'scene_gt.json'}: has object {obj_id}, {CLAIM} has "
@@ -206,8 +223,12 @@ class StoredScene:
         if "masks" not in self.holds:
             return [], [], []
         poses = self.poses()
-        infos = self._of_image("scene_gt_info", list[RealInfo if self.real else records.Info])
-        annotations = self._read("scene_gt_coco", records.SceneCoco).annotations
+        infos = self._of_instances("scene_gt_info", RealInfo if self.real else records.Info)
+        annotations = [
+            entry
+            for entry in self._read("scene_gt_coco", records.SceneCoco).annotations
+            if entry.image_id == self.image
+        ]
         seen = sum(info.px_count_visib > 0 for info in infos)
         if len(poses) != len(infos) or seen != len(annotations):
             raise DatasetError(
@@ -257,7 +278,7 @@ class StoredScene:
                 StoredInstance(obj_id=pose.obj_id, area_px=info.px_count_visib, box=info.bbox_visib)
                 for pose, info in zip(poses, infos, strict=True)
             )
-        boxes = self._of_image("scene_gt_box3d", list[records.Box3d])
+        boxes = self._of_instances("scene_gt_box3d", records.Box3d)
         if len(boxes) != len(poses):
             raise DatasetError(
                 f"{self.folder}: scene_gt_box3d.json has {len(boxes)} boxes, scene_gt.json "
@@ -287,29 +308,32 @@ class StoredScene:
 
     def _image(self, name: str) -> np.ndarray:
         axes, kind = _PIXELS.get(name, _DEPTH)
-        image = self._checked(partial(self._files.png, name))
+        image = self._checked(partial(self._files.png, name, self.image))
         if image.ndim != axes or image.dtype != kind or image.shape[:2] != self.size_px:
             height_px, width_px = self.size_px
             must = f"{np.dtype(kind)}, {width_px} x {height_px} pixels"
             raise DatasetError(
-                f"{self._files.png_path(name)}: is {image.dtype} {image.shape}, it must be {must}: "
+                f"{self._files.png_path(name, self.image)}: is {image.dtype} {image.shape}, it must be {must}: "
                 "run graycast validate"
             )
         return image
 
     def _mask(self, name: str, i: int) -> Bool[np.ndarray, "h w"]:
-        mask = self._checked(partial(self._files.mask, name, i))
+        mask = self._checked(partial(self._files.mask, name, i, self.image))
         if mask.shape != self.size_px:
-            path = self._files.mask_path(name, i)
+            path = self._files.mask_path(name, i, self.image)
             raise DatasetError(f"{path}: is {mask.shape}, not {self.size_px}")
         return mask
 
     @property
     def _files(self) -> SceneFolder:
-        return SceneFolder(self.folder)
+        return SceneFolder(self.folder, self.sensor)
 
     def _of_image(self, name: str, form: Any) -> Any:
-        return self._read(name, OneImage[form]).image
+        return self._checked(partial(self._files.of_image, name, self.image, form))
+
+    def _of_instances(self, name: str, form: Any) -> list[Any]:
+        return self._checked(partial(self._files.of_instances, name, self.image, form))
 
     def _read(self, name: str, form: type) -> Any:
         return self._checked(partial(self._files.record, name, form))
@@ -324,6 +348,16 @@ class StoredScene:
 
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
+class TakenPicture:
+    """Which picture of a scene: its scanner's name, its number there, its height and width."""
+
+    sensor: str
+    image: int
+    size_px: tuple[int, int]
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True)
 class StoredDataset:
     """A finished dataset in BOP's form, of simulated or of real pictures.
 
@@ -332,7 +366,7 @@ class StoredDataset:
         categories: object ids and the parts' names.
         scene_ids: the scenes of each split's folder. Graycast writes `train` alone; who moves
             scenes to `val` and `test` has them counted and shown apart.
-        size_px: height, width.
+        pictures: of each scene, in the order of their places.
         holds: which of rgb, gray_sl, depth, depth_sl, masks, amodal, poses and shares (visible
             ones) its scenes have.
     """
@@ -341,8 +375,13 @@ class StoredDataset:
     claim: Mapping[str, Any]
     categories: Mapping[int, str]
     scene_ids: Mapping[str, tuple[int, ...]]
-    size_px: tuple[int, int]
+    pictures: tuple[TakenPicture, ...]
     holds: frozenset[str]
+
+    @property
+    def size_px(self) -> tuple[int, int]:
+        """Height and width of a scene's first picture; of scanners each has its own."""
+        return self.pictures[0].size_px
 
     @property
     def real(self) -> bool:
@@ -352,21 +391,42 @@ class StoredDataset:
     def depth_scale_mm(self) -> float:
         return self.claim["depth_scale_mm"]
 
+    def taker(self, sensor: str) -> Mapping[str, Any]:
+        """The rig and the scanner of a name as the claim says them; nothing of real pictures."""
+        for taker in self.claim.get("scanners", ()):
+            if taker["name"] == sensor:
+                return taker
+        if "rig" not in self.claim:
+            return {}
+        return {"rig": self.claim["rig"], "scanner": self.claim["config"].get("scanner", {})}
+
     @property
     def scenes(self) -> tuple[StoredScene, ...]:
-        """The scenes of all splits."""
+        """The pictures of the scenes of all splits, those of a scene in a row."""
         return tuple(
-            self.scene(scene_id, split=split)
+            self.scene(image_id, split=split)
             for split, scene_ids in self.scene_ids.items()
-            for scene_id in scene_ids
+            for image_id in self.images_of(scene_ids)
         )
 
-    def scene(self, scene_id: int, *, split: str = "train") -> StoredScene:
+    def images_of(self, scene_ids: Iterable[int]) -> list[int]:
+        """The numbers of all pictures of some scenes: the scenes' own, where each has one."""
+        of = len(self.pictures)
+        return [scene_id * of + place for scene_id in scene_ids for place in range(of)]
+
+    def scene(self, image_id: int, *, split: str = "train") -> StoredScene:
+        """A picture by its number, which is the scene's where that has only one."""
+        scene_id, place = divmod(image_id, len(self.pictures))
+        taken = self.pictures[place]
         return StoredScene(
             folder=self.folder / split / f"{scene_id:06d}",
             split=split,
             scene_id=scene_id,
-            size_px=self.size_px,
+            size_px=taken.size_px,
+            place=place,
+            of=len(self.pictures),
+            sensor=taken.sensor,
+            image=taken.image,
             categories=self.categories,
             real=self.real,
             holds=self.holds,
@@ -382,7 +442,8 @@ def open_dataset(folder: Path) -> StoredDataset:
     real = is_real(folder)
     try:
         claim = read_json(folder / CLAIM, RealClaim if real else records.Claim)
-        camera = read_json(folder / "camera.json", records.Camera)
+        images = [("", 0)] if isinstance(claim, RealClaim) else claim.images
+        size_px = {sensor: _size_px(folder, sensor) for sensor, _ in images}
     except Unreadable as error:
         raise DatasetError(f"{folder} is not a Graycast dataset: {error}") from error
     scene_ids = {split: tuple(sorted(finished_scenes(folder, split))) for split in SPLITS}
@@ -393,6 +454,14 @@ def open_dataset(folder: Path) -> StoredDataset:
         claim=claim.model_dump(),
         categories={part.obj_id: part.name for part in claim.parts},
         scene_ids=scene_ids,
-        size_px=(camera.height, camera.width),
+        pictures=tuple(
+            TakenPicture(sensor=sensor, image=image, size_px=size_px[sensor])
+            for sensor, image in images
+        ),
         holds=frozenset(claim.holds) if real else _HELD,
     )
+
+
+def _size_px(folder: Path, sensor: str) -> tuple[int, int]:
+    camera = read_json(folder / camera_file(sensor), records.Camera)
+    return camera.height, camera.width

@@ -50,7 +50,7 @@ def write_dataset(out: Path, scene_ids=(0, 3), rig=None, *, keeps=False):
         depth_scale_mm=SCALE_MM,
     ) as store:
         for scene_id, sample in samples.items():
-            store.write(scene_id, sample)
+            store.write(scene_id, [sample])
         store.finish(samples)
     return samples
 

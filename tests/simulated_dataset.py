@@ -27,7 +27,7 @@ def write_dataset(out, scene_ids=(0, 3, 4, 5)):
         out, config=CONFIG, seed=SEED, parts=parts, rig=rig, depth_scale_mm=SCALE_MM
     ) as store:
         for scene_id, sample in samples.items():
-            store.write(scene_id, sample)
+            store.write(scene_id, [sample])
         store.finish(samples)
     return samples
 

@@ -43,6 +43,7 @@ ORDER = (
     "detections",
     "pose_results",
     "domain",
+    "views",
     "config",
     "cell",
     "simulate",

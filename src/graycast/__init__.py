@@ -55,6 +55,7 @@ What is written, and what makes it:
     detections       what a detector finds in a picture, and COCO's results files
     pose_results     estimated poses, and BOP's results files
     domain           how scenes differ from their cell, and the record of it
+    views            from where a cell's scanners take their images
     config           what a user writes in YAML, and the values that it stands for
     cell             a configuration with its files read, which all scenes share
     simulate         one scene, all the way from its seeds to its sample
@@ -139,6 +140,7 @@ if TYPE_CHECKING:  # for type checkers and editors; `_MODULE` says the same to P
     from .sensor import Capture as Capture
     from .sensor import SensorSpec as SensorSpec
     from .simulate import Shot as Shot
+    from .simulate import make_images as make_images
     from .simulate import make_scene as make_scene
     from .stack import decode_stack as decode_stack
     from .training import Example as Example
@@ -167,7 +169,7 @@ _MODULE = {
         "scanner": ("Scan", "Scanner", "measure", "preset", "scan", "take"),
         "scene": ("Bin", "Environment", "Lamp", "Layout", "Scene"),
         "sensor": ("Capture", "SensorSpec"),
-        "simulate": ("Shot", "make_scene"),
+        "simulate": ("Shot", "make_images", "make_scene"),
         "stack": ("decode_stack",),
         "training": ("Example", "open_examples"),
     }.items()

@@ -79,10 +79,9 @@ def write_card(
     if licence is not None:
         licence = spdx(licence)
     stored = open_dataset(dataset)
-    scenes = stored.scenes
-    census = take_census([scene for scene in scenes if scene.place == 0])
+    census = take_census(stored.scenes)
     if statistics is None:
-        drawn = (scene_figures(scene.content()) for scene in sampled(scenes))
+        drawn = (scene_figures(scene.content()) for scene in sampled(stored.pictures))
         statistics = tally(drawn, stored.categories)
     shown = _shown(census)
     card = card_text(
@@ -205,7 +204,7 @@ def card_text(
         _CAPTION if pictures else "",
         "## Figures",
         _figures(statistics, census, stored),
-        _told_of_sample(statistics, census, len(stored.pictures)),
+        _told_of_sample(statistics, census, len(stored.images)),
         f"![statistics]({FOLDER}/stats.png)",
         f"All of them as numbers: `{FOLDER}/stats.json`.",
         "## How it was made",
@@ -250,7 +249,7 @@ def _figures(s: Statistics, census: Census, stored: StoredDataset) -> str:
     splits: dict[str, int] = {}
     for scene in census.objects:
         splits[scene.split] = splits.get(scene.split, 0) + 1
-    each = "" if len(stored.pictures) == 1 else f", each of {len(stored.pictures)} pictures"
+    each = "" if len(stored.images) == 1 else f", each of {len(stored.images)} pictures"
     rows = [
         ("scenes", ", ".join(f"{count:,} {split}" for split, count in splits.items()) + each),
         ("pictures", ", ".join(f"{w} x {h} px" for w, h in s.sizes_px)),

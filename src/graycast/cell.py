@@ -1,19 +1,19 @@
 """A cell: a configuration with its files read, which all scenes of a dataset share."""
 
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import Float, UInt8
+from jaxtyping import UInt8
 
 from .config import (
     Config,
-    ViewSection,
     file_digests,
     resolve_bin,
     resolve_environment,
     resolve_parts,
-    resolve_scanner,
+    resolve_scanners,
 )
 from .domain import Domain, deepest_m, resolve_domain
 from .drop import OnStage
@@ -21,16 +21,50 @@ from .parts import Part
 from .parts.sections import resolve_material
 from .pattern import Code
 from .render import OnFrame, OnPass, Renderer, open_renderer
-from .rig import Rig, grey_levels, place, standoff_m
+from .rig import grey_levels
 from .scanner import Scanner
-from .scene import Bin, Scene
+from .scene import Scene, bin_of
+from .views import (
+    Pose,
+    Sampler,
+    ViewSection,
+    farthest,
+    hang,
+    how_many,
+    is_drawn,
+    places,
+    refuse_inside,
+)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Eye:
+    """One image of a scene: which scanner takes it, and from where.
+
+    `sensor` is the scanner's name, "" of the only one; `image` counts each scanner's own, from 0;
+    `station` is the scanner's place in the configuration. `T_first_cam` is where it is mounted on
+    the first scanner, whose image of the same number it then moves with; else None.
+    """
+
+    sensor: str
+    image: int
+    station: int
+    scanner: Scanner
+    T_world_cam: Pose
+    T_first_cam: Pose | None = None
+
+    def patterns(self) -> UInt8[np.ndarray, "n ph pw"]:
+        """What the projector is given: grey levels that undo its response."""
+        return patterns_of(self.scanner)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Cell:
     """A configuration with its files read: what all scenes of a dataset share.
 
-    `scene` holds every kind of part; a scene drops one kind of it, or all where `config.mix`.
+    `scene` holds every kind of part; a scene drops one kind of it, or all where `config.mix`. Its
+    rig and place, and `scanner`, are those of the first image. `named` are all scanners by their
+    names where the configuration gives them names.
     """
 
     config: Config
@@ -39,6 +73,7 @@ class Cell:
     notes: tuple[str, ...]
     file_digests: dict[str, str]
     domain: Domain | None = None
+    named: tuple[tuple[str, Scanner], ...] = ()
 
     @property
     def kinds(self) -> tuple[Part, ...]:
@@ -52,7 +87,91 @@ class Cell:
 
     def patterns(self) -> UInt8[np.ndarray, "n ph pw"]:
         """What the projector is given: grey levels that undo its response."""
-        return self.code.render(lambda share: grey_levels(self.scanner.rig, share))
+        return patterns_of(self.scanner)
+
+    @property
+    def scanners(self) -> tuple[tuple[str, Scanner], ...]:
+        """Every scanner with its name, "" of the only one that has none."""
+        return self.named or (("", self.scanner),)
+
+    @property
+    def draws_views(self) -> bool:
+        """Whether each scene has places of its own for its images."""
+        own = [_own_views(self.config, station) for station in range(len(self.scanners))]
+        return any(is_drawn(views) for views in own)
+
+    @property
+    def images(self) -> tuple[tuple[str, int], ...]:
+        """Every image of a scene: its scanner's name, and its number among that scanner's own."""
+        numbers: list[int] = []
+        for station in range(len(self.scanners)):
+            views = _own_views(self.config, station)
+            mounted = _mounting(self, station) is not None
+            numbers.append(numbers[0] if mounted else how_many(views))
+        return tuple(
+            (name, image)
+            for (name, _), number in zip(self.scanners, numbers, strict=True)
+            for image in range(number)
+        )
+
+
+def patterns_of(scanner: Scanner) -> UInt8[np.ndarray, "n ph pw"]:
+    """What a scanner's projector is given: grey levels that undo its response."""
+    return scanner.light_code().render(lambda share: grey_levels(scanner.rig, share))
+
+
+def eyes(cell: Cell, seed: int) -> tuple[Eye, ...]:
+    """Every image of one scene, scanner by scanner, as the configuration places them.
+
+    Args:
+        seed: of the scene's views; places that are listed do not follow from it.
+
+    Raises:
+        ConfigError: a camera or projector would be inside the bin.
+    """
+    found: list[Eye] = []
+    first: tuple[Pose, ...] = ()
+    for station, (name, scanner) in enumerate(cell.scanners):
+        poses = _places(cell, station, first, seed)
+        first = first or poses
+        found += [
+            Eye(
+                sensor=name,
+                image=image,
+                station=station,
+                scanner=scanner,
+                T_world_cam=T,
+                T_first_cam=_mounting(cell, station),
+            )
+            for image, T in enumerate(poses)
+        ]
+    return tuple(found)
+
+
+def _mounting(cell: Cell, station: int) -> Pose | None:
+    given = None if cell.config.scanners is None else cell.config.scanners[station].T_first_cam
+    return None if given is None else np.reshape(given, (4, 4)).astype(np.float64)
+
+
+def _places(cell: Cell, station: int, first: tuple[Pose, ...], seed: int) -> tuple[Pose, ...]:
+    """The places of one scanner; with the same seed a dome has the same for all rigs."""
+    config, box, rig = cell.config, bin_of(cell.scene), cell.scanners[station][1].rig
+    T_first_cam = _mounting(cell, station)
+    if T_first_cam is not None:
+        moved = tuple(T_world_first @ T_first_cam for T_world_first in first)
+        for number, T_world_cam in enumerate(moved):
+            where = f"scanner {cell.scanners[station][0]}: image {number}"
+            refuse_inside(T_world_cam, rig, box, where)
+        return moved
+    views = _own_views(config, station)
+    if views is not None:
+        return places(views, config.view, rig, box, seed)
+    return (hang(config.view, rig, box) if station else cell.scene.T_world_cam,)
+
+
+def _own_views(config: Config, station: int) -> tuple[ViewSection, ...] | Sampler | None:
+    own = None if config.scanners is None else config.scanners[station].views
+    return config.views if own is None else own
 
 
 def resolve_cell(config: Config, folder: Path, *, on_stage: OnStage = lambda stage: None) -> Cell:
@@ -64,7 +183,8 @@ def resolve_cell(config: Config, folder: Path, *, on_stage: OnStage = lambda sta
         GraycastError, ValueError: a file or a value that cannot be used, named.
     """
     parts, notes = resolve_parts(config, folder, on_stage=on_stage)
-    scanner = resolve_scanner(config, folder)
+    scanners = resolve_scanners(config, folder)
+    scanner = scanners[0][1]
     rig = scanner.rig
     if config.bin.mesh is not None:
         on_stage(f"reading {config.bin.mesh}")
@@ -82,14 +202,18 @@ def resolve_cell(config: Config, folder: Path, *, on_stage: OnStage = lambda sta
     if config.domain is not None:
         on_stage("reading the files that the domain names")
     domain = None if config.domain is None else resolve_domain(config.domain, folder, scene=scene)
-    return Cell(
+    cell = Cell(
         config=config,
         scene=scene,
         scanner=scanner,
         notes=notes + bin_notes + (domain.notes if domain else ()),
         file_digests=file_digests(config, folder),
         domain=domain,
+        named=() if config.scanners is None else scanners,
     )
+    if config.views is None and config.scanners is None:
+        return cell
+    return replace(cell, scene=replace(scene, T_world_cam=eyes(cell, 0)[0].T_world_cam))
 
 
 def reach_m(cell: Cell) -> float:
@@ -98,20 +222,26 @@ def reach_m(cell: Cell) -> float:
     To the end of the rig's working range, and to the deepest corner of the bin wherever the domain
     may hang the rig. What lies deeper is the table, which has no end.
     """
-    return max(cell.scene.rig.far_m, deepest_m(cell.config.domain, cell.scene))
-
-
-def hang(view: ViewSection, rig: Rig, box: Bin) -> Float[np.ndarray, "4 4"]:
-    """`T_world_cam`: the one given, or the rig placed above the bin."""
-    if view.T_world_cam is not None:
-        return np.reshape(view.T_world_cam, (4, 4)).astype(np.float64)
-    return place(
-        rig,
-        target_m=np.array(view.target_m or (0.0, 0.0, box.inner_m[2] / 3)),
-        distance_m=view.distance_m or standoff_m(rig),
-        tilt_rad=np.radians(view.tilt_deg),
-        azimuth_rad=np.radians(view.azimuth_deg),
+    return max(
+        max(scene.rig.far_m, deepest_m(cell.config.domain, scene)) for scene in _farthest(cell)
     )
+
+
+def _farthest(cell: Cell) -> Iterator[Scene]:
+    """The cell's scene before each scanner, from where it may see the bin the deepest."""
+    config, box = cell.config, bin_of(cell.scene)
+    first: tuple[Pose, ...] = ()
+    for station, (_, scanner) in enumerate(cell.scanners):
+        views, T_first_cam = _own_views(config, station), _mounting(cell, station)
+        if T_first_cam is not None:
+            poses = tuple(T_world_first @ T_first_cam for T_world_first in first)
+        elif views is None:
+            poses = _places(cell, station, first, 0)
+        else:
+            poses = farthest(views, config.view, scanner.rig, box)
+        first = first or poses
+        for T_world_cam in poses:
+            yield replace(cell.scene, rig=scanner.rig, T_world_cam=T_world_cam)
 
 
 def open_cell_renderer(

@@ -9,7 +9,6 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any, Literal
 
-import numpy as np
 from pydantic import (
     Field,
     ValidationError,
@@ -22,7 +21,6 @@ from .decode import triangulation_axis
 from .domain import DomainSection, domain_files
 from .drop import DropLimits, OnStage
 from .errors import ConfigError
-from .frames import is_rigid
 from .parts import Material, Part
 from .parts.sections import (
     MaterialSection,
@@ -37,7 +35,8 @@ from .render.radiance import PathDepth, Samples
 from .rig_file import ScannerSections, named_scanner, with_sections
 from .scanner import Scanner
 from .scene import BandRadiance, Bin, Environment, Inner, Lamp, Wall
-from .settings import Level, Positive, Settings, Vector, read_settings
+from .settings import Level, Settings, read_settings, unsaid
+from .views import DomeSection, JitterSection, ScannerEntry, Views, ViewSection
 
 
 class BinSection(Settings):
@@ -96,41 +95,6 @@ class EnvironmentSection(Settings):
 class LightSection(Settings):
     environment: EnvironmentSection = EnvironmentSection()
     lamps: tuple[Lamp, ...] = (Lamp(center_m=(0.7, -0.5, 1.6)),)
-
-
-class ViewSection(Settings):
-    """Where the rig hangs. At azimuth 0 its baseline runs along the world's x."""
-
-    distance_m: Positive | None = Field(
-        None,
-        description="From the baseline's middle to the target. Left out, the axes meet there.",
-    )
-    tilt_deg: float = Field(0.0, ge=0, le=80)
-    azimuth_deg: float = 0.0
-    target_m: Vector | None = Field(
-        None,
-        description="What the rig looks at. Left out, it is a third of the bin's height up.",
-    )
-    T_world_cam: tuple[float, ...] | None = Field(
-        None,
-        description="The camera's pose, which replaces all other keys: 4x4, by rows [m].",
-        exclude_if=lambda pose: pose is None,  # so that older datasets can go on
-    )
-
-    @model_validator(mode="after")
-    def _one_pose(self) -> "ViewSection":
-        if self.T_world_cam is None:
-            return self
-        # By value: what is read back from a manifest gives every key.
-        own = {name: field.default for name, field in ViewSection.model_fields.items()}
-        others = [n for n in own if n != "T_world_cam" and getattr(self, n) != own[n]]
-        if others:
-            raise ValueError(f"T_world_cam is the whole pose: remove it, or {', '.join(others)}")
-        if len(self.T_world_cam) != 16:
-            raise ValueError(f"T_world_cam has {len(self.T_world_cam)} numbers; give 16")
-        if not is_rigid(np.reshape(self.T_world_cam, (4, 4))):
-            raise ValueError("T_world_cam is not a rotation and a translation")
-        return self
 
 
 class CyclesSection(Settings):
@@ -201,6 +165,17 @@ class Config(ScannerSections):
         description="The size of a preset: 516 x 386, 1032 x 772 or 2064 x 1544 pixels.",
     )
     view: ViewSection = ViewSection()
+    views: Views | None = Field(
+        None,
+        description="Several images of each scene: a list of places, or dome, path or jitter.",
+        exclude_if=unsaid,
+    )
+    scanners: tuple[ScannerEntry, ...] | None = Field(
+        None,
+        min_length=1,
+        description="Several scanners in the cell, each with a name. They replace rig.",
+        exclude_if=unsaid,
+    )
     light: LightSection = LightSection()
     domain: DomainSection | None = Field(
         None,
@@ -225,6 +200,34 @@ class Config(ScannerSections):
         if not 1 <= low <= high <= 255:
             raise ValueError("give 1 to 255, or [lowest, highest] of these")
         return count
+
+    @model_validator(mode="after")
+    def _one_way_to_look(self) -> "Config":
+        # By value: what is read back from a manifest gives every key.
+        used = {"distance_m", "target_m"} if isinstance(self.views, DomeSection) else set()
+        if self.views is not None and not isinstance(self.views, JitterSection):
+            plain = ViewSection(**self.view.model_dump(include=used))
+            if self.view != plain:
+                raise ValueError(
+                    "view and views both say where the rig hangs: remove view, or take it into "
+                    "views"
+                )
+        if self.scanners is None:
+            return self
+        own = [*ScannerSections.model_fields, "rig"]
+        given = [name for name in own if getattr(self, name) != Config.model_fields[name].default]
+        if given:
+            raise ValueError(
+                f"{', '.join(given)} and scanners are both given: say it in each of the scanners"
+            )
+        names = [entry.name.lower() for entry in self.scanners]
+        if twice := sorted({name for name in names if names.count(name) > 1}):
+            raise ValueError(f"two scanners are called {twice[0]}: give one another name")
+        if self.scanners[0].T_first_cam is not None:
+            raise ValueError(
+                f"scanner {self.scanners[0].name} is the first: T_first_cam is of the others"
+            )
+        return self
 
     @property
     def count_range(self) -> tuple[int, int]:
@@ -310,13 +313,34 @@ def resolve_environment(section: EnvironmentSection, folder: Path) -> Environmen
 
 
 def resolve_scanner(config: Config, folder: Path) -> Scanner:
-    """The rig that a configuration names, with what its sections change.
+    """The scanner that a configuration names, or the first of several.
+
+    Raises:
+        ConfigError: as of `resolve_scanners`.
+    """
+    return resolve_scanners(config, folder)[0][1]
+
+
+def resolve_scanners(config: Config, folder: Path) -> tuple[tuple[str, Scanner], ...]:
+    """Every scanner with its name, "" of the only one; with what its sections change.
 
     Raises:
         ConfigError: no such rig, or a code without the axis that its baseline runs along.
     """
-    named = named_scanner(config.rig, folder=folder, resolution=config.resolution)
-    scanner = with_sections(named, config)
+    if config.scanners is None:
+        return (("", _resolved(config.rig, config, config.resolution, folder)),)
+    found = []
+    for entry in config.scanners:
+        try:
+            scanner = _resolved(entry.rig, entry, config.resolution, folder)
+        except ConfigError as error:
+            raise ConfigError(f"scanner {entry.name}: {error}") from error
+        found.append((entry.name, scanner))
+    return tuple(found)
+
+
+def _resolved(rig: str, sections: ScannerSections, resolution: str, folder: Path) -> Scanner:
+    scanner = with_sections(named_scanner(rig, folder=folder, resolution=resolution), sections)
     axis = triangulation_axis(scanner.rig)
     if axis not in scanner.code.axes:
         axes = ", ".join(scanner.code.axes)

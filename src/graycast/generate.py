@@ -6,7 +6,8 @@ order of scenes or a restart.
 
 import time
 import traceback
-from collections.abc import Callable
+from collections import Counter
+from collections.abc import Callable, Sequence
 from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
@@ -26,7 +27,7 @@ from .dataset import (
     open_store,
     refuse_other_dataset,
 )
-from .dataset.claim import BESIDE_CONFIG
+from .dataset.claim import BESIDE_CONFIG, Taker
 from .dataset.reading import Unreadable, read_json
 from .dataset.records import Claim
 from .drop import OnStage, hull_notes, prepare
@@ -145,8 +146,10 @@ def generate(
     )
 
 
-def save_scene(cell: Cell, shot: Shot, out: Path) -> Path:
+def save_scene(cell: Cell, shots: Shot | Sequence[Shot], out: Path) -> Path:
     """Write a scene that `make_scene` made into a dataset's folder, which it may begin.
+
+    Of a cell that takes several images of a scene, give all that `make_images` makes.
 
     The files are those that `generate` writes for the same cell, seed and number, which may go on
     with the folder. Unlike `generate` it also takes a scene in which nothing was decoded.
@@ -155,16 +158,24 @@ def save_scene(cell: Cell, shot: Shot, out: Path) -> Path:
         The scene's own folder.
 
     Raises:
-        ValueError: the scene was made from another configuration than the cell's.
+        ValueError: the scene was made from another configuration than the cell's, or an image of
+            it is missing.
         DatasetError: the scene is there already; the folder is another dataset's or in use; the
             disk refuses.
     """
-    manifest = shot.sample.manifest
+    samples = [shot.sample for shot in ([shots] if isinstance(shots, Shot) else shots)]
+    manifest = samples[0].manifest
     scene_id = manifest["scene_id"]
     if manifest["config"] != cell.config.model_dump(mode="json", exclude={"scenes", "seed"}):
         raise ValueError(
             f"scene {scene_id} was made from another configuration than this cell's: "
             "give the cell that make_scene was given"
+        )
+    given = [(sample.sensor, sample.image) for sample in samples]
+    if tuple(given) != cell.images:
+        raise ValueError(
+            f"scene {scene_id} has {len(cell.images)} images, {len(given)} were given: give all "
+            "that make_images makes"
         )
     task = SceneTask(
         cell=cell,
@@ -174,7 +185,7 @@ def save_scene(cell: Cell, shot: Shot, out: Path) -> Path:
     )
     with open_store(out, **_claimed(task)) as store:
         try:
-            store.write(scene_id, shot.sample)
+            store.write(scene_id, samples)
             store.finish(store.finished())
         except BaseException:
             store.tidy()
@@ -219,8 +230,9 @@ def read_origin(out: Path) -> Origin:
         held = {key: claim.config[key] for key in claim.config if key not in BESIDE_CONFIG}
         stored = held.get("store", {}) | {"depth_step_mm": claim.depth_scale_mm}
         config = Config.model_validate(held | {"store": stored})
-        rig = () if config.rig in PRESETS else (config.rig,)
-        return Origin(config=config, seed=claim.seed, files=(*claim.config["files"], *rig))
+        named = [entry.rig for entry in config.scanners or (config,)]
+        rigs = [rig for rig in named if rig not in PRESETS]
+        return Origin(config=config, seed=claim.seed, files=(*claim.config["files"], *rigs))
     except (Unreadable, ValidationError, KeyError) as error:
         why = " ".join(str(error).split())
         raise DatasetError(
@@ -273,7 +285,23 @@ def _claimed(task: SceneTask) -> dict[str, Any]:
         "parts": cell.kinds,
         "rig": cell.scene.rig,
         "depth_scale_mm": task.depth_scale_mm,
+        "takers": _takers(cell),
     }
+
+
+def _takers(cell: Cell) -> tuple[Taker, ...]:
+    """All scanners; none where one without a name takes one image, as it ever was."""
+    images = Counter(name for name, _ in cell.images)
+    takers = tuple(
+        Taker(
+            name=name,
+            images=images[name],
+            rig=cell.scene.rig if scanner is cell.scanner else scanner.rig,
+            scanning=described_scanner(scanner),
+        )
+        for name, scanner in cell.scanners
+    )
+    return () if images == {"": 1} else takers
 
 
 def described_scanner(scanner: Scanner) -> dict[str, Any]:

@@ -314,4 +314,6 @@ def _sections(node: Mapping[str, Any], schema: Mapping[str, Any]) -> list[Mappin
 
 
 def _kind(section: Mapping[str, Any]) -> str | None:
+    if section.get("type") == "array":
+        return "list"  # the tag of a list that stands among sections of several kinds
     return section.get("properties", {}).get("kind", {}).get("const")

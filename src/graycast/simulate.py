@@ -7,30 +7,32 @@ import platform
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from importlib.metadata import version
+from typing import Any
 
 import numpy as np
 
 from . import __version__
-from .cell import Cell
+from .cell import Cell, Eye, eyes
 from .config import resolve_quality
 from .dataset import Raw, Sample
-from .dataset.seeds import scene_seeds
+from .dataset.seeds import image_seeds, scene_seeds
 from .decode import CodeMap, reason_shares
-from .domain import Variation, draw, vary
+from .domain import Variation, draw, moved_place, vary
 from .drop import OnStage as OnStage
 from .drop import drop
 from .picture import color_picture, gray_picture
 from .render import Renderer, Rendering
 from .scanner import measure, take
-from .scene import Layout, Scene
+from .scene import Layout, Scene, bin_of
 from .sensor import Capture
+from .views import refuse_inside
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Shot:
-    """One finished scene with what lies between radiance and sample, for pictures of it."""
+    """One finished image with what lies between radiance and sample, for pictures of it."""
 
     sample: Sample
     rendering: Rendering
@@ -46,57 +48,97 @@ def make_scene(
     renderer: Renderer,
     on_stage: OnStage = lambda stage: None,
 ) -> Shot:
-    """One scene from its seeds to its sample; `on_stage` is told what begins.
+    """One scene from its seeds to the sample of its first image; `on_stage` is told what begins.
 
     Raises:
         DropError: the parts did not come to an acceptable rest.
         ValueError: the picture is dark, or a value is out of its range.
     """
-    config = cell.config
-    seeds = scene_seeds(seed, scene_id, domain=config.domain is not None)
+    return next(make_images(cell, scene_id, seed=seed, renderer=renderer, on_stage=on_stage))
+
+
+def make_images(
+    cell: Cell,
+    scene_id: int,
+    *,
+    seed: int,
+    renderer: Renderer,
+    on_stage: OnStage = lambda stage: None,
+) -> Iterator[Shot]:
+    """All images of one scene, one after the other, so that memory holds the light of one.
+
+    The parts are dropped once. Every image has the ground truth of the same layout.
+
+    Raises:
+        DropError, ValueError: as of `make_scene`.
+    """
     timings: dict[str, float] = {}
     with _timed(timings, "drop"):
+        seeds = cell_seeds(cell, scene_id, seed=seed)
         variation, layout = _laid(cell, scene_id, seeds, on_stage)
-        scene, counts = variation.scene, variation.counts
-    on_stage(f"{renderer.name} renders")
+    hung = _hung(cell, variation, seeds)
+    for number, (eye, scene) in enumerate(hung):
+        own = image_seeds(seed, scene_id, station=eye.station, image=eye.image)
+        told = {
+            "scene_id": scene_id,
+            "dataset_seed": seed,
+            "seeds": seeds | own,
+            "counts": {
+                part.name: n
+                for part, n in zip(variation.scene.parts, variation.counts, strict=True)
+                if n and part.labelled
+            },
+            "physics": {
+                key: value
+                for key, value in asdict(layout).items()
+                if key not in ("T_world_part", "part_index")
+            },
+        } | ({"domain": variation.record} if variation.record else {})
+        which = f" image {number + 1} of {len(hung)}" if len(hung) > 1 else ""
+        on_stage(f"{renderer.name} renders{which}")
+        yield _taken(cell, eye, scene, layout, told, timings, renderer, on_stage)
+        timings = {}
+
+
+def _taken(
+    cell: Cell,
+    eye: Eye,
+    scene: Scene,
+    layout: Layout,
+    told: dict[str, Any],
+    timings: dict[str, float],
+    renderer: Renderer,
+    on_stage: OnStage,
+) -> Shot:
+    """One image: light, sensor, decoding. `told` and `timings` are what is known of the scene."""
+    config, scanner, seeds = cell.config, eye.scanner, told["seeds"]
     with _timed(timings, "render"):
         quality = resolve_quality(config)
         rendering = renderer.render(
-            scene, layout, cell.patterns(), quality=quality, seed=seeds["render"]
+            scene, layout, eye.patterns(), quality=quality, seed=seeds["render"]
         )
     with _timed(timings, "sensor"):
-        capture = take(cell.scanner, rendering.radiance, seed=seeds["noise"])
+        capture = take(scanner, rendering.radiance, seed=seeds["noise"])
     on_stage("the pictures are decoded")
     with _timed(timings, "picture"):
         noisy = config.render.denoise and quality.denoise == "none"
         rgb = color_picture(
-            cell.scanner,
+            scanner,
             rendering,
             denoiser=renderer.denoiser if noisy else None,
             seed=seeds["picture"],
         )
     with _timed(timings, "decode"):
-        codes, depth = measure(cell.scanner, capture)
-    manifest = {
-        "scene_id": scene_id,
-        "dataset_seed": seed,
-        "seeds": seeds,
+        codes, depth = measure(scanner, capture)
+    manifest = told | {
         "backend": renderer.name,
         "device": renderer.device,
         "versions": _versions(renderer),
-        "counts": {
-            part.name: n for part, n in zip(scene.parts, counts, strict=True) if n and part.labelled
-        },
-        "physics": {
-            key: value
-            for key, value in asdict(layout).items()
-            if key not in ("T_world_part", "part_index")
-        },
         "exposure_s": float(np.max(capture.exposure_s)),
         "reasons": reason_shares(depth.reason),
         "config": config.model_dump(mode="json", exclude={"scenes", "seed"}),
         "timings": timings,
-    } | ({"domain": variation.record} if variation.record else {})
+    }
     sample = Sample(
         scene=scene,
         layout=layout,
@@ -107,12 +149,19 @@ def make_scene(
         modulation=codes.modulation,
         manifest=manifest,
         raw=Raw(
-            scanner=cell.scanner,
+            scanner=scanner,
             capture=capture if config.store.frames else None,
             codes=codes if config.store.columns else None,
         ),
+        sensor=eye.sensor,
+        image=eye.image,
     )
     return Shot(sample=sample, rendering=rendering, capture=capture, codes=codes)
+
+
+def cell_seeds(cell: Cell, scene_id: int, *, seed: int) -> dict[str, int]:
+    """The seeds of a scene of this cell, and of its first image."""
+    return scene_seeds(seed, scene_id, domain=cell.domain is not None, views=cell.draws_views)
 
 
 def lay_out(
@@ -123,8 +172,7 @@ def lay_out(
     Raises:
         DropError: the parts did not come to an acceptable rest.
     """
-    seeds = scene_seeds(seed, scene_id, domain=cell.config.domain is not None)
-    variation, layout = _laid(cell, scene_id, seeds, on_stage)
+    variation, layout = _laid(cell, scene_id, cell_seeds(cell, scene_id, seed=seed), on_stage)
     return variation.scene, layout
 
 
@@ -143,13 +191,33 @@ def _laid(
 
 
 def varied(cell: Cell, scene_id: int, seeds: dict[str, int]) -> Variation:
-    """What a scene drops and renders: as the cell's domain has it, without one the cell's own."""
+    """What a scene drops and renders first: the cell's own, or as the cell's domain has it."""
     counts = counts_of(cell, scene_id, np.random.default_rng(seeds["counts"]))
+    first = eyes(cell, seeds.get("views", 0))[0]
+    scene = replace(cell.scene, T_world_cam=first.T_world_cam)
     if cell.domain is None:
-        return Variation(scene=cell.scene, counts=counts, record={})
+        return Variation(scene=scene, counts=counts, record={})
     rng = np.random.default_rng(seeds["domain"])
-    record = draw(cell.domain, cell.scene, counts, rng)
-    return vary(cell.domain, cell.scene, counts, record)
+    record = draw(cell.domain, scene, counts, rng)
+    return vary(cell.domain, scene, counts, record)
+
+
+def _hung(cell: Cell, variation: Variation, seeds: dict[str, int]) -> list[tuple[Eye, Scene]]:
+    """The world before each of a scene's eyes; a domain moves all of them by what it drew."""
+    first, *others = eyes(cell, seeds.get("views", 0))
+    hung = [(first, variation.scene)]
+    for eye in others:
+        rig, T_world_cam = eye.scanner.rig, eye.T_world_cam
+        if eye.T_first_cam is not None:
+            T_world_cam = hung[eye.image][1].T_world_cam @ eye.T_first_cam
+        elif variation.record:
+            nominal = replace(cell.scene, rig=rig, T_world_cam=T_world_cam)
+            T_world_cam = moved_place(nominal, variation.record)
+        where = f"domain.camera: image {eye.image} {eye.sensor}".rstrip()
+        refuse_inside(T_world_cam, rig, bin_of(variation.scene), where)
+        rig = rig if eye.station else variation.scene.rig
+        hung.append((eye, replace(variation.scene, rig=rig, T_world_cam=T_world_cam)))
+    return hung
 
 
 def counts_of(cell: Cell, scene_id: int, rng: np.random.Generator) -> tuple[int, ...]:

@@ -54,6 +54,6 @@ def dataset(tmp_path_factory, opened, samples):
     out = tmp_path_factory.mktemp("dataset") / "out"
     with opened(out) as store:
         for scene_id, sample in samples.items():
-            store.write(scene_id, sample)
+            store.write(scene_id, [sample])
         store.finish(samples)
     return out

@@ -176,7 +176,7 @@ def test_a_vertex_that_no_face_uses_is_in_no_file(rig):
         loose.append(replace(part, mesh=replace(part.mesh, vertices_m=vertices_m)))
     expected, found = (
         (
-            dict(scene_files(build_sample(0, parts=tuple(p), rig=rig), SCALE_MM)),
+            dict(scene_files([build_sample(0, parts=tuple(p), rig=rig)], SCALE_MM)),
             model_files(tuple(p)),
             models_info(tuple(p)),
         )
@@ -276,10 +276,10 @@ def test_depth_scale_refuses_what_no_scale_holds():
 
 
 def test_equal_samples_give_equal_bytes(samples, parts, rig):
-    first = dict(scene_files(samples[0], 0.1))
+    first = dict(scene_files([samples[0]], 0.1))
     turned = dict(reversed(samples[0].manifest.items()))
     copied = replace(samples[0], rgb=samples[0].rgb.copy(), manifest=turned)
-    assert dict(scene_files(copied, 0.1)) == first
+    assert dict(scene_files([copied], 0.1)) == first
     assert not any(name.startswith("/") or ".." in name for name in first)
 
 
@@ -287,12 +287,12 @@ def test_a_part_too_deep_for_the_scale_is_refused_and_a_far_wall_is_unknown(samp
     truth = samples[0].truth
     part = truth.instance >= 0
     far_wall = replace(truth, depth_m=np.where(part, truth.depth_m, 1e3))
-    files = dict(scene_files(replace(samples[0], truth=far_wall), 0.1))
+    files = dict(scene_files([replace(samples[0], truth=far_wall)], 0.1))
     steps = np.array(Image.open(io.BytesIO(files["depth/000000.png"])))
     assert np.array_equal(steps > 0, part)
     far_part = replace(truth, depth_m=np.where(part, 7.0, truth.depth_m))
     with pytest.raises(DatasetError, match=r"7 m does not fit .* {depth_step_mm: 0.2}"):
-        dict(scene_files(replace(samples[0], truth=far_part), 0.1))
+        dict(scene_files([replace(samples[0], truth=far_part)], 0.1))
 
 
 def test_a_measured_depth_too_deep_for_the_scale_is_refused(samples):
@@ -300,22 +300,22 @@ def test_a_measured_depth_too_deep_for_the_scale_is_refused(samples):
     depth_m[samples[0].scanner.reason == Reason.DECODED] = 6.6
     scanner = replace(samples[0].scanner, depth_m=depth_m)
     with pytest.raises(DatasetError, match=r"6\.6 m does not fit"):
-        dict(scene_files(replace(samples[0], scanner=scanner), 0.1))
+        dict(scene_files([replace(samples[0], scanner=scanner)], 0.1))
 
 
 def test_images_of_another_size_than_the_camera_s_are_refused(samples, rig):
     wide = replace(rig, camera=replace(rig.camera, width_px=161))
     sample = replace(samples[0], scene=replace(samples[0].scene, rig=wide))
     with pytest.raises(ValueError, match=r"rgb is \(120, 160\), the camera has \(120, 161\)"):
-        dict(scene_files(sample, 0.1))
+        dict(scene_files([sample], 0.1))
 
 
 def test_a_manifest_without_json_form_is_refused_and_nan_is_null(samples):
     sample = replace(samples[0], manifest={"noise": np.float32("nan"), "at": Path("a/b")})
-    manifest = json.loads(dict(scene_files(sample, 0.1))["manifest.json"])
+    manifest = json.loads(dict(scene_files([sample], 0.1))["manifest.json"])
     assert {key: manifest[key] for key in sample.manifest} == {"noise": None, "at": "a/b"}
     with pytest.raises(ValueError, match="no JSON form"):
-        dict(scene_files(replace(samples[0], manifest={"rig": object()}), 0.1))
+        dict(scene_files([replace(samples[0], manifest={"rig": object()})], 0.1))
 
 
 def test_depth_pixels_back_projected_lie_on_the_wall(scene, samples):

@@ -125,9 +125,9 @@ def manifest_of(out, scene, key):
 
 
 def test_a_later_format_is_refused(copy, capsys):
-    claim(lambda c: c.update(format_version=3))(copy)
+    claim(lambda c: c.update(format_version=4))(copy)
     assert main(["validate", str(copy)]) == 1
-    assert "has format_version 3, this Graycast reads 1 to 2" in capsys.readouterr().err
+    assert "has format_version 4, this Graycast reads 1 to 3" in capsys.readouterr().err
 
 
 def test_times_may_differ_and_files_of_a_browser_may_lie_there(copy):

@@ -32,15 +32,15 @@ def store(out, parts):
 def dataset(tmp_path):
     """One scene whose wedges are distractors."""
     with store(tmp_path / "out", (BOX, FOREIGN)) as opened:
-        opened.write(3, sample((BOX, FOREIGN)))
+        opened.write(3, [sample((BOX, FOREIGN))])
         opened.finish([3])
     return tmp_path / "out"
 
 
 def test_labels_are_those_of_the_boxes_alone_and_pictures_those_of_all():
     """Every file but the annotations is that of a scene in which the wedges have labels, too."""
-    all_of_them = dict(scene_files(sample((BOX, WEDGE)), 0.02))
-    boxes = dict(scene_files(sample((BOX, FOREIGN)), 0.02))
+    all_of_them = dict(scene_files([sample((BOX, WEDGE))], 0.02))
+    boxes = dict(scene_files([sample((BOX, FOREIGN))], 0.02))
     for name in ("rgb", "depth", "depth_sl", "gray_sl", "reason_sl"):
         assert boxes[f"{name}/000000.png"] == all_of_them[f"{name}/000000.png"]
     for k in range(4):  # the boxes were instances 0, 2, 4 and 6

@@ -81,7 +81,7 @@ def kept(tmp_path_factory, opened, parts, rig):
             sample = scanned(plain, scanner, seed=5, roll_rad=0.003 if "outliers" in case else 0.0)
             out = tmp_path_factory.mktemp("kept") / "out"
             with opened(out, rig=scanner.rig) as store:
-                store.write(0, sample)
+                store.write(0, [sample])
                 store.finish([0])
             made[case] = out, sample
         return made[case]
@@ -155,9 +155,9 @@ def test_a_code_of_one_axis_has_maps_of_that_axis(kept):
 def test_a_scene_that_keeps_nothing_has_the_bytes_it_had(parts, rig):
     sample = build_sample(0, parts=parts, rig=rig)
     scanner = Scanner(rig=toed_in(rig))
-    before = dict(scene_files(sample, 0.1))
-    assert dict(scene_files(replace(sample, raw=Raw(scanner=scanner)), 0.1)) == before
-    after = dict(scene_files(scanned(sample, scanner, seed=5), 0.1))
+    before = dict(scene_files([sample], 0.1))
+    assert dict(scene_files([replace(sample, raw=Raw(scanner=scanner))], 0.1)) == before
+    after = dict(scene_files([scanned(sample, scanner, seed=5)], 0.1))
     assert {name.split("/")[0] for name in set(after) - set(before)} == {
         "frames", "column_sl", "column_sigma_sl", "row_sl", "row_sigma_sl"
     }  # fmt: skip

@@ -49,10 +49,10 @@ def test_a_crash_while_writing_leaves_no_scene(opened, samples, tmp_path, monkey
         with monkeypatch.context() as patch:
             fail_after(patch, writes, KeyboardInterrupt())
             with pytest.raises(KeyboardInterrupt):
-                store.write(0, samples[0])
+                store.write(0, [samples[0]])
         assert store.finished() == set()
         assert content(store.out) == before
-        store.write(0, samples[0])
+        store.write(0, [samples[0]])
         assert store.finished() == {0}
 
 
@@ -61,11 +61,11 @@ def test_a_full_disk_says_where_how_full_and_what_to_do(
     opened, samples, tmp_path, monkeypatch, number
 ):
     with opened(tmp_path / "out") as store:
-        store.write(3, samples[3])
+        store.write(3, [samples[3]])
         before = content(store.out)
         fail_after(monkeypatch, 5, OSError(number, os.strerror(number)))
         with pytest.raises(DatasetError) as caught:
-            store.write(0, samples[0])
+            store.write(0, [samples[0]])
         assert str(store.out) in str(caught.value)
         assert "GiB free" in str(caught.value)
         assert "free space" in str(caught.value)
@@ -87,7 +87,7 @@ def test_a_small_disk_fills_up_without_a_half_scene(opened, samples, tmp_path):
         out = disk / "out"
         with opened(out) as store, pytest.raises(DatasetError, match="No space left"):
             for scene_id in range(100):
-                store.write(scene_id, samples[0])
+                store.write(scene_id, [samples[0]])
         finished = sorted(store.finished())
         assert finished == list(range(len(finished))) != []
         assert {path.name for path in (out / "train").iterdir()} == {
@@ -102,13 +102,13 @@ def test_two_runs_with_and_without_a_restart_give_the_same_files(
 ):
     out = tmp_path / "out"
     with opened(out) as store:
-        store.write(3, samples[3])
+        store.write(3, [samples[3]])
     (out / "train" / ".tmp-000000-dead" / "rgb").mkdir(parents=True)
     (out / "train" / ".tmp-000000-dead" / "rgb" / "000000.png").write_bytes(b"half")
     (out / ".tmp-train_coco.json-dead").write_bytes(b"half")
     with opened(out) as store:
         assert store.finished() == {3}
-        store.write(0, another_time(samples[0]))
+        store.write(0, [another_time(samples[0])])
         store.finish([0, 3])
     assert content(out, timings=False) == content(dataset, timings=False)
 
@@ -174,16 +174,16 @@ def test_a_run_killed_while_opening_is_taken_up(opened, samples, tmp_path, lost)
 
 def test_a_scene_that_is_there_is_not_written_over(opened, samples, tmp_path):
     with opened(tmp_path / "out") as store:
-        store.write(0, samples[0])
+        store.write(0, [samples[0]])
         before = content(store.out)
         with pytest.raises(DatasetError, match="000000 is there already: remove it"):
-            store.write(0, samples[3])
+            store.write(0, [samples[3]])
         assert content(store.out) == before
 
 
 def test_the_split_is_refused_while_scenes_are_missing(opened, samples, tmp_path):
     with opened(tmp_path / "out") as store:
-        store.write(3, samples[3])
+        store.write(3, [samples[3]])
         with pytest.raises(DatasetError, match=r"scenes \[0, 5\] are not finished"):
             store.finish([0, 3, 5])
         assert not (store.out / "train_coco.json").exists()
@@ -193,7 +193,7 @@ def test_scene_folders_are_as_readable_as_others(opened, samples, tmp_path):
     umask = os.umask(0o022)
     try:
         with opened(tmp_path / "out") as store:
-            store.write(0, samples[0])
+            store.write(0, [samples[0]])
             modes = {path.stat().st_mode & 0o777 for path in store.out.rglob("*")}
     finally:
         os.umask(umask)
@@ -220,7 +220,7 @@ with open_store(
     Path(sys.argv[1]), config=config, seed=7, parts=parts, rig=rig, depth_scale_mm=0.02
 ) as store:
     for scene_id in set(samples) - store.finished():
-        store.write(scene_id, samples[scene_id])
+        store.write(scene_id, [samples[scene_id]])
     store.finish(samples)
 """
 

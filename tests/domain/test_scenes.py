@@ -39,7 +39,7 @@ def made(folder, scenes, **changes):
     ):
         shots = [make_scene(cell, k, seed=4, renderer=renderer) for k in range(scenes)]
         for k, shot in enumerate(shots):
-            store.write(k, shot.sample)
+            store.write(k, [shot.sample])
         store.finish(range(scenes))
     return cell, shots, out
 

@@ -33,7 +33,7 @@ def opened_for(task, monkeypatch, *errors):
         raise left.pop(0)
 
     monkeypatch.setattr(maker, "open_cell_renderer", open_one)
-    monkeypatch.setattr(maker, "make_scene", make)
+    monkeypatch.setattr(maker, "make_images", make)
     with SceneMaker(task) as worker:
         for scene_id, error in enumerate(errors):
             with pytest.raises(type(error)):

@@ -182,7 +182,7 @@ def measure_scene(device: str, count: int, scenes: int) -> Figures:
                 start = time.perf_counter()
                 shot = make_scene(cell, scene_id, seed=0, renderer=renderer)
                 made = time.perf_counter()
-                store.write(scene_id, shot.sample)
+                store.write(scene_id, [shot.sample])
                 ended = time.perf_counter()
                 rss.append(rss_bytes())
                 if scene_id == 0:

@@ -1,8 +1,9 @@
 """One scene as the files of a BOP scene folder, after bop_toolkit's docs and scripts.
 
-The scene folder holds one image, `im_id` 0. What the colour camera sees bears BOP's plain names;
-what the scanner measured bears the camera type `sl`. Both look through the same lens from the same
-place, so poses and masks are equal and written under both names, as bop_toolkit looks them up.
+What the colour camera sees bears BOP's plain names; what the scanner measured bears the camera type
+`sl`. Both look through the same lens from the same place, so poses and masks are equal and written
+under both names, as bop_toolkit looks them up. Images are numbered from 0; scanners that have
+names have files and numbers of their own.
 
 Lengths are millimetres. A depth picture times `depth_scale` is z of the camera frame; 0 is unknown.
 Pixel (0, 0) is the centre of the top-left pixel in BOP as it is here.
@@ -11,7 +12,7 @@ Pixel (0, 0) is the centre of the top-left pixel in BOP as it is here.
 import math
 import struct
 import zlib
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from typing import Any
 
@@ -26,12 +27,14 @@ from ..frames import inverse
 from ..mask_box import mask_box
 from ..optics import Optics
 from ..render.radiance import Silhouette
-from .coco import run_lengths, scene_annotation, scene_coco
+from .coco import run_lengths, scene_annotation, scene_coco, scene_image
 from .json_text import json_bytes
 from .raw import raw_facts, raw_files
 from .records import MM_PER_M
 from .sample import Sample, labelled
-from .seal import sealed
+from .scene_folder import of_sensor, picture_name
+from .seal import FURTHER, FURTHER_TIMINGS, OWN_FACTS, sealed
+from .seeds import OF_IMAGE
 
 _PNG_LEVEL = 2  # higher ones take twice the time for a hundredth of the size
 DEPTH_MAX = 65535  # of 16 bits
@@ -70,54 +73,110 @@ def camera_json(camera: Optics, scale_mm: float) -> dict[str, Any]:
     } | _distortion(camera)
 
 
-def scene_files(sample: Sample, scale_mm: float) -> Iterator[tuple[str, bytes]]:
+def scene_files(samples: Iterable[Sample], scale_mm: float) -> Iterator[tuple[str, bytes]]:
     """Every file of a scene folder as (path inside the folder, content), equal for equal samples.
 
-    The last one is the manifest, which holds the others' SHA-256.
+    The last one is the manifest, which holds the others' SHA-256. Each sample may go when the next
+    one is asked for.
+
+    Args:
+        samples: the scene's images, of one layout, the first one first.
 
     Raises:
-        ValueError: images of the sample have other sizes than its camera, or its silhouettes
+        ValueError: images of a sample have other sizes than its camera, or its silhouettes
             are not one per instance.
         DatasetError: a depth does not fit into 16 bits at this scale.
     """
-    camera = sample.scene.rig.camera
-    _check_shapes(sample, (camera.height_px, camera.width_px))
-    facts = {} if sample.raw is None else raw_facts(sample.raw)
-    return sealed(_unsealed_files(labelled(sample), scale_mm), {**sample.manifest, **facts})
+    told = _Told()
+    yield from sealed(_unsealed_files(samples, scale_mm, told), told.manifest)
 
 
-def _unsealed_files(sample: Sample, scale_mm: float) -> Iterator[tuple[str, bytes]]:
-    """All but the manifest."""
-    camera, seen = sample.scene.rig.camera, _instances(sample)
+class _Told:
+    """What is known of a scene when all of its images are written."""
+
+    def __init__(self) -> None:
+        self.manifest: dict[str, Any] = {}
+        self.records: dict[str, dict[str, Any]] = {}  # of JSON files, by image
+
+    def image(self, name: str, number: int, entry: Any) -> None:
+        self.records.setdefault(name, {})[str(number)] = entry
+
+    def of_manifest(self, sample: Sample) -> None:
+        """The first image's facts are the scene's; further ones have lists."""
+        facts = {} if sample.raw is None else raw_facts(sample.raw)
+        told = {**sample.manifest, **facts}
+        sensor = {"sensor": sample.sensor} if sample.sensor else {}
+        if not self.manifest:
+            self.manifest |= told | sensor
+            return
+        which = sensor | {"image": sample.image}
+        own = {key: told[key] for key in OWN_FACTS if key in told}
+        own["seeds"] = {name: told["seeds"][name] for name in OF_IMAGE}
+        self.manifest.setdefault(FURTHER, []).append(which | own)
+        self.manifest.setdefault(FURTHER_TIMINGS, []).append(which | told["timings"])
+
+
+def _unsealed_files(
+    samples: Iterable[Sample], scale_mm: float, told: _Told
+) -> Iterator[tuple[str, bytes]]:
+    """All but the manifest, whose content is told."""
+    coco: dict[str, list[_OfCoco]] = {}
+    parts = 0
+    for sample in samples:
+        camera = sample.scene.rig.camera
+        _check_shapes(sample, (camera.height_px, camera.width_px))
+        told.of_manifest(sample)
+        known = labelled(sample)
+        parts = len(known.scene.parts)
+        yield from _image_files(known, scale_mm, told, coco)
+    for name, records in told.records.items():
+        yield f"{name}.json", json_bytes(records)
+    for name, images in coco.items():
+        yield f"{name}.json", json_bytes(_coco(range(1, parts + 1), images))
+
+
+def _image_files(
+    sample: Sample, scale_mm: float, told: _Told, coco: dict[str, list["_OfCoco"]]
+) -> Iterator[tuple[str, bytes]]:
+    """Pictures and masks of one image; its entries in JSON files are told."""
+    camera, seen, number = sample.scene.rig.camera, _instances(sample), sample.image
     truth = _depth_steps(sample.truth.depth_m, scale_mm, needed=sample.truth.instance >= 0)
     known = sample.scanner.reason == Reason.DECODED
     scanned = _depth_steps(sample.scanner.depth_m, scale_mm, needed=known)
     modulation, modulation_scale = _modulation_steps(sample.modulation)
-    yield "rgb/000000.png", _png(np.ascontiguousarray(sample.rgb[..., ::-1]))
-    yield "gray_sl/000000.png", _png(sample.gray)
-    yield "depth/000000.png", _png(truth)
-    yield "depth_sl/000000.png", _png(scanned)
-    yield "reason_sl/000000.png", _png(sample.scanner.reason)
-    yield "modulation_sl/000000.png", _png(modulation)
+
+    def place(kind: str) -> str:
+        return picture_name(kind, number, sample.sensor)
+
+    yield place("rgb"), _png(np.ascontiguousarray(sample.rgb[..., ::-1]))
+    yield place("gray_sl"), _png(sample.gray)
+    yield place("depth"), _png(truth)
+    yield place("depth_sl"), _png(scanned)
+    yield place("reason_sl"), _png(sample.scanner.reason)
+    yield place("modulation_sl"), _png(modulation)
     for i, instance in enumerate(seen):
         amodal = _mask_png(instance.inside, camera.height_px, camera.width_px)
         visible = _mask_png(instance.visible, camera.height_px, camera.width_px)
         for suffix in ("", "_sl"):
-            yield f"mask{suffix}/000000_{i:06d}.png", amodal
-            yield f"mask_visib{suffix}/000000_{i:06d}.png", visible
-    poses = json_bytes({"0": _poses(sample)})
-    view = json_bytes({"0": _view(sample, scale_mm)})
+            for kind, content in ((f"mask{suffix}", amodal), (f"mask_visib{suffix}", visible)):
+                yield f"{of_sensor(kind, sample.sensor)}/{number:06d}_{i:06d}.png", content
+    poses, view = _poses(sample), _view(sample, scale_mm)
     for suffix, depth, image in (("", truth, "rgb"), ("_sl", scanned, "gray_sl")):
-        yield f"scene_camera{suffix}.json", view
-        yield f"scene_gt{suffix}.json", poses
-        yield f"scene_gt_info{suffix}.json", json_bytes({"0": [_info(s, depth) for s in seen]})
-        yield f"scene_gt_coco{suffix}.json", json_bytes(_coco(sample, seen, f"{image}/000000.png"))
-    yield "scene_gt_box3d.json", json_bytes({"0": _boxes_3d(sample)})
+        entries = {
+            "scene_camera": view,
+            "scene_gt": poses,
+            "scene_gt_info": [_info(instance, depth) for instance in seen],
+        }
+        for name, entry in entries.items():
+            told.image(of_sensor(name + suffix, sample.sensor), number, entry)
+        of_coco = coco.setdefault(of_sensor(f"scene_gt_coco{suffix}", sample.sensor), [])
+        of_coco.append(_of_coco(sample, seen, place(image)))
+    told.image(of_sensor("scene_gt_box3d", sample.sensor), number, _boxes_3d(sample))
     reasons = {reason.name: reason.value for reason in Reason}
     scanner = {"modulation_scale": modulation_scale, "reasons": reasons}
-    yield "scene_sl.json", json_bytes({"0": scanner})
+    told.image(of_sensor("scene_sl", sample.sensor), number, scanner)
     if sample.raw is not None:
-        yield from raw_files(sample.raw)
+        yield from raw_files(sample.raw, sensor=sample.sensor, number=number)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -297,7 +356,15 @@ def _span(crop: Silhouette) -> list[int]:
     return [x + crop.left_px, y + crop.top_px, columns - 1, rows - 1]
 
 
-def _coco(sample: Sample, seen: list[_Seen], file_name: str) -> dict[str, Any]:
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _OfCoco:
+    """What a scene's COCO file has of one image; ids of annotations are not given yet."""
+
+    image: dict[str, Any]
+    annotations: list[dict[str, Any]]
+
+
+def _of_coco(sample: Sample, seen: list[_Seen], file_name: str) -> _OfCoco:
     camera = sample.scene.rig.camera
     size = {"height_px": camera.height_px, "width_px": camera.width_px}
     annotations: list[dict[str, Any]] = []
@@ -308,7 +375,7 @@ def _coco(sample: Sample, seen: list[_Seen], file_name: str) -> dict[str, Any]:
         x, y, w, h = _span(instance.inside)
         annotations.append(
             scene_annotation(
-                annotation_id=len(annotations) + 1,
+                image_id=sample.image,
                 obj_id=int(part) + 1,
                 run_length=run_lengths(instance.visible, **size),
                 box=[x, y, w + 1, h + 1],
@@ -317,5 +384,16 @@ def _coco(sample: Sample, seen: list[_Seen], file_name: str) -> dict[str, Any]:
                 **size,
             )
         )
-    obj_ids = range(1, len(sample.scene.parts) + 1)
-    return scene_coco(obj_ids=obj_ids, file_name=file_name, annotations=annotations, **size)
+    return _OfCoco(
+        image=scene_image(image_id=sample.image, file_name=file_name, **size),
+        annotations=annotations,
+    )
+
+
+def _coco(obj_ids: Iterable[int], images: list[_OfCoco]) -> dict[str, Any]:
+    annotations = [annotation for image in images for annotation in image.annotations]
+    return scene_coco(
+        obj_ids=obj_ids,
+        images=[image.image for image in images],
+        annotations=[{"id": k} | entry for k, entry in enumerate(annotations, start=1)],
+    )

@@ -1,7 +1,7 @@
 """Checks a dataset from its files alone: no renderer, no configuration, no trust."""
 
 import json
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -17,12 +17,12 @@ from .bop import camera_json
 from .claim import FORMAT_VERSION, SEALED_SINCE, fingerprint, rig_of
 from .grasp_files import grasp_problems
 from .models import TEXTURE, diameter
-from .places import CLAIM, finished_scenes
+from .places import CLAIM, camera_file, finished_scenes
 from .plain_scene import Model
 from .reading import Unreadable, read_json
 from .real import is_real, real_problems
 from .scene_check import scene_problems
-from .scene_folder import SceneFolder
+from .scene_folder import SceneFolder, picture_name
 from .seal import MANIFEST, seal_problems, sum_problems
 
 _MODEL_MM = 1e-3  # nine digits in a PLY, read back in single precision
@@ -75,11 +75,14 @@ def validate(out: Path, *, fast: bool = False) -> tuple[Problem, ...]:
     if fast:
         return tuple(problems)
     try:
-        camera = read_json(out / "camera.json", records.Camera)
+        cameras = {
+            taker.name: read_json(out / camera_file(taker.name), records.Camera)
+            for taker in claim.takers
+        }
         infos = read_json(out / "models" / "models_info.json", records.ModelsInfo).root
     except Unreadable as error:
         return (*problems, Problem(scene=None, what=str(error)))
-    problems += [Problem(scene=None, what=what) for what in _camera_problems(camera, claim)]
+    problems += [Problem(scene=None, what=what) for what in _camera_problems(cameras, claim)]
     expected = {str(part.obj_id) for part in claim.parts}
     if set(infos) != expected:
         what = f"models_info.json has objects {sorted(infos)}, graycast.json {sorted(expected)}"
@@ -94,10 +97,10 @@ def validate(out: Path, *, fast: bool = False) -> tuple[Problem, ...]:
         problems += [Problem(scene=None, what=w) for w in _model_problems(int(obj_id), model)]
     for scene_id in finished:
         folder = out / "train" / f"{scene_id:06d}"
-        found = scene_problems(folder, claim=claim, camera=camera, models=models)
+        found = scene_problems(folder, claim=claim, cameras=cameras, models=models)
         problems += [Problem(scene=scene_id, what=what) for what in found]
     problems += [
-        Problem(scene=None, what=what) for what in _split_problems(out, camera, finished, claim)
+        Problem(scene=None, what=what) for what in _split_problems(out, cameras, finished, claim)
     ]
     problems += [
         Problem(scene=None, what=what) for what in grasp_problems(out, claim.fingerprint, models)
@@ -167,21 +170,25 @@ def _claim_problems(out: Path, claim: records.Claim) -> Iterator[str]:
         yield from sum_problems(out, claim.sha256, told_in=CLAIM)
 
 
-def _camera_problems(camera: records.Camera, claim: records.Claim) -> Iterator[str]:
-    """`camera.json` against the rig that `graycast.json` says."""
-    if camera.depth_scale != claim.depth_scale_mm:
-        scales = f"{camera.depth_scale}, graycast.json has {claim.depth_scale_mm}"
-        yield f"camera.json: depth_scale is {scales}"
-    try:
-        lens = rig_of(claim.rig).camera
-    except (KeyError, TypeError, ValueError) as error:
-        yield f"{CLAIM}: rig is none: {error}"
-        return
-    must = camera_json(lens, claim.depth_scale_mm) | {"distortion": list(lens.distortion)}
-    is_ = camera.model_dump()
-    for key in sorted(set(must) - {"depth_scale"}):
-        if is_[key] != must[key]:
-            yield f"camera.json: {key} is {is_[key]}, the rig of {CLAIM} has {must[key]}"
+def _camera_problems(cameras: Mapping[str, records.Camera], claim: records.Claim) -> Iterator[str]:
+    """Files of intrinsics against the rigs that `graycast.json` says."""
+    if claim.takers[0].rig != claim.rig:
+        yield f"{CLAIM}: rig is not that of the first of its scanners"
+    for taker in claim.takers:
+        camera, name = cameras[taker.name], camera_file(taker.name)
+        if camera.depth_scale != claim.depth_scale_mm:
+            scales = f"{camera.depth_scale}, graycast.json has {claim.depth_scale_mm}"
+            yield f"{name}: depth_scale is {scales}"
+        try:
+            lens = rig_of(taker.rig).camera
+        except (KeyError, TypeError, ValueError) as error:
+            yield f"{CLAIM}: rig is none: {error}"
+            continue
+        must = camera_json(lens, claim.depth_scale_mm) | {"distortion": list(lens.distortion)}
+        is_ = camera.model_dump()
+        for key in sorted(set(must) - {"depth_scale"}):
+            if is_[key] != must[key]:
+                yield f"{name}: {key} is {is_[key]}, the rig of {CLAIM} has {must[key]}"
 
 
 def _leftovers(out: Path) -> Iterator[str]:
@@ -230,7 +237,7 @@ def _model_problems(obj_id: int, model: Model) -> Iterator[str]:
 
 
 def _split_problems(
-    out: Path, camera: records.Camera, finished: list[int], claim: records.Claim
+    out: Path, cameras: Mapping[str, records.Camera], finished: list[int], claim: records.Claim
 ) -> Iterator[str]:
     """`train_coco.json` against the scenes' own COCO files, which are checked against masks."""
     try:
@@ -241,41 +248,54 @@ def _split_problems(
     names = {part.obj_id: part.name for part in claim.parts}
     if {entry.id: entry.name for entry in split.categories} != names:
         yield "train_coco.json: its categories are not the parts of graycast.json"
+    places = {
+        scene_id * len(claim.images) + k: (scene_id, sensor, image)
+        for scene_id in finished
+        for k, (sensor, image) in enumerate(claim.images)
+    }
     images = [
         records.CocoImage(
-            id=scene_id,
-            file_name=f"train/{scene_id:06d}/rgb/000000.png",
-            width=camera.width,
-            height=camera.height,
+            id=image_id,
+            file_name=f"train/{scene_id:06d}/{picture_name('rgb', image, sensor)}",
+            width=cameras[sensor].width,
+            height=cameras[sensor].height,
         )
-        for scene_id in finished
+        for image_id, (scene_id, sensor, image) in places.items()
     ]
     if split.images != images:
-        listed = sorted({image.id for image in split.images} ^ set(finished))
+        listed = sorted({image.id for image in split.images} ^ set(places))
         yield f"train_coco.json: its images are not the finished scenes: see {listed or 'order'}"
         return
     ids = [entry.id for entry in split.annotations]
     if ids != list(range(1, len(ids) + 1)):
         yield "train_coco.json: annotation ids are not 1, 2, 3, ..."
-    by_scene: dict[int, list[records.SplitAnnotation]] = {scene_id: [] for scene_id in finished}
+    by_image: dict[int, list[records.SplitAnnotation]] = {image_id: [] for image_id in places}
     for entry in split.annotations:
-        by_scene.setdefault(entry.image_id, []).append(entry)
-    for scene_id, entries in by_scene.items():
-        yield from _split_scene_problems(out, scene_id, entries)
+        by_image.setdefault(entry.image_id, []).append(entry)
+    for image_id, entries in by_image.items():
+        if image_id not in places:
+            yield f"train_coco.json: {len(entries)} annotations of image {image_id}, which is none"
+            continue
+        yield from _split_image_problems(out, image_id, places[image_id], entries)
 
 
-def _split_scene_problems(
-    out: Path, scene_id: int, entries: list[records.SplitAnnotation]
+def _split_image_problems(
+    out: Path,
+    image_id: int,
+    place: tuple[int, str, int],
+    entries: list[records.SplitAnnotation],
 ) -> Iterator[str]:
-    scene = SceneFolder(out / "train" / f"{scene_id:06d}")
+    scene_id, sensor, image = place
+    scene = SceneFolder(out / "train" / f"{scene_id:06d}", sensor)
     try:
-        annotations = scene.record("scene_gt_coco", records.SceneCoco).annotations
-        infos = scene.record("scene_gt_info", records.OneImage[list[records.Info]]).image
+        of_scene = scene.record("scene_gt_coco", records.SceneCoco).annotations
+        infos = scene.of_image("scene_gt_info", image, records.Infos).root
     except Unreadable:
         return  # told where the scene is checked
+    annotations = [entry for entry in of_scene if entry.image_id == image]
     seen = [info.visib_fract for info in infos if info.px_count_visib > 0]
     if not len(entries) == len(annotations) == len(seen):
-        counts = f"{len(entries)} annotations of image {scene_id}, the scene has {len(annotations)}"
+        counts = f"{len(entries)} annotations of image {image_id}, the scene has {len(annotations)}"
         yield f"train_coco.json: {counts}"
         return
     for entry, source, visib_fract in zip(entries, annotations, seen, strict=True):

@@ -5,7 +5,7 @@ import json
 import math
 import platform
 from collections.abc import Mapping
-from dataclasses import asdict
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
@@ -22,7 +22,8 @@ from .json_text import plain
 from .seal import SUMS
 
 BESIDE_CONFIG = ("files", "scanner")  # in a claim's configuration, but no keys of it
-FORMAT_VERSION, SEALED_SINCE = 2, 2  # 1 had no SHA-256 of files
+# 1 had no SHA-256 of files; 3 is of several images a scene, or of scanners that have names.
+FORMAT_VERSION, SEALED_SINCE, ONE_IMAGE = 3, 2, 2
 # Fields that older datasets lack; where they are off they are left out, so that those can go on.
 _LATER = {
     "speckle_volume": 0.0,
@@ -32,13 +33,43 @@ _LATER = {
     "raster_px": None,
 }
 _BESIDE = ("fingerprint", "sources", "versions", SUMS)  # what the fingerprint does not cover
-_CLAIMED = ("format_version", "seed", "depth_scale_mm", "rig", "parts", "distractors", "config")
+_CLAIMED = (
+    "format_version",
+    "seed",
+    "depth_scale_mm",
+    "rig",
+    "parts",
+    "distractors",
+    "scanners",
+    "config",
+)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Taker:
+    """One of a dataset's scanners: its name, how many images it takes of a scene, what it is.
+
+    `scanning` is what `config.scanner` says of a single one.
+    """
+
+    name: str
+    images: int
+    rig: Rig
+    scanning: Mapping[str, Any]
 
 
 def make_claim(
-    config: Mapping[str, Any], seed: int, parts: tuple[Part, ...], rig: Rig, depth_scale_mm: float
+    config: Mapping[str, Any],
+    seed: int,
+    parts: tuple[Part, ...],
+    rig: Rig,
+    depth_scale_mm: float,
+    takers: tuple[Taker, ...] = (),
 ) -> dict[str, Any]:
-    """What `graycast.json` says of a run; the fingerprint covers all but versions and sources."""
+    """What `graycast.json` says of a run; the fingerprint covers all but versions and sources.
+
+    `takers` are given where a scene has several images, or a scanner has a name.
+    """
     known = [part for part in parts if part.labelled]
     described = [
         {"obj_id": obj_id, "name": part.name, "content": part_digest(part)}
@@ -49,7 +80,7 @@ def make_claim(
     ]
     claim = plain(
         {
-            "format_version": FORMAT_VERSION,
+            "format_version": FORMAT_VERSION if takers else ONE_IMAGE,
             "config": config,
             "seed": seed,
             "depth_scale_mm": depth_scale_mm,
@@ -57,6 +88,7 @@ def make_claim(
             "parts": described,
         }
         | ({"distractors": distractors} if distractors else {})
+        | ({"scanners": [_described_taker(taker) for taker in takers]} if takers else {})
     )
     versions = {
         "graycast": __version__,
@@ -67,6 +99,15 @@ def make_claim(
         "fingerprint": fingerprint(claim),
         "sources": [part.source for part in known],
         "versions": versions,
+    }
+
+
+def _described_taker(taker: Taker) -> dict[str, Any]:
+    return {
+        "name": taker.name,
+        "images": taker.images,
+        "rig": described_values(taker.rig),
+        "scanner": taker.scanning,
     }
 
 

@@ -31,7 +31,7 @@ def run_lengths(crop: Silhouette, *, height_px: int, width_px: int) -> list[int]
 
 def scene_annotation(
     *,
-    annotation_id: int,
+    image_id: int,
     obj_id: int,
     run_length: list[int],
     box: list[int],
@@ -40,13 +40,12 @@ def scene_annotation(
     height_px: int,
     width_px: int,
 ) -> dict[str, Any]:
-    """One entry of `scene_gt_coco.json`, with the keys of bop_toolkit's calc_gt_coco.
+    """One entry of `scene_gt_coco.json` but its id, with the keys of bop_toolkit's calc_gt_coco.
 
     `box` is [x, y, width, height] of the amodal mask inside the image, as there.
     """
     return {
-        "id": annotation_id,
-        "image_id": 0,
+        "image_id": image_id,
         "category_id": obj_id,
         "iscrowd": 0,
         "area": area_px,
@@ -58,12 +57,15 @@ def scene_annotation(
     }
 
 
+def scene_image(*, image_id: int, file_name: str, height_px: int, width_px: int) -> dict[str, Any]:
+    """One image in `scene_gt_coco.json`."""
+    return {"id": image_id, "file_name": file_name, "width": width_px, "height": height_px}
+
+
 def scene_coco(
     *,
     obj_ids: Iterable[int],
-    file_name: str,
-    height_px: int,
-    width_px: int,
+    images: list[dict[str, Any]],
     annotations: list[dict[str, Any]],
 ) -> dict[str, Any]:
     """`scene_gt_coco.json`; without BOP's dates, so that equal scenes are equal files."""
@@ -73,24 +75,23 @@ def scene_coco(
         "categories": [
             {"id": obj_id, "name": str(obj_id), "supercategory": "graycast"} for obj_id in obj_ids
         ],
-        "images": [{"id": 0, "file_name": file_name, "width": width_px, "height": height_px}],
+        "images": images,
         "annotations": annotations,
     }
 
 
 def split_coco(
-    scenes: Iterable[tuple[int, Mapping[str, Any], list[Mapping[str, Any]]]],
+    annotated: Iterable[tuple[int, list[Any], list[Any]]],
     *,
-    scene_ids: Iterable[int],
+    pictures: Iterable[Mapping[str, Any]],
     categories: list[dict[str, Any]],
-    height_px: int,
-    width_px: int,
 ) -> Iterator[str]:
     """The text of the split's COCO file, piece by piece: memory stays flat over many scenes.
 
     Args:
-        scenes: (scene id, its `scene_gt_coco.json`, its list in `scene_gt_info.json`).
-        scene_ids: the same ids; they become the image ids.
+        annotated: of each image its id, its annotations in `scene_gt_coco.json` and its list in
+            `scene_gt_info.json`.
+        pictures: COCO images, in the same order.
         categories: COCO categories with the parts' names.
 
     Boxes are those of the visible masks, which the segmentations hold as compressed RLE.
@@ -98,17 +99,16 @@ def split_coco(
     yield '{"info": {"description": "Graycast, training split"},\n"licenses": [],\n'
     yield f'"categories": {json.dumps(categories)},\n"images": ['
     separator = "\n"
-    for scene_id in scene_ids:
-        image = {"id": scene_id, "file_name": f"train/{scene_id:06d}/rgb/000000.png"}
-        yield separator + json.dumps(image | {"width": width_px, "height": height_px})
+    for picture in pictures:
+        yield separator + json.dumps(picture)
         separator = ",\n"
     yield '],\n"annotations": ['
     separator, annotation_id = "\n", 0
-    for scene_id, coco, infos in scenes:
+    for image_id, annotations, infos in annotated:
         seen = [info["visib_fract"] for info in infos if info["px_count_visib"] > 0]
-        for annotation, visib_fract in zip(coco["annotations"], seen, strict=True):
+        for annotation, visib_fract in zip(annotations, seen, strict=True):
             annotation_id += 1
-            entry = {"id": annotation_id} | split_annotation(annotation, scene_id)
+            entry = {"id": annotation_id} | split_annotation(annotation, image_id)
             yield separator + json.dumps(entry | {"visib_fract": visib_fract})
             separator = ",\n"
     yield "]}\n"

@@ -12,6 +12,7 @@ from ..raster import Raster, rasterize
 from . import records
 from .plain_scene import Model, Plain, transform_of
 from .reading import Unreadable, read_png
+from .scene_folder import of_sensor
 
 # A pixel whose centre lies very near an edge may fall to either side in a renderer of single
 # precision: in none or one of a mask's pixels when Mitsuba drew 40 built-in parts. One in fifty of
@@ -23,28 +24,32 @@ DEPTH_SHARE, DEPTH_PX = 0.01, 2
 
 
 def mask_problems(
-    folder: Path,
     scene: Plain,
     camera: records.Camera,
     models: Mapping[int, Model],
     instance: Int[np.ndarray, "h w"],
 ) -> Iterator[str]:
     """Masks against each other, counts, boxes and models; writes who is seen into `instance`."""
-    count = len(scene.poses)
-    names = [f"000000_{i:06d}.png" for i in range(count)]
-    for kind in ("mask", "mask_visib", "mask_sl", "mask_visib_sl"):
-        there = sorted(path.name for path in (folder / kind).glob("*"))
+    count, files = len(scene.poses), scene.files
+    names = [f"{scene.number:06d}_{i:06d}.png" for i in range(count)]
+    place = {
+        kind: files.path / of_sensor(kind, files.sensor)
+        for kind in ("mask", "mask_visib", "mask_sl", "mask_visib_sl")
+    }
+    for path in place.values():
+        there = sorted(entry.name for entry in path.glob(f"{scene.number:06d}_*"))
+        there += _of_no_image(path, scene)
         if there != names:
             odd = min(set(there) ^ set(names))
-            yield f"{kind}/ has {len(there)} files for {count} instances: see {odd}"
+            yield f"{path.name}/ has {len(there)} files for {count} instances: see {odd}"
             return
     size = (camera.height, camera.width)
     taken = np.zeros(size, dtype=bool)
     seen: list[tuple[int, dict[str, object]]] = []
     for i, (name, pose) in enumerate(zip(names, scene.poses, strict=True)):
-        mask, visible = (_read_mask(folder / kind / name, size) for kind in ("mask", "mask_visib"))
+        mask, visible = (_read_mask(place[kind] / name, size) for kind in ("mask", "mask_visib"))
         if any(
-            (folder / kind / name).read_bytes() != (folder / f"{kind}_sl" / name).read_bytes()
+            (place[kind] / name).read_bytes() != (place[f"{kind}_sl"] / name).read_bytes()
             for kind in ("mask", "mask_visib")
         ):
             yield f"instance {i}: the masks of sl differ from the others"
@@ -57,8 +62,9 @@ def mask_problems(
         for suffix, infos in scene.info.items():
             if i < len(infos):
                 depth = scene.image[f"depth{suffix}"]
+                told_in = scene.json_name(f"scene_gt_info{suffix}")
                 for what in _info_problems(infos[i], mask, visible, depth):
-                    yield f"instance {i}: scene_gt_info{suffix}.json: {what}"
+                    yield f"instance {i}: {told_in}: {what}"
         if pose.obj_id in models and i < len(scene.info[""]):
             for what in _surface_problems(scene, i, mask, visible, models[pose.obj_id], camera):
                 yield f"instance {i}: {what}"
@@ -66,9 +72,16 @@ def mask_problems(
             runs = coco_mask.encode(np.asfortranarray(visible, dtype=np.uint8))
             seen.append((i, {"runs": runs["counts"], "box": list(mask_box(mask))}))
     for suffix, coco in scene.coco.items():
-        image = f"{'gray_sl' if suffix else 'rgb'}/000000.png"
-        for what in _coco_problems(scene, coco, seen, image, size):
-            yield f"scene_gt_coco{suffix}.json: {what}"
+        for what in _coco_problems(scene, suffix, coco, seen, size):
+            yield f"{scene.json_name(f'scene_gt_coco{suffix}')}: {what}"
+
+
+def _of_no_image(path: Path, scene: Plain) -> list[str]:
+    """Masks of images that the scanner does not have; told of with its first image."""
+    if scene.number:
+        return []
+    has = {f"{number:06d}" for number in scene.numbers}
+    return sorted(entry.name for entry in path.glob("*") if entry.name[:6] not in has)
 
 
 def _read_mask(path: Path, size: tuple[int, int]) -> Bool[np.ndarray, "h w"]:
@@ -173,20 +186,22 @@ def _outside_problems(info: records.Info, raster: Raster) -> Iterator[str]:
 
 def _coco_problems(
     scene: Plain,
+    suffix: str,
     coco: records.SceneCoco,
     seen: list[tuple[int, dict[str, object]]],
-    file_name: str,
     size: tuple[int, int],
 ) -> Iterator[str]:
-    image = records.CocoImage(id=0, file_name=file_name, width=size[1], height=size[0])
+    file_name, number = scene.name("gray_sl" if suffix else "rgb"), scene.number
+    image = records.CocoImage(id=number, file_name=file_name, width=size[1], height=size[0])
     if coco.images != [image]:
-        yield f"images must be one entry, {image}"
+        yield f"images must have one entry of image {number}, {image}"
     if len(coco.annotations) != len(seen):
         yield f"{len(coco.annotations)} annotations for {len(seen)} visible instances"
         return
-    for k, ((i, must), entry) in enumerate(zip(seen, coco.annotations, strict=True), start=1):
+    first = scene.first_annotation[suffix]
+    for k, ((i, must), entry) in enumerate(zip(seen, coco.annotations, strict=True), start=first):
         info = scene.info[""][i] if i < len(scene.info[""]) else None
-        if (entry.id, entry.image_id, entry.iscrowd) != (k, 0, 0):
+        if (entry.id, entry.image_id, entry.iscrowd) != (k, number, 0):
             yield f"annotation {k} has id {entry.id}, image_id {entry.image_id}"
         if entry.category_id != scene.poses[i].obj_id:
             yield f"annotation {k} is of category {entry.category_id}, the pose of another"

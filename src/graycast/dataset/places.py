@@ -6,6 +6,11 @@ CLAIM = "graycast.json"
 SPLITS = ("train", "val", "test")
 
 
+def camera_file(sensor: str) -> str:
+    """The name of a scanner's file of intrinsics."""
+    return f"camera_{sensor}.json" if sensor else "camera.json"
+
+
 def finished_scenes(out: Path, split: str = "train") -> set[int]:
     """The scenes of a dataset folder; a scene that has its name is whole."""
     place = out / split

@@ -1,4 +1,4 @@
-"""One scene folder's images and records as they are, for those that check it."""
+"""One image of a scene folder and its records as they are, for those that check it."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -7,9 +7,10 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float, Int
 
-from ..frames import rigid
+from ..frames import inverse, rigid
 from ..optics import Optics, optics_of
 from . import records
+from .scene_folder import SceneFolder, of_sensor, picture_name
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -23,8 +24,17 @@ class Model:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Plain:
-    """The images and records of one scene; `info` and `coco` by camera type."""
+    """The pictures and records of one image; `info` and `coco` by camera type.
 
+    `coco` has the annotations of this image alone, `first_annotation` is the id of the first one by
+    camera type. `files` and `number` say where all of it lies, `numbers` are those of all images
+    of the scanner.
+    """
+
+    files: SceneFolder
+    number: int
+    numbers: range
+    first_annotation: Mapping[str, int]
     image: Mapping[str, np.ndarray]
     view: records.View
     poses: list[records.Pose]
@@ -33,6 +43,19 @@ class Plain:
     box3d: list[records.Box3d]
     scanner: records.ScannerRecord
     manifest: Mapping[str, Any]
+
+    def name(self, kind: str) -> str:
+        """What a picture of this image is called."""
+        return picture_name(kind, self.number, self.files.sensor)
+
+    def json_name(self, name: str) -> str:
+        """What a JSON file that tells of this image is called."""
+        return f"{of_sensor(name, self.files.sensor)}.json"
+
+    @property
+    def T_world_cam(self) -> Float[np.ndarray, "4 4"]:
+        """In millimetres."""
+        return inverse(transform_of(self.view.cam_R_w2c, self.view.cam_t_w2c))
 
     @property
     def lens(self) -> Optics:

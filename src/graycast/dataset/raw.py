@@ -24,8 +24,10 @@ from ..rig_file import load_scanner, scanner_text
 from ..sensor import Capture
 from ..stack import describe_frames, describe_stack
 from . import records
-from .reading import Unreadable, read_json, read_png
+from .reading import Unreadable, held, read_json, read_png
 from .sample import Raw
+from .scene_folder import of_sensor
+from .seal import facts_of
 
 _THREADS = 4  # decoding a PNG lets others run
 FRAMES = "frames"  # folder of a scene
@@ -39,14 +41,15 @@ _NOISY_PNG = [
 ]
 
 
-def raw_files(raw: Raw) -> Iterator[tuple[str, bytes]]:
+def raw_files(raw: Raw, *, sensor: str = "", number: int = 0) -> Iterator[tuple[str, bytes]]:
     """Every file as (path inside the scene's folder, content), equal for equal values."""
     if raw.capture is not None:
-        yield from _frame_files(raw, raw.capture)
+        yield from _frame_files(raw, raw.capture, frames_folder(sensor, number))
     if raw.codes is not None:
         for name in raw.code_maps:
             image = getattr(raw.codes, name)
-            yield f"{_folder(name)}/000000.tiff", _tiff(image.astype(np.float32))
+            folder = of_sensor(_folder(name), sensor)
+            yield f"{folder}/{number:06d}.tiff", _tiff(image.astype(np.float32))
 
 
 def raw_facts(raw: Raw) -> dict[str, Any]:
@@ -63,15 +66,20 @@ def raw_facts(raw: Raw) -> dict[str, Any]:
     return facts
 
 
-def _frame_files(raw: Raw, capture: Capture) -> Iterator[tuple[str, bytes]]:
+def frames_folder(sensor: str, number: int) -> str:
+    """Where the pictures of an image lie: in `frames`, of further images in `frames_000001`."""
+    return of_sensor(FRAMES, sensor) + (f"_{number:06d}" if number else "")
+
+
+def _frame_files(raw: Raw, capture: Capture, folder: str) -> Iterator[tuple[str, bytes]]:
     names = _names(capture)
     for name, image in zip(names, capture.frames, strict=True):
-        yield f"{FRAMES}/{name}", _png(image)
+        yield f"{folder}/{name}", _png(image)
     if isinstance(capture.exposure_s, np.ndarray):
         index = np.unique(capture.exposure_s, return_inverse=True)[1]
-        yield f"{FRAMES}/{EXPOSURE}", _png(index.reshape(capture.exposure_s.shape).astype(np.uint8))
-    yield f"{FRAMES}/{STACK}", describe_stack(raw.scanner, names, rig=RIG).encode()
-    yield f"{FRAMES}/{RIG}", scanner_text(raw.scanner).encode()
+        yield f"{folder}/{EXPOSURE}", _png(index.reshape(capture.exposure_s.shape).astype(np.uint8))
+    yield f"{folder}/{STACK}", describe_stack(raw.scanner, names, rig=RIG).encode()
+    yield f"{folder}/{RIG}", scanner_text(raw.scanner).encode()
 
 
 def _names(capture: Capture) -> list[str]:
@@ -102,49 +110,52 @@ _PREDICTOR, _FLOATING_POINT = 317, 3  # tag and value of TIFF Technical Note 3
 # --- reading -----------------------------------------------------------------------------------
 
 
-def read_capture(scene: Path) -> Raw | None:
-    """The captured pictures of a scene's folder, and their scanner; None where it keeps none.
+def read_capture(scene: Path, *, sensor: str = "", number: int = 0) -> Raw | None:
+    """The captured pictures of an image, and their scanner; None where the scene keeps none.
 
     Raises:
         Unreadable: a file is missing or damaged, or they do not fit together.
     """
-    told = told_of(scene).frames
+    told = told_of(scene, sensor=sensor, number=number).frames
     if told is None:
         return None
-    folder = scene / FRAMES
+    name = frames_folder(sensor, number)
+    folder = scene / name
     with ThreadPoolExecutor(_THREADS) as pool:
         images = list(pool.map(read_png, [folder / shown.file for shown in told.shown]))
     exposure_s: float | Float32[np.ndarray, "h w"] = told.exposures_s[0]
     if len(told.exposures_s) > 1:
         index = read_png(folder / EXPOSURE)
         if index.max() >= len(told.exposures_s):
-            raise Unreadable(f"{FRAMES}/{EXPOSURE} numbers more exposures than manifest.json")
+            raise Unreadable(f"{name}/{EXPOSURE} numbers more exposures than manifest.json")
         exposure_s = np.array(told.exposures_s, dtype=np.float32)[index]
     try:
         scanner = load_scanner(folder / RIG)
         capture = Capture(frames=np.stack(images), sensor=scanner.sensor, exposure_s=exposure_s)
         return Raw(scanner=scanner, capture=capture)
     except (ConfigError, ValueError) as error:
-        raise Unreadable(f"{FRAMES}: {error}") from error
+        raise Unreadable(f"{name}: {error}") from error
 
 
-def read_code_maps(scene: Path) -> Mapping[str, Float32[np.ndarray, "h w"]]:
+def read_code_maps(
+    scene: Path, *, sensor: str = "", number: int = 0
+) -> Mapping[str, Float32[np.ndarray, "h w"]]:
     """Decoded projector positions and their standard deviations, by the names of `CodeMap`.
 
     Raises:
         Unreadable: a file is missing or damaged.
     """
     names = [name for axis in AXES for name in (axis, f"sigma_{axis}")]
-    held = told_of(scene).code_maps
+    there = told_of(scene, sensor=sensor, number=number).code_maps
     return {
-        name: _read_tiff(scene / _folder(name) / "000000.tiff")
+        name: _read_tiff(scene / of_sensor(_folder(name), sensor) / f"{number:06d}.tiff")
         for name in names
-        if _folder(name) in held
+        if _folder(name) in there
     }
 
 
-def told_of(scene: Path) -> records.RawFacts:
-    """What a scene's manifest says of frames and code maps; one without a manifest has none.
+def told_of(scene: Path, *, sensor: str = "", number: int = 0) -> records.RawFacts:
+    """What a manifest says of an image's frames and code maps; a scene without one has none.
 
     Raises:
         Unreadable: the manifest is damaged.
@@ -152,7 +163,8 @@ def told_of(scene: Path) -> records.RawFacts:
     path = scene / "manifest.json"
     if not path.exists():
         return records.RawFacts()
-    return read_json(path, records.RawFacts)
+    manifest = read_json(path, records.Manifest).root
+    return held(facts_of(manifest, sensor, number), records.RawFacts, "manifest.json")
 
 
 def _read_tiff(path: Path) -> Float32[np.ndarray, "h w"]:

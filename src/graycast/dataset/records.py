@@ -36,6 +36,15 @@ class DistractorClaim(Record):
     content: str
 
 
+class TakerClaim(Record):
+    """One of a dataset's scanners; the only one may have no name."""
+
+    name: str
+    images: Annotated[int, Field(ge=1)]
+    rig: dict[str, Any]
+    scanner: dict[str, Any]
+
+
 class Claim(Record):
     """`graycast.json`."""
 
@@ -47,9 +56,21 @@ class Claim(Record):
     rig: dict[str, Any]
     parts: list[PartClaim]
     distractors: list[DistractorClaim] = []
+    scanners: list[TakerClaim] = []  # where scenes have several images, or a scanner has a name
     sources: list[str]
     versions: dict[str, str]
     sha256: dict[str, str] = {}  # of the files beside the scenes; format 1 had none
+
+    @property
+    def takers(self) -> list[TakerClaim]:
+        """Every scanner; the only one without a name where nothing is said of several."""
+        one = {"rig": self.rig, "scanner": self.config.get("scanner", {})}
+        return self.scanners or [TakerClaim(name="", images=1, **one)]
+
+    @property
+    def images(self) -> list[tuple[str, int]]:
+        """Every image of a scene, by its scanner's name and its number."""
+        return [(taker.name, image) for taker in self.takers for image in range(taker.images)]
 
 
 class Versioned(BaseModel):
@@ -146,6 +167,22 @@ class ScannerRecord(Record):
 
     modulation_scale: Positive
     reasons: dict[str, int]
+
+
+class Poses(RootModel[list[Pose]]):
+    """One image in `scene_gt.json`."""
+
+
+class Infos(RootModel[list[Info]]):
+    """One image in `scene_gt_info.json`."""
+
+
+class Boxes3d(RootModel[list[Box3d]]):
+    """One image in `scene_gt_box3d.json`."""
+
+
+class Figures(RootModel[list[dict[str, Any]]]):
+    """One image in `scene_gt_info.json`, as it is."""
 
 
 class OneImage(Record, Generic[T]):

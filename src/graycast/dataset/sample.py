@@ -1,4 +1,4 @@
-"""One scene's finished products, as the dataset writers take them."""
+"""One image's finished products, as the dataset writers take them; a scene is one or several."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
@@ -42,7 +42,11 @@ class Raw:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Sample:
-    """Everything about one scene that reaches the disk.
+    """Everything about one image of a scene that reaches the disk.
+
+    A scene has one or several, of one layout: `sensor` is the name of the scanner that took it, ""
+    of the only one that has none; `image` counts each scanner's own. `scene` is the world with this
+    scanner's rig at this image's place.
 
     `rgb` is the colour picture (8-bit sRGB), `gray` the measuring camera's white frame (8 bit),
     `scanner` what the structured-light camera measured. `manifest` is stored beside the images as
@@ -59,6 +63,8 @@ class Sample:
     modulation: Float[np.ndarray, "h w"]
     manifest: Mapping[str, Any]
     raw: Raw | None = None
+    sensor: str = ""
+    image: int = 0
 
     def __post_init__(self) -> None:
         for array in (self.rgb, self.gray, self.modulation):

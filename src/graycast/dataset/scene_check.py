@@ -2,28 +2,30 @@
 
 from collections.abc import Iterator, Mapping
 from pathlib import Path
+from typing import Any
 
 import numpy as np
-from jaxtyping import Int
+from jaxtyping import Float, Int
 
 from ..decode import Reason
 from ..frames import is_rigid
 from . import records
 from .mask_check import mask_problems
+from .places import camera_file
 from .plain_scene import Model, Plain, transform_of
 from .raw_check import raw_problems
 from .reading import Unreadable, png_kind
-from .records import OneImage
-from .scene_folder import SceneFolder
+from .scene_folder import SceneFolder, of_sensor
+from .seal import facts_of
 from .sense import Evidence, sense_problems
 
 BOX_MM = 1e-3  # of 3D boxes, whose sizes the models hold to nine digits
+WORLD_MM, WORLD_TURN = 1e-6, 1e-9  # of one pose through two cameras, in double precision
 
-_SCENE_JSON = {
-    "scene_camera": OneImage[records.View],
-    "scene_gt": OneImage[list[records.Pose]],
-    "scene_gt_info": OneImage[list[records.Info]],
-    "scene_gt_coco": records.SceneCoco,
+_OF_IMAGE = {
+    "scene_camera": records.View,
+    "scene_gt": records.Poses,
+    "scene_gt_info": records.Infos,
 }
 _IMAGES = {
     "rgb": np.uint8,
@@ -36,46 +38,114 @@ _IMAGES = {
 
 
 def scene_problems(
-    folder: Path, *, claim: records.Claim, camera: records.Camera, models: Mapping[int, Model]
+    folder: Path,
+    *,
+    claim: records.Claim,
+    cameras: Mapping[str, records.Camera],
+    models: Mapping[int, Model],
 ) -> Iterator[str]:
-    """All that is wrong with one scene folder; nothing if it is sound."""
-    try:
-        scene = _read_scene(SceneFolder(folder))
-    except Unreadable as error:
-        yield str(error)
+    """All that is wrong with one scene folder; nothing if it is sound.
+
+    Args:
+        cameras: by the names of scanners.
+    """
+    many = len(claim.images) > 1
+    first: Plain | None = None
+    for taker in claim.takers:
+        files = SceneFolder(folder, taker.name)
+        try:
+            yield from _number_problems(files, taker.images)
+            first_annotation = {"": 1, "_sl": 1}
+            for number in range(taker.images):
+                image = _read_image(files, number, range(taker.images), first_annotation)
+                for suffix, coco in image.coco.items():
+                    first_annotation[suffix] += len(coco.annotations)
+                found = _image_problems(image, claim, cameras[taker.name], models)
+                which = f"{' '.join(filter(None, ('image', str(number), taker.name)))}: "
+                yield from ((which if many else "") + what for what in found)
+                first = first or image
+                yield from _world_problems(first, image)
+        except Unreadable as error:
+            yield str(error)
+
+
+def _number_problems(files: SceneFolder, count: int) -> Iterator[str]:
+    """Images that the records tell of, and COCO lists, beside those that a scene must have."""
+    must = set(range(count))
+    for name in (*_OF_IMAGE, "scene_gt_box3d", "scene_sl"):
+        for suffix in ("", "_sl") if name in _OF_IMAGE else ("",):
+            told = set(files.record(name + suffix, records.Images[Any]).root)
+            if told != must:
+                odd = sorted(told ^ must)[0]
+                yield (
+                    f"{of_sensor(name + suffix, files.sensor)}.json tells of {len(told)} images, "
+                    f"it must tell of {count}: see image {odd}"
+                )
+    for suffix in ("", "_sl"):
+        coco = files.record(f"scene_gt_coco{suffix}", records.SceneCoco)
+        numbers = [image.id for image in coco.images]
+        places = [entry.image_id for entry in coco.annotations]
+        if numbers != sorted(must) or places != sorted(places) or not set(places) <= must:
+            name = of_sensor(f"scene_gt_coco{suffix}", files.sensor)
+            yield f"{name}.json: images and image_id must go from 0 to {count - 1}"
+
+
+def _world_problems(first: Plain, image: Plain) -> Iterator[str]:
+    """Instances that lie elsewhere in the world than the first image has them."""
+    if image is first:
         return
+    where = f"{image.json_name('scene_gt')}: image {image.number}"
+    if [pose.obj_id for pose in image.poses] != [pose.obj_id for pose in first.poses]:
+        yield f"{where}: its instances are not those of the first image"
+        return
+    for i, (pose, other) in enumerate(zip(image.poses, first.poses, strict=True)):
+        gap = image.T_world_cam @ _placed(pose) - first.T_world_cam @ _placed(other)
+        if np.abs(gap[:3, :3]).max() > WORLD_TURN or np.abs(gap[:3, 3]).max() > WORLD_MM:
+            yield (
+                f"{where}: instance {i} lies {np.linalg.norm(gap[:3, 3]):.3g} mm from where the "
+                "first image has it in the world"
+            )
+
+
+def _placed(pose: records.Pose) -> Float[np.ndarray, "4 4"]:
+    return transform_of(pose.cam_R_m2c, pose.cam_t_m2c)
+
+
+def _image_problems(
+    scene: Plain, claim: records.Claim, camera: records.Camera, models: Mapping[int, Model]
+) -> Iterator[str]:
     yield from _camera_problems(scene, camera)
     yield from _pose_problems(scene, models)
-    unfit = tuple(_image_problems(folder, scene, camera))
+    unfit = tuple(_picture_problems(scene, camera))
     yield from unfit
     if unfit:
         return
     yield from _scanner_problems(scene)
-    gray, reason = scene.image["gray_sl"], scene.image["reason_sl"]
-    yield from raw_problems(folder, camera, gray=gray, reason=reason)
-    instance = np.full(reason.shape, -1)
+    yield from raw_problems(scene, camera)
+    instance = np.full(scene.image["reason_sl"].shape, -1)
     try:
-        yield from mask_problems(folder, scene, camera, models, instance)
+        yield from mask_problems(scene, camera, models, instance)
         if all(pose.obj_id in models for pose in scene.poses):
-            evidence = _evidence(folder, scene, claim, camera, models, instance)
-            yield from sense_problems(evidence)
+            yield from sense_problems(_evidence(scene, claim, models, instance))
     except Unreadable as error:
         yield str(error)
 
 
 def _evidence(
-    folder: Path,
     scene: Plain,
     claim: records.Claim,
-    camera: records.Camera,
     models: Mapping[int, Model],
     instance: Int[np.ndarray, "h w"],
 ) -> Evidence:
-    placed = ((models[p.obj_id], transform_of(p.cam_R_m2c, p.cam_t_m2c)) for p in scene.poses)
+    placed = ((models[p.obj_id], _placed(p)) for p in scene.poses)
+    sensor = scene.files.sensor
+    taker = [taker.name for taker in claim.takers].index(sensor)
     return Evidence(
-        scene_id=int(folder.name),
+        scene_id=int(scene.files.path.name),
         claim=claim,
-        manifest=scene.manifest,
+        taker=taker,
+        number=scene.number,
+        manifest=facts_of(scene.manifest, sensor, scene.number),
         lens=scene.lens,
         view=scene.view,
         poses=scene.poses,
@@ -91,58 +161,77 @@ def _evidence(
     )
 
 
-def _read_scene(files: SceneFolder) -> Plain:
+def _read_image(
+    files: SceneFolder, number: int, numbers: range, first_annotation: Mapping[str, int]
+) -> Plain:
     read = {
-        name + suffix: files.record(name + suffix, form)
-        for name, form in _SCENE_JSON.items()
+        name + suffix: files.of_image(name + suffix, number, form)
+        for name, form in _OF_IMAGE.items()
         for suffix in ("", "_sl")
     }
     for name in ("scene_camera", "scene_gt"):
         if read[name] != read[f"{name}_sl"]:
-            raise Unreadable(f"{name}_sl.json differs from {name}.json: both look through one lens")
+            one, other = (of_sensor(name + suffix, files.sensor) for suffix in ("_sl", ""))
+            raise Unreadable(f"{one}.json differs from {other}.json: both look through one lens")
     return Plain(
-        image={name: files.png(name) for name in _IMAGES},
-        view=read["scene_camera"].image,
-        poses=read["scene_gt"].image,
-        info={suffix: read[f"scene_gt_info{suffix}"].image for suffix in ("", "_sl")},
-        coco={suffix: read[f"scene_gt_coco{suffix}"] for suffix in ("", "_sl")},
-        box3d=files.record("scene_gt_box3d", OneImage[list[records.Box3d]]).image,
-        scanner=files.record("scene_sl", OneImage[records.ScannerRecord]).image,
-        manifest=files.record("manifest", records.Manifest).root,
+        files=files,
+        number=number,
+        numbers=numbers,
+        first_annotation=dict(first_annotation),
+        image={name: files.png(name, number) for name in _IMAGES},
+        view=read["scene_camera"],
+        poses=read["scene_gt"].root,
+        info={suffix: read[f"scene_gt_info{suffix}"].root for suffix in ("", "_sl")},
+        coco={suffix: _coco_of(files, suffix, number) for suffix in ("", "_sl")},
+        box3d=files.of_image("scene_gt_box3d", number, records.Boxes3d).root,
+        scanner=files.of_image("scene_sl", number, records.ScannerRecord),
+        manifest=SceneFolder(files.path).record("manifest", records.Manifest).root,
     )
 
 
-def _image_problems(folder: Path, scene: Plain, camera: records.Camera) -> Iterator[str]:
+def _coco_of(files: SceneFolder, suffix: str, number: int) -> records.SceneCoco:
+    """What a COCO file says of one image."""
+    whole = files.record(f"scene_gt_coco{suffix}", records.SceneCoco)
+    own = {
+        "images": [image for image in whole.images if image.id == number],
+        "annotations": [entry for entry in whole.annotations if entry.image_id == number],
+    }
+    return whole.model_copy(update=own)
+
+
+def _picture_problems(scene: Plain, camera: records.Camera) -> Iterator[str]:
     for name, image in scene.image.items():
-        kind = png_kind(SceneFolder(folder).png_path(name))
+        kind = png_kind(scene.files.png_path(name, scene.number))
         if kind != ("colour" if name == "rgb" else "grey"):
-            yield f"{name}/000000.png is a PNG of the kind {kind}, which no writer of ours makes"
+            yield f"{scene.name(name)} is a PNG of the kind {kind}, which no writer of ours makes"
         shape = (camera.height, camera.width, 3)[: 3 if name == "rgb" else 2]
         if image.shape != shape or image.dtype != _IMAGES[name]:
             is_, must = f"{image.shape} {image.dtype}", f"{shape} {np.dtype(_IMAGES[name])}"
-            yield f"{name}/000000.png is {is_}, it must be {must}"
+            yield f"{scene.name(name)} is {is_}, it must be {must}"
 
 
 def _camera_problems(scene: Plain, camera: records.Camera) -> Iterator[str]:
+    sensor = scene.files.sensor
     K = [camera.fx, 0.0, camera.cx, 0.0, camera.fy, camera.cy, 0.0, 0.0, 1.0]
     if scene.view.cam_K != K or scene.view.distortion != camera.distortion:
-        yield f"scene_camera.json: cam_K {scene.view.cam_K} is not that of camera.json, {K}"
+        told, must = scene.json_name("scene_camera"), camera_file(sensor)
+        yield f"{told}: cam_K {scene.view.cam_K} is not that of {must}, {K}"
     if scene.view.depth_scale != camera.depth_scale:
-        scales = f"{scene.view.depth_scale}, camera.json has {camera.depth_scale}"
-        yield f"scene_camera.json: depth_scale is {scales}"
+        scales = f"{scene.view.depth_scale}, {camera_file(sensor)} has {camera.depth_scale}"
+        yield f"{scene.json_name('scene_camera')}: depth_scale is {scales}"
     if not is_rigid(transform_of(scene.view.cam_R_w2c, scene.view.cam_t_w2c)):
-        yield "scene_camera.json: cam_R_w2c is not a rotation"
+        yield f"{scene.json_name('scene_camera')}: cam_R_w2c is not a rotation"
 
 
 def _pose_problems(scene: Plain, models: Mapping[int, Model]) -> Iterator[str]:
     count = len(scene.poses)
     for name, entries in (
-        ("scene_gt_info.json", scene.info[""]),
-        ("scene_gt_info_sl.json", scene.info["_sl"]),
-        ("scene_gt_box3d.json", scene.box3d),
+        ("scene_gt_info", scene.info[""]),
+        ("scene_gt_info_sl", scene.info["_sl"]),
+        ("scene_gt_box3d", scene.box3d),
     ):
         if len(entries) != count:
-            yield f"{name} has {len(entries)} instances, scene_gt.json has {count}"
+            yield f"{scene.json_name(name)} has {len(entries)} instances, scene_gt has {count}"
     for i, pose in enumerate(scene.poses):
         T = transform_of(pose.cam_R_m2c, pose.cam_t_m2c)
         if not is_rigid(T):
@@ -160,10 +249,11 @@ def _pose_problems(scene: Plain, models: Mapping[int, Model]) -> Iterator[str]:
 def _scanner_problems(scene: Plain) -> Iterator[str]:
     table = {reason.name: reason.value for reason in Reason}
     if scene.scanner.reasons != table:
-        yield f"scene_sl.json: reasons are {scene.scanner.reasons}, known are {table}"
+        told = scene.json_name("scene_sl")
+        yield f"{told}: reasons are {scene.scanner.reasons}, known are {table}"
     reason, depth = scene.image["reason_sl"], scene.image["depth_sl"]
     if not np.isin(reason, list(table.values())).all():
-        yield f"reason_sl/000000.png has the unknown value {reason.max()}"
+        yield f"{scene.name('reason_sl')} has the unknown value {reason.max()}"
     wrong = int(((depth > 0) != (reason == Reason.DECODED)).sum())
     if wrong:
         yield f"depth_sl and reason_sl disagree in {wrong} pixels on whether there is a depth"

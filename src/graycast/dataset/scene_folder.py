@@ -2,8 +2,8 @@
 
 JSON files are named after what they say, and say it under the number of each image. Pictures lie in
 a folder a kind, under the image's number, and masks also under the instance's. What is not of the
-first camera ends in a type of camera: `depth_sl` is what our scanner measures. Our scenes have one
-image, 0, and PNGs alone.
+first camera ends in a type of camera: `depth_sl` is what our scanner measures. Where scanners have
+names, these come before it: `rgb_left`, `depth_left_sl`. Our scenes have PNGs alone.
 """
 
 from dataclasses import dataclass
@@ -23,34 +23,52 @@ SCANNER = "_sl"  # the type of camera that our own datasets add
 R = TypeVar("R", bound=BaseModel)
 
 
+def of_sensor(name: str, sensor: str) -> str:
+    """What a file or folder is called for one of several scanners, `depth_sl` as `depth_left_sl`.
+
+    The first camera has no name, and the names stay as they are.
+    """
+    if not sensor:
+        return name
+    plain = name.removesuffix(SCANNER)
+    return f"{plain}_{sensor}{name[len(plain) :]}"
+
+
+def picture_name(kind: str, number: int, sensor: str = "") -> str:
+    """A picture of an image, as a PNG, inside its scene's folder."""
+    return f"{of_sensor(kind, sensor)}/{number:06d}.png"
+
+
 @final
 @dataclass(frozen=True, slots=True)
 class SceneFolder:
     """Its files, each read when it is asked for, without trust.
 
-    What reads raises Unreadable where a file is missing, damaged or of another form.
+    What reads raises Unreadable where a file is missing, damaged or of another form. `sensor` is
+    the name of one of several scanners.
     """
 
     path: Path
+    sensor: str = ""
 
     def record(self, name: str, form: type[R]) -> R:
         """A JSON file as the record that it must be."""
-        return read_json(self.path / f"{name}.json", form)
+        return read_json(self.path / f"{of_sensor(name, self.sensor)}.json", form)
 
     def of_image(self, name: str, number: int, form: type[R]) -> R:
         """What a JSON file says of one image; what it says of others is not judged."""
-        return held(self._entry(name, number), form, f"{name}.json: image {number}")
+        return held(self._entry(name, number), form, self._where(name, number))
 
     def of_instances(self, name: str, number: int, form: type[R]) -> list[R]:
         """What a JSON file says of each instance in one image."""
-        where, entry = f"{name}.json: image {number}", self._entry(name, number)
+        where, entry = self._where(name, number), self._entry(name, number)
         if not isinstance(entry, list):
             raise Unreadable(f"{where} must have a list with an entry for each of its instances")
         return [held(one, form, f"{where}, instance {i}") for i, one in enumerate(entry)]
 
     def find_picture(self, kind: str, number: int) -> Path | None:
         """Where a picture is, whatever its format; None where there is none."""
-        files = (self.path / kind / f"{number:06d}{ending}" for ending in PICTURES)
+        files = (self._of(kind) / f"{number:06d}{ending}" for ending in PICTURES)
         return next((file for file in files if file.is_file()), None)
 
     def picture(self, kind: str, number: int) -> np.ndarray | None:
@@ -59,7 +77,7 @@ class SceneFolder:
         return None if found is None else read_picture(found)
 
     def png_path(self, kind: str, number: int = 0) -> Path:
-        return self.path / kind / f"{number:06d}.png"
+        return self._of(kind) / f"{number:06d}.png"
 
     def png(self, kind: str, number: int = 0) -> np.ndarray:
         """A picture that must be there as a PNG."""
@@ -67,7 +85,7 @@ class SceneFolder:
 
     def mask_path(self, kind: str, instance: int, number: int = 0) -> Path:
         """Of `mask`, which goes on behind other parts, or of `mask_visib`."""
-        return self.path / kind / f"{number:06d}_{instance:06d}.png"
+        return self._of(kind) / f"{number:06d}_{instance:06d}.png"
 
     def mask(self, kind: str, instance: int, number: int = 0) -> Bool[np.ndarray, "h w"]:
         return read_png(self.mask_path(kind, instance, number)) > 0
@@ -75,8 +93,14 @@ class SceneFolder:
     def _entry(self, name: str, number: int) -> Any:
         entries = self.record(name, Images[Any]).root
         if number not in entries:
-            raise Unreadable(f"{name}.json says nothing of image {number}")
+            raise Unreadable(f"{of_sensor(name, self.sensor)}.json says nothing of image {number}")
         return entries[number]
+
+    def _where(self, name: str, number: int) -> str:
+        return f"{of_sensor(name, self.sensor)}.json: image {number}"
+
+    def _of(self, kind: str) -> Path:
+        return self.path / of_sensor(kind, self.sensor)
 
 
 class _Promised(BaseModel):

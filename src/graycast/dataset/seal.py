@@ -14,7 +14,20 @@ from .json_text import json_bytes
 
 MANIFEST = "manifest.json"
 SUMS, OWN = "sha256", "manifest_sha256"  # keys of a manifest; the first also of `graycast.json`
-_UNSEALED = ("timings", OWN)
+# Of a scene's images but the first one, whose facts are the manifest's own.
+FURTHER, FURTHER_TIMINGS = "further_images", "further_timings"
+OWN_FACTS = ("exposure_s", "reasons", "frames", "code_maps")
+_UNSEALED = ("timings", FURTHER_TIMINGS, OWN)
+
+
+def facts_of(manifest: Mapping[str, Any], sensor: str, image: int) -> dict[str, Any]:
+    """What a manifest says of the scene, with what is one image's own in place of the first's."""
+    for further in manifest.get(FURTHER, ()):
+        if (further.get("sensor", ""), further["image"]) == (sensor, image):
+            own = {key: further[key] for key in OWN_FACTS if key in further}
+            shared = {key: value for key, value in manifest.items() if key not in OWN_FACTS}
+            return shared | own | {"seeds": {**manifest["seeds"], **further["seeds"]}}
+    return dict(manifest)
 
 
 def sealed(

@@ -22,15 +22,15 @@ from ..folder import ASIDE, beside, take_lock
 from ..parts import Part
 from ..rig import Rig
 from .bop import camera_json, scene_files
-from .claim import make_claim, refuse_other
+from .claim import Taker, make_claim, refuse_other
 from .coco import split_coco
 from .json_text import json_bytes
 from .models import model_files, models_info
-from .places import CLAIM, finished_scenes
+from .places import CLAIM, camera_file, finished_scenes
 from .reading import Unreadable
-from .records import Manifest, OneImage
+from .records import Figures, Manifest
 from .sample import Sample
-from .scene_folder import SceneFolder
+from .scene_folder import SceneFolder, of_sensor, picture_name
 from .seal import SUMS, sha256
 
 _LOCK = ".lock"
@@ -55,16 +55,16 @@ class Store:
     out: Path
     depth_scale_mm: float
     categories: tuple[tuple[int, str], ...]  # object id, name of the part
-    size_px: tuple[int, int]  # height, width
+    takers: tuple[Taker, ...]  # the only one has the name ""
     lock: IO[str]
 
     def finished(self) -> set[int]:
         """The scenes that are in the folder, each of them whole."""
         return finished_scenes(self.out)
 
-    def write(self, scene_id: int, sample: Sample) -> None:
-        """Write one scene; as `write_files`, and ValueError as `scene_files`."""
-        self.write_files(scene_id, scene_files(sample, self.depth_scale_mm))
+    def write(self, scene_id: int, samples: Iterable[Sample]) -> None:
+        """Write one scene of all its images; as `write_files`, and ValueError as `scene_files`."""
+        self.write_files(scene_id, scene_files(samples, self.depth_scale_mm))
 
     def write_files(self, scene_id: int, files: Iterable[tuple[str, bytes]]) -> None:
         """Write one scene, all of it or nothing.
@@ -78,8 +78,10 @@ class Store:
         place = self.out / "train" / f"{scene_id:06d}"
         with _disk_errors(self.out), _refusing_other(place), beside(place) as aside:
             aside.mkdir()
-            for folder in ("mask", "mask_visib", "mask_sl", "mask_visib_sl"):
-                (aside / folder).mkdir()  # also where no instance is seen
+            for taker in self.takers:
+                for folder in ("mask", "mask_visib", "mask_sl", "mask_visib_sl"):
+                    # Also where no instance is seen.
+                    (aside / of_sensor(folder, taker.name)).mkdir()
             for name, content in files:
                 path = aside / name
                 path.parent.mkdir(exist_ok=True)
@@ -117,19 +119,47 @@ class Store:
         missing = sorted(set(scene_ids) - set(finished))
         if missing:
             raise DatasetError(f"{self.out}: scenes {missing} are not finished: run them first")
-        height_px, width_px = self.size_px
         categories = [
             {"id": obj_id, "name": name, "supercategory": "graycast"}
             for obj_id, name in self.categories
         ]
+        pictures = [picture for scene_id in finished for picture in self._pictures(scene_id)]
         text = split_coco(
-            (_annotations(self.out, scene_id) for scene_id in finished),
-            scene_ids=finished,
+            (of_picture for scene_id in finished for of_picture in self._annotations(scene_id)),
+            pictures=pictures,
             categories=categories,
-            height_px=height_px,
-            width_px=width_px,
         )
         _replace(self.out / "train_coco.json", (piece.encode() for piece in text))
+
+    def _pictures(self, scene_id: int) -> list[dict[str, Any]]:
+        """A scene's images as the split's COCO file lists them."""
+        images = [(taker, image) for taker in self.takers for image in range(taker.images)]
+        return [
+            {
+                "id": scene_id * len(images) + k,
+                "file_name": f"train/{scene_id:06d}/{picture_name('rgb', image, taker.name)}",
+                "width": taker.rig.camera.width_px,
+                "height": taker.rig.camera.height_px,
+            }
+            for k, (taker, image) in enumerate(images)
+        ]
+
+    def _annotations(self, scene_id: int) -> Iterator[tuple[int, list[Any], list[Any]]]:
+        """Of each of a scene's images its id in the split, COCO annotations and list of figures."""
+        number = scene_id * sum(taker.images for taker in self.takers)
+        for taker in self.takers:
+            scene = SceneFolder(self.out / "train" / f"{scene_id:06d}", taker.name)
+            try:
+                coco = scene.record("scene_gt_coco", Manifest).root
+                for image in range(taker.images):
+                    infos = scene.of_image("scene_gt_info", image, Figures).root
+                    own = [entry for entry in coco["annotations"] if entry["image_id"] == image]
+                    yield number, own, infos
+                    number += 1
+            except (Unreadable, KeyError, TypeError) as error:
+                raise DatasetError(
+                    f"{scene.path} cannot be read back ({error}): remove this folder and run again"
+                ) from error
 
     def tidy(self) -> None:
         """After a run that failed: remove unfinished scenes and, if none was finished, the claim.
@@ -142,7 +172,8 @@ class Store:
                 return
             shutil.rmtree(self.out / "models", ignore_errors=True)
             (self.out / "train").rmdir()
-            (self.out / "camera.json").unlink(missing_ok=True)
+            for taker in self.takers:
+                (self.out / camera_file(taker.name)).unlink(missing_ok=True)
             (self.out / SETASIDE).unlink(missing_ok=True)
             (self.out / CLAIM).unlink(missing_ok=True)
 
@@ -165,17 +196,23 @@ def open_store(
     parts: tuple[Part, ...],
     rig: Rig,
     depth_scale_mm: float,
+    takers: tuple[Taker, ...] = (),
 ) -> Store:
     """Create a dataset folder, or open one that the same configuration made, and lock it.
 
     Removes what a killed run left and writes the models and `camera.json` where they are missing.
+
+    Args:
+        rig: of the first scanner.
+        takers: all scanners, where a scene has several images or a scanner has a name.
 
     Raises:
         DatasetError: the folder belongs to something else, to another configuration or to a run
             that is still going, or the disk refuses.
         ValueError: something in `config` has no JSON form.
     """
-    claim = make_claim(config, seed, parts, rig, depth_scale_mm)
+    claim = make_claim(config, seed, parts, rig, depth_scale_mm, takers)
+    takers = takers or (Taker(name="", images=1, rig=rig, scanning={}),)
     parts = tuple(part for part in parts if part.labelled)
     _refuse_foreign(out)
     with _disk_errors(out):
@@ -186,10 +223,11 @@ def open_store(
             _sweep(out)
             if (out / CLAIM).exists():
                 refuse_other(out / CLAIM, claim)
-                if not (out / "models").exists() or not (out / "camera.json").exists():
-                    _write_common(out, _common_files(parts, rig, depth_scale_mm))
+                cameras = [camera_file(taker.name) for taker in takers]
+                if not all((out / name).exists() for name in ("models", *cameras)):
+                    _write_common(out, _common_files(parts, takers, depth_scale_mm))
             else:
-                files = _common_files(parts, rig, depth_scale_mm)
+                files = _common_files(parts, takers, depth_scale_mm)
                 sums = {name: sha256(content) for name, content in files.items()}
                 _replace(out / CLAIM, [json_bytes(claim | {SUMS: sums})])
                 _write_common(out, files)
@@ -201,7 +239,7 @@ def open_store(
         out=out,
         depth_scale_mm=depth_scale_mm,
         categories=tuple((obj_id, part.name) for obj_id, part in enumerate(parts, start=1)),
-        size_px=(rig.camera.height_px, rig.camera.width_px),
+        takers=takers,
         lock=lock,
     )
 
@@ -214,13 +252,14 @@ def refuse_other_dataset(
     parts: tuple[Part, ...],
     rig: Rig,
     depth_scale_mm: float,
+    takers: tuple[Taker, ...] = (),
 ) -> None:
     """Whether a folder's dataset is of this configuration; nothing is written.
 
     Raises:
         DatasetError: it is not, and where it differs; or it is damaged.
     """
-    refuse_other(out / CLAIM, make_claim(config, seed, parts, rig, depth_scale_mm))
+    refuse_other(out / CLAIM, make_claim(config, seed, parts, rig, depth_scale_mm, takers))
 
 
 @contextmanager
@@ -239,19 +278,6 @@ def _sync(path: Path) -> None:
         os.fsync(folder)
     finally:
         os.close(folder)
-
-
-def _annotations(
-    out: Path, scene_id: int
-) -> tuple[int, Mapping[str, Any], list[Mapping[str, Any]]]:
-    scene = SceneFolder(out / "train" / f"{scene_id:06d}")
-    try:
-        infos = scene.record("scene_gt_info", OneImage[list[Mapping[str, Any]]]).image
-        return scene_id, scene.record("scene_gt_coco", Manifest).root, infos
-    except Unreadable as error:
-        raise DatasetError(
-            f"{scene.path} cannot be read back ({error}): remove this folder and run again"
-        ) from error
 
 
 def _refuse_foreign(out: Path) -> None:
@@ -291,17 +317,23 @@ def _sweep(out: Path) -> None:
             left.unlink()
 
 
-def _common_files(parts: tuple[Part, ...], rig: Rig, depth_scale_mm: float) -> dict[str, bytes]:
-    """What all scenes share: the models, and the camera."""
+def _common_files(
+    parts: tuple[Part, ...], takers: tuple[Taker, ...], depth_scale_mm: float
+) -> dict[str, bytes]:
+    """What all scenes share: the models, and the cameras."""
     models = model_files(parts) | {"models_info.json": json_bytes(models_info(parts))}
     common = {f"models/{name}": content for name, content in models.items()}
-    return common | {"camera.json": json_bytes(camera_json(rig.camera, depth_scale_mm))}
+    return common | {
+        camera_file(taker.name): json_bytes(camera_json(taker.rig.camera, depth_scale_mm))
+        for taker in takers
+    }
 
 
 def _write_common(out: Path, files: Mapping[str, bytes]) -> None:
     """Write what is not there yet: the folder of models as a whole."""
-    if not (out / "camera.json").exists():
-        _replace(out / "camera.json", [files["camera.json"]])
+    for name, content in files.items():
+        if not name.startswith("models/") and not (out / name).exists():
+            _replace(out / name, [content])
     if (out / "models").exists():
         return
     with beside(out / "models") as aside:

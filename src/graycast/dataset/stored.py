@@ -22,11 +22,15 @@ from .places import CLAIM, SPLITS, camera_file, finished_scenes
 from .reading import Unreadable, read_json
 from .real import RealClaim, RealInfo, RealPose, RealView, is_real
 from .scene_folder import SceneFolder
+from .seal import facts_of
 
 NO_REASON = 255  # a pixel without scanner depth in a dataset that does not say why
 _HELD = frozenset({"rgb", "gray_sl", "depth", "depth_sl", "masks", "amodal", "poses", "shares"})
 _PIXELS = {"rgb": (3, np.uint8), "gray_sl": (2, np.uint8), "reason_sl": (2, np.uint8)}
 _DEPTH = (2, np.uint16)
+
+
+_Anything = RootModel[Any]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -76,17 +80,11 @@ class SceneContent:
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class StoredScene:
-    """One picture of a scene, with all that belongs to it; most scenes have only one.
+    """One image of a scene of a dataset, each file read and checked when it is asked for.
 
-    Each file is read and checked when it is asked for. Every method raises DatasetError where a
-    file is missing, damaged or contradicts another.
-
-    Attributes:
-        folder: the scene's, which its pictures share.
-        place: of the picture among those of the scene, from 0.
-        of: how many pictures a scene has.
-        sensor: the name of the scanner that took it, where it has one.
-        image: its number among the pictures of that scanner.
+    Most scenes have one; `sensor` is the name of the scanner that took it, "" of the only one that
+    has none, and `image` counts each scanner's own. Every method raises DatasetError where a file
+    is missing, damaged or contradicts another.
     """
 
     folder: Path
@@ -96,29 +94,29 @@ class StoredScene:
     categories: Mapping[int, str] = field(hash=False)
     real: bool
     holds: frozenset[str]
-    place: int = 0
-    of: int = 1
     sensor: str = ""
     image: int = 0
+    place: int = 0  # among all images of its scene, those of all scanners
+    of: int = 1  # how many those are
 
     @property
     def image_id(self) -> int:
-        """Its number among all pictures of the split: the scene's, where that has only one."""
+        """Its number among all images of the split: the scene's, where that has only one."""
         return self.scene_id * self.of + self.place
 
     @property
     def key(self) -> str:
-        """Its name among all pictures of the dataset: the scene's, where that has only one."""
-        return self.scene_key if self.of == 1 else f"{self.scene_key}-{self.picture_name}"
+        """Its name among all images of the dataset: the scene's, where that has only one."""
+        return self.scene_key if self.of == 1 else f"{self.scene_key}-{self.image_name}"
 
     @property
     def scene_key(self) -> str:
-        """The scene's name among all scenes of the dataset."""
+        """Its scene's name among all scenes of the dataset."""
         return f"{self.split}-{self.scene_id:06d}"
 
     @property
-    def picture_name(self) -> str:
-        """Its name among the pictures of its scene: `1`, or `left-1` of the scanner `left`."""
+    def image_name(self) -> str:
+        """Its name among the images of its scene: `1`, or `left-1` of the scanner `left`."""
         return f"{self.sensor}-{self.image}" if self.sensor else f"{self.image}"
 
     def view(self) -> records.View | Any:
@@ -127,7 +125,10 @@ class StoredScene:
 
     def manifest(self) -> dict[str, Any]:
         """What the run that made it had to say."""
-        return self._read("manifest", records.Manifest).root
+        whole = self._checked(
+            partial(SceneFolder(self.folder).record, "manifest", records.Manifest)
+        ).root
+        return facts_of(whole, self.sensor, self.image)
 
     def obj_ids(self) -> tuple[int, ...]:
         """What each instance is, seen or not: all that one small file tells."""
@@ -205,8 +206,8 @@ class StoredScene:
         )
 
     def said(self, name: str) -> Any:
-        """What a JSON file says of the picture, as it is."""
-        return self._of_image(name, RootModel[Any]).root
+        """What a JSON file says of the scene's image, as it is."""
+        return self._of_image(name, _Anything).root
 
     def poses(self) -> list[Any]:
         """What `scene_gt.json` says of every instance, seen or not."""
@@ -224,11 +225,8 @@ class StoredScene:
             return [], [], []
         poses = self.poses()
         infos = self._of_instances("scene_gt_info", RealInfo if self.real else records.Info)
-        annotations = [
-            entry
-            for entry in self._read("scene_gt_coco", records.SceneCoco).annotations
-            if entry.image_id == self.image
-        ]
+        whole = self._checked(partial(self._files.record, "scene_gt_coco", records.SceneCoco))
+        annotations = [entry for entry in whole.annotations if entry.image_id == self.image]
         seen = sum(info.px_count_visib > 0 for info in infos)
         if len(poses) != len(infos) or seen != len(annotations):
             raise DatasetError(
@@ -332,11 +330,8 @@ class StoredScene:
     def _of_image(self, name: str, form: Any) -> Any:
         return self._checked(partial(self._files.of_image, name, self.image, form))
 
-    def _of_instances(self, name: str, form: Any) -> list[Any]:
+    def _of_instances(self, name: str, form: Any) -> Any:
         return self._checked(partial(self._files.of_instances, name, self.image, form))
-
-    def _read(self, name: str, form: type) -> Any:
-        return self._checked(partial(self._files.record, name, form))
 
     def _checked(self, read: partial) -> Any:
         try:
@@ -344,16 +339,6 @@ class StoredScene:
         except Unreadable as error:
             why = "run graycast validate, remove the scene and make it again"
             raise DatasetError(f"{self.folder}: {error}: {why}") from error
-
-
-@final
-@dataclass(frozen=True, slots=True, kw_only=True)
-class TakenPicture:
-    """Which picture of a scene: its scanner's name, its number there, its height and width."""
-
-    sensor: str
-    image: int
-    size_px: tuple[int, int]
 
 
 @final
@@ -366,7 +351,9 @@ class StoredDataset:
         categories: object ids and the parts' names.
         scene_ids: the scenes of each split's folder. Graycast writes `train` alone; who moves
             scenes to `val` and `test` has them counted and shown apart.
-        pictures: of each scene, in the order of their places.
+        sizes_px: height, width of each scanner's pictures, by its name, "" of the only one that
+            has none; the first scanner first.
+        images: every image of a scene: its scanner's name, and its number among that one's own.
         holds: which of rgb, gray_sl, depth, depth_sl, masks, amodal, poses and shares (visible
             ones) its scenes have.
     """
@@ -375,13 +362,14 @@ class StoredDataset:
     claim: Mapping[str, Any]
     categories: Mapping[int, str]
     scene_ids: Mapping[str, tuple[int, ...]]
-    pictures: tuple[TakenPicture, ...]
+    sizes_px: Mapping[str, tuple[int, int]]
+    images: tuple[tuple[str, int], ...]
     holds: frozenset[str]
 
     @property
     def size_px(self) -> tuple[int, int]:
-        """Height and width of a scene's first picture; of scanners each has its own."""
-        return self.pictures[0].size_px
+        """Height, width of the first scanner's pictures."""
+        return next(iter(self.sizes_px.values()))
 
     @property
     def real(self) -> bool:
@@ -390,6 +378,50 @@ class StoredDataset:
     @property
     def depth_scale_mm(self) -> float:
         return self.claim["depth_scale_mm"]
+
+    @property
+    def scenes(self) -> tuple[StoredScene, ...]:
+        """The scenes of all splits, each by its first image."""
+        return tuple(
+            self.scene(scene_id, split=split)
+            for split, scene_ids in self.scene_ids.items()
+            for scene_id in scene_ids
+        )
+
+    def scene(
+        self, scene_id: int, *, split: str = "train", sensor: str | None = None, image: int = 0
+    ) -> StoredScene:
+        """One image of a scene: without a sensor's name of the first scanner, its first one."""
+        sensor = self.images[0][0] if sensor is None else sensor
+        return StoredScene(
+            folder=self.folder / split / f"{scene_id:06d}",
+            split=split,
+            scene_id=scene_id,
+            size_px=self.sizes_px[sensor],
+            categories=self.categories,
+            real=self.real,
+            holds=self.holds,
+            sensor=sensor,
+            image=image,
+            place=self.images.index((sensor, image)),
+            of=len(self.images),
+        )
+
+    @property
+    def pictures(self) -> tuple[StoredScene, ...]:
+        """The images of the scenes of all splits, those of a scene in a row."""
+        return tuple(image for scene in self.scenes for image in self.images_of(scene))
+
+    def image_ids(self, scene_ids: Iterable[int]) -> list[int]:
+        """The numbers of all images of some scenes: the scenes' own, where each has only one."""
+        of = len(self.images)
+        return [scene_id * of + place for scene_id in scene_ids for place in range(of)]
+
+    def picture(self, image_id: int, *, split: str = "train") -> StoredScene:
+        """An image by its number among all images of the split."""
+        scene_id, place = divmod(image_id, len(self.images))
+        sensor, image = self.images[place]
+        return self.scene(scene_id, split=split, sensor=sensor, image=image)
 
     def taker(self, sensor: str) -> Mapping[str, Any]:
         """The rig and the scanner of a name as the claim says them; nothing of real pictures."""
@@ -400,36 +432,11 @@ class StoredDataset:
             return {}
         return {"rig": self.claim["rig"], "scanner": self.claim["config"].get("scanner", {})}
 
-    @property
-    def scenes(self) -> tuple[StoredScene, ...]:
-        """The pictures of the scenes of all splits, those of a scene in a row."""
+    def images_of(self, scene: StoredScene) -> tuple[StoredScene, ...]:
+        """All images of a scene, whichever of them is given."""
         return tuple(
-            self.scene(image_id, split=split)
-            for split, scene_ids in self.scene_ids.items()
-            for image_id in self.images_of(scene_ids)
-        )
-
-    def images_of(self, scene_ids: Iterable[int]) -> list[int]:
-        """The numbers of all pictures of some scenes: the scenes' own, where each has one."""
-        of = len(self.pictures)
-        return [scene_id * of + place for scene_id in scene_ids for place in range(of)]
-
-    def scene(self, image_id: int, *, split: str = "train") -> StoredScene:
-        """A picture by its number, which is the scene's where that has only one."""
-        scene_id, place = divmod(image_id, len(self.pictures))
-        taken = self.pictures[place]
-        return StoredScene(
-            folder=self.folder / split / f"{scene_id:06d}",
-            split=split,
-            scene_id=scene_id,
-            size_px=taken.size_px,
-            place=place,
-            of=len(self.pictures),
-            sensor=taken.sensor,
-            image=taken.image,
-            categories=self.categories,
-            real=self.real,
-            holds=self.holds,
+            self.scene(scene.scene_id, split=scene.split, sensor=sensor, image=image)
+            for sensor, image in self.images
         )
 
 
@@ -442,8 +449,11 @@ def open_dataset(folder: Path) -> StoredDataset:
     real = is_real(folder)
     try:
         claim = read_json(folder / CLAIM, RealClaim if real else records.Claim)
-        images = [("", 0)] if isinstance(claim, RealClaim) else claim.images
-        size_px = {sensor: _size_px(folder, sensor) for sensor, _ in images}
+        images = [("", 0)] if real else claim.images
+        cameras = {
+            sensor: read_json(folder / camera_file(sensor), records.Camera)
+            for sensor in dict.fromkeys(sensor for sensor, _ in images)
+        }
     except Unreadable as error:
         raise DatasetError(f"{folder} is not a Graycast dataset: {error}") from error
     scene_ids = {split: tuple(sorted(finished_scenes(folder, split))) for split in SPLITS}
@@ -454,14 +464,7 @@ def open_dataset(folder: Path) -> StoredDataset:
         claim=claim.model_dump(),
         categories={part.obj_id: part.name for part in claim.parts},
         scene_ids=scene_ids,
-        pictures=tuple(
-            TakenPicture(sensor=sensor, image=image, size_px=size_px[sensor])
-            for sensor, image in images
-        ),
+        sizes_px={name: (camera.height, camera.width) for name, camera in cameras.items()},
+        images=tuple(images),
         holds=frozenset(claim.holds) if real else _HELD,
     )
-
-
-def _size_px(folder: Path, sensor: str) -> tuple[int, int]:
-    camera = read_json(folder / camera_file(sensor), records.Camera)
-    return camera.height, camera.width

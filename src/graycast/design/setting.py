@@ -10,7 +10,7 @@ from typing import Any, final
 import numpy as np
 from jaxtyping import Float
 
-from ..cell import Cell, hang, resolve_cell
+from ..cell import Cell, resolve_cell
 from ..config import Config, file_digests, load_config, resolve_bin, resolve_scanner
 from ..dataset import described_values
 from ..drop import OnStage
@@ -19,6 +19,7 @@ from ..frames import inverse, transform_points
 from ..generate import described_scanner
 from ..rig import PRESETS, Rig, aimed, standoff_m
 from ..scene import bin_of
+from ..views import hang
 from .study import DesignSpec, SweepSection
 
 

@@ -8,7 +8,7 @@ from .draw import draw
 from .files import Domain, domain_files, resolve_domain
 from .reach import deepest_m
 from .sections import AdaptedSection, DomainSection, RandomizedSection
-from .vary import Variation, vary
+from .vary import Variation, moved_place, vary
 
 __all__ = [
     "AdaptedSection",
@@ -19,6 +19,7 @@ __all__ = [
     "deepest_m",
     "domain_files",
     "draw",
+    "moved_place",
     "resolve_domain",
     "vary",
 ]

@@ -57,6 +57,13 @@ def vary(domain: Domain, scene: Scene, counts: tuple[int, ...], record: Record) 
     )
 
 
+def moved_place(scene: Scene, record: Record) -> Float[np.ndarray, "4 4"]:
+    """`T_world_cam` of any rig of a cell, `scene` before it as configured, in a record's world."""
+    if record["kind"] == "adapted":
+        return _tolerated(scene.T_world_cam, record)
+    return moved_rig(scene, record["camera"]) if "camera" in record else scene.T_world_cam
+
+
 def shared_out(counts: tuple[int, ...], share: float) -> tuple[int, ...]:
     """A share of each number, rounded, and at least 1 of what there is."""
     return tuple(max(1, round(share * n)) if n else 0 for n in counts)
@@ -67,10 +74,7 @@ def shared_out(counts: tuple[int, ...], share: float) -> tuple[int, ...]:
 
 def _adapted(scene: Scene, record: Record) -> Scene:
     """The cell as built. Where nothing is off, values stay what they are, bit for bit."""
-    camera, box = record["camera"], record["bin"]
-    T_world_cam = scene.T_world_cam
-    if any(camera["offset_m"]) or any(camera["rotation_rad"]):
-        T_world_cam = _nudged(T_world_cam, camera["offset_m"], camera["rotation_rad"])
+    box = record["bin"]
     lamps = tuple(
         replace(
             lamp,
@@ -83,11 +87,8 @@ def _adapted(scene: Scene, record: Record) -> Scene:
         scene.environment,
         radiance=_times(scene.environment.radiance, record["environment"]["level"]),
     )
-    if any(box["offset_m"]) or box["turn_rad"]:
-        # The world stands on the bin's floor: where the bin goes, all else goes the other way.
-        T_cell_bin = rigid(axis_rotation("z", box["turn_rad"]), np.array([*box["offset_m"], 0.0]))
-        T_world_cell = inverse(T_cell_bin)
-        T_world_cam = T_world_cell @ T_world_cam
+    T_world_cell = _world_of(box)
+    if T_world_cell is not None:
         lamps = tuple(_carried(lamp, T_world_cell) for lamp in lamps)
         turned_rad = environment.rotation_rad - box["turn_rad"]
         environment = replace(environment, rotation_rad=turned_rad)
@@ -96,8 +97,26 @@ def _adapted(scene: Scene, record: Record) -> Scene:
         for part in scene.parts
     )
     return replace(
-        scene, T_world_cam=T_world_cam, lamps=lamps, environment=environment, parts=parts
+        scene,
+        T_world_cam=_tolerated(scene.T_world_cam, record),
+        lamps=lamps,
+        environment=environment,
+        parts=parts,
     )
+
+
+def _tolerated(T_world_cam: Float[np.ndarray, "4 4"], record: Record) -> Float[np.ndarray, "4 4"]:
+    camera, T_world_cell = record["camera"], _world_of(record["bin"])
+    if any(camera["offset_m"]) or any(camera["rotation_rad"]):
+        T_world_cam = _nudged(T_world_cam, camera["offset_m"], camera["rotation_rad"])
+    return T_world_cam if T_world_cell is None else T_world_cell @ T_world_cam
+
+
+def _world_of(box: Record) -> Float[np.ndarray, "4 4"] | None:
+    """The world stands on the bin's floor: where the bin goes, all else goes the other way."""
+    if not any(box["offset_m"]) and not box["turn_rad"]:
+        return None
+    return inverse(rigid(axis_rotation("z", box["turn_rad"]), np.array([*box["offset_m"], 0.0])))
 
 
 def _nudged(

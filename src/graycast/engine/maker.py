@@ -1,16 +1,16 @@
 """What a worker does, wherever it runs: scenes of one task, from seeds to the bytes of files."""
 
 import time
-from collections.abc import Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from types import TracebackType
 
 from ..cell import Cell, open_cell_renderer
 from ..dataset import scene_files
-from ..dataset.sample import LEAST_DECODED
+from ..dataset.sample import LEAST_DECODED, Sample
 from ..errors import DecodeError, DeviceError, GraycastError, WorkerDied
 from ..render import OnFrame, Renderer
-from ..simulate import OnStage, make_scene
+from ..simulate import OnStage, Shot, make_images
 from ..usage import rss_bytes
 from .job import Job, Made, keep_to_threads
 
@@ -63,15 +63,15 @@ class SceneMaker:
         try:
             if self._renderer is None:
                 self._renderer = self._open()
-            shot = make_scene(
+            shares: list[Mapping[str, float]] = []
+            shots = make_images(
                 task.cell,
                 scene_id,
                 seed=task.seed,
                 renderer=self._renderer,
                 on_stage=self._on_stage,
             )
-            _refuse_undecoded(shot.sample.manifest["reasons"])
-            files = tuple(scene_files(shot.sample, task.depth_scale_mm))
+            files = tuple(scene_files(_decoded(shots, shares), task.depth_scale_mm))
         except BaseException as error:
             if not is_the_scenes_own(error):
                 self.close()
@@ -80,7 +80,7 @@ class SceneMaker:
             scene_id=scene_id,
             files=files,
             seconds=time.perf_counter() - start,
-            reasons=dict(shot.sample.manifest["reasons"]),
+            reasons={name: sum(own[name] for own in shares) / len(shares) for name in shares[0]},
             rss_bytes=rss_bytes(),
         )
 
@@ -110,8 +110,22 @@ class SceneMaker:
         self.close()
 
 
-def _refuse_undecoded(reasons: Mapping[str, float]) -> None:
-    """A scene without scanner depth is none, and `validate` would say so.
+def _decoded(shots: Iterable[Shot], shares: list[Mapping[str, float]]) -> Iterator[Sample]:
+    """The sample of each image, its share of pixels per reason noted.
+
+    Raises:
+        DecodeError: as of `_refuse_undecoded`.
+    """
+    for shot in shots:
+        sample = shot.sample
+        image = " ".join(filter(None, ("image", str(sample.image), sample.sensor)))
+        _refuse_undecoded(sample.manifest["reasons"], image)
+        shares.append(sample.manifest["reasons"])
+        yield sample
+
+
+def _refuse_undecoded(reasons: Mapping[str, float], image: str) -> None:
+    """An image without scanner depth is none, and `validate` would say so.
 
     Raises:
         DecodeError: hardly a pixel was decoded; says why most were not, and what helps.
@@ -120,7 +134,8 @@ def _refuse_undecoded(reasons: Mapping[str, float]) -> None:
         return
     most = max(reasons, key=lambda name: reasons[name])
     raise DecodeError(
-        f"the scanner finds a depth in {reasons['decoded']:.2%} of the pixels, that is in none: "
+        f"{image}: the scanner finds a depth in {reasons['decoded']:.2%} of the pixels, that is "
+        "in none: "
         f"{reasons[most]:.0%} are {most}: "
         f"{_REMEDIES.get(most, 'see graycast preview')}"
     )

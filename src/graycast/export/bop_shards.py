@@ -56,7 +56,7 @@ def write_rest(
     folder: Path, splits: Iterable[str], stored: StoredDataset, options: Options
 ) -> None:
     """What belongs to the dataset as a whole: each scanner's camera, and the models."""
-    for name in {camera_file(taken.sensor): None for taken in stored.pictures}:
+    for name in (camera_file(sensor) for sensor in stored.sizes_px):
         camera = json.loads((stored.folder / name).read_bytes())
         camera |= {key: camera[key] + options.shift_px for key in ("cx", "cy")}
         (folder / name).write_bytes(json_bytes(camera))

@@ -38,7 +38,7 @@ class ExportRecord(records.Record):
     holds: list[str]
     fingerprint: str
     graycast: str
-    pictures: list[ExportedPicture] = []
+    pictures: tuple[ExportedPicture, ...] = ()
 
     def place(self, image_id: int) -> tuple[int, int]:
         """Of a picture the number of its scene, and its place there."""
@@ -65,10 +65,10 @@ def write_record(
         holds=sorted(stored.holds),
         fingerprint=stored.claim.get("fingerprint", ""),
         graycast=__version__,
-        pictures=[
-            ExportedPicture(sensor=one.sensor, image=one.image, size_px=list(one.size_px))
-            for one in (stored.pictures if len(stored.pictures) > 1 else ())
-        ],
+        pictures=tuple(
+            ExportedPicture(sensor=sensor, image=image, size_px=list(stored.sizes_px[sensor]))
+            for sensor, image in (stored.images if len(stored.images) > 1 else ())
+        ),
     )
     (folder / RECORD).write_bytes(json_bytes(record.model_dump(exclude_defaults=True)))
     return record

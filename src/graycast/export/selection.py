@@ -40,8 +40,8 @@ def chosen_pictures(path: Path, stored: StoredDataset) -> list[int]:
             f"{path} names scenes of another dataset ({selection.dataset}), not of {stored.folder}:"
             " give the dataset that the page was made of"
         )
-    images = stored.images_of(stored.scene_ids["train"])
-    known = {stored.scene(image_id).key: image_id for image_id in images}
+    images = stored.image_ids(stored.scene_ids["train"])
+    known = {stored.picture(image_id).key: image_id for image_id in images}
     foreign = sorted(set(selection.scenes) - set(known))
     if foreign:
         more = f" and {len(foreign) - _SOME} more" if len(foreign) > _SOME else ""

@@ -41,11 +41,11 @@ class Split:
         last = NAMES[max(i for i, share in enumerate(self.shares) if share > 0)]
         return "train" if at < train else "val" if at < train + val else last
 
-    def assign(self, image_ids: Iterable[int], *, pictures: int = 1) -> dict[str, list[int]]:
+    def assign(self, image_ids: Iterable[int], *, images: int = 1) -> dict[str, list[int]]:
         """The pictures of every set that has a share, in their order; a scene stays together.
 
         Args:
-            image_ids: numbers of pictures; each scene has `pictures` of them.
+            image_ids: numbers of pictures; each scene has `images` of them.
 
         Raises:
             GraycastError: a set that has a share gets no scene.
@@ -54,7 +54,7 @@ class Split:
             name: [] for name, share in zip(NAMES, self.shares, strict=True) if share > 0
         }
         for image_id in sorted(image_ids):
-            sets[self.place(image_id // pictures)].append(image_id)
+            sets[self.place(image_id // images)].append(image_id)
         for name, ids in sets.items():
             if not ids:
                 count = sum(map(len, sets.values()))

@@ -40,11 +40,11 @@ def export(
     """
     write_split, write_rest = _writers(options.format)
     stored = open_dataset(dataset)
-    image_ids = stored.images_of(stored.scene_ids["train"])
+    image_ids = stored.image_ids(stored.scene_ids["train"])
     if selection is not None:
         image_ids = chosen_pictures(selection, stored)
     chosen = options.resolved(stored)
-    splits = chosen.split.assign(image_ids, pictures=len(stored.pictures))
+    splits = chosen.split.assign(image_ids, images=len(stored.images))
     if out.absolute().is_relative_to(dataset.absolute()):
         raise GraycastError(f"{out}: lies in the dataset: choose a folder outside of it")
     total, done = len(image_ids), 0
@@ -52,7 +52,7 @@ def export(
     def counted(image_ids: Iterable[int]) -> Iterator[StoredScene]:
         nonlocal done
         for image_id in image_ids:
-            yield stored.scene(image_id)
+            yield stored.picture(image_id)
             done += 1
             on_progress(done, total)
 

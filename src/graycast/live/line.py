@@ -22,7 +22,6 @@ from jaxtyping import Float, UInt8
 
 from ..cell import Cell, open_cell_renderer, resolve_cell
 from ..config import Config, resolve_quality, resolve_scanner
-from ..dataset.seeds import scene_seeds
 from ..decode import CodeMap, DepthMap
 from ..drop import DropLimits, drop
 from ..picture import color_light, developed
@@ -30,7 +29,7 @@ from ..render import Quality, Radiance, Renderer, Rendering
 from ..scanner import measure, take
 from ..scene import Layout, Scene
 from ..sensor import Capture
-from ..simulate import varied
+from ..simulate import cell_seeds, varied
 from .asking import Answer, Ask
 from .showing import picture_answer, world_answer, world_key
 
@@ -118,7 +117,7 @@ class Line:
         """
         start = time.perf_counter()
         cell = self._resolved(ask.config)
-        seeds = scene_seeds(ask.config.seed, self._scene_id, domain=cell.domain is not None)
+        seeds = cell_seeds(cell, self._scene_id, seed=ask.config.seed)
         variation = varied(cell, self._scene_id, seeds)
         scene = variation.scene
         physics = _physics_key(scene, variation.counts, seeds["drop"], ask.config.drop)

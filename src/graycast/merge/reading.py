@@ -52,7 +52,7 @@ def read_view(stored: StoredDataset, shot: StoredScene) -> StoredView:
     sigma_m, noise = _sigma_m(stored, shot, depth_m, step_m)
     return StoredView(
         view=MeasuredView(
-            name=shot.picture_name,
+            name=shot.image_name,
             camera=optics_of(content.view["cam_K"], shot.size_px, content.view["distortion"]),
             T_world_cam=_T_world_cam(content.view),
             depth_m=depth_m,

@@ -134,7 +134,7 @@ def dataset_statistics(
     stored = open_dataset(dataset)
 
     def passing() -> Iterator[SceneFigures]:
-        for figures in _each(stored.scenes, workers):
+        for figures in _each(stored.pictures, workers):
             if on_scene is not None:
                 on_scene(figures)
             yield figures

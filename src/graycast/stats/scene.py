@@ -64,7 +64,7 @@ def scene_figures(scene: SceneContent) -> SceneFigures:
     return SceneFigures(
         split=scene.stored.split,
         scene_id=scene.stored.scene_id,
-        picture=scene.stored.picture_name if scene.stored.of > 1 else "",
+        picture=scene.stored.image_name if scene.stored.of > 1 else "",
         width_px=width_px,
         height_px=height_px,
         depth_scale_mm=scene.depth_scale_mm,

@@ -90,8 +90,8 @@ def open_examples(folder: Path, *, split: str = "train", division: Split | None 
 
 
 def _from_dataset(stored: StoredDataset, split: str, division: Split) -> Examples:
-    images = stored.images_of(stored.scene_ids["train"])
-    divided = division.assign(images, pictures=len(stored.pictures))
+    images = stored.image_ids(stored.scene_ids["train"])
+    divided = division.assign(images, images=len(stored.images))
     sets = {name: tuple(ids) for name, ids in divided.items()}
     return Examples(
         folder=stored.folder,
@@ -115,7 +115,7 @@ def _from_others(path: Path, foreign: Foreign, split: str, division: Split) -> E
 
 
 def _stored_example(stored: StoredDataset, scene_id: int) -> Example:
-    return stored.scene(scene_id).example()
+    return stored.picture(scene_id).example()
 
 
 def _of_set(folder: Path, sets: Mapping[str, Sequence[int]], split: str) -> tuple[int, ...]:

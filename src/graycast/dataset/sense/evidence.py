@@ -23,11 +23,13 @@ _ENOUGH_PX = 200_000  # for what holds for the picture as a whole
 
 @dataclass(frozen=True, kw_only=True)
 class Evidence:
-    """One scene, every file of which has the form it must have.
+    """One image of a scene, every file of which has the form it must have.
 
     Attributes:
         claim: what `graycast.json` says.
-        manifest: what the scene's manifest says.
+        taker: the scanner's place in the claim.
+        number: of the image among the scanner's own.
+        manifest: what the scene's manifest says of this image.
         lens: the camera as the scene has it.
         instance: number of the visible instance, -1 for none.
         parts_mm: of each instance the vertices of its model, in the camera frame.
@@ -35,6 +37,8 @@ class Evidence:
 
     scene_id: int
     claim: records.Claim
+    taker: int
+    number: int
     manifest: Mapping[str, Any]
     lens: Optics
     view: records.View
@@ -65,7 +69,7 @@ class Evidence:
         Raises:
             Unreadable: what it tells is none.
         """
-        described = self.claim.config.get("scanner", {})
+        described = self.claim.takers[self.taker].scanner
         if "sensor" not in described:
             return None
         try:
@@ -81,7 +85,7 @@ class Evidence:
             Unreadable: the claim's is none.
         """
         try:
-            return rig_of(self.claim.rig)
+            return rig_of(self.claim.takers[self.taker].rig)
         except (KeyError, TypeError, ValueError) as error:
             raise Unreadable(f"graycast.json: rig is none: {error}") from error
 

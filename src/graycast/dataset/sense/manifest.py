@@ -7,7 +7,7 @@ import numpy as np
 
 from ...decode import reason_shares
 from ..claim import BESIDE_CONFIG
-from ..seeds import scene_seeds
+from ..seeds import image_seeds, scene_seeds
 from .evidence import Evidence
 
 
@@ -16,7 +16,10 @@ def manifest_problems(scene: Evidence) -> Iterator[str]:
     told, claim = scene.told, scene.claim
     if told.dataset_seed != claim.seed:
         yield f"manifest.json: dataset_seed is {told.dataset_seed}, graycast.json has {claim.seed}"
-    must = scene_seeds(claim.seed, scene.scene_id, domain="domain" in told.seeds)
+    must = scene_seeds(
+        claim.seed, scene.scene_id, domain="domain" in told.seeds, views="views" in told.seeds
+    )
+    must |= image_seeds(claim.seed, scene.scene_id, station=scene.taker, image=scene.number)
     if told.seeds != must:
         wrong = sorted(k for k in {*told.seeds, *must} if told.seeds.get(k) != must.get(k))
         yield f"manifest.json: seeds of {', '.join(wrong)} do not follow from dataset_seed"

@@ -13,7 +13,7 @@ import numpy as np
 from jaxtyping import Float
 
 from ... import __version__
-from ...dataset.claim import FORMAT_VERSION
+from ...dataset.claim import ONE_IMAGE
 from ...dataset.coco import run_lengths, scene_annotation, scene_coco
 from ...dataset.json_text import json_bytes
 from ...dataset.places import CLAIM
@@ -167,7 +167,7 @@ class _Writer:
 
     def claim(self, folder: Path) -> dict[str, Any]:
         return {
-            "format_version": FORMAT_VERSION,
+            "format_version": ONE_IMAGE,
             "kind": "real",
             "depth_scale_mm": self.step_mm,
             "parts": [{"obj_id": i, "name": name} for i, name in enumerate(self.names, start=1)],

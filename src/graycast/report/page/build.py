@@ -10,8 +10,8 @@ from ...dataset.stored import StoredDataset, StoredScene, open_dataset
 from ...evaluate import Evaluation
 from ...folder import write_whole
 from ...stats import SceneFigures, scene_figures
-from .fused import FUSED, fused_script
 from .found import FOUND, found_index, found_scripts, judged
+from .fused import FUSED, fused_script
 from .index import index_script
 from .pieces import PIECES, ReportSummary, Web, stamp_of, write_pieces, write_web, writing_page
 from .scene_files import scene_page_files
@@ -108,7 +108,9 @@ def write_report(
     """
     stored = open_dataset(dataset)
     evaluation = None if detections is None else judged(dataset, detections)
-    pieces = [_ScenePiece(stored=stored, scene=scene, width_px=width_px) for scene in stored.scenes]
+    pieces = [
+        _ScenePiece(stored=stored, scene=scene, width_px=width_px) for scene in stored.pictures
+    ]
     with writing_page(out, dataset):
         summary = write_pieces(out, pieces, workers=workers, on_start=on_start, on_piece=on_scene)
         _write_detections(out / PIECES, evaluation, stored)
@@ -116,9 +118,7 @@ def write_report(
     return summary
 
 
-def _write_detections(
-    scenes: Path, evaluation: Evaluation | None, stored: StoredDataset
-) -> None:
+def _write_detections(scenes: Path, evaluation: Evaluation | None, stored: StoredDataset) -> None:
     """A script of every scene that was looked at; none of an earlier build stays."""
     held = {} if evaluation is None else dict(found_scripts(evaluation, stored))
     for scene in scenes.iterdir():
@@ -130,7 +130,7 @@ def _write_detections(
 
 def _write_page(stored: StoredDataset, out: Path, evaluation: Evaluation | None) -> None:
     def figures() -> Iterator[SceneFigures]:
-        for scene in stored.scenes:
+        for scene in stored.pictures:
             yield SceneFigures.model_validate_json(
                 (out / PIECES / scene.key / "figures.json").read_bytes()
             )

@@ -42,13 +42,17 @@ def found_index(evaluation: Evaluation, stored: StoredDataset) -> dict[str, Any]
     judgement = _shown(evaluation)
     point = judgement.point
     rows: dict[str, Any] = {
-        stored.scene(labels.scene_id).key: {"wanted": int((~labels.ignored).sum()), "hits": [], "mistakes": []}
+        stored.picture(labels.scene_id).key: {
+            "wanted": int((~labels.ignored).sum()),
+            "hits": [],
+            "mistakes": [],
+        }
         for labels in judgement.known.labels
     }
     for matches in judgement.scores.matches.values():
         for i, scene in enumerate(matches.scene.tolist()):
             if matches.counted[AT_HALF, i]:
-                row = rows[stored.scene(judgement.known.labels[scene].scene_id).key]
+                row = rows[stored.picture(judgement.known.labels[scene].scene_id).key]
                 kind = "hits" if matches.hit[AT_HALF, i] else "mistakes"
                 row[kind].append(round(float(matches.score[i]), _DIGITS))
     return {
@@ -60,9 +64,7 @@ def found_index(evaluation: Evaluation, stored: StoredDataset) -> dict[str, Any]
     }
 
 
-def found_scripts(
-    evaluation: Evaluation, stored: StoredDataset
-) -> Iterator[tuple[str, bytes]]:
+def found_scripts(evaluation: Evaluation, stored: StoredDataset) -> Iterator[tuple[str, bytes]]:
     """Scene keys, and for each a script with its detections and what is found of its instances."""
     judgement = _shown(evaluation)
     scenes = len(judgement.known.labels)
@@ -89,7 +91,7 @@ def found_scripts(
             if hit:
                 found_at[scene][taken] = round(float(matches.score[i]), _DIGITS)
     for scene, labels in enumerate(judgement.known.labels):
-        key = stored.scene(labels.scene_id).key
+        key = stored.picture(labels.scene_id).key
         instances = {
             str(_instance(judgement, scene, i)): {
                 "found": found_at[scene].get(i),

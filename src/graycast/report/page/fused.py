@@ -4,7 +4,6 @@ import base64
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float
 
 from ...dataset.stored import StoredDataset, StoredScene
 from ...merge import FusedCloud, fuse, read_view
@@ -22,17 +21,15 @@ def fused_script(stored: StoredDataset, first: StoredScene) -> bytes:
     Raises:
         DatasetError: a file is missing or damaged.
     """
-    shots = [
-        stored.scene(first.image_id + place, split=first.split) for place in range(first.of)
-    ]
+    shots = stored.images_of(first)
     fused = fuse([read_view(stored, shot).view for shot in shots])
     stride = -(-len(fused.cloud.views) // _MOST)
-    content = {"key": f"{first.key}/{FUSED}", "names": [shot.picture_name for shot in shots]}
+    content = {"key": f"{first.key}/{FUSED}", "names": [shot.image_name for shot in shots]}
     return receiving(content | _packed(fused.cloud, max(stride, 1)))
 
 
 def _packed(cloud: FusedCloud, stride: int) -> dict[str, Any]:
-    """Places [mm, world] as steps of 16 bits from a corner, and a byte each of what else is known."""
+    """Places [mm, world] as steps of 16 bits from a corner; a byte each of what else is known."""
     place_mm = 1000 * cloud.point_m[::stride]
     low = place_mm.min(axis=0) if len(place_mm) else np.zeros(3)
     step = float(max((place_mm - low).max(initial=0.0), 1.0) / _STEPS)

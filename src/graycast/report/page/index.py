@@ -58,8 +58,8 @@ def index_script(
 
 
 _COLUMNS = (
-    "split", "id", "picture", "objects", "instances", "visibility", "decoded", "part_decoded", "reasons",
-    "depth_mm", "sigma_mm", "bias_mm", "brightness",
+    "split", "id", "picture", "objects", "instances", "visibility", "decoded", "part_decoded",
+    "reasons", "depth_mm", "sigma_mm", "bias_mm", "brightness",
 )  # fmt: skip
 
 
@@ -137,10 +137,8 @@ def _reasons(statistics: Statistics) -> list[dict[str, Any]]:
 
 def _scanners(stored: StoredDataset) -> dict[str, Any]:
     """What took the pictures, by its name: its rig and code, None where they are not known."""
-    takers = {taken.sensor: stored.taker(taken.sensor) for taken in stored.pictures}
-    return {
-        name: {"rig": taker.get("rig"), "code": _code(taker)} for name, taker in takers.items()
-    }
+    takers = {sensor: stored.taker(sensor) for sensor in stored.sizes_px}
+    return {name: {"rig": taker.get("rig"), "code": _code(taker)} for name, taker in takers.items()}
 
 
 def _code(taker: Mapping[str, Any]) -> dict[str, Any] | None:

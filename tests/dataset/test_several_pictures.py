@@ -12,6 +12,7 @@ from graycast.export import Options, Split, export
 from graycast.stats import dataset_statistics
 from graycast.training import open_examples
 
+pytestmark = pytest.mark.filterwarnings("ignore:__array__ implementation:DeprecationWarning")
 FORMATS = ("coco", "yolo", "bop-imagewise", "bop-webdataset", "webdataset", "parquet")
 IMAGE_IDS = [scene_id * len(NAMES) + place for scene_id in SCENES for place in range(len(NAMES))]
 
@@ -58,7 +59,7 @@ def test_examples_of_the_dataset_itself_have_the_same_numbers(several):  # noqa:
 
 
 def test_the_pictures_of_a_scene_stay_in_one_set(several, tmp_path):  # noqa: F811
-    options = Options(format="coco", split=Split(shares=(0.5, 0.5, 0.0), seed=1))
+    options = Options(format="coco", split=Split(shares=(0.5, 0.5, 0.0), seed=0))
     record = export(several[0], tmp_path / "out", options)
     assert {len(ids) for ids in record.splits.values()} == {len(NAMES)}
     for ids in record.splits.values():

@@ -57,7 +57,7 @@ class Split:
             sets[self.place(image_id // images)].append(image_id)
         for name, ids in sets.items():
             if not ids:
-                count = sum(map(len, sets.values()))
+                count = sum(map(len, sets.values())) // images
                 raise GraycastError(
                     f"split: {name} gets none of the {count} scenes: make more scenes, or give "
                     "larger shares or another seed"

@@ -95,12 +95,13 @@ def test_several_pictures_of_a_scene_become_one_cloud(several, tmp_path):  # noq
     assert [view["measured_px"] for view in figures["cloud"]["views"]] == measured
     assert max(measured) < figures["cloud"]["points"] < sum(measured)
     for held in figures["cloud"]["by_views"][:2]:
-        # Noise across the surface; edges, where no plane fits, spread it a little.
+        # Pixels are 3 mm wide: at edges planes lie askew, which no noise tells.
         assert abs(held["error_median_m"]) < 0.2 * SIGMA_M
         assert held["error_sigma_m"] == pytest.approx(held["sigma_m"], rel=0.4)
-        assert held["within_3_sigma"] > 0.93
-    alone, both = (held["error_sigma_m"] for held in figures["cloud"]["by_views"][:2])
-    assert both < 0.9 * alone
+        assert held["within_3_sigma"] > 0.9
+    all_four = figures["cloud"]["by_views"][3]
+    assert all_four["error_sigma_m"] == pytest.approx(SIGMA_M / 2, rel=0.15)
+    assert all_four["within_3_sigma"] > 0.98
     (surface,) = record["surfaces"]
     first = surface["views"][0]
     assert surface["scenes"] == 2

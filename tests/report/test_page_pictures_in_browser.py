@@ -70,7 +70,7 @@ def test_the_fused_cloud_lies_on_the_parts_in_3d(page, page_of_several, several)
     page.wait_for_function("document.querySelector('.under').innerText.includes('of 4 pictures')")
     cloud = page.evaluate(
         "(() => { const c = Graycast.opened().scene.fusing.cloud;"
-        " return [c.low, c.step, Array.from(c.place), Array.from(c.view), Array.from(c.first)]; })()"
+        " return [c.low, c.step, ...[c.place, c.view, c.first].map((a) => Array.from(a))]; })()"
     )
     low, step, place, view, first = cloud
     point_m = (np.array(low) + step * np.array(place).reshape(-1, 3)) / 1000

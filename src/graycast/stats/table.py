@@ -69,8 +69,8 @@ def statistics_table(statistics: Statistics) -> Table:
     table.add_row("scenes", f"{splits}; {sizes}")
     if s.pictures > sum(s.scenes.values()):
         table.add_row("pictures", f"{s.pictures}, all figures below are of these")
-        for name, one in s.of_picture.items():
-            told = f"{one.decoded:.2%} decoded, {one.part_decoded:.2%} of the parts' pixels"
+        for name, held in s.of_picture.items():
+            told = f"{held.decoded:.2%} decoded, {held.part_decoded:.2%} of the parts' pixels"
             table.add_row(f"  {name}", told)
     for one in s.classes:
         seen = f"{one.visible} visible by 10 % or more, in {one.scenes} scenes"

@@ -42,10 +42,9 @@ def read_kept(scene: StoredScene) -> Kept:
         DatasetError: a file is missing or damaged.
     """
     try:
-        which = {"sensor": scene.sensor, "number": scene.image}
         return Kept(
-            raw=read_capture(scene.folder, **which),
-            code_maps=read_code_maps(scene.folder, **which),
+            raw=read_capture(scene.folder, sensor=scene.sensor, number=scene.image),
+            code_maps=read_code_maps(scene.folder, sensor=scene.sensor, number=scene.image),
         )
     except Unreadable as error:
         raise DatasetError(f"{scene.folder}: {error}: run graycast validate") from error

@@ -59,6 +59,8 @@ def content(out: Path) -> dict:
     for name in [name for name in files if name.endswith("manifest.json")]:
         manifest = json.loads(files[name])
         assert set(manifest.pop("timings")) == {"drop", "render", "sensor", "picture", "decode"}
+        for further in manifest.pop("further_timings", ()):
+            assert set(further["seconds"]) == {"render", "sensor", "picture", "decode"}
         files[name] = manifest
     return files
 

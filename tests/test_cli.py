@@ -29,7 +29,7 @@ OPTIONS = {
         "config --out --scenes --seed --backend --device --workers --threads --engine --address"
     ),
     "rerender": "dataset scene_id --config --device",
-    "preview": "config --out --scene --seed --backend --device",
+    "preview": "config --out --scene --image --seed --backend --device",
     "live": "config --port --scene --open --device",
     "validate": "dataset --fast",
     "parts": "config --out --device",

@@ -17,6 +17,7 @@ from .config import (
 )
 from .domain import Domain, deepest_m, resolve_domain
 from .drop import OnStage
+from .errors import ConfigError
 from .parts import Part
 from .parts.sections import resolve_material
 from .pattern import Code
@@ -112,6 +113,18 @@ class Cell:
             (name, image)
             for (name, _), number in zip(self.scanners, numbers, strict=True)
             for image in range(number)
+        )
+
+
+def refuse_several(cell: Cell, who: str) -> None:
+    """For what looks at a scene once.
+
+    Raises:
+        ConfigError: the configuration asks for several images.
+    """
+    if cell.config.views is not None or cell.config.scanners is not None:
+        raise ConfigError(
+            f"{who} takes one image of a scene: remove views and scanners, and say view and rig"
         )
 
 

@@ -64,10 +64,14 @@ def make_images(
     seed: int,
     renderer: Renderer,
     on_stage: OnStage = lambda stage: None,
+    only: int | None = None,
 ) -> Iterator[Shot]:
     """All images of one scene, one after the other, so that memory holds the light of one.
 
     The parts are dropped once. Every image has the ground truth of the same layout.
+
+    Args:
+        only: a place in `cell.images`: make this image and no other.
 
     Raises:
         DropError, ValueError: as of `make_scene`.
@@ -78,6 +82,8 @@ def make_images(
         variation, layout = _laid(cell, scene_id, seeds, on_stage)
     hung = _hung(cell, variation, seeds)
     for number, (eye, scene) in enumerate(hung):
+        if only is not None and number != only:
+            continue
         own = image_seeds(seed, scene_id, station=eye.station, image=eye.image)
         told = {
             "scene_id": scene_id,

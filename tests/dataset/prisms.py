@@ -5,7 +5,7 @@ from collections import Counter
 import numpy as np
 
 from graycast.dataset.sample import Sample
-from graycast.dataset.seeds import scene_seeds
+from graycast.dataset.seeds import image_seeds, scene_seeds
 from graycast.decode import DepthMap, Reason
 from graycast.frames import random_quaternions, rigid, rotation_from_quaternion
 from graycast.optics import Optics
@@ -106,13 +106,19 @@ def cam_poses(seed):
     return np.stack([rigid(R, t) for R, t in zip(rotation, place, strict=True)])
 
 
-def build_sample(seed, *, parts, rig):
-    """A sample whose truth is closed form; the scanner's depth has noise and two kinds of gap."""
+def build_sample(seed, *, parts, rig, sensor="", image=0, station=0, T_first_cam=None):
+    """A sample whose truth is closed form; the scanner's depth has noise and two kinds of gap.
+
+    Further images of the scene are by a camera at `T_first_cam`. The wall goes with the camera.
+    """
     rng = np.random.default_rng(1000 + seed)
     T_world_cam = rigid(
         rotation_from_quaternion(random_quaternions(1, rng))[0], rng.uniform(-1, 1, 3)
     )
     T_cam_part = cam_poses(seed)
+    if T_first_cam is not None:
+        T_world_cam = T_world_cam @ T_first_cam
+        T_cam_part = np.linalg.inv(T_first_cam) @ T_cam_part
     part_index = np.arange(len(T_cam_part)) % 2
     v, u = np.mgrid[-HEIGHT : 2 * HEIGHT, -WIDTH : 2 * WIDTH].astype(float)
     x, y = (u - K[0, 2]) / K[0, 0], (v - K[1, 2]) / K[1, 1]
@@ -150,12 +156,15 @@ def build_sample(seed, *, parts, rig):
         manifest={
             "scene_id": seed,
             "dataset_seed": SEED,
-            "seeds": scene_seeds(SEED, seed, domain=False),
+            "seeds": scene_seeds(SEED, seed)
+            | image_seeds(SEED, seed, station=station, image=image),
             "counts": dict(Counter(parts[p].name for p in part_index if parts[p].labelled)),
             "reasons": {r.name.lower(): float((reason == r).mean()) for r in Reason},
             "config": CONFIG,
             "timings": {"render_s": 1.5},
         },
+        sensor=sensor,
+        image=image,
     )
 
 

@@ -18,6 +18,7 @@ from graycast.dataset import Raw, read_capture, read_code_maps, records, validat
 from graycast.dataset.bop import scene_files
 from graycast.dataset.raw_check import raw_problems
 from graycast.dataset.reading import read_json
+from graycast.dataset.scene_folder import SceneFolder
 from graycast.decode import CodeMap, DecodeSpec, FilterSpec, Reason, triangulate
 from graycast.pattern import CodeSpec
 from graycast.rig_file import load_scanner
@@ -196,7 +197,7 @@ def problems(out):
         cv2.imread(str(scene / f"{name}_sl/000000.png"), cv2.IMREAD_UNCHANGED)
         for name in ("gray", "reason")
     )
-    return list(raw_problems(scene, camera, gray=gray, reason=reason))
+    return list(raw_problems(SceneFolder(scene), 0, camera, gray=gray, reason=reason))
 
 
 def repaint(path, change):

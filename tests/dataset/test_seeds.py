@@ -21,7 +21,7 @@ def test_no_two_stages_scenes_or_datasets_share_a_seed():
     every = [
         value
         for seed, scene_id in product(range(20), range(20))
-        for value in scene_seeds(seed, scene_id, domain=True).values()
+        for value in scene_seeds(seed, scene_id, domain=True, views=True).values()
     ]
     assert len(set(every)) == len(every) == 400 * len(STREAMS)
 

@@ -29,6 +29,13 @@ def add_commands(commands) -> None:
     preview.add_argument(
         "--scene", type=seed, default=0, help="The number of the scene to make (default: 0)."
     )
+    preview.add_argument(
+        "--image",
+        type=seed,
+        default=0,
+        help="Which of the scene's images to make, of a cell that takes several: all images of its "
+        "first scanner, then those of the next (default: 0).",
+    )
     add_seed(preview)
     add_backend(preview)
     add_device(preview)
@@ -65,10 +72,15 @@ def add_commands(commands) -> None:
 
 def _preview(options: argparse.Namespace) -> int:
     from ..cell import open_cell_renderer
+    from ..errors import GraycastError
     from ..report import draw_preview
-    from ..simulate import make_scene
+    from ..simulate import make_images
 
     cell = load_cell(options)
+    if options.image >= len(cell.images):
+        raise GraycastError(
+            f"--image is {options.image}: a scene of this cell has {len(cell.images)}, from 0 on"
+        )
     seed = cell.config.seed if options.seed is None else options.seed
     with progress_bar() as bar:
         stages = bar.add_task("", total=None, visible=False)
@@ -81,14 +93,34 @@ def _preview(options: argparse.Namespace) -> int:
             bar.update(frames, completed=done, total=total, visible=True)
 
         with open_cell_renderer(cell, device=options.device, on_frame=on_frame) as renderer:
-            bar.console.print(f"scene {options.scene} by {renderer.name} on {renderer.device}")
-            shot = make_scene(cell, options.scene, seed=seed, renderer=renderer, on_stage=on_stage)
-    draw_preview(shot, cell.code, options.out)
+            which = _which(cell, options.image)
+            bar.console.print(
+                f"scene {options.scene}{which} by {renderer.name} on {renderer.device}"
+            )
+            images = make_images(
+                cell,
+                options.scene,
+                seed=seed,
+                renderer=renderer,
+                on_stage=on_stage,
+                only=options.image,
+            )
+            shot = next(images)
+    draw_preview(shot, shot.sample.raw.scanner.light_code(), options.out)
     _tell_coarse(shot)
     for name, share in shot.sample.manifest["reasons"].items():
         print(f"  {name:18} {share:7.2%} of the pixels")
     print(options.out)
     return 0
+
+
+def _which(cell, number: int) -> str:
+    """Which of a scene's images is shown, where there are several."""
+    if len(cell.images) == 1:
+        return ""
+    sensor, image = cell.images[number]
+    scanner = f" of scanner {sensor}" if sensor else ""
+    return f", image {image}{scanner} ({number + 1} of {len(cell.images)})"
 
 
 def _tell_coarse(shot) -> None:

@@ -106,7 +106,7 @@ def _add_files(fit: argparse.ArgumentParser) -> None:
 
 
 def _fit_bin(options: argparse.Namespace) -> int:
-    from ..cell import resolve_cell
+    from ..cell import refuse_several, resolve_cell
     from ..config import load_config
     from ..real.fit_bin import (
         Said,
@@ -139,6 +139,7 @@ def _fit_bin(options: argparse.Namespace) -> int:
     known = options.wall or ("wall_m" in config.bin.model_fields_set and options.inner is None)
     config = config.model_copy(update={"bin": config.bin.model_copy(update=given)})
     cell = resolve_cell(config, options.config.parent)
+    refuse_several(cell, "graycast fit-bin")
     said = Said(
         K=intrinsics_of(options),
         distortion=distortion_of(options),

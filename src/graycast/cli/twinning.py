@@ -83,6 +83,7 @@ def add_commands(commands: argparse._SubParsersAction) -> None:
 
 
 def _twin(options: argparse.Namespace) -> int:
+    from ..cell import refuse_several
     from ..config import load_config
     from ..real.depth_file import read_intrinsics
     from ..real.fitted_config import refuse_existing, refuse_there
@@ -92,6 +93,7 @@ def _twin(options: argparse.Namespace) -> int:
     refuse_existing(options.out, options.config)
     refuse_there(*files_of(options.out))
     cell = resolve_cell_option(load_config(options.config), options)
+    refuse_several(cell, "graycast twin")
     said = None if options.intrinsics is None else read_intrinsics(options.intrinsics)
     K = cell.scanner.rig.camera.K if said is None else said
     scans = list(read_scans(options.scans, K=K, scale_m=options.scale, size_px=options.size))

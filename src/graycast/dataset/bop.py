@@ -113,7 +113,7 @@ class _Told:
         own = {key: told[key] for key in OWN_FACTS if key in told}
         own["seeds"] = {name: told["seeds"][name] for name in OF_IMAGE}
         self.manifest.setdefault(FURTHER, []).append(which | own)
-        self.manifest.setdefault(FURTHER_TIMINGS, []).append(which | told["timings"])
+        self.manifest.setdefault(FURTHER_TIMINGS, []).append(which | {"seconds": told["timings"]})
 
 
 def _unsealed_files(

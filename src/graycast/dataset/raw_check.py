@@ -13,43 +13,47 @@ from ..picture import gray_picture
 from ..sensor import Capture
 from ..stack import code_of, describe_frames, read_description
 from . import records
-from .plain_scene import Plain
 from .raw import EXPOSURE, RIG, STACK, frames_folder, read_capture, read_code_maps, told_of
 from .reading import Unreadable
 from .sample import Raw
-from .scene_folder import of_sensor
+from .scene_folder import SceneFolder, of_sensor
 
 # A pixel has a projector position where only its depth was refused, not its code.
 _POSITIONED = (Reason.DECODED, Reason.OUT_OF_RANGE, Reason.OUTLIER)
 _GRAY_DN = 1  # another processor may round a half otherwise
 
 
-def raw_problems(scene: Plain, camera: records.Camera) -> Iterator[str]:
+def raw_problems(
+    files: SceneFolder,
+    number: int,
+    camera: records.Camera,
+    *,
+    gray: UInt8[np.ndarray, "h w"],
+    reason: UInt8[np.ndarray, "h w"],
+) -> Iterator[str]:
     """All that is wrong with an image's `frames/` and code maps; nothing where it keeps none.
 
     Leaves out: whether the pictures decode to the stored depth; `graycast decode` tells.
     """
-    folder = scene.files.path
-    image = {"sensor": scene.files.sensor, "number": scene.number}
+    folder, sensor = files.path, files.sensor
     try:
-        told = told_of(folder, **image)
-        yield from _folder_problems(scene, told)
-        raw = read_capture(folder, **image)
+        told = told_of(folder, sensor=sensor, number=number)
+        yield from _folder_problems(files, number, told)
+        raw = read_capture(folder, sensor=sensor, number=number)
         if raw is not None and raw.capture is not None and told.frames is not None:
-            frames = folder / frames_folder(**image)
+            frames = folder / frames_folder(sensor, number)
             yield from _stack_problems(frames, raw, told.frames)
-            gray = scene.image["gray_sl"]
             yield from _picture_problems(frames.name, raw.capture, told.frames, camera, gray)
-        reason = scene.image["reason_sl"]
-        yield from _code_problems(read_code_maps(folder, **image), reason)
+        maps = read_code_maps(folder, sensor=sensor, number=number)
+        yield from _code_problems(maps, reason)
     except Unreadable as error:
         yield str(error)
 
 
-def _folder_problems(scene: Plain, told: records.RawFacts) -> Iterator[str]:
+def _folder_problems(files: SceneFolder, number: int, told: records.RawFacts) -> Iterator[str]:
     """Files that the manifest does not tell of."""
-    folder, sensor = scene.files.path, scene.files.sensor
-    name = frames_folder(sensor, scene.number)
+    folder, sensor = files.path, files.sensor
+    name = frames_folder(sensor, number)
     there = sorted(path.name for path in (folder / name).glob("*"))
     must: list[str] = []
     if told.frames is not None:

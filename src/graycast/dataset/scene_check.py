@@ -121,8 +121,9 @@ def _image_problems(
     if unfit:
         return
     yield from _scanner_problems(scene)
-    yield from raw_problems(scene, camera)
-    instance = np.full(scene.image["reason_sl"].shape, -1)
+    gray, reason = scene.image["gray_sl"], scene.image["reason_sl"]
+    yield from raw_problems(scene.files, scene.number, camera, gray=gray, reason=reason)
+    instance = np.full(reason.shape, -1)
     try:
         yield from mask_problems(scene, camera, models, instance)
         if all(pose.obj_id in models for pose in scene.poses):

@@ -10,7 +10,7 @@ from typing import Any, final
 import numpy as np
 from jaxtyping import Float
 
-from ..cell import Cell, resolve_cell
+from ..cell import Cell, refuse_several, resolve_cell
 from ..config import Config, file_digests, load_config, resolve_bin, resolve_scanner
 from ..dataset import described_values
 from ..drop import OnStage
@@ -122,6 +122,7 @@ def place_settings(
         )
     try:
         base = resolve_cell(config, spec.cell.parent, on_stage=on_stage)
+        refuse_several(base, "graycast design")
     except (GraycastError, ValueError, OSError) as error:
         raise ConfigError(f"{spec.cell}: {error}") from error
     found = []

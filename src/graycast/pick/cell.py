@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float
 
-from ..cell import Cell, resolve_cell
+from ..cell import Cell, refuse_several, resolve_cell
 from ..detections import WEIGHTS
 from ..drop import OnStage
 from ..errors import ConfigError
@@ -73,6 +73,7 @@ def resolve_pick_cell(
     cell = PickCell(
         cell=resolve_cell(config, folder, on_stage=on_stage), config=config, folder=folder
     )
+    refuse_several(cell.cell, "graycast pick")
     if cell.detector is not None and not cell.detector.exists():
         raise ConfigError(
             f"picking.detector: no folder {cell.detector}: give one that graycast train has "

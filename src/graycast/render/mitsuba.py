@@ -23,7 +23,7 @@ the projector's lens, but the patterns are averaged over the whole of it: half s
 as they should be, and their stripes are not shifted by the half of the lens that is hidden.
 """
 
-from dataclasses import replace
+from dataclasses import dataclass, fields, replace
 from importlib.metadata import version
 from typing import final
 
@@ -35,20 +35,41 @@ from ..optics import relative_illumination
 from ..scene import Layout, Scene
 from .denoise import denoised
 from .mitsuba_paths import Tracer
-from .mitsuba_scene import build
+from .mitsuba_scene import PartShape, build
 from .mitsuba_truth import truth
 from .radiance import Denoiser, OnPass, Quality, Radiance, Renderer, Rendering, refuse_other_size
 from .wavelength import at_projector_wavelength
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Built:
+    """The last world: what it was built of, as light is measured in it and as it looks."""
+
+    scene: Scene
+    layout: Layout
+    world: mi.Scene
+    part_shapes: tuple[PartShape, ...]
+    look: mi.Scene
+
+    def serves(self, scene: Scene, layout: Layout) -> bool:
+        """Whether another image of the same world is asked for: only the rig may differ."""
+        rest = [f.name for f in fields(Scene) if f.name not in ("rig", "T_world_cam")]
+        same = all(getattr(scene, name) is getattr(self.scene, name) for name in rest)
+        return layout is self.layout and same
+
+
 @final
 class MitsubaRenderer(Renderer):
-    """See the module. Each call builds its scene and lets it go; the process keeps the device."""
+    """See the module. A world is kept until another one is asked for; the process keeps the device.
+
+    So further images of a scene, by other rigs from other places, do not build it again.
+    """
 
     name = "mitsuba"
 
     def __init__(self, device: str, *, on_pass: OnPass | None = None):
         self.device, self._on_pass = device, on_pass
+        self._built: _Built | None = None
         self.denoiser: Denoiser = "optix" if device == "cuda" else "oidn"
         self.versions = {name: version(name) for name in ("mitsuba", "drjit")}
 
@@ -65,22 +86,38 @@ class MitsubaRenderer(Renderer):
         # Blocks that Dr.Jit keeps from the last scene: not all fit this one, so they would add up.
         dr.flush_malloc_cache()
         measured = at_projector_wavelength(scene)
-        world, part_shapes = build(measured, layout)
+        built = self._world(scene, measured, layout)
         radiance = light(
-            world, measured, pattern, quality=quality, seed=seed, on_pass=self._on_pass
+            built.world, measured, pattern, quality=quality, seed=seed, on_pass=self._on_pass
         )
         if measured is not scene:
-            look = light(build(scene, layout)[0], scene, pattern[:0], quality=quality, seed=seed)
+            look = light(built.look, scene, pattern[:0], quality=quality, seed=seed)
             radiance = replace(
                 radiance,
                 white_rgb=look.white_rgb,
                 ambient_rgb=look.ambient_rgb,
                 albedo=look.albedo,
             )
-        seen = truth(world, part_shapes, scene, layout)
+        seen = truth(built.world, built.part_shapes, scene, layout)
         if quality.denoise != "none":
             radiance = denoised(radiance, seen.normal, quality.denoise)
         return Rendering(radiance=radiance, truth=seen)
+
+    def close(self) -> None:
+        self._built = None
+
+    def _world(self, scene: Scene, measured: Scene, layout: Layout) -> _Built:
+        if self._built is None or not self._built.serves(scene, layout):
+            self._built = None  # two worlds need not fit into memory
+            world, part_shapes = build(measured, layout)
+            self._built = _Built(
+                scene=scene,
+                layout=layout,
+                world=world,
+                part_shapes=part_shapes,
+                look=world if measured is scene else build(scene, layout)[0],
+            )
+        return self._built
 
 
 def light(

@@ -1,0 +1,208 @@
+"""Scenes of several images by several scanners, on disk and read back as others read BOP."""
+
+import json
+import shutil
+
+import cv2
+import numpy as np
+import pytest
+from prisms import CONFIG, SCALE_MM, SEED, box_part, build_sample, make_rig, wedge_part
+from pycocotools.coco import COCO
+
+from graycast.dataset import validate
+from graycast.dataset.claim import Taker
+from graycast.dataset.store import open_store
+from graycast.dataset.stored import open_dataset
+from graycast.frames import axis_rotation, rigid
+
+# Where each image is taken from, in the first one's camera.
+PLACES = {
+    ("left", 0): None,
+    ("left", 1): rigid(axis_rotation("y", 0.12), np.array([-0.05, 0.0, 0.01])),
+    ("right", 0): rigid(axis_rotation("z", 0.3), np.array([0.02, 0.01, -0.02])),
+}
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory):
+    """A dataset of two scenes: two images of one scanner, one of another; and their samples."""
+    parts, rig = (box_part(), wedge_part()), make_rig()
+    out = tmp_path_factory.mktemp("several") / "out"
+    samples = {
+        scene_id: [
+            build_sample(
+                scene_id,
+                parts=parts,
+                rig=rig,
+                sensor=sensor,
+                image=image,
+                station=int(sensor == "right"),
+                T_first_cam=T,
+            )
+            for (sensor, image), T in PLACES.items()
+        ]
+        for scene_id in (0, 3)
+    }
+    takers = tuple(
+        Taker(name=name, images=n, rig=rig, scanning={}) for name, n in (("left", 2), ("right", 1))
+    )
+    with open_store(
+        out,
+        config=CONFIG,
+        seed=SEED,
+        parts=parts,
+        rig=rig,
+        depth_scale_mm=SCALE_MM,
+        takers=takers,
+    ) as store:
+        for scene_id, of_scene in samples.items():
+            store.write(scene_id, iter(of_scene))
+        store.finish(samples)
+    return out, samples
+
+
+@pytest.fixture
+def copy(made, tmp_path):
+    return shutil.copytree(made[0], tmp_path / "out")
+
+
+def told(out, name):
+    return json.loads((out / "train/000000" / f"{name}.json").read_text())
+
+
+def test_it_is_sound(made):
+    assert validate(made[0]) == ()
+    assert json.loads((made[0] / "graycast.json").read_text())["format_version"] == 3
+
+
+def test_each_file_of_a_scanner_bears_its_name_and_numbers_of_its_own(made):
+    """By BOP's convention for several sensors; no file of a sensor without a name is there."""
+    out, _ = made
+    scene = out / "train/000000"
+    for kind in ("rgb", "depth", "gray_%s_sl", "depth_%s_sl", "reason_%s_sl", "modulation_%s_sl"):
+        for sensor, images in (("left", 2), ("right", 1)):
+            folder = scene / (kind % sensor if "%" in kind else f"{kind}_{sensor}")
+            names = sorted(path.name for path in folder.iterdir())
+            assert names == [f"{k:06d}.png" for k in range(images)]
+    for name in ("rgb", "depth", "mask", "scene_gt.json", "scene_camera.json"):
+        assert not (scene / name).exists()
+    assert not (out / "camera.json").exists()
+    assert (out / "camera_left.json").read_bytes() == (out / "camera_right.json").read_bytes()
+    assert set(told(out, "scene_gt_left")) == {"0", "1"}
+    assert set(told(out, "scene_gt_right_sl")) == {"0"}
+
+
+def test_all_images_place_an_instance_at_one_pose_in_the_world(made):
+    """From the files alone: world to camera inverted, times model to camera."""
+    found = []
+    for sensor, image in PLACES:
+        view = told(made[0], f"scene_camera_{sensor}")[str(image)]
+        R_w2c = np.reshape(view["cam_R_w2c"], (3, 3))
+        for pose in told(made[0], f"scene_gt_{sensor}")[str(image)]:
+            R = R_w2c.T @ np.reshape(pose["cam_R_m2c"], (3, 3))
+            t = R_w2c.T @ (np.array(pose["cam_t_m2c"]) - view["cam_t_w2c"])
+            found.append(np.hstack([R, t[:, None]]))
+    of_image = np.array(found).reshape(len(PLACES), -1, 3, 4)
+    assert np.abs(np.diff(of_image[..., 3], axis=0)).max() < 1e-9  # mm
+    assert np.abs(np.diff(of_image[..., :3], axis=0)).max() < 1e-12
+    gaps = [np.abs(view[0] - of_image[0, 1]).max() for view in of_image]
+    assert min(gaps) > 0.1  # two instances are not one
+
+
+@pytest.mark.filterwarnings("ignore:__array__ implementation:DeprecationWarning")  # pycocotools'
+def test_pycocotools_reads_masks_of_every_image(made):
+    out, samples = made
+    coco = COCO(str(out / "train_coco.json"))
+    assert sorted(coco.imgs) == [0, 1, 2, 9, 10, 11]  # three images a scene, scenes 0 and 3
+    for image_id, image in coco.imgs.items():
+        scene_id, k = divmod(image_id, 3)
+        sample = samples[scene_id][k]
+        assert image["file_name"] == (
+            f"train/{scene_id:06d}/rgb_{sample.sensor}/{sample.image:06d}.png"
+        )
+        picture = cv2.imread(str(out / image["file_name"]))[..., ::-1]
+        np.testing.assert_array_equal(picture, sample.rgb)
+        visible = [sample.truth.instance == i for i in range(8)]
+        masks = [coco.annToMask(entry) for entry in coco.imgToAnns[image_id]]
+        assert len(masks) > 3
+        for mask, must in zip(masks, (m for m in visible if m.any()), strict=True):
+            np.testing.assert_array_equal(mask, must)
+
+
+def test_what_is_stored_of_each_image_comes_back(made):
+    out, samples = made
+    stored = open_dataset(out)
+    assert stored.images == (("left", 0), ("left", 1), ("right", 0))
+    for scene in stored.scenes:
+        for one, sample in zip(stored.images_of(scene), samples[scene.scene_id], strict=True):
+            content = one.content()
+            np.testing.assert_array_equal(content.rgb, sample.rgb)
+            np.testing.assert_array_equal(content.label, sample.truth.instance)
+            np.testing.assert_array_equal(content.reason, sample.scanner.reason)
+            assert content.manifest["reasons"] == sample.manifest["reasons"]
+            assert content.manifest["seeds"] == sample.manifest["seeds"]
+
+
+def test_the_first_image_is_as_it_would_be_alone(made, samples, opened, tmp_path):
+    """The names differ and the records tell of more images; what is told of the first does not."""
+    with opened(tmp_path / "one") as store:
+        store.write(0, [samples[0]])
+    one, several = tmp_path / "one/train/000000", made[0] / "train/000000"
+    for path in one.rglob("*.png"):
+        kind, number = path.relative_to(one).parts
+        plain = kind.removesuffix("_sl")
+        other = several / f"{plain}_left{kind[len(plain) :]}" / number
+        assert other.read_bytes() == path.read_bytes()
+    claim = json.loads((tmp_path / "one/graycast.json").read_text())
+    assert claim["format_version"] == 2 and "scanners" not in claim
+
+
+def _moved(scene):
+    for suffix in ("", "_sl"):
+        path = scene / f"scene_gt_left{suffix}.json"
+        poses = json.loads(path.read_text())
+        poses["1"][2]["cam_t_m2c"][0] += 0.01
+        path.write_text(json.dumps(poses))
+
+
+def _untold(scene):
+    path = scene / "scene_gt_info_left.json"
+    infos = json.loads(path.read_text())
+    del infos["1"]
+    path.write_text(json.dumps(infos))
+
+
+def _told_of_more(scene):
+    path = scene / "scene_right_sl.json"
+    entries = json.loads(path.read_text())
+    path.write_text(json.dumps(entries | {"1": entries["0"]}))
+
+
+FAULTS = {
+    "a pose that is another in the world": (_moved, "instance 2 lies 0.01 mm from where"),
+    "an image that no record tells of": (_untold, "scene_gt_info_left.json tells of 1 images"),
+    "a record of an image too many": (_told_of_more, "it must tell of 1: see image 1"),
+    "depth of another image": (
+        lambda scene: shutil.copy(scene / "depth_left/000000.png", scene / "depth_left/000001.png"),
+        "image 1 left: instance",
+    ),
+    "a mask of no image": (
+        lambda scene: shutil.copy(
+            scene / "mask_right/000000_000000.png", scene / "mask_right/000007_000000.png"
+        ),
+        "image 0 right: mask_right/ has 9 files for 8 instances: see 000007_000000.png",
+    ),
+    "a colour picture that is gone": (
+        lambda scene: (scene / "rgb_right/000000.png").unlink(),
+        "rgb_right/000000.png is missing",
+    ),
+}
+
+
+@pytest.mark.parametrize("fault", FAULTS)
+def test_validate_names_the_image_that_is_wrong(copy, fault):
+    change, says = FAULTS[fault]
+    change(copy / "train/000000")
+    found = [str(problem) for problem in validate(copy)]
+    assert any(says in what for what in found), found
+    assert not any(what.startswith("scene 000003") for what in found)

@@ -38,7 +38,7 @@ class ErrorFigures:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ClassFigures:
-    """One part's instances over all scenes."""
+    """One part's instances over all pictures; `scenes` counts the pictures that have any."""
 
     obj_id: int
     name: str

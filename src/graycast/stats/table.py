@@ -72,8 +72,9 @@ def statistics_table(statistics: Statistics) -> Table:
         for name, held in s.of_picture.items():
             told = f"{held.decoded:.2%} decoded, {held.part_decoded:.2%} of the parts' pixels"
             table.add_row(f"  {name}", told)
+    what = "scenes" if s.pictures == sum(s.scenes.values()) else "pictures"
     for one in s.classes:
-        seen = f"{one.visible} visible by 10 % or more, in {one.scenes} scenes"
+        seen = f"{one.visible} visible by 10 % or more, in {one.scenes} {what}"
         table.add_row(one.name, f"{one.instances} instances, {seen}")
     areas = ", ".join(f"{count} {name}" for name, count in s.areas.items())
     table.add_row("mask areas", f"{areas} (COCO: below 32^2, above 96^2 px)")

@@ -125,10 +125,9 @@ class StoredScene:
 
     def manifest(self) -> dict[str, Any]:
         """What the run that made it had to say."""
-        whole = self._checked(
-            partial(SceneFolder(self.folder).record, "manifest", records.Manifest)
-        ).root
-        return facts_of(whole, self.sensor, self.image)
+        files = SceneFolder(self.folder)
+        whole = self._checked(partial(files.record, "manifest", records.Manifest))
+        return facts_of(whole.root, self.sensor, self.image)
 
     def obj_ids(self) -> tuple[int, ...]:
         """What each instance is, seen or not: all that one small file tells."""
@@ -310,9 +309,9 @@ class StoredScene:
         if image.ndim != axes or image.dtype != kind or image.shape[:2] != self.size_px:
             height_px, width_px = self.size_px
             must = f"{np.dtype(kind)}, {width_px} x {height_px} pixels"
+            path = self._files.png_path(name, self.image)
             raise DatasetError(
-                f"{self._files.png_path(name, self.image)}: is {image.dtype} {image.shape}, it must be {must}: "
-                "run graycast validate"
+                f"{path}: is {image.dtype} {image.shape}, it must be {must}: run graycast validate"
             )
         return image
 

@@ -4,6 +4,7 @@ import json
 
 import numpy as np
 import pytest
+from several_pictures import NAMES, SIGMA_M, several  # noqa: F401
 from simulated_dataset import made, master, samples  # noqa: F401
 
 from graycast.cli import main
@@ -81,3 +82,30 @@ def test_real_pictures_are_refused(tmp_path, monkeypatch, master):  # noqa: F811
     monkeypatch.setattr(StoredDataset, "real", property(lambda self: True))
     with pytest.raises(GraycastError, match="nobody knows where the camera stood"):
         merge(master, tmp_path / "out")
+
+
+def test_several_pictures_of_a_scene_become_one_cloud(several, tmp_path):  # noqa: F811
+    """Oracle: the parts and the floor as they lie, and what each picture sees of them."""
+    out, taken = several
+    record = merge(out, tmp_path / "clouds")
+    assert record["scenes"] == ["train-000000", "train-000003"]
+    figures = json.loads((tmp_path / "clouds/train-000003.json").read_text())
+    measured = [int((sample.scanner.reason == 0).sum()) for sample in taken[3]]
+    assert [view["view"] for view in figures["cloud"]["views"]] == list(NAMES)
+    assert [view["measured_px"] for view in figures["cloud"]["views"]] == measured
+    assert max(measured) < figures["cloud"]["points"] < sum(measured)
+    for held in figures["cloud"]["by_views"][:2]:
+        # Pixels are 3 mm wide: at edges planes lie askew, which no noise tells.
+        assert abs(held["error_median_m"]) < 0.2 * SIGMA_M
+        assert held["error_sigma_m"] == pytest.approx(held["sigma_m"], rel=0.4)
+        assert held["within_3_sigma"] > 0.9
+    all_four = figures["cloud"]["by_views"][3]
+    assert all_four["error_sigma_m"] == pytest.approx(SIGMA_M / 2, rel=0.15)
+    assert all_four["within_3_sigma"] > 0.98
+    (surface,) = record["surfaces"]
+    first = surface["views"][0]
+    assert surface["scenes"] == 2
+    assert surface["measured"] >= max(view["measured"] for view in surface["views"])
+    assert first["filled_by_others"]["saturated"] > 0.01  # its hole
+    assert all("saturated" not in view["filled_by_others"] for view in surface["views"][1:])
+    assert figures["cloud"]["first_reason"]["saturated"] > 0

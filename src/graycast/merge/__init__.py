@@ -3,6 +3,7 @@
 from .adding import best_order
 from .fuse import HIDDEN, OUTSIDE, THROUGH, Fused, FusedCloud, fuse
 from .merging import merge, merged_ply
+from .reading import read_view
 from .told import described
 from .view import MeasuredView
 
@@ -18,4 +19,5 @@ __all__ = [
     "fuse",
     "merge",
     "merged_ply",
+    "read_view",
 ]

@@ -122,7 +122,7 @@ def _stood_for(
     i: int,
     own: Measured,
     answers: Mapping[int, Looked],
-    wrong: Sequence[Bool[np.ndarray, "h w"]],
+    wrong: Sequence[Bool[np.ndarray, "_ _"]],
 ) -> Bool[np.ndarray, " n"]:
     """Whether a view with smaller pixels on the surface has the place; of equals the first."""
     found = np.zeros(len(own.pixel), dtype=bool)

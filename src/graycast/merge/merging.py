@@ -43,7 +43,7 @@ def merge(
     told: dict[int, str] = {}
     with new_folder(out) as folder:
         for done, shots in enumerate(scenes, start=1):
-            names = tuple(shot.picture_name for shot in shots)
+            names = tuple(shot.image_name for shot in shots)
             views = [read_view(stored, shot) for shot in shots]
             told |= views[0].reason_name
             fused = fuse([held.view for held in views])
@@ -90,7 +90,7 @@ def _scenes(source: Path) -> tuple[StoredDataset, list[list[StoredScene]]]:
     """The dataset, and the pictures of each of its scenes, or of the one that is meant."""
     one = source.name.isdecimal() and not (source / CLAIM).exists()
     stored = open_dataset(source.parent.parent if one else source)
-    shots = [shot for shot in stored.scenes if not one or _same(shot.folder, source)]
+    shots = [shot for shot in stored.pictures if not one or _same(shot.folder, source)]
     if not shots:
         raise DatasetError(f"{source}: is no finished scene of {stored.folder}: give one of them")
     return stored, [list(held) for _, held in groupby(shots, key=lambda shot: shot.folder)]

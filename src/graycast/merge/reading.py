@@ -52,7 +52,7 @@ def read_view(stored: StoredDataset, shot: StoredScene) -> StoredView:
     sigma_m, noise = _sigma_m(stored, shot, depth_m, step_m)
     return StoredView(
         view=MeasuredView(
-            name=shot.picture_name,
+            name=shot.image_name,
             camera=optics_of(content.view["cam_K"], shot.size_px, content.view["distortion"]),
             T_world_cam=_T_world_cam(content.view),
             depth_m=depth_m,
@@ -95,10 +95,10 @@ def _sigma_m(
     stored: StoredDataset, shot: StoredScene, depth_m: Float[np.ndarray, "h w"], step_m: float
 ) -> tuple[Float[np.ndarray, "h w"], str]:
     """Of z, with the rounding to steps; NaN where there is no depth."""
-    rig = rig_of(stored.claim["rig"])
+    rig = rig_of(stored.taker(shot.sensor)["rig"])
     slope_m = depth_slope_m(depth_m, rig)
     try:
-        maps = read_code_maps(shot.folder)
+        maps = read_code_maps(shot.folder, sensor=shot.sensor, number=shot.image)
     except Unreadable as error:
         raise DatasetError(f"{shot.folder}: {error}: run graycast validate") from error
     told = maps.get(f"sigma_{triangulation_axis(rig)}")

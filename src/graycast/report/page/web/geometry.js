@@ -91,7 +91,7 @@ function grows(r2, [k1, k2, , , k3]) {
 Graycast.projectorMap = (scene, which) => {
   scene.projected ??= {};
   if (scene.projected[which]) return scene.projected[which];
-  const rig = Graycast.report.claim.rig,
+  const rig = Graycast.scannerOf(scene).rig,
     lens = rig.projector,
     T = rig.T_cam_proj;
   const bent = lens.distortion.some((k) => k !== 0);

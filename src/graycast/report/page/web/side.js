@@ -19,7 +19,7 @@
       on && scene.has.scanner
         ? Graycast.report.reasons.find((r) => r.number === scene.reason[i])
         : null;
-    const map = on && scan && Graycast.report.claim.rig ? positions(scene) : null;
+    const map = on && scan && Graycast.scannerOf(scene).rig ? positions(scene) : null;
     const lines = [
       [
         "pixel",

@@ -43,7 +43,7 @@ from .wavelength import at_projector_wavelength
 
 @final
 class MitsubaRenderer(Renderer):
-    """See the module. Each call builds its scene and lets it go; the process keeps the device."""
+    """See the module. Each call builds and releases its scene; the process keeps the device."""
 
     name = "mitsuba"
 

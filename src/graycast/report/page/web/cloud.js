@@ -59,7 +59,7 @@
     const gl = canvas.getContext("webgl2", { antialias: true, preserveDrawingBuffer: true });
     if (!gl) {
       stage.append(
-        el("p", { class: "sorry" }, "This browser gives no WebGL 2, which the 3D view needs."),
+        el("p", { class: "sorry" }, "This browser has no WebGL 2, which the 3D view needs."),
       );
       return { stage, draw() {}, look() {}, swap() {}, onScreen: () => null, close() {} };
     }

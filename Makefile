@@ -21,7 +21,7 @@ test-slow: setup-test
 setup:
 	@scripts/setup
 
-# Beside it what tests, style, types and the documentation need.
+# The packages for tests, style, types and documentation, in addition to those above.
 setup-test:
 	@scripts/setup test,docs
 

@@ -1,6 +1,6 @@
-"""Light that bounces about in a white bowl, and which codes survive it: a table and a picture.
+"""Codes under interreflections in a white bowl: a table and a picture of their errors.
 
-The decoder is told to answer in doubt as well, so that wrong answers show.
+The decoder accepts uncertain pixels here, so that wrong values show.
 
 Run: .venv/bin/python examples/03_codes_in_a_bowl.py out/codes.png
 """

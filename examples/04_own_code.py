@@ -1,6 +1,6 @@
-"""A code of one's own: any list of frames. This one has eleven, and is held against the truth.
+"""A code of the user: any list of frames. This one has eleven, and is compared with the truth.
 
-Gray bits count periods of 60 projector columns, a complementary bit tells their halves apart, and
+Gray bits count periods of 60 projector columns, a complementary bit distinguishes their halves, and
 three phase steps give the place inside a period.
 
 Run: .venv/bin/python examples/04_own_code.py

@@ -1,6 +1,6 @@
-"""A part of one's own, from its mesh to a dataset: a hexagon nut, made here and saved as a file.
+"""A part of the user, from its mesh to a dataset: a hexagon nut, made here and saved as a file.
 
-A dataset says what it was made from, so a part comes from a file, as its configuration names it.
+A dataset records its sources, so the part must come from a file that the configuration names.
 
 Run: .venv/bin/python examples/05_own_part.py out/nuts
 """
@@ -38,7 +38,7 @@ def main(out: Path, samples: int) -> None:
         }
     )
     cell = graycast.resolve_cell(config, out)
-    print("\n".join(cell.notes) or "the mesh is closed, and Graycast has nothing to say about it")
+    print("\n".join(cell.notes) or "the mesh is closed, and there are no notes on it")
     with graycast.open_cell_renderer(cell) as renderer:
         shot = graycast.make_scene(cell, 0, seed=1, renderer=renderer)
     saved = graycast.save_scene(cell, shot, out / "dataset")

@@ -1,10 +1,10 @@
-"""A renderer of one's own: fog between camera, projector and parts, laid over another renderer.
+"""A renderer of the user: fog between camera, projector and parts, added to another renderer.
 
 Whatever has the methods of `graycast.Renderer` can make scenes. This one asks another renderer for
 its light, and takes from it what a fog absorbs on the way to a surface and back to the camera:
 `exp(-density * (way of the light + way of the view))`, the law of Beer and Lambert.
 
-Leaves out: light that the fog scatters into the camera, and that of surfaces upon each other.
+Leaves out: light that the fog scatters into the camera, and fog between surfaces.
 
 Run: .venv/bin/python examples/06_own_renderer.py
 """

@@ -1,4 +1,4 @@
-"""A dataset read back: its pictures, masks and poses as arrays, and where the scanner is wrong.
+"""Reading a dataset: its pictures, masks and poses as arrays, and the scanner's errors.
 
 `graycast.open_examples` reads datasets and all that `graycast export` makes of them alike.
 

@@ -52,7 +52,7 @@ def test_a_missing_package_is_found_and_said_with_its_remedy_and_use(monkeypatch
     text = describe(diagnosis)
     assert "MISSING no-such-package-here" in text
     assert "pip install no-such-package-here" in text
-    assert "it gives: flying" in text
+    assert "it is for: flying" in text
     assert text.endswith("This machine is not ready: install what is marked MISSING above.")
 
 
@@ -60,7 +60,7 @@ def test_a_bad_library_named_by_the_user_is_a_finding_and_not_an_error(monkeypat
     monkeypatch.setenv("DRJIT_LIBLLVM_PATH", "/gone/libLLVM-19.so")
     findings = {finding.name: finding for finding in examine().findings}
     assert not findings["LLVM used"].ok
-    assert "/gone/libLLVM-19.so, which is no file" in findings["LLVM used"].found
+    assert "/gone/libLLVM-19.so, which is not a file" in findings["LLVM used"].found
 
 
 def test_what_is_not_needed_does_not_make_the_program_unready():
@@ -69,7 +69,7 @@ def test_what_is_not_needed_does_not_make_the_program_unready():
     assert Diagnosis(findings=(gpu, numpy)).ready
     assert describe(Diagnosis(findings=(gpu, numpy))).splitlines() == [
         "none    GPU    none",
-        "               it gives: speed",
+        "               it is for: speed",
         "ok      numpy  2.0",
         "ready",
     ]

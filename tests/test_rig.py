@@ -175,10 +175,10 @@ def test_the_image_of_a_tilted_rig_has_y_down():
     ("change", "message"),
     [
         ({"near_m": 2.5}, "0 < near_m < far_m"),
-        ({"T_cam_proj": np.eye(4)}, "needs a baseline"),
+        ({"T_cam_proj": np.eye(4)}, "give them a baseline"),
         ({"T_cam_proj": np.diag([1.0, 1, -1, 1])}, "not a rotation"),
         ({"intensity_w_sr": 0.0}, "intensity_w_sr is 0.0: it should be greater than 0"),
-        ({"band_weights": (0.5, 0.5, 0.5)}, "shares of 1"),
+        ({"band_weights": (0.5, 0.5, 0.5)}, "whose sum is 1"),
         ({"picture_level": 1.5}, "picture_level is 1.5: it should be less than or equal to 1"),
     ],
 )
@@ -240,8 +240,8 @@ def test_the_grey_level_for_a_share_is_the_nearest_there_is(response):
             {"response": (0.0, 255.0)},
             "it must start at 0 and end at 1, relative to white: state the light",
         ),
-        ({"contrast_ratio": 1.0}, "white over black"),
-        ({"contrast_ratio": math.nan}, "white over black"),
+        ({"contrast_ratio": 1.0}, "projector's white to its black"),
+        ({"contrast_ratio": math.nan}, "projector's white to its black"),
         ({"veil": 1.0}, "veil is 1.0"),
         ({"speckle_contrast": -0.1}, "speckle_contrast is -0.1"),
     ],

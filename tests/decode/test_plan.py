@@ -30,7 +30,7 @@ def is_complementary(f):
     [
         (
             without(GRAY, lambda f: f.bit == 5),
-            "5 Gray bits of 1 px reach 32 px, the projector has 64: is the coarsest bit missing",
+            "5 Gray bits of 1 px reach 32 px, the projector has 64: add the coarsest bit",
         ),
         (without(GRAY, bit_is(3, False)), "bit 3 has an inverse but no frame of its own"),
         (

@@ -59,7 +59,7 @@ def test_what_is_dumped_is_the_same_configuration_again():
         ),
         (
             {"kind": "randomized", "lamps": {"distance_m": [2, 1]}},
-            r"domain\.lamps\.distance_m is \[2, 1\]: give \[lowest, highest\], the lowest first",
+            r"domain\.lamps\.distance_m is \[2, 1\]: give two numbers \[lowest, highest\]",
         ),
         ({"kind": "randomized", "camera": {"tilt_deg": [-90, 0]}}, r"domain\.camera\.tilt_deg\.0"),
         ({"kind": "randomized", "lamps": {"irradiance": [0, 1]}}, r"domain\.lamps\.irradiance\.0"),

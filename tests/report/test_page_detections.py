@@ -192,5 +192,5 @@ def test_a_false_alarm_is_drawn_where_it_is(page, looked_at):
 
 def test_a_scene_that_was_not_looked_at_says_so(page, looked_at):
     opened(page, looked_at, 4)
-    assert "did not look at this scene" in page.locator("#found-list").inner_text()
+    assert "was not run on this scene" in page.locator("#found-list").inner_text()
     assert page.locator("#toggle-found").count() == 0

@@ -28,7 +28,7 @@ _ONE_CLASS = 1  # the object id of everything where classes do not matter
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Task:
-    """The results and the labels to compare; None as `split` or `division` uses those of the results.
+    """The results and the labels to compare; a `split` or `division` of None is the results' own.
 
     `one_class` treats all parts as one class.
     """

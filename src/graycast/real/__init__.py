@@ -1,5 +1,6 @@
-"""What a real scanner brings. Each folder stands on the files above it and knows no other folder,
-but for `twin`, which stands on `realism`.
+"""Data of a real scanner.
+
+Each folder imports only the files listed above it, except `twin`, which also imports `realism`.
 
 depth_file   depth maps, pictures and camera matrices from files of any scanner
 organised    organised point clouds

@@ -1,4 +1,4 @@
-"""A configuration with what was fitted in the place of what was there; all else as it was."""
+"""A configuration with some keys replaced by fitted values; all other text is unchanged."""
 
 import math
 from collections.abc import Collection, Mapping
@@ -13,7 +13,7 @@ from ..settings import check_settings, parse_yaml
 
 
 def refuse_existing(out: Path, base: Path) -> None:
-    """Asked before the work, so that it is not done in vain.
+    """Check the output paths before the work.
 
     Raises:
         GraycastError: the file is there, or would change what relative paths mean.
@@ -26,7 +26,7 @@ def refuse_existing(out: Path, base: Path) -> None:
 
 
 def refuse_there(*paths: Path) -> None:
-    """Nothing is written over.
+    """Refuse to overwrite a file.
 
     Raises:
         GraycastError: one of the files is there.
@@ -45,7 +45,7 @@ def fitted_text(
 ) -> str:
     """The text of a configuration in which some keys at the top are replaced or added.
 
-    What the user wrote elsewhere stays to the letter, comments too.
+    All other text of the user stays, including comments.
 
     Args:
         base: a configuration's text.

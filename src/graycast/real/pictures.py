@@ -201,7 +201,7 @@ def _refuse_sizes(shot: RealPicture, images: Mapping[str, np.ndarray | None]) ->
 
 
 def _refuse_damaged(path: Path) -> None:
-    """Pictures that end early: OpenCV's decoders forgive them."""
+    """Refuse incomplete pictures, which OpenCV's decoders accept."""
     if path.suffix.lower() not in PICTURES:
         return
     try:

@@ -38,7 +38,7 @@ def open_renderer(
     on_frame: OnFrame | None = None,
     on_pass: OnPass | None = None,
 ) -> Renderer:
-    """The one place that knows which back ends exist; each is imported when asked for.
+    """Open a renderer by its name; each back end is imported only when it is opened.
 
     Args:
         name: 'mitsuba' renders all patterns in one pass, 'cycles' each by itself in Blender,
@@ -48,8 +48,8 @@ def open_renderer(
         patterns_per_render: of Cycles: 3 puts patterns into R, G and B, where light is of one
             wavelength or all materials are grey.
         on_frame: of Cycles, which may take minutes for a scene: called after each render.
-        on_pass: of Mitsuba: called after every few samples of a stack, which is the same whether
-            somebody listens or not; what it raises ends the rendering.
+        on_pass: of Mitsuba: called after every few samples of a stack; an exception in it ends
+            the rendering.
 
     Raises:
         DeviceError: the back end or the device is not there; the text ends with the remedy.

@@ -48,7 +48,7 @@ class LlvmLibrary:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CudaState:
-    """What NVIDIA's driver says; `devices` is empty where there is none. `problem` says why."""
+    """The state of NVIDIA's driver; `devices` is empty without a GPU, and `problem` states why."""
 
     devices: tuple[str, ...] = ()
     driver_cuda: str | None = None
@@ -83,7 +83,7 @@ def list_llvm(folders: Iterable[Path] | None = None) -> tuple[LlvmLibrary, ...]:
 def find_llvm(folders: Iterable[Path] | None = None) -> Path | None:
     """The LLVM to use: the user's `DRJIT_LIBLLVM_PATH`, else the newest; None where none will do.
 
-    Nothing is loaded into this process: an old library must not even be tried.
+    Nothing is loaded into this process, because an old library can abort it.
 
     Raises:
         DeviceError: `DRJIT_LIBLLVM_PATH` is set to a file that is missing, too old or unknown.
@@ -189,7 +189,7 @@ def open_device(device: str, *, threads: int | None = None) -> None:
 
 
 def _check_loaded_llvm(dr) -> None:
-    """Last gate before code generation: whatever LLVM Dr.Jit has loaded must be new enough."""
+    """Check before code generation that the LLVM which Dr.Jit has loaded is new enough."""
     if not dr.has_backend(dr.JitBackend.LLVM):
         library = os.environ.get(_USER_CHOICE)
         why = f"{library} cannot be loaded" if library else "drjit was imported before open_device"

@@ -60,9 +60,9 @@ class _Built:
 
 @final
 class MitsubaRenderer(Renderer):
-    """See the module. A world is kept until another one is asked for; the process keeps the device.
+    """See the module. It keeps a world until a call needs another; the process keeps the device.
 
-    So further images of a scene, by other rigs from other places, do not build it again.
+    Further images of a scene, by other rigs at other poses, use the kept world.
     """
 
     name = "mitsuba"

@@ -1,4 +1,4 @@
-"""Light paths through a scene in Dr.Jit, and what each of their vertices adds to every pattern.
+"""Light paths through a scene in Dr.Jit, and the contribution of each vertex to every pattern.
 
 Imported only by `mitsuba.py`, whose docstring says what is computed; this file says how.
 """
@@ -67,7 +67,7 @@ class Paths:
 
 @dataclass
 class _Beam:
-    """What would come straight from the projector to a vertex."""
+    """The direct light from the projector at a vertex."""
 
     wo: mi.Vector3f  # to the lens, local frame
     lit: mi.Bool  # in the field, on the right side, and not in shadow
@@ -79,7 +79,7 @@ class _Beam:
 
 @dataclass
 class _Lamp:
-    """What would come from a lamp or the environment to a vertex: one sample of it."""
+    """One sample of the light from a lamp or the environment at a vertex."""
 
     wo: mi.Vector3f  # local frame
     lit: mi.Bool
@@ -168,7 +168,7 @@ class Tracer:
         return p
 
     def _vertex(self, p: Paths) -> Paths:
-        """Find the vertex, gather its light, choose the way on."""
+        """Find the next vertex, gather its light, and sample the next direction."""
         ray = mi.Ray3f(p.origin, p.direction)
         si = self.world.ray_intersect(ray)
         hit = si.is_valid()
@@ -244,7 +244,7 @@ class Tracer:
         return _Beam(wo, lit, strength, count, pixels, shining)
 
     def _add_projector(self, p: Paths, beam: _Beam, value: mi.Color3f) -> None:
-        """To each pattern what its level lets through of the beam."""
+        """Add the beam to each pattern, weighted by the pattern's level."""
         seen = dr.select(beam.lit, p.throughput * value * beam.strength, 0) * self.weights
         p.white += seen * beam.count
         self._add_levels(p, dr.sum(seen), beam.pixels, [beam.lit & one for one in beam.shining])

@@ -29,9 +29,9 @@ OnPass = Callable[[int, int], None]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Quality:
-    """How much work a renderer does: paths per pixel, and vertices per path.
+    """The effort of a renderer: paths per pixel, and vertices per path.
 
-    Depth 1 is direct light alone; each further vertex adds one interreflection. `footprint`
+    Depth 1 is only direct light; each further vertex adds one interreflection. `footprint`
     filters the patterns in interreflected light over the surface that a sample stands for; its
     bias vanishes as samples grow (Mitsuba alone has it). `denoise` cleans every picture of the
     stack by itself, with Open Image Denoise or, on an NVIDIA GPU, OptiX.
@@ -129,7 +129,7 @@ class GroundTruth:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Rendering:
-    """All that one scene build gives."""
+    """The complete result of rendering a scene."""
 
     radiance: Radiance
     truth: GroundTruth
@@ -167,7 +167,7 @@ class Renderer(Protocol):
         ...
 
     def close(self) -> None:
-        """Let go of what it holds; closing again does nothing."""
+        """Release all resources; closing again does nothing."""
         return  # a body of its own, so that type checkers do not take it for abstract
 
     def __enter__(self) -> "Renderer":
@@ -185,7 +185,7 @@ class FrameByFrame(Renderer, Protocol):
 
 
 def refuse_other_size(pattern: UInt8[np.ndarray, "n ph pw"], projector: Optics) -> None:
-    """Patterns are made for one projector.
+    """Refuse patterns that do not have the projector's size.
 
     Raises:
         ValueError: they have another size than this one's picture.

@@ -12,7 +12,7 @@ from ..scene import Bin, Scene
 def at_projector_wavelength(scene: Scene) -> Scene:
     """The scene with every material that has a `projector_reflectance` in that grey.
 
-    The very same scene where none has one, so that a renderer need not do the work twice.
+    Without such a material the scene itself is returned, so that it need not be rendered twice.
     """
     if all(material.projector_reflectance is None for material in _materials(scene)):
         return scene

@@ -1,4 +1,4 @@
-"""Pictures of what the program works with and makes."""
+"""Pictures of inputs and results."""
 
 from .parts import describe_parts, draw_parts
 from .preview import draw_preview

@@ -1,4 +1,4 @@
-"""One scene as a contact sheet: what the scanner saw, what it measured, what was there.
+"""A contact sheet of one scene: captured frames, measured depth and ground truth.
 
 Each tile is a picture of the camera with its top-left pixel at the top left. Pictures taken in
 linear light are shown in sRGB, as an eye would see them; maps of numbers bear a colour bar.

@@ -1,4 +1,4 @@
-"""What both kinds of rig file need: the checks on the way to a `Rig`."""
+"""The checks that both kinds of rig file share."""
 
 from pathlib import Path
 from typing import Any

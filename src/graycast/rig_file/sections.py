@@ -1,6 +1,6 @@
-"""What may be said of a scanner in YAML, in a rig file and in a dataset's configuration alike.
+"""The sections of a scanner that a rig file and a dataset's configuration share.
 
-A key that is left out is as it was: the default in a rig file, the rig's own in a configuration.
+An absent key has the default in a rig file, and the rig's own value in a configuration.
 """
 
 from dataclasses import fields, replace

@@ -1,4 +1,4 @@
-"""Stacks of pictures from real scanners: what a YAML file says of them, decoded and written."""
+"""Stacks of pictures from real scanners: description in YAML, decoding and results."""
 
 from .averaging import Cells, join_pixels, meet_rays
 from .decoding import Cloud, StackResult, decode_stack

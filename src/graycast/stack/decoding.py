@@ -1,4 +1,4 @@
-"""A stack of pictures all the way: read, measured, decoded, triangulated, joined."""
+"""The whole processing of a stack: reading, noise, decoding, triangulation, averaging."""
 
 import time
 from dataclasses import dataclass, replace
@@ -66,7 +66,7 @@ class Cloud:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class StackResult:
-    """All that a stack gave. Without a rig there is no depth and no cloud.
+    """The result of a stack. Without a rig there is no depth and no cloud.
 
     `light` is direct and global light [DN above offset], where the code tells them apart.
     """
@@ -168,7 +168,7 @@ def decode_stack(
 def _by_noise(
     pictures: Pictures, code: Code, spec: DecodeSpec, levels: Levels, codes: CodeMap
 ) -> CodeMap:
-    """The codes with what noise alone makes doubtful.
+    """The codes with the uncertainty that noise causes.
 
     Of the pixels of a cell those are sure whose bits noise does not turn over: all over the cell,
     where a bound on the finest bit's signal would leave out those next to its edge and so move the
@@ -201,7 +201,7 @@ class _Clock:
 
 
 def _check_axes(code: Code, rig: Rig | None, average: bool, path: Path) -> None:
-    """What the frames alone tell, before pictures are read."""
+    """Check the frames against the options before pictures are read."""
     if average and rig is None:
         raise DecodeError(f"{path}: averaging computes 3D points, which need a rig: give --rig")
     if average and len(code.axes) < 2:

@@ -1,4 +1,4 @@
-"""What YAML says of a stack: the projector, what each picture shows, how it is to be read."""
+"""The YAML description of a stack: projector, frames, levels and thresholds."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -108,7 +108,7 @@ class StrideSection(Settings):
 
 
 class LevelsSection(Settings):
-    """What is known of the camera (EMVA 1288); what is left out is measured in the stack."""
+    """Known properties of the camera (EMVA 1288); others are measured in the stack."""
 
     offset_dn: float | None = Field(None, ge=0, description="The stored value without light.")
     saturation_dn: Positive | None = Field(
@@ -141,7 +141,7 @@ DecodeSection = section_of(
 
 
 class StackDescription(Settings):
-    """A stack: what the projector showed in which picture."""
+    """A stack: the frame that each picture shows."""
 
     projector: ProjectorSection
     frames: tuple[FrameSection, ...] = Field(min_length=1)

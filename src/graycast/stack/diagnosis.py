@@ -1,4 +1,4 @@
-"""What is wrong with a stack that can be read all the same: each symptom with its measure."""
+"""Symptoms of wrong stacks that can still be read, each with its measure."""
 
 from collections.abc import Iterator
 from itertools import combinations
@@ -165,7 +165,7 @@ def _contradictions(
 
 
 def _course(code: Code, codes: CodeMap, well: Bool[np.ndarray, "h w"]) -> Iterator[str]:
-    """Neighbours see neighbours; a bit turned over or misplaced tears the map."""
+    """Neighbouring pixels should have neighbouring codes; a wrong bit breaks this."""
     maps = {
         axis: np.where(well, place, np.float32(np.nan))
         for axis, place in (("column", codes.column), ("row", codes.row))
@@ -229,7 +229,7 @@ def _mended(pairs_px, code: Code, plan: AxisPlan, far: float) -> tuple[str, floa
 
 
 def _changes(code: Code, plan: AxisPlan) -> Iterator[tuple[str, list[int], int]]:
-    """What bits may have suffered: in words, which bit each one is, and those turned over."""
+    """Candidate errors of the bits: a text, the order of the bits, and the inverted ones."""
     count = len(plan.bits)
     names = [code.frames[bit.frame].name for bit in plan.bits]
     as_is = [*range(count)]

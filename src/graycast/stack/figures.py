@@ -1,4 +1,4 @@
-"""What a decoded stack is worth, in numbers that a user can compare with another."""
+"""Quality figures of a decoded stack."""
 
 from dataclasses import dataclass
 

@@ -1,4 +1,4 @@
-"""What an unknown camera's numbers mean, and how they scatter: measured in the stack itself."""
+"""Offset, saturation and noise of an unknown camera, measured in the stack itself."""
 
 from dataclasses import dataclass
 
@@ -47,7 +47,7 @@ def measure_levels(frames: Stack, code: Code, known: LevelsSection) -> MeasuredL
       or in the mean of a period's steps (Immerkaer), in the smoother half of it; else a stated
       default. docs/derivations.md, "Real stacks".
 
-    What is stated in the stack file is taken instead.
+    Values in the stack file take precedence.
 
     Raises:
         DecodeError: the offset that is stated lies above saturation.

@@ -1,4 +1,4 @@
-"""What a decoded stack leaves on disk, and the words that are printed about it."""
+"""The files of a decoded stack, and its printed summary."""
 
 import zipfile
 from collections.abc import Iterator

@@ -1,4 +1,4 @@
-"""Noise from differences that light does not explain: where they are taken, and what they say."""
+"""Noise estimation from differences that light does not explain."""
 
 from collections.abc import Iterator
 

@@ -1,4 +1,4 @@
-"""Which way the phases of a stack run, and from where: compared with its Gray code.
+"""Direction and origin of the phases of a stack, compared with its Gray code.
 
 A phase whose steps are counted backwards, or from another origin, still lies in the right Gray cell
 by chance at most pixels, and decodes to a wrong place. The Gray code knows better.

@@ -1,4 +1,4 @@
-"""Noise of stacks of phases: what the steps of a period say beside mean, amplitude and phase."""
+"""Noise of stacks of phases, from the residuals of the steps of a period."""
 
 from itertools import islice, pairwise
 

@@ -79,7 +79,7 @@
       {
         class: "unsay",
         title: "take this away: it is as if left out",
-        "aria-label": `${control.label}: as if left out`,
+        "aria-label": `${control.label}: use the default`,
         onclick: () => set(control.whole ?? control.key, null, false),
       },
       "×",

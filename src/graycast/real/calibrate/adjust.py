@@ -117,7 +117,7 @@ def adjust(
 
 
 def _loose_terms(fitted, free, jacobian) -> dict[str, tuple[int, float, float]]:
-    """Place, value and deviation of each device's last radial term, where it may as well be 0."""
+    """Index, value and deviation of each device's last radial term that is not significant."""
     deviation = _deviations(fitted, free, jacobian)
     found = {}
     for first, device in ((0, "camera"), (len(DEVICE), "projector")):

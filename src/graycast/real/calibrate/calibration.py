@@ -1,4 +1,4 @@
-"""A rig from views of a board: what was fitted, how well, and what it rests on."""
+"""A rig from views of a board, with its residuals and its coverage."""
 
 import math
 from collections.abc import Sequence
@@ -297,7 +297,7 @@ def _coverage(position_px: Float[np.ndarray, "n 2"], size_px: tuple[int, int]) -
 
 
 def _warnings(rig: Rig, views: Sequence[ViewResidual], fit: Adjustment, coverage):
-    """What a user should know before he trusts the rig."""
+    """Warnings about the reliability of the rig."""
     if len(views) < GOOD_VIEWS:
         yield f"only {len(views)} views: {GOOD_VIEWS} or more make the result steady"
     normal = fit.T_cam_board[:, :3, 2]

@@ -1,4 +1,4 @@
-"""Where the projector "sees" a board's corners: its decoded code, read between the pixels."""
+"""The projector coordinates of a board's corners, interpolated in the decoded code."""
 
 from dataclasses import dataclass
 

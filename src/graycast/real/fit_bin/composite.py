@@ -1,4 +1,4 @@
-"""The empty bin out of views of a full one: at each pixel the farthest depth that two views share.
+"""The empty bin from views of a full one: the farthest depth on which two views agree.
 
 Parts lie before the bin, never behind it. Where at least two of the views see past all parts they
 agree, and what is farther than that, a stray, is in one view alone.

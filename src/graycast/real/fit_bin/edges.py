@@ -1,4 +1,4 @@
-"""What no wall holds, from edges: where rim, floor and walls end in the depth map.
+"""Degrees of freedom that no wall determines, fitted to edges in the depth map.
 
 Walls that are lost, in shadow or hardly seen leave the place along an axis, or the turn about z,
 free. Edges of the rim and the floor hold them still, to a part of a pixel: a pose that is shifted

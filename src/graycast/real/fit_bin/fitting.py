@@ -30,7 +30,7 @@ from .shape import BinShape
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class BinFit:
-    """What was found. `apart`: how far the pose of each view of several is from all's [m, rad]."""
+    """The fit. `apart` is the difference of each view's own pose from the common one [m, rad]."""
 
     views: tuple[str, ...]
     shape: BinShape

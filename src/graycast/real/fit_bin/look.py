@@ -254,7 +254,7 @@ def light_scale(
     lit: Bool[np.ndarray, "h w"],
     step: int,
 ) -> float:
-    """By what lamps and environment have to be multiplied for the ratio of black to white.
+    """The factor on lamps and environment that gives the measured ratio of black to white.
 
     With the projector's light w, its leak b w in black, and the lamps' light a times s, the frames
     have the ratio `r = (b w + s a) / (w + s a)`, so `s = w (r - b) / (a (1 - r))`, whatever they

@@ -1,4 +1,4 @@
-"""A picture of the residuals: where the depth leaves the fitted bin, and by how much."""
+"""A picture of the residuals between the depth and the fitted bin."""
 
 from collections.abc import Sequence
 from pathlib import Path

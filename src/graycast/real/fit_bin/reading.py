@@ -24,7 +24,7 @@ _NORMALS_ACROSS = 400  # normals come from pixels a two-hundredth of the picture
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Said:
-    """What was said about the files: `K` [px], lens, metres per unit of depth, size of clouds."""
+    """Options for the files: `K` [px], distortion, metres per unit of depth, size of clouds."""
 
     K: Float[np.ndarray, "3 3"] | None = None
     distortion: tuple[float, float, float, float, float] | None = None
@@ -52,7 +52,7 @@ class Grid:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class BinView:
-    """One look into the bin; z-depth [m] is NaN where there is none."""
+    """One view of the bin; z-depth [m] is NaN where there is none."""
 
     name: str
     camera: Optics

@@ -43,7 +43,7 @@ _LOOSE_M, _LOOSE_RAD = 0.4e-3, np.radians(0.15)
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FaceFit:
-    """How well one surface of the bin agrees with what was measured on it.
+    """The agreement of one surface of the bin with the measured depth.
 
     `seen_px` pixels should show it; `measured` is the share of them with depth, `inliers` that with
     depth of this surface. The rest is about signed distances of inliers from its planes, positive
@@ -61,7 +61,7 @@ class FaceFit:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PoseFit:
-    """A pose with what speaks for it.
+    """A pose with its evidence.
 
     `sigma` is the standard deviation of each of `FREEDOMS` [m, rad], of the noise that the
     residuals show, as if points were independent; of `by_edges`, which no face holds well, it says

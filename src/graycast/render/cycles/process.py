@@ -26,12 +26,12 @@ _REMEDY = f"run make cycles, or set {PYTHON_VARIABLE} to a Python that has it"
 
 
 class CyclesDied(Exception):
-    """The child ended in the middle of a job; the text says how."""
+    """The child process ended during a job; the text states how."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CyclesState:
-    """What was found of Cycles; `problem` says why it cannot be used."""
+    """The result of the search for Cycles; `problem` states why it cannot be used."""
 
     python: Path | None = None
     version: str | None = None
@@ -110,7 +110,7 @@ class CyclesProcess:
             yield answer["frame"]
 
     def close(self) -> None:
-        """End the child at once: between jobs it holds nothing, a job's files are its folder's."""
+        """End the child at once; between jobs it holds no state."""
         self._child.kill()
         self._child.wait()
         for stream in (self._child.stdin, self._child.stdout, self._log):

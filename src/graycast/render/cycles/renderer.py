@@ -1,4 +1,4 @@
-"""Same scene in, same radiance out: `Renderer` by Blender Cycles.
+"""The `Renderer` by Blender Cycles.
 
 Each pattern, the white and the ambient picture is a render of its own with random numbers of its
 own, so noise differs from pattern to pattern as it does in the paper. A white pattern is the white
@@ -71,7 +71,7 @@ def choose_cycles_device(name: str, cycles: CyclesState) -> str:
 
 @final
 class CyclesRenderer(Renderer):
-    """Owns one child process for all its scenes; starts another where that one dies."""
+    """A renderer with one child process, which is replaced if it dies."""
 
     name = "cycles"
     denoiser: Literal["oidn", "optix"] = "oidn"
@@ -188,7 +188,7 @@ class CyclesRenderer(Renderer):
             return {frame.name: np.load(folder / f"{frame.name}.npy") for frame in frames}
 
     def _run(self, folder: Path, frames: tuple[Render, ...]) -> None:
-        """A job to its end, by as many processes as it takes: frames that are there are kept."""
+        """Run a job to its end; if the process dies, another continues with the missing frames."""
         for _ in range(MAX_DEATHS):
             if self._process is None:
                 self._process = CyclesProcess(self._python)

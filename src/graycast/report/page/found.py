@@ -34,7 +34,7 @@ def judged(
 
 
 def found_index(evaluation: Evaluation, stored: StoredDataset) -> dict[str, Any]:
-    """What the grid filters by: for each scene instances to find, and scores of hits and mistakes.
+    """The data of the grid's filters: instances to find, and scores of hits and mistakes per scene.
 
     Outlines are judged by masks where there are any. Detections are of pictures in `train/`,
     however these are divided.

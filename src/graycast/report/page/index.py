@@ -64,7 +64,7 @@ _COLUMNS = (
 
 
 def _row(one: SceneFigures) -> list[Any]:
-    """What the grid filters and sorts by; short, as thousands are loaded at once."""
+    """The row of a scene for filters and sorting; it is short because thousands are loaded."""
     error = error_figures(one.part_error_step or one.error_step, one.depth_scale_mm)
     parts = max(sum(one.part_reason_px.values()), 1)
     counts: dict[int, int] = {}
@@ -109,7 +109,7 @@ def _median_depth_mm(one: SceneFigures) -> float | None:
 
 
 def _claim(said: Mapping[str, Any]) -> dict[str, Any]:
-    """The claim without what only machines compare."""
+    """The claim without digests."""
     kept = ("config", "seed", "depth_scale_mm", "rig", "sources", "versions")
     claim = {key: said[key] for key in kept if key in said}
     if "config" in claim:

@@ -1,6 +1,6 @@
 """What a dataset keeps beside depth, for the page: captured frames, decoded projector positions.
 
-Each is a script of its own, brought in when somebody looks.
+Each is a separate script that is loaded when it is shown.
 """
 
 import math

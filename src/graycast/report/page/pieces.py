@@ -23,13 +23,13 @@ _MARK = "graycast-report"
 
 @runtime_checkable
 class Piece(Protocol):
-    """Something with files of its own; it travels to the processes that make them."""
+    """A part of the page with its own files; it is sent to the process that makes them."""
 
     @property
     def key(self) -> str: ...
 
     def stamp(self) -> str:
-        """Changes when its files have to be made anew."""
+        """A text that changes when the files must be made again."""
         ...
 
     def files(self) -> Iterator[tuple[str, bytes]]:
@@ -115,7 +115,7 @@ def write_pieces(
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Web:
-    """What a browser is to load: the template of all pages, filled in.
+    """The files that a browser loads, and the values of the page template.
 
     `styles` and `scripts` are files of the `web` folder of `package`, or else of this one, in the
     order of their loading. The template itself names what every page has: style.css, core.js and

@@ -41,7 +41,7 @@ def open_bin(replay: Replay) -> Mesh:
 
 
 def table(replay: Replay) -> Mesh:
-    """As much of the table as bin, robot and place to put parts stand on."""
+    """The part of the table on which the bin, the robot and the place of parts stand."""
     box, config = replay.cell.box, replay.cell.config
     low, high = box.bounds_m
     stands = np.array([low, high, config.robot.base_m, config.picking.place_m])[:, :2]
@@ -52,7 +52,7 @@ def table(replay: Replay) -> Mesh:
 
 
 def look(replay: Replay) -> dict[str, Any]:
-    """Where one looks from: opposite the robot, a little from the side where parts are put."""
+    """The viewpoint: opposite the robot, slightly from the side where parts are placed."""
     config, box = replay.cell.config, replay.cell.box
     base, place = np.array(config.robot.base_m[:2]), np.array(config.picking.place_m[:2])
     home = zip(replay.limbs, replay.T_world_limb(replay.robot.home), strict=True)

@@ -1,4 +1,4 @@
-"""What the page calls the ends of attempts, and their colours."""
+"""The texts and colours of the outcomes of attempts."""
 
 from typing import Any
 

@@ -1,4 +1,4 @@
-"""Blender Cycles as a servant: jobs come as lines on stdin, pictures go into the job's folder.
+"""The worker process of Blender Cycles: it reads jobs from stdin and writes pictures to files.
 
 Runs in an environment of its own (bpy needs an older NumPy, and is GPL), so nothing of Graycast is
 imported here: files are all that passes between the two. The protocol is in `../process.py`.
@@ -33,14 +33,14 @@ def main() -> None:
 
 
 def _keep_stdout_clean():
-    """The real stdout for answers; whatever libraries print goes to stderr."""
+    """Keep stdout for answers, and redirect what libraries print to stderr."""
     answers = os.fdopen(os.dup(1), "w")
     os.dup2(2, 1)
     return answers
 
 
 def _die_with_parent() -> None:
-    """A killed parent cannot end its child, and a frame may take minutes: the kernel does it."""
+    """Let the kernel end this process with its parent, because a frame may take minutes."""
     parent = os.getppid()
     if sys.platform == "linux":
         ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, signal.SIGKILL)

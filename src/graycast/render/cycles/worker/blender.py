@@ -1,4 +1,4 @@
-"""Blender's ways, in one place: poses, images, shader nodes."""
+"""Conversions to Blender: poses, images, shader nodes."""
 
 from pathlib import Path
 

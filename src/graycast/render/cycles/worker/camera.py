@@ -1,4 +1,4 @@
-"""The camera: Blender's own where its lens will do, else Graycast's rays by an OSL shader."""
+"""The camera: Blender's own if its lens model suffices, else an OSL shader with Graycast's rays."""
 
 from pathlib import Path
 from typing import Any

@@ -1,4 +1,4 @@
-"""One job: build its world once, render its frames, write each as soon as it is there.
+"""One job: build its world once, render its frames, and write each as soon as it is complete.
 
 A frame's file appears whole or not at all, and a frame whose file is there is not rendered again:
 so a job that was cut off is simply given to the next process.
@@ -48,7 +48,7 @@ def _file(folder: Path, frame: dict[str, Any]) -> Path:
 
 
 def _settings(scene: bpy.types.Scene, job: dict[str, Any]) -> None:
-    """Plain path tracing: no clamps, cut-offs, filters or light lost for the sake of quiet."""
+    """Settings of unbiased path tracing: no clamps, cut-offs or filters."""
     render, cycles = scene.render, scene.cycles
     render.engine = "CYCLES"
     render.resolution_x, render.resolution_y = job["camera"]["width_px"], job["camera"]["height_px"]

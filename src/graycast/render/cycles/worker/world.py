@@ -1,4 +1,4 @@
-"""Everything that light meets, and all light but the projector's."""
+"""The geometry of the scene, and all light sources except the projector."""
 
 import math
 from pathlib import Path

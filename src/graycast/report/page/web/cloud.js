@@ -54,7 +54,7 @@
     const canvas = el("canvas", { id: "cloud" }),
       stage = el("div", { class: "stage cloud" }, canvas);
     const gl = canvas.getContext("webgl2", { antialias: true, preserveDrawingBuffer: true });
-    let refused = gl ? null : "This browser gives no WebGL 2, which the 3D view needs.";
+    let refused = gl ? null : "This browser has no WebGL 2, which the 3D view needs.";
     try {
       space ??= Graycast.shapes.space(scene);
     } catch (error) {

@@ -159,7 +159,7 @@
       saving.textContent = `save ${Graycast.count(n)} ${Graycast.tags.ticked.size ? "ticked" : "shown"}`;
       saving.disabled = n === 0;
       saving.title =
-        "Save these scenes and their tags as a file. graycast export --scenes FILE takes it.";
+        "Save these scenes and their tags as a file. Use the file with graycast export --scenes FILE.";
       chips.replaceChildren(
         ...narrowing().map(([text, names]) =>
           el(
@@ -170,7 +170,7 @@
               "button",
               {
                 title: "lift this filter",
-                "aria-label": `lift the filter ${text}`,
+                "aria-label": `remove the filter ${text}`,
                 onclick: () => lift(names),
               },
               "×",
@@ -198,7 +198,7 @@
         file.value = "";
       },
     });
-    const title = "Load a file of scenes that was saved here: its tags are added.";
+    const title = "Load a file of scenes that this page saved, and add its tags.";
     return [file, el("button", { id: "load", title, onclick: () => file.click() }, "load")];
   }
 

@@ -105,7 +105,7 @@
     const say = el("span", { class: "score" }, held.score.toFixed(2));
     return el(
       "label",
-      { title: "Detections of a lower score do not count." },
+      { title: "Detections with a lower score are ignored." },
       "score from",
       el("input", {
         id,
@@ -181,7 +181,7 @@
   found.list = (scene, prefs, { light }) => {
     if (!scene.found)
       return Graycast.report.detections
-        ? [el("p", {}, "The detector did not look at this scene.")]
+        ? [el("p", {}, "The detector was not run on this scene.")]
         : [];
     const all = marks(scene, prefs.score),
       count = (state) => all.filter((one) => one.state === state).length;

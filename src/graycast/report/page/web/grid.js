@@ -38,7 +38,7 @@
   }
 
   const nothingFits = () => [
-    el("p", {}, "No scene fits all of these filters."),
+    el("p", {}, "No scene matches all of these filters."),
     el(
       "button",
       { id: "lift-all", onclick: () => open.bar.lift(Graycast.liftAll()) },
@@ -253,7 +253,7 @@
           ? el(
               "span",
               {},
-              "This browser keeps no tags for pages from the disk: save them as a file.",
+              "This browser does not store tags of pages from the disk: save them as a file.",
             )
           : null,
       ].filter(Boolean),

@@ -146,7 +146,7 @@
       id,
       list: `${id}-names`,
       placeholder: "add a tag",
-      title: "Type a tag and press Enter; commas part several.",
+      title: "Type a tag and press Enter; separate several tags with commas.",
       "aria-label": "add a tag",
       autocomplete: "off",
       onkeydown: (event) => {

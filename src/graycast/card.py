@@ -79,10 +79,9 @@ def write_card(
     if licence is not None:
         licence = spdx(licence)
     stored = open_dataset(dataset)
-    scenes = stored.scenes
-    census = take_census(scenes)
+    census = take_census(stored.scenes)
     if statistics is None:
-        drawn = (scene_figures(scene.content()) for scene in sampled(scenes))
+        drawn = (scene_figures(scene.content()) for scene in sampled(stored.pictures))
         statistics = tally(drawn, stored.categories)
     shown = _shown(census)
     card = card_text(
@@ -94,7 +93,7 @@ def write_card(
         pictures=[f"{FOLDER}/{scene.key}.jpg" for scene in shown],
     )
     try:
-        _publish(dataset, card, statistics, len(scenes), shown)
+        _publish(dataset, card, statistics, len(census.objects), shown)
     except OSError as error:
         why = error.strerror or str(error)
         raise GraycastError(
@@ -140,7 +139,7 @@ def sampled(scenes: Sequence[StoredScene]) -> list[StoredScene]:
 
 
 def take_census(scenes: Sequence[StoredScene]) -> Census:
-    """Count objects from the scenes' labels alone.
+    """Count objects from the labels alone; of a scene's pictures one tells all.
 
     Raises:
         DatasetError: a label file is missing or damaged.
@@ -205,7 +204,7 @@ def card_text(
         _CAPTION if pictures else "",
         "## Figures",
         _figures(statistics, census, stored),
-        _told_of_sample(statistics, census),
+        _told_of_sample(statistics, census, len(stored.images)),
         f"![statistics]({FOLDER}/stats.png)",
         f"All of them as numbers: `{FOLDER}/stats.json`.",
         "## How it was made",
@@ -235,13 +234,14 @@ def _introduction(stored: StoredDataset) -> str:
     )
 
 
-def _told_of_sample(s: Statistics, census: Census) -> str:
-    read, scenes = sum(s.scenes.values()), len(census.objects)
-    if read == scenes:
+def _told_of_sample(s: Statistics, census: Census, of: int) -> str:
+    pictures = len(census.objects) * of
+    if s.pictures == pictures:
         return ""
+    what = "scenes" if of == 1 else "pictures"
     return (
-        f"Scenes and instances are counted; all else, plots too, is from {read} scenes drawn of "
-        f"the {scenes:,}. `graycast stats --card` reads all."
+        f"Scenes and instances are counted; all else, plots too, is from {s.pictures} {what} drawn "
+        f"of the {pictures:,}. `graycast stats --card` reads all."
     )
 
 
@@ -249,8 +249,9 @@ def _figures(s: Statistics, census: Census, stored: StoredDataset) -> str:
     splits: dict[str, int] = {}
     for scene in census.objects:
         splits[scene.split] = splits.get(scene.split, 0) + 1
+    each = "" if len(stored.images) == 1 else f", each of {len(stored.images)} pictures"
     rows = [
-        ("scenes", ", ".join(f"{count:,} {split}" for split, count in splits.items())),
+        ("scenes", ", ".join(f"{count:,} {split}" for split, count in splits.items()) + each),
         ("pictures", ", ".join(f"{w} x {h} px" for w, h in s.sizes_px)),
     ]
     for obj_id in census.obj_ids:

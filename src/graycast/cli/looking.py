@@ -72,7 +72,7 @@ def _stats(options: argparse.Namespace) -> int:
 
         spdx(options.licence)  # before the dataset is read
     with progress_bar() as bar:
-        task = bar.add_task("scenes", total=len(open_dataset(options.dataset).scenes))
+        task = bar.add_task("scenes", total=len(open_dataset(options.dataset).pictures))
         statistics = dataset_statistics(
             options.dataset,
             workers=options.workers,

@@ -4,7 +4,7 @@ Nothing is trusted: a file that is missing, damaged or contradicts another is a 
 says which one.
 """
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
@@ -96,11 +96,28 @@ class StoredScene:
     holds: frozenset[str]
     sensor: str = ""
     image: int = 0
+    place: int = 0  # among all images of its scene, those of all scanners
+    of: int = 1  # how many those are
+
+    @property
+    def image_id(self) -> int:
+        """Its number among all images of the split: the scene's, where that has only one."""
+        return self.scene_id * self.of + self.place
 
     @property
     def key(self) -> str:
+        """Its name among all images of the dataset: the scene's, where that has only one."""
+        return self.scene_key if self.of == 1 else f"{self.scene_key}-{self.image_name}"
+
+    @property
+    def scene_key(self) -> str:
         """Its scene's name among all scenes of the dataset."""
         return f"{self.split}-{self.scene_id:06d}"
+
+    @property
+    def image_name(self) -> str:
+        """Its name among the images of its scene: `1`, or `left-1` of the scanner `left`."""
+        return f"{self.sensor}-{self.image}" if self.sensor else f"{self.image}"
 
     def view(self) -> records.View | Any:
         """Intrinsics and depth scale; of simulated scenes also where the camera stood."""
@@ -158,7 +175,7 @@ class StoredScene:
         view, labels = self.view(), self.labels(min_visibility=min_visibility)
         known = labels if "masks" in self.holds else None
         return Example(
-            scene_id=self.scene_id,
+            scene_id=self.image_id,
             K=np.array(view.cam_K).reshape(3, 3),
             distortion=tuple(view.distortion),
             rgb=self.rgb() if "rgb" in self.holds else None,
@@ -385,7 +402,34 @@ class StoredDataset:
             holds=self.holds,
             sensor=sensor,
             image=image,
+            place=self.images.index((sensor, image)),
+            of=len(self.images),
         )
+
+    @property
+    def pictures(self) -> tuple[StoredScene, ...]:
+        """The images of the scenes of all splits, those of a scene in a row."""
+        return tuple(image for scene in self.scenes for image in self.images_of(scene))
+
+    def image_ids(self, scene_ids: Iterable[int]) -> list[int]:
+        """The numbers of all images of some scenes: the scenes' own, where each has only one."""
+        of = len(self.images)
+        return [scene_id * of + place for scene_id in scene_ids for place in range(of)]
+
+    def picture(self, image_id: int, *, split: str = "train") -> StoredScene:
+        """An image by its number among all images of the split."""
+        scene_id, place = divmod(image_id, len(self.images))
+        sensor, image = self.images[place]
+        return self.scene(scene_id, split=split, sensor=sensor, image=image)
+
+    def taker(self, sensor: str) -> Mapping[str, Any]:
+        """The rig and the scanner of a name as the claim says them; nothing of real pictures."""
+        for taker in self.claim.get("scanners", ()):
+            if taker["name"] == sensor:
+                return taker
+        if "rig" not in self.claim:
+            return {}
+        return {"rig": self.claim["rig"], "scanner": self.claim["config"].get("scanner", {})}
 
     def images_of(self, scene: StoredScene) -> tuple[StoredScene, ...]:
         """All images of a scene, whichever of them is given."""

@@ -20,10 +20,11 @@ import cv2
 
 from ..dataset.coco import run_lengths
 from ..dataset.json_text import json_bytes
+from ..dataset.places import camera_file
 from ..dataset.stored import StoredDataset, StoredScene
 from ..render.radiance import Silhouette
 from .options import Options
-from .placing import place
+from .placing import bop_key, place
 from .shards import write_shards
 
 
@@ -54,16 +55,17 @@ def write_webdataset(
 def write_rest(
     folder: Path, splits: Iterable[str], stored: StoredDataset, options: Options
 ) -> None:
-    """What belongs to the dataset as a whole: `camera.json` and the models."""
-    camera = json.loads((stored.folder / "camera.json").read_bytes())
-    camera |= {key: camera[key] + options.shift_px for key in ("cx", "cy")}
-    (folder / "camera.json").write_bytes(json_bytes(camera))
+    """What belongs to the dataset as a whole: each scanner's camera, and the models."""
+    for name in (camera_file(sensor) for sensor in stored.sizes_px):
+        camera = json.loads((stored.folder / name).read_bytes())
+        camera |= {key: camera[key] + options.shift_px for key in ("cx", "cy")}
+        (folder / name).write_bytes(json_bytes(camera))
     for source in sorted((stored.folder / "models").glob("*")):
         place(source, folder / "models" / source.name, link=False)
 
 
 def _key(scene: StoredScene) -> str:
-    return f"{scene.scene_id:06d}_000000"
+    return bop_key(scene.scene_id, scene.place)
 
 
 def _loaded(files: Iterable[tuple[str, bytes | Path]]) -> Iterator[tuple[str, bytes]]:

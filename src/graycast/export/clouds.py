@@ -32,7 +32,7 @@ def write_split(
             view = scene.view()
             camera = optics_of(view.cam_K, scene.size_px, view.distortion)
             point_m = points(depth_m, camera)
-            name = f"{scene.scene_id:06d}_{_NAMES[depth]}.{options.cloud}"
+            name = f"{scene.image_id:06d}_{_NAMES[depth]}.{options.cloud}"
             kept = np.ones_like(depth_m, dtype=bool) if options.organised else depth_m > 0
             width_px = depth_m.shape[1] if options.organised else None
             content = form(*_kept(point_m, color, kept), width_px=width_px)

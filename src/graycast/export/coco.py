@@ -19,7 +19,7 @@ def write_split(
 ) -> None:
     """`annotations/instances_SPLIT.json`, `images/SPLIT/000000.png` and depth beside them.
 
-    An image's id is the scene's. Beside COCO's own keys an image has `cam_K`, `distortion` and
+    An image's id is the picture's. Beside COCO's own keys an image has `cam_K`, `distortion` and
     `depth_scale` [mm], and an annotation `visib_fract`, `cam_R_m2c`, `cam_t_m2c` [mm] and
     `gt_id`, its place in the dataset's `scene_gt.json`.
     """
@@ -35,7 +35,7 @@ def write_split(
             images.append(_image(folder, split, scene, options))
             for label in scene.labels(min_visibility=options.min_visibility):
                 count += 1
-                entry = {"id": count, "image_id": scene.scene_id} | _entry(label, options.polygons)
+                entry = {"id": count, "image_id": scene.image_id} | _entry(label, options.polygons)
                 file.write(separator + json.dumps(entry, allow_nan=False))
                 separator = ",\n"
         lines = ",\n".join(json.dumps(image, allow_nan=False) for image in images)
@@ -50,12 +50,12 @@ def _categories(stored: StoredDataset) -> list[dict[str, Any]]:
 
 
 def _image(folder: Path, split: str, scene: StoredScene, options: Options) -> dict[str, Any]:
-    name = f"{scene.scene_id:06d}.png"
+    name = f"{scene.image_id:06d}.png"
     place(scene.png(options.picture), folder / "images" / split / name, link=options.link)
     for depth in options.depths:
         place(scene.png(depth), folder / depth / split / name, link=options.link)
     view, (height_px, width_px) = scene.view(), scene.size_px
-    image = {"id": scene.scene_id, "file_name": name, "width": width_px, "height": height_px}
+    image = {"id": scene.image_id, "file_name": name, "width": width_px, "height": height_px}
     held = {"cam_K": view.cam_K, "distortion": view.distortion, "depth_scale": view.depth_scale}
     return image | held
 

@@ -1,4 +1,4 @@
-"""Parquet: a row per scene, pictures as PNG bytes, labels as lists.
+"""Parquet: a row per picture, pictures as PNG bytes, labels as lists.
 
 A picture is a struct of `bytes` and `path`, and the schema's metadata says that it is one, so that
 Hugging Face's `datasets` opens it as an `Image`.
@@ -70,10 +70,10 @@ def _row(scene: StoredScene, options: Options) -> dict[str, Any]:
     view = scene.view()
     names = (*options.depths, *([options.picture] if options.picture else ()))
     row: dict[str, Any] = {
-        _IMAGES[name]: {"bytes": scene.png(name).read_bytes(), "path": f"{scene.scene_id:06d}.png"}
+        _IMAGES[name]: {"bytes": scene.png(name).read_bytes(), "path": f"{scene.image_id:06d}.png"}
         for name in names
     }
-    row |= {"scene_id": scene.scene_id, "depth_scale": view.depth_scale}
+    row |= {"scene_id": scene.image_id, "depth_scale": view.depth_scale}
     row |= {"cam_K": view.cam_K, "distortion": view.distortion}
     if "masks" not in scene.holds:
         return row

@@ -22,3 +22,8 @@ def place(source: Path, target: Path, *, link: bool) -> None:
     except OSError as error:
         why = f"cannot be linked to {source} ({error.strerror})"
         raise GraycastError(f"{target}: {why}: export to the same disk, or copy") from error
+
+
+def bop_key(scene_id: int, place: int) -> str:
+    """BOP's name of a picture: its scene's number, and its own among those of all scanners."""
+    return f"{scene_id:06d}_{place:06d}"

@@ -14,8 +14,20 @@ from .options import FORMATS, Options
 RECORD = "export.json"
 
 
+class ExportedPicture(records.Record):
+    """One of the pictures that each scene has; `sensor` is its scanner's name, where it has one."""
+
+    sensor: str
+    image: int
+    size_px: list[int]
+
+
 class ExportRecord(records.Record):
-    """The content of `export.json`; `splits` has the scene ids of each set."""
+    """The content of `export.json`; `splits` has the numbers of the pictures of each set.
+
+    Where scenes have several pictures, `pictures` lists them: picture number n is of the scene
+    n // len(pictures), at the place n % len(pictures).
+    """
 
     format: str
     options: dict[str, Any]
@@ -26,6 +38,16 @@ class ExportRecord(records.Record):
     holds: list[str]
     fingerprint: str
     graycast: str
+    pictures: tuple[ExportedPicture, ...] = ()
+
+    def place(self, image_id: int) -> tuple[int, int]:
+        """Of a picture the number of its scene, and its place there."""
+        return divmod(image_id, max(len(self.pictures), 1))
+
+    def size_of(self, image_id: int) -> tuple[int, int]:
+        """Height and width of a picture."""
+        here = self.pictures[self.place(image_id)[1]].size_px if self.pictures else self.size_px
+        return here[0], here[1]
 
 
 def write_record(
@@ -43,8 +65,12 @@ def write_record(
         holds=sorted(stored.holds),
         fingerprint=stored.claim.get("fingerprint", ""),
         graycast=__version__,
+        pictures=tuple(
+            ExportedPicture(sensor=sensor, image=image, size_px=list(stored.sizes_px[sensor]))
+            for sensor, image in (stored.images if len(stored.images) > 1 else ())
+        ),
     )
-    (folder / RECORD).write_bytes(json_bytes(record.model_dump()))
+    (folder / RECORD).write_bytes(json_bytes(record.model_dump(exclude_defaults=True)))
     return record
 
 

@@ -20,8 +20,8 @@ class Selection(records.Record):
     scenes: dict[str, list[str]]
 
 
-def chosen_scenes(path: Path, stored: StoredDataset) -> tuple[int, ...]:
-    """The ids of a file's scenes, all of them scenes that an export can take.
+def chosen_pictures(path: Path, stored: StoredDataset) -> list[int]:
+    """The numbers of a file's pictures, all of them pictures that an export can take.
 
     Raises:
         GraycastError: the file cannot be read, names no scene, is of another dataset, or names
@@ -40,7 +40,8 @@ def chosen_scenes(path: Path, stored: StoredDataset) -> tuple[int, ...]:
             f"{path} names scenes of another dataset ({selection.dataset}), not of {stored.folder}:"
             " give the dataset that the page was made of"
         )
-    known = {stored.scene(scene_id).key: scene_id for scene_id in stored.scene_ids["train"]}
+    images = stored.image_ids(stored.scene_ids["train"])
+    known = {stored.picture(image_id).key: image_id for image_id in images}
     foreign = sorted(set(selection.scenes) - set(known))
     if foreign:
         more = f" and {len(foreign) - _SOME} more" if len(foreign) > _SOME else ""
@@ -48,4 +49,4 @@ def chosen_scenes(path: Path, stored: StoredDataset) -> tuple[int, ...]:
             f"{path} names {', '.join(foreign[:_SOME])}{more}, which {stored.folder}/train lacks: "
             "make the page anew and save the selection again"
         )
-    return tuple(sorted(known[key] for key in selection.scenes))
+    return sorted(known[key] for key in selection.scenes)

@@ -41,8 +41,11 @@ class Split:
         last = NAMES[max(i for i, share in enumerate(self.shares) if share > 0)]
         return "train" if at < train else "val" if at < train + val else last
 
-    def assign(self, scene_ids: Iterable[int]) -> dict[str, list[int]]:
-        """The scenes of every set that has a share, in the order of the ids.
+    def assign(self, image_ids: Iterable[int], *, images: int = 1) -> dict[str, list[int]]:
+        """The pictures of every set that has a share, in their order; a scene stays together.
+
+        Args:
+            image_ids: numbers of pictures; each scene has `images` of them.
 
         Raises:
             GraycastError: a set that has a share gets no scene.
@@ -50,11 +53,11 @@ class Split:
         sets: dict[str, list[int]] = {
             name: [] for name, share in zip(NAMES, self.shares, strict=True) if share > 0
         }
-        for scene_id in sorted(scene_ids):
-            sets[self.place(scene_id)].append(scene_id)
+        for image_id in sorted(image_ids):
+            sets[self.place(image_id // images)].append(image_id)
         for name, ids in sets.items():
             if not ids:
-                count = sum(map(len, sets.values()))
+                count = sum(map(len, sets.values())) // images
                 raise GraycastError(
                     f"split: {name} gets none of the {count} scenes: make more scenes, or give "
                     "larger shares or another seed"

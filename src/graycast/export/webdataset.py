@@ -24,7 +24,7 @@ def write_split(
 ) -> None:
     """`SPLIT/shard-000000.tar` ..."""
     (folder / split).mkdir()
-    samples = ((f"{scene.scene_id:06d}", _files(scene, options)) for scene in scenes)
+    samples = ((f"{scene.image_id:06d}", _files(scene, options)) for scene in scenes)
     write_shards(folder / split, samples, most=options.shard_scenes)
 
 
@@ -35,7 +35,7 @@ def _files(scene: StoredScene, options: Options) -> Iterator[tuple[str, bytes]]:
         yield f"{depth}.npy", _npy(scene.depth_steps(depth))
     view = scene.view()
     info = {
-        "scene_id": scene.scene_id,
+        "scene_id": scene.image_id,
         "size": list(scene.size_px),
         "cam_K": view.cam_K,
         "distortion": view.distortion,

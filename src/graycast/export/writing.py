@@ -8,7 +8,7 @@ from ..errors import GraycastError
 from ..folder import new_folder
 from .options import Options
 from .record import ExportRecord, write_record
-from .selection import chosen_scenes
+from .selection import chosen_pictures
 
 WriteSplit = Callable[[Path, str, Iterable[StoredScene], StoredDataset, Options], None]
 WriteRest = Callable[[Path, Iterable[str], StoredDataset, Options], None]
@@ -29,7 +29,7 @@ def export(
         out: a folder that does not exist or is empty.
         options: the format and what it may be told.
         selection: a file of scenes saved on the report's page; only they are exported.
-        on_progress: called with the scenes done and their number.
+        on_progress: called with the pictures done and their number.
 
     Returns:
         What `export.json` in `out` says.
@@ -40,19 +40,19 @@ def export(
     """
     write_split, write_rest = _writers(options.format)
     stored = open_dataset(dataset)
-    scene_ids = stored.scene_ids["train"]
+    image_ids = stored.image_ids(stored.scene_ids["train"])
     if selection is not None:
-        scene_ids = chosen_scenes(selection, stored)
+        image_ids = chosen_pictures(selection, stored)
     chosen = options.resolved(stored)
-    splits = chosen.split.assign(scene_ids)
+    splits = chosen.split.assign(image_ids, images=len(stored.images))
     if out.absolute().is_relative_to(dataset.absolute()):
         raise GraycastError(f"{out}: lies in the dataset: choose a folder outside of it")
-    total, done = len(scene_ids), 0
+    total, done = len(image_ids), 0
 
-    def counted(scene_ids: Iterable[int]) -> Iterator[StoredScene]:
+    def counted(image_ids: Iterable[int]) -> Iterator[StoredScene]:
         nonlocal done
-        for scene_id in scene_ids:
-            yield stored.scene(scene_id)
+        for image_id in image_ids:
+            yield stored.picture(image_id)
             done += 1
             on_progress(done, total)
 

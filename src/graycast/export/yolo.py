@@ -27,7 +27,7 @@ def write_split(
     labels = folder / "labels" / split
     labels.mkdir(parents=True)
     for scene in scenes:
-        name = f"{scene.scene_id:06d}"
+        name = f"{scene.image_id:06d}"
         target = folder / "images" / split / f"{name}.png"
         place(scene.png(options.picture), target, link=options.link)
         rows = (

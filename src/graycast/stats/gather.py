@@ -38,7 +38,7 @@ class ErrorFigures:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ClassFigures:
-    """One part's instances over all scenes."""
+    """One part's instances over all pictures; `scenes` counts the pictures that have any."""
 
     obj_id: int
     name: str
@@ -51,10 +51,21 @@ class ClassFigures:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class PictureFigures:
+    """Over all pictures of one name, the shares of pixels that have a scanner depth."""
+
+    pictures: int
+    decoded: float
+    part_decoded: float
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Statistics:
     """A dataset in figures. Shares are of 1; counters map a bin to its count."""
 
     scenes: dict[str, int]  # per split
+    pictures: int  # all else is of these: a scene may have several
+    of_picture: dict[str, PictureFigures]  # by the names that pictures have in their scenes
     pixels: int
     part_pixels: int
     sizes_px: dict[tuple[int, int], int]  # (width, height) to scenes
@@ -86,6 +97,9 @@ class _Sums:
     """What is added up; lives inside one call of `tally`."""
 
     scenes: Counter = field(default_factory=Counter)
+    pictures: int = 0
+    last: tuple[str, int] | None = None  # the scene of the last picture
+    named: dict[str, list[int]] = field(default_factory=dict)
     sizes: Counter = field(default_factory=Counter)
     areas: Counter = field(default_factory=Counter)
     instances: Counter = field(default_factory=Counter)
@@ -120,7 +134,7 @@ def dataset_statistics(
     stored = open_dataset(dataset)
 
     def passing() -> Iterator[SceneFigures]:
-        for figures in _each(stored.scenes, workers):
+        for figures in _each(stored.pictures, workers):
             if on_scene is not None:
                 on_scene(figures)
             yield figures
@@ -136,6 +150,8 @@ def tally(scenes: Iterable[SceneFigures], categories: Mapping[int, str]) -> Stat
     part_pixels = sum(sums.part_reason.values())
     return Statistics(
         scenes=dict(sums.scenes),
+        pictures=sums.pictures,
+        of_picture={name: _picture(counted) for name, counted in sums.named.items()},
         pixels=sums.pixels,
         part_pixels=part_pixels,
         sizes_px=dict(sums.sizes),
@@ -209,7 +225,11 @@ def _read(scene: StoredScene) -> SceneFigures:
 
 
 def _add(sums: _Sums, figures: SceneFigures) -> None:
-    sums.scenes[figures.split] += 1
+    here = (figures.split, figures.scene_id)
+    sums.scenes[figures.split] += here != sums.last  # a scene's pictures come in a row
+    sums.last = here
+    sums.pictures += 1
+    _add_picture(sums, figures)
     sums.sizes[figures.width_px, figures.height_px] += 1
     sums.instances[len(figures.obj_id)] += 1
     sums.pixels += figures.pixels
@@ -231,6 +251,27 @@ def _add(sums: _Sums, figures: SceneFigures) -> None:
             for step, count in own.items():
                 total[round(step * ratio)] += count
     _add_instances(sums, figures)
+
+
+def _add_picture(sums: _Sums, figures: SceneFigures) -> None:
+    counted = [
+        1,
+        figures.pixels,
+        figures.reason_px.get("decoded", 0),
+        sum(figures.part_reason_px.values()),
+        figures.part_reason_px.get("decoded", 0),
+    ]
+    held = sums.named.setdefault(figures.picture, [0] * len(counted))
+    sums.named[figures.picture] = [a + b for a, b in zip(held, counted, strict=True)]
+
+
+def _picture(counted: list[int]) -> PictureFigures:
+    pictures, pixels, decoded, part_pixels, part_decoded = counted
+    return PictureFigures(
+        pictures=pictures,
+        decoded=decoded / max(pixels, 1),
+        part_decoded=part_decoded / max(part_pixels, 1),
+    )
 
 
 def _add_instances(sums: _Sums, figures: SceneFigures) -> None:

@@ -11,7 +11,9 @@ ERROR_LIMIT_STEPS = 20000  # farther off is counted there: two metres in steps o
 
 
 class SceneFigures(BaseModel):
-    """Counts of one scene; dictionaries are histograms without their empty bins.
+    """Counts of one picture; dictionaries are histograms without their empty bins.
+
+    `picture` is its name in its scene, where that has several.
 
     Per instance, in the order of `scene_gt.json`: `obj_id`, `visib_fract`, `area_px` (visible
     mask), `box_px` (columns and rows of the visible box, 0 where nothing is visible); `visib_fract`
@@ -25,6 +27,7 @@ class SceneFigures(BaseModel):
 
     split: str
     scene_id: int
+    picture: str = ""
     width_px: int
     height_px: int
     depth_scale_mm: float
@@ -61,6 +64,7 @@ def scene_figures(scene: SceneContent) -> SceneFigures:
     return SceneFigures(
         split=scene.stored.split,
         scene_id=scene.stored.scene_id,
+        picture=scene.stored.image_name if scene.stored.of > 1 else "",
         width_px=width_px,
         height_px=height_px,
         depth_scale_mm=scene.depth_scale_mm,

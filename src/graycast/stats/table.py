@@ -8,7 +8,7 @@ from rich.table import Table
 
 from ..dataset.json_text import plain
 from ..folder import whole_folder
-from .gather import SIDE_EDGES_PX, VISIBILITY_BINS, ErrorFigures, Statistics
+from .gather import SIDE_EDGES_PX, VISIBILITY_BINS, ErrorFigures, PictureFigures, Statistics
 from .plots import draw_statistics
 from .scene import DEPTH_BIN_MM
 
@@ -19,6 +19,8 @@ def statistics_json(statistics: Statistics) -> dict[str, Any]:
     return plain(
         {
             "scenes": s.scenes,
+            "pictures": s.pictures,
+            "of_picture": {name: _picture_json(one) for name, one in s.of_picture.items()},
             "image_sizes_px": [[*size, count] for size, count in s.sizes_px.items()],
             "pixels": s.pixels,
             "part_pixels": s.part_pixels,
@@ -65,8 +67,14 @@ def statistics_table(statistics: Statistics) -> Table:
     splits = ", ".join(f"{count} {split}" for split, count in s.scenes.items())
     sizes = ", ".join(f"{w} x {h} px" for w, h in s.sizes_px)
     table.add_row("scenes", f"{splits}; {sizes}")
+    if s.pictures > sum(s.scenes.values()):
+        table.add_row("pictures", f"{s.pictures}, all figures below are of these")
+        for name, held in s.of_picture.items():
+            told = f"{held.decoded:.2%} decoded, {held.part_decoded:.2%} of the parts' pixels"
+            table.add_row(f"  {name}", told)
+    what = "scenes" if s.pictures == sum(s.scenes.values()) else "pictures"
     for one in s.classes:
-        seen = f"{one.visible} visible by 10 % or more, in {one.scenes} scenes"
+        seen = f"{one.visible} visible by 10 % or more, in {one.scenes} {what}"
         table.add_row(one.name, f"{one.instances} instances, {seen}")
     areas = ", ".join(f"{count} {name}" for name, count in s.areas.items())
     table.add_row("mask areas", f"{areas} (COCO: below 32^2, above 96^2 px)")
@@ -102,6 +110,10 @@ def _brightness_line(counts: dict[int, int]) -> str:
 
 def _error_json(error: ErrorFigures) -> dict[str, Any]:
     return {name: getattr(error, name) for name in error.__dataclass_fields__}
+
+
+def _picture_json(one: PictureFigures) -> dict[str, Any]:
+    return {name: getattr(one, name) for name in one.__dataclass_fields__}
 
 
 def _class_json(one: Any) -> dict[str, Any]:

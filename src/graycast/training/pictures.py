@@ -82,7 +82,7 @@ def open_yolo(
 
 def _yolo_example(folder: Path, split: str, record: ExportRecord, scene_id: int) -> Example:
     path = folder / "labels" / split / f"{scene_id:06d}.txt"
-    height_px, width_px = record.size_px
+    height_px, width_px = record.size_of(scene_id)
     try:
         rows = [line.split() for line in path.read_text(encoding="ascii").splitlines()]
         shape = [np.array(row[1:], float).reshape(-1, 2) for row in rows]

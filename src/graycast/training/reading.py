@@ -26,7 +26,8 @@ class Examples(Sequence):
 
     Attributes:
         folder: where they come from.
-        scene_ids: in the order of the examples.
+        scene_ids: numbers of the pictures, in the order of the examples: the scenes', where each
+            has one.
         categories: object ids and the parts' names.
     """
 
@@ -89,7 +90,9 @@ def open_examples(folder: Path, *, split: str = "train", division: Split | None 
 
 
 def _from_dataset(stored: StoredDataset, split: str, division: Split) -> Examples:
-    sets = {name: tuple(ids) for name, ids in division.assign(stored.scene_ids["train"]).items()}
+    images = stored.image_ids(stored.scene_ids["train"])
+    divided = division.assign(images, images=len(stored.images))
+    sets = {name: tuple(ids) for name, ids in divided.items()}
     return Examples(
         folder=stored.folder,
         split=split,
@@ -112,7 +115,7 @@ def _from_others(path: Path, foreign: Foreign, split: str, division: Split) -> E
 
 
 def _stored_example(stored: StoredDataset, scene_id: int) -> Example:
-    return stored.scene(scene_id).example()
+    return stored.picture(scene_id).example()
 
 
 def _of_set(folder: Path, sets: Mapping[str, Sequence[int]], split: str) -> tuple[int, ...]:

@@ -12,6 +12,7 @@ import numpy as np
 
 from ..dataset.example import Example, metres, pose_m
 from ..errors import DatasetError
+from ..export.placing import bop_key
 from ..export.record import ExportRecord
 from .decoding import boxes, depth_m, image_fields, masks
 
@@ -39,7 +40,7 @@ def open_webdataset(
 
 
 def _bop_from_folder(folder: Path, record: ExportRecord, scene_id: int) -> Example:
-    key = f"{scene_id:06d}_000000"
+    key = bop_key(*record.place(scene_id))
     try:
         files = {
             path.name.removeprefix(f"{key}."): path.read_bytes() for path in folder.glob(f"{key}.*")
@@ -52,7 +53,7 @@ def _bop_from_folder(folder: Path, record: ExportRecord, scene_id: int) -> Examp
 def _bop_from_shard(
     index: Mapping[str, Mapping[str, Place]], record: ExportRecord, scene_id: int
 ) -> Example:
-    key = f"{scene_id:06d}_000000"
+    key = bop_key(*record.place(scene_id))
     return _checked(_bop_example, _members(index, key), record, scene_id, key)
 
 
@@ -90,15 +91,15 @@ def _bop_example(files: Files, record: ExportRecord, scene_id: int, name: str) -
         K=K,
         distortion=tuple(camera.get("distortion", (0.0,) * 5)),
         **fields,
-        **(_bop_labels(files, record, name) if "gt.json" in files else {}),
+        **(_bop_labels(files, record, scene_id, name) if "gt.json" in files else {}),
     )
 
 
-def _bop_labels(files: Files, record: ExportRecord, name: str) -> dict[str, Any]:
+def _bop_labels(files: Files, record: ExportRecord, scene_id: int, name: str) -> dict[str, Any]:
     gt, info = json.loads(files["gt.json"]), json.loads(files["gt_info.json"])
     runs = json.loads(files["mask_visib.json"])
     seen = [i for i, entry in enumerate(info) if entry["px_count_visib"] > 0]
-    mask = masks([runs[str(i)] for i in seen], tuple(record.size_px), name)
+    mask = masks([runs[str(i)] for i in seen], record.size_of(scene_id), name)
     pose = [pose_m(gt[i]["cam_R_m2c"], gt[i]["cam_t_m2c"]) for i in seen if "cam_R_m2c" in gt[i]]
     posed, rated = "poses" in record.holds, "shares" in record.holds
     return {

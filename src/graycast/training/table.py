@@ -40,11 +40,11 @@ def open_parquet(
             raise DatasetError(f"{path}: is damaged ({error}): export again") from error
     if missing := sorted(set(scene_ids) - set(place)):
         raise DatasetError(f"{folder / split}: no file has scene {missing[0]}: export again")
-    return partial(_example, place, tuple(record.size_px))
+    return partial(_example, place, record)
 
 
 def _example(
-    place: dict[int, tuple[Path, int, int]], size_px: tuple[int, int], scene_id: int
+    place: dict[int, tuple[Path, int, int]], record: ExportRecord, scene_id: int
 ) -> Example:
     path, group, row = place[scene_id]
     name = f"{path}: scene {scene_id}"
@@ -63,7 +63,7 @@ def _example(
         if held[column] is not None:
             fields[field] = np.array(held[column], kind).reshape(shape)
     if held["masks"] is not None:
-        fields["mask"] = masks(held["masks"], size_px, name)
+        fields["mask"] = masks(held["masks"], record.size_of(scene_id), name)
     return Example(
         scene_id=scene_id,
         K=np.array(held["cam_K"], float).reshape(3, 3),

@@ -36,6 +36,7 @@ OPTIONS = {
     "stats": "dataset --workers --out --card --licence",
     "report": "dataset --workers --out --detections --width --cell",
     "replay": "folder --bin --out --speed --width --cell",
+    "merge": "source --out",
     "export": "dataset --format --out --scenes --split --split-seed --image --depth --polygons "
     "--labels --cloud --organised --pixel-origin --shard-scenes --link --min-visibility",
     "train": "datasets --out --model --input --one-class --backbone --weights --size --epochs "

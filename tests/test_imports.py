@@ -58,6 +58,7 @@ ORDER = (
     "evaluate",
     "detect",
     "pose",
+    "merge",
     "study_file",
     "study",
     "design",

@@ -73,6 +73,7 @@ What is measured, learnt and judged:
     evaluate         how good detections, poses and depth are; imports nothing that it judges
     detect           detectors: trained, run
     pose             where a part is, from a detection and the scanner's depth
+    merge            several views of a scene as one cloud, and what each of them adds
     study_file       what a study's YAML file says
     study            models x inputs x training sets x worlds x seeds, in one table
     design           which scanner to take and where: settings compared on the same heaps

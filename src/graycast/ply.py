@@ -13,7 +13,8 @@ from jaxtyping import Float, UInt8
 from .errors import DatasetError
 
 COLORS = ("red", "green", "blue")
-_FRAME = "comment metres, camera frame: x right, y down, z forward"
+CAMERA_FRAME = "metres, camera frame: x right, y down, z forward"
+WORLD_FRAME = "metres, world frame: z up, from the middle of the bin's inner floor"
 _TYPES = {
     "char": "i1", "int8": "i1", "uchar": "u1", "uint8": "u1",
     "short": "i2", "int16": "i2", "ushort": "u2", "uint16": "u2",
@@ -51,12 +52,13 @@ def cloud_bytes(
     *,
     more: Mapping[str, np.ndarray] | None = None,
     width_px: int | None = None,
+    frame: str = CAMERA_FRAME,
 ) -> bytes:
     """A binary PLY of points; an organised one (`width_px` points a row) says its size.
 
     Args:
-        point_m: in the camera frame.
         more: what else is known of each point; floats are stored in single precision.
+        frame: what the points are in, as a comment says it.
     """
     columns = dict(zip("xyz", point_m.T, strict=True))
     columns |= {} if color is None else dict(zip(COLORS, color.T, strict=True))
@@ -73,7 +75,7 @@ def cloud_bytes(
         "binary_little_endian",
         [(kind, name) for name, kind in kinds.items()],
         vertices=len(table),
-        said=[_FRAME, *size],
+        said=[f"comment {frame}", *size],
     )
     return head + table.astype(table.dtype.newbyteorder("<")).tobytes()
 

@@ -21,6 +21,7 @@ from . import (
     looking,
     machine,
     measuring,
+    merging,
     picking,
     rigs,
     twinning,
@@ -35,6 +36,7 @@ examples:
   graycast report out/demo --out out/page                a web page to look at it
   graycast train out/demo --out out/detector             a detector of the dataset's parts
   graycast detect out/detector out/demo --out out/found  what it finds in pictures
+  graycast merge out/demo --out out/clouds               one cloud of each scene's views
   graycast export out/demo --format coco --out out/coco  the same for a trainer, in its format
   graycast evaluate run --on out/demo --out out/scores   how good detections are
   graycast pick configs/cells/ur5e_suction.yaml --out p  a simulated robot that empties bins
@@ -84,6 +86,7 @@ def _parser() -> argparse.ArgumentParser:
     datasets.add_commands(commands)
     looking.add_commands(commands)
     living.add_commands(commands)
+    merging.add_commands(commands)
     exporting.add_commands(commands)
     detecting.add_commands(commands)
     judging.add_commands(commands)

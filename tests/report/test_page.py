@@ -125,7 +125,7 @@ def test_reasons_have_the_palette_of_all_pictures(dataset, tmp_path):
         int(reason): reason.color for reason in Reason
     }
     assert [row[1] for row in index["scenes"]] == [0, 3]
-    assert len(index["code"]["frames"]) == 2 + 8 + 7
+    assert len(index["scanners"][""]["code"]["frames"]) == 2 + 8 + 7
 
 
 def test_wide_maps_are_thinned(dataset, tmp_path):

@@ -24,8 +24,7 @@ def about() -> str:
     content = {
         "reasons": reasons,
         "colormaps": {name: color_table(name) for name in _COLORMAPS},
-        "code": None,
-        "claim": {"rig": None},
+        "scanners": {},
         "statistics": {"part_error": {"sigma_mm": None}},
     }
     return f"Graycast.report = {json.dumps(content)};\n"

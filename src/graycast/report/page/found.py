@@ -13,6 +13,7 @@ import cv2
 import numpy as np
 from pycocotools import mask as coco_mask
 
+from ...dataset.stored import StoredDataset
 from ...evaluate import AT_HALF, Evaluation, Judgement, Protocol, Task, evaluate, false_alarms
 from ...evaluate import summary as told
 
@@ -32,21 +33,26 @@ def judged(
     return evaluate(task, on_scene=on_scene)[0]
 
 
-def found_index(evaluation: Evaluation) -> dict[str, Any]:
+def found_index(evaluation: Evaluation, stored: StoredDataset) -> dict[str, Any]:
     """What the grid filters by: for each scene instances to find, and scores of hits and mistakes.
 
-    Outlines are judged by masks where there are any.
+    Outlines are judged by masks where there are any. Detections are of pictures in `train/`,
+    however these are divided.
     """
     judgement = _shown(evaluation)
     point = judgement.point
     rows: dict[str, Any] = {
-        _key(labels.scene_id): {"wanted": int((~labels.ignored).sum()), "hits": [], "mistakes": []}
+        stored.picture(labels.scene_id).key: {
+            "wanted": int((~labels.ignored).sum()),
+            "hits": [],
+            "mistakes": [],
+        }
         for labels in judgement.known.labels
     }
     for matches in judgement.scores.matches.values():
         for i, scene in enumerate(matches.scene.tolist()):
             if matches.counted[AT_HALF, i]:
-                row = rows[_key(judgement.known.labels[scene].scene_id)]
+                row = rows[stored.picture(judgement.known.labels[scene].scene_id).key]
                 kind = "hits" if matches.hit[AT_HALF, i] else "mistakes"
                 row[kind].append(round(float(matches.score[i]), _DIGITS))
     return {
@@ -58,7 +64,7 @@ def found_index(evaluation: Evaluation) -> dict[str, Any]:
     }
 
 
-def found_scripts(evaluation: Evaluation) -> Iterator[tuple[str, bytes]]:
+def found_scripts(evaluation: Evaluation, stored: StoredDataset) -> Iterator[tuple[str, bytes]]:
     """Scene keys, and for each a script with its detections and what is found of its instances."""
     judgement = _shown(evaluation)
     scenes = len(judgement.known.labels)
@@ -85,7 +91,7 @@ def found_scripts(evaluation: Evaluation) -> Iterator[tuple[str, bytes]]:
             if hit:
                 found_at[scene][taken] = round(float(matches.score[i]), _DIGITS)
     for scene, labels in enumerate(judgement.known.labels):
-        key = _key(labels.scene_id)
+        key = stored.picture(labels.scene_id).key
         instances = {
             str(_instance(judgement, scene, i)): {
                 "found": found_at[scene].get(i),
@@ -104,11 +110,6 @@ def _shown(evaluation: Evaluation) -> Judgement:
 def _below(score: float) -> float:
     """Rounded so that the detection of that score still counts on the page."""
     return float(np.floor(score * 100) / 100)
-
-
-def _key(scene_id: int) -> str:
-    """Of `StoredScene.key`; detections are of scenes in `train/`, however they are divided."""
-    return f"train-{scene_id:06d}"
 
 
 def _instance(judgement: Judgement, scene: int, place: int) -> int | None:

@@ -47,7 +47,7 @@ def index_script(
         "classes": {str(one.obj_id): one.name for one in statistics.classes},
         "reasons": _reasons(statistics),
         "colormaps": {name: color_table(name) for name in _COLORMAPS},
-        "code": _code(stored.claim),
+        "scanners": _scanners(stored),
         "statistics": statistics_json(statistics),
         "columns": _COLUMNS,
         "scenes": rows,
@@ -58,8 +58,8 @@ def index_script(
 
 
 _COLUMNS = (
-    "split", "id", "objects", "instances", "visibility", "decoded", "part_decoded", "reasons",
-    "depth_mm", "sigma_mm", "bias_mm", "brightness",
+    "split", "id", "picture", "objects", "instances", "visibility", "decoded", "part_decoded",
+    "reasons", "depth_mm", "sigma_mm", "bias_mm", "brightness",
 )  # fmt: skip
 
 
@@ -73,6 +73,7 @@ def _row(one: SceneFigures) -> list[Any]:
     return [
         one.split,
         one.scene_id,
+        one.picture,
         counts,
         len(one.obj_id),
         _short(_average([share for share in one.visib_fract if share is not None])),
@@ -134,10 +135,15 @@ def _reasons(statistics: Statistics) -> list[dict[str, Any]]:
     return listed
 
 
-def _code(claim: Mapping[str, Any]) -> dict[str, Any] | None:
+def _scanners(stored: StoredDataset) -> dict[str, Any]:
+    """What took the pictures, by its name: its rig and code, None where they are not known."""
+    takers = {sensor: stored.taker(sensor) for sensor in stored.sizes_px}
+    return {name: {"rig": taker.get("rig"), "code": _code(taker)} for name, taker in takers.items()}
+
+
+def _code(taker: Mapping[str, Any]) -> dict[str, Any] | None:
     """The projected frames, each as its levels along its own axis; None where none are known."""
-    rig = claim.get("rig")
-    told = claim.get("config", {}).get("scanner", {}).get("code")
+    rig, told = taker.get("rig"), taker.get("scanner", {}).get("code")
     if not rig or not told:
         return None
     spec = CodeSpec(**{**told, "axes": tuple(told["axes"])})

@@ -6,7 +6,6 @@ Each is a script of its own, brought in when somebody looks.
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -14,6 +13,7 @@ from jaxtyping import Float32, UInt8
 
 from ...dataset import Raw, read_capture, read_code_maps
 from ...dataset.reading import Unreadable
+from ...dataset.stored import StoredScene
 from ...errors import DatasetError
 from ...sensor import SensorSpec
 from .packing import jpeg_url, pack_words, shrunk
@@ -35,16 +35,19 @@ class Kept:
         return [] if self.raw is None else [f.name for f in self.raw.scanner.light_code().frames]
 
 
-def read_kept(scene: Path) -> Kept:
-    """What a scene's folder keeps.
+def read_kept(scene: StoredScene) -> Kept:
+    """What a scene's folder keeps of a picture.
 
     Raises:
         DatasetError: a file is missing or damaged.
     """
     try:
-        return Kept(raw=read_capture(scene), code_maps=read_code_maps(scene))
+        return Kept(
+            raw=read_capture(scene.folder, sensor=scene.sensor, number=scene.image),
+            code_maps=read_code_maps(scene.folder, sensor=scene.sensor, number=scene.image),
+        )
     except Unreadable as error:
-        raise DatasetError(f"{scene}: {error}: run graycast validate") from error
+        raise DatasetError(f"{scene.folder}: {error}: run graycast validate") from error
 
 
 def frames_script(name: str, raw: Raw, stride: int) -> dict[str, Any]:

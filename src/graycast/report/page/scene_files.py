@@ -44,7 +44,7 @@ def scene_page_files(
     Raises:
         DatasetError: a captured frame or a code map is missing or damaged.
     """
-    kept = read_kept(scene.stored.folder)
+    kept = read_kept(scene.stored)
     stride = -(-scene.reason.shape[1] // width_px)
     yield "thumb.jpg", jpeg(shrunk(_color(scene), THUMB_PX), _THUMB_QUALITY)
     if scene.gray is not None:
@@ -84,6 +84,7 @@ def _content(scene: SceneContent, kept: Kept, *, stride: int) -> dict[str, Any]:
         pictures["white"] = jpeg_url(shrunk(scene.gray, width_px), _PICTURE_QUALITY)
     return {
         "key": scene.stored.key,
+        "sensor": scene.stored.sensor,
         "stride": stride,
         "width": width_px,
         "height": height_px,

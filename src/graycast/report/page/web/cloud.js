@@ -74,6 +74,7 @@
     );
     const surface = perfect && scene.has.depth ? shapes.mesh(gl, scene, space) : null;
     let points = scene.has.scanner ? shapes.cloud(gl, scene, space) : null;
+    let fused = null; // of all pictures of the scene, once somebody wants it
     const boxes = perfect && scene.instances[0]?.box3d ? shapes.edges(gl, scene, space) : null;
     const eye = { pan: [0, 0, 0], ...space.start };
     let prefs = {},
@@ -105,6 +106,7 @@
       if (surface && prefs.surface !== false) put(surface, gl.TRIANGLES, 1);
       gl.disable(gl.CULL_FACE);
       if (points && prefs.points !== false) put(points, gl.POINTS, LIT.includes(prefs.pointPaint) ? 1 : 0);
+      if (fused && prefs.fused) put(fused, gl.POINTS, prefs.fusedPaint === "plain" ? 1 : 0);
       if (boxes && prefs.boxes) put(boxes, gl.LINES, 0);
       for (const body of moving?.(prefs) ?? []) {
         if (body.lines) {
@@ -118,6 +120,14 @@
         else gl.disable(gl.CULL_FACE);
         put(body.thing, gl.TRIANGLES, 2);
       }
+    };
+    /** Bring the fused cloud in, or paint it anew. */
+    const fuse = () => {
+      if (scene.fusing?.error) return;
+      const cloud = Graycast.fused(scene, Graycast.redraw);
+      if (cloud) fused ??= shapes.fused(gl, cloud, space);
+      if (fused && fused.paint !== prefs.fusedPaint)
+        shapes.paintFused(gl, fused, cloud, prefs.fusedPaint);
     };
     const ask = () => {
       if (!queued) {
@@ -142,7 +152,13 @@
           points.paint = key;
         }
         prefs = next;
+        if (scene.fusedKey && next.fused) fuse();
         ask();
+      },
+      /** What the fused cloud's colours mean. */
+      fusedWords() {
+        if (scene.fusing?.error) return { note: scene.fusing.error.message };
+        return fused ? shapes.fusedWords(scene.fusing.cloud, prefs.fusedPaint) : { note: "bringing the cloud …" };
       },
       /** The points of another scan from the same place; the eye stays. */
       swap(next) {

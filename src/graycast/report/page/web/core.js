@@ -50,11 +50,19 @@ Graycast.rows = () => {
   const { columns, scenes } = Graycast.report;
   Graycast.allRows = scenes.map((values) => {
     const row = Object.fromEntries(columns.map((name, k) => [name, values[k]]));
-    row.key = `${row.split}-${String(row.id).padStart(6, "0")}`;
+    row.scene = `${row.split}-${String(row.id).padStart(6, "0")}`;
+    row.key = row.picture ? `${row.scene}-${row.picture}` : row.scene;
     return row;
   });
   return Graycast.allRows;
 };
+
+/** All pictures of a picture's scene, itself too. */
+Graycast.siblings = (row) => Graycast.rows().filter((other) => other.scene === row.scene);
+
+/** The rig and the code that took a scene's picture; null where they are not known. */
+Graycast.scannerOf = (scene) =>
+  Graycast.report.scanners?.[scene.sensor ?? ""] ?? { rig: null, code: null };
 
 Graycast.reasonColors = () => {
   const table = new Uint8ClampedArray(256 * 3);
@@ -208,8 +216,29 @@ Graycast.columns = (scene, ready) => {
   return held.maps ?? null;
 };
 
+/** The cloud fused of all pictures of the scene; null while it is on its way. */
+Graycast.fused = (scene, ready) => {
+  const held = (scene.fusing ??= {});
+  if (held.error) throw held.error;
+  const name = `${scene.fusedKey}/fused.js`;
+  held.script ??= bring(name, name)
+    .then((content) => {
+      const bytes = (text) => Uint8Array.from(atob(text), (c) => c.charCodeAt(0));
+      const maps = ["color", "sigma", "views", "view", "first"].map((k) => [k, bytes(content[k])]);
+      held.cloud = {
+        ...content,
+        ...Object.fromEntries(maps),
+        place: new Uint16Array(bytes(content.place).buffer),
+        normal: new Int8Array(bytes(content.normal).buffer),
+      };
+    })
+    .catch((error) => (held.error = error))
+    .then(() => scene.fusing === held && ready());
+  return held.cloud ?? null;
+};
+
 Graycast.letGo = (scene) => {
-  scene.frames = scene.columns = scene.shown = null;
+  scene.frames = scene.columns = scene.shown = scene.fusing = null;
 };
 
 Object.assign(Graycast, { bring, inflate, pixels, unpackWords: words });

@@ -73,7 +73,7 @@
     const [, low, high] = word.match(/^(\d+)(?:-(\d+))?$/) ?? [];
     if (low !== undefined && row.id >= Number(low) && row.id <= Number(high ?? low)) return true;
     const names = Object.keys(row.objects).map((id) => Graycast.report.classes[id] ?? "");
-    const texts = [...names, ...Graycast.tags.of(row.key), row.split];
+    const texts = [...names, ...Graycast.tags.of(row.key), row.split, row.picture];
     return row.key === word || texts.some((text) => text.toLowerCase().includes(word));
   }
 

@@ -50,7 +50,7 @@ function undistort(target, distortion) {
 Graycast.projectorMap = (scene, which) => {
   scene.projected ??= {};
   if (scene.projected[which]) return scene.projected[which];
-  const rig = Graycast.report.claim.rig,
+  const rig = Graycast.scannerOf(scene).rig,
     lens = rig.projector,
     T = rig.T_cam_proj;
   const bent = lens.distortion.some((k) => k !== 0);

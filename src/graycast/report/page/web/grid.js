@@ -101,7 +101,8 @@
 
   // --- a card -------------------------------------------------------------------------------------
 
-  const title = (row) => `${row.split === "train" ? "scene" : row.split} ${row.id}`;
+  const title = (row) =>
+    `${row.split === "train" ? "scene" : row.split} ${row.id}${row.picture ? ` · ${row.picture}` : ""}`;
 
   /** How many of which part, the most frequent first. */
   function partLines(row) {

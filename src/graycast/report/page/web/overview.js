@@ -92,7 +92,7 @@
   addEventListener("resize", drawPlots);
 
   function facts() {
-    const { statistics: s, claim, code } = Graycast.report;
+    const { statistics: s, claim, scanners } = Graycast.report;
     const scenes = Object.entries(s.scenes),
       total = scenes.reduce((sum, [, n]) => sum + n, 0);
     const list = [
@@ -106,14 +106,22 @@
         "instances",
         `${count(s.classes.reduce((sum, c) => sum + c.instances, 0))} of ${s.classes.length} ${s.classes.length === 1 ? "class" : "classes"}`,
       ],
-      ["pictures", s.image_sizes_px.map(([w, h]) => `${w} × ${h} px`).join(", ")],
+      [
+        "pictures",
+        (s.pictures > total ? `${count(s.pictures)}, ` : "") +
+          s.image_sizes_px.map(([w, h]) => `${w} × ${h} px`).join(", "),
+      ],
     ];
-    if (claim.rig) {
-      const t = claim.rig.T_cam_proj,
-        baseline = Math.hypot(t[0][3], t[1][3], t[2][3]);
-      list.push(["rig", `${claim.rig.name}, baseline ${(1000 * baseline).toFixed(0)} mm`]);
+    for (const [name, { rig, code }] of Object.entries(scanners)) {
+      const of = name ? ` of ${name}` : "";
+      if (rig) {
+        const t = rig.T_cam_proj,
+          baseline = Math.hypot(t[0][3], t[1][3], t[2][3]);
+        list.push([`rig${of}`, `${rig.name}, baseline ${(1000 * baseline).toFixed(0)} mm`]);
+      }
+      if (code)
+        list.push([`code${of}`, `${Graycast.words(code.codec)}, ${code.frames.length} frames`]);
     }
-    if (code) list.push(["code", `${Graycast.words(code.codec)}, ${code.frames.length} frames`]);
     list.push([
       "decoded",
       `${percent(s.reasons.decoded)} of all, ${percent(s.part_reasons.decoded)} of parts' pixels`,

@@ -19,12 +19,12 @@
 
   /** Which views a scene has anything for. */
   Graycast.viewsOf = (scene) => {
-    const rig = Graycast.report.claim.rig,
+    const { rig, code } = Graycast.scannerOf(scene),
       any = scene.has.depth || scene.has.scanner;
     const has = {
       color: true,
       white: !!scene.white,
-      pattern: scene.kept.frames.length > 0 || (!!Graycast.report.code && any),
+      pattern: scene.kept.frames.length > 0 || (!!code && any),
       column: scene.kept.columns.length > 0 || (!!rig && any),
       perfect: scene.has.depth,
       scanner: scene.has.scanner,
@@ -127,11 +127,11 @@
   Graycast.sourcesOf = (scene, view, prefs) => {
     const stored =
       view === "pattern" ? scene.kept.frames.length > 0 : scene.kept.columns.includes(prefs.axis);
-    const rig = view === "pattern" ? Graycast.report.code : Graycast.report.claim.rig;
+    const known = Graycast.scannerOf(scene)[view === "pattern" ? "code" : "rig"];
     return [
       stored && "stored",
-      rig && scene.has.scanner && "scanner",
-      rig && scene.has.depth && "depth",
+      known && scene.has.scanner && "scanner",
+      known && scene.has.depth && "depth",
     ].filter(Boolean);
   };
   const source = (scene, view, prefs) => {
@@ -144,7 +144,7 @@
   Graycast.frameNames = (scene) =>
     scene.kept.frames.length
       ? scene.kept.frames
-      : (Graycast.report.code?.frames ?? []).map((frame) => frame.name);
+      : (Graycast.scannerOf(scene).code?.frames ?? []).map((frame) => frame.name);
 
   function blank(scene, out) {
     for (let i = 0; i < scene.n; i++) put(out, i, DARK, 0);
@@ -202,7 +202,7 @@
         note: `standard deviation of the decoded ${axis}, as the decoder states it`,
       };
     }
-    const size = projectorSize(axis) ?? Graycast.highest(values, 1);
+    const size = projectorSize(scene, axis) ?? Graycast.highest(values, 1);
     paintMap(out, "viridis", scene.n, (i) => values[i] / size);
     return {
       bar: { map: "viridis", low: 0, high: size, unit: "projector px", digits: 0 },
@@ -210,8 +210,8 @@
     };
   }
 
-  const projectorSize = (axis) => {
-    const lens = Graycast.report.claim.rig?.projector;
+  const projectorSize = (scene, axis) => {
+    const lens = Graycast.scannerOf(scene).rig?.projector;
     return axis === "row" ? lens?.height_px : lens?.width_px;
   };
 
@@ -227,7 +227,7 @@
     const { column, row } = Graycast.projectorMap(scene, which);
     const upright = prefs.axis === "row";
     const values = upright ? row : column,
-      size = projectorSize(upright ? "row" : "column");
+      size = projectorSize(scene, upright ? "row" : "column");
     paintMap(out, "viridis", scene.n, (i) => values[i] / size);
     return {
       bar: { map: "viridis", low: 0, high: size, unit: "projector px", digits: 0 },
@@ -240,7 +240,7 @@
     const which = source(scene, "pattern", prefs);
     if (which === "stored") return paintFrame(scene, prefs, out);
     const map = Graycast.projectorMap(scene, which);
-    const { frames } = Graycast.report.code,
+    const { frames } = Graycast.scannerOf(scene).code,
       frame = frames[prefs.frame % frames.length];
     frame.table ??= Uint8Array.from(atob(frame.levels), (c) => c.charCodeAt(0));
     const at = frame.axis === "row" ? map.row : map.column,

@@ -21,6 +21,8 @@
     surfacePaint: "instance",
     pointPaint: "instance",
     pointSize: 1,
+    fused: false,
+    fusedPaint: "colour",
     found: true,
     foundKind: "all",
     score: Graycast.report?.detections?.score ?? 0.5,
@@ -32,12 +34,14 @@
     if (!row) throw new Error(`there is no scene ${key} in this report`);
     document.title = `${Graycast.report.name} ${row.id} · graycast`;
     document.getElementById("where").textContent =
-      `${Graycast.report.name} / ${row.split} / scene ${row.id}`;
+      `${Graycast.report.name} / ${row.split} / scene ${row.id}` +
+      (row.picture ? ` / ${row.picture}` : "");
     const [scene, found] = await Promise.all([Graycast.load(key), Graycast.bringFound(key)]);
     if (!isCurrent()) return;
     Graycast.closeScene();
     Graycast.cameFrom(key);
     scene.found = found;
+    scene.fusedKey = row.picture ? Graycast.siblings(row)[0].key : null;
     const views = Graycast.viewsOf(scene);
     if (!views.some((view) => view.id === prefs.view)) prefs.view = views[0].id;
     open = { scene, row, views, lit: {}, viewer: null, cloud: null };
@@ -123,6 +127,7 @@
     const { scene, viewer } = open,
       at = (name) => main.querySelector(name);
     at(".tabs").replaceChildren(
+      ...toolbar.pictures(open.row, (key) => (location.hash = `#/${key}`)),
       ...toolbar.views(open.views, prefs, pick),
       el("span", { class: "spring" }),
       ...toolbar.compare(open.views, prefs, set),
@@ -164,6 +169,8 @@
   function cloudWords() {
     const limit = Graycast.errorLimit(prefs),
       difference = prefs.points && prefs.pointPaint === "difference";
+    const fused = prefs.fused && open.cloud.fusedWords?.();
+    if (fused) return fused;
     return {
       bar: difference
         ? {
@@ -196,6 +203,7 @@
 
   function set(name, value) {
     if (name === "second" && value === prefs.view) prefs.view = prefs.second; // they change places
+    if (name === "fused" && value) prefs.points = prefs.surface = false; // they lie among its points
     prefs[name] = value;
     show();
   }
@@ -268,6 +276,12 @@
     Graycast.tip(event, shown && k >= 0 ? `${k} ${open.scene.instances[k].name}` : "");
   }
 
+  function nextPicture() {
+    const all = Graycast.siblings(open.row),
+      next = all[(all.indexOf(open.row) + 1) % all.length];
+    if (next !== open.row) location.hash = `#/${next.key}`;
+  }
+
   // --- keys -------------------------------------------------------------------------------------
 
   /** The view of a digit's key; with shift the digit itself is another sign. */
@@ -298,6 +312,8 @@
     else if (event.key === "c") press("toggle-compare");
     else if (event.key === "v" && prefs.compare && prefs.view !== "cloud")
       set("how", prefs.how === "swipe" ? "side" : "swipe");
+    else if (event.key === "f" && prefs.view === "cloud") press("toggle-fused");
+    else if (event.key === "n") nextPicture();
     else if (event.key === "m") press("toggle-masks");
     else if (event.key === "b") press("toggle-boxes");
     else if (event.key === "d") press("toggle-found");

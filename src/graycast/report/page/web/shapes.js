@@ -101,6 +101,57 @@
     return { ...arrays(gl, place, null, shapes.normals(scene, from)), from, count: from.length };
   };
 
+  /** The points of all pictures of a scene, fused. */
+  shapes.fused = (gl, cloud, space) => {
+    const place = new Float32Array(3 * cloud.count);
+    for (let k = 0; k < place.length; k++)
+      place[k] = cloud.low[k % 3] + cloud.step * cloud.place[k] - space.middle[k % 3];
+    return { ...arrays(gl, place, null, cloud.normal), count: cloud.count };
+  };
+
+  const NO_REASON = { 253: [91, 141, 239], 254: [70, 74, 88], 255: [29, 111, 66] };
+  const highSigma = (cloud) => (cloud.sigmaHigh ??= Graycast.highest([...cloud.sigma], 0.98) || 1);
+  const most = (cloud) => (cloud.most ??= cloud.views.reduce((a, b) => Math.max(a, b), 1));
+
+  shapes.paintFused = (gl, thing, cloud, paint) => {
+    const color = new Uint8Array(4 * cloud.count).fill(255),
+      reasons = Graycast.reasonColors();
+    const paints = {
+      colour: (k) => cloud.color.subarray(3 * k, 3 * k + 3),
+      views: (k) => Graycast.heat("viridis", (cloud.views[k] - 1) / Math.max(most(cloud) - 1, 1)),
+      view: (k) => Graycast.instanceColor(cloud.view[k]),
+      sigma: (k) => Graycast.heat("viridis", cloud.sigma[k] / highSigma(cloud)),
+      first: (k) => {
+        const why = cloud.first[k];
+        return NO_REASON[why] ?? reasons.subarray(3 * why, 3 * why + 3);
+      },
+      plain: () => [176, 178, 182],
+    };
+    for (let k = 0; k < cloud.count; k++) color.set(paints[paint](k), 4 * k);
+    upload(gl, thing, color);
+    thing.paint = paint;
+  };
+
+  shapes.fusedWords = (cloud, paint) => {
+    const points = `${Graycast.count(cloud.count)} points of ${cloud.names.length} pictures`;
+    const bar = { map: "viridis", whole: true };
+    if (paint === "sigma")
+      return {
+        bar: { ...bar, low: 0, high: highSigma(cloud) * cloud.sigma_step_mm, unit: "mm", digits: 3 },
+        note: `${points}; standard deviation across the surface`,
+      };
+    if (paint === "views")
+      return {
+        bar: { ...bar, low: 1, high: most(cloud), unit: "views", digits: 0 },
+        note: `${points}; how many measured the place`,
+      };
+    const told = {
+      view: "; each in the colour of the picture at whose pixel it stands",
+      first: `; why ${cloud.names[0]} has no depth there, in the colours of the reasons: dark grey is hidden from it, green outside of its picture, blue seen through`,
+    };
+    return { note: points + (told[paint] ?? "") };
+  };
+
   /** A mesh in a frame of its own, for bodies. */
   shapes.body = (gl, vertices, faces) => {
     const made = arrays(gl, vertices, faces, null);

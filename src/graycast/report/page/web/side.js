@@ -18,7 +18,7 @@
         ? Graycast.report.reasons.find((r) => r.number === scene.reason[i])
         : null;
     const map =
-      on && scan && Graycast.report.claim.rig ? Graycast.projectorMap(scene, "scanner") : null;
+      on && scan && Graycast.scannerOf(scene).rig ? Graycast.projectorMap(scene, "scanner") : null;
     const lines = [
       [
         "pixel",

@@ -18,6 +18,14 @@
     ["depth", "depth"],
     ["plain", "grey"],
   ];
+  const FUSED = [
+    ["colour", "picture"],
+    ["views", "how many views"],
+    ["view", "which view"],
+    ["sigma", "σ"],
+    ["first", "why not the first"],
+    ["plain", "grey"],
+  ];
   const AXES = [
     ["column", "column"],
     ["row", "row"],
@@ -44,6 +52,28 @@
           : null,
       ),
     );
+
+  /** Which of its scene's pictures is shown; nothing where it is the only one. */
+  bar.pictures = (row, go) => {
+    const all = Graycast.siblings(row);
+    if (all.length < 2) return [];
+    return [
+      el(
+        "label",
+        { title: "another view or scanner of this scene (n)" },
+        "picture",
+        el(
+          "select",
+          {
+            id: "choose-picture",
+            "aria-label": "picture",
+            onchange: (event) => go(event.target.value),
+          },
+          all.map((one) => el("option", { value: one.key, selected: one === row }, one.picture)),
+        ),
+      ),
+    ];
+  };
 
   /** What stands beside: off, or another view with a swipe or side by side. */
   bar.compare = (views, prefs, set) => {
@@ -119,6 +149,8 @@
       scanner ? toggle(prefs, set, "points", "scanner points", "p") : null,
       scanner ? choose(prefs, set, "pointPaint", "", POINTS) : null,
       scanner ? choose(prefs, set, "pointSize", "", sizes) : null,
+      scene.fusedKey ? toggle(prefs, set, "fused", "fused cloud", "f") : null,
+      scene.fusedKey && prefs.fused ? choose(prefs, set, "fusedPaint", "", FUSED) : null,
       depth && scanner && prefs.pointPaint === "difference" ? limit(prefs, set) : null,
       scene.instances[0]?.box3d ? toggle(prefs, set, "boxes", "boxes", "b") : null,
       el("span", { class: "spring" }),

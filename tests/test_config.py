@@ -75,10 +75,12 @@ def test_every_configuration_in_the_repository_resolves(path):
     low, high = config.count_range
     count = written["count"]
     assert [low, high] == (count if isinstance(count, list) else [count, count])
-    if written["rig"] in PRESETS:
-        assert cell.scene.rig.name == written["rig"]
-    else:
-        assert cell.scene.rig.name == load_scanner(path.parent / written["rig"]).rig.name
+    said = written.get("scanners", [written])
+    for (_, scanner), one in zip(cell.scanners, said, strict=True):
+        if one["rig"] in PRESETS:
+            assert scanner.rig.name == one["rig"]
+        else:
+            assert scanner.rig.name == load_scanner(path.parent / one["rig"]).rig.name
     size = "bin: The bin is 370 x 270 x 140 mm inside, its floor 10.0 mm above the table."
     # Nothing else about their meshes is to be wondered at.
     assert cell.notes == ((size,) if "mesh" in written.get("bin", {}) else ())
@@ -387,9 +389,11 @@ def test_every_setting_is_refused_when_it_is_misspelt(tmp_path):
             wrong = key[:-2] + key[-1] + key[-2] if key[-1] != key[-2] else key + "x"
             if wrong in section["properties"]:
                 continue
+            meant = "views?" if (name, key) == ("", "views") else key  # view is as near
             path = tmp_path / "bad.yaml"
             path.write_text(yaml.safe_dump(_placed(name, {wrong: 1})))
-            with pytest.raises(ConfigError, match=rf"unknown key \S*{wrong}: did you mean {key}\?"):
+            hint = rf"unknown key \S*{wrong}: did you mean {meant}\?"
+            with pytest.raises(ConfigError, match=hint):
                 load_config(path)
 
 
@@ -405,6 +409,10 @@ _PLACES = {
     "EnvironmentSection": ("light", "environment"),
     "Lamp": ("light", "lamps", 0),
     "DropLimits": ("drop",),
+    "DomeSection": ("views", "dome"),
+    "PathSection": ("views", "path"),
+    "JitterSection": ("views", "jitter"),
+    "ScannerEntry": ("scanners", 0),
     "AdaptedSection": ("domain", "adapted"),
     "CameraTolerance": ("domain", "adapted", "camera"),
     "BinTolerance": ("domain", "adapted", "bin"),
@@ -426,7 +434,7 @@ def _placed(section, content):
     """A configuration with `content` where a section stands."""
     place = _PLACES.get(section, (section.removesuffix("Section").lower(),))
     for step in reversed(place):
-        if step in KINDS:
+        if step in (*KINDS, "dome", "path", "jitter"):
             content = {"kind": step} | content
         else:
             content = [content] if step == 0 else {step: content}

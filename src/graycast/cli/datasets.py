@@ -112,7 +112,8 @@ def _preview(options: argparse.Namespace) -> int:
                 only=options.image,
             )
             shot = next(images)
-    draw_preview(shot, shot.sample.raw.scanner.light_code(), options.out)
+    scanner = dict(cell.scanners)[cell.images[options.image][0]]
+    draw_preview(shot, scanner.light_code(), options.out)
     _tell_coarse(shot)
     for name, share in shot.sample.manifest["reasons"].items():
         print(f"  {name:18} {share:7.2%} of the pixels")

@@ -98,7 +98,7 @@ def _bop_labels(files: Files, record: ExportRecord, name: str) -> dict[str, Any]
     gt, info = json.loads(files["gt.json"]), json.loads(files["gt_info.json"])
     runs = json.loads(files["mask_visib.json"])
     seen = [i for i, entry in enumerate(info) if entry["px_count_visib"] > 0]
-    mask = masks([runs[str(i)] for i in seen], tuple(record.size_px), name)
+    mask = masks([runs[str(i)] for i in seen], (record.size_px[0], record.size_px[1]), name)
     pose = [pose_m(gt[i]["cam_R_m2c"], gt[i]["cam_t_m2c"]) for i in seen if "cam_R_m2c" in gt[i]]
     posed, rated = "poses" in record.holds, "shares" in record.holds
     return {

@@ -106,8 +106,10 @@ def _machine() -> Iterator[Finding]:
     model = _field(Path("/proc/cpuinfo"), "model name") or platform.machine()
     yield Finding(name="CPU", found=f"{usable} cores, {model}", ok=True, gives="all computing")
     total, free = (_kib(key) for key in ("MemTotal", "MemAvailable"))
-    known = total is not None and free is not None
-    amount = f"{total / 2**20:.1f} GiB, {free / 2**20:.1f} GiB available" if known else "unknown"
+    amount, known = "unknown", False
+    if total is not None and free is not None:
+        known = True
+        amount = f"{total / 2**20:.1f} GiB, {free / 2**20:.1f} GiB available"
     gives = "rendering, which needs about 4 GiB for a scene of 1032 x 772 pixels"
     yield Finding(name="memory", found=amount, ok=known, gives=gives, needed=False)
 

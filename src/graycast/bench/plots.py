@@ -1,6 +1,7 @@
 """The studies' plots, from their figures alone."""
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -113,7 +114,7 @@ def _curves(ax: Axes, rows: list[Figures], x: str, y: str, *, log: bool = True) 
     kinds = dict.fromkeys((row["renderer"], row["denoise"]) for row in rows)
     for renderer, denoise in kinds:
         own = [row for row in rows if (row["renderer"], row["denoise"]) == (renderer, denoise)]
-        style = {"color": COLOR.get(renderer, INK), "ms": 4, "lw": 1.3}
+        style: dict[str, Any] = {"color": COLOR.get(renderer, INK), "ms": 4, "lw": 1.3}
         label = renderer if denoise == "none" else f"{renderer}, {denoise}"
         places = [row.get(y, np.nan) for row in own]
         ax.plot([row[x] for row in own], places, STYLE[denoise], label=label, **style)

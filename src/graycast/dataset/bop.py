@@ -279,7 +279,7 @@ def _mask_png(crop: Silhouette, height_px: int, width_px: int) -> bytes:
     )
     header = struct.pack(">IIBBBBB", width_px, height_px, 8, 0, 0, 0, 0)
     deflate = zlib.compressobj(1, strategy=zlib.Z_RLE)
-    pixels = deflate.compress(rows) + deflate.flush()
+    pixels = deflate.compress(rows.tobytes()) + deflate.flush()
     chunks = [(b"IHDR", header), (b"IDAT", pixels), (b"IEND", b"")]
     body = [
         struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data))

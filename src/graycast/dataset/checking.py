@@ -97,8 +97,8 @@ def validate(out: Path, *, fast: bool = False) -> tuple[Problem, ...]:
         problems += [Problem(scene=None, what=w) for w in _model_problems(int(obj_id), model)]
     for scene_id in finished:
         folder = out / "train" / f"{scene_id:06d}"
-        found = scene_problems(folder, claim=claim, cameras=cameras, models=models)
-        problems += [Problem(scene=scene_id, what=what) for what in found]
+        of_scene = scene_problems(folder, claim=claim, cameras=cameras, models=models)
+        problems += [Problem(scene=scene_id, what=what) for what in of_scene]
     problems += [
         Problem(scene=None, what=what) for what in _split_problems(out, cameras, finished, claim)
     ]

@@ -24,6 +24,7 @@ class Here:
 
     def gather(self) -> Made | Failed:
         scene_id, self._next = self._next, None
+        assert scene_id is not None, "nothing was submitted"
         try:
             return self._maker.make(scene_id)
         except Exception as error:

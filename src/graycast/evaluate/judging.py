@@ -77,7 +77,8 @@ class Judgement:
 
 def kinds_of(labels: Sequence[Labels], found: Sequence[Detections]) -> tuple[Kind, ...]:
     """What can be compared: boxes, and masks where both sides have them."""
-    drawn = all(one.mask is not None for one in (*labels, *(f for f in found if len(f))))
+    drawn = all(one.mask is not None for one in labels)
+    drawn = drawn and all(one.mask is not None for one in found if len(one))
     return KINDS if drawn and any(map(len, found)) else ("box",)
 
 

@@ -37,7 +37,7 @@ class Patch:
         middle = len(self.height_m) // 2
         place = xy_m / self.step_m + middle
         low = np.floor(place).astype(np.int64)
-        within = ((low >= 0) & (low < len(self.height_m) - 1)).all(axis=-1)
+        within = np.all((low >= 0) & (low < len(self.height_m) - 1), axis=-1)
         j, i = np.moveaxis(np.where(within[..., None], low, 0), -1, 0)
         u, v = np.moveaxis(place - low, -1, 0)
         h = self.height_m

@@ -87,10 +87,9 @@ def suction_in_depth(
         for i in dict.fromkeys(chosen.tolist()):
             if i not in judged:
                 judged[i] = judge.grip(point[i], center[i])
-        best = sorted(
-            (i for i, grip in judged.items() if grip is not None),
-            key=lambda i: -judged[i].score,
-        )[: max(int(ELITE_SHARE * count), 1)]
+        score = {i: grip.score for i, grip in judged.items() if grip is not None}
+        best = sorted(score, key=score.__getitem__, reverse=True)
+        best = best[: max(int(ELITE_SHARE * count), 1)]
         if not best:
             chosen = rng.choice(len(point), size=min(count, len(point)), replace=False)
             continue

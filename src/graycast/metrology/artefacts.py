@@ -274,4 +274,4 @@ def _in_picture(pixel: Float[np.ndarray, "*n 2"], optics) -> Bool[np.ndarray, "*
     slack = 1e-6
     low, high = EDGE_PX - slack, size - 1 - EDGE_PX + slack
     with np.errstate(invalid="ignore"):  # NaN: where the lens model ends
-        return ((pixel >= low) & (pixel <= high)).all(axis=-1)
+        return np.all((pixel >= low) & (pixel <= high), axis=-1)

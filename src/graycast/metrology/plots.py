@@ -1,6 +1,7 @@
 """The plots of a certificate."""
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
@@ -39,7 +40,7 @@ def _volume(certificate: Certificate) -> Figure:
             ax.axhline(1e3 * plane.z_m, color=SOFT, lw=0.8, zorder=1)
         for bar in certificate.spacing:
             ends = 1e3 * np.array(bar.ends_m)
-            style = {"ms": 4, "lw": 1, "color": SECOND, "zorder": 3}
+            style: dict[str, Any] = {"ms": 4, "lw": 1, "color": SECOND, "zorder": 3}
             ax.plot(ends[:, across], ends[:, 2], "o-", **style)
         turn = np.linspace(0, 2 * np.pi, 60)
         radius = 500 * certificate.probing_diameter_m

@@ -278,5 +278,5 @@ def _wrap(corner_mm: Float[np.ndarray, "f 3 3"]) -> Float[np.ndarray, "f 3 2"]:
     u = u - np.floor(u.mean(axis=1, keepdims=True))
     wrapped = np.stack([u, np.clip(corner_mm[..., 2] / height, 0, 1)], axis=-1)
     # The flat bottom cannot be wrapped: it takes the plain plastic under the print.
-    flat = (corner_mm[..., 2] < 1e-6).all(axis=1)[:, None, None]
+    flat = np.all(corner_mm[..., 2] < 1e-6, axis=1)[:, None, None]
     return np.where(flat, np.array([0.5, 0.06]) + corner_mm[..., :2] / 1000, wrapped)

@@ -216,8 +216,9 @@ def _surface(pieces: Sequence, *, shares_vertices: bool) -> Surface:
     if coloured and not distinct:
         findings.append("Colours in the file are not used; give the part a material.")
     corner_uv = None
-    if all(u is not None for u in uv):
-        corner_uv = np.concatenate([u[p.faces] for u, p in zip(uv, pieces, strict=True)])
+    known = [u for u in uv if u is not None]
+    if len(known) == len(uv):
+        corner_uv = np.concatenate([u[p.faces] for u, p in zip(known, pieces, strict=True)])
         if not np.isfinite(corner_uv).all():
             raise Refusal("texture coordinates are NaN or infinite; export the mesh again")
         if not distinct:

@@ -137,6 +137,7 @@ def _unscaled(section: PartSection, folder: Path) -> tuple[Part, tuple[str, ...]
             density_kg_m3=section.density_kg_m3 or own.density_kg_m3,
             friction=own.friction if section.friction is None else section.friction,
         ), ()
+    assert section.mesh is not None  # the section has one of the two
     symmetry = section.symmetry or SymmetrySection()
     return load_part(
         folder / section.mesh,

@@ -78,7 +78,7 @@ def union_if_overlapping(
     boxes = np.array([body.bounding_box() for body in outward])
     for shell in inward:
         box = np.array(shell.bounding_box())
-        holds = (boxes[:, :3] <= box[:3]).all(axis=1) & (boxes[:, 3:] >= box[3:]).all(axis=1)
+        holds = np.all((boxes[:, :3] <= box[:3]) & (boxes[:, 3:] >= box[3:]), axis=1)
         around = [i for i in order if holds[i] and outward[i].volume() > -shell.volume()]
         if not around:
             raise ShellError(

@@ -93,9 +93,9 @@ def find_shots(folder: Path) -> list[RealPicture]:
                 f"{folder}: {other} has a picture {missing[0]}, and {name} has none: add it, or "
                 "remove the other"
             )
-    files = {name: found.get(name, {}) for name in FOLDERS}
+    by_name = {name: found.get(name, {}) for name in FOLDERS}
     return [
-        RealPicture(stem=stem, **{name: by_stem.get(stem) for name, by_stem in files.items()})
+        RealPicture(stem=stem, **{name: by_stem.get(stem) for name, by_stem in by_name.items()})
         for stem in stems
     ]
 

@@ -5,6 +5,7 @@ import os
 import zipfile
 from importlib.metadata import version
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -51,7 +52,7 @@ def write_decomposition(file: Path, made: Decomposition) -> None:
     """Write a cache file, completely or not at all."""
     hulls, error = made.hulls, made.error
     file.parent.mkdir(parents=True, exist_ok=True)
-    held = {
+    held: dict[str, Any] = {
         "vertices_m": np.vstack([vertices for vertices, _ in hulls]),
         "faces": np.vstack([faces for _, faces in hulls]),
         "vertex_split": np.cumsum([len(vertices) for vertices, _ in hulls])[:-1],

@@ -238,7 +238,7 @@ def _deviations(unknown, free, jacobian) -> dict[str, float]:
 
 
 def _optics(device, size_px: tuple[int, int]) -> Optics:
-    fx, fy, cx, cy, *distortion = (float(number) for number in device)
+    fx, fy, cx, cy, k1, k2, p1, p2, k3 = (float(number) for number in device)
     return Optics(
         width_px=size_px[0],
         height_px=size_px[1],
@@ -246,7 +246,7 @@ def _optics(device, size_px: tuple[int, int]) -> Optics:
         fy_px=fy,
         cx_px=cx,
         cy_px=cy,
-        distortion=tuple(distortion),
+        distortion=(k1, k2, p1, p2, k3),
     )
 
 

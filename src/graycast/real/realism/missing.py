@@ -74,8 +74,8 @@ def summarise_missing(counts: Sequence[MissingCounts]) -> Missing:
     lit = [c for c in counts if c.total_at is not None]
     by_brightness, drop_out = [], None
     if lit:
-        total_at = np.sum([c.total_at for c in lit], axis=0)
-        missing_at = np.sum([c.missing_at for c in lit], axis=0)
+        total_at = np.sum([c.total_at for c in lit if c.total_at is not None], axis=0)
+        missing_at = np.sum([c.missing_at for c in lit if c.missing_at is not None], axis=0)
         by_brightness = _by_brightness(total_at, missing_at)
         drop_out = drop_out_step(total_at, missing_at)
     names = {name for c in counts for name in c.reasons}

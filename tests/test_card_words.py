@@ -45,5 +45,7 @@ def test_a_licence_is_spelt_as_spdx_spells_it(given, spelt):
     "words", ["ours", "Creative Commons", "CC BY 4.0", "", "MIT AND", "a\nb: c"]
 )
 def test_words_that_are_no_licence_of_spdx_are_refused(words):
-    with pytest.raises(GraycastError, match=r"is not an SPDX expression: give an identifier of spdx.org/licenses"):
+    with pytest.raises(
+        GraycastError, match=r"is not an SPDX expression: give an identifier of spdx.org/licenses"
+    ):
         spdx(words)

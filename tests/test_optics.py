@@ -179,7 +179,10 @@ def test_a_camera_dims_by_the_fourth_power_of_the_cosine_to_its_axis():
         ({"cx_px": math.inf}, "cx_px is inf: it should be a finite number"),
         ({"distortion": (0.0, 0.0, math.nan, 0.0, 0.0)}, "distortion is .*finite number"),
         ({"aperture_m": -0.001}, "aperture_m is -0.001"),
-        ({"aperture_m": 7.2}, "a pupil's diameter must be less than 1 m: give it in metres, not in"),
+        (
+            {"aperture_m": 7.2},
+            "a pupil's diameter must be less than 1 m: give it in metres, not in",
+        ),
         ({"focus_m": 0.0}, "focus_m is 0.0"),
         ({"focus_m": math.nan}, "focus_m is nan"),
         ({"psf_px": math.inf}, "psf_px is inf"),

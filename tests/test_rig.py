@@ -232,8 +232,14 @@ def test_the_grey_level_for_a_share_is_the_nearest_there_is(response):
         ({"response": (0.0,)}, "2 to 256 values"),
         ({"response": (0.0, 0.5, 0.5, 1.0)}, "each above the last"),
         ({"response": (0.0, math.nan, 1.0)}, "a finite number"),
-        ({"response": (0.1, 1.0)}, "it must start at 0 and end at 1, relative to white: state the light"),
-        ({"response": (0.0, 255.0)}, "it must start at 0 and end at 1, relative to white: state the light"),
+        (
+            {"response": (0.1, 1.0)},
+            "it must start at 0 and end at 1, relative to white: state the light",
+        ),
+        (
+            {"response": (0.0, 255.0)},
+            "it must start at 0 and end at 1, relative to white: state the light",
+        ),
         ({"contrast_ratio": 1.0}, "projector's white to its black"),
         ({"contrast_ratio": math.nan}, "projector's white to its black"),
         ({"veil": 1.0}, "veil is 1.0"),

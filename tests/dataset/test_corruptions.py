@@ -140,7 +140,7 @@ DARK = {
     "far": ({"view": {"distance_m": 1e9}}, "65.535 m: give a smaller view.distance_m"),
     "farther than its range": (
         {"view": {"distance_m": 5.0}},
-        "that is in none: .* near_m to far_m",
+        "so in none: .* near_m and far_m",
     ),
     "unlit": ({"exposure": {"exposure_s": 1e-300}}, "100% are shadow: give a longer exposure"),
 }
@@ -163,7 +163,10 @@ def test_a_stored_scene_without_any_scanner_depth_is_a_problem(copy):
         path = copy / "train/000000" / name / "000000.png"
         image = cv2.imread(str(path), -1)
         cv2.imwrite(str(path), np.full_like(image, value))
-    assert any("of the pixels have a scanner depth, so no pixel has one: the scene" in p.what for p in validate(copy))
+    assert any(
+        "of the pixels have a scanner depth, so no pixel has one: the scene" in p.what
+        for p in validate(copy)
+    )
 
 
 CELLS = {

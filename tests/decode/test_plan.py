@@ -33,10 +33,13 @@ def is_complementary(f):
             "5 Gray bits of 1 px reach 32 px, the projector has 64: add the coarsest bit",
         ),
         (without(GRAY, bit_is(3, False)), "bit 3 has an inverse but no frame of its own"),
-        (without(GRAY, lambda f: f.bit == 3), "Gray bit 3 is missing between finer and coarser bits"),
+        (
+            without(GRAY, lambda f: f.bit == 3),
+            "Gray bit 3 is missing between finer and coarser bits",
+        ),
         (
             without(xor_gray(64, 48, inverses=False), bit_is(1, False)),
-            "Gray bit 1 is missing between finer and coarser bits|which must be there on its own",
+            "Gray bit 1 is missing between finer and coarser bits|which the code must also have uncombined",
         ),
         (
             without(xor_gray(64, 48, base_bit=0, inverses=False), bit_is(0, False)),

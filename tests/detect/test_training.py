@@ -234,7 +234,10 @@ def test_two_trainings_in_one_folder_are_refused(dataset, tmp_path):
     """Also before the first checkpoint, and only as long as the other one goes on."""
     other = RunFolder(tmp_path / "run")
     with other.claimed({}):
-        with pytest.raises(GraycastError, match="another training runs in this folder: wait until it ends, or choose"):
+        with pytest.raises(
+            GraycastError,
+            match="another training runs in this folder: wait until it ends, or choose",
+        ):
             train([dataset], tmp_path / "run", replace(SMALL, epochs=1))
         assert json.loads((tmp_path / "run" / "run.json").read_text()) == {}
     train([dataset], tmp_path / "run", replace(SMALL, epochs=1))
@@ -322,7 +325,9 @@ def test_a_damaged_checkpoint_or_detector_is_named(dataset, tmp_path):
     (run / "checkpoint.pt").write_bytes(b"")
     with pytest.raises(GraycastError, match=r"checkpoint\.pt: is damaged: remove it"):
         train([dataset], run, SMALL)
-    with pytest.raises(GraycastError, match="does not exist: give a folder that graycast train wrote"):
+    with pytest.raises(
+        GraycastError, match="does not exist: give a folder that graycast train wrote"
+    ):
         load_detector(tmp_path / "nowhere")
 
 
@@ -356,17 +361,17 @@ def test_what_cannot_be_looked_at_is_said_in_one_line(dataset, run, tmp_path, ca
 
     (tmp_path / "empty").mkdir()
     assert "has no pictures: put them into the folders" in told(given=tmp_path / "empty")
-    assert "is no dataset, so it has no set test" in told("--split", "test", given=tmp_path)
+    assert "is not a dataset, so it has no set test" in told("--split", "test", given=tmp_path)
     assert "has no set 'test'" in told("--split", "test")
     assert "needs no pictures: remove the argument pictures" in told("--export", "onnx")
     (tmp_path / "mine").mkdir()
     (tmp_path / "mine" / "letter.txt").write_text("mine")
     assert "is not empty and holds no earlier result" in told(out=tmp_path / "mine")
-    assert "no pictures are given" in refusal(
-        capsys, "detect", run, "--out", tmp_path / "found"
-    )
+    assert "no pictures are given" in refusal(capsys, "detect", run, "--out", tmp_path / "found")
     if not torch.cuda.is_available():
-        assert "torch finds no NVIDIA GPU: use --device cpu, or repair the driver" in told("--device", "cuda")
+        assert "torch finds no NVIDIA GPU: use --device cpu, or repair the driver" in told(
+            "--device", "cuda"
+        )
     assert not (tmp_path / "found").exists()
 
 

@@ -141,7 +141,10 @@ def test_a_run_that_is_told_to_stop_leaves_nothing_behind(config_file, tmp_path,
         run.send_signal(word)
         begun = time.monotonic()
         _, complaint = run.communicate()
-    assert (run.returncode, complaint) == (130, "graycast: stopped; finished scenes are kept\n")
+    assert (run.returncode, complaint) == (
+        130,
+        "graycast: the command was stopped; the finished scenes are kept; run the same command again to continue\n",
+    )
     assert time.monotonic() - begun < 10
     assert not any(map(alive, workers))
     assert not list(out.rglob(".tmp-*"))

@@ -97,7 +97,10 @@ def test_a_part_that_changed_is_refused(folder, capsys):
     told["config"]["parts"][0]["density_kg_m3"] = 2.0
     claim.write_text(json.dumps(told))
     assert label(folder) == 1
-    assert "has changed since the dataset was made: restore its files, or use the" in capsys.readouterr().err
+    assert (
+        "has changed since the dataset was made: restore its files, or use the"
+        in capsys.readouterr().err
+    )
     assert not (folder / "ds/grasps").exists()
 
 
@@ -106,7 +109,7 @@ def test_jaws_that_fit_round_nothing_leave_no_trace(folder, capsys):
     jaws = {"kind": "jaws", "jaws": {"opening_m": 0.02}}
     write_tool(folder, jaws)
     assert label(folder) == 1
-    assert "fit round none of box" in capsys.readouterr().err
+    assert "fit around none of box" in capsys.readouterr().err
     assert not (folder / "ds/grasps").exists()
 
 

@@ -160,10 +160,13 @@ WHITE = Frame(kind="white")
         (lambda: Frame(kind="gray", axis="column"), "bit -1; 0 .finest. to 23"),
         (lambda: Frame(kind="gray", axis="row", bit=3, xor_bit=24), "xor_bit 24"),
         (lambda: Frame(kind="phase", axis="row", period_px=1.0), "period_px 1.0; give at least 2"),
-        (lambda: Frame(kind="phase", axis="row", period_px=9.0, steps=2), "steps 2; give at least 3"),
+        (
+            lambda: Frame(kind="phase", axis="row", period_px=9.0, steps=2),
+            "steps 2; give at least 3",
+        ),
         (
             lambda: Frame(kind="phase", axis="row", period_px=9.0, steps=4, step=4),
-            "step 4; from 0 to below 4",
+            "step 4; give at least 0 and less than its steps, which is 4",
         ),
         (
             lambda: Frame(kind="phase", axis="row", period_px=9.0, steps=4, inverse=True),

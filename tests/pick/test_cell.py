@@ -31,13 +31,13 @@ def test_the_small_cell_itself_is_fine(tmp_path):
 @pytest.mark.parametrize(
     ("changes", "words"),
     [
-        ({"robot": {"arm": "ur10"}}, "no robot 'ur10'"),
+        ({"robot": {"arm": "ur10"}}, "the robot 'ur10' is not known"),
         ({"robot": {"arm": "broken.urdf"}}, "broken.urdf"),
         ({"robot": {"arm": "headless.urdf"}}, "no link called flange"),
         ({"robot": {"arm": "meshless.urdf"}}, "gone.stl"),
         ({"robot": {"home_rad": [0, 0]}}, "home has 2 angles"),
         ({"robot": {"home_rad": [9, 0, 0, 0, 0, 0]}}, "home of joint 1"),
-        ({"robot": {"home_rad": [0, 0.6, 0, 0, 0, 0]}}, "the arm is in"),
+        ({"robot": {"home_rad": [0, 0.6, 0, 0, 0, 0]}}, "the arm collides with"),
         ({"robot": {"base_m": [-2.5, 0, 0]}}, "does not reach"),
         ({"robot": {"arms": "ur5e"}}, "robot.arms: did you mean arm?"),
         ({"tool": {"kind": "magnet"}}, "tool"),
@@ -50,8 +50,14 @@ def test_the_small_cell_itself_is_fine(tmp_path):
         ({"tool": {"kind": "jaws"}, "picking": {"knows": "depth"}}, "jaws need a known model"),
         ({"picking": {"knows": "part", "detector": "none"}}, "needs a detector"),
         ({"picking": {"detector": "nowhere"}}, "nowhere"),
-        ({"picking": {"depth": "noisy"}}, "depth: noisy and depth_noise_m are used only together: give both or"),
-        ({"picking": {"place_m": [0.0, 0.0, 0.3]}}, "which is over the bin: give a place beside the bin"),
+        (
+            {"picking": {"depth": "noisy"}},
+            "depth: noisy and depth_noise_m are used only together: give both or",
+        ),
+        (
+            {"picking": {"place_m": [0.0, 0.0, 0.3]}},
+            "which is over the bin: give a place beside the bin",
+        ),
         ({"picking": {"place_m": [0.0, -0.4, 0.02]}}, "the arm with a part of up to"),
         ({"picking": {"most_lean_deg": 95}}, "most_lean_deg"),
         ({"domain": {"kind": "adapted"}}, "remove domain"),

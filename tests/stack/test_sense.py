@@ -98,7 +98,9 @@ def test_a_period_that_is_wrong_is_said_to_agree_in_no_sense(tmp_path):
             e["period_px"] = 21.0
     save(tmp_path, content, shoot_cluttered(FOUR, Look()))
     warnings = decode_stack(write_yaml(tmp_path, content)).warnings
-    assert any("period 21 px" in w and "in any direction or from any origin (off by" in w for w in warnings)
+    assert any(
+        "period 21 px" in w and "in any direction or from any origin (off by" in w for w in warnings
+    )
 
 
 @pytest.mark.parametrize("first", [0.25, 0.75])
@@ -150,5 +152,7 @@ def test_steps_of_one_period_that_are_not_evenly_spread_are_refused(tmp_path):
     steps = [e for e in content["frames"] if e["kind"] == "phase" and e["axis"] == "column"]
     steps[1]["step"] = 1.5
     save(tmp_path, content, shoot_cluttered(FOUR, Look()))
-    with pytest.raises(ConfigError, match=r"16 px are 0, 1\.5, 2, 3 of 4: all of them must differ by whole"):
+    with pytest.raises(
+        ConfigError, match=r"16 px are 0, 1\.5, 2, 3 of 4: all of them must differ by whole"
+    ):
         decode_stack(write_yaml(tmp_path, content))

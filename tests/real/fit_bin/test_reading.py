@@ -99,7 +99,10 @@ def damaged(change):
         (lambda text: text[: len(text) // 2], "Invalid JSON"),
         (lambda text: "", "Invalid JSON"),
         (lambda text: "[]", "Input should be an object"),
-        (lambda text: text.replace('"0"', '"first"', 1), "the key of an image must be its number, and it needs"),
+        (
+            lambda text: text.replace('"0"', '"first"', 1),
+            "the key of an image must be its number, and it needs",
+        ),
         (lambda text: '{"0": null}', "0: .*needs cam_K"),
         (damaged(lambda view: view.pop("cam_K")), r"0\.cam_K: Field required"),
         (damaged(lambda view: view.pop("depth_scale")), r"0\.depth_scale: Field required"),

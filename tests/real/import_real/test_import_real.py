@@ -268,7 +268,7 @@ def test_objects_get_the_numbers_of_a_dataset_that_is_named(real, samples):
 
 def test_pictures_without_labels_come_in_if_that_is_said(real, samples):
     shutil.rmtree(real / "annotations")
-    assert "say --unlabelled" in refusal(real, samples)
+    assert "or --unlabelled" in refusal(real, samples)
     out, _ = imported(real, samples, labelled=False)
     assert validate(out) == ()
     assert "masks" in absent(out)
@@ -309,7 +309,11 @@ def test_files_that_do_not_fit_together_are_told(real, samples):
 
 @pytest.mark.parametrize(
     ("scale_m", "what"),
-    [(None, "give the scale"), (1.0, "are allowed: if the unit is millimetres, give a scale of 0.001"), (1e-7, "m, and 16-bit depth ends at 65.535 m: correct the scale, or remove")],
+    [
+        (None, "give the scale"),
+        (1.0, "are allowed: if the unit is millimetres, give a scale of 0.001"),
+        (1e-7, "m, and 16-bit depth ends at 65.535 m: correct the scale, or remove"),
+    ],
 )
 def test_a_wrong_scale_is_told(real, samples, scale_m, what):
     assert what in refusal(real, samples, scale_m=scale_m)

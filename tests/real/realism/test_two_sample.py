@@ -122,7 +122,9 @@ def test_the_sensor_s_features_are_not_the_shape_s():
 
 
 def test_one_map_is_refused_and_so_is_a_missing_package(monkeypatch):
-    with pytest.raises(GraycastError, match="depth map: give at least two, because the test leaves out each map"):
+    with pytest.raises(
+        GraycastError, match="depth map: give at least two, because the test leaves out each map"
+    ):
         two_sample_test(maps(1, 1), maps(2, 2), names=("a", "b"), seed=0)
     monkeypatch.setattr(two_sample.importlib.util, "find_spec", lambda name: None)
     with pytest.raises(GraycastError, match=r"pip install 'graycast\[twin\]'"):

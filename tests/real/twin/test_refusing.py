@@ -31,10 +31,14 @@ def test_stereo_that_fills_shadows_is_refused():
     for _ in range(3):
         depth_m = plates((0.0, 0.0, 0.0), scattered_plates(rng))
         filled.append(scan(depth_m + 2e-3 * rng.standard_normal(depth_m.shape)))
-    with pytest.raises(GraycastError, match="Such scans are typical of active stereo and time of flight. A twin"):
+    with pytest.raises(
+        GraycastError, match="Such scans are typical of active stereo and time of flight. A twin"
+    ):
         refuse_without_shadow(filled)
 
 
 def test_scans_without_steps_say_nothing():
-    with pytest.raises(GraycastError, match="depth steps per map, which are too few to identify the kind of"):
+    with pytest.raises(
+        GraycastError, match="depth steps per map, which are too few to identify the kind of"
+    ):
         refuse_without_shadow([scan(plane())] * 3)

@@ -360,7 +360,7 @@ LABEL_DAMAGE = {
     "an unknown category": (
         coco_damage(lambda c: c["annotations"][0].update(category_id=77)), "category 77"
     ),
-    "no categories": (coco_damage(lambda c: c.pop("categories")), "is not a COCO file of instances"),
+    "no categories": (coco_damage(lambda c: c.pop("categories")), "not a COCO file of instances"),
     "no JSON": (
         lambda real: (real / "annotations/instances_train.json").write_text("{"),
         "cannot be read as JSON",

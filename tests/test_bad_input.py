@@ -60,8 +60,8 @@ def assert_untouched(out: Path):
             {"count": "many"},
             ["count is 'many'", "give one number of parts, or two numbers [lowest, highest]"],
         ),
-        ({"count": 0}, ["count is 0", "give 1 to 255"]),
-        ({"count": 256}, ["count is 256", "give 1 to 255"]),
+        ({"count": 0}, ["count is 0", "give a number from 1 to 255"]),
+        ({"count": 256}, ["count is 256", "give a number from 1 to 255"]),
         ({"count": [5, 2]}, ["count is [5, 2]", "[lowest, highest]"]),
         ({"render": {"samples": 0}}, ["render.samples is 0", "greater than or equal to 1"]),
         ({"view": {"tilt_deg": 85}}, ["view.tilt_deg is 85", "less than or equal to 80"]),
@@ -89,7 +89,7 @@ def assert_untouched(out: Path):
         ({"light": {"environment": {"map": "none.exr"}}}, ["light.environment.map", "none.exr"]),
         (
             {"light": {"lamps": [{"center_m": [0, 0, 1], "target_m": [0, 0, 1]}]}},
-            ["lamp at (0.0, 0.0, 1.0)", "move its target_m"],
+            ["lamp at (0.0, 0.0, 1.0)", "move target_m"],
         ),
         (
             {"bin": {"material": {"texture": "none.png"}}},
@@ -127,7 +127,7 @@ def test_a_wrong_setting_is_named_with_its_file_and_what_is_allowed(
         (b"count: 3\nparts: []\ncount: 4\n", ["line 3", "count is given twice", "remove"]),
         (b"parts: [1, 2\n", ["not YAML", "mend"]),
         (b"parts:\n\t- builtin: x\n", ["line 2", "mend"]),
-        (b"parts: \xff\xfe\x00", ["not a text file", "give YAML"]),
+        (b"parts: \xff\xfe\x00", ["not a text file", "give a YAML file"]),
         (b"parts: \x00", ["not YAML", "bad characters"]),
         (b"parts: 2024-13-45\n", ["not YAML", "month"]),
         (b"parts: " + 1000 * b"[", ["not YAML", "recursion"]),
@@ -197,8 +197,8 @@ def cut(path):
         ("part.stl", lambda path: lidless().export(path), "mm", ["open", "close its holes"]),
         ("part.stl", lambda path: inside_out().export(path), "mm", ["inside out", "flip"]),
         ("part.stl", lambda path: not_a_number().export(path), "mm", ["NaN", "export"]),
-        ("part.stl", lambda path: box().export(path), "m", ["60 m", "say unit: cm or mm"]),
-        ("part.stl", lambda path: box().export(path), None, ["no unit", "say unit: cm or mm"]),
+        ("part.stl", lambda path: box().export(path), "m", ["60 m", "state unit: cm or mm"]),
+        ("part.stl", lambda path: box().export(path), None, ["no unit", "state unit: cm or mm"]),
         ("part.step", written(b"x"), "mm", ["cannot read .step", "export .obj, .ply, .stl, .glb"]),
     ],
     ids="missing empty cut open inside-out nan metres unstated step".split(),
@@ -286,7 +286,7 @@ T: [-0.1, 0, 0]
 @pytest.mark.parametrize(
     ("old", "new", "words"),
     [
-        ("K1", "X1", ["no camera matrix", "cam_K, K1, M1 or cameraMatrix1"]),
+        ("K1", "X1", ["not a camera matrix", "cam_K, K1, M1 or cameraMatrix1"]),
         ("[0, 0, 1]]\nT", "[0, 0, 2]]\nT", ["R is not a rotation", "det 2", "all digits"]),
         ("-0.1", "-5.0", ["T has length 5", "m or mm"]),
         ("cam_size", "other", ["no camera image size", "cam_size: [width, height]"]),
@@ -371,7 +371,7 @@ def test_a_dataset_that_another_run_writes_is_left_alone(capsys, dataset):
     with open(out / ".lock", "a") as lock:
         fcntl.flock(lock, fcntl.LOCK_EX)
         text = refusal(capsys, "generate", path, "--out", out, "--scenes", "1")
-    assert f"another run is writing to {out}: wait for it" in text
+    assert f"another run is writing to {out}: wait until it ends" in text
     assert everything(out) == before
 
 

@@ -43,7 +43,7 @@ def test_a_crate_comes_to_the_origin_and_is_measured_whatever_frame_its_file_has
     across = np.einsum("fi,fci->fc", placed.face_normals, found.mesh.corner_normals)
     assert across.min() > 0.99  # a crate's faces are flat
     assert cKDTree(made.vertices).query(placed.vertices)[0].max() < 2e-6
-    assert "its floor 10.0 mm above the table" in found.notes[-1]
+    assert "its floor is 10.0 mm above the table" in found.notes[-1]
 
 
 def test_the_crate_of_the_configurations_is_this_one(tmp_path):

@@ -81,7 +81,7 @@ def test_every_configuration_in_the_repository_resolves(path):
             assert scanner.rig.name == one["rig"]
         else:
             assert scanner.rig.name == load_scanner(path.parent / one["rig"]).rig.name
-    size = "bin: The bin is 370 x 270 x 140 mm inside, its floor 10.0 mm above the table."
+    size = "bin: The bin is 370 x 270 x 140 mm inside, and its floor is 10.0 mm above the table."
     # Nothing else about their meshes is to be wondered at.
     assert cell.notes == ((size,) if "mesh" in written.get("bin", {}) else ())
 

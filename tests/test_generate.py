@@ -353,8 +353,8 @@ def test_ctrl_c_ends_quietly_and_the_same_command_goes_on(config_file, many, tmp
         _, complaint = run.communicate()
     assert run.returncode == 130
     assert (
-        complaint
-        == "graycast: stopped; the finished scenes are kept; run the same command again to continue\n"
+        complaint == "graycast: the command was stopped; the finished scenes are kept; "
+        "run the same command again to continue\n"
     )
     assert time.monotonic() - begun < 10
     assert 2 <= finished(out) < 12

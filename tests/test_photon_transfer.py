@@ -97,7 +97,7 @@ def test_what_the_converter_hides_is_nan():
 def test_what_cannot_be_measured_is_refused_with_a_remedy():
     with pytest.raises(ValueError, match="raise offset_dn"):
         photon_transfer(SensorSpec(offset_dn=1.0), seed=0)
-    with pytest.raises(ValueError, match="shorten it"):
+    with pytest.raises(ValueError, match="give a shorter time"):
         photon_transfer(SensorSpec(dark_current_e_s=1e5), seed=0)
     with pytest.raises(ValueError, match="levels is 3"):
         photon_transfer(SensorSpec(), seed=0, levels=3)

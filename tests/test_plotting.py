@@ -35,7 +35,7 @@ def test_a_picture_that_cannot_be_written_leaves_the_old_one_and_nothing_else(tm
 
 
 def test_a_missing_folder_is_named(tmp_path):
-    with pytest.raises(GraycastError, match=r"nowhere.*give a path in a folder"):
+    with pytest.raises(GraycastError, match=r"nowhere.*give a path in an existing folder"):
         save_png(Figure(), tmp_path / "nowhere" / "plot.png", dpi=50)
 
 

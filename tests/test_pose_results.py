@@ -46,7 +46,7 @@ def test_rotations_are_by_rows_and_translations_in_millimetres(tmp_path):
         (ONE.replace("1 0 0 0 1 0 0 0 1", "1 0 0 0 1 0 0 0 2"), "line 2: R is not a rotation"),
         (ONE.replace("1 0 0 0 1 0 0 0 1", "1 0 0 0 1 0 0 0 -1"), "line 2: R is not a rotation"),
         (ONE.replace("10 20 900", "10 20"), "line 2: t is '10 20'; it must be 3 finite numbers"),
-        (ONE.replace("0.25", "-2"), "line 2: time is -2.0; seconds, or -1"),
+        (ONE.replace("0.25", "-2"), "line 2: time is -2.0; give seconds, or -1"),
         (ONE.replace("10 20 900", "10,20,900"), "line 2 has 9 cells, not 7"),
         (f"{ONE}\n{ONE.replace('0.25', '0.5')}", "scene 3, image 0 has the times 0.25 and 0.5"),
     ],

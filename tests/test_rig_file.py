@@ -212,7 +212,7 @@ def test_a_projector_that_looks_away_is_refused(tmp_path):
     content["R_cam_proj"] = [[-1, 0, 0], [0, 1, 0], [0, 0, -1]]
     (tmp_path / "rig.yaml").write_text(yaml.safe_dump(content))
     with pytest.raises(
-        ConfigError, match=r"nothing in common from 0\.458 to 1\.118 m: does the pro"
+        ConfigError, match=r"no common field of view from 0\.458 to 1\.118 m: check"
     ):
         load_scanner(tmp_path / "rig.yaml")
 
@@ -299,10 +299,10 @@ BAD_CALIBRATIONS = {
     ),
     "R mirrored": ({"R": np.diag([1.0, 1.0, -1.0]).tolist()}, "R is not a rotation .det -1"),
     "skew": ({"cam_K": SKEWED}, "cam_K has the skew 0.5"),
-    "K transposed": ({"cam_K": np.transpose(CALIBRATION["cam_K"]).tolist()}, "no camera matrix"),
+    "K transposed": ({"cam_K": np.transpose(CALIBRATION["cam_K"]).tolist()}, "not a camera matrix"),
     "no baseline": ({"T": [0.0, 0.0, 0.0]}, "T is zero: .*baseline"),
     "unit open": ({"T": [5.0, 0.0, 0.0]}, "T has length 5: state whether"),
-    "no size": ({"pro_size": None}, "no projector image size: add pro_size"),
+    "no size": ({"pro_size": None}, "the projector image size is missing: add pro_size"),
     "broken size": ({"cam_size": [640.5, 480]}, "cam_size is .640.5, 480.*width, height"),
     "NaN": ({"cam_kc": [0.1, float("nan"), 0.0, 0.0]}, "cam_kc has numbers that are not finite"),
     "words": ({"T": ["far", "away", "left"]}, "T is not an array of numbers"),
@@ -334,7 +334,7 @@ def test_a_bad_calibration_is_refused_by_file_key_and_remedy(tmp_path, case):
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
-        ({"unit": "m"}, "baseline is 194 m: is T in millimetres"),
+        ({"unit": "m"}, "baseline is 194 m: give T in metres"),
         ({"unit": "cm"}, "no unit 'cm': choose m or mm"),
         ({"near_m": 0.9}, "0 < near_m < far_m"),
         ({"camera_size_px": (0, 480)}, "width_px is 0: it should be greater"),
@@ -426,7 +426,7 @@ BAD_RIGS = {
         "m: give T in metres, not in millimetres",
     ),
     "range": (set_key("far_m", 0.1), "0 < near_m < far_m"),
-    "weights": (set_key("band_weights", [1, 1, 1]), "shares of 1"),
+    "weights": (set_key("band_weights", [1, 1, 1]), "whose sum is 1"),
     "four terms": (set_key("camera", "distortion", [0, 0, 0, 0]), "camera.distortion.4 is missing"),
     "folds over": (set_key("camera", "distortion", [-9, 0, 0, 0, 0]), "camera: .*no inverse"),
 }

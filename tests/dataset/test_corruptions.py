@@ -140,7 +140,7 @@ DARK = {
     "far": ({"view": {"distance_m": 1e9}}, "65.535 m: give a smaller view.distance_m"),
     "farther than its range": (
         {"view": {"distance_m": 5.0}},
-        "that is in none: .* near_m to far_m",
+        "so in none: .* near_m and far_m",
     ),
     "unlit": ({"exposure": {"exposure_s": 1e-300}}, "100% are shadow: give a longer exposure"),
 }

@@ -123,5 +123,5 @@ def test_a_claim_without_distractors_is_as_before_there_were_any(tmp_path):
 
 
 def test_labelled_parts_go_first():
-    with pytest.raises(ValueError, match="those without a label go last"):
+    with pytest.raises(ValueError, match="parts without a label must come last"):
         Scene(rig=make_rig(), T_world_cam=np.eye(4), parts=(FOREIGN, BOX))

@@ -79,5 +79,5 @@ def test_a_picture_that_ends_early_is_told(scene):
 def test_a_scene_without_its_cameras_is_no_traceback_of_realism(scene, content, told):
     path = scene.path / "scene_camera.json"
     path.write_text(json.dumps(content))
-    with pytest.raises(DatasetError, match=f"^{path}: {told}.*has cam_K"):
+    with pytest.raises(DatasetError, match=f"^{path}: {told}.*needs cam_K"):
         list(read_scans([scene.path]))

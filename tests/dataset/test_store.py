@@ -176,7 +176,7 @@ def test_a_scene_that_is_there_is_not_written_over(opened, samples, tmp_path):
     with opened(tmp_path / "out") as store:
         store.write(0, [samples[0]])
         before = content(store.out)
-        with pytest.raises(DatasetError, match="000000 is there already: remove it"):
+        with pytest.raises(DatasetError, match="000000 exists already: remove it"):
             store.write(0, [samples[3]])
         assert content(store.out) == before
 

@@ -39,7 +39,8 @@ def is_complementary(f):
         ),
         (
             without(xor_gray(64, 48, inverses=False), bit_is(1, False)),
-            "Gray bit 1 is missing between finer and coarser bits|which must be there on its own",
+            "Gray bit 1 is missing between finer and coarser bits|"
+            "which the code must also have uncombined",
         ),
         (
             without(xor_gray(64, 48, base_bit=0, inverses=False), bit_is(0, False)),

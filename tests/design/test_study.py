@@ -113,7 +113,7 @@ def test_the_committed_study_compares_24_settings():
         ({"layouts": 0}, ["layouts is 0"]),
         (
             {"sweeps": [{"code": ["grey"]}]},
-            ["names the code 'grey'", "codes has gray, phase", "add it there"],
+            ["names the code 'grey'", "codes has gray, phase", "add it to"],
         ),
         ({"sweeps": [{"bin": ["low"]}]}, ["names the bin 'low'", "bins has none"]),
         (
@@ -128,7 +128,7 @@ def test_the_committed_study_compares_24_settings():
             {"sweeps": [{"distance_m": [850]}]},
             ["the setting 850m", "0.458 to 1.118 m", "give another distance_m"],
         ),
-        ({"sweeps": [{"baseline_m": [350]}]}, ["the setting baseline350m", "in millimetres?"]),
+        ({"sweeps": [{"baseline_m": [350]}]}, ["the setting baseline350m", "not in millimetres"]),
         ({"codes": {"a/b": {}}}, ["codes", "a/b"]),
         (
             {"codes": {"x": {"codec": "gray_phase", "period_px": 1}}, "sweeps": [{"code": ["x"]}]},

@@ -38,7 +38,7 @@ def opened(model, *, channels=3, seed=0, size_px=SIZE_PX):
     if find_spec(file) is None:
         pytest.skip(f"{file} is not written yet")
     if model in LIBRARIES and find_spec(LIBRARIES[model]) is None:
-        pytest.skip(f"needs {LIBRARIES[model]}: pip install --no-deps {LIBRARIES[model]}")
+        pytest.skip(f"needs {LIBRARIES[model]}: run pip install --no-deps {LIBRARIES[model]}")
     torch.manual_seed(seed)
     return open_network(
         model, channels=channels, classes=CLASSES, backbone=BACKBONES[model], size_px=size_px

@@ -72,12 +72,12 @@ def test_every_combination_comes_once(tmp_path):
 @pytest.mark.parametrize(
     ("changed", "told"),
     [
-        ({"gap": ["own", "moon"]}, "gap names 'moon', which is none of"),
+        ({"gap": ["own", "moon"]}, "gap names 'moon', which is no test set"),
         ({"models": []}, "models"),
         ({"colour": 1}, "unknown key"),
         (
             {"tests": {"own": {"datasets": ["a", "b"]}, "other": {"datasets": ["c"]}}},
-            "both worlds need as many datasets",
+            "the two test sets must have the same number",
         ),
     ],
 )

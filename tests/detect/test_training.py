@@ -362,7 +362,7 @@ def test_what_cannot_be_looked_at_is_said_in_one_line(dataset, run, tmp_path, ca
 
     (tmp_path / "empty").mkdir()
     assert "has no pictures: put them into the folders" in told(given=tmp_path / "empty")
-    assert "is no dataset, so it has no set test" in told("--split", "test", given=tmp_path)
+    assert "is not a dataset, so it has no set test" in told("--split", "test", given=tmp_path)
     assert "has no set 'test'" in told("--split", "test")
     assert "needs no pictures: remove the argument pictures" in told("--export", "onnx")
     (tmp_path / "mine").mkdir()

@@ -255,7 +255,9 @@ def test_a_view_is_the_cone_through_the_farthest_corner_and_meets_balls_that_rea
 def test_lamps_that_can_stand_nowhere_are_refused():
     scene = cell()
     said = {"kind": "randomized", "lamps": {"distance_m": [0.1, 0.1], "count": [1, 1]}}
-    with pytest.raises(ConfigError, match=r"domain\.lamps: 1000 lamps in a row stood in the bin"):
+    with pytest.raises(
+        ConfigError, match=r"domain\.lamps: 1000 consecutive lamps were inside the bin"
+    ):
         draw(domain(scene, said), scene, (1, 1), np.random.default_rng(0))
 
 

@@ -326,8 +326,11 @@ def test_hulls_off_by_more_than_their_bound_say_so_with_the_measured_figure():
     made = decomposition.error.measured(part.mesh, (full,))
     assert made.coarse and 3.5e-3 < made.error.filled_m < 4e-3
     (note,) = hull_notes((part,), (made,))
-    assert note.startswith("washer: collides more coarsely") and "the bound is 0.50 mm." in note
-    assert f"{1e3 * made.error.worst_m:.2f} mm off its surface" in note
+    assert (
+        note.startswith("washer: its collision hulls are too coarse")
+        and "the bound is 0.50 mm." in note
+    )
+    assert f"{1e3 * made.error.worst_m:.2f} mm from its surface" in note
     fine = decomposition.error.measured(part.mesh, decompose(part.mesh))
     assert not fine.coarse and hull_notes((part,), (fine,)) == ()
 

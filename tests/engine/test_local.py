@@ -86,7 +86,8 @@ def test_a_worker_that_is_killed_is_replaced_and_its_scene_made_again(task):
     (failed,) = [outcome for outcome in outcomes if isinstance(outcome, Failed)]
     assert isinstance(failed.error, WorkerDied)
     assert str(failed.error) == (
-        "its worker process was killed (SIGKILL, by a user or by the operating system for lack of memory)"
+        "its worker process was killed (SIGKILL, by a user or "
+        "by the operating system for lack of memory)"
     )
     made = [outcome.scene_id for outcome in outcomes if isinstance(outcome, Made)]
     assert sorted(made) == [0, 1, 2]
@@ -141,7 +142,11 @@ def test_a_run_that_is_told_to_stop_leaves_nothing_behind(config_file, tmp_path,
         run.send_signal(word)
         begun = time.monotonic()
         _, complaint = run.communicate()
-    assert (run.returncode, complaint) == (130, "graycast: stopped; finished scenes are kept\n")
+    assert (run.returncode, complaint) == (
+        130,
+        "graycast: the command was stopped; the finished scenes are kept; "
+        "run the same command again to continue\n",
+    )
     assert time.monotonic() - begun < 10
     assert not any(map(alive, workers))
     assert not list(out.rglob(".tmp-*"))

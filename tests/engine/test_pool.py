@@ -81,7 +81,7 @@ def test_a_machine_that_loses_scene_after_scene_ends_the_run():
     """Its driver is lost after six scenes; with three at work 13 in a row come to nothing."""
     seen = []
     lost = {scene_id: [DeviceError("no driver")] * 9 for scene_id in range(6, 40)}
-    with pytest.raises(GraycastError, match=r"13 scenes in a row.*no driver: run again when"):
+    with pytest.raises(GraycastError, match=r"13 scenes in a row.*no driver: repair the machine"):
         for outcome in make_all(Scripted(lost), range(40)):
             seen.append(outcome)
     assert all(isinstance(o, Made) for o in seen[:-13])

@@ -192,18 +192,18 @@ RUNS = {"size": [120, 160], "counts": "0"}
     ("text", "words"),
     [
         ("[{", "is not JSON, or is cut off"),
-        ("{}", "is no list: give a file of COCO results"),
+        ("{}", "is not a JSON list: give a file of COCO results"),
         ([entry(image_id=99)], "entry 0 is of image 99"),
         ([entry(), entry(category_id=7)], "entry 1 is of category 7, the dataset has 1, 2"),
         ([entry(score=float("nan"))], "score is nan; it must be a finite number"),
         ([entry(score="high")], "score is 'high'; it must be a finite number"),
         ([entry(bbox=[1, 2, 3])], "bbox is [1, 2, 3]; it must be four finite numbers"),
-        ([entry(bbox=[9, 9, -3, 4])], "must not be negative: is it x0, y0, x1, y1?"),
+        ([entry(bbox=[9, 9, -3, 4])], "must not be negative: give x, y, width, height"),
         ([entry(image_id="0")], "image_id is '0'; it must be a whole number"),
         ([{"image_id": 0, "score": 1}], "lacks one of image_id, category_id, score"),
         ([{"image_id": 0, "category_id": 1, "score": 1}], "has neither bbox nor segmentation"),
         ([entry(), entry(segmentation=RUNS)], "run lengths do not fill 160 x 120 pixels"),
-        ([entry(segmentation=[[0, 0, 1, 1]])], "segmentation is no run lengths"),
+        ([entry(segmentation=[[0, 0, 1, 1]])], "segmentation is not a run-length encoding"),
         ([entry(segmentation={"size": [4, 4], "counts": "o"})], "run lengths do not fill 4 x 4"),
         (
             [entry(segmentation={"size": [4, 4], "counts": [16]})],
@@ -241,14 +241,12 @@ def test_a_run_that_does_not_fit_the_dataset_is_refused(master, tmp_path, capsys
     (bare / "detect.json").write_text("{}")
     assert "lacks 'division': run graycast detect again" in told(bare)
     (bare / "detect.json").write_text('{"division": null, "scene_ids": ["x"]}')
-    assert "is damaged ('x' is no whole number)" in told(bare)
+    assert "is damaged ('x' is not a whole number)" in told(bare)
     elsewhere = written_run(tmp_path / "elsewhere", found, scene_ids=[*SCENES, 50])
-    assert "looked at scene 50" in told(elsewhere)
+    assert "has detections in scene 50" in told(elsewhere)
     fewer = written_run(tmp_path / "fewer", found[:2])
-    assert "scene 4 was not looked at" in told(bare.parent / "fewer", "--split", "train")
-    assert "scene 4 was not looked at" in told(
-        written_run(tmp_path / "run", found), "--against", fewer
-    )
+    assert "scene 4 was not used" in told(bare.parent / "fewer", "--split", "train")
+    assert "scene 4 was not used" in told(written_run(tmp_path / "run", found), "--against", fewer)
     boxes = written_run(tmp_path / "boxes", perfect(master, masked=False))
     assert "detections have no masks" in told(boxes, "--kind", "mask")
     assert "has no set 'test'" in told(boxes, "--split", "test")

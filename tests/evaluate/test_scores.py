@@ -188,9 +188,9 @@ def test_labels_and_detections_of_other_scenes_are_refused(labels, found, words)
 
 def test_masks_are_needed_to_compare_masks():
     found = found_squares(0, FOUR, [0.9] * 4)
-    with pytest.raises(GraycastError, match="detections have no masks: compare boxes"):
+    with pytest.raises(GraycastError, match="detections have no masks: score boxes"):
         one_scene(replace(found, mask=None))
-    with pytest.raises(GraycastError, match="labels have no masks: compare boxes"):
+    with pytest.raises(GraycastError, match="labels have no masks: score boxes"):
         one_scene(found, labels=replace(squares(0, FOUR), mask=None))
     assert one_scene(replace(found, mask=None), kind="box").ap == 1.0
 

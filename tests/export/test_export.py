@@ -81,7 +81,7 @@ def test_a_folder_in_use_is_left_alone(master, tmp_path):
 
 
 def test_an_option_of_another_format_is_refused():
-    with pytest.raises(GraycastError, match="parquet knows no polygons: leave it out"):
+    with pytest.raises(GraycastError, match="parquet has no option polygons: remove it"):
         Options(format="parquet", polygons=True)
     with pytest.raises(GraycastError, match="depth is 'both': choose one of perfect, scanner"):
         Options(format="bop-webdataset", depth="both")

@@ -109,7 +109,7 @@ def test_jaws_that_fit_round_nothing_leave_no_trace(folder, capsys):
     jaws = {"kind": "jaws", "jaws": {"opening_m": 0.02}}
     write_tool(folder, jaws)
     assert label(folder) == 1
-    assert "fit round none of box" in capsys.readouterr().err
+    assert "fit around none of box" in capsys.readouterr().err
     assert not (folder / "ds/grasps").exists()
 
 

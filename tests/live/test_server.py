@@ -95,9 +95,9 @@ def test_settings_are_set_undone_and_told(server):
         ({"do": "rewrite", "text": "parts: ["}, "cell.yaml: is not YAML in line 1"),
         ({"do": "rewrite", "text": "count: 3"}, "cell.yaml: parts is missing: add it"),
         ({"do": "set", "key": "rig.baseline", "value": 20}, "see nothing in common"),
-        ({"do": "return", "number": 99}, "picture 99 is no more known"),
-        ({"do": "save", "name": "../cell.yaml"}, "'../cell.yaml' is no name for the file"),
-        ({"do": "save", "name": "cell.yaml"}, "cell.yaml is there already: give the file another"),
+        ({"do": "return", "number": 99}, "picture 99 is no longer stored"),
+        ({"do": "save", "name": "../cell.yaml"}, "'../cell.yaml' is not a valid file name"),
+        ({"do": "save", "name": "cell.yaml"}, "cell.yaml exists already: give another"),
         ({"do": "dance"}, 'the page asked for {"do": "dance"}: reload it'),
     ],
 )
@@ -117,7 +117,7 @@ def test_what_was_saved_here_may_be_saved_again(server, tmp_path):
 
 
 def test_a_taken_port_and_a_wrong_file_are_told(server, tmp_path):
-    with pytest.raises(GraycastError, match=f"port {server.port} of this machine cannot be taken"):
+    with pytest.raises(GraycastError, match=f"port {server.port} of this machine cannot be opened"):
         Server(tmp_path / "cell.yaml", port=server.port)
     with pytest.raises(ConfigError, match="no such file"):
         Server(tmp_path / "none.yaml")

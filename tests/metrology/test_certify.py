@@ -100,7 +100,7 @@ class _Tags(HTMLParser):
 def test_an_impossible_scope_is_refused():
     with pytest.raises(ValueError, match="odd number"):
         Scope(distances=4)
-    with pytest.raises(ValueError, match="2 or more"):
+    with pytest.raises(ValueError, match="at least 2"):
         Scope(captures=1)
 
 

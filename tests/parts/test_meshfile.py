@@ -292,7 +292,7 @@ REFUSALS = [
     (missing, {}, ["no such file", "check the path"]),
     (unsupported, {}, [".step", "export .obj, .ply, .stl, .glb"]),
     (empty_file, {}, ["file is empty", "export"]),
-    (not_a_mesh, {}, ["no triangles", "export it again, as a mesh"]),
+    (not_a_mesh, {}, ["no triangles", "so export it again as a mesh"]),
     (only_points, {}, ["no triangles", "points"]),
     (cut_binary_stl, {}, ["cut off", "export it again"]),
     (cut_ascii_stl, {}, ["no triangles", "cut off"]),
@@ -324,12 +324,12 @@ def test_a_bad_mesh_is_refused_in_one_line_with_the_remedy(tmp_path, make, keywo
     ("size", "ending", "unit", "words"),
     [
         (60, "stl", None, ["60 m if in m, 600 mm if in cm, 60 mm if in mm, 1.524 m if in inch",
-                           "say unit: cm or mm"]),
-        (300, "ply", None, ["say unit: mm"]),
-        (2.953, "stl", None, ["say unit: cm or inch"]),
-        (0.06, "stl", "mm", ["unit mm", "0.06 mm", "say unit: m"]),
-        (60, "obj", "m", ["unit m", "60 m", "say unit: cm or mm"]),
-        (60, "glb", None, ["by its format", "unit m", "60 m", "say unit: cm or mm"]),
+                           "state unit: cm or mm"]),
+        (300, "ply", None, ["state unit: mm"]),
+        (2.953, "stl", None, ["state unit: cm or inch"]),
+        (0.06, "stl", "mm", ["unit mm", "0.06 mm", "state unit: m"]),
+        (60, "obj", "m", ["unit m", "60 m", "state unit: cm or mm"]),
+        (60, "glb", None, ["by its format", "unit m", "60 m", "state unit: cm or mm"]),
         (1e6, "stl", None, ["scale the mesh"]),
         (1e-5, "stl", "m", ["0.01 mm", "scale the mesh"]),
     ],
@@ -426,7 +426,9 @@ def test_a_body_that_is_inside_out_beside_another_is_no_cavity(tmp_path):
     small.apply_translation((0.05, 0, 0))
     small.invert()
     path = exported(trimesh.util.concatenate([large, small]), tmp_path / "part.stl")
-    with pytest.raises(MeshError, match=r"inside out.*lies in no other; flip its normals"):
+    with pytest.raises(
+        MeshError, match=r"inside out.*is not inside another shell; flip its normals"
+    ):
         load(path, unit="m")
 
 

@@ -166,7 +166,7 @@ WHITE = Frame(kind="white")
         ),
         (
             lambda: Frame(kind="phase", axis="row", period_px=9.0, steps=4, step=4),
-            "step 4; from 0 to below 4",
+            "step 4; give at least 0 and less than its steps, which is 4",
         ),
         (
             lambda: Frame(kind="phase", axis="row", period_px=9.0, steps=4, inverse=True),

@@ -31,13 +31,13 @@ def test_the_small_cell_itself_is_fine(tmp_path):
 @pytest.mark.parametrize(
     ("changes", "words"),
     [
-        ({"robot": {"arm": "ur10"}}, "no robot 'ur10'"),
+        ({"robot": {"arm": "ur10"}}, "the robot 'ur10' is not known"),
         ({"robot": {"arm": "broken.urdf"}}, "broken.urdf"),
         ({"robot": {"arm": "headless.urdf"}}, "no link called flange"),
         ({"robot": {"arm": "meshless.urdf"}}, "gone.stl"),
         ({"robot": {"home_rad": [0, 0]}}, "home has 2 angles"),
         ({"robot": {"home_rad": [9, 0, 0, 0, 0, 0]}}, "home of joint 1"),
-        ({"robot": {"home_rad": [0, 0.6, 0, 0, 0, 0]}}, "the arm is in"),
+        ({"robot": {"home_rad": [0, 0.6, 0, 0, 0, 0]}}, "the arm collides with"),
         ({"robot": {"base_m": [-2.5, 0, 0]}}, "does not reach"),
         ({"robot": {"arms": "ur5e"}}, "robot.arms: did you mean arm?"),
         ({"tool": {"kind": "magnet"}}, "tool"),

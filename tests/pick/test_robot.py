@@ -112,12 +112,12 @@ def test_a_urdf_file_is_the_robot_that_it_says(tmp_path):
 @pytest.mark.parametrize(
     ("content", "told"),
     [
-        (None, "no robot 'arm.urdf': choose one of ur5e, diana7"),
+        (None, "the robot 'arm.urdf' is not known: choose one of ur5e, diana7"),
         ("<robot", "arm.urdf"),
         (urdf(ARMS["ur5e"]).replace("flange", "hand"), "no link called flange"),
         (
             urdf(ARMS["ur5e"]).replace('"revolute"', '"continuous"', 1),
-            "joint1 turns without end, which is not known here: give it the type revolute",
+            "joint1 is a continuous joint, which is not supported: give it the type revolute",
         ),
         (
             re.sub('velocity="[^"]*"', 'velocity="0"', urdf(ARMS["ur5e"]), count=1),
@@ -138,7 +138,7 @@ def test_a_wrong_robot_is_refused_in_one_line(tmp_path, content, told):
 
 
 def test_a_wrong_home_is_refused(tmp_path):
-    with pytest.raises(ConfigError, match="home has 2 angles, the robot 6 joints"):
+    with pytest.raises(ConfigError, match="home has 2 angles, and the robot has 6 joints"):
         open_robot("ur5e", folder=tmp_path, home=[0, 0])
     with pytest.raises(ConfigError, match=r"home of joint 4 is -0.500 rad; its limits are 0.000"):
         open_robot("diana7", folder=tmp_path, home=[0, 0, 0, -0.5, 0, 0, 0])

@@ -56,7 +56,7 @@ def test_pairs_are_attempts_of_the_same_bin_in_their_order():
 def test_nothing_to_tell_is_said():
     with pytest.raises(GraycastError, match="no bin is finished"):
         summarize([])
-    with pytest.raises(GraycastError, match="share no bin"):
+    with pytest.raises(GraycastError, match="have no common bin"):
         pair([episode(0, "picked")], [episode(1, "picked")])
 
 

@@ -98,13 +98,13 @@ def test_a_user_s_link_is_judged_by_what_it_points_to(tmp_path, monkeypatch):
     make_library(tmp_path, "libLLVM-15.so.1")
     (tmp_path / "libLLVM-19.so").symlink_to("libLLVM-15.so.1")
     monkeypatch.setenv("DRJIT_LIBLLVM_PATH", str(tmp_path / "libLLVM-19.so"))
-    with pytest.raises(DeviceError, match=r"LLVM 15, which can end the process.*unset"):
+    with pytest.raises(DeviceError, match=r"LLVM 15, which can crash the process.*unset"):
         find_llvm()
 
 
 @pytest.mark.parametrize(
     ("name", "message"),
-    [("gone/libLLVM-19.so", "which is no file: unset"), ("odd.so", "whose version is unknown")],
+    [("gone/libLLVM-19.so", "which is not a file: unset"), ("odd.so", "whose version is unknown")],
 )
 def test_a_user_s_library_that_cannot_be_is_refused(tmp_path, monkeypatch, name, message):
     make_library(tmp_path, "odd.so")
@@ -240,5 +240,7 @@ def test_threads_below_one_are_refused():
 
 
 def test_optix_under_mitsuba_is_refused_with_the_choices_that_there_are():
-    with pytest.raises(ValueError, match=r"optix is of Cycles alone .*choose auto, cpu or cuda"):
+    with pytest.raises(
+        ValueError, match=r"optix exists only for Cycles .*choose auto, cpu or cuda"
+    ):
         choose_device("optix")

@@ -103,7 +103,7 @@ def test_another_folder_is_not_written_into(dataset, tmp_path):
     (tmp_path / "thesis.tex").write_text("x")
     with pytest.raises(GraycastError, match=r"thesis\.tex"):
         write_report(dataset, tmp_path)
-    with pytest.raises(GraycastError, match="folder of its own"):
+    with pytest.raises(GraycastError, match="give another folder for the page"):
         write_report(dataset, dataset)
 
 

@@ -69,7 +69,7 @@ def test_scenes_are_found_by_number_span_and_part(page, text, found):
     assert cards(page) == [f"train-{k:06d}" for k in found]
     assert f"{len(found)} of 3 scenes" in page.locator("#told").inner_text()
     if not found:
-        assert "No scene fits" in page.locator(".nothing").inner_text()
+        assert "No scene matches" in page.locator(".nothing").inner_text()
         page.click("#lift-all")
         assert len(cards(page)) == 3 and page.input_value("#find") == ""
 

@@ -304,7 +304,7 @@ WARNINGS = [
     (
         wrong_period,
         PHASE,
-        r"% of the well lit pixels have frames that contradict: are period_px",
+        r"% of the well lit pixels have frames that contradict: check period_px",
     ),
     (
         steps_exchanged,
@@ -357,7 +357,7 @@ def test_a_rig_whose_baseline_is_not_coded_is_refused_before_pictures_are_read(m
         decode_stack(make(edit), RIG)
     with pytest.raises(GraycastError, match="averaging joins"):
         decode_stack(make(edit), small_rig(vertical=True), average=True)
-    with pytest.raises(GraycastError, match="takes a rig"):
+    with pytest.raises(GraycastError, match="need a rig"):
         decode_stack(make(edit), average=True)
 
 

@@ -104,7 +104,7 @@ FAULTS = [
         "% of the well lit pixels have frames that contradict",
     ),
     (exchange, "if column_bit05 and column_bit02 were exchanged"),
-    (shift, "if each bit were 1 finer, in a ring"),
+    (shift, "if each bit were 1 finer, in a cycle"),
     (reverse, "if all bits were in the opposite order"),
 ]
 FAULTY = ["dark squares", "squares and a shadow", "a bare wall that flickers"]

@@ -48,5 +48,5 @@ def test_the_farthest_pair_that_agrees_is_taken_not_the_farthest():
 
 def test_one_view_shares_nothing():
     _, views = cluttered(1, np.random.default_rng(2))
-    with pytest.raises(DatasetError, match="give more views"):
+    with pytest.raises(DatasetError, match="give at least two views"):
         empty_view(views)

@@ -69,7 +69,7 @@ def test_nothing_is_written_over_and_paths_keep_their_meaning(tmp_path):
     base = tmp_path / "cell.yaml"
     base.write_text(BASE)
     refuse_existing(tmp_path / "new.yaml", base)
-    with pytest.raises(GraycastError, match="is there already"):
+    with pytest.raises(GraycastError, match="exists already"):
         refuse_existing(base, base)
     with pytest.raises(GraycastError, match="where its relative paths start"):
         refuse_existing(tmp_path / "sub" / "new.yaml", base)
@@ -83,11 +83,11 @@ def test_a_pose_that_nothing_holds_is_not_written(tmp_path):
     box = open_box(BOX.inner_m)
     fit = BinFit(views=("a",), shape=box, pose=settle(seen, box, T), apart=())
     assert fit.pose.loose == ("x",)
-    assert any("NOT HELD by what was seen: x" in line for line in summary(fit))
+    assert any("NOT DETERMINED by the views: x" in line for line in summary(fit))
     base = tmp_path / "cell.yaml"
     base.write_text(BASE)
     config = load_config(base)
-    with pytest.raises(GraycastError, match="no wall or edge holds x of the bin"):
+    with pytest.raises(GraycastError, match="no wall or edge determines x of the bin"):
         write_fit(fit, resolve_cell(config, tmp_path), seen, base, tmp_path / "new.yaml")
     assert [path.name for path in tmp_path.iterdir()] == ["cell.yaml"]
 
@@ -127,7 +127,7 @@ def test_a_file_that_came_meanwhile_stays(tmp_path, monkeypatch):
 
     monkeypatch.setattr("graycast.real.fit_bin.fitting.draw_residuals", slowly)
     cell = resolve_cell(load_config(base), tmp_path)
-    with pytest.raises(GraycastError, match="is there already"):
+    with pytest.raises(GraycastError, match="exists already"):
         write_fit(fit, cell, seen, base, tmp_path / "new.yaml")
     assert (tmp_path / "new.yaml").read_text() == "of another run"
     assert {path.name for path in tmp_path.iterdir()} == {"cell.yaml", "new.yaml"}

@@ -268,7 +268,7 @@ def test_objects_get_the_numbers_of_a_dataset_that_is_named(real, samples):
 
 def test_pictures_without_labels_come_in_if_that_is_said(real, samples):
     shutil.rmtree(real / "annotations")
-    assert "say --unlabelled" in refusal(real, samples)
+    assert "or --unlabelled" in refusal(real, samples)
     out, _ = imported(real, samples, labelled=False)
     assert validate(out) == ()
     assert "masks" in absent(out)
@@ -360,7 +360,7 @@ LABEL_DAMAGE = {
     "an unknown category": (
         coco_damage(lambda c: c["annotations"][0].update(category_id=77)), "category 77"
     ),
-    "no categories": (coco_damage(lambda c: c.pop("categories")), "is not a COCO file of instances"),
+    "no categories": (coco_damage(lambda c: c.pop("categories")), "not a COCO file of instances"),
     "no JSON": (
         lambda real: (real / "annotations/instances_train.json").write_text("{"),
         "cannot be read as JSON",

@@ -157,7 +157,7 @@ WHITE = Frame(kind="white")
     [
         (lambda: xor_gray(320, 240, base_bit=20), "base_bit is 20; the code has bits 0 to 8"),
         (lambda: Frame(kind="gray", bit=1), "has axis None"),
-        (lambda: Frame(kind="gray", axis="column"), "bit -1; 0 .finest. to 23"),
+        (lambda: Frame(kind="gray", axis="column"), "bit -1; give 0 .the finest bit. to 23"),
         (lambda: Frame(kind="gray", axis="row", bit=3, xor_bit=24), "xor_bit 24"),
         (lambda: Frame(kind="phase", axis="row", period_px=1.0), "period_px 1.0; give at least 2"),
         (

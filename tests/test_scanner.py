@@ -199,3 +199,9 @@ def test_a_scan_lasts_as_long_as_its_frames():
     capture = Capture(frames=frames, sensor=SensorSpec(), exposure_s=exposure_s)
     seconds = scan_seconds(scanner, capture, readout_s=0.01)
     assert seconds == pytest.approx(3 * (0.002 + 0.008 + 0.020 + 3 * 0.01), rel=1e-6)
+
+
+def test_a_preset_s_raster_is_as_many_millimetres_in_small_maps_as_in_those_of_low_resolution():
+    small, low = (preset("phoxi-m", resolution) for resolution in ("small", "low"))
+    place = [s.filters.raster_px / s.rig.camera.fx_px for s in (small, low)]
+    assert place[0] == pytest.approx(place[1], rel=1e-3)

@@ -271,7 +271,7 @@ def preset(name: str, resolution: str = "low") -> Scanner:
             hidden_sigmas=3.0,
             island_px=30,
             smoothing_px=0.55,
-            raster_px=_PHOXI_RASTER_PX,
+            raster_px=_PHOXI_RASTER_PX[resolution],
         ),
     )
 
@@ -280,7 +280,8 @@ _PHOXI_PITCH_M = 3.45e-6  # 2064 x 1544 pixels of this pitch: Sony's IMX252 and 
 _PHOXI_F_NUMBER = 4.0
 # Of five real scans (docs/rigs.md): what their noise is on black and on white, and on slopes.
 _PHOXI_SPECKLE, _PHOXI_VOLUME = 0.5, 5.0
-_PHOXI_RASTER_PX = 0.3
+# 0.2 mm, as small maps of a real device have; nothing is known of full ones.
+_PHOXI_RASTER_PX = {"small": 0.15, "low": 0.3, "full": 0.3}
 
 __all__ = [
     "PRESETS",

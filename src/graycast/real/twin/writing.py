@@ -74,9 +74,10 @@ def report_text(twin: Twin) -> str:
         "",
         "## What was fitted",
         "",
-        "Each parameter was varied over its range, with all others at their fitted values: "
-        "between `from` and `to` the misfit is within the variation of the noise. Effects of two "
-        "parameters together are not shown.",
+        "Between `from` and `to` the fit was as good as the variation of the noise allows, with all "
+        "other parameters as found or in a trial of the search. Parameters compensate for each "
+        "other, so these ranges are no confidence intervals: for simulated scanners with hidden "
+        "parameters, about half of the decided numbers were within them (docs/twin.md).",
         "",
         "| key | twin | from | to | do the scans decide it? |",
         "|---|---|---|---|---|",

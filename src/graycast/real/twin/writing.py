@@ -74,7 +74,7 @@ def report_text(twin: Twin) -> str:
         "",
         "## What was fitted",
         "",
-        "Between `from` and `to` the fit was as good as the variation of the noise allows, with all "
+        "Between `from` and `to` the fit was as good as the noise allows, with all "
         "other parameters as found or in a trial of the search. Parameters compensate for each "
         "other, so these ranges are no confidence intervals: for simulated scanners with hidden "
         "parameters, about half of the decided numbers were within them (docs/twin.md).",

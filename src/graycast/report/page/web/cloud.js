@@ -160,7 +160,9 @@
       /** What the fused cloud's colours mean. */
       fusedWords() {
         if (scene.fusing?.error) return { note: scene.fusing.error.message };
-        return fused ? shapes.fusedWords(scene.fusing.cloud, prefs.fusedPaint) : { note: "bringing the cloud …" };
+        return fused
+          ? shapes.fusedWords(scene.fusing.cloud, prefs.fusedPaint)
+          : { note: "bringing the cloud …" };
       },
       /** The points of another scan from the same place; the eye stays. */
       swap(next) {

@@ -139,7 +139,13 @@
     const bar = { map: "viridis", whole: true };
     if (paint === "sigma")
       return {
-        bar: { ...bar, low: 0, high: highSigma(cloud) * cloud.sigma_step_mm, unit: "mm", digits: 3 },
+        bar: {
+          ...bar,
+          low: 0,
+          high: highSigma(cloud) * cloud.sigma_step_mm,
+          unit: "mm",
+          digits: 3,
+        },
         note: `${points}; standard deviation across the surface`,
       };
     if (paint === "views")

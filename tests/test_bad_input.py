@@ -125,8 +125,8 @@ def test_a_wrong_setting_is_named_with_its_file_and_what_is_allowed(
     ("text", "words"),
     [
         (b"count: 3\nparts: []\ncount: 4\n", ["line 3", "count is given twice", "remove"]),
-        (b"parts: [1, 2\n", ["not YAML", "mend"]),
-        (b"parts:\n\t- builtin: x\n", ["line 2", "mend"]),
+        (b"parts: [1, 2\n", ["not YAML", "correct or remove"]),
+        (b"parts:\n\t- builtin: x\n", ["line 2", "correct or remove"]),
         (b"parts: \xff\xfe\x00", ["not a text file", "give a YAML file"]),
         (b"parts: \x00", ["not YAML", "bad characters"]),
         (b"parts: 2024-13-45\n", ["not YAML", "month"]),
@@ -193,7 +193,7 @@ def cut(path):
     [
         ("none.stl", lambda path: None, "mm", ["no such file", "check the path"]),
         ("part.stl", written(b""), "mm", ["the file is empty", "export the mesh again"]),
-        ("part.stl", cut, "mm", ["cut off", "export it again"]),
+        ("part.stl", cut, "mm", ["may be incomplete", "export it again"]),
         ("part.stl", lambda path: lidless().export(path), "mm", ["open", "close its holes"]),
         ("part.stl", lambda path: inside_out().export(path), "mm", ["inside out", "flip"]),
         ("part.stl", lambda path: not_a_number().export(path), "mm", ["NaN", "export"]),
@@ -286,10 +286,10 @@ T: [-0.1, 0, 0]
 @pytest.mark.parametrize(
     ("old", "new", "words"),
     [
-        ("K1", "X1", ["not a camera matrix", "cam_K, K1, M1 or cameraMatrix1"]),
+        ("K1", "X1", ["no camera matrix", "cam_K, K1, M1 or cameraMatrix1"]),
         ("[0, 0, 1]]\nT", "[0, 0, 2]]\nT", ["R is not a rotation", "det 2", "all digits"]),
         ("-0.1", "-5.0", ["T has length 5", "m or mm"]),
-        ("cam_size", "other", ["no camera image size", "cam_size: [width, height]"]),
+        ("cam_size", "other", ["the camera image size is missing", "cam_size: [width, height]"]),
     ],
 )
 def test_a_bad_calibration_is_named_by_its_key(capsys, tmp_path, old, new, words):

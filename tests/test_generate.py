@@ -318,7 +318,10 @@ def test_the_command_makes_a_scene_again_from_the_dataset_alone(
 ):
     again = ["rerender", str(undisturbed), "1", "--device", "cpu"]
     assert main(again) == 1
-    assert "was made from box.stl, rig.yaml: add --config" in capsys.readouterr().err
+    assert (
+        "was made from files of its own (box.stl, rig.yaml): add --config"
+        in capsys.readouterr().err
+    )
     assert main([*again, "--config", str(config_file)]) == 0
     assert capsys.readouterr().out.endswith("000001: the same\n")
 

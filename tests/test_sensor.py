@@ -359,7 +359,7 @@ def test_captures_that_do_not_belong_together_are_not_merged():
         merge_exposures([one, scene_capture(2.0, frames=3)])
     with pytest.raises(ValueError, match="one sensor and one code"):
         merge_exposures([one, scene_capture(2.0, spec=sensor(read_noise_e=1.0))])
-    with pytest.raises(ValueError, match="merged already"):
+    with pytest.raises(ValueError, match="already merged"):
         merge_exposures([one, merge_exposures([one, two])])
 
 

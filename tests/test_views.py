@@ -172,7 +172,7 @@ BAD = {
     ),
     "a span upside down": (
         {"views": {"kind": "dome", "count": 3, "tilt_deg": [30, 10]}},
-        "the lowest first",
+        "[lowest, highest] in this order",
     ),
     "view beside a list": (
         {"view": {"tilt_deg": 5}, "views": [{}]},

@@ -19,7 +19,7 @@ def test_a_crop_has_the_rays_of_the_picture_it_is_cut_from():
 
 
 def test_a_crop_beyond_the_picture_is_refused():
-    with pytest.raises(ValueError, match="2000 x 100 is no crop of the camera's 1032 x 772 px"):
+    with pytest.raises(ValueError, match="2000 x 100 does not fit into the camera's 1032 x 772 px"):
         cells.cropped(preset_rig("phoxi-m").camera, (2000, 100))
 
 

@@ -234,5 +234,5 @@ def test_a_point_far_beside_the_field_of_a_barrel_projector_stays_dark(renderer)
 def test_patterns_of_another_size_than_the_projector_are_refused(renderer):
     scene = in_camera(askew_rig(), wall(0.8, GRAY))
     for shape in [(1, 48, 65), (1, 47, 64), (1, 64, 48)]:
-        with pytest.raises(ValueError, match="the projector is 64 x 48 px"):
+        with pytest.raises(ValueError, match="the projector has 64 x 48 px"):
             render(renderer, scene, np.zeros(shape, dtype=np.uint8))

@@ -82,7 +82,7 @@ def test_weights_of_another_backbone_are_refused_and_change_nothing():
         load_backbone(body, classifier("resnet50").state_dict())
     lacks = classifier("resnet18").state_dict()
     del lacks["layer4.1.conv2.weight"]
-    with pytest.raises(GraycastError, match=r"backbone has 'layer4\.1\.conv2\.weight', the"):
+    with pytest.raises(GraycastError, match=r"backbone has 'layer4\.1\.conv2\.weight' and the"):
         load_backbone(body, lacks)
     other = classifier("resnet18").state_dict()
     other["layer4.1.conv2.weight"] = other["layer4.1.conv2.weight"][:, :7]

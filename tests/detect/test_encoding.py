@@ -111,7 +111,7 @@ def test_an_encoding_comes_back_from_json():
     [
         ({"input": "xray"}, "input is 'xray': choose one of rgb"),
         ({"holes": "none"}, "holes is 'none'"),
-        ({"size_px": (60, 96)}, "multiples of 32"),
+        ({"size_px": (60, 96)}, "a multiple of 32"),
         ({"near_m": None}, "the depth's range is None to 1.0 m"),
         ({"near_m": 2.0}, "0 < near < far"),
     ],

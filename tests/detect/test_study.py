@@ -215,7 +215,7 @@ def test_what_a_set_lacks_is_said_before_the_first_training(tmp_path, monkeypatc
                 "inputs": ["rgb"],
                 "models": [*STUDY["models"], {"model": "mask-rcnn"}],
             },
-            "has no masks, which mask-rcnn learns",
+            "has no masks, which mask-rcnn needs",
         ),
     ):
         given = {"tests": own, "training": {"drawn": [masked]}, "gap": None} | changed

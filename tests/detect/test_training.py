@@ -297,7 +297,7 @@ def test_the_mode_of_the_processor_may_be_asked_for_twice():
 
 def test_weights_of_another_model_are_refused(dataset, tmp_path):
     train([dataset], tmp_path / "run", SMALL)
-    with pytest.raises(GraycastError, match=r"detector\.pt: these weights are not of"):
+    with pytest.raises(GraycastError, match=r"detector\.pt: these weights do not belong to"):
         train(
             [dataset],
             tmp_path / "other",
@@ -408,7 +408,7 @@ def test_a_full_disk_is_said_before_the_training(dataset, tmp_path, monkeypatch)
         ({"epochs": 0}, "epochs is 0: give a whole number of at least 1"),
         ({"batch": 0}, "batch is 0"),
         ({"learning_rate": 0.0}, "learning_rate is 0"),
-        ({"model": "yolov9"}, "no model 'yolov9': choose one of mask-rcnn"),
+        ({"model": "yolov9"}, "model 'yolov9' does not exist: choose one of mask-rcnn"),
         ({"input": "xray"}, "input is 'xray': choose one of rgb"),
         ({"holes": "none"}, "holes is 'none': choose one of channel"),
         ({"range_m": (2.0, 1.0)}, "the depth's range is 2.0 to 1.0 m"),

@@ -157,7 +157,7 @@ def test_what_is_no_solid_is_refused_in_words(open_or_reversed, tmp_path):
         shape.update_faces(np.arange(12) > 0)
     else:
         shape.invert()
-    with pytest.raises(ValueError, match=r"close its holes and turn|turned outward"):
+    with pytest.raises(ValueError, match=r"close its holes and turn|turn its faces outward"):
         convex_hulls(mesh_of(shape), folder=tmp_path)
 
 

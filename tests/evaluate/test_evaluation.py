@@ -194,7 +194,7 @@ RUNS = {"size": [120, 160], "counts": "0"}
         ("[{", "is not JSON, or is cut off"),
         ("{}", "is not a JSON list: give a file of COCO results"),
         ([entry(image_id=99)], "entry 0 is of image 99"),
-        ([entry(), entry(category_id=7)], "entry 1 is of category 7, the dataset has 1, 2"),
+        ([entry(), entry(category_id=7)], "entry 1 is of category 7, and the dataset has 1, 2"),
         ([entry(score=float("nan"))], "score is nan; it must be a finite number"),
         ([entry(score="high")], "score is 'high'; it must be a finite number"),
         ([entry(bbox=[1, 2, 3])], "bbox is [1, 2, 3]; it must be four finite numbers"),

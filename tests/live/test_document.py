@@ -38,7 +38,7 @@ def test_a_value_is_put_at_its_place_and_nothing_else_moves():
     ("key", "value", "told"),
     [
         ("parts.1.material", {}, "the list has 1 entries"),
-        ("parts.x", 1, "x is none of them"),
+        ("parts.x", 1, "x is not one of them"),
         ("ambient", -1, "ambient is -1"),
         ("ambient", "much", "give a number"),
         ("rig.power", 0, "give a factor greater than 0 and at most 1000"),

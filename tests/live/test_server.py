@@ -94,7 +94,7 @@ def test_settings_are_set_undone_and_told(server):
         ({"do": "set", "key": "code.codec", "value": "morse"}, "code.codec is 'morse'"),
         ({"do": "rewrite", "text": "parts: ["}, "cell.yaml: is not YAML in line 1"),
         ({"do": "rewrite", "text": "count: 3"}, "cell.yaml: parts is missing: add it"),
-        ({"do": "set", "key": "rig.baseline", "value": 20}, "see nothing in common"),
+        ({"do": "set", "key": "rig.baseline", "value": 20}, "have no common field of view"),
         ({"do": "return", "number": 99}, "picture 99 is no longer stored"),
         ({"do": "save", "name": "../cell.yaml"}, "'../cell.yaml' is not a valid file name"),
         ({"do": "save", "name": "cell.yaml"}, "cell.yaml exists already: give another"),

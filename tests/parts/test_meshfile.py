@@ -294,10 +294,10 @@ REFUSALS = [
     (empty_file, {}, ["file is empty", "export"]),
     (not_a_mesh, {}, ["no triangles", "so export it again as a mesh"]),
     (only_points, {}, ["no triangles", "points"]),
-    (cut_binary_stl, {}, ["cut off", "export it again"]),
-    (cut_ascii_stl, {}, ["no triangles", "cut off"]),
-    (cut_ply, {}, ["unreadable as PLY", "cut off"]),
-    (cut_glb, {}, ["unreadable as GLB", "cut off"]),
+    (cut_binary_stl, {}, ["may be incomplete", "export it again"]),
+    (cut_ascii_stl, {}, ["no triangles", "may be incomplete"]),
+    (cut_ply, {}, ["unreadable as PLY", "may be incomplete"]),
+    (cut_glb, {}, ["unreadable as GLB", "may be incomplete"]),
     (wrong_index, {}, ["unreadable as OBJ", "index 99"]),
     (nan_vertex, {}, ["1 vertices are NaN or infinite", "export"]),
     (infinite_vertex, {}, ["1 vertices are NaN or infinite", "export"]),
@@ -468,7 +468,7 @@ def test_two_textures_are_refused_unless_a_material_is_given(tmp_path):
 
 
 def test_an_unknown_unit_is_the_callers_mistake(tmp_path):
-    with pytest.raises(ValueError, match="'inches'; one of m, cm, mm, inch"):
+    with pytest.raises(ValueError, match="'inches'; choose one of m, cm, mm, inch"):
         load(exported(box(), tmp_path / "part.stl"), unit="inches")
 
 

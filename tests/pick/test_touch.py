@@ -61,7 +61,7 @@ def test_over_the_edge_air_gets_in(plate):
     inside = down_on(plate, at(0.04 - 0.0105, 0, 0.01), [at(0, 0, 0)])
     over = down_on(plate, at(0.04 - 0.0085, 0, 0.01), [at(0, 0, 0)])
     assert isinstance(inside, Held)
-    assert over.outcome is Outcome.NOT_HELD and "open" in over.detail
+    assert over.outcome is Outcome.NOT_HELD and "has no surface" in over.detail
 
 
 def test_two_plates_side_by_side_are_no_ground_for_one_cup(plate):

@@ -231,7 +231,7 @@ def test_opening_after_drjit_came_up_without_llvm_says_so():
         "try:\n    open_device('llvm')\nexcept Exception as e:\n    print(type(e).__name__, e)"
     )
     said = subprocess.check_output([sys.executable, "-c", program], text=True)
-    assert said.startswith("DeviceError Dr.Jit has no LLVM: /gone.so does not load")
+    assert said.startswith("DeviceError Dr.Jit has no LLVM: /gone.so cannot be loaded")
 
 
 def test_threads_below_one_are_refused():

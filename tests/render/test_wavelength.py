@@ -73,5 +73,5 @@ def test_one_band_makes_greys_of_what_surfaces_are_in_it(place):
 def test_several_bands_have_no_one_grey_for_a_colour():
     scene = scene_of()
     scene = replace(scene, rig=replace(scene.rig, band_weights=(0.5, 0.5, 0.0)))
-    with pytest.raises(ValueError, match="shines in 2 bands and a material has the colour"):
+    with pytest.raises(ValueError, match="shines in 2 bands, and a material has the colour"):
         at_one_wavelength(scene)

@@ -9,7 +9,7 @@ from pictured import write_dataset
 
 from graycast.cli import main
 from graycast.dataset.stored import open_dataset
-from graycast.export.selection import chosen_scenes
+from graycast.export.selection import chosen_pictures
 from graycast.report.page import write_report
 
 from .browsing import held, opened, place, pressed, readout, ready, shown
@@ -153,7 +153,7 @@ def test_a_saved_selection_is_what_export_takes_and_what_the_page_loads(page, ma
     saved = tmp_path / download.value.suggested_filename
     download.value.save_as(saved)
     assert saved.name == "bins-scenes.json"
-    assert chosen_scenes(saved, open_dataset(dataset)) == (4,)
+    assert chosen_pictures(saved, open_dataset(dataset)) == [4]
     command = ["export", str(dataset), "--format", "yolo", "--scenes", str(saved)]
     assert main([*command, "--out", str(tmp_path / "yolo")]) == 0
     assert [p.stem for p in (tmp_path / "yolo/images/train").iterdir()] == ["000004"]

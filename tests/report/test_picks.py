@@ -262,8 +262,11 @@ def test_damaged_picks_are_told_in_one_line(copied, tmp_path, capfd, damage, sai
 @pytest.mark.parametrize(
     ("words", "said"),
     [
-        (["replay", "{picks}", "--out", "{out}.gif", "--bin", "1"], "no bin 1: it has 0 to 2"),
-        (["replay", "{picks}", "--out", "{out}.mp4"], "is a .gif or .webp file"),
+        (
+            ["replay", "{picks}", "--out", "{out}.gif", "--bin", "1"],
+            "bin 1 does not exist: it has 0 to 2",
+        ),
+        (["replay", "{picks}", "--out", "{out}.mp4"], "ends with .gif or .webp"),
         (["replay", "{picks}", "--out", "{out}.gif", "--width", "100"], "at least 280"),
         (
             ["report", "{picks}", "--out", "{out}", "--detections", "x"],

@@ -178,7 +178,7 @@ def test_a_sheet_that_cannot_be_written_is_named_and_leaves_nothing(tmp_path):
 
 
 def test_another_code_than_the_captures_is_refused(tmp_path):
-    with pytest.raises(ValueError, match="14 frames, the code has 26"):
+    with pytest.raises(ValueError, match="14 frames, and the code has 26"):
         preview.draw_preview(make_shot(), gray(64, 48, inverses=True), tmp_path / "sheet.png")
     assert not list(tmp_path.iterdir())
 

@@ -199,7 +199,7 @@ def test_a_stack_file_that_is_not_there_or_no_yaml_is_named(tmp_path):
 @pytest.mark.parametrize(
     ("level", "says"),
     [
-        (4, "no pixel is lit .*values are 4 to 4 DN"),
+        (4, "no pixel is lit.*values are 4 to 4 DN"),
         (255, "are saturated .*255 to 255 DN"),
     ],
 )

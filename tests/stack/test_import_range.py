@@ -47,5 +47,5 @@ def test_devices_that_see_nothing_in_common_are_refused(tmp_path):
     T_proj_cam = inverse(rig.T_cam_proj)
     T_proj_cam[:3, :3] = np.diag([-1.0, 1.0, -1.0])  # back to back
     write(tmp_path / "rig.yaml", rig, T_proj_cam)
-    with pytest.raises(ConfigError, match="see nothing in common"):
+    with pytest.raises(ConfigError, match="have no common field of view"):
         import_opencv(tmp_path / "rig.yaml", **sizes())

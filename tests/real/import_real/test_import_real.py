@@ -263,7 +263,7 @@ def test_objects_get_the_numbers_of_a_dataset_that_is_named(real, samples):
     expected = [ids[samples[0].layout.part_index[i]] for i in seen]
     np.testing.assert_array_equal(open_examples(out)[0].obj_id, expected)
     shutil.rmtree(out)
-    assert "speak of 'wedge'" in refusal(real, samples, names=["box"])
+    assert "name 'wedge'" in refusal(real, samples, names=["box"])
 
 
 def test_pictures_without_labels_come_in_if_that_is_said(real, samples):
@@ -273,7 +273,7 @@ def test_pictures_without_labels_come_in_if_that_is_said(real, samples):
     assert validate(out) == ()
     assert "masks" in absent(out)
     assert open_examples(out)[0].mask is None
-    with pytest.raises(GraycastError, match="has no masks, yolo needs them"):
+    with pytest.raises(GraycastError, match="has no masks, which the format yolo needs"):
         export(out, real.parent / "yolo", Options(format="yolo"))
     export(out, real.parent / "clouds", Options(format="clouds"))
 
@@ -295,9 +295,9 @@ def test_broken_pictures_are_told_by_name(real, samples):
 
 def test_files_that_do_not_fit_together_are_told(real, samples):
     (real / "depth/000003.png").unlink()
-    assert "gray has a picture 000003, depth has none" in refusal(
+    assert "gray has a picture 000003, and depth has none" in refusal(
         real, samples
-    ) or "rgb has a picture 000003, depth has none" in refusal(real, samples)
+    ) or "rgb has a picture 000003, and depth has none" in refusal(real, samples)
     cv2.imwrite(str(real / "depth/000003.png"), np.full((60, 80), 5000, np.uint16))
     assert "80 x 60 pixels, the rgb picture 160 x 120" in refusal(real, samples)
     for name in ("rgb", "gray", "depth"):
@@ -312,7 +312,7 @@ def test_files_that_do_not_fit_together_are_told(real, samples):
     [
         (None, "give the scale"),
         (1.0, "are allowed: if the unit is millimetres, give a scale of 0.001"),
-        (1e-7, "m, and 16-bit depth ends at 65.535 m: correct the scale, or remove"),
+        (1e-7, "m is the least allowed: correct the scale"),
     ],
 )
 def test_a_wrong_scale_is_told(real, samples, scale_m, what):

@@ -14,7 +14,7 @@ from jaxtyping import Float
 
 from ... import __version__
 from ...dataset.claim import ONE_IMAGE
-from ...dataset.coco import run_lengths, scene_annotation, scene_coco
+from ...dataset.coco import run_lengths, scene_annotation, scene_coco, scene_image
 from ...dataset.json_text import json_bytes
 from ...dataset.places import CLAIM
 from ...dataset.records import split_annotation
@@ -247,18 +247,17 @@ class _Writer:
             infos.append({"bbox_visib": [x, y, w - 1, h - 1], "px_count_visib": area_px})
             whole = Silhouette(left_px=0, top_px=0, mask=mask)
             runs = run_lengths(whole, height_px=height_px, width_px=width_px)
-            entries.append(
-                scene_annotation(
-                    annotation_id=i + 1,
-                    obj_id=obj_id,
-                    run_length=runs,
-                    box=[x, y, w, h],
-                    area_px=area_px,
-                    visib_fract=1.0,  # unknown: nothing is ignored
-                    height_px=height_px,
-                    width_px=width_px,
-                )
+            annotation = scene_annotation(
+                image_id=0,
+                obj_id=obj_id,
+                run_length=runs,
+                box=[x, y, w, h],
+                area_px=area_px,
+                visib_fract=1.0,  # unknown: nothing is ignored
+                height_px=height_px,
+                width_px=width_px,
             )
+            entries.append({"id": i + 1} | annotation)
             for suffix in suffixes:
                 name = f"mask_visib{suffix}/000000_{i:06d}.png"
                 files[name] = _png(mask.astype(np.uint8) * 255)
@@ -266,9 +265,14 @@ class _Writer:
             picture = "rgb" if suffix == "" and "rgb" in self.holds else _picture(self.holds)
             coco = scene_coco(
                 obj_ids=range(1, len(self.names) + 1),
-                file_name=f"{picture}/000000.png",
-                height_px=height_px,
-                width_px=width_px,
+                images=[
+                    scene_image(
+                        image_id=0,
+                        file_name=f"{picture}/000000.png",
+                        height_px=height_px,
+                        width_px=width_px,
+                    )
+                ],
                 annotations=entries,
             )
             poses = [{"obj_id": obj_id} for obj_id in obj_ids]

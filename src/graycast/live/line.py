@@ -22,7 +22,6 @@ from jaxtyping import Float, UInt8
 
 from ..cell import Cell, open_cell_renderer, resolve_cell
 from ..config import Config, resolve_quality, resolve_scanner
-from ..decode import CodeMap, DepthMap
 from ..drop import DropLimits, drop
 from ..picture import color_light, developed
 from ..render import Quality, Radiance, Renderer, Rendering
@@ -31,7 +30,7 @@ from ..scene import Layout, Scene
 from ..sensor import Capture
 from ..simulate import cell_seeds, varied
 from .asking import Answer, Ask
-from .showing import picture_answer, world_answer, world_key
+from .showing import Shown, picture_answer, world_answer, world_key
 
 FREE_SECTIONS = ("exposure", "sensor", "decode", "filters", "store", "scenes")
 ROUGH = (1, 4)  # samples of the pictures before the configured ones
@@ -54,22 +53,6 @@ class Lit:
     quality: Quality
     final: bool  # of as many samples as configured
     rendering: Rendering
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Shown:
-    """What is on the page: everything that a picture of it needs."""
-
-    cell: Cell
-    scene: Scene
-    layout: Layout
-    rendering: Rendering
-    samples: int
-    exact: bool  # what `make_scene` gives
-    capture: Capture
-    codes: CodeMap
-    depth: DepthMap
-    rgb: UInt8[np.ndarray, "h w 3"] | None  # not made yet
 
 
 class Line:

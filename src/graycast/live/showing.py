@@ -2,32 +2,48 @@
 
 import hashlib
 from collections.abc import Mapping
-from dataclasses import asdict
+from dataclasses import asdict, dataclass
 from itertools import pairwise
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float, Num, UInt8, UInt16
 
-from ..decode import Reason, triangulation_axis
+from ..cell import Cell
+from ..decode import CodeMap, DepthMap, Reason, triangulation_axis
 from ..frames import inverse, transform_points
 from ..generate import depth_step_mm
 from ..optics import Optics
 from ..parts import Mesh
+from ..render import Rendering
 from ..report.rig import common_field, footprint_m
 from ..rig import Rig
-from ..scene import bin_mesh
+from ..scene import Layout, Scene, bin_mesh
+from ..sensor import Capture
 from .asking import Answer, Ask
 from .controls import described_controls
-
-if TYPE_CHECKING:
-    from .line import Shown
 
 MM_PER_M = 1000.0
 DEPTH_MAX = 65535
 
 
-def picture_answer(ask: Ask, shown: "Shown", *, kind: str, ms: float, first: bool) -> Answer:
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Shown:
+    """What is on the page: everything that a picture of it needs."""
+
+    cell: Cell
+    scene: Scene
+    layout: Layout
+    rendering: Rendering
+    samples: int
+    exact: bool  # what `make_scene` gives
+    capture: Capture
+    codes: CodeMap
+    depth: DepthMap
+    rgb: UInt8[np.ndarray, "h w 3"] | None  # not made yet
+
+
+def picture_answer(ask: Ask, shown: Shown, *, kind: str, ms: float, first: bool) -> Answer:
     """All maps of what is shown; the colour picture is among them once it is made."""
     cell, depth, truth = shown.cell, shown.depth, shown.rendering.truth
     scale_mm = depth_step_mm(cell)
@@ -78,7 +94,7 @@ def picture_answer(ask: Ask, shown: "Shown", *, kind: str, ms: float, first: boo
     )
 
 
-def world_answer(ask: Ask, shown: "Shown") -> Answer:
+def world_answer(ask: Ask, shown: Shown) -> Answer:
     """The bodies of the 3D view: meshes of the bin and of every kind of part, and their places."""
     scene, layout = shown.scene, shown.layout
     kinds = sorted({int(kind) for kind in layout.part_index})
@@ -101,7 +117,7 @@ def world_answer(ask: Ask, shown: "Shown") -> Answer:
     return Answer(kind="world", number=ask.number, header=header, arrays=arrays)
 
 
-def world_key(shown: "Shown") -> str:
+def world_key(shown: Shown) -> str:
     """Changes when the bodies of the 3D view do."""
     scene, layout = shown.scene, shown.layout
     digest = hashlib.sha256(layout.T_world_part.tobytes())
@@ -119,19 +135,19 @@ def _steps(depth_m: Float[np.ndarray, "h w"], scale_mm: float) -> UInt16[np.ndar
     return np.where((step > 0) & (step <= DEPTH_MAX), step, 0).astype(np.uint16)
 
 
-def _levels(shown: "Shown", index: int) -> UInt8[np.ndarray, "h w"]:
+def _levels(shown: Shown, index: int) -> UInt8[np.ndarray, "h w"]:
     """A captured frame over the sensor's range, dark level to saturation, linear."""
     low_dn, high_dn = _range_dn(shown)
     share = (shown.capture.frames[index].astype(np.float32) - low_dn) / (high_dn - low_dn)
     return np.rint(255 * np.clip(share, 0, 1)).astype(np.uint8)
 
 
-def _range_dn(shown: "Shown") -> tuple[float, float]:
+def _range_dn(shown: Shown) -> tuple[float, float]:
     sensor = shown.capture.sensor
     return sensor.offset_dn, sensor.saturation_dn
 
 
-def _capture(shown: "Shown") -> dict[str, Any]:
+def _capture(shown: Shown) -> dict[str, Any]:
     low_dn, high_dn = _range_dn(shown)
     return {
         "bits": shown.capture.sensor.bit_depth,
@@ -142,7 +158,7 @@ def _capture(shown: "Shown") -> dict[str, Any]:
     }
 
 
-def _camera(shown: "Shown") -> dict[str, Any]:
+def _camera(shown: Shown) -> dict[str, Any]:
     camera: Optics = shown.cell.scanner.rig.camera
     T_cam_world = inverse(shown.scene.T_world_cam)
     return {
@@ -168,7 +184,7 @@ def _rig(rig: Rig) -> dict[str, Any]:
     }
 
 
-def _figures(shown: "Shown") -> dict[str, Any]:
+def _figures(shown: Shown) -> dict[str, Any]:
     """What stands beside the picture, in numbers."""
     depth, truth = shown.depth, shown.rendering.truth
     on_part = truth.instance >= 0
@@ -190,7 +206,7 @@ def _mean(values: Num[np.ndarray, "*n"] | Any) -> float | None:
     return float(np.mean(values)) if np.size(values) else None
 
 
-def _target(shown: "Shown") -> list[float]:
+def _target(shown: Shown) -> list[float]:
     """What the rig turns about when it is dragged, in the world [mm]."""
     view, box = shown.cell.config.view, shown.scene.bin
     height_m = 0.0 if box is None else box.inner_m[2]

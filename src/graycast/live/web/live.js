@@ -183,7 +183,7 @@
     header = said;
     prefs.axis = prefs.axis.startsWith("sigma_") ? `sigma_${said.axis}` : said.axis;
     prefs.frame = said.frame;
-    Graycast.report.claim.rig = said.rig;
+    Graycast.report.scanners[""] = { rig: said.rig, code: null };
     Graycast.report.statistics.part_error.sigma_mm = said.figures.sigma_mm;
     const frame = array("frame", Uint8Array);
     const next = {

@@ -167,11 +167,11 @@ def test_a_study_of_other_settings_does_not_go_on_in_a_file(tmp_path):
     stop_at("drop 2 of 2", file)
     before = file.read_bytes()
     for other, named in (
-        ({"seeds": 3}, "seeds 2, and 3"),
-        ({"counts": (1, 9)}, "counts 1,2, and 1,9"),
-        ({"families": ("nut",)}, "families nut,pin, and nut"),
+        ({"seeds": 3}, "seeds 2, and this command has 3"),
+        ({"counts": (1, 9)}, "counts 1,2, and this command has 1,9"),
+        ({"families": ("nut",)}, "families nut,pin, and this command has nut"),
     ):
-        with pytest.raises(GraycastError, match=f"{named} is asked for: choose another file"):
+        with pytest.raises(GraycastError, match=f"{named}: choose another file"):
             study_zoo(**(STUDY | other), file=file, hull_folder=tmp_path)
     assert file.read_bytes() == before
 

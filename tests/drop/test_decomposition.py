@@ -209,7 +209,9 @@ def test_stages_are_told_and_a_killed_child_is_an_error_with_a_remedy(tmp_path, 
     made = convex_hulls(mesh, folder=tmp_path, on_stage=told.append)
     assert len(made.hulls) > 1
     assert made.error == hull_error(mesh, made.hulls) and not made.coarse
-    assert told[0].startswith("reading 552 faces") and told[-1].startswith("measuring")
+    assert told[0].startswith("building a solid from 552 faces") and told[-1].startswith(
+        "measuring"
+    )
     assert convex_hulls(mesh, folder=tmp_path, on_stage=told.append) and len(told) < 20
 
     def kill(process, on_stage):
@@ -235,7 +237,7 @@ convex_hulls(mesh, folder=Path({folder!r}), on_stage=lambda stage: print(stage, 
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("stage", ["start", "reading", "cutting", "joining"])
+@pytest.mark.parametrize("stage", ["start", "building", "cutting", "joining"])
 def test_a_batch_systems_stop_is_heard_at_any_stage(stage, tmp_path):
     """Within 2 s, and no process is left behind."""
     mesh = wavy_ring(330_000)

@@ -96,7 +96,7 @@ def test_no_projector_position_is_given_beyond_the_end_of_the_lens(page, made, r
     lens = replace(rig.projector, distortion=(k[0], k[1], 0.0, 0.0, k[2]))
     found = page.evaluate(
         """(distortion) => {
-            Graycast.report.claim.rig.projector.distortion = distortion;
+            Graycast.report.scanners[""].rig.projector.distortion = distortion;
             const scene = { ...Graycast.opened().scene, projected: null };
             return Array.from(Graycast.projectorMap(scene, "depth").column, (v) => v === v);
         }""",

@@ -444,7 +444,7 @@ def test_views_without_a_board_are_all_named(gray_views):
     empty = replace(gray_views[1], white=np.arange(360 * 480, dtype=np.uint16).reshape(360, 480))
     flat = replace(gray_views[2], white=np.full((360, 480), 7, dtype=np.uint8))
     with pytest.raises(
-        CalibrationError, match=r"view pose1: no chessboard.*; view pose2: .* 7 all"
+        CalibrationError, match=r"view pose1: no chessboard.*; view pose2: .* 7 everywhere"
     ):
         calibrate_rig([gray_views[0], empty, flat], CHESSBOARD, projector_size_px=SIZE)
 
@@ -499,8 +499,8 @@ def test_a_board_is_read_from_its_text():
         ("chessboard:9x6", "give chessboard:9x6:0.025"),
         ("chessboard:9:0.025", "give chessboard"),
         ("chessboard:9x6:25mm", "give chessboard"),
-        ("chessboard:9x6:25", "square_m is 25.0; metres"),
-        ("chessboard:9x2:0.025", "at least 3 each way"),
+        ("chessboard:9x6:25", "square_m is 25.0; give 0.0005 to 2 metres"),
+        ("chessboard:9x2:0.025", "at least 3 in each direction"),
         ("circles:9x6:0.025", "give chessboard"),
         ("charuco:8x5:0.03:0.04:DICT_5X5_100", "a marker must be smaller than its square"),
         ("charuco:8x5:0.03:0.022:5X5", "no ArUco dictionary '5X5': choose DICT_4X4_100"),

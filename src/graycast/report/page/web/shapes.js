@@ -112,7 +112,8 @@
   };
 
   const NO_REASON = { 253: [91, 141, 239], 254: [70, 74, 88], 255: [29, 111, 66] };
-  const highSigma = (cloud) => (cloud.sigmaHigh ??= Graycast.highest([...cloud.sigma], 0.98) || 1);
+  const highSigma = (cloud) =>
+    (cloud.sigmaHigh ??= Graycast.highest(Float32Array.from(cloud.sigma), 0.98) || 1);
   const most = (cloud) => (cloud.most ??= cloud.views.reduce((a, b) => Math.max(a, b), 1));
 
   shapes.paintFused = (gl, thing, cloud, paint) => {

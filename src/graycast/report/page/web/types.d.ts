@@ -41,6 +41,9 @@ interface Seen {
 
 interface Scene extends Seen {
   key: string;
+  sensor?: string; // the name of its scanner, where scanners have names
+  fusing?: any; // the cloud of all pictures of its scene, as it comes
+  fusedKey?: string | null; // whose files hold that cloud; null where it is the only picture
   full: [number, number]; // width and height of the picture
   kept: { frames: string[]; columns: string[] }; // names of what the dataset stores
   instances: Instance[];
@@ -153,6 +156,9 @@ interface Shapes {
   body(gl: GL, vertices: Float32Array, faces: Uint32Array): Thing;
   lines(gl: GL, place: Float32Array, color: number[]): Thing;
   edges(gl: GL, scene: Scene, space: Space): Thing;
+  fused(gl: GL, cloud: any, space: Space): Thing;
+  paintFused(gl: GL, thing: Thing, cloud: any, paint: string): void;
+  fusedWords(cloud: any, paint: string): any;
   drop(gl: GL, thing: Thing): void;
   recolor(gl: GL, scene: Scene, thing: Thing, paint: string, prefs: Prefs): void;
   normals(scene: Scene, from: ArrayLike<number>): Int8Array;
@@ -201,6 +207,7 @@ interface Toolbar {
   views: (...given: any[]) => any;
   compare: (...given: any[]) => any;
   options: (...given: any[]) => any;
+  pictures(row: Row, go: (key: string) => void): HTMLElement[];
   under(said: Said[], names: string[]): HTMLElement[];
 }
 
@@ -237,6 +244,8 @@ interface Shared {
   signed(value: number, digits?: number): string;
   allRows?: Row[];
   rows(): Row[];
+  siblings(row: Row): Row[]; // all pictures of its scene
+  scannerOf(scene: Seen): { rig: any; code: any }; // null where they are not known
   reasonColors(): Uint8ClampedArray; // three bytes for each number of a reason
   colormap(name: string): Uint8Array; // 256 times three bytes
   heat(name: string, share: number): Uint8Array;
@@ -248,6 +257,7 @@ interface Shared {
   load(key: string): Promise<Scene>;
   frame(scene: Scene, k: number, ready: () => void): Uint8Array | null;
   columns(scene: Scene, ready: () => void): Record<string, Float32Array> | null;
+  fused(scene: Scene, ready: () => void): any;
   letGo(scene: Scene): void;
   inflate(text: string): Promise<Uint8Array>;
   pixels(url: string, size: { width: number; height: number }): Promise<Uint8ClampedArray>;

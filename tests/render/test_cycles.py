@@ -131,7 +131,7 @@ def test_a_scene_that_kills_every_child_ends_with_one_error_and_the_next_scene_g
             deaths.append(child)
 
     renderer = open_cycles(on_frame=on_frame)
-    with pytest.raises(GraycastError, match=r"(?s)ended 3 times on one scene; .*\(signal 9\)"):
+    with pytest.raises(GraycastError, match=r"(?s)ended 3 times on one scene: .*\(signal 9\)"):
         render_small(renderer, samples=400)
     assert len(set(deaths)) == 3
     renderer.on_frame = lambda count, total: None

@@ -204,8 +204,7 @@ class CyclesRenderer(Renderer):
                 self.close()  # it may be in the middle of a job
                 raise
         raise GraycastError(
-            f"the process of Blender Cycles ended {MAX_DEATHS} times on one scene; the last time "
-            f"{why}"
+            f"the process of Blender Cycles ended {MAX_DEATHS} times on one scene: {why}"
         )
 
 

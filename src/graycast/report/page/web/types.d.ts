@@ -26,6 +26,7 @@ interface Instance {
 
 /** What the camera models ask for: a scan, or the scene of a dataset. */
 interface Seen {
+  sensor?: string; // the name of its scanner, where scanners have names
   width: number; // of the maps, which hold every `stride`-th pixel of the picture
   height: number;
   stride: number;
@@ -41,7 +42,6 @@ interface Seen {
 
 interface Scene extends Seen {
   key: string;
-  sensor?: string; // the name of its scanner, where scanners have names
   fusing?: any; // the cloud of all pictures of its scene, as it comes
   fusedKey?: string | null; // whose files hold that cloud; null where it is the only picture
   full: [number, number]; // width and height of the picture

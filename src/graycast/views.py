@@ -72,38 +72,47 @@ def _refuse_no_pose(pose: tuple[float, ...], name: str) -> None:
 
 
 class DomeSection(Settings):
-    """Places on a dome above the target, drawn for each scene: uniform over solid angle."""
+    """Camera poses on a dome above the target, drawn for each scene, uniform over solid angle."""
 
     kind: Literal["dome"]
-    count: Count = Field(description="How many images of a scene.")
+    count: Count = Field(description="The number of images of a scene.")
     distance_m: PositiveSpan | None = Field(
-        None, description="From the baseline's middle to the target. Left out, that of the view."
+        None,
+        description="The distance from the middle of the baseline to the target in metres, or its "
+        "lowest and highest value. Without this key, it is that of the view.",
     )
-    tilt_deg: Tilt = Field((0.0, 40.0), description="From the vertical.")
+    tilt_deg: Tilt = Field(
+        (0.0, 40.0), description="The angle between the viewing axis and the vertical, in degrees."
+    )
     azimuth_deg: Angle = (-180.0, 180.0)
 
 
 class PathSection(Settings):
-    """Places along a path, as a camera in a robot's hand goes; the same in all scenes."""
+    """Camera poses along a path, as of a camera in a robot's hand, the same in all scenes."""
 
     kind: Literal["path"]
     count: Annotated[int, Field(ge=2, le=MOST_VIEWS)] = Field(
-        description="How many images: the first at the first waypoint, the last at the last."
+        description="The number of images. The first one is at the first waypoint, the last one "
+        "at the last waypoint."
     )
     waypoints: tuple[ViewSection, ...] = Field(
         min_length=2,
-        description="Images are evenly spaced from waypoint to waypoint, each step of the path in "
-        "the same time; places go straight, rotations by the shortest turn.",
+        description="The poses between which the path goes. Images have equal steps between two "
+        "waypoints; positions follow straight lines, and rotations are the shortest.",
     )
 
 
 class JitterSection(Settings):
-    """Places about the view, drawn for each scene; beyond 3 sigma they are drawn again."""
+    """Camera poses near the view, drawn for each scene; beyond 3 sigma they are drawn again."""
 
     kind: Literal["jitter"]
-    count: Count = Field(description="How many images of a scene.")
-    position_m: Level = Field(0.01, description="Sigma along each of the world's axes.")
-    rotation_deg: Level = Field(1.0, le=30, description="Sigma about each of the camera's axes.")
+    count: Count = Field(description="The number of images of a scene.")
+    position_m: Level = Field(
+        0.01, description="The sigma along each of the world's axes, in metres."
+    )
+    rotation_deg: Level = Field(
+        1.0, le=30, description="The sigma about each of the camera's axes, in degrees."
+    )
 
 
 _SAMPLERS = ("dome", "path", "jitter")
@@ -144,20 +153,23 @@ _TAKEN = ("sl", "visib", "info", "coco", "box3d", "sigma", "camera", "gt")
 class ScannerEntry(ScannerSections):
     """One of several scanners in a cell.
 
-    The sections code, exposure, sensor, decode and filters say what differs from the rig's own.
+    The sections code, exposure, sensor, decode and filters override those of the rig.
     """
 
-    name: str = Field(description="What its files are called by, as in rgb_NAME.")
+    name: str = Field(
+        description="The name of the scanner, which is part of its file names, as in rgb_NAME."
+    )
     rig: str = Field("paper", description="The name of a preset, or a rig file.")
     T_first_cam: tuple[float, ...] | None = Field(
         None,
-        description="Where it is mounted: its camera's pose in the camera of the first scanner, "
-        "with which it moves; 4x4, by rows [m].",
+        description="The pose of its camera in the frame of the first scanner's camera, with which "
+        "it moves: the 16 numbers of a 4x4 matrix by rows, in metres.",
         exclude_if=unsaid,
     )
     views: Views | None = Field(
         None,
-        description="Where it takes its own images from. Left out, from where the views above say.",
+        description="The camera poses of this scanner. Without this key, they are those of the key "
+        "views of the configuration.",
         exclude_if=unsaid,
     )
 
@@ -186,12 +198,13 @@ def hang(view: ViewSection, rig: Rig, box: Bin) -> Pose:
     """`T_world_cam`: the one given, or the rig placed above the bin."""
     if view.T_world_cam is not None:
         return np.reshape(view.T_world_cam, (4, 4)).astype(np.float64)
-    return place(
+    return _on(
+        view,
         rig,
-        target_m=np.array(view.target_m or (0.0, 0.0, box.inner_m[2] / 3)),
+        box,
         distance_m=view.distance_m or standoff_m(rig),
-        tilt_rad=np.radians(view.tilt_deg),
-        azimuth_rad=np.radians(view.azimuth_deg),
+        tilt_rad=float(np.radians(view.tilt_deg)),
+        azimuth_rad=float(np.radians(view.azimuth_deg)),
     )
 
 
@@ -258,10 +271,10 @@ def _on_dome(
 def _on(
     view: ViewSection, rig: Rig, box: Bin, *, distance_m: float, tilt_rad: float, azimuth_rad: float
 ) -> Pose:
-    target_m = np.array(view.target_m or (0.0, 0.0, box.inner_m[2] / 3))
+    """The rig above the target of a view, which a third of the bin's height stands in for."""
     return place(
         rig,
-        target_m=target_m,
+        target_m=np.array(view.target_m or (0.0, 0.0, box.inner_m[2] / 3)),
         distance_m=distance_m,
         tilt_rad=tilt_rad,
         azimuth_rad=azimuth_rad,

@@ -7,6 +7,7 @@ import numpy as np
 from jaxtyping import Float
 
 from ..dataset.claim import rig_of
+from ..dataset.example import pose_m
 from ..dataset.models_read import StoredModel
 from ..dataset.raw import read_code_maps
 from ..dataset.reading import Unreadable
@@ -14,7 +15,7 @@ from ..dataset.records import MM_PER_M
 from ..dataset.stored import StoredDataset, StoredScene
 from ..decode import triangulation_axis
 from ..errors import DatasetError
-from ..frames import inverse, rigid
+from ..frames import inverse
 from ..optics import optics_of
 from .adding import Surface, Truth, surface_of
 from .noise import depth_slope_m, measured_noise_px
@@ -74,10 +75,7 @@ def read_surface(models: dict[int, StoredModel], shot: StoredScene) -> Surface:
     """
     T_world_cam = _T_world_cam(shot.view().model_dump())
     poses = shot.poses()
-    placed = [
-        T_world_cam @ rigid(np.reshape(pose.cam_R_m2c, (3, 3)), np.array(pose.cam_t_m2c) / MM_PER_M)
-        for pose in poses
-    ]
+    placed = [T_world_cam @ pose_m(pose.cam_R_m2c, pose.cam_t_m2c) for pose in poses]
     meshes = [models[pose.obj_id].mesh for pose in poses]
     return surface_of(meshes, placed, points=SURFACE_POINTS)
 
@@ -87,8 +85,7 @@ def _metres(steps: Any, step_m: float) -> Float[np.ndarray, "h w"]:
 
 
 def _T_world_cam(view: dict[str, Any]) -> Float[np.ndarray, "4 4"]:
-    rotation = np.reshape(view["cam_R_w2c"], (3, 3))
-    return inverse(rigid(rotation, np.array(view["cam_t_w2c"]) / MM_PER_M))
+    return inverse(pose_m(view["cam_R_w2c"], view["cam_t_w2c"]))
 
 
 def _sigma_m(

@@ -46,7 +46,8 @@ def finished(page):
     """Wait until what was asked for last is shown, as preview makes it; an error ends the wait."""
     page.wait_for_function(
         """() => { const d = document.getElementById("main").dataset;
-        return (d.exact === "true" && d.shown === d.asked) || d.failed === d.asked; }""",
+        const ended = (d.exact === "true" && d.shown === d.asked) || d.failed === d.asked;
+        return ended && d.asked !== undefined; }""",  # at first neither is there
         timeout=WAIT_MS,
     )
     assert page.locator("#error").is_hidden(), page.locator("#error").inner_text()

@@ -5,9 +5,11 @@ import math
 import numpy as np
 import pytest
 import trimesh
+from scipy.spatial.transform import Rotation
 
 from graycast.drop import Hold, lift
 from graycast.drop.body import body_of
+from graycast.drop.lift import _turn
 from graycast.drop.rapier import GRAVITY_M_S2, SKIN_M, STEP_S
 from graycast.frames import rigid
 from graycast.grasp import Cup, Jaws, jaw_load_factor, load_factor
@@ -135,6 +137,19 @@ def test_nothing_explodes_whatever_is_light_or_pulled_hard():
     end = lifted(body, hold, path)
     assert np.isfinite(end.T_world_part).all()
     assert np.linalg.norm(end.T_world_part[0, :3, 3]) < 1.0
+
+
+def test_rotation_vectors_are_those_of_another_library_up_to_half_a_turn():
+    """Oracle: SciPy's, and the vector that the rotation was made of."""
+    rng = np.random.default_rng(3)
+    axis = rng.normal(size=(200, 3))
+    axis /= np.linalg.norm(axis, axis=1, keepdims=True)
+    angle = np.concatenate([[0.0, 1e-12, 1e-7, np.pi - 1e-5], rng.uniform(0, np.pi - 1e-3, 196)])
+    for vector in axis * angle[:, None]:
+        found = _turn(Rotation.from_rotvec(vector).as_matrix())
+        np.testing.assert_allclose(found, vector, rtol=1e-9, atol=1e-14)
+    half = _turn(Rotation.from_rotvec([0, np.pi, 0]).as_matrix())
+    np.testing.assert_allclose(np.abs(half), [0, np.pi, 0], atol=1e-12)
 
 
 def test_the_same_lift_ends_alike_to_the_last_bit():

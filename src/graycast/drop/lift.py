@@ -16,7 +16,6 @@ import numpy as np
 from jaxtyping import Float, Int
 from scipy.spatial.transform import Rotation
 
-from ..frames import inverse
 from ..scene import Bin
 from .body import Body
 from .rapier import STEP_S, Kind, Terms, open_heap
@@ -90,10 +89,9 @@ def lift(
     heap = open_heap(Terms(speed_m_s=SPEED_M_S), box, kinds, T_world_part, part_index)
     spring = _Spring.of(hold, bodies[part_index[number]])
     least, worst, lost_s = math.inf, (np.zeros(3), np.zeros(3)), None
-    for step, target in enumerate(T_world_tool):
+    for step, target in enumerate(_targets(T_world_tool)):
         if lost_s is None:
-            before = T_world_tool[max(step - 1, 0)]
-            force_n, moment_nm, load = spring.pull(heap.motion(number), before, target)
+            force_n, moment_nm, load = spring.pull(heap.motion(number), target)
             factor = hold.factor(*load)
             if factor < least:
                 least, worst = factor, load
@@ -109,6 +107,27 @@ def lift(
         force_n=worst[0],
         moment_nm=worst[1],
     )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Target:
+    """Where the tool is at a step, and how it moves there [m/s, rad/s], in the world."""
+
+    T_world_tool: Float[np.ndarray, "4 4"]
+    velocity: Vector3
+    turning: Vector3
+
+
+def _targets(T_world_tool: Float[np.ndarray, "t 4 4"]) -> list[_Target]:
+    """It stands still at first, and then moves as it has moved from the pose before."""
+    before = T_world_tool[np.maximum(np.arange(len(T_world_tool)) - 1, 0)]
+    velocity = (T_world_tool[:, :3, 3] - before[:, :3, 3]) / STEP_S
+    step = T_world_tool[:, :3, :3] @ before[:, :3, :3].swapaxes(1, 2)
+    turning = Rotation.from_matrix(step).as_rotvec() / STEP_S
+    return [
+        _Target(T_world_tool=T, velocity=v, turning=w)
+        for T, v, w in zip(T_world_tool, velocity, turning, strict=True)
+    ]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -143,25 +162,32 @@ class _Spring:
         )
 
     def pull(
-        self,
-        motion: tuple[np.ndarray, np.ndarray, np.ndarray],
-        before: Float[np.ndarray, "4 4"],
-        target: Float[np.ndarray, "4 4"],
+        self, motion: tuple[np.ndarray, np.ndarray, np.ndarray], target: _Target
     ) -> tuple[Vector3, Vector3, tuple[Vector3, Vector3]]:
         """Force on the part's origin, moment about it, and the load on the tool in its frame."""
         T, velocity, turning = motion
         tool = T @ self.T_part_tool
         arm = tool[:3, 3] - T[:3, 3]
-        path_m_s = (target[:3, 3] - before[:3, 3]) / STEP_S
-        path_rad_s = _turn(before[:3, :3], target[:3, :3]) / STEP_S
-        force = self.k * (target[:3, 3] - tool[:3, 3])
-        force += self.c * (path_m_s - velocity - np.cross(turning, arm))
-        moment = self.k_turn * _turn(tool[:3, :3], target[:3, :3])
-        moment += self.c_turn * (path_rad_s - turning)
-        R = inverse(tool)[:3, :3]
-        return force, moment + np.cross(arm, force), (-(R @ force), -(R @ moment))
+        goal = target.T_world_tool
+        force = self.k * (goal[:3, 3] - tool[:3, 3])
+        force += self.c * (target.velocity - velocity - _cross(turning, arm))
+        moment = self.k_turn * _turn(goal[:3, :3] @ tool[:3, :3].T)
+        moment += self.c_turn * (target.turning - turning)
+        R = tool[:3, :3].T
+        return force, moment + _cross(arm, force), (-(R @ force), -(R @ moment))
 
 
-def _turn(from_R: Float[np.ndarray, "3 3"], to_R: Float[np.ndarray, "3 3"]) -> Vector3:
-    """The rotation vector, in the world, that turns one into the other."""
-    return Rotation.from_matrix(to_R @ from_R.T).as_rotvec()
+def _cross(a: Vector3, b: Vector3) -> Vector3:
+    """As `numpy.cross`, which takes ten times as long for one pair."""
+    (ax, ay, az), (bx, by, bz) = a.tolist(), b.tolist()
+    return np.array([ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx])
+
+
+def _turn(R: Float[np.ndarray, "3 3"]) -> Vector3:
+    """The rotation vector of a rotation."""
+    (xx, xy, xz), (yx, yy, yz), (zx, zy, zz) = R.tolist()
+    twice = np.array([zy - yz, xz - zx, yx - xy])  # the axis times twice the angle's sine
+    sine, cosine = math.hypot(zy - yz, xz - zx, yx - xy) / 2, (xx + yy + zz - 1) / 2
+    if sine < 1e-6 and cosine < 0:  # about half a turn, of which the sine tells no axis
+        return Rotation.from_matrix(R).as_rotvec()
+    return twice * (math.atan2(sine, cosine) / (2 * sine) if sine > 1e-9 else 0.5)

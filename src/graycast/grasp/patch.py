@@ -5,6 +5,7 @@ and x and y across. A patch says how high the surface lies along z, over x and y
 rests on, and what fingers meet. Meshes and measured depth give the same kind of patch.
 """
 
+import math
 from dataclasses import dataclass
 from typing import no_type_check
 
@@ -32,19 +33,6 @@ class Patch:
     def __post_init__(self) -> None:
         self.height_m.flags.writeable = False
 
-    def at(self, xy_m: Float[np.ndarray, "*k 2"]) -> Float[np.ndarray, "*k"]:
-        """Heights between the nodes, bilinear; NaN beyond the grid or beside a missing node."""
-        middle = len(self.height_m) // 2
-        place = xy_m / self.step_m + middle
-        low = np.floor(place).astype(np.int64)
-        within = np.all((low >= 0) & (low < len(self.height_m) - 1), axis=-1)
-        j, i = np.moveaxis(np.where(within[..., None], low, 0), -1, 0)
-        u, v = np.moveaxis(place - low, -1, 0)
-        h = self.height_m
-        value = (1 - v) * ((1 - u) * h[i, j] + u * h[i, j + 1])
-        value = value + v * ((1 - u) * h[i + 1, j] + u * h[i + 1, j + 1])
-        return np.where(within, value, np.nan)
-
     @property
     def reach_m(self) -> float:
         """How far the grid goes from the axis along x and y."""
@@ -57,17 +45,6 @@ class Patch:
         y, x = np.mgrid[-n : n + 1, -n : n + 1] * self.step_m
         return np.stack([x, y], axis=-1)
 
-    def open_share(
-        self, radius_m: float, about_m: Float[np.ndarray, "k 2"]
-    ) -> Float[np.ndarray, " k"]:
-        """The share of missing nodes within a radius about each place."""
-        missing = np.isnan(self.height_m).ravel()
-        if not missing.any():
-            return np.zeros(len(about_m))
-        node = self.node_m.reshape(-1, 2)
-        inside = np.linalg.norm(node - about_m[:, None], axis=-1) <= radius_m * (1 + 1e-9)
-        return (inside & missing).sum(axis=1) / inside.sum(axis=1)
-
 
 def patch_of_mesh(
     mesh: Mesh,
@@ -78,7 +55,9 @@ def patch_of_mesh(
 ) -> Patch:
     """The patch of a mesh under a tool: the highest surface along the tool's axis."""
     seen = transform_points(inverse(T_mesh_tool), mesh.vertices_m.astype(np.float64))
-    return _patch(seen[mesh.faces], radius_m, step_m)
+    height = _nothing(radius_m, step_m)
+    _highest_of_mesh(seen[mesh.faces], step_m, height)
+    return _patch(height, step_m)
 
 
 def patch_of_depth(
@@ -101,24 +80,12 @@ def patch_of_depth(
         steepest_rad: between a triangle's normal and the line of sight.
     """
     rows, columns = _window(depth_m.shape, camera, T_cam_tool, 1.5 * radius_m)
-    near = depth_m[rows, columns]
-    if min(near.shape) < 2:
-        return _patch(np.zeros((0, 3, 3)), radius_m, step_m)
     y, x = np.mgrid[rows, columns].astype(np.float64)
-    point = rays(camera, np.stack([x, y], axis=-1)) * near[..., None]
-    corner = np.concatenate(
-        [
-            np.stack([point[:-1, :-1], point[1:, :-1], point[:-1, 1:]], axis=-2).reshape(-1, 3, 3),
-            np.stack([point[1:, 1:], point[:-1, 1:], point[1:, :-1]], axis=-2).reshape(-1, 3, 3),
-        ]
-    )
-    corner = corner[np.isfinite(corner).all(axis=(1, 2))]
-    normal = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
-    middle = corner.mean(axis=1)
-    facing = np.abs(np.einsum("fi,fi->f", normal, middle))
-    length = np.linalg.norm(normal, axis=1) * np.linalg.norm(middle, axis=1)
-    corner = corner[facing > np.cos(steepest_rad) * length]
-    return _patch(transform_points(inverse(T_cam_tool), corner), radius_m, step_m)
+    point = rays(camera, np.stack([x, y], axis=-1)) * depth_m[rows, columns, None]
+    height = _nothing(radius_m, step_m)
+    here = transform_points(inverse(T_cam_tool), point)
+    _highest_seen(point, here, math.cos(steepest_rad), step_m, height)
+    return _patch(height, step_m)
 
 
 def _window(
@@ -135,34 +102,74 @@ def _window(
     )
 
 
-def _patch(corner: Float[np.ndarray, "f 3 3"], radius_m: float, step_m: float) -> Patch:
+def _nothing(radius_m: float, step_m: float) -> Float[np.ndarray, "n n"]:
+    """Heights of a grid on which nothing was met yet."""
     n = int(np.ceil(radius_m / step_m)) + 1
-    height = np.full((2 * n + 1, 2 * n + 1), -np.inf)
-    _highest(np.ascontiguousarray(corner, np.float64), step_m, n, height)
+    return np.full((2 * n + 1, 2 * n + 1), -np.inf)
+
+
+def _patch(height: Float[np.ndarray, "n n"], step_m: float) -> Patch:
     height[np.isinf(height)] = np.nan
     return Patch(height_m=height, step_m=step_m)
 
 
+# The tests' type checker would wrap compiled functions, which numba cannot compile.
+
+
 @numba.njit(cache=True)
-@no_type_check  # the tests' type checker would wrap the function, which numba cannot compile
-def _highest(corner, step_m, n, height):
-    """The highest point of all triangles above each node; a node on an edge belongs to both."""
+@no_type_check
+def _highest_of_mesh(corner, step_m, height):
     for f in range(len(corner)):
-        (ax, ay, az), (bx, by, bz), (cx, cy, cz) = corner[f, 0], corner[f, 1], corner[f, 2]
-        area = (bx - ax) * (cy - ay) - (cx - ax) * (by - ay)
-        if area == 0:
-            continue
-        from_j = max(int(np.ceil(min(ax, bx, cx) / step_m)), -n)
-        to_j = min(int(np.floor(max(ax, bx, cx) / step_m)), n)
-        from_i = max(int(np.ceil(min(ay, by, cy) / step_m)), -n)
-        to_i = min(int(np.floor(max(ay, by, cy) / step_m)), n)
-        for i in range(from_i, to_i + 1):
-            for j in range(from_j, to_j + 1):
-                x, y = j * step_m, i * step_m
-                wb = ((x - ax) * (cy - ay) - (cx - ax) * (y - ay)) / area
-                wc = ((bx - ax) * (y - ay) - (x - ax) * (by - ay)) / area
-                wa = 1 - wb - wc
-                if wa >= -1e-12 and wb >= -1e-12 and wc >= -1e-12:
-                    z = wa * az + wb * bz + wc * cz
-                    if z > height[i + n, j + n]:
-                        height[i + n, j + n] = z
+        _raise(corner[f, 0], corner[f, 1], corner[f, 2], step_m, height)
+
+
+@numba.njit(cache=True)
+@no_type_check
+def _highest_seen(seen, here, least_facing, step_m, height):
+    """The two triangles of each four neighbouring pixels, where they are one surface.
+
+    `seen` are points in the camera's frame, `here` the same in the tool's.
+    """
+    for i in range(seen.shape[0] - 1):
+        for j in range(seen.shape[1] - 1):
+            for (ai, aj), (bi, bj), (ci, cj) in (
+                ((i, j), (i + 1, j), (i, j + 1)),
+                ((i + 1, j + 1), (i, j + 1), (i + 1, j)),
+            ):
+                if _is_surface(seen[ai, aj], seen[bi, bj], seen[ci, cj], least_facing):
+                    _raise(here[ai, aj], here[bi, bj], here[ci, cj], step_m, height)
+
+
+@numba.njit(cache=True)
+@no_type_check
+def _is_surface(a, b, c, least_facing):
+    """Whether a triangle is known, and not steep to the line of sight, in the camera's frame."""
+    (ax, ay, az), (bx, by, bz), (cx, cy, cz) = a, b, c
+    ux, uy, uz, vx, vy, vz = bx - ax, by - ay, bz - az, cx - ax, cy - ay, cz - az
+    nx, ny, nz = uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx
+    x, y, z = (ax + bx + cx) / 3, (ay + by + cy) / 3, (az + bz + cz) / 3
+    length = math.sqrt((nx**2 + ny**2 + nz**2) * (x**2 + y**2 + z**2))
+    return abs(nx * x + ny * y + nz * z) > least_facing * length  # false where depth is missing
+
+
+@numba.njit(cache=True)
+@no_type_check
+def _raise(a, b, c, step_m, height):
+    """Raise the nodes below a triangle to it; a node on an edge belongs to both."""
+    n = len(height) // 2
+    (ax, ay, az), (bx, by, bz), (cx, cy, cz) = a, b, c
+    area = (bx - ax) * (cy - ay) - (cx - ax) * (by - ay)
+    if area == 0:
+        return
+    from_j = max(int(np.ceil(min(ax, bx, cx) / step_m)), -n)
+    to_j = min(int(np.floor(max(ax, bx, cx) / step_m)), n)
+    from_i = max(int(np.ceil(min(ay, by, cy) / step_m)), -n)
+    to_i = min(int(np.floor(max(ay, by, cy) / step_m)), n)
+    for i in range(from_i, to_i + 1):
+        for j in range(from_j, to_j + 1):
+            x, y = j * step_m, i * step_m
+            wb = ((x - ax) * (cy - ay) - (cx - ax) * (y - ay)) / area
+            wc = ((bx - ax) * (y - ay) - (x - ax) * (by - ay)) / area
+            wa = 1 - wb - wc
+            if wa >= -1e-12 and wb >= -1e-12 and wc >= -1e-12:
+                height[i + n, j + n] = max(height[i + n, j + n], wa * az + wb * bz + wc * cz)

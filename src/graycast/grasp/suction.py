@@ -9,7 +9,9 @@ uneven spread.
 
 import math
 from dataclasses import dataclass
+from typing import no_type_check
 
+import numba
 import numpy as np
 from jaxtyping import Float
 
@@ -104,30 +106,62 @@ def seals(
     if np.abs(aside_m).max() + cup.radius_m > patch.reach_m * (1 + 1e-9):
         raise ValueError(f"the patch of {patch.reach_m} m about the axis is smaller than the cup")
     around = 2 * np.pi * np.arange(LIP_POINTS) / LIP_POINTS
-    free = cup.radius_m * np.stack([np.cos(around), np.sin(around)], axis=-1)
-    height_m = patch.at(free + aside_m[:, None]) - lean @ free.T
-    open_share = np.maximum(
-        patch.open_share(cup.radius_m, aside_m), np.isnan(height_m).mean(axis=1)
-    )
-    lip = np.concatenate(
-        [np.broadcast_to(free, (len(height_m), LIP_POINTS, 2)), height_m[..., None]], axis=-1
-    )
-    flat = np.concatenate([free, np.zeros((LIP_POINTS, 1))], axis=1)
-    top = np.array([0.0, 0.0, cup.height_m])
-    changes = [_change(lip - top, flat - top)]
-    for apart in (1, 2):  # along the lip, and against bending it
-        changes.append(_change(lip - np.roll(lip, apart, 1), flat - np.roll(flat, apart, 0)))
-    change = np.concatenate(changes, axis=1)  # NaN beside missing ground
-    strain = np.where(np.isnan(change), -np.inf, change).max(axis=1)
-    return np.where(np.isinf(strain), np.nan, strain), open_share
+    lip_m = cup.radius_m * np.stack([np.cos(around), np.sin(around)], axis=-1)
+    strain, open_share = np.empty(len(aside_m)), np.empty(len(aside_m))
+    _lay(patch.height_m, patch.step_m, lip_m, cup.height_m, aside_m, lean, strain, open_share)
+    return strain, open_share
 
 
-def _change(
-    now: Float[np.ndarray, "k n 3"], free: Float[np.ndarray, "n 3"]
-) -> Float[np.ndarray, "k n"]:
-    """How much longer or shorter each spring is, as a share of its length."""
-    length = np.linalg.norm(free, axis=-1)
-    return np.abs(np.linalg.norm(now, axis=-1) - length) / length
+@numba.njit(cache=True)
+@no_type_check  # the tests' type checker would wrap the function, which numba cannot compile
+def _lay(height_m, step_m, lip_m, cup_m, aside_m, lean, strain, open_share):
+    radius_m, points = lip_m[0, 0], len(lip_m)
+    side = math.hypot(radius_m, cup_m)
+    along = np.array([np.linalg.norm(lip_m[0] - lip_m[apart]) for apart in (1, 2)])
+    z = np.empty(points)
+    for k in range(len(aside_m)):
+        for p in range(points):
+            z[p] = _between(height_m, (lip_m[p] + aside_m[k]) / step_m)
+            z[p] -= lean[k, 0] * lip_m[p, 0] + lean[k, 1] * lip_m[p, 1]
+        most = -np.inf
+        for p in range(points):
+            # Comparisons with NaN are false, so springs on missing ground do not count.
+            change = abs(math.hypot(radius_m, z[p] - cup_m) - side) / side
+            most = change if change > most else most
+            for apart in (1, 2):  # springs along the lip, and against bending it
+                free = along[apart - 1]
+                change = abs(math.hypot(free, z[p] - z[p - apart]) - free) / free
+                most = change if change > most else most
+        strain[k] = np.nan if most < 0 else most
+        missing = np.isnan(z).mean()
+        open_share[k] = max(missing, _open_share(height_m, radius_m / step_m, aside_m[k] / step_m))
+
+
+@numba.njit(cache=True)
+@no_type_check
+def _between(height_m, place):
+    """Bilinear between nodes, in steps from the middle; NaN beyond the grid or beside a gap."""
+    x, y = place[0] + len(height_m) // 2, place[1] + len(height_m) // 2
+    j, i = math.floor(x), math.floor(y)
+    if min(i, j) < 0 or max(i, j) >= len(height_m) - 1:
+        return np.nan
+    u, v = x - j, y - i
+    low = (1 - u) * height_m[i, j] + u * height_m[i, j + 1]
+    return (1 - v) * low + v * ((1 - u) * height_m[i + 1, j] + u * height_m[i + 1, j + 1])
+
+
+@numba.njit(cache=True)
+@no_type_check
+def _open_share(height_m, radius, about):
+    """The share of missing nodes within a radius about a place; both in steps."""
+    missing, inside, n = 0, 0, len(height_m) // 2
+    for y in range(math.ceil(about[1] - radius - 1), math.floor(about[1] + radius + 1) + 1):
+        for x in range(math.ceil(about[0] - radius - 1), math.floor(about[0] + radius + 1) + 1):
+            far = (x - about[0]) ** 2 + (y - about[1]) ** 2
+            if max(abs(x), abs(y)) <= n and far <= (radius * (1 + 1e-9)) ** 2:
+                inside += 1
+                missing += math.isnan(height_m[y + n, x + n])
+    return missing / inside
 
 
 def load_factor(

@@ -4,8 +4,8 @@ Kinematics and collision are Pinocchio's and Coal's. A robot is one of the built
 file of the user's. Its base's frame is the URDF's first link, z up.
 """
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, final
 
@@ -37,6 +37,10 @@ class Obstacle:
     shape: Any
     T_base_shape: Float[np.ndarray, "4 4"]
     carries: bool = False
+    placed: Any = field(init=False, repr=False)  # the pose as Coal takes it, for many questions
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "placed", _placed(self.T_base_shape))
 
 
 @final
@@ -157,14 +161,9 @@ class Robot:
 
         if pin.computeCollisions(self._model, self._data, self._geometry, self._placed, q, True):
             return "itself"
-        for number, thing in enumerate(self._geometry.geometryObjects):
-            placed = self._placed.oMg[number].homogeneous
-            for obstacle in obstacles:
-                if obstacle.carries and thing.parentJoint == 0:
-                    continue
-                if _meets(thing.geometry, placed, obstacle):
-                    return obstacle.name
-        return None
+        places = zip(self._geometry.geometryObjects, self._placed.oMg, strict=True)
+        pieces = ((it.geometry, at.homogeneous, it.parentJoint == 0) for it, at in places)
+        return _first_met(pieces, obstacles)
 
     def _own_pairs(self) -> None:
         """Links that are not neighbours, and do not touch at home, may not touch each other."""
@@ -194,21 +193,32 @@ def tool_touches(
     obstacles: Sequence[Obstacle],
 ) -> str | None:
     """The obstacle with which the tool alone collides; None if there is none."""
-    for piece in pieces:
+    placed = ((piece.shape, T_base_flange @ piece.T_flange_shape, False) for piece in pieces)
+    return _first_met(placed, obstacles)
+
+
+def _first_met(
+    pieces: Iterable[tuple[Any, Float[np.ndarray, "4 4"], bool]], obstacles: Sequence[Obstacle]
+) -> str | None:
+    """The first obstacle that a piece meets; each piece: shape, pose, whether it is the base."""
+    import coal
+
+    request, result = coal.CollisionRequest(), coal.CollisionResult()
+    for shape, T_base_shape, is_base in pieces:
+        here = _placed(T_base_shape)
         for obstacle in obstacles:
-            if _meets(piece.shape, T_base_flange @ piece.T_flange_shape, obstacle):
+            if is_base and obstacle.carries:
+                continue
+            result.clear()
+            if coal.collide(shape, here, obstacle.shape, obstacle.placed, request, result):
                 return obstacle.name
     return None
 
 
-def _meets(shape: Any, T_base_shape: Float[np.ndarray, "4 4"], obstacle: Obstacle) -> bool:
+def _placed(T: Float[np.ndarray, "4 4"]) -> Any:
     import coal
 
-    T = obstacle.T_base_shape
-    here = coal.Transform3s(T_base_shape[:3, :3], T_base_shape[:3, 3])
-    there = coal.Transform3s(T[:3, :3], T[:3, 3])
-    result = coal.CollisionResult()
-    return bool(coal.collide(shape, here, obstacle.shape, there, coal.CollisionRequest(), result))
+    return coal.Transform3s(T[:3, :3], T[:3, 3])
 
 
 def _turned(q: Joints, near: Joints, low: Joints, high: Joints) -> Joints:

@@ -1,14 +1,22 @@
 """Robots' cells that cannot work: each is refused in one line that names the thing."""
 
+from types import SimpleNamespace
+
+import numpy as np
 import pytest
 
 pytest.importorskip("pinocchio", reason="needs pinocchio: pip install 'graycast[pick]'")
 
 from small_cell import write_cell
 
+from graycast.detections import Detections
 from graycast.errors import GraycastError
+from graycast.frames import rigid
 from graycast.pick import load_pick_config, resolve_pick_cell
+from graycast.pick.aim import Sight
 from graycast.pick.ready import make_ready
+from graycast.pick.scan import Look, targets
+from graycast.scene import Layout
 
 URDF = """<robot name="r"><link name="base"/><link name="{last}"/>
 <joint name="j" type="revolute"><parent link="base"/><child link="{last}"/>
@@ -71,3 +79,40 @@ def test_what_cannot_work_is_refused_by_name(tmp_path, changes, words):
     with pytest.raises(GraycastError, match=words) as refused:
         ready(tmp_path, **changes)
     assert "\n" not in str(refused.value).strip()
+
+
+class OneClass:
+    """A detector that calls everything a part, and finds one."""
+
+    about = SimpleNamespace(names=("part",))
+
+    def detect(self, example, *, obj_ids, least_score):
+        box = np.array([[5.0, 5.0, 20.0, 10.0]])
+        kind = np.array([obj_ids["part"]])
+        return Detections(scene_id=0, score=np.array([0.9]), obj_id=kind, box_px=box)
+
+
+@pytest.mark.parametrize("parts", [1, 2])
+def test_a_detector_of_one_class_serves_where_grips_need_no_model(tmp_path, monkeypatch, parts):
+    """With one part its class is that part; with two it is none of them, which needs `depth`."""
+    pytest.importorskip("torch", reason="needs torch: pip install 'graycast[detect]'")
+    monkeypatch.setattr("graycast.detect.load_detector", lambda path: OneClass())
+    (tmp_path / "run").mkdir()
+    mix = [{"mesh": "box.stl", "unit": "mm", "name": name} for name in ("box", "crate")[:parts]]
+    changes = {"parts": mix, "tool": {"kind": "suction"}}
+    made = ready(tmp_path, **changes, picking={"knows": "depth", "detector": "run"})
+    camera, blank = made.cell.cell.scene.rig.camera, np.zeros((120, 160))
+    look = Look(
+        view=Sight(depth_m=blank + 1, camera=camera, T_world_cam=rigid(np.eye(3), np.zeros(3))),
+        scanner_depth_m=blank,
+        gray=blank.astype(np.uint8),
+        rgb=np.zeros((120, 160, 3), np.uint8),
+        instance=blank.astype(int),
+        seconds=0.1,
+    )
+    nowhere = Layout(T_world_part=np.zeros((0, 4, 4)), part_index=np.zeros(0, int))
+    (found,) = targets(made.cell, look, nowhere, OneClass())
+    assert found.kind == (0 if parts == 1 else None)
+    if parts == 2:
+        with pytest.raises(GraycastError, match="it knows part, and the cell has box, crate"):
+            ready(tmp_path, **changes, picking={"knows": "part", "detector": "run"})

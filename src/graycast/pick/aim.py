@@ -194,9 +194,10 @@ def aims_in_depth(
     doubt: Doubt,
     most_lean_rad: float,
     places: int,
+    one_part: bool,
     seed: int,
 ) -> list[Aim]:
-    """Suction grips on the measured surface, without a model."""
+    """Suction grips on the measured surface, without a model; see `suction_in_depth`."""
     down = view.T_world_cam[:3, :3].T @ np.array([0.0, 0.0, -1.0])
     aims = []
     for number, target in enumerate(targets):
@@ -208,7 +209,7 @@ def aims_in_depth(
             down=down,
             weight_n=weight_n,
             doubt=doubt,
-            one_part=target.kind is not None,
+            one_part=one_part,
             most_lean_rad=most_lean_rad,
             count=places,
             seed=seed + number,

@@ -109,6 +109,7 @@ def _aims(ready: Ready, found: Sequence[Target], view: Sight, seed: int) -> list
         doubt=Doubt(center_m=UNKNOWN_CENTER_M),
         most_lean_rad=lean_rad,
         places=PLACES * (picking.targets if picking.detector == "none" else 1),
+        one_part=picking.detector != "none",
         seed=seed,
     )
 

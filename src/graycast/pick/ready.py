@@ -141,14 +141,15 @@ def _known(tool: Tool, part: Part, body: Body) -> KnownPart:
 
 
 def _detector(cell: PickCell) -> Any | None:
-    """Raise ConfigError if the detector does not distinguish the cell's parts."""
+    """Raise ConfigError if models are to be found and the detector does not tell parts apart."""
     if cell.detector is None:
         return None
     from ..detect import load_detector  # torch takes seconds to load
 
     detector = load_detector(cell.detector)
     names = [part.name for part in cell.cell.scene.parts]
-    if len(names) > 1 and not set(detector.about.names) <= set(names):
+    told_apart = set(detector.about.names) <= set(names)
+    if cell.config.picking.knows == "part" and len(names) > 1 and not told_apart:
         raise ConfigError(
             f"picking.detector: it knows {', '.join(detector.about.names)}, and the cell has "
             f"{', '.join(names)}: train the detector on parts with these names"

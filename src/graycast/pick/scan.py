@@ -20,6 +20,7 @@ from .cell import PickCell
 
 LEAST_VISIBLE_PX = 30  # of a part that truth tells of
 LEAST_SCORE = 0.3  # of a detector's detection
+UNKNOWN_KIND = -1  # of a detection whose class is none of the cell's parts
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -121,7 +122,8 @@ def _true_targets(seen: Look, layout: Layout) -> list[Target]:
 
 def _detected(cell: PickCell, seen: Look, detector: Any) -> list[Target]:
     ids = {part.name: i for i, part in enumerate(cell.cell.scene.parts)}
-    wanted = {name: ids.get(name, 0) for name in detector.about.names}
+    another = 0 if len(ids) == 1 else UNKNOWN_KIND  # what a detector calls by another name
+    wanted = {name: ids.get(name, another) for name in detector.about.names}
     example = Example(
         scene_id=0,
         rgb=seen.rgb,
@@ -137,8 +139,12 @@ def _target(found: Detections, i: int) -> Target:
     from pycocotools import mask as coco_mask
 
     mask = None if found.mask is None else coco_mask.decode(dict(found.mask[i])).astype(bool)
+    kind = int(found.obj_id[i])
     return Target(
-        kind=int(found.obj_id[i]), score=float(found.score[i]), mask=mask, box_px=found.box_px[i]
+        kind=None if kind == UNKNOWN_KIND else kind,
+        score=float(found.score[i]),
+        mask=mask,
+        box_px=found.box_px[i],
     )
 
 

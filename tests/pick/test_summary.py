@@ -1,10 +1,15 @@
 """Rates, reasons and pairs of hand-made episodes."""
 
+import cv2
+import numpy as np
 import pytest
+from matplotlib.colors import to_rgb
 
 from graycast.errors import GraycastError
 from graycast.evaluate import mcnemar, wilson
 from graycast.pick.files import StoredEpisode
+from graycast.pick.outcome import TAKEN, Outcome
+from graycast.pick.plots import COLOR, plot_runs
 from graycast.pick.summary import compared, pair, summarize
 
 
@@ -67,6 +72,23 @@ def test_runs_are_set_beside_the_first_in_a_table():
     }
     head, _, first, second = compared(runs).splitlines()
     cells = [[cell.strip() for cell in line.strip("|").split("|")] for line in (first, second)]
-    assert len(head.strip("|").split("|")) == len(cells[0]) == len(cells[1]) == 10
-    assert cells[0][:3] == ["scanner", "2", "50.0%"] and cells[0][6:] == [""] * 4
-    assert cells[1][:3] == ["perfect", "2", "100.0%"] and cells[1][6:] == ["2", "1", "0", "1"]
+    assert len(head.strip("|").split("|")) == len(cells[0]) == len(cells[1]) == 11
+    assert (
+        cells[0][:3] == ["scanner", "2", "50.0%"]
+        and cells[0][4] == "1 of 1"
+        and cells[0][7:] == [""] * 4
+    )
+    assert cells[1][:3] == ["perfect", "2", "100.0%"] and cells[1][7:] == ["2", "1", "0", "1"]
+
+
+def test_every_failure_has_a_colour_and_is_drawn_as_often_as_it_came(tmp_path):
+    """Oracle: in the picture, the areas of the two failures' colours are as 3 to 1."""
+    assert set(COLOR) == set(Outcome) - set(TAKEN)
+    outcomes = ["picked"] * 6 + ["lost seal"] * 3 + ["wrong pose"]
+    plot_runs({"run": summarize([episode(0, *outcomes)])}, tmp_path / "runs.png")
+    picture = cv2.imread(str(tmp_path / "runs.png"))
+    plotted = picture[: int(0.55 * len(picture))]  # without the legend
+    apart = {one: np.abs(plotted[..., ::-1] - 255 * np.array(to_rgb(COLOR[one]))) for one in COLOR}
+    area = {one: (apart[one].max(axis=2) <= 2).sum() for one in COLOR}
+    pose = area[Outcome.WRONG_POSE]
+    assert pose > 100 and area[Outcome.LOST_SEAL] == pytest.approx(3 * pose, rel=0.05)

@@ -27,10 +27,10 @@ install 'graycast[pick]'."""
 
 PICKS = """\
 Summarise picks: the success rate with its 95 % confidence interval (Wilson), the outcomes, the
-    number of cleared bins, the picks per hour, and the seconds of each stage. Further folders
-    may hold picks from the same bins with another detector or another kind of depth. The
-    command compares them with the first folder in a table, and McNemar's test tells whether
-    they differ significantly from it."""
+number of cleared bins, the picks per hour, and the seconds of each stage. Further folders may
+hold picks from the same bins with another detector or another kind of depth. The command compares
+them with the first folder in a table, and McNemar's test tells whether they differ significantly
+from it."""
 
 
 REPLAY = """\
@@ -81,6 +81,12 @@ def add_commands(commands) -> None:
     )
     picks.description = PICKS
     picks.add_argument("folders", type=Path, nargs="+", help="Folders that graycast pick wrote.")
+    picks.add_argument(
+        "--plot",
+        type=Path,
+        help="The PNG file to write, in which the rates, the failures and the parts that are "
+        "left are drawn for each folder.",
+    )
     replay = add_command(commands, "replay", _replay, "Make a film of how the robot emptied a bin.")
     replay.description = REPLAY
     replay.add_argument("folder", type=Path, help="A folder that graycast pick wrote.")
@@ -201,13 +207,16 @@ def _depth(text: str) -> dict[str, object]:
 
 
 def _picks(options: argparse.Namespace) -> int:
-    from ..pick import compared, read_episodes, summarize
+    from ..pick import compared, plot_runs, read_episodes, summarize
 
-    episodes = [read_episodes(folder) for folder in options.folders]
-    _tell(summarize(episodes[0]))
-    if len(episodes) > 1:
-        names = [str(folder) for folder in options.folders]
-        print(f"\n{compared(dict(zip(names, episodes, strict=True)))}")
+    runs = {str(folder): read_episodes(folder) for folder in options.folders}
+    _tell(summarize(next(iter(runs.values()))))
+    if len(runs) > 1:
+        print(f"\n{compared(runs)}")
+    if options.plot is not None:
+        told = {name: summarize(episodes) for name, episodes in runs.items()}
+        plot_runs(told, options.plot)
+        print(f"{options.plot}: a row for each of {len(told)} folders")
     return 0
 
 

@@ -135,9 +135,9 @@ def compared(runs: Mapping[str, Sequence[StoredEpisode]]) -> str:
         GraycastError: one has no bin, or no common bin with the first.
     """
     lines = [
-        "| run | grips | success | 95 % | cleared | picks an hour "
+        "| run | grips | success | 95 % | parts taken | cleared | picks an hour "
         "| pairs | only here | only first | p |",
-        "|---|---|---|---|---|---|---|---|---|---|",
+        "|---|---|---|---|---|---|---|---|---|---|---|",
     ]
     first = next(iter(runs.values()))
     for name, episodes in runs.items():
@@ -151,6 +151,7 @@ def compared(runs: Mapping[str, Sequence[StoredEpisode]]) -> str:
             )
         lines.append(
             f"| {name} | {told.grips} | {rate:.1%} | {low:.1%} to {high:.1%} | "
-            f"{told.cleared} of {told.bins} | {told.picks_per_hour:.0f} {beside}"
+            f"{told.taken} of {told.filled} | {told.cleared} of {told.bins} | "
+            f"{told.picks_per_hour:.0f} {beside}"
         )
     return "\n".join(lines)

@@ -51,7 +51,7 @@ OPTIONS = {
     "--min-visibility --most --draws --seed --depth --out",
     "pick": "config --out --bins --seed --device --detector --pose --depth --workers --threads "
     "--engine --address",
-    "picks": "folders",
+    "picks": "folders --plot",
     "grasps": "dataset --tool --name --per-instance --simulate --places --seed --files --workers",
     "import-real": "folder --out --intrinsics --distortion --scale --size --annotations "
     "--unlabelled --like",
@@ -76,7 +76,7 @@ OPTIONS = {
     "bench drop": "--json --count",
     "bench live": "--json config --rounds --device",
     "bench hulls": "--json",
-    "bench pose": "--json datasets --instances --min-visibility --out --seed",
+    "bench pose": "--json datasets --instances --min-visibility --detector --out --seed",
     "bench scene": "--json --scenes --count --device",
     "bench engine": "--json --scenes --count",
     "bench zoo": "--json --families --counts --seeds",

@@ -6,14 +6,18 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from statistics import median
+from typing import Any
 
 import cv2
 import numpy as np
 from jaxtyping import Float, UInt8
+from pycocotools import mask as coco_mask
 
 from ..dataset.models_read import StoredModel, read_models
+from ..detections import Detections
 from ..errors import GraycastError
 from ..evaluate import camera_of, rotation_translation, wilson
+from ..export.split import Split
 from ..folder import new_folder
 from ..frames import transform_points
 from ..parts import Mesh
@@ -31,6 +35,8 @@ CASES = (
     ("perfect", "mask"),
     ("perfect", "box"),
 )
+DETECTED = (("scanner", "detected mask"), ("scanner", "detected box"))  # with a detector
+LEAST_IOU = 0.5  # of the boxes of an instance and of its detection
 SHEET, COLUMNS, TILE_PX = 24, 6, 220  # instances on a sheet of overlays
 OUTLINE_M = 0.004  # steps of depth from pixel to pixel that are drawn
 
@@ -45,6 +51,7 @@ class _Subject:
     model: dict[int, PoseModel]
     strict: dict[int, Float[np.ndarray, "_ 4 4"]]
     shape: dict[int, Float[np.ndarray, "_ 4 4"]]
+    obj_ids: dict[str, int]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -55,6 +62,7 @@ class _Trial:
     instance: int
     found: PoseFound
     cpu_s: float
+    seen: bool = True
     angle_deg: float = math.inf
     shift_mm: float = math.inf
     strict: bool = False
@@ -70,6 +78,7 @@ def measure_poses(
     instances: int,
     min_visibility: float,
     seed: int,
+    detector: Any | None = None,
     out: Path | None = None,
     on_work: Callable[[float, str], None] = lambda share, what: None,
 ) -> Figures:
@@ -80,6 +89,9 @@ def measure_poses(
 
     Args:
         instances: of each dataset, drawn from those visible enough.
+        detector: an opened one of `detect`. Then the instances are of the scenes that its
+            training kept for tests, and its detections are a further case: each instance has the
+            detection of its class with the largest overlap, of at least `LEAST_IOU`.
         out: also write the poses as BOP's results, and sheets of pictures with the poses drawn.
 
     Raises:
@@ -87,13 +99,18 @@ def measure_poses(
     """
     rows, texts, sheets = [], {}, {}
     for k, folder in enumerate(datasets):
-        subject = _subject(folder)
+        subject = _subject(folder, detector)
         chosen = _chosen(subject.examples, instances, min_visibility, seed)
-        trials: dict[tuple[str, str], list[_Trial]] = {case: [] for case in CASES}
+        cases = CASES if detector is None else (*CASES, *DETECTED)
+        trials: dict[tuple[str, str], list[_Trial]] = {case: [] for case in cases}
         for n, (scene_id, places) in enumerate(chosen.items()):
             example = subject.examples.read(scene_id)
             for case in CASES:
                 trials[case] += _trials(subject, example, places, case)
+            if detector is not None:
+                seen = detector.detect(example, obj_ids=subject.obj_ids)
+                for case in DETECTED:
+                    trials[case] += _trials(subject, example, places, case, seen)
             on_work((k + (n + 1) / len(chosen)) / len(datasets), subject.name)
         for case, held in trials.items():
             rows.append({"dataset": subject.name, "depth": case[0], "region": case[1]} | _row(held))
@@ -111,16 +128,23 @@ def measure_poses(
     return settings | {"rows": rows}
 
 
-def _subject(folder: Path) -> _Subject:
+def _subject(folder: Path, detector: Any | None) -> _Subject:
     stored = read_models(folder)
+    if detector is None:
+        examples = open_examples(folder)
+    else:
+        held = detector.about.trained["settings"]["split"]
+        division = Split(shares=tuple(held["shares"]), seed=held["seed"])
+        examples = open_examples(folder, split="test", division=division)
     shapes = {k: joined(one.symmetry, shape_symmetry(one.mesh)) for k, one in stored.items()}
     return _Subject(
         name=folder.resolve().name,
-        examples=open_examples(folder),
+        examples=examples,
         stored=stored,
         model={k: pose_model(one.mesh, shapes[k]) for k, one in stored.items()},
         strict={k: motions(one.symmetry) for k, one in stored.items()},
         shape={k: motions(symmetry) for k, symmetry in shapes.items()},
+        obj_ids={} if detector is None else detector.about.obj_ids(examples.categories, folder),
     )
 
 
@@ -151,21 +175,29 @@ def _chosen(
 
 
 def _trials(
-    subject: _Subject, example: Example, places: Sequence[int], case: tuple[str, str]
+    subject: _Subject,
+    example: Example,
+    places: Sequence[int],
+    case: tuple[str, str],
+    detections: Detections | None = None,
 ) -> Iterator[_Trial]:
     depth_m = example.scanner_depth_m if case[0] == "scanner" else example.depth_m
     camera = camera_of(example)
     for place in places:
         obj_id = int(example.obj_id[place])
         model = subject.model[obj_id]
+        region = _region(example, place, case[1], detections)
         began = time.process_time()
-        if case[1] == "mask":
-            found = find_pose(model, depth_m, camera, example.mask[place])
+        if region is None:
+            found = PoseFound(T_cam_part=None, score=0.0)
+        elif region.ndim == 2:
+            found = find_pose(model, depth_m, camera, region)
         else:
-            box = scaled(example.box_px[place].astype(np.float64), BOXES[case[1]])
-            found = find_pose_in_box(model, depth_m, camera, box)
+            found = find_pose_in_box(model, depth_m, camera, region)
         cpu_s = time.process_time() - began
-        trial = _Trial(example=example, instance=place, found=found, cpu_s=cpu_s)
+        trial = _Trial(
+            example=example, instance=place, found=found, cpu_s=cpu_s, seen=region is not None
+        )
         if found.T_cam_part is None:
             yield trial
             continue
@@ -183,6 +215,27 @@ def _trials(
         )
 
 
+def _region(
+    example: Example, place: int, region: str, detections: Detections | None
+) -> np.ndarray | None:
+    """A mask, or a box [x, y, columns, rows]; None where a detector missed the instance."""
+    if region == "mask":
+        return example.mask[place]
+    if detections is None:
+        return scaled(example.box_px[place].astype(np.float64), BOXES[region])
+    alike = np.flatnonzero(detections.obj_id == example.obj_id[place])
+    if not len(alike):
+        return None
+    true = example.box_px[place].astype(float).tolist()
+    overlap = np.asarray(coco_mask.iou(detections.box_px[alike].tolist(), [true], [0]))[:, 0]
+    if overlap.max() < LEAST_IOU:
+        return None
+    best = alike[overlap.argmax()]
+    if region == "detected box" or detections.mask is None:
+        return detections.box_px[best]
+    return np.asarray(coco_mask.decode(dict(detections.mask[best]))).astype(bool)
+
+
 def scaled(box_px: Float[np.ndarray, "4"], factor: float) -> Float[np.ndarray, "4"]:
     """[x, y, columns, rows] with its sides made longer or shorter about its middle."""
     middle, size = box_px[:2] + box_px[2:] / 2, box_px[2:] * factor
@@ -197,6 +250,7 @@ def _row(trials: Sequence[_Trial]) -> Figures:
         "share": sum(near) / len(near),
         "low": low,
         "high": high,
+        "detected": sum(trial.seen for trial in trials) / len(trials),
         "strict": sum(trial.strict for trial in trials) / len(trials),
         "rotation_deg": median(trial.angle_deg for trial in trials),
         "translation_mm": median(trial.shift_mm for trial in trials),

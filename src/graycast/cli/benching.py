@@ -17,6 +17,7 @@ from .arguments import (
     share,
     size,
 )
+from .detecting import need_torch
 
 AGREE = """\
 Render the same scenes with Mitsuba and Cycles and compare the two. The scenes are brackets of a
@@ -53,10 +54,12 @@ after the last drop in that file."""
 POSE = """\
 Estimate the poses of parts in datasets whose true poses are known. In the scanner's depth, the
 parts are given by their true masks, by boxes of the right size, and by boxes that are 20 % too
-large or too small; in perfect depth, they are given by masks and boxes. For each case the
+large or too small; in perfect depth, they are given by masks and boxes. With --detector they are
+also given by the detections in the scenes that the detector has not seen. For each case the
 command prints the share of poses within 5 degrees and 3 mm modulo the symmetry of the part's
-shape, the same share modulo only the symmetry that the dataset states (strict), the median
-errors, and the median processor time per instance in seconds."""
+shape, the share of instances that were detected, the first share modulo only the symmetry that
+the dataset states (strict), the median errors, and the median processor time per instance in
+seconds."""
 
 
 def add_commands(commands) -> None:
@@ -165,6 +168,13 @@ def _add_pose(kinds) -> None:
         metavar="SHARE",
         help="The smallest visible share of an instance, from 0 to 1; instances below it are "
         "skipped (default: 0.7).",
+    )
+    pose.add_argument(
+        "--detector",
+        type=Path,
+        metavar="RUN",
+        help="The folder that graycast train wrote. The instances are then of the scenes that its "
+        "training kept for tests, and its detections are one more case.",
     )
     pose.add_argument(
         "--out",
@@ -387,6 +397,7 @@ def _renderers(options: argparse.Namespace) -> int:
 
 
 def _detectors(options: argparse.Namespace) -> int:
+    need_torch()
     from ..bench.detectors import measure_detectors
 
     runs = options.detectors
@@ -400,12 +411,19 @@ def _detectors(options: argparse.Namespace) -> int:
 def _pose(options: argparse.Namespace) -> int:
     from .. import bench
 
+    detector = None
+    if options.detector is not None:
+        need_torch()
+        from ..detect import load_detector
+
+        detector = load_detector(options.detector)
     with _following() as on_work:
         figures = bench.measure_poses(
             options.datasets,
             instances=options.instances,
             min_visibility=options.min_visibility,
             seed=options.seed,
+            detector=detector,
             out=options.out,
             on_work=on_work,
         )

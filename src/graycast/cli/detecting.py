@@ -273,14 +273,21 @@ def _range(text: str) -> tuple[float, float]:
     return near_m, far_m
 
 
-def _torch(options: argparse.Namespace) -> None:
-    """Check that torch is installed, and set its number of threads."""
+def need_torch() -> None:
+    """Raise GraycastError if torch is not installed."""
     try:
-        import torch
+        import torch  # noqa: F401
     except ImportError as error:
         raise GraycastError(
             "detectors need PyTorch, which is not installed: run pip install 'graycast[detect]'"
         ) from error
+
+
+def _torch(options: argparse.Namespace) -> None:
+    """Check that torch is installed, and set its number of threads."""
+    need_torch()
+    import torch
+
     if options.threads is not None:
         torch.set_num_threads(options.threads)
 

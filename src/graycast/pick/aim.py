@@ -26,7 +26,7 @@ PLACES = 40  # in each round of the search for suction places, for each detectio
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Target:
-    """A candidate part in the picture: its outline, or a box [x, y, columns, rows].
+    """A candidate part in the picture: its outline, a box [x, y, columns, rows], or both.
 
     `kind` is the index among the cell's parts, or None if unknown. `T_cam_part` is the true
     pose if it is to be used.
@@ -177,11 +177,13 @@ def aims_by_pose(
 
 
 def _pose(model: PoseModel, target: Target, view: Sight) -> Float[np.ndarray, "4 4"] | None:
-    if target.mask is not None:
-        found = find_pose(model, view.depth_m, view.camera, target.mask)
-    else:
+    # A detector's masks are coarse, and a pose leans on the outline of its mask: more poses are
+    # right from its boxes (docs/pose.md). Truth has masks alone.
+    if target.box_px is not None:
         box_px = np.asarray(target.box_px)
         found = find_pose_in_box(model, view.depth_m, view.camera, box_px)
+    else:
+        found = find_pose(model, view.depth_m, view.camera, np.asarray(target.mask))
     return None if found.score < LEAST_POSE else found.T_cam_part
 
 

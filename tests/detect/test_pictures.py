@@ -22,7 +22,12 @@ DEPTH = Encoding(input="depth_sl", size_px=SIZE, near_m=0.5, far_m=1.1, relief=F
 
 def one(example, tmp_path, *, encoding=DEPTH, masks=True, min_visibility=0.1, **said):
     held = Examples(
-        folder=tmp_path, split="train", scene_ids=(0,), categories={1: "a"}, read=lambda _: example
+        folder=tmp_path,
+        split="train",
+        scene_ids=(0,),
+        categories={1: "a"},
+        scene_of={0: 0},
+        read=lambda _: example,
     )
     augmentation = Augmentation(**said) if said else NO_AUGMENTATION
     return Pictures(

@@ -21,6 +21,7 @@ def squares(scene_id, places, *, visible=None, obj_id=1, side=8, masked=True):
     visible = np.ones(count) if visible is None else np.array(visible, float)
     return Labels(
         scene_id=scene_id,
+        scene=scene_id,
         size_px=SIZE_PX,
         obj_id=np.broadcast_to(obj_id, count).astype(np.int64).copy(),
         box_px=_boxes(places, side),
@@ -162,6 +163,7 @@ def _labels(scene_id, there, obj_id, visible):
     masks = run_lengths_of(there)
     return Labels(
         scene_id=scene_id,
+        scene=scene_id,
         size_px=SIZE_PX,
         obj_id=obj_id,
         box_px=_box_of(masks),

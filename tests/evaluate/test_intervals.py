@@ -1,5 +1,7 @@
 """Intervals over scenes: against copies of scenes, against a known mean, against themselves."""
 
+from dataclasses import astuple, replace
+
 import numpy as np
 import pytest
 from scipy import stats
@@ -37,7 +39,7 @@ def bin_of(scene_id, rng, *, share, parts=15):
 
 def interval(scenes, *, seed, name="ar"):
     scores = score([one[0] for one in scenes], [one[1] for one in scenes], kind="box")
-    return with_intervals(scores, draw_scenes(len(scenes), seed=seed))[name]
+    return with_intervals(scores, draw_scenes(scores.scene_of, seed=seed))[name]
 
 
 def test_one_seed_gives_one_interval_and_another_seed_nearly_the_same():
@@ -74,7 +76,7 @@ def test_draws_with_nothing_to_find_are_left_out():
 def test_equal_results_differ_by_exactly_nothing():
     drawn = RandomSet.drawn(2)
     scores = score(drawn.labels, drawn.found, kind="mask")
-    for one in differences(scores, scores, draw_scenes(4, seed=0)).values():
+    for one in differences(scores, scores, draw_scenes(range(4), seed=0)).values():
         assert (one.value, one.low, one.high) == (0.0, 0.0, 0.0)
 
 
@@ -85,12 +87,28 @@ def test_a_paired_difference_is_surer_than_its_two_sides():
     labels = [one[0] for one in scenes]
     fewer = [found_squares(i, one[1].box_px[1:, :2].astype(int), one[1].score[1:])
              for i, one in enumerate(scenes)]  # fmt: skip
-    times = draw_scenes(25, seed=0)
+    times = draw_scenes(range(25), seed=0)
     full, less = (score(labels, f, kind="box") for f in ([one[1] for one in scenes], fewer))
     gap, own = differences(full, less, times)["ar"], with_intervals(full, times)["ar"]
     assert gap.value == pytest.approx(1 / 15, abs=1e-12)
     assert gap.low == pytest.approx(1 / 15, abs=1e-12)
     assert own.high - own.low > 0.1
+
+
+def test_a_second_equal_view_of_every_scene_tells_nothing_new():
+    """Oracle: the interval of the first views alone; pictures drawn alone have a narrower one."""
+    rng = np.random.default_rng(8)
+    scenes = [bin_of(i, rng, share=rng.uniform(0.3, 1)) for i in range(20)]
+    views = [
+        (replace(labels, scene_id=2 * i + k), replace(found, scene_id=2 * i + k))
+        for i, (labels, found) in enumerate(scenes)
+        for k in (0, 1)
+    ]
+    once, twice = interval(scenes, seed=0), interval(views, seed=0)
+    np.testing.assert_allclose(astuple(twice), astuple(once), rtol=0, atol=1e-12)
+    alone = [(replace(labels, scene=labels.scene_id), found) for labels, found in views]
+    narrow = interval(alone, seed=0)
+    assert narrow.high - narrow.low < 0.8 * (once.high - once.low)
 
 
 def test_one_scene_has_no_interval():
@@ -105,7 +123,7 @@ def test_results_of_other_scenes_are_not_compared():
     scores = score(drawn.labels, drawn.found, kind="box")
     fewer = score(drawn.labels[:3], drawn.found[:3], kind="box")
     with pytest.raises(GraycastError, match="results of the same scenes"):
-        differences(scores, fewer, draw_scenes(4, seed=0))
+        differences(scores, fewer, draw_scenes(range(4), seed=0))
 
 
 def coverage(count, *, scenes, figure, truth, make):

@@ -1,7 +1,8 @@
 """Confidence intervals of the figures by the bootstrap over scenes.
 
-Parts of one scene share light and clutter, so scenes are resampled and not parts. Each draw
-takes as many scenes as there are, with repetition; detections are matched once.
+Parts of one scene share light and clutter, and so do its pictures from several views. Scenes are
+therefore resampled, and not parts or pictures. Each draw takes as many scenes as there are, with
+repetition; detections are matched once.
 
 Percentiles of such draws are too narrow for few scenes, by the factor sqrt((n - 1) / n) and by
 what Student's t is wider than the normal distribution. Both are put right by taking percentiles
@@ -34,22 +35,29 @@ class Interval:
     high: float
 
 
-def draw_scenes(scenes: int, *, seed: int, draws: int = DRAWS) -> Int[np.ndarray, "draws scenes"]:
-    """The weight of each scene in each draw; equal for results of equally many scenes."""
-    return np.random.default_rng(seed).multinomial(scenes, np.full(scenes, 1 / scenes), size=draws)
+def draw_scenes(
+    scene_of: Sequence[int], *, seed: int, draws: int = DRAWS
+) -> Int[np.ndarray, "draws pictures"]:
+    """The weight of each picture in each draw: that of its scene.
+
+    Equal for results of equally many scenes. `scene_of` is the scene of each picture.
+    """
+    ids, place = np.unique(np.asarray(scene_of), return_inverse=True)
+    even = np.full(len(ids), 1 / len(ids))
+    return np.random.default_rng(seed).multinomial(len(ids), even, size=draws)[:, place]
 
 
-def with_intervals(scores: Scores, times: Int[np.ndarray, "draws scenes"]) -> dict[str, Interval]:
+def with_intervals(scores: Scores, times: Int[np.ndarray, "draws pictures"]) -> dict[str, Interval]:
     """`FIGURES` of the scores, each with its interval."""
     drawn = figures_of_draws(scores.matches, times)
-    scenes = len(scores.scene_ids)
     return {
-        name: interval_of(getattr(scores, name), values, scenes) for name, values in drawn.items()
+        name: interval_of(getattr(scores, name), values, scores.scenes)
+        for name, values in drawn.items()
     }
 
 
 def differences(
-    scores: Scores, other: Scores, times: Int[np.ndarray, "draws scenes"]
+    scores: Scores, other: Scores, times: Int[np.ndarray, "draws pictures"]
 ) -> dict[str, Interval]:
     """`FIGURES` of the scores less the other's, both of the same scenes in every draw.
 
@@ -66,7 +74,7 @@ def differences(
         name: interval_of(
             getattr(scores, name) - getattr(other, name),
             mine[name] - its[name],
-            len(scores.scene_ids),
+            scores.scenes,
         )
         for name in mine
     }
@@ -101,11 +109,11 @@ class Drawn:
 
 def drawn(scores: Scores, figure: str, *, seed: int, draws: int = DRAWS) -> Drawn:
     """One of `FIGURES` of the scores with its draws."""
-    times = draw_scenes(len(scores.scene_ids), seed=seed, draws=draws)
+    times = draw_scenes(scores.scene_of, seed=seed, draws=draws)
     return Drawn(
         value=getattr(scores, figure),
         draws=figures_of_draws(scores.matches, times)[figure],
-        scenes=len(scores.scene_ids),
+        scenes=scores.scenes,
     )
 
 

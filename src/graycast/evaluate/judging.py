@@ -97,7 +97,8 @@ def judge(
         GraycastError: labels and detections do not fit together.
     """
     known = overlaps(labels, found, kind=kind, most=protocol.most)
-    times = draw_scenes(len(known.labels), seed=protocol.seed, draws=protocol.draws)
+    scene_of = [one.scene for one in known.labels]
+    times = draw_scenes(scene_of, seed=protocol.seed, draws=protocol.draws)
     scores = _scores(known)
     other = None
     if against is not None:
@@ -120,30 +121,25 @@ def _least(point: WorkingPoint) -> float:
 
 
 def _scores(known: Overlaps) -> Scores:
-    return _scores_of(known, match(known))
-
-
-def _scores_of(known: Overlaps, matches: Mapping) -> Scores:
-    scene_ids = tuple(one.scene_id for one in known.labels)
-    return scores_of(matches, kind=known.kind, most=known.most, scene_ids=scene_ids)
+    return scores_of(match(known), known)
 
 
 def _rows(
     known: Overlaps,
     scores: Scores,
-    times: Int[np.ndarray, "draws scenes"],
+    times: Int[np.ndarray, "draws pictures"],
     categories: Mapping[int, str],
     protocol: Protocol,
 ) -> Iterator[Row]:
     yield _row("all", "all", scores, times)
     if len(scores.matches) > 1:
         for obj_id, one in scores.matches.items():
-            alone = _scores_of(known, {obj_id: one})
+            alone = scores_of({obj_id: one}, known)
             yield _row("class", categories.get(obj_id, str(obj_id)), alone, times)
     for group in groups(known.labels, kind=known.kind, min_visibility=protocol.min_visibility):
-        inside = _scores_of(known, match(known, group.outside))
+        inside = scores_of(match(known, group.outside), known)
         yield _row(group.by, group.name, inside, times)
 
 
-def _row(by: str, name: str, scores: Scores, times: Int[np.ndarray, "draws scenes"]) -> Row:
+def _row(by: str, name: str, scores: Scores, times: Int[np.ndarray, "draws pictures"]) -> Row:
     return Row(by=by, name=name, to_find=scores.to_find, figures=with_intervals(scores, times))

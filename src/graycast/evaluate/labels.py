@@ -20,7 +20,8 @@ class Labels:
     """The instances of one picture of which something is visible.
 
     Attributes:
-        scene_id: of the dataset that the picture is of.
+        scene_id: the number of the picture in its dataset: the scene's, where it has one picture.
+        scene: the scene that the picture is of.
         size_px: height and width of the picture; None where the example held no picture.
         obj_id: what each instance is.
         box_px: [x, y, columns, rows] of the visible masks, as detections have them.
@@ -32,6 +33,7 @@ class Labels:
     """
 
     scene_id: int
+    scene: int
     size_px: tuple[int, int] | None
     obj_id: Int[np.ndarray, " n"]
     box_px: Float32[np.ndarray, "n 4"]
@@ -50,10 +52,11 @@ class Labels:
         return len(self.obj_id)
 
 
-def labels_of(example: Example, *, min_visibility: float) -> Labels:
+def labels_of(example: Example, *, min_visibility: float, scene: int | None = None) -> Labels:
     """The labels of an example; instances visible for less than that share are ignored.
 
-    Where nobody knows what share is visible, none is ignored.
+    Where nobody knows what share is visible, none is ignored. `scene` is the scene of a picture
+    that is one of several of it.
 
     Raises:
         GraycastError: the example has no labels.
@@ -65,6 +68,7 @@ def labels_of(example: Example, *, min_visibility: float) -> Labels:
         )
     return Labels(
         scene_id=example.scene_id,
+        scene=example.scene_id if scene is None else scene,
         size_px=_size_px(example),
         obj_id=example.obj_id,
         box_px=example.box_px,

@@ -107,7 +107,7 @@ def pose_rows(
     protocol: Protocol,
 ) -> tuple[PoseRow, ...]:
     """Figures of all parts, then of each where there are several; scenes are drawn together."""
-    times = draw_scenes(len(scene_ids), seed=protocol.seed, draws=protocol.draws)
+    times = draw_scenes(scene_ids, seed=protocol.seed, draws=protocol.draws)
     rows = [_row("all", counts, scene_ids, times)]
     present = sorted({one.obj_id for one in counts})
     if len(present) > 1:

@@ -9,7 +9,7 @@ from jaxtyping import Float, Int
 from ..detections import Detections
 from .curves import drawn_figures
 from .labels import Labels
-from .matching import THRESHOLDS, ClassMatches, Kind, match, overlaps
+from .matching import THRESHOLDS, ClassMatches, Kind, Overlaps, match, overlaps
 
 MOST = 300  # detections of a scene and a class; a full bin holds 255 parts, COCO's 100 are too few
 FIGURES = ("ap", "ap50", "ap75", "ar")
@@ -24,7 +24,8 @@ class Scores:
         ap50: at a threshold of 0.50; `ap75` at 0.75.
         ar: share of the instances that are found, the mean over the same.
         ap_of_class: `ap` of each object id that the labels or the detections have.
-        scene_ids: in the order that `matches` has them.
+        scene_ids: of the pictures, in the order that `matches` has them.
+        scene_of: the scene that each of them is of; several views of a scene share one.
         matches: of each class, what intervals and pictures of mistakes need.
     """
 
@@ -36,7 +37,12 @@ class Scores:
     ar: float
     ap_of_class: Mapping[int, float]
     scene_ids: tuple[int, ...]
+    scene_of: tuple[int, ...]
     matches: Mapping[int, ClassMatches]
+
+    @property
+    def scenes(self) -> int:
+        return len(set(self.scene_of))
 
     @property
     def to_find(self) -> int:
@@ -60,22 +66,24 @@ def score(
             sizes, or one of them has no masks to compare.
     """
     known = overlaps(labels, found, kind=kind, most=most)
-    return scores_of(
-        match(known), kind=kind, most=most, scene_ids=tuple(one.scene_id for one in known.labels)
-    )
+    return scores_of(match(known), known)
 
 
-def scores_of(
-    matches: Mapping[int, ClassMatches], *, kind: Kind, most: int, scene_ids: tuple[int, ...]
-) -> Scores:
+def scores_of(matches: Mapping[int, ClassMatches], known: Overlaps) -> Scores:
     """The figures of matched detections."""
-    once = np.ones((1, len(scene_ids)), dtype=np.int64)
+    once = np.ones((1, len(known.labels)), dtype=np.int64)
     figures = {name: float(value[0]) for name, value in figures_of_draws(matches, once).items()}
     of_class = {
         obj_id: float(drawn_figures(one, once)[0].mean()) for obj_id, one in matches.items()
     }
     return Scores(
-        kind=kind, most=most, ap_of_class=of_class, scene_ids=scene_ids, matches=matches, **figures
+        kind=known.kind,
+        most=known.most,
+        ap_of_class=of_class,
+        scene_ids=tuple(one.scene_id for one in known.labels),
+        scene_of=tuple(one.scene for one in known.labels),
+        matches=matches,
+        **figures,
     )
 
 

@@ -124,7 +124,11 @@ def _labels(
 ) -> Iterator[Labels]:
     for done, scene_id in enumerate(scene_ids, start=1):
         example = held[scene_id].read(scene_id)
-        yield labels_of(example, min_visibility=task.protocol.min_visibility)
+        yield labels_of(
+            example,
+            min_visibility=task.protocol.min_visibility,
+            scene=held[scene_id].scene_of[scene_id],
+        )
         if on_scene is not None:
             on_scene(done, len(scene_ids))
 

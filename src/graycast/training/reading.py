@@ -29,6 +29,7 @@ class Examples(Sequence):
         scene_ids: numbers of the pictures, in the order of the examples: the scenes', where each
             has one.
         categories: object ids and the parts' names.
+        scene_of: the scene of each picture, by its number; several views share one.
     """
 
     folder: Path
@@ -36,6 +37,7 @@ class Examples(Sequence):
     scene_ids: tuple[int, ...]
     categories: Mapping[int, str]
     read: ReadOne
+    scene_of: Mapping[int, int]
 
     def __len__(self) -> int:
         return len(self.scene_ids)
@@ -85,6 +87,7 @@ def open_examples(folder: Path, *, split: str = "train", division: Split | None 
         split=split,
         scene_ids=scene_ids,
         categories={int(obj_id): name for obj_id, name in record.categories.items()},
+        scene_of={image_id: record.place(image_id)[0] for image_id in scene_ids},
         read=_reader(record.format)(folder, split, record, scene_ids),
     )
 
@@ -92,12 +95,13 @@ def open_examples(folder: Path, *, split: str = "train", division: Split | None 
 def _from_dataset(stored: StoredDataset, split: str, division: Split) -> Examples:
     images = stored.image_ids(stored.scene_ids["train"])
     divided = division.assign(images, images=len(stored.images))
-    sets = {name: tuple(ids) for name, ids in divided.items()}
+    image_ids = _of_set(stored.folder, divided, split)
     return Examples(
         folder=stored.folder,
         split=split,
-        scene_ids=_of_set(stored.folder, sets, split),
+        scene_ids=image_ids,
         categories=stored.categories,
+        scene_of={image_id: image_id // len(stored.images) for image_id in image_ids},
         read=partial(_stored_example, stored),
     )
 
@@ -110,6 +114,7 @@ def _from_others(path: Path, foreign: Foreign, split: str, division: Split) -> E
         split=split,
         scene_ids=tuple(i for i, scene in enumerate(foreign.scene_of) if scene in inside),
         categories=foreign.categories,
+        scene_of=dict(enumerate(foreign.scene_of)),
         read=foreign.read,
     )
 

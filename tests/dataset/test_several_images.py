@@ -2,6 +2,7 @@
 
 import json
 import shutil
+from dataclasses import replace
 
 import cv2
 import numpy as np
@@ -13,7 +14,11 @@ from graycast.dataset import validate
 from graycast.dataset.claim import Taker
 from graycast.dataset.store import open_store
 from graycast.dataset.stored import open_dataset
+from graycast.errors import GraycastError
+from graycast.evaluate import Protocol, evaluate_poses
 from graycast.frames import axis_rotation, rigid
+from graycast.pose_results import PoseEstimate, pose_results_text
+from graycast.training import open_examples
 
 # Where each image is taken from, in the first one's camera.
 PLACES = {
@@ -206,3 +211,38 @@ def test_validate_names_the_image_that_is_wrong(copy, fault):
     found = [str(problem) for problem in validate(copy)]
     assert any(says in what for what in found), found
     assert not any(what.startswith("scene 000003") for what in found)
+
+
+# pycocotools 2.0.11 has an array type from before NumPy 2, which NumPy asks it to mend.
+@pytest.mark.filterwarnings("ignore:__array__ implementation:DeprecationWarning")
+def test_poses_are_judged_by_the_image_that_they_are_of(made, tmp_path):
+    """True poses of both images of the first scanner score 1; those of exchanged images do not."""
+    examples = open_examples(made[0])
+    (true,) = {sensor for _, sensor, _ in examples.place_of.values()} - {"right"}
+    estimates = [
+        PoseEstimate(
+            scene_id=scene_id, im_id=image, obj_id=int(obj_id), score=1.0, T_cam_part=T.copy()
+        )
+        for picture, (scene_id, sensor, image) in examples.place_of.items()
+        if sensor == true
+        for example in [examples.read(picture)]
+        for obj_id, T, hidden in zip(
+            example.obj_id,
+            example.T_cam_part,
+            example.hidden(Protocol().min_visibility),
+            strict=True,
+        )
+        if not hidden  # as many poses count as instances are to be found
+    ]
+    assert {one.im_id for one in estimates} == {0, 1}
+    exchanged = [replace(one, im_id=1 - one.im_id) for one in estimates]
+    recalls = []
+    for name, content in (("true", estimates), ("exchanged", exchanged)):
+        (tmp_path / f"{name}.csv").write_text(pose_results_text(content))
+        judged = evaluate_poses(tmp_path / f"{name}.csv", made[0], protocol=Protocol(draws=10))
+        recalls.append(judged.rows[0].figures["AR_MSSD"].value)
+        assert judged.scenes == 2
+    assert recalls[0] == 1.0 and recalls[1] < 0.5
+    (tmp_path / "third.csv").write_text(pose_results_text([replace(estimates[0], im_id=2)]))
+    with pytest.raises(GraycastError, match="scene 0, image 2"):
+        evaluate_poses(tmp_path / "third.csv", made[0], protocol=Protocol())

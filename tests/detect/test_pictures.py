@@ -26,7 +26,7 @@ def one(example, tmp_path, *, encoding=DEPTH, masks=True, min_visibility=0.1, **
         split="train",
         scene_ids=(0,),
         categories={1: "a"},
-        scene_of={0: 0},
+        place_of={0: (0, "", 0)},
         read=lambda _: example,
     )
     augmentation = Augmentation(**said) if said else NO_AUGMENTATION

@@ -27,7 +27,7 @@ Tables = Mapping[str, Sequence[DepthRow]]
 def evaluate_depth(
     dataset: Path, *, on_scene: Callable[[int, int], None] | None = None
 ) -> dict[str, list[DepthRow]]:
-    """Rows over all pixels (`all`) and over the parts (`parts`) of all scenes of a dataset.
+    """Rows over all pixels (`all`) and over the parts (`parts`) of all images of a dataset.
 
     Raises:
         DatasetError: the dataset cannot be read.
@@ -41,10 +41,11 @@ def evaluate_depth(
         )
 
     def read(pass_: int) -> Iterable[SceneContent]:
-        for done, scene in enumerate(stored.scenes, start=1):
-            yield scene.content()
+        pictures = stored.pictures
+        for done, picture in enumerate(pictures, start=1):
+            yield picture.content()
             if on_scene is not None:
-                on_scene(pass_ * len(stored.scenes) + done, 2 * len(stored.scenes))
+                on_scene(pass_ * len(pictures) + done, 2 * len(pictures))
 
     return {"all": depth_rows(read(0)), "parts": depth_rows(read(1), parts_only=True)}
 

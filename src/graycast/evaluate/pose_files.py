@@ -17,7 +17,7 @@ from ..errors import GraycastError
 from ..export.split import Split
 from ..optics import Optics, optics_of
 from ..pose_results import PoseEstimate, read_pose_results
-from ..training import open_examples
+from ..training import Examples, open_examples
 from .intervals import Interval, draw_scenes, interval_of
 from .judging import Protocol
 from .pose_recall import Counts, Truth, count_picture, solid_of
@@ -80,53 +80,58 @@ def evaluate_poses(
     models = read_models(dataset)
     solids = {k: solid_of(m.mesh, m.symmetry, m.diameter_m) for k, m in models.items()}
     examples = open_examples(dataset, split=split, division=division)
-    of_scene = _by_scene(results, estimates, examples.scene_ids, solids)
+    of_picture = _by_picture(results, estimates, _of_first_scanner(examples), solids)
     counts: list[Counts] = []
-    for done, scene_id in enumerate(examples.scene_ids, start=1):
-        truth = _truth(dataset, examples.read(scene_id), protocol.min_visibility)
-        counts += count_picture(truth, of_scene[scene_id], solids)
+    for done, picture in enumerate(of_picture, start=1):
+        truth = _truth(dataset, examples.read(picture), protocol.min_visibility)
+        counts += count_picture(truth, of_picture[picture], solids)
         if on_scene is not None:
-            on_scene(done, len(examples.scene_ids))
+            on_scene(done, len(of_picture))
+    scene_of = {picture: examples.place_of[picture][0] for picture in of_picture}
     times = {(one.scene_id, one.im_id): one.time_s for one in estimates if one.time_s >= 0}
     return PoseEvaluation(
         results=results.name,
         dataset=dataset.resolve().name,
         split=split,
-        scenes=len(examples.scene_ids),
+        scenes=len(set(scene_of.values())),
         estimates=len(estimates),
         seconds=float(np.median(list(times.values()))) if times else float("nan"),
         protocol=protocol,
-        rows=pose_rows(counts, examples.scene_ids, dict(examples.categories), protocol),
+        rows=pose_rows(counts, scene_of, dict(examples.categories), protocol),
     )
 
 
 def pose_rows(
     counts: Sequence[Counts],
-    scene_ids: Sequence[int],
+    scene_of: Mapping[int, int],
     categories: Mapping[int, str],
     protocol: Protocol,
 ) -> tuple[PoseRow, ...]:
-    """Figures of all parts, then of each where there are several; scenes are drawn together."""
-    times = draw_scenes(scene_ids, seed=protocol.seed, draws=protocol.draws)
-    rows = [_row("all", counts, scene_ids, times)]
+    """Figures of all parts, then of each where there are several; scenes are drawn together.
+
+    `scene_of` is the scene of each picture, by the numbers of the pictures that `counts` have.
+    """
+    times = draw_scenes(list(scene_of.values()), seed=protocol.seed, draws=protocol.draws)
+    rows = [_row("all", counts, scene_of, times)]
     present = sorted({one.obj_id for one in counts})
     if len(present) > 1:
         for obj_id in present:
             mine = [one for one in counts if one.obj_id == obj_id]
-            rows.append(_row(categories.get(obj_id, str(obj_id)), mine, scene_ids, times))
+            rows.append(_row(categories.get(obj_id, str(obj_id)), mine, scene_of, times))
     return tuple(rows)
 
 
 def _row(
     name: str,
     counts: Sequence[Counts],
-    scene_ids: Sequence[int],
-    times: Int[np.ndarray, "draws scenes"],
+    scene_of: Mapping[int, int],
+    times: Int[np.ndarray, "draws pictures"],
 ) -> PoseRow:
-    found, to_find = np.zeros((len(scene_ids), 4)), np.zeros(len(scene_ids))
-    angle: list[list[float]] = [[] for _ in scene_ids]
-    shift: list[list[float]] = [[] for _ in scene_ids]
-    place = {scene_id: k for k, scene_id in enumerate(scene_ids)}
+    scenes = len(set(scene_of.values()))
+    found, to_find = np.zeros((len(scene_of), 4)), np.zeros(len(scene_of))
+    angle: list[list[float]] = [[] for _ in scene_of]
+    shift: list[list[float]] = [[] for _ in scene_of]
+    place = {picture: k for k, picture in enumerate(scene_of)}
     for one in counts:
         k = place[one.scene_id]
         to_find[k] += one.to_find
@@ -134,55 +139,67 @@ def _row(
         angle[k] += np.degrees(one.angle_rad).tolist()
         shift[k] += (1000 * one.shift_m).tolist()
 
-    def recalls(weight: Float[np.ndarray, "draws scenes"]) -> Float[np.ndarray, "draws 5"]:
+    def recalls(weight: Float[np.ndarray, "draws pictures"]) -> Float[np.ndarray, "draws 5"]:
         with np.errstate(invalid="ignore"):
             each = (weight @ found) / (weight @ to_find)[:, None]
         return np.column_stack([each[:, :3].mean(axis=1), each])
 
-    value, drawn = recalls(np.ones((1, len(scene_ids))))[0], recalls(times.astype(float))
+    value, drawn = recalls(np.ones((1, len(scene_of))))[0], recalls(times.astype(float))
     figures = {
-        figure: interval_of(float(value[k]), drawn[:, k], len(scene_ids))
+        figure: interval_of(float(value[k]), drawn[:, k], scenes)
         for k, figure in enumerate(_SHARES)
     }
-    figures["rotation_deg"] = _median(angle, times)
-    figures["translation_mm"] = _median(shift, times)
+    figures["rotation_deg"] = _median(angle, times, scenes)
+    figures["translation_mm"] = _median(shift, times, scenes)
     return PoseRow(name=name, to_find=int(to_find.sum()), figures=figures)
 
 
-def _median(of_scene: list[list[float]], times: Int[np.ndarray, "draws scenes"]) -> Interval:
-    """The median of all found, each scene's as often as it is drawn."""
-    values = np.array([x for held in of_scene for x in held])
+def _median(
+    of_picture: list[list[float]], times: Int[np.ndarray, "draws pictures"], scenes: int
+) -> Interval:
+    """The median of all found, each picture's as often as its scene is drawn."""
+    values = np.array([x for held in of_picture for x in held])
     if not len(values):
         return Interval(value=float("nan"), low=float("nan"), high=float("nan"))
-    scene = np.repeat(np.arange(len(of_scene)), [len(held) for held in of_scene])
+    picture = np.repeat(np.arange(len(of_picture)), [len(held) for held in of_picture])
     order = np.argsort(values, kind="stable")
-    total = np.cumsum(times[:, scene[order]], axis=1)
+    total = np.cumsum(times[:, picture[order]], axis=1)
     place = (2 * total >= total[:, -1:]).argmax(axis=1)
     drawn = np.where(total[:, -1] > 0, values[order][place], np.nan)
-    return interval_of(float(np.median(values)), drawn, len(of_scene))
+    return interval_of(float(np.median(values)), drawn, scenes)
 
 
-def _by_scene(
+def _of_first_scanner(examples: Examples) -> dict[tuple[int, int], int]:
+    """The pictures by scene and image; a file of results has no word for further scanners."""
+    sensors = [sensor for _, sensor, _ in examples.place_of.values()]
+    return {
+        (scene_id, image): picture
+        for picture, (scene_id, sensor, image) in examples.place_of.items()
+        if sensor == sensors[0]
+    }
+
+
+def _by_picture(
     results: Path,
     estimates: Sequence[PoseEstimate],
-    scene_ids: Sequence[int],
+    pictures: Mapping[tuple[int, int], int],
     solids: Mapping[int, object],
 ) -> dict[int, list[PoseEstimate]]:
-    of_scene: dict[int, list[PoseEstimate]] = {scene_id: [] for scene_id in scene_ids}
+    of_picture: dict[int, list[PoseEstimate]] = {picture: [] for picture in pictures.values()}
     for one in estimates:
-        if one.scene_id not in of_scene or one.im_id != 0:
+        if (one.scene_id, one.im_id) not in pictures:
             raise GraycastError(
                 f"{results}: has scene {one.scene_id}, image {one.im_id}, which the dataset's set "
-                "does not have (its scenes have one image, 0): give results of the same dataset "
-                "and set"
+                "does not have: give results of the same dataset and set (only images of the "
+                "first scanner are judged)"
             )
         if one.obj_id not in solids:
             raise GraycastError(
                 f"{results}: has object {one.obj_id}, the dataset has "
                 f"{', '.join(map(str, sorted(solids)))}: give results of this dataset"
             )
-        of_scene[one.scene_id].append(one)
-    return of_scene
+        of_picture[pictures[one.scene_id, one.im_id]].append(one)
+    return of_picture
 
 
 def _truth(dataset: Path, example: Example, min_visibility: float) -> Truth:

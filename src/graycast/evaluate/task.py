@@ -127,7 +127,7 @@ def _labels(
         yield labels_of(
             example,
             min_visibility=task.protocol.min_visibility,
-            scene=held[scene_id].scene_of[scene_id],
+            scene=held[scene_id].place_of[scene_id][0],
         )
         if on_scene is not None:
             on_scene(done, len(scene_ids))

@@ -44,6 +44,13 @@ class ExportRecord(records.Record):
         """Of a picture the number of its scene, and its place there."""
         return divmod(image_id, max(len(self.pictures), 1))
 
+    def image(self, image_id: int) -> tuple[int, str, int]:
+        """Of a picture its scene, its scanner's name, and its number among that scanner's."""
+        scene_id, place = self.place(image_id)
+        if not self.pictures:
+            return scene_id, "", 0
+        return scene_id, self.pictures[place].sensor, self.pictures[place].image
+
     def size_of(self, image_id: int) -> tuple[int, int]:
         """Height and width of a picture."""
         here = self.pictures[self.place(image_id)[1]].size_px if self.pictures else self.size_px

@@ -29,7 +29,8 @@ class Examples(Sequence):
         scene_ids: numbers of the pictures, in the order of the examples: the scenes', where each
             has one.
         categories: object ids and the parts' names.
-        scene_of: the scene of each picture, by its number; several views share one.
+        place_of: the scene of each picture, by the picture's number, its scanner's name, and its
+            number among the scene's pictures by that scanner.
     """
 
     folder: Path
@@ -37,7 +38,7 @@ class Examples(Sequence):
     scene_ids: tuple[int, ...]
     categories: Mapping[int, str]
     read: ReadOne
-    scene_of: Mapping[int, int]
+    place_of: Mapping[int, tuple[int, str, int]]
 
     def __len__(self) -> int:
         return len(self.scene_ids)
@@ -87,7 +88,7 @@ def open_examples(folder: Path, *, split: str = "train", division: Split | None 
         split=split,
         scene_ids=scene_ids,
         categories={int(obj_id): name for obj_id, name in record.categories.items()},
-        scene_of={image_id: record.place(image_id)[0] for image_id in scene_ids},
+        place_of={image_id: record.image(image_id) for image_id in scene_ids},
         read=_reader(record.format)(folder, split, record, scene_ids),
     )
 
@@ -101,7 +102,11 @@ def _from_dataset(stored: StoredDataset, split: str, division: Split) -> Example
         split=split,
         scene_ids=image_ids,
         categories=stored.categories,
-        scene_of={image_id: image_id // len(stored.images) for image_id in image_ids},
+        place_of={
+            image_id: (scene_id, *stored.images[place])
+            for image_id in image_ids
+            for scene_id, place in [divmod(image_id, len(stored.images))]
+        },
         read=partial(_stored_example, stored),
     )
 
@@ -114,7 +119,7 @@ def _from_others(path: Path, foreign: Foreign, split: str, division: Split) -> E
         split=split,
         scene_ids=tuple(i for i, scene in enumerate(foreign.scene_of) if scene in inside),
         categories=foreign.categories,
-        scene_of=dict(enumerate(foreign.scene_of)),
+        place_of={i: (scene, "", i) for i, scene in enumerate(foreign.scene_of)},
         read=foreign.read,
     )
 

@@ -96,6 +96,7 @@ def test_what_is_found_has_the_form_that_is_promised(model, ready):
             assert found.mask.shape == (count, *SIZE_PX) and found.mask.dtype == torch.uint8
 
 
+@pytest.mark.slow
 @EVERY
 def test_fewer_or_better_are_the_first_of_all(model, ready):
     """Law: `most` and `least_score` cut the list and change nothing that stays on it."""
@@ -132,6 +133,7 @@ def test_one_seed_gives_one_network_and_one_loss(model):
     )
 
 
+@pytest.mark.slow
 @EVERY
 def test_pictures_without_parts_teach_that_there_is_nothing(model):
     network = opened(model)

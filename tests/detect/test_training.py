@@ -64,6 +64,7 @@ def test_one_seed_gives_one_detector_and_another_gives_another(dataset, tmp_path
     assert not same(weights(tmp_path / "a"), weights(tmp_path / "c"))
 
 
+@pytest.mark.slow
 def test_a_run_holds_what_its_readers_need(dataset, tmp_path):
     train([dataset], tmp_path / "run", SMALL)
     rows = (tmp_path / "run" / "history.csv").read_text().splitlines()
@@ -79,6 +80,7 @@ def test_a_run_holds_what_its_readers_need(dataset, tmp_path):
     assert sorted(train_ids + val_ids) == list(range(10)) and len(val_ids) == 3
 
 
+@pytest.mark.slow
 def test_a_finished_run_is_not_trained_again(dataset, tmp_path):
     train([dataset], tmp_path / "run", SMALL)
     before = (tmp_path / "run" / "checkpoint.pt").stat().st_mtime_ns
@@ -110,6 +112,7 @@ def test_detections_of_a_run_come_back_from_files(dataset, tmp_path, model):
     assert len(list((tmp_path / "found" / "drawings").iterdir())) == 10
 
 
+@pytest.mark.slow
 def test_the_processor_s_arithmetic_is_left_as_it_was(dataset, run, tmp_path):
     """A k-d tree of SciPy recurses without end where small differences are zero."""
     torch.set_flush_denormal(False)
@@ -212,6 +215,7 @@ def test_what_cannot_be_trained_is_said_in_one_line(dataset, tmp_path, capsys):
     assert "is a file: choose a folder" in told(to=tmp_path / "file")
 
 
+@pytest.mark.slow
 def test_a_run_of_other_settings_is_not_gone_on_with(dataset, tmp_path, capsys):
     train([dataset], tmp_path / "run", SMALL)
     with pytest.raises(GraycastError, match=r"is a run with .*choose another --out"):
@@ -220,6 +224,7 @@ def test_a_run_of_other_settings_is_not_gone_on_with(dataset, tmp_path, capsys):
         train([dataset], tmp_path / "run", replace(SMALL, model="mask-rcnn"))
 
 
+@pytest.mark.slow
 def test_a_training_that_could_not_begin_leaves_the_folder_free(dataset, tmp_path):
     """A misspelt backbone, then the right one in the same folder."""
     for changed in ({"backbone": "vgg"}, {"weights": tmp_path / "nowhere.pth"}):
@@ -231,6 +236,7 @@ def test_a_training_that_could_not_begin_leaves_the_folder_free(dataset, tmp_pat
     train([dataset], tmp_path / "run", SMALL)
 
 
+@pytest.mark.slow
 def test_two_trainings_in_one_folder_are_refused(dataset, tmp_path):
     """Also before the first checkpoint, and only as long as the other one goes on."""
     other = RunFolder(tmp_path / "run")
@@ -262,6 +268,7 @@ def test_the_bare_network_is_timed_in_the_arithmetic_of_detections(dataset, run,
     assert len(seen) >= 2 * 5 and all(cast and flushed for cast, flushed in seen)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("capabilities", "mixed"),
     [({"avx512_bf16": True}, True), ({"amx_bf16": True}, True), ({"avx512_f": True}, False)],
@@ -295,6 +302,7 @@ def test_the_mode_of_the_processor_may_be_asked_for_twice():
     assert tiny[0] / 2 > 0
 
 
+@pytest.mark.slow
 def test_weights_of_another_model_are_refused(dataset, tmp_path):
     train([dataset], tmp_path / "run", SMALL)
     with pytest.raises(GraycastError, match=r"detector\.pt: these weights do not belong to"):
@@ -316,6 +324,7 @@ def test_a_loss_that_is_no_number_stops_the_training(dataset, tmp_path):
         train([dataset], tmp_path / "run", replace(SMALL, learning_rate=1e30, epochs=20))
 
 
+@pytest.mark.slow
 def test_a_damaged_checkpoint_or_detector_is_named(dataset, tmp_path):
     run = tmp_path / "run"
     train([dataset], run, SMALL)

@@ -234,6 +234,7 @@ def test_places_are_grips_and_those_that_do_not_hold(kind):
     assert {g.T_part_tool.tobytes() for g in grips} == {g.T_part_tool.tobytes() for g in held}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("hole_m", "inside"), [(0.020, True), (0.007, False)])
 def test_a_wall_is_gripped_from_inside_where_the_hole_leaves_a_finger_room(hole_m, inside):
     """A square tube of 4 mm walls; a finger of 6 mm needs 2 mm more beside it."""

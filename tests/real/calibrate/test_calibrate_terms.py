@@ -120,6 +120,7 @@ def test_what_the_camera_s_corners_are_off_does_not_part_the_devices():
         assert abs(baseline_m - 0.15) < 4 * fit.deviation["baseline_m"]
 
 
+@pytest.mark.slow
 def test_deviations_of_few_corners_are_those_of_many_by_the_square_root():
     """34 numbers take up a quarter of the squares of 36 corners, and of 324 a fortieth.
 

@@ -34,6 +34,7 @@ def maps(count, seed, *, sigma_m=2e-4, smoothed=False, drop=0.0, step_m=0.0):
     return made
 
 
+@pytest.mark.slow
 def test_sets_of_one_law_cannot_be_told_apart():
     """And their AUC is near a half by every group, whatever the classifier."""
     a, b = (cut_squares(maps(4, seed)) for seed in (1, 2))

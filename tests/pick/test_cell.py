@@ -82,14 +82,15 @@ def test_what_cannot_work_is_refused_by_name(tmp_path, changes, words):
 
 
 class OneClass:
-    """A detector that calls everything a part, and finds one."""
+    """A detector that calls everything a part, finds one, and leaves out ids below 0."""
 
     about = SimpleNamespace(names=("part",))
 
     def detect(self, example, *, obj_ids, least_score):
-        box = np.array([[5.0, 5.0, 20.0, 10.0]])
         kind = np.array([obj_ids["part"]])
-        return Detections(scene_id=0, score=np.array([0.9]), obj_id=kind, box_px=box)
+        kept = kind >= 0
+        box = np.array([[5.0, 5.0, 20.0, 10.0]])[kept]
+        return Detections(scene_id=0, score=np.array([0.9])[kept], obj_id=kind[kept], box_px=box)
 
 
 @pytest.mark.parametrize("parts", [1, 2])

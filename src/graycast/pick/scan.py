@@ -20,7 +20,6 @@ from .cell import PickCell
 
 LEAST_VISIBLE_PX = 30  # of a part that truth tells of
 LEAST_SCORE = 0.3  # of a detector's detection
-UNKNOWN_KIND = -1  # of a detection whose class is none of the cell's parts
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -122,7 +121,8 @@ def _true_targets(seen: Look, layout: Layout) -> list[Target]:
 
 def _detected(cell: PickCell, seen: Look, detector: Any) -> list[Target]:
     ids = {part.name: i for i, part in enumerate(cell.cell.scene.parts)}
-    another = 0 if len(ids) == 1 else UNKNOWN_KIND  # what a detector calls by another name
+    # What the detector calls by another name; ids below 0 would be left out.
+    another = 0 if len(ids) == 1 else len(ids)
     wanted = {name: ids.get(name, another) for name in detector.about.names}
     example = Example(
         scene_id=0,
@@ -132,16 +132,16 @@ def _detected(cell: PickCell, seen: Look, detector: Any) -> list[Target]:
         depth_m=seen.view.depth_m.astype(np.float32),
     )
     found: Detections = detector.detect(example, obj_ids=wanted, least_score=LEAST_SCORE)
-    return [_target(found, i) for i in range(len(found))]
+    return [_target(found, i, kinds=len(ids)) for i in range(len(found))]
 
 
-def _target(found: Detections, i: int) -> Target:
+def _target(found: Detections, i: int, *, kinds: int) -> Target:
     from pycocotools import mask as coco_mask
 
     mask = None if found.mask is None else coco_mask.decode(dict(found.mask[i])).astype(bool)
     kind = int(found.obj_id[i])
     return Target(
-        kind=None if kind == UNKNOWN_KIND else kind,
+        kind=kind if kind < kinds else None,
         score=float(found.score[i]),
         mask=mask,
         box_px=found.box_px[i],

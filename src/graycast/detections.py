@@ -161,8 +161,11 @@ def _check_runs(runs: Any, where: str) -> None:
     if not (isinstance(size, list) and len(size) == 2 and all(type(edge) is int for edge in size)):
         raise GraycastError(f"{where}: size is {size!r}; it must be rows and columns")
     lengths = _lengths(counts) if isinstance(counts, str) else counts
-    whole = lengths is not None and all(type(n) is int and n >= 0 for n in lengths)
-    if not whole or sum(lengths) != size[0] * size[1]:
+    if (
+        lengths is None
+        or not all(type(n) is int and n >= 0 for n in lengths)
+        or sum(lengths) != size[0] * size[1]
+    ):
         raise GraycastError(
             f"{where}: its run lengths do not fill {size[1]} x {size[0]} pixels: the file is "
             "damaged, or size is wrong"
@@ -195,7 +198,7 @@ def _lengths(counts: str) -> list[int] | None:
 
 def _detections(scene_id: int, entries: list[dict[str, Any]], masked: bool) -> Detections:
     entries = sorted(entries, key=lambda entry: -entry["score"])  # stable: equal scores as stored
-    masks = tuple(_compressed(entry["segmentation"]) for entry in entries) if masked else None
+    masks = [_compressed(entry["segmentation"]) for entry in entries] if masked else []
     boxes = [
         entry["bbox"] if "bbox" in entry else coco_mask.toBbox(masks[i]).tolist()
         for i, entry in enumerate(entries)
@@ -205,7 +208,7 @@ def _detections(scene_id: int, entries: list[dict[str, Any]], masked: bool) -> D
         score=np.array([entry["score"] for entry in entries], np.float64),
         obj_id=np.array([entry["category_id"] for entry in entries], np.int64),
         box_px=np.array(boxes, np.float64).reshape(-1, 4),
-        mask=masks,
+        mask=tuple(masks) if masked else None,
     )
 
 

@@ -22,7 +22,8 @@ from ..render import Quality, Renderer, Rendering
 from ..scanner import Scanner
 from ..scene import Layout
 from .cells import dropped, exposed_alike, materials_cell
-from .decoded import Decoded, decoded
+from .decoded import Decoded as DecodedStack
+from .decoded import decoded
 from .figures import Figures
 from .work import OnWork, Work, stack_work
 
@@ -45,7 +46,7 @@ class Decoded:
     """One scene by one renderer, decoded."""
 
     rendering: Rendering
-    result: Decoded
+    result: DecodedStack
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -160,7 +161,8 @@ def _lit(
         mean = 0.5 * (one + other)
         enough = (pair.kind == kind) & (mean > LIT_SHARE * np.percentile(mean, 99))
         found.append((one[enough], other[enough]))
-    return tuple(np.concatenate(arrays) for arrays in zip(*found, strict=True))
+    first, second = (np.concatenate(arrays) for arrays in zip(*found, strict=True))
+    return first, second
 
 
 def _ratios(one: Float[np.ndarray, " n"], other: Float[np.ndarray, " n"]) -> Figures:

@@ -5,6 +5,7 @@ import time
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
+from typing import Literal
 
 import numpy as np
 from jaxtyping import Bool
@@ -61,7 +62,7 @@ def error_row(
     reference: Reference,
     renderer: Renderer,
     samples: int,
-    denoise: Denoiser | str,
+    denoise: Denoiser | Literal["none"],
     work: Work,
     *,
     sensors: Sequence[SensorSpec] = (),
@@ -115,7 +116,7 @@ def _render(
     layout: Layout,
     renderer: Renderer,
     samples: int,
-    denoise: str,
+    denoise: Denoiser | Literal["none"],
     seed: int,
     work: Work,
 ) -> tuple[Radiance, float]:

@@ -160,6 +160,11 @@ def _chosen(
                 f"{examples.folder}: scene {scene_id} lacks poses or one of the depths: give a "
                 "dataset that graycast generate made"
             )
+        if example.visib_fract is None:
+            raise GraycastError(
+                f"{examples.folder}: scene {scene_id} does not know what share of each instance is "
+                "visible: give a dataset that graycast generate made"
+            )
         there += [(scene_id, i) for i in np.flatnonzero(example.visib_fract >= min_visibility)]
     if not there:
         raise GraycastError(
@@ -181,10 +186,11 @@ def _trials(
     case: tuple[str, str],
     detections: Detections | None = None,
 ) -> Iterator[_Trial]:
-    depth_m = example.scanner_depth_m if case[0] == "scanner" else example.depth_m
+    depth_m = _needed(example.scanner_depth_m if case[0] == "scanner" else example.depth_m, example)
+    T_cam_part = _needed(example.T_cam_part, example)
     camera = camera_of(example)
     for place in places:
-        obj_id = int(example.obj_id[place])
+        obj_id = _obj_id(example, place)
         model = subject.model[obj_id]
         region = _region(example, place, case[1], detections)
         began = time.process_time()
@@ -201,7 +207,7 @@ def _trials(
         if found.T_cam_part is None:
             yield trial
             continue
-        true, middle = example.T_cam_part[place], subject.stored[obj_id].mesh.bounds_m.mean(axis=0)
+        true, middle = T_cam_part[place], subject.stored[obj_id].mesh.bounds_m.mean(axis=0)
         off = [
             rotation_translation(found.T_cam_part, true, one[obj_id], middle_m=middle)
             for one in (subject.shape, subject.strict)
@@ -220,13 +226,14 @@ def _region(
 ) -> np.ndarray | None:
     """A mask, or a box [x, y, columns, rows]; None where a detector missed the instance."""
     if region == "mask":
-        return example.mask[place]
+        return _needed(example.mask, example)[place]
+    box_px = _needed(example.box_px, example)[place]
     if detections is None:
-        return scaled(example.box_px[place].astype(np.float64), BOXES[region])
-    alike = np.flatnonzero(detections.obj_id == example.obj_id[place])
+        return scaled(box_px.astype(np.float64), BOXES[region])
+    alike = np.flatnonzero(detections.obj_id == _obj_id(example, place))
     if not len(alike):
         return None
-    true = example.box_px[place].astype(float).tolist()
+    true = box_px.astype(float).tolist()
     overlap = np.asarray(coco_mask.iou(detections.box_px[alike].tolist(), [true], [0]))[:, 0]
     if overlap.max() < LEAST_IOU:
         return None
@@ -234,6 +241,19 @@ def _region(
     if region == "detected box" or detections.mask is None:
         return detections.box_px[best]
     return np.asarray(coco_mask.decode(dict(detections.mask[best]))).astype(bool)
+
+
+def _needed(held: np.ndarray | None, example: Example) -> np.ndarray:
+    if held is None:
+        raise GraycastError(
+            f"scene {example.scene_id} lacks a picture, a depth or labels: give a dataset that "
+            "graycast generate made"
+        )
+    return held
+
+
+def _obj_id(example: Example, place: int) -> int:
+    return int(_needed(example.obj_id, example)[place])
 
 
 def scaled(box_px: Float[np.ndarray, "4"], factor: float) -> Float[np.ndarray, "4"]:
@@ -269,7 +289,7 @@ def _estimates(trials: Sequence[_Trial]) -> Iterator[PoseEstimate]:
             yield PoseEstimate(
                 scene_id=trial.example.scene_id,
                 im_id=0,
-                obj_id=int(trial.example.obj_id[trial.instance]),
+                obj_id=_obj_id(trial.example, trial.instance),
                 score=trial.found.score,
                 T_cam_part=trial.found.T_cam_part.copy(),
                 time_s=round(seconds[trial.example.scene_id], 6),
@@ -287,23 +307,32 @@ def _sheet(subject: _Subject, trials: Sequence[_Trial]) -> UInt8[np.ndarray, "h 
 
 def _tile(subject: _Subject, trial: _Trial) -> UInt8[np.ndarray, "t t 3"]:
     example = trial.example
-    picture = example.rgb if example.rgb is not None else np.repeat(example.gray[..., None], 3, 2)
-    x, y, columns, rows = map(int, example.box_px[trial.instance])
+    picture = example.rgb
+    if picture is None:
+        picture = np.repeat(_needed(example.gray, example)[..., None], 3, 2)
+    x, y, columns, rows = map(int, _needed(example.box_px, example)[trial.instance])
     half = int(0.75 * max(columns, rows)) + 4
     grown = cv2.copyMakeBorder(picture, half, half, half, half, cv2.BORDER_CONSTANT)
     at = (x + columns // 2, y + rows // 2)
     crop = grown[at[1] : at[1] + 2 * half, at[0] : at[0] + 2 * half]
     big = cv2.resize(crop, (TILE_PX, TILE_PX), interpolation=cv2.INTER_LINEAR)
-    if trial.found.T_cam_part is not None:
-        mesh = subject.stored[int(example.obj_id[trial.instance])].mesh
-        _outline(big, mesh, trial, (at[0] - half, at[1] - half), TILE_PX / (2 * half))
+    T_cam_part = trial.found.T_cam_part
+    if T_cam_part is not None:
+        mesh = subject.stored[_obj_id(example, trial.instance)].mesh
+        origin = (at[0] - half, at[1] - half)
+        _outline(big, mesh, trial, T_cam_part, origin, TILE_PX / (2 * half))
     told = f"{trial.angle_deg:.1f} deg {trial.shift_mm:.1f} mm"
     cv2.putText(big, told, (4, TILE_PX - 6), cv2.FONT_HERSHEY_SIMPLEX, 0.4, (255, 255, 255), 1)
     return big
 
 
 def _outline(
-    big: np.ndarray, mesh: Mesh, trial: _Trial, origin: tuple[int, int], zoom: float
+    big: np.ndarray,
+    mesh: Mesh,
+    trial: _Trial,
+    T_cam_part: Float[np.ndarray, "4 4"],
+    origin: tuple[int, int],
+    zoom: float,
 ) -> None:
     """Outer outline and steps of depth of the drawn part, at the tile's resolution."""
     camera = camera_of(trial.example)
@@ -316,7 +345,7 @@ def _outline(
         cx_px=(camera.cx_px - origin[0] + 0.5) * zoom - 0.5,
         cy_px=(camera.cy_px - origin[1] + 0.5) * zoom - 0.5,
     )
-    vertices = transform_points(trial.found.T_cam_part, mesh.vertices_m.astype(np.float64))
+    vertices = transform_points(T_cam_part, mesh.vertices_m.astype(np.float64))
     z = np.nan_to_num(rasterize(vertices, mesh.faces, fine).over(fine)[1], nan=10.0)
     bend = np.zeros(z.shape, bool)  # at steps and creases; a steep plane has none
     bend[1:-1] |= np.abs(np.diff(z, n=2, axis=0)) > OUTLINE_M

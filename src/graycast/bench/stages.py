@@ -40,8 +40,9 @@ def in_turn(first: Callable[[], object], second: Callable[[], object]) -> tuple[
 
 def measure_render(device: str, count: int) -> Figures:
     renderer = open_renderer("mitsuba", device=device)
-    from ..render.mitsuba import light, truth
+    from ..render.mitsuba import light
     from ..render.mitsuba_scene import build
+    from ..render.mitsuba_truth import truth
 
     cell = paper_cell(count)
     layout = drop(cell.scene, (count,), seed=0, limits=DropLimits())
@@ -91,7 +92,7 @@ def measure_decode() -> Figures:
     decode_s, copy_s = in_turn(lambda: decode(frames, code, spec, levels), frames.copy)
     start = time.perf_counter()
     decode_plain(frames, code, spec, levels)
-    figures = {
+    figures: Figures = {
         "frames": len(frames),
         "width_px": 1920,
         "height_px": 1080,

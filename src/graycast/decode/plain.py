@@ -178,8 +178,8 @@ def _phase(stack, plan: AxisPlan, levels: Levels, coarse, variance, rival, lit):
     first, settled = plan.periods[0].period_px, np.zeros(turn.shape, dtype=bool)
     others = [_first_phase(stack, p, levels) if p.full else None for p in plan.periods[1:]]
     if coarse is None:
-        counted = _count(stack, plan, turn, noise2, others, mean, amplitude, light)
-        k, settled, wrong = _settle(turn, *counted, lit(amplitude))
+        choice, cost, state = _count(stack, plan, turn, noise2, others, mean, amplitude, light)
+        k, settled, wrong = _settle(turn, choice, cost, state, lit(amplitude))
     else:
         k = np.floor(coarse / first - turn + 0.5)
         far = 0.5 * plan.cell_px + OFF_CELL_PERIODS * first + 2 * np.sqrt(variance)
@@ -231,13 +231,13 @@ def _count(stack, plan: AxisPlan, turn, noise2, others, mean, amplitude, light):
         slack = SLACK_PERIODS * first
         cost[(u < -0.5 - slack) | (u > plan.size_px - 0.5 + slack)] = np.inf
         costs.append(cost)
-    costs = np.array(costs)
-    ordered = np.sort(costs, axis=0)
+    every = np.array(costs)
+    ordered = np.sort(every, axis=0)
     state = np.full(ordered[0].shape, CLEAR)
     state[~(ordered[1] - ordered[0] >= MIN_LEAD)] = OPEN
     state[~(ordered[0] <= MAX_MISFIT * len(others))] = REFUSED
-    choice = costs.argsort(axis=0, kind="stable")[:CHOICES]
-    return choice, np.take_along_axis(costs, choice, axis=0), state
+    choice = every.argsort(axis=0, kind="stable")[:CHOICES]
+    return choice, np.take_along_axis(every, choice, axis=0), state
 
 
 def _settle(turn, choice, cost, state, lit):

@@ -78,8 +78,10 @@ def decode(
     for place, sigma in found.values():
         _forget(why, place, sigma)
     strength /= np.float32(levels.range_dn)
-    unknown = np.full((2, *shape), np.nan, dtype=np.float32) if len(found) < 2 else None
-    column, row = (found.get(axis, unknown) for axis in AXES)
+    column, row = (
+        found[axis] if axis in found else np.full((2, *shape), np.nan, dtype=np.float32)
+        for axis in AXES
+    )
     return CodeMap(
         column=column[0],
         row=row[0],
@@ -165,7 +167,7 @@ def _read_phases(seen: _Seen, plan: AxisPlan, clipped: bool, place, sigma, rival
     periods = np.column_stack([lengths, starts, counts]).astype(np.float64)
     index = np.array([k for p in plan.periods for k in p.frames])
     delta = np.array([d for p in plan.periods for d in p.delta_rad])
-    waves = np.float32([f(m * delta) for m in (1, 2) for f in (np.cos, np.sin)]).T
+    waves = np.array([f(m * delta) for m in (1, 2) for f in (np.cos, np.sin)], np.float32).T
     h, w = seen.why.shape
     turn, noise2 = np.empty((2, h, len(counts), w), dtype=np.float32)
     if clipped:

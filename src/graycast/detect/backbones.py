@@ -64,6 +64,7 @@ def open_backbone(name: str, *, channels: int) -> Body:
     Raises:
         GraycastError: there is no such backbone.
     """
+    end: tuple[str, ...]
     match name:
         case "mobilenet-v3-small":
             features = mobilenet_v3_small(num_classes=1).features

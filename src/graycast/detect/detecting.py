@@ -195,7 +195,7 @@ def sets_of(folder: Path, split: str, division: Split) -> tuple[list[Examples], 
     """The scenes of a dataset's or an export's set, or all; and what `detect.json` says of them."""
     if (folder / RECORD).is_file():
         splits = read_record(folder).splits if split == "all" else (split,)
-        said = {"split": None if split == "all" else split, "division": None}
+        said: dict[str, Any] = {"split": None if split == "all" else split, "division": None}
         return [open_examples(folder, split=name) for name in splits], said
     if split == "all":
         return [open_examples(folder)], {"split": "train", "division": None}

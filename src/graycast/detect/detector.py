@@ -307,5 +307,6 @@ def autocast(device: torch.device):
 
 
 def _processor_has_bfloat16() -> bool:
-    can = getattr(torch.cpu, "get_capabilities", dict)()  # older releases of torch do not tell
+    # Older releases of torch do not tell.
+    can: Mapping[str, object] = getattr(torch.cpu, "get_capabilities", dict)()
     return bool(can.get("avx512_bf16") or can.get("amx_bf16"))

@@ -122,6 +122,8 @@ class Encoding:
         return [self._placed((small[..., i] - _RGB_MEAN[i]) / _RGB_DEVIATION[i]) for i in range(3)]
 
     def _depth(self, depth_m: Float32[np.ndarray, "h w"]) -> list[np.ndarray]:
+        if self.near_m is None or self.far_m is None:
+            raise ValueError(f"input {self.input} has no range of depth")
         valid = np.isfinite(depth_m)
         middle_m, half_m = (self.far_m + self.near_m) / 2, (self.far_m - self.near_m) / 2
         height = np.clip(np.where(valid, (depth_m - middle_m) / half_m, 0.0), -1, 1)
@@ -171,7 +173,8 @@ def encoding_from(held: Mapping[str, Any]) -> Encoding:
 def fitting_size(picture_px: tuple[int, int], longest_px: int) -> tuple[int, int]:
     """The input's height and width for pictures of that size: multiples of 32."""
     scale = longest_px / max(picture_px)
-    return tuple(max(32, math.ceil(side * scale / 32 - 1e-9) * 32) for side in picture_px)
+    height_px, width_px = (max(32, math.ceil(side * scale / 32 - 1e-9) * 32) for side in picture_px)
+    return height_px, width_px
 
 
 def noisy(depth_m: Float32[np.ndarray, "h w"], *, seed: int) -> Float32[np.ndarray, "h w"]:

@@ -149,7 +149,7 @@ def _told(target: Target) -> dict[str, Tensor]:
     return {
         "boxes": target.box,
         "labels": torch.where(target.ignored, -1, target.label + 1),
-        "masks": target.mask.to(torch.uint8),
+        "masks": target.drawn().to(torch.uint8),
     }
 
 

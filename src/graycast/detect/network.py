@@ -1,12 +1,12 @@
 """The interface of all networks: training on labels and finding parts."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Protocol, runtime_checkable
+from typing import Any, Protocol, runtime_checkable
 
 import torch
 from jaxtyping import Bool, Float, Int64, UInt8
-from torch import Tensor
+from torch import Tensor, nn
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -25,6 +25,16 @@ class Target:
     label: Int64[Tensor, " n"]
     mask: Bool[Tensor, "n h w"] | None
     ignored: Bool[Tensor, " n"]
+
+    def drawn(self) -> Bool[Tensor, "n h w"]:
+        """The masks, for a network that asks for them.
+
+        Raises:
+            ValueError: there are none.
+        """
+        if self.mask is None:
+            raise ValueError("this network learns from masks, and the target has none")
+        return self.mask
 
     def to(self, device: torch.device) -> "Target":
         """The same on a device."""
@@ -97,3 +107,28 @@ class Network(Protocol):
         would follow the pictures that it looks at, and some networks answer with losses instead.
         """
         ...
+
+    # Of `torch.nn.Module`: what is asked of a network.
+
+    def train(self) -> "Network": ...
+
+    def eval(self) -> "Network": ...
+
+    def to(self, device: torch.device, *, memory_format: torch.memory_format) -> "Network": ...
+
+    def parameters(self) -> Iterator[nn.Parameter]: ...
+
+    def state_dict(self) -> dict[str, Tensor]: ...
+
+    def load_state_dict(self, state_dict: Mapping[str, Any]) -> object: ...
+
+
+@runtime_checkable
+class NetworkClass(Protocol):
+    """What a model's networks are made by."""
+
+    finds_masks: bool
+
+    def __call__(
+        self, *, channels: int, classes: int, backbone: str | None, size_px: tuple[int, int]
+    ) -> Network: ...

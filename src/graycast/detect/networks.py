@@ -1,7 +1,7 @@
 """The one place that knows which networks exist; each is imported when it is asked for."""
 
 from ..errors import GraycastError
-from .network import Network
+from .network import Network, NetworkClass
 
 MODELS = ("mask-rcnn", "yolov3", "solov2", "yolov7", "rf-detr")
 
@@ -25,7 +25,7 @@ def open_network(
     return chosen(channels=channels, classes=classes, backbone=backbone, size_px=size_px)
 
 
-def network_class(model: str) -> type:
+def network_class(model: str) -> NetworkClass:
     """What a model's networks are, and whether they find masks.
 
     Raises:

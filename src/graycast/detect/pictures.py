@@ -185,7 +185,8 @@ def _labelled(
             f"{folder}: scene {example.scene_id} has no boxes for the training: give a dataset "
             "with labels"
         )
-    if masks and example.mask is None:
+    drawn = example.mask if masks else None
+    if masks and drawn is None:
         raise GraycastError(
             f"{folder}: scene {example.scene_id} has no masks, which this model needs: train "
             "--model yolov3, which needs only boxes, or give a dataset with masks"
@@ -195,9 +196,9 @@ def _labelled(
     x, y, columns, rows = (example.box_px.astype(np.float32) * scale).T
     ignored = example.hidden(min_visibility)
     runs = None
-    if masks:
+    if drawn is not None:
         size = [max(1, round(side * scale)) for side in picture_px]
-        runs = tuple(_fitted(mask, size, encoding.size_px) for mask in example.mask)
+        runs = tuple(_fitted(mask, size, encoding.size_px) for mask in drawn)
         ignored |= np.array([coco_mask.area(run) == 0 for run in runs], bool)
     return _Labelled(
         box=np.stack([x, y, x + columns, y + rows], axis=1).astype(np.float32).reshape(-1, 4),
@@ -296,7 +297,8 @@ class _Move:
                 self._mask(run) if keep else None for run, keep in zip(mask, kept, strict=True)
             ]
             kept &= np.array([run is not None and coco_mask.area(run) > 0 for run in moved], bool)
-            mask = tuple(run for run, keep in zip(moved, kept, strict=True) if keep)
+            seen = zip(moved, kept, strict=True)
+            mask = tuple(run for run, keep in seen if run is not None and keep)
         box = np.stack([x[:, 0], y[:, 0], x[:, 1], y[:, 1]], axis=1).astype(np.float32)
         return _Labelled(box=box[kept], label=labels.label[kept], ignored=ignored[kept], mask=mask)
 

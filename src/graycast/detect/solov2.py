@@ -125,7 +125,7 @@ class Solov2(nn.Module):
             for instance, place in zip(owner.tolist(), cell.tolist(), strict=True):
                 labels[index, place] = target.label[instance]
             logit = torch.einsum("nk,khw->nhw", kernel[index, cell], painted[index])
-            dice = dice + _dice(logit.sigmoid(), _quarter(target.mask)[owner]).sum()
+            dice = dice + _dice(logit.sigmoid(), _quarter(target.drawn())[owner]).sum()
         claimed = int((labels < self.classes).sum())
         truth = one_hot(labels, self.classes + 1)[..., :-1].float()
         focal = _focal(score[judged], truth[judged]) / (claimed + 1)
@@ -218,7 +218,7 @@ def _quarter(mask: Bool[Tensor, "n h w"]) -> Float[Tensor, "n h4 w4"]:
 
 def _claims(target: Target) -> tuple[Int64[Tensor, " m"], Int64[Tensor, " m"]]:
     """Pairs of an instance and a cell that it claims, level by level, in the instances' order."""
-    mask = target.mask
+    mask = target.drawn()
     size = torch.tensor([mask.shape[2], mask.shape[1]], device=mask.device)
     sides = target.box[:, 2:] - target.box[:, :2]
     side = sides.prod(dim=1).sqrt()
@@ -226,7 +226,9 @@ def _claims(target: Target) -> tuple[Int64[Tensor, " m"], Int64[Tensor, " m"]]:
     centre = _centre_of_mass(mask)
     reach = sides / 2 * CENTRE_SHARE
     real = mask.flatten(1).any(dim=1) & (side >= LEAST_SIDE_PX)
-    owners, cells, first = [], [], 0
+    owners: list[int] = []
+    cells: list[int] = []
+    first = 0
     for grid, (least, largest) in zip(GRIDS, RANGES, strict=True):
         middle = (centre / size * grid).long()
         low = ((centre - reach) / size * grid).long().clamp(min=0).maximum(middle - 1)

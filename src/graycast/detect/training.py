@@ -11,6 +11,7 @@ import numpy as np
 import torch
 
 from ..dataset.example import Example
+from ..detections import WEIGHTS
 from ..errors import GraycastError
 from ..evaluate import Labels, labels_of, score
 from ..evaluate.labels import MIN_VISIBILITY
@@ -19,7 +20,6 @@ from ..export.split import Split
 from ..training import Examples, open_examples
 from .detector import (
     ONE_CLASS,
-    WEIGHTS,
     About,
     Detector,
     autocast,
@@ -102,8 +102,12 @@ class TrainSpec:
 
     def recipe(self, network: Network) -> Recipe:
         """The network's own, with what was said."""
-        said = {"batch": self.batch, "learning_rate": self.learning_rate}
-        return replace(network.recipe, **{k: v for k, v in said.items() if v is not None})
+        own, rate = network.recipe, self.learning_rate
+        return replace(
+            own,
+            batch=own.batch if self.batch is None else self.batch,
+            learning_rate=own.learning_rate if rate is None else rate,
+        )
 
 
 @final
@@ -267,7 +271,7 @@ class _Training:
         while not self._ended(progress, steps):
             epoch = progress.step // steps
             self._epoch(pictures.at(epoch), epoch, steps, batch, recipe, optimizer, progress)
-            row = {"epoch": epoch + 1, "step": progress.step}
+            row: Row = {"epoch": epoch + 1, "step": progress.step}
             row |= {name: total / steps for name, total in progress.sums.items()}
             if (epoch + 1) % every == 0 or epoch + 1 == self.spec.epochs:
                 row |= self._validated(judge, detector, progress)
@@ -401,6 +405,8 @@ class _Judge:
         ids = {name: i for i, name in enumerate(self.names)}
         found = []
         for i, labels in enumerate(self.labels):
+            if labels.size_px is None:
+                raise ValueError(f"scene {i} of the validation has no picture")
             image = self.encoded[i].astype(np.float32)
             found.append(detector.look(image, i, labels.size_px, obj_ids=ids))
             on_told(Told(stage="validate", done=i + 1, total=len(self.labels)))

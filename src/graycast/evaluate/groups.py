@@ -75,6 +75,8 @@ def _group(
     found_share: Callable[[Detections], Float[np.ndarray, " n"]] | None = None,
 ) -> Group:
     def outside(share: Float[np.ndarray, " n"] | None) -> Bool[np.ndarray, " n"]:
+        if share is None:
+            raise ValueError(f"these labels do not know their {by}")
         return (share < low) | ((share > high) if high == 1.0 else (share >= high))
 
     return Group(

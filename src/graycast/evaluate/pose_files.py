@@ -204,7 +204,7 @@ def _by_picture(
 
 def _truth(dataset: Path, example: Example, min_visibility: float) -> Truth:
     measured = example.scanner_depth_m if example.scanner_depth_m is not None else example.depth_m
-    if example.T_cam_part is None or measured is None:
+    if example.obj_id is None or example.T_cam_part is None or measured is None:
         raise GraycastError(
             f"{dataset}: scene {example.scene_id} has no poses or no depth: give a dataset that "
             "graycast generate made"
@@ -220,8 +220,17 @@ def _truth(dataset: Path, example: Example, min_visibility: float) -> Truth:
 
 
 def camera_of(example: Example) -> Optics:
-    """The camera that an example's depth is of."""
+    """The camera that an example's depth is of.
+
+    Raises:
+        GraycastError: the example has no depth or no intrinsics.
+    """
     depth = example.scanner_depth_m if example.scanner_depth_m is not None else example.depth_m
+    if example.K is None or depth is None:
+        raise GraycastError(
+            f"scene {example.scene_id} has no depth or no intrinsics: give a dataset that graycast "
+            "generate made"
+        )
     return optics_of(example.K, depth.shape, example.distortion or (0.0,) * 5)
 
 

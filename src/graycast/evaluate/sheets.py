@@ -87,9 +87,8 @@ def _save(figure: Figure, path: Path, shown: Sequence[Any]) -> bool:
 def _draw(
     ax: Axes, judgement: Judgement, mistake: Miss | FalseAlarm, picture: Picture, title: str
 ) -> None:
-    labels, found = (
-        side[mistake.scene] for side in (judgement.known.labels, judgement.known.found)
-    )
+    known = judgement.known
+    labels, found = known.labels[mistake.scene], known.found[mistake.scene]
     image = picture(labels.scene_id)
     if isinstance(mistake, Miss):
         center = labels.box_px[mistake.instance]
@@ -139,8 +138,11 @@ def _outline(
 ) -> None:
     width = 1.8 if own else 0.9
     if mask is None:
-        edge = {"fill": False, "edgecolor": color, "linewidth": width}
-        ax.add_patch(Rectangle((box[0], box[1]), box[2], box[3], **edge))
+        ax.add_patch(
+            Rectangle(
+                (box[0], box[1]), box[2], box[3], fill=False, edgecolor=color, linewidth=width
+            )
+        )
         return
     drawn: Bool[np.ndarray, "h w"] = coco_mask.decode(dict(mask)).astype(bool)
     if drawn.any():

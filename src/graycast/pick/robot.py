@@ -259,20 +259,20 @@ def open_robot(text: str, *, folder: Path, home: Sequence[float | int] | None = 
     _check_joints(text, model)
     if not model.existFrame("flange"):
         raise ConfigError(f"robot {text}: has no link called flange, on which the tool is mounted")
-    home = np.zeros(model.nq) if home is None else np.array(home, float)
-    if home.shape != (model.nq,):
+    rest = np.zeros(model.nq) if home is None else np.array(home, float)
+    if rest.shape != (model.nq,):
         raise ConfigError(
-            f"robot {text}: home has {home.size} angles, and the robot has {model.nq} joints"
+            f"robot {text}: home has {rest.size} angles, and the robot has {model.nq} joints"
         )
     low, high = np.array(model.lowerPositionLimit), np.array(model.upperPositionLimit)
-    beyond = np.flatnonzero((home < low) | (home > high))
+    beyond = np.flatnonzero((rest < low) | (rest > high))
     if len(beyond):
         i = int(beyond[0])
         raise ConfigError(
-            f"robot {text}: home of joint {i + 1} is {home[i]:.3f} rad; its limits are "
+            f"robot {text}: home of joint {i + 1} is {rest[i]:.3f} rad; its limits are "
             f"{low[i]:.3f} to {high[i]:.3f}"
         )
-    return Robot(text, model, geometry, home)
+    return Robot(text, model, geometry, rest)
 
 
 def _check_joints(text: str, model: Any) -> None:

@@ -208,10 +208,12 @@ def _best(model: PoseModel, seen: Crop, guesses: Float[np.ndarray, "n 4 4"]) -> 
     """Compare the guesses with the depth, align the best, and try equivalent alternatives."""
     trials = Trials(model, seen)
     first = np.array([trials.judge(T).worth for T in guesses])
-    best: Judged | None = None
-    for k in np.argsort(-first, kind="stable")[:CHOSEN]:
-        for T in (trials.align(guesses[k]), guesses[k]):
-            best = trials.judge(T).better_of(best)
+    tried = (
+        trials.judge(T)
+        for k in np.argsort(-first, kind="stable")[:CHOSEN]
+        for T in (trials.align(guesses[k]), guesses[k])
+    )
+    best = max(tried, key=lambda judged: judged.worth)  # the first of equals
     for _ in range(TRIES):
         before = best
         for turn in model.turns[1:]:

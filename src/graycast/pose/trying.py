@@ -1,7 +1,7 @@
 """Drawing, scoring and alignment of the candidate poses of one detection."""
 
 from dataclasses import dataclass
-from typing import Optional, final
+from typing import final
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -31,8 +31,8 @@ class Judged:
     worth: float
     number: Int[np.ndarray, " kinds"]
 
-    def better_of(self, other: Optional["Judged"]) -> "Judged":
-        return self if other is None or self.worth > other.worth else other
+    def better_of(self, other: "Judged") -> "Judged":
+        return self if self.worth > other.worth else other
 
 
 @final

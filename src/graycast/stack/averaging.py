@@ -10,7 +10,7 @@ from ..decode.plan import plan_axes
 from ..errors import DecodeError
 from ..frames import transform_points
 from ..optics import rays
-from ..pattern import Code
+from ..pattern import AXES, Code
 from ..rig import Rig
 
 # Chance that a pixel belongs to the next cell: below the first it surely sees its own; where no
@@ -57,10 +57,8 @@ def join_pixels(codes: CodeMap, code: Code, *, fine_bits: int) -> Cells:
     decoded = codes.reason == Reason.DECODED
     number = np.zeros(int(decoded.sum()), dtype=np.int64)
     wrong = np.zeros(len(number))
-    for axis, position, sigma in (
-        ("column", codes.column, codes.sigma_column),
-        ("row", codes.row, codes.sigma_row),
-    ):
+    places, sigmas = (codes.column, codes.row), (codes.sigma_column, codes.sigma_row)
+    for axis, position, sigma in zip(AXES, places, sigmas, strict=True):
         plan = plans[axis]
         cell_px = 1.0 if plan.periods else plan.cell_px
         cells = int(np.ceil(plan.size_px / cell_px)) + 1

@@ -79,7 +79,11 @@ def well_lit(codes: CodeMap) -> Bool[np.ndarray, "h w"]:
 
 
 def _marked(codes: CodeMap, decoded: Bool[np.ndarray, "h w"], mark: Mark) -> float:
-    return float((codes.mark[decoded] & mark > 0).mean()) if decoded.any() else 0.0
+    if not decoded.any():
+        return 0.0
+    if codes.mark is None:
+        raise ValueError("the marks of this code map were not kept")
+    return float((codes.mark[decoded] & mark > 0).mean())
 
 
 def samples(where: Bool[np.ndarray, "h w"]) -> np.ndarray:

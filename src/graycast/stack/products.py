@@ -10,6 +10,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.cm import ScalarMappable
 from matplotlib.colors import Normalize, to_rgb
 from matplotlib.figure import Figure
+from matplotlib.layout_engine import ConstrainedLayoutEngine
 
 from ..decode import Reason
 from ..folder import refuse_foreign, whole_folder
@@ -46,6 +47,8 @@ def write_result(result: StackResult, out: Path) -> tuple[Path, ...]:
 
 def _write_all(result: StackResult, folder: Path) -> Iterator[str]:
     codes = result.codes
+    if codes.mark is None:
+        raise ValueError("the marks of this code map were not kept")
     _save_npz(
         folder / CODE,
         column=codes.column,
@@ -145,7 +148,9 @@ def _draw(result: StackResult, path: Path) -> None:
     """Picture, code maps, reasons and depth side by side."""
     height, width = result.codes.reason.shape
     step = max(1, round(width / 1000))
-    tiles = [("picture", None, None)]
+    tiles: list[tuple[str, np.ndarray | None, tuple[float, float] | None]] = [
+        ("picture", None, None)
+    ]
     for axis in result.code.axes:
         position = result.codes.column if axis == "column" else result.codes.row
         tiles.append((f"decoded {axis}", position, (0.0, result.code.size_px(axis) - 1.0)))
@@ -154,21 +159,21 @@ def _draw(result: StackResult, path: Path) -> None:
         tiles.append(("depth [m]", result.depth.depth_m, None))
     rows = -(-len(tiles) // 2)
     tile_in = (TILE_IN, TILE_IN * height / width + 0.9)
-    figure = Figure(figsize=(2 * tile_in[0], rows * tile_in[1]), dpi=DPI, layout="constrained")
+    layout = ConstrainedLayoutEngine(h_pad=0.15, w_pad=0.1)
+    figure = Figure(figsize=(2 * tile_in[0], rows * tile_in[1]), dpi=DPI, layout=layout)
     FigureCanvasAgg(figure)
-    figure.get_layout_engine().set(h_pad=0.15, w_pad=0.1)
     grid = figure.subplots(rows, 2, squeeze=False).ravel()
     for ax in grid:
         ax.set(xticks=[], yticks=[])
         ax.spines[:].set_visible(False)
     for ax, (title, values, limits) in zip(grid, tiles, strict=False):
         ax.set_title(title, loc="left", fontsize=12, weight="bold")
-        if title == "picture":
-            ax.imshow(result.picture[::step, ::step])
-        elif title == "reasons":
-            _draw_reasons(ax, result, step)
-        else:
+        if values is not None:
             _draw_map(figure, ax, values[::step, ::step], limits)
+        elif title == "picture":
+            ax.imshow(result.picture[::step, ::step])
+        else:
+            _draw_reasons(ax, result, step)
     save_png(figure, path, dpi=DPI)
 
 

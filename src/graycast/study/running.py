@@ -178,7 +178,7 @@ def _world(spec: StudySpec, section: TestSection) -> _World:
     labels = []
     for dataset in section.datasets:
         sets, _ = sets_of(dataset, section.split, spec.division)
-        held = []
+        held: list[Labels] = []
         for example in chain.from_iterable(sets):
             if not held:
                 shown = replace(example, depth_m=None) if section.as_real else example

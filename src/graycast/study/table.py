@@ -92,7 +92,8 @@ def _columns(spec: StudySpec) -> list[str]:
 def _told(row: Row, name: str, digits: int) -> str:
     if name not in row:  # a world without masks
         return "-"
-    interval = Interval(value=row[name], low=row[f"{name}_low"], high=row[f"{name}_high"])
+    value, low, high = (float(row[key]) for key in (name, f"{name}_low", f"{name}_high"))
+    interval = Interval(value=value, low=low, high=high)
     if math.isnan(interval.value):
         return "-"
     text = f"{interval.value:.{digits}f}"

@@ -9,9 +9,14 @@ import numpy as np
 
 from ..dataset.example import Example
 from ..errors import DatasetError
-from ..export.parquet import pa, pq, schema  # says what to install where pyarrow is missing
+from ..export.parquet import schema  # says what to install where pyarrow is missing
 from ..export.record import ExportRecord
 from .decoding import depth_m, image_fields, masks
+
+# Where it is missing, `export.parquet` has raised before this.
+# isort: split
+import pyarrow as pa
+import pyarrow.parquet as pq
 
 _DEPTH_FIELDS = {"depth": "depth_m", "depth_sl": "scanner_depth_m"}
 _LABELS = {
@@ -59,9 +64,9 @@ def _example(
     for column, field in _DEPTH_FIELDS.items():
         if held[column] is not None:
             fields[field] = depth_m(held[column]["bytes"], held["depth_scale"], name)
-    for column, (field, kind, shape) in _LABELS.items():
+    for column, (field, dtype, shape) in _LABELS.items():
         if held[column] is not None:
-            fields[field] = np.array(held[column], kind).reshape(shape)
+            fields[field] = np.array(held[column], dtype).reshape(shape)
     if held["masks"] is not None:
         fields["mask"] = masks(held["masks"], record.size_of(scene_id), name)
     return Example(

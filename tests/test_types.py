@@ -4,7 +4,7 @@ import tomllib
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[1]
-MOST = 61  # modules; lower it with each one that is mended
+MOST = 30  # modules; lower it with each one that is mended
 
 
 def test_the_list_of_modules_that_are_not_clean_only_gets_shorter():

@@ -4,16 +4,21 @@ If jaxtyping is not installed, `Float[np.ndarray, "h w"]` means `np.ndarray`, an
 checked. Modules that `graycast.training` does not import take the names from jaxtyping.
 """
 
-try:
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:  # a type checker knows jaxtyping's names only as they are imported
     from jaxtyping import Bool, Float, Float32, Int, UInt8, UInt16
-except ImportError:
+else:
+    try:
+        from jaxtyping import Bool, Float, Float32, Int, UInt8, UInt16
+    except ImportError:
 
-    class _Unchecked:
-        """Annotates an array without a check of its axes and its type."""
+        class _Unchecked:
+            """Annotates an array without a check of its axes and its type."""
 
-        def __class_getitem__(cls, told: tuple[type, str]) -> type:
-            return told[0]
+            def __class_getitem__(cls, told: tuple[type, str]) -> type:
+                return told[0]
 
-    Bool = Float = Float32 = Int = UInt8 = UInt16 = _Unchecked
+        Bool = Float = Float32 = Int = UInt8 = UInt16 = _Unchecked
 
 __all__ = ["Bool", "Float", "Float32", "Int", "UInt8", "UInt16"]

@@ -54,8 +54,17 @@ class Example:
         """The instances that do not count: ignored, or visible for less than that share.
 
         Where nobody knows what share is visible, that hides none.
+
+        Raises:
+            DatasetError: the example has no labels.
         """
-        hidden = np.zeros(len(self.obj_id), bool) if self.ignored is None else self.ignored.copy()
+        hidden: Bool[np.ndarray, " n"]
+        if self.ignored is not None:
+            hidden = self.ignored.copy()
+        elif self.obj_id is not None:
+            hidden = np.zeros(len(self.obj_id), bool)
+        else:
+            raise DatasetError(f"scene {self.scene_id}: has no labels")
         return hidden if self.visib_fract is None else hidden | (self.visib_fract < min_visibility)
 
     def __post_init__(self) -> None:
@@ -104,7 +113,13 @@ class Label:
 
     @property
     def T_cam_part(self) -> Float[np.ndarray, "4 4"]:
-        """Part to camera [m]."""
+        """Part to camera [m].
+
+        Raises:
+            DatasetError: nobody knows it.
+        """
+        if self.pose is None:
+            raise DatasetError(f"instance {self.instance}: has no pose")
         return pose_m(*self.pose)
 
 

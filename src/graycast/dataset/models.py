@@ -26,12 +26,12 @@ def model_files(parts: tuple[Part, ...]) -> dict[str, bytes]:
     """The content of `models/` but `models_info.json`, by file name."""
     files = {}
     for obj_id, part in enumerate(parts, start=1):
-        textured = part.material.texture is not None and part.mesh.corner_uv is not None
-        texture_name = f"obj_{obj_id:06d}.png" if textured else None
-        files[f"obj_{obj_id:06d}.ply"] = _ply(part, texture_name)
-        if texture_name is not None:
-            encoded = cv2.imencode(".png", np.ascontiguousarray(part.material.texture[..., ::-1]))
-            files[texture_name] = encoded[1].tobytes()
+        texture = None if part.mesh.corner_uv is None else part.material.texture
+        name = f"obj_{obj_id:06d}"
+        files[f"{name}.ply"] = _ply(part, None if texture is None else f"{name}.png")
+        if texture is not None:
+            encoded = cv2.imencode(".png", np.ascontiguousarray(texture[..., ::-1]))
+            files[f"{name}.png"] = encoded[1].tobytes()
     return files
 
 
@@ -83,6 +83,8 @@ def _ply(part: Part, texture_name: str | None) -> bytes:
     mesh = part.mesh
     columns = [mesh.faces.reshape(-1, 1), np.round(_corner_normals(mesh).reshape(-1, 3), 6) + 0.0]
     if texture_name is not None:
+        if mesh.corner_uv is None:
+            raise ValueError(f"{texture_name} has no place on a mesh without uv")
         columns.append(mesh.corner_uv.reshape(-1, 2))
     rows, index = np.unique(np.hstack(columns), axis=0, return_inverse=True)
     vertices_mm = mesh.vertices_m[rows[:, 0].astype(np.int64)].astype(np.float64) * MM_PER_M

@@ -50,8 +50,13 @@ def _model(file: Path, info: records.ModelInfo) -> StoredModel:
         symmetry=Symmetry(
             discrete=tuple(T * scale for T in discrete),
             continuous=tuple(
-                (tuple(one.axis), tuple(x / MM_PER_M for x in one.offset))
+                (_three(one.axis), _three([x / MM_PER_M for x in one.offset]))
                 for one in info.symmetries_continuous
             ),
         ),
     )
+
+
+def _three(numbers: list[float]) -> tuple[float, float, float]:
+    x, y, z = numbers
+    return x, y, z

@@ -2,10 +2,11 @@
 
 from collections.abc import Iterator, Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 from jaxtyping import Float, Int
+from pydantic import BaseModel
 
 from ..decode import Reason
 from ..frames import is_rigid
@@ -19,14 +20,12 @@ from .scene_folder import SceneFolder, of_sensor
 from .seal import facts_of
 from .sense import Evidence, sense_problems
 
+R = TypeVar("R", bound=BaseModel)
+
 BOX_MM = 1e-3  # of 3D boxes, whose sizes the models hold to nine digits
 WORLD_MM, WORLD_TURN = 1e-6, 1e-9  # of one pose through two cameras, in double precision
 
-_OF_IMAGE = {
-    "scene_camera": records.View,
-    "scene_gt": records.Poses,
-    "scene_gt_info": records.Infos,
-}
+_OF_IMAGE = ("scene_camera", "scene_gt", "scene_gt_info")
 _IMAGES = {
     "rgb": np.uint8,
     "depth": np.uint16,
@@ -165,13 +164,12 @@ def _evidence(
 def _read_image(
     files: SceneFolder, number: int, numbers: range, first_annotation: Mapping[str, int]
 ) -> Plain:
-    read = {
-        name + suffix: files.of_image(name + suffix, number, form)
-        for name, form in _OF_IMAGE.items()
-        for suffix in ("", "_sl")
-    }
-    for name in ("scene_camera", "scene_gt"):
-        if read[name] != read[f"{name}_sl"]:
+    view = _of_both(files, "scene_camera", number, records.View)
+    poses = _of_both(files, "scene_gt", number, records.Poses)
+    info = _of_both(files, "scene_gt_info", number, records.Infos)
+    alike = {"scene_camera": view[""] == view["_sl"], "scene_gt": poses[""] == poses["_sl"]}
+    for name, same in alike.items():
+        if not same:
             one, other = (of_sensor(name + suffix, files.sensor) for suffix in ("_sl", ""))
             raise Unreadable(f"{one}.json differs from {other}.json: both look through one lens")
     return Plain(
@@ -180,14 +178,19 @@ def _read_image(
         numbers=numbers,
         first_annotation=dict(first_annotation),
         image={name: files.png(name, number) for name in _IMAGES},
-        view=read["scene_camera"],
-        poses=read["scene_gt"].root,
-        info={suffix: read[f"scene_gt_info{suffix}"].root for suffix in ("", "_sl")},
+        view=view[""],
+        poses=poses[""].root,
+        info={suffix: told.root for suffix, told in info.items()},
         coco={suffix: _coco_of(files, suffix, number) for suffix in ("", "_sl")},
         box3d=files.of_image("scene_gt_box3d", number, records.Boxes3d).root,
         scanner=files.of_image("scene_sl", number, records.ScannerRecord),
         manifest=SceneFolder(files.path).record("manifest", records.Manifest).root,
     )
+
+
+def _of_both(files: SceneFolder, name: str, number: int, form: type[R]) -> dict[str, R]:
+    """What a JSON file says of one image, by camera type."""
+    return {suffix: files.of_image(name + suffix, number, form) for suffix in ("", "_sl")}
 
 
 def _coco_of(files: SceneFolder, suffix: str, number: int) -> records.SceneCoco:

@@ -447,8 +447,12 @@ def open_dataset(folder: Path) -> StoredDataset:
     """
     real = is_real(folder)
     try:
-        claim = read_json(folder / CLAIM, RealClaim if real else records.Claim)
-        images = [("", 0)] if real else claim.images
+        claim: RealClaim | records.Claim
+        if real:
+            claim = read_json(folder / CLAIM, RealClaim)
+        else:
+            claim = read_json(folder / CLAIM, records.Claim)
+        images = claim.images if isinstance(claim, records.Claim) else [("", 0)]
         cameras = {
             sensor: read_json(folder / camera_file(sensor), records.Camera)
             for sensor in dict.fromkeys(sensor for sensor, _ in images)
@@ -465,5 +469,5 @@ def open_dataset(folder: Path) -> StoredDataset:
         scene_ids=scene_ids,
         sizes_px={name: (camera.height, camera.width) for name, camera in cameras.items()},
         images=tuple(images),
-        holds=frozenset(claim.holds) if real else _HELD,
+        holds=frozenset(claim.holds) if isinstance(claim, RealClaim) else _HELD,
     )

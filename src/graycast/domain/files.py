@@ -55,18 +55,21 @@ def domain_files(
     """
     if not isinstance(section, RandomizedSection):
         return ()
-    named = [path for paths in _folders(section, folder).values() for path in paths]
+    named: list[Path | None] = [
+        path for paths in _folders(section, folder).values() for path in paths
+    ]
     for part in (section.distractors and section.distractors.parts) or ():
-        named += [part.mesh, part.material and part.material.texture]
+        named += [part.mesh, None if part.material is None else part.material.texture]
     return tuple(dict.fromkeys(path for path in named if path is not None))
 
 
 def _folders(section: RandomizedSection, folder: Path) -> dict[str, tuple[Path, ...]]:
     """The pictures of each folder, relative to `folder`, by field of `Domain`."""
+    light, box, table = section.environment, section.bin, section.table
     named = {
-        "maps": (section.environment and section.environment.maps, MAPS, "environment.maps"),
-        "bin_textures": (section.bin and section.bin.textures, PICTURES, "bin.textures"),
-        "table_textures": (section.table and section.table.textures, PICTURES, "table.textures"),
+        "maps": (None if light is None else light.maps, MAPS, "environment.maps"),
+        "bin_textures": (None if box is None else box.textures, PICTURES, "bin.textures"),
+        "table_textures": (None if table is None else table.textures, PICTURES, "table.textures"),
     }
     return {
         field: () if path is None else _listed(folder, path, endings, key)
@@ -97,7 +100,8 @@ def _distractors(
         others = (builtin_part(name) for name in METAL_PARTS if name not in taken)
         small = tuple(part for part in others if part.mesh.extent_m.max() <= SMALL * opening_m)
         return tuple(replace(part, labelled=False) for part in small), ()
-    parts, notes = [], []
+    parts: list[Part] = []
+    notes: list[str] = []
     for section in ranges.parts:
         part, found = resolve_part(section, folder)
         if part.name in taken:

@@ -166,7 +166,7 @@ def _add_bin(
     spans += [((-TABLE_M, TABLE_M), (-TABLE_M, TABLE_M), table_m)]
     spans += [(x, y, (0.0, rim_m)) for x, y in sides] if is_box else []
     guides = [] if ceiling_m is None else [(x, y, (rim_m, ceiling_m)) for x, y in sides]
-    blocks = []
+    blocks: list[_Block] = []
     for span in spans + guides:
         low, high = np.array(span).T
         collider = (
@@ -250,7 +250,7 @@ def _pose(body: rapier3d.RigidBody) -> Float[np.ndarray, "4 4"]:
     return rigid(R, np.array(body.position.translation.to_tuple()) / SCALE)
 
 
-def _three(vector: object) -> Float[np.ndarray, "3"]:
+def _three(vector: rapier3d.Vec3) -> Float[np.ndarray, "3"]:
     return np.array([vector.x, vector.y, vector.z])
 
 

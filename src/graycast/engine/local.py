@@ -116,10 +116,13 @@ class _Worker:
     def result(self) -> Made | Failed:
         """The result of the finished scene; a worker that failed unexpectedly is replaced."""
         future, self.future = self.future, None
+        if future is None:
+            raise RuntimeError("nothing was submitted")
         try:
             return future.result()
         except BrokenProcessPool:
-            self._pool.shutdown(wait=True)  # then its exit code is known
+            if self._pool is not None:
+                self._pool.shutdown(wait=True)  # then its exit code is known
             error: Exception = WorkerDied(_obituary(self._process))
             self.stop()
         except Exception as raised:
@@ -215,9 +218,14 @@ def _begin(task: Job, threads: int) -> None:
 
 
 def _make(scene_id: int) -> Made:
+    if _maker is None:
+        raise RuntimeError("the worker has not begun")
     return _maker.make(scene_id)
 
 
 def _end_with_parent() -> None:
-    multiprocessing.parent_process().join()
+    parent = multiprocessing.parent_process()
+    if parent is None:
+        raise RuntimeError("this is not a worker process")
+    parent.join()
     os._exit(1)

@@ -23,7 +23,7 @@ from ..dataset.json_text import json_bytes
 from ..dataset.places import camera_file
 from ..dataset.stored import StoredDataset, StoredScene
 from ..render.radiance import Silhouette
-from .options import Options
+from .options import Options, settled
 from .placing import bop_key, place
 from .shards import write_shards
 
@@ -37,7 +37,7 @@ def write_imagewise(
         for name, content in _files(scene, options):
             target = folder / split / f"{_key(scene)}.{name}"
             if isinstance(content, Path):
-                place(content, target, link=options.link)
+                place(content, target, link=settled(options.link))
             else:
                 target.write_bytes(content)
 
@@ -48,7 +48,7 @@ def write_webdataset(
     """`SPLIT/shard-000000.tar` ... and `SPLIT/key_to_shard.json`."""
     (folder / split).mkdir()
     samples = ((_key(scene), _loaded(_files(scene, options))) for scene in scenes)
-    shard_of = write_shards(folder / split, samples, most=options.shard_scenes)
+    shard_of = write_shards(folder / split, samples, most=settled(options.shard_scenes))
     (folder / split / "key_to_shard.json").write_text(json.dumps(shard_of), encoding="ascii")
 
 

@@ -14,7 +14,7 @@ from ..dataset.stored import StoredDataset, StoredScene
 from ..frames import pixel_grid
 from ..optics import Optics, optics_of, rays
 from ..ply import cloud_bytes
-from .options import Options
+from .options import Options, settled
 
 _NAMES = {"depth": "perfect", "depth_sl": "scanner"}
 
@@ -24,7 +24,7 @@ def write_split(
 ) -> None:
     """`SPLIT/000000_perfect.ply` and `SPLIT/000000_scanner.ply`, or `.pcd`."""
     (folder / split).mkdir()
-    form = {"ply": cloud_bytes, "pcd": pcd_bytes}[options.cloud]
+    form = {"ply": cloud_bytes, "pcd": pcd_bytes}[settled(options.cloud)]
     for scene in scenes:
         color = _color(scene, options)
         for depth in options.depths:

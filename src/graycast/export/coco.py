@@ -9,7 +9,7 @@ from pycocotools import mask as coco_mask
 
 from ..dataset.example import Label
 from ..dataset.stored import StoredDataset, StoredScene
-from .options import Options
+from .options import Options, settled
 from .outline import polygons
 from .placing import place
 
@@ -33,9 +33,10 @@ def write_split(
         file.write(f'"categories": {json.dumps(_categories(stored))},\n"annotations": [')
         for scene in scenes:
             images.append(_image(folder, split, scene, options))
-            for label in scene.labels(min_visibility=options.min_visibility):
+            for label in scene.labels(min_visibility=settled(options.min_visibility)):
                 count += 1
-                entry = {"id": count, "image_id": scene.image_id} | _entry(label, options.polygons)
+                own = _entry(label, settled(options.polygons))
+                entry = {"id": count, "image_id": scene.image_id} | own
                 file.write(separator + json.dumps(entry, allow_nan=False))
                 separator = ",\n"
         lines = ",\n".join(json.dumps(image, allow_nan=False) for image in images)
@@ -51,9 +52,10 @@ def _categories(stored: StoredDataset) -> list[dict[str, Any]]:
 
 def _image(folder: Path, split: str, scene: StoredScene, options: Options) -> dict[str, Any]:
     name = f"{scene.image_id:06d}.png"
-    place(scene.png(options.picture), folder / "images" / split / name, link=options.link)
+    link = settled(options.link)
+    place(scene.png(settled(options.picture)), folder / "images" / split / name, link=link)
     for depth in options.depths:
-        place(scene.png(depth), folder / depth / split / name, link=options.link)
+        place(scene.png(depth), folder / depth / split / name, link=link)
     view, (height_px, width_px) = scene.view(), scene.size_px
     image = {"id": scene.image_id, "file_name": name, "width": width_px, "height": height_px}
     held = {"cam_K": view.cam_K, "distortion": view.distortion, "depth_scale": view.depth_scale}

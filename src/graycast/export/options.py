@@ -2,11 +2,13 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields, replace
-from typing import Any
+from typing import Any, TypeVar
 
 from ..dataset.stored import StoredDataset
 from ..errors import GraycastError
 from .split import Split
+
+Value = TypeVar("Value")
 
 _ONE_DEPTH = ("perfect", "scanner", "none")
 _CHOICES = {
@@ -144,3 +146,14 @@ class Options:
     def depths(self) -> tuple[str, ...]:
         """The folders of the dataset's depth pictures."""
         return _DEPTHS[self.depth or "none"]
+
+
+def settled(value: Value | None) -> Value:
+    """One of a format's own options, of which `Options.resolved` leaves none open.
+
+    Raises:
+        ValueError: it is open.
+    """
+    if value is None:
+        raise ValueError("an option is open: resolve the options first")
+    return value

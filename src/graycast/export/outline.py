@@ -59,10 +59,10 @@ def _edges(
     outside = (padded[:-2, 1:-1], padded[1:-1, 2:], padded[2:, 1:-1], padded[1:-1, :-2])
     corner = np.array([[0, 0], [1, 0], [1, 1], [0, 1]])  # where the pixel's side begins
     starts, directions = [], []
-    for direction, beyond in enumerate(outside):
+    for side, beyond in enumerate(outside):
         y, x = np.nonzero(inside & ~beyond)
-        starts.append(np.stack([x, y], axis=1) + corner[direction])
-        directions.append(np.full(len(x), direction))
+        starts.append(np.stack([x, y], axis=1) + corner[side])
+        directions.append(np.full(len(x), side))
     start, direction = np.concatenate(starts), np.concatenate(directions)
     table = np.full((4, height + 1, width + 1), -1)
     table[direction, start[:, 1], start[:, 0]] = np.arange(len(start))

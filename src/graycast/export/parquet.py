@@ -13,7 +13,7 @@ from typing import Any
 
 from ..dataset.stored import StoredDataset, StoredScene
 from ..errors import GraycastError
-from .options import Options
+from .options import Options, settled
 
 try:
     import pyarrow as pa
@@ -60,7 +60,7 @@ def write_split(
     while (first := next(left, None)) is not None:
         target = folder / split / f"part-{part:06d}.parquet"
         with pq.ParquetWriter(target, schema()) as writer:
-            held = chain([first], islice(left, options.shard_scenes - 1))
+            held = chain([first], islice(left, settled(options.shard_scenes) - 1))
             while group := [_row(scene, options) for scene in islice(held, _GROUP)]:
                 writer.write_table(pa.Table.from_pylist(group, schema=schema()))
         part += 1
@@ -77,7 +77,7 @@ def _row(scene: StoredScene, options: Options) -> dict[str, Any]:
     row |= {"cam_K": view.cam_K, "distortion": view.distortion}
     if "masks" not in scene.holds:
         return row
-    labels = scene.labels(min_visibility=options.min_visibility)
+    labels = scene.labels(min_visibility=settled(options.min_visibility))
     row |= {
         "gt_id": [label.instance for label in labels],
         "obj_id": [label.obj_id for label in labels],

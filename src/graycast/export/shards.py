@@ -18,11 +18,11 @@ def write_shards(
         The number of the shard that holds each key.
     """
     shard_of: dict[str, int] = {}
-    shard = None
+    shard: tarfile.TarFile | None = None
     try:
         for key, files in samples:
             number = len(shard_of) // most
-            if len(shard_of) % most == 0:
+            if shard is None or len(shard_of) % most == 0:
                 if shard is not None:
                     shard.close()
                 name = folder / f"shard-{number:06d}.tar"

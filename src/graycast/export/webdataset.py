@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 
 from ..dataset.stored import StoredDataset, StoredScene
-from .options import Options
+from .options import Options, settled
 from .shards import write_shards
 
 
@@ -25,7 +25,7 @@ def write_split(
     """`SPLIT/shard-000000.tar` ..."""
     (folder / split).mkdir()
     samples = ((f"{scene.image_id:06d}", _files(scene, options)) for scene in scenes)
-    write_shards(folder / split, samples, most=options.shard_scenes)
+    write_shards(folder / split, samples, most=settled(options.shard_scenes))
 
 
 def _files(scene: StoredScene, options: Options) -> Iterator[tuple[str, bytes]]:
@@ -42,7 +42,7 @@ def _files(scene: StoredScene, options: Options) -> Iterator[tuple[str, bytes]]:
         "depth_scale": view.depth_scale,
     }
     if "masks" in scene.holds:
-        labels = scene.labels(min_visibility=options.min_visibility)
+        labels = scene.labels(min_visibility=settled(options.min_visibility))
         info["gt_id"] = [label.instance for label in labels]
         yield "obj_id.npy", _npy(np.array([label.obj_id for label in labels], np.int64))
         boxes = np.array([label.box for label in labels], np.float32)

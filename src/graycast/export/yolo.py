@@ -14,7 +14,7 @@ from pycocotools import mask as coco_mask
 
 from ..dataset.example import Label
 from ..dataset.stored import StoredDataset, StoredScene
-from .options import Options
+from .options import Options, settled
 from .outline import path
 from .placing import place
 
@@ -24,15 +24,16 @@ def write_split(
 ) -> None:
     """`images/SPLIT/000000.png` and `labels/SPLIT/000000.txt`."""
     place_of = {obj_id: i for i, obj_id in enumerate(stored.categories)}
+    kind = settled(options.labels)
     labels = folder / "labels" / split
     labels.mkdir(parents=True)
     for scene in scenes:
         name = f"{scene.image_id:06d}"
         target = folder / "images" / split / f"{name}.png"
-        place(scene.png(options.picture), target, link=options.link)
+        place(scene.png(settled(options.picture)), target, link=settled(options.link))
         rows = (
-            f"{place_of[label.obj_id]} {_row(label, options.labels, scene.size_px)}\n"
-            for label in scene.labels(min_visibility=options.min_visibility)
+            f"{place_of[label.obj_id]} {_row(label, kind, scene.size_px)}\n"
+            for label in scene.labels(min_visibility=settled(options.min_visibility))
         )
         (labels / f"{name}.txt").write_text("".join(rows), encoding="ascii")
 

@@ -287,8 +287,8 @@ def _block_means(image: Float[np.ndarray, "h w"]) -> Float[np.ndarray, "bh bw"]:
     """Means over square blocks that are whole and at least half known; NaN elsewhere."""
     size = max(1, math.ceil(image.shape[1] / MAP_WIDTH))
     h, w = (length // size for length in image.shape)
-    blocks = image[: h * size, : w * size].reshape(h, size, w, size).swapaxes(1, 2)
-    blocks = blocks.reshape(h, w, size * size)
+    whole = image[: h * size, : w * size].reshape(h, size, w, size)
+    blocks = whole.swapaxes(1, 2).reshape(h, w, size * size)
     known = np.isfinite(blocks)
     mean = np.where(known, blocks, 0).sum(axis=-1) / np.maximum(known.sum(axis=-1), 1)
     return np.where(known.mean(axis=-1) >= 0.5, mean, np.nan)
@@ -336,9 +336,10 @@ def _space(lab: Lab, bar: BallBar, seed: int) -> SpacingResult:
     (first, near), (second, far) = (
         probing(point) for point in _sphere_points(lab, shots, bar.ends_m, bar.radius_m)
     )
+    first_m, second_m = (tuple(end) for end in bar.ends_m.tolist())
     return SpacingResult(
         name=bar.name,
-        ends_m=tuple(tuple(end) for end in bar.ends_m.tolist()),
+        ends_m=(first_m, second_m),
         error_m=float(np.linalg.norm(second.centre_m - first.centre_m)) - bar.length_m,
         points=(near.points, far.points),
     )

@@ -125,8 +125,9 @@ def _draw_view(ax: Axes, rig: Rig, *, across: int) -> None:
             ax.plot(*(1e3 * line.T), "--", color=color, lw=1)
     z_m = np.linspace(rig.near_m, rig.far_m, _DEPTHS)
     low, high = np.transpose([_edges(common_field(rig, z), across) for z in z_m])
-    common = {"color": _COMMON, "alpha": 0.35, "label": "common volume"}
-    ax.fill_betweenx(1e3 * z_m, 1e3 * low, 1e3 * high, lw=0, **common)
+    ax.fill_betweenx(
+        1e3 * z_m, 1e3 * low, 1e3 * high, lw=0, color=_COMMON, alpha=0.35, label="common volume"
+    )
     base = np.stack([np.zeros(3), rig.T_cam_proj[:3, 3]])
     ax.plot(*(1e3 * base[:, [across, 2]].T), color="black", lw=2, label="baseline")
     for name, z in (("near", rig.near_m), ("far", rig.far_m)):

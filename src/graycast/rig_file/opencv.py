@@ -189,17 +189,19 @@ def _size(content: Mapping[str, Any], device: str, path: Path) -> tuple[int, int
     """(width, height) as the file states it."""
     key = _find(content, f"{device} size", path)
     sides = next((pair for pair in _SIDES[device] if set(pair) <= set(content)), None)
-    if key is not None or sides is not None:
-        value = content[key] if key is not None else [content[side] for side in sides]
-        where = f"{path}: {key or ' and '.join(sides)}"
-        size = _numbers(value, where).ravel()
-        if size.shape != (2,) or (size != np.rint(size)).any() or (size < 1).any():
-            raise ConfigError(f"{where} is {size.tolist()}: give [width, height] in pixels")
-        return int(size[0]), int(size[1])
-    example = _EXAMPLES[f"{device} size"]
-    raise ConfigError(
-        f"{path}: the {device} image size is missing: add {example}, or give it as an option"
-    )
+    if key is not None:
+        value, where = content[key], f"{path}: {key}"
+    elif sides is not None:
+        value, where = [content[side] for side in sides], f"{path}: {' and '.join(sides)}"
+    else:
+        example = _EXAMPLES[f"{device} size"]
+        raise ConfigError(
+            f"{path}: the {device} image size is missing: add {example}, or give it as an option"
+        )
+    size = _numbers(value, where).ravel()
+    if size.shape != (2,) or (size != np.rint(size)).any() or (size < 1).any():
+        raise ConfigError(f"{where} is {size.tolist()}: give [width, height] in pixels")
+    return int(size[0]), int(size[1])
 
 
 def _metres_per_unit(T: Float[np.ndarray, "3"], unit: str | None, where: str) -> float:
@@ -295,7 +297,8 @@ def _read_file_storage(path: Path) -> Mapping[str, Any]:
         storage = cv2.FileStorage(str(path), cv2.FILE_STORAGE_READ)
     except (cv2.error, SystemError) as error:
         raise ConfigError(f"{path}: OpenCV cannot parse it: the file may be incomplete") from error
-    root, content = storage.root(), {}
+    root = storage.root()
+    content: dict[str, np.ndarray | list[float] | float | None] = {}
     for key in root.keys():
         node = root.getNode(key)
         if node.isMap():

@@ -3,8 +3,8 @@
 An absent key has the default in a rig file, and the rig's own value in a configuration.
 """
 
-from dataclasses import fields, replace
-from typing import Annotated, Any, TypeVar
+from dataclasses import MISSING, fields, replace
+from typing import Annotated, Any
 
 from ..decode import DecodeSpec, FilterSpec
 from ..errors import ConfigError
@@ -72,7 +72,11 @@ def scanner_of(rig: Rig, sections: ScannerSections) -> Scanner:
     Raises:
         ConfigError: see `with_sections`.
     """
-    defaults = {f.name: f.default_factory() for f in fields(Scanner) if f.name != "rig"}
+    defaults = {
+        f.name: f.default_factory()
+        for f in fields(Scanner)
+        if f.default_factory is not MISSING  # all but the rig
+    }
     try:
         made = Scanner(rig=rig, **_values(defaults, sections))
     except ValueError as error:
@@ -93,12 +97,12 @@ def _values(held: dict[str, Any], sections: ScannerSections) -> dict[str, Any]:
     return {name: _changed(value, getattr(sections, name), name) for name, value in held.items()}
 
 
-Value = TypeVar("Value")
+Spec = CodeSpec | ExposureSpec | SensorSpec | DecodeSpec | FilterSpec
 
 
-def _changed(value: Value, section: Settings, name: str) -> Value:
+def _changed(value: Spec, section: Settings, name: str) -> Spec:
     said: dict[str, Any] = section.model_dump(exclude_none=True)
-    if name == "code" and said.get("codec", value.codec) != value.codec:
+    if isinstance(value, CodeSpec) and said.get("codec", value.codec) != value.codec:
         value = type(value)(codec=said["codec"], axes=value.axes)  # the numbers were another's
     try:
         return replace(value, **said)

@@ -50,8 +50,9 @@ def decompose_apart(mesh: Mesh, *, on_stage: OnStage) -> Decomposition:
             finally:
                 child.kill()
                 child.wait()
-                child.stdin.close()
-                child.stdout.close()
+                for pipe in (child.stdin, child.stdout):
+                    if pipe is not None:
+                        pipe.close()
             if refusal is not None:
                 raise ValueError(refusal)
             made = read_decomposition(hull_file)
@@ -60,9 +61,9 @@ def decompose_apart(mesh: Mesh, *, on_stage: OnStage) -> Decomposition:
             return made
 
 
-def _follow(child: subprocess.Popen, on_stage: OnStage) -> str | None:
+def _follow(child: subprocess.Popen[str], on_stage: OnStage) -> str | None:
     """Report the child's stages until it ends; return why it refused the mesh, if it did."""
-    for line in child.stdout:
+    for line in child.stdout or ():
         message = json.loads(line)
         if "stage" in message:
             on_stage(message["stage"])

@@ -44,7 +44,8 @@ def hold_by_edges(
     tolerance_m = max(_LEAST_TOLERANCE_M, 4 * noise_m)
 
     def votes(poses: list[np.ndarray]) -> Float[np.ndarray, " p"]:
-        return sum(shape.votes(np.stack(poses), grid, tolerance_m) for grid in grids)
+        each = (shape.votes(np.stack(poses), grid, tolerance_m) for grid in grids)
+        return sum(each, start=np.zeros(len(poses)))
 
     best, step_m = T_world_cam, _FIRST_M
     most = votes([best])[0]

@@ -17,7 +17,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, UInt8
 from scipy.ndimage import maximum_filter, minimum_filter
 
 from ...camera_light import veiled
@@ -200,13 +200,20 @@ def _masks(
     surface = np.where(missed, SURFACES.index("table"), bin_surface)
     label = np.where(np.abs(off_m) < _NEAR_M, surface, NO_FACE)
     alike = minimum_filter(label, 3) == maximum_filter(label, 3)  # all neighbours
-    rgb = view.rgb[::step, ::step]
+    rgb = _rgb(view)[::step, ::step]
     usable = ((rgb >= _DARK) & (rgb <= _BRIGHT)).all(axis=-1)
     masks = {}
     for i, name in enumerate(SURFACES):
         masks[f"{name}_depth"] = alike & (label == i)
         masks[name] = masks[f"{name}_depth"] & usable
     return masks
+
+
+def _rgb(view: BinView) -> UInt8[np.ndarray, "h w 3"]:
+    """A view's picture; `fit_look` takes only views that have one."""
+    if view.rgb is None:
+        raise ValueError(f"{view.name}: has no colour picture")
+    return view.rgb
 
 
 def _ratios(
@@ -223,7 +230,7 @@ def _ratios(
     found: dict[str, list[np.ndarray]] = {name: [] for name in shown}
     floors = []
     for view, mask in zip(views, masks, strict=True):
-        real = linear(view.rgb[::step, ::step])
+        real = linear(_rgb(view)[::step, ::step])
         ratio = {n: np.median(real[mask[n]] / np.maximum(rgb[mask[n]], 1e-12), 0) for n in shown}
         floors.append(float(ratio["floor"].mean()))
         for name in shown:

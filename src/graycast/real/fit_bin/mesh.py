@@ -118,7 +118,7 @@ def mesh_shape(box: Bin) -> MeshShape:
         mesh=mesh,
         inner_m=box.inner_m,
         names=NAMES,
-        surface=_surfaces(box, corner.mean(axis=1), normal),
+        surface=_surfaces(box, mesh, corner.mean(axis=1), normal),
         normal=normal,
         offset_m=(normal * corner[:, 0]).sum(axis=1),
         axis=np.abs(normal).argmax(axis=1),
@@ -150,7 +150,7 @@ def _spread(
 
 
 def _surfaces(
-    box: Bin, middle_m: Float[np.ndarray, "f 3"], normal: Float[np.ndarray, "f 3"]
+    box: Bin, mesh: Mesh, middle_m: Float[np.ndarray, "f 3"], normal: Float[np.ndarray, "f 3"]
 ) -> Int[np.ndarray, " f"]:
     """Indices into `NAMES`."""
     axis = np.abs(normal).argmax(axis=1)
@@ -163,4 +163,4 @@ def _surfaces(
     surface = np.where(inward, 1 + side, 5 + side)
     up, down = NAMES.index("rim and ledges"), NAMES.index("underside")
     surface = np.where(axis == 2, np.where(sign > 0, up, down), surface)
-    return np.where(inner_floor(box, box.mesh), NAMES.index("floor"), surface)
+    return np.where(inner_floor(box, mesh), NAMES.index("floor"), surface)

@@ -202,4 +202,6 @@ def _view(name: str, seen: Seen, distortion: Sequence[float]) -> BinView:
         camera = optics_of(seen.K, seen.size_px, distortion)
     except ValueError as error:
         raise DatasetError(f"{name}: its camera cannot be used: {error}") from error
+    if seen.depth_m is None:
+        raise DatasetError(f"{name}: has no depth")
     return BinView(name=name, camera=camera, depth_m=seen.depth_m, rgb=seen.rgb)

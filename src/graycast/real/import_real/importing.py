@@ -5,6 +5,7 @@ import json
 import platform
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
@@ -141,10 +142,9 @@ def _object_names(found: Sequence[str], given: Sequence[str] | None) -> list[str
 
 def _survey(shots: Sequence[RealPicture], camera: _Camera) -> tuple[Seen, float]:
     """Reads all once, so that what cannot be used is told before anything is written."""
-    first, deepest_m = None, 0.0
-    for shot in shots:
-        seen = camera.read(shot)
-        first = first or seen
+    pictures = map(camera.read, shots)
+    first, deepest_m = next(pictures), 0.0
+    for shot, seen in zip(shots, chain([first], pictures), strict=True):
         if seen.size_px != first.size_px or seen.holds != first.holds:
             is_, was = (
                 f"{s.size_px[1]} x {s.size_px[0]} pixels with {', '.join(s.holds)}"

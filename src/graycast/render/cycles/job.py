@@ -5,10 +5,10 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, NotRequired, TypedDict
 
 import numpy as np
-from jaxtyping import Float, Int, UInt8
+from jaxtyping import Float, Float32, Int, Int32, UInt8
 from PIL import Image
 
 from ...optics import Optics, fold_radius2, rays
@@ -162,8 +162,8 @@ def _field_tangent(rig: Rig) -> float:
     y = np.array([-0.5, projector.height_px - 0.5])
     border = np.concatenate(
         [
-            np.stack(np.meshgrid(x, np.linspace(*y, 65)), axis=-1).reshape(-1, 2),
-            np.stack(np.meshgrid(np.linspace(*x, 65), y), axis=-1).reshape(-1, 2),
+            np.stack(np.meshgrid(x, np.linspace(y[0], y[1], 65)), axis=-1).reshape(-1, 2),
+            np.stack(np.meshgrid(np.linspace(x[0], x[1], 65), y), axis=-1).reshape(-1, 2),
         ]
     )
     tangent = np.linalg.norm(rays(projector, border)[:, :2], axis=-1).max()
@@ -212,8 +212,18 @@ def _alone(
     )
 
 
+class _MeshArrays(TypedDict):
+    """What a mesh's file holds."""
+
+    vertices_m: Float32[np.ndarray, "v 3"]
+    faces: Int32[np.ndarray, "f 3"]
+    T_world: Float[np.ndarray, "n 4 4"]
+    corner_uv: NotRequired[Float32[np.ndarray, "f 3 2"]]
+    corner_normals: NotRequired[Float32[np.ndarray, "f 3 3"]]
+
+
 def _mesh(folder: Path, index: int, placed: _Placed) -> dict[str, Any]:
-    arrays = {
+    arrays: _MeshArrays = {
         "vertices_m": placed.mesh.vertices_m.astype(np.float32),
         "faces": placed.mesh.faces.astype(np.int32),
         "T_world": placed.T_world,

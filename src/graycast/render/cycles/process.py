@@ -86,6 +86,9 @@ class CyclesProcess:
             text=True,
             start_new_session=True,  # Ctrl-C is for the parent, which then ends it
         )
+        if self._child.stdin is None or self._child.stdout is None:
+            raise ValueError("a child without pipes takes no jobs")
+        self._jobs, self._answers = self._child.stdin, self._child.stdout
         try:
             self._answer()  # that it is ready
         except CyclesDied as error:
@@ -100,8 +103,8 @@ class CyclesProcess:
             GraycastError: Cycles refused the job.
         """
         try:
-            self._child.stdin.write(f"{folder}\n")
-            self._child.stdin.flush()
+            self._jobs.write(f"{folder}\n")
+            self._jobs.flush()
         except OSError:
             pass  # it has ended: the answer says how
         while "done" not in (answer := self._answer()):
@@ -113,14 +116,14 @@ class CyclesProcess:
         """End the child at once; between jobs it holds no state."""
         self._child.kill()
         self._child.wait()
-        for stream in (self._child.stdin, self._child.stdout, self._log):
+        for stream in (self._jobs, self._answers, self._log):
             try:
                 stream.close()
             except OSError:
                 pass  # what was not sent is not wanted any more
 
     def _answer(self) -> dict[str, Any]:
-        line = self._child.stdout.readline()
+        line = self._answers.readline()
         if line.endswith("\n"):
             return json.loads(line)
         code = self._child.wait()

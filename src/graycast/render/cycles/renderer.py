@@ -90,6 +90,8 @@ class CyclesRenderer(Renderer):
             )
         cycles = examine_cycles()
         self.device = choose_cycles_device(device, cycles)
+        if cycles.python is None:
+            raise DeviceError("Blender Cycles has no Python to run in")
         self.versions = {"bpy": str(cycles.version)}
         self._python = cycles.python
         self.threads, self.patterns_per_render = threads, patterns_per_render

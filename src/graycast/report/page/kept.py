@@ -52,11 +52,13 @@ def read_kept(scene: StoredScene) -> Kept:
 
 def frames_script(name: str, raw: Raw, stride: int) -> dict[str, Any]:
     """Every captured picture with 8 bits: 0 at the sensor's offset, 255 where it saturates."""
-    sensor = raw.scanner.sensor
+    sensor, capture = raw.scanner.sensor, raw.capture
+    if capture is None:
+        raise ValueError("no picture was captured")
     table = _grey_levels(sensor)
-    width_px = -(-raw.capture.frames.shape[2] // stride)
+    width_px = -(-capture.frames.shape[2] // stride)
     pictures = [
-        jpeg_url(shrunk(np.take(table, image), width_px), _QUALITY) for image in raw.capture.frames
+        jpeg_url(shrunk(np.take(table, image), width_px), _QUALITY) for image in capture.frames
     ]
     return {
         "key": name,
@@ -64,7 +66,7 @@ def frames_script(name: str, raw: Raw, stride: int) -> dict[str, Any]:
         "bits": sensor.bit_depth,
         "low_dn": float(sensor.offset_dn),
         "high_dn": float(sensor.saturation_dn),
-        "merged": isinstance(raw.capture.exposure_s, np.ndarray),
+        "merged": isinstance(capture.exposure_s, np.ndarray),
     }
 
 

@@ -117,6 +117,19 @@ def test_the_slope_under_the_pads_is_that_of_a_wedge(slope):
     assert aside_m == pytest.approx(outermost / 2 - 0.01, abs=1e-9)
 
 
+def test_what_lies_behind_the_face_that_a_pad_meets_does_not_lean_it():
+    """A block 20 mm thick whose corner is cut at 45 degrees under the half of one pad."""
+    outline = [[0, -0.02], [0.02, -0.02], [0.02, 0.8e-3], [5e-3, 15.8e-3], [0, 15.8e-3]]
+    from shapely.geometry import Polygon
+
+    part = part_of(trimesh.creation.extrude_polygon(Polygon(outline), 0.04))
+    aside_m, slope = closing(part.mesh, Jaws(opening_m=0.06), at(0.01, 0.0, 0.02))
+    assert slope == pytest.approx(0, abs=1e-6) and aside_m == pytest.approx(0, abs=1e-9)
+    # 3 mm farther along, the pad meets the cut alone, and slips.
+    _, slope = closing(part.mesh, Jaws(opening_m=0.06), at(0.01, 0.006, 0.02))
+    assert slope == pytest.approx(1, rel=1e-6)
+
+
 def test_a_pad_that_meets_nothing_closes_on_nothing():
     part = part_of(trimesh.creation.box((0.03, 0.06, 0.02)))
     assert closing(part.mesh, Jaws(opening_m=0.06), at(0, 0.04, 0)) is None

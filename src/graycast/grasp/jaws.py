@@ -16,6 +16,7 @@ from .robust import SHAKE, Doubt
 CLEARANCE_M = 2e-3  # between each open finger and the part
 TURNS = 8  # ways round the pads' axis that are tried at each place
 PAD_LINES = 8  # on each of two rings, along which a pad is followed to the part
+PAD_GIVES_M = 0.5e-3  # by which a rubber pad is pressed in
 PROBES = 3000  # points of the surface that no finger may hold within itself
 
 
@@ -140,8 +141,9 @@ def closing(
     """The contact of jaws that close on a mesh: the middle between the pads, and the steeper slope.
 
     Lines parallel to the jaws' axis are followed from each open pad to the other: the first surface
-    that a pad meets. What lies beyond an open pad is not between them. The slope is the tangent
-    between the axis and the mean normal under a pad.
+    that a pad meets. What lies beyond an open pad is not between them. A pad touches what lies
+    within `PAD_GIVES_M` of the point that it meets first, and no surface behind that. The slope is
+    the tangent between the axis and the mean normal of what a pad touches.
 
     Args:
         mesh: what they close on.
@@ -173,7 +175,8 @@ def closing(
         hit = far_m >= 0
         if hit.sum() < len(line) / 2:
             return None
-        normal = cross[face[hit]] / np.linalg.norm(cross[face[hit]], axis=1, keepdims=True)
+        touched = face[far_m >= far_m.max() - PAD_GIVES_M]
+        normal = cross[touched] / np.linalg.norm(cross[touched], axis=1, keepdims=True)
         mean = R.T @ normal.mean(axis=0)
         along = side * mean[0] / np.linalg.norm(mean)
         slopes.append(float(np.tan(np.arccos(np.clip(along, 1e-6, 1)))))

@@ -31,7 +31,7 @@ def plot_runs(runs: Mapping[str, Summary], path: Path) -> None:
         GraycastError: the file cannot be written.
     """
     figure, (rate, failures, left) = plain_figure(
-        11.0, 1.5 + 0.32 * len(runs), (1.0, 1.6, 0.7), grid="x"
+        11.0, 1.7 + 0.32 * len(runs), (1.0, 1.6, 0.7), grid="x"
     )
     _rates(rate, runs)
     _failures(failures, runs)
@@ -41,6 +41,7 @@ def plot_runs(runs: Mapping[str, Summary], path: Path) -> None:
     for ax in (rate, failures, left):
         ax.set_yticks(range(len(runs)), list(runs) if ax is rate else [])
         ax.set_ylim(len(runs) - 0.4, -0.6)
+    figure.legend(fontsize=8, frameon=False, ncols=6, loc="outside lower center")
     save_png(figure, path, dpi=110)
 
 
@@ -61,5 +62,4 @@ def _failures(ax: Axes, runs: Mapping[str, Summary]) -> None:
             each = 100 * count / parts
             ax.barh(range(len(runs)), each, left=start, color=color, height=0.6, label=outcome)
             start += each
-    ax.legend(fontsize=7, frameon=False, ncols=4, loc="upper center", bbox_to_anchor=(0.5, -0.35))
     caption(ax, "Attempts that took none, by outcome", "for 100 parts in the bins")

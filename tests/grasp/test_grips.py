@@ -5,6 +5,7 @@ import math
 import numpy as np
 import pytest
 import trimesh
+from scipy.stats import norm
 
 from graycast.frames import axis_rotation, rigid
 from graycast.grasp import (
@@ -103,6 +104,29 @@ def test_jaw_grips_of_a_box_close_on_parallel_faces_that_fit():
     grips = best_first(places)
     # 2 mm of room on both sides: of 20 and 30 mm both fit into 35 mm, 40 mm does not.
     assert {round(1e3 * grip.opening_m, 6) for grip in grips} == {20.0, 30.0}
+
+
+@pytest.mark.slow
+def test_a_jaw_grip_s_score_is_the_chance_that_both_pads_still_meet_the_part():
+    """Oracle: two normal laws. A pad's middle must stay on the face, and the part between the open
+    pads, with 2 mm of room on each side."""
+    doubt = Doubt(position_m=1e-3, angle_rad=0.0, friction_share=0.0, center_m=0.0)
+    places = jaw_places(
+        box(), JAWS, weight_n=0.1, center_m=np.zeros(3), doubt=doubt, count=80, chances=150
+    )
+    half, seen = np.array(SIDES_M) / 2, 0
+    for grip in places:
+        R, middle = grip.T_part_tool[:3, :3], grip.T_part_tool[:3, 3]
+        if grip.score == 0 or np.abs(R).max(axis=0).min() < 0.999:
+            continue  # in the way, or not along the edges
+        room = [half[np.abs(R[:, k]).argmax()] - abs(middle @ R[:, k]) for k in (1, 2)]
+        if max(room) < JAWS.pad_radius_m + 3e-3:
+            continue  # at a corner, where both edges cut the pad's disc
+        expected = norm.cdf(min(room) / 1e-3) * (2 * norm.cdf(2) - 1)
+        error = math.sqrt(expected * (1 - expected) / 150)
+        assert grip.score == pytest.approx(expected, abs=4 * error + 1 / 150)
+        seen += expected < 0.9
+    assert seen >= 2  # some are near an edge
 
 
 def test_no_finger_stands_in_the_part():

@@ -131,6 +131,7 @@ def test_a_moved_rig_is_rendered_and_no_part_falls(watched):
 
 @pytest.mark.slow
 def test_a_surface_is_light_and_a_number_of_parts_is_physics(watched):
+    watched.show()  # the slow suite has shown nothing before
     box = watched.config.bin.model_dump(exclude_none=True)
     material = box["material"] | {"base_color": (0.8, 0.8, 0.8)}
     assert set(watched.show(bin=box | {"material": material})) == {"light"}

@@ -6,8 +6,9 @@ from typing import no_type_check
 import numba
 import numpy as np
 from jaxtyping import Float
+from scipy.spatial.transform import Rotation
 
-from ..frames import rigid
+from ..frames import inverse, rigid, transform_points
 from ..parts import Mesh
 from ..parts.sampling import spread_points
 from .grip import Grip, downs
@@ -86,9 +87,10 @@ def jaw_places(
 
     They hold where both normals lie in the cone of friction about the line between the pads, and no
     point of the part lies in an open finger or in the palm: so one finger may stand in a hole or
-    between two walls that leave it room. The score is then the share of chances (friction, centre
-    of mass) in which the normals stay in the cone and the burden is held, the least over an upright
-    tool and one that leans to four sides; elsewhere it is 0.
+    between two walls that leave it room. The score is then the share of chances (place of the tool,
+    friction, centre of mass) in which both pads meet the part within the cone and the burden is
+    held, the least over an upright tool and one that leans to four sides; elsewhere it is 0. The
+    first chance is the grip as planned.
 
     Args:
         mesh: of the part.
@@ -104,6 +106,7 @@ def jaw_places(
     point, normal = spread_points(mesh, count)
     probes = spread_points(mesh, PROBES)[0]
     off = rng.normal(size=(chances, 4))
+    T_tool_true = _displaced(doubt, chances, seed)
     friction = jaws.friction * np.maximum(1 + doubt.friction_share * off[:, 0], 0)
     a, b, c = np.moveaxis(mesh.vertices_m[mesh.faces].astype(np.float64), 1, 0)
     through_m, face = _far_side(point, -normal, a, b - a, c - a)
@@ -114,13 +117,15 @@ def jaw_places(
     closes = slope <= jaws.friction
     places = []
     for i in np.flatnonzero(fits):
-        held = friction >= slope[i]
         for turn in 2 * np.pi * np.arange(TURNS) / TURNS:
             T = _closed_on(point[i] - normal[i] * through_m[i] / 2, normal[i], turn)
             opening_m = float(through_m[i])
             if not closes[i] or _in_the_way(jaws, probes, T, opening_m):
                 places.append(Grip(T_part_tool=T, score=0.0, opening_m=opening_m))
                 continue
+            wide_m = opening_m + 2 * CLEARANCE_M
+            met = [closing(mesh, jaws, T @ error, opening_m=wide_m) for error in T_tool_true]
+            held = friction >= [np.inf if one is None else one[1] for one in met]
             centers = (center_m + doubt.center_m * off[:, 1:] - T[:3, 3]) @ T[:3, :3]
             loads_n = SHAKE * weight_n * downs()[:, None].repeat(chances, axis=1)
             factor = np.array(
@@ -129,6 +134,17 @@ def jaw_places(
             score = np.mean(held & (factor * friction / jaws.friction >= 1), axis=1).min()
             places.append(Grip(T_part_tool=T, score=float(score), opening_m=opening_m))
     return places
+
+
+def _displaced(doubt: Doubt, count: int, seed: int) -> Float[np.ndarray, "k 4 4"]:
+    """Where a tool may be instead, in its planned frame; at most three deviations off."""
+    rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(1,)))
+    off = np.clip(rng.normal(size=(count, 6)), -3, 3)
+    off[0] = 0
+    turned = Rotation.from_rotvec(doubt.angle_rad * off[:, :3]).as_matrix()
+    return np.stack(
+        [rigid(R, doubt.position_m * at) for R, at in zip(turned, off[:, 3:], strict=True)]
+    )
 
 
 def closing(
@@ -163,21 +179,26 @@ def closing(
     ]
     line = np.concatenate(across)
     open_m = jaws.opening_m if opening_m is None else opening_m
-    start = np.column_stack([np.full(len(line), -open_m / 2), line])
-    R = T_mesh_tool[:3, :3]
-    a, b, c = np.moveaxis(mesh.vertices_m[mesh.faces].astype(np.float64), 1, 0)
-    cross = mesh.face_cross_m2
+    seen = transform_points(inverse(T_mesh_tool), mesh.vertices_m.astype(np.float64))
+    reach_m = jaws.pad_radius_m
+    near = np.ones(len(mesh.faces), dtype=bool)  # to the lines; no others are crossed
+    for i in (1, 2):
+        first, second, third = seen[:, i][mesh.faces.T]
+        near &= np.minimum(np.minimum(first, second), third) <= reach_m
+        near &= np.maximum(np.maximum(first, second), third) >= -reach_m
+    a, b, c = np.moveaxis(seen[mesh.faces[near]], 1, 0)
+    cross = np.cross(b - a, c - a)
     outermost_m, slopes = [], []
     for side in (1.0, -1.0):
-        origin = np.ascontiguousarray((start * [side, 1, 1]) @ R.T + T_mesh_tool[:3, 3])
-        way = np.ascontiguousarray(np.tile(side * R[:, 0], (len(line), 1)))
+        origin = np.column_stack([np.full(len(line), -side * open_m / 2), line])
+        way = np.tile([side, 0.0, 0.0], (len(line), 1))
         far_m, face = _far_side(origin, way, a, b - a, c - a, most_m=open_m)
         hit = far_m >= 0
         if hit.sum() < len(line) / 2:
             return None
         touched = face[far_m >= far_m.max() - PAD_GIVES_M]
         normal = cross[touched] / np.linalg.norm(cross[touched], axis=1, keepdims=True)
-        mean = R.T @ normal.mean(axis=0)
+        mean = normal.mean(axis=0)
         along = side * mean[0] / np.linalg.norm(mean)
         slopes.append(float(np.tan(np.arccos(np.clip(along, 1e-6, 1)))))
         outermost_m.append(side * float(far_m[hit].max() - open_m / 2))

@@ -143,7 +143,7 @@ def test_jaws_hold_a_plate_that_stands_on_its_edge():
     labels = label_scene(world, heap, Labelling(tool=JAWS, simulate=6), seed=0, scene_id=0)
     tried = [label for label in labels if label.ending is not None]
     assert len(tried) == 6
-    good = [label for label in tried if label.grip.score == 1.0]
+    good = [label for label in tried if label.grip.score > 0.9]  # 2 mm of room are two deviations
     assert good and all(label.ending.success for label in good)
 
 

@@ -90,8 +90,9 @@ def measure_poses(
     Args:
         instances: of each dataset, drawn from those visible enough.
         detector: an opened one of `detect`. Then the instances are of the scenes that its
-            training kept for tests, and its detections are a further case: each instance has the
-            detection of its class with the largest overlap, of at least `LEAST_IOU`.
+            training kept for tests, and its masks and its boxes are two further cases: each
+            instance has the detection of its class with the largest overlap of boxes, of at least
+            `LEAST_IOU`.
         out: also write the poses as BOP's results, and sheets of pictures with the poses drawn.
 
     Raises:

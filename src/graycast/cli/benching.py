@@ -55,7 +55,7 @@ POSE = """\
 Estimate the poses of parts in datasets whose true poses are known. In the scanner's depth, the
 parts are given by their true masks, by boxes of the right size, and by boxes that are 20 % too
 large or too small; in perfect depth, they are given by masks and boxes. With --detector they are
-also given by the detections in the scenes that the detector has not seen. For each case the
+also given by the masks and boxes that it finds in the scenes of its test set. For each case the
 command prints the share of poses within 5 degrees and 3 mm modulo the symmetry of the part's
 shape, the share of instances that were detected, the first share modulo only the symmetry that
 the dataset states (strict), the median errors, and the median processor time per instance in
@@ -174,7 +174,7 @@ def _add_pose(kinds) -> None:
         type=Path,
         metavar="RUN",
         help="The folder that graycast train wrote. The instances are then of the scenes that its "
-        "training kept for tests, and its detections are one more case.",
+        "training kept for tests, and its masks and its boxes are two more cases.",
     )
     pose.add_argument(
         "--out",

@@ -90,7 +90,7 @@ def jaw_places(
     between two walls that leave it room. The score is then the share of chances (place of the tool,
     friction, centre of mass) in which both pads meet the part within the cone and the burden is
     held, the least over an upright tool and one that leans to four sides; elsewhere it is 0. The
-    first chance is the grip as planned.
+    first chance has the tool where it was planned.
 
     Args:
         mesh: of the part.

@@ -1,5 +1,6 @@
 """One reader for datasets, for their exports that hold examples, and for datasets of others."""
 
+from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
@@ -119,9 +120,19 @@ def _from_others(path: Path, foreign: Foreign, split: str, division: Split) -> E
         split=split,
         scene_ids=tuple(i for i, scene in enumerate(foreign.scene_of) if scene in inside),
         categories=foreign.categories,
-        place_of={i: (scene, "", i) for i, scene in enumerate(foreign.scene_of)},
+        place_of=_places(foreign.scene_of),
         read=foreign.read,
     )
+
+
+def _places(scene_of: Sequence[int]) -> dict[int, tuple[int, str, int]]:
+    """`Examples.place_of` of pictures by one scanner without a name."""
+    before: Counter[int] = Counter()
+    places = {}
+    for i, scene in enumerate(scene_of):
+        places[i] = (scene, "", before[scene])
+        before[scene] += 1
+    return places
 
 
 def _stored_example(stored: StoredDataset, scene_id: int) -> Example:

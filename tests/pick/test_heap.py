@@ -105,6 +105,26 @@ def test_a_part_is_left_out_for_the_fingers_that_close_round_it(heap):
     assert at(without, 0.045, 0.03) < 0.02 < at(heap, 0.045, 0.03)
 
 
+def test_a_part_beside_a_wall_is_not_taken_to_be_as_high_as_the_wall():
+    """What the camera sees of walls is the bin's; where the part was is as high as the floor."""
+    above = look_at(np.array([0.0, 0.0, 0.5]), np.zeros(3), np.array([0.0, 1.0, 0.0]))
+
+    def beside(x, y):
+        part = np.where((x > 0.055) & (x < 0.095) & (np.abs(y) < 0.03), 0.02, 0.0)
+        inside = (np.abs(x) < 0.1) & (np.abs(y) < 0.08)
+        return np.where(inside, part, BOX.inner_m[2])
+
+    depth = depth_of(beside, above)
+    point = above[:3, 3] + (rays(CAMERA, pixel_grid(200, 240)) * depth[..., None]) @ above[:3, :3].T
+    seen = (point[..., 2] > 5e-4) & (point[..., 2] < 0.021) & (np.abs(point[..., 1]) < 0.032)
+    seen &= (point[..., 0] > 0.05) & (point[..., 0] < 0.099)
+    whole = measured_heap(depth, CAMERA, above, BOX)
+    assert at(whole, 0.075, 0.0) == pytest.approx(0.02, abs=1e-3)
+    assert whole.height_m.max() < 0.03  # and no wall
+    without = measured_heap(depth, CAMERA, above, BOX, without=seen)
+    assert at(without, 0.075, 0.0) < 5e-3
+
+
 @pytest.mark.parametrize(
     ("x", "y", "hit"),
     [(0.045, 0.03, True), (-0.045, 0.03, False), (0.045, -0.03, False), (-0.045, -0.03, False)],

@@ -144,7 +144,7 @@ def _pick(options: argparse.Namespace) -> int:
     seed = config.seed if options.seed is None else options.seed
     names = ", ".join(part.name for part in cell.cell.scene.parts)
     print(
-        f"{options.bins} bins of {names}, {config.robot.arm} with {config.tool.kind}, rig "
+        f"{_bins(options.bins)} of {names}, {config.robot.arm} with {config.tool.kind}, rig "
         f"{cell.cell.scene.rig.name}, seed {seed}"
     )
     with progress_bar() as bar:
@@ -206,6 +206,10 @@ def _depth(text: str) -> dict[str, object]:
         ) from None
 
 
+def _bins(count: int) -> str:
+    return "1 bin" if count == 1 else f"{count} bins"
+
+
 def _picks(options: argparse.Namespace) -> int:
     from ..pick import compared, plot_runs, read_episodes, summarize
 
@@ -248,7 +252,7 @@ def _tell(summary) -> None:
         f"(95 % interval {low:.1%} to {high:.1%})"
     )
     print(
-        f"{summary.bins} bins, {summary.cleared} cleared; of {summary.filled} parts "
+        f"{_bins(summary.bins)}, {summary.cleared} cleared; of {summary.filled} parts "
         f"{summary.taken} taken, {summary.left} left, {summary.spilled} spilled"
     )
     for name, count in summary.outcomes.items():

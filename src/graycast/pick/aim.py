@@ -12,11 +12,10 @@ from ..grasp import Doubt, Grip, suction_in_depth
 from ..optics import Optics, project, rays
 from ..pose import PoseModel, find_pose, find_pose_in_box
 from ..scene import Bin
+from .heap import FLOOR_M, WALL_M
 from .tools import SuctionTool
 
 LEAST_AREA = 0.3  # as a share of the largest detection's pixels, which a detection must have
-FLOOR_M = 3e-3  # what lies lower than this above the bin's floor is the floor
-WALL_M = 5e-3  # what lies nearer to a wall is the wall
 LEAST_POSE = 0.3  # a pose's score below which no grip is taken from it
 BESIDE_PX = 2  # so near an outline, what covers a part is looked for
 COVERED_M = 8e-3  # what is nearer to the camera by more than this lies on the part

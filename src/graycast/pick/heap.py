@@ -4,7 +4,9 @@ Measured points become heights over a grid on the bin's floor. Where the scanner
 may be a part: such a place is taken to be as high as the highest that was seen within `GUESSED_M`
 of the nearest place that was seen. So a shadow beside a part is as high as the part, and
 the middle of a dark, wide hole as high as its rim. An isolated point, such as a spike, is
-ignored. Each place gets the height of its highest neighbour, because a scanner loses the rim of
+ignored. What was measured of the bin's walls is left out, since the bin is an obstacle of its own:
+else a part that is left out beside a wall would be guessed to be as high as the wall. Each place
+gets the height of its highest neighbour, because a scanner loses the rim of
 a part and the grid rounds. A tool therefore keeps a distance of `CELL_M`.
 """
 
@@ -15,14 +17,17 @@ import numpy as np
 from jaxtyping import Bool, Float
 from scipy import ndimage
 
-from ..frames import pixel_grid, transform_points
+from ..frames import inverse, pixel_grid, transform_points
 from ..optics import Optics, rays
-from ..scene import Bin
+from ..raster import rasterize
+from ..scene import Bin, bin_mesh
 
 CELL_M = 4e-3
 BESIDE = ndimage.generate_binary_structure(2, 1)  # a node is as high as the four beside it
 GUESSED_M = 8e-3
 NEIGHBOURS, STEP_M = 3, 6e-3  # a point is believed where so many beside it are so near in depth
+FLOOR_M = 3e-3  # what lies lower than this above the bin's floor is the floor
+WALL_M = 5e-3  # what lies nearer to a wall is the wall
 BELOW_M = 0.05  # what stands on the table is solid so far down
 
 
@@ -56,7 +61,7 @@ def measured_heap(
         depth_m: z of each pixel, NaN where it is missing.
         without: pixels that are left out: the part that fingers are to close round.
     """
-    kept = _supported(depth_m)
+    kept = _supported(depth_m) & ~_of_wall(depth_m, camera, T_world_cam, box)
     kept &= True if without is None else ~without
     ray = rays(camera, pixel_grid(camera.height_px, camera.width_px)[kept])
     point = transform_points(T_world_cam, ray * depth_m[kept][:, None])
@@ -68,6 +73,27 @@ def measured_heap(
     np.maximum.at(height, (i[inside], j[inside]), point[inside, 2])
     seen = np.isfinite(height)
     return MeasuredHeap(height_m=_guessed(height, seen, box.inner_m[2]), seen=seen)
+
+
+def _of_wall(
+    depth_m: Float[np.ndarray, "h w"],
+    camera: Optics,
+    T_world_cam: Float[np.ndarray, "4 4"],
+    box: Bin,
+) -> Bool[np.ndarray, "h w"]:
+    """Pixels whose point lies on a wall of the bin, or on its rim."""
+    mesh = bin_mesh(box)
+    T_cam_world = inverse(T_world_cam)
+    vertices_cam = transform_points(T_cam_world, mesh.vertices_m)
+    face, z = rasterize(vertices_cam, mesh.faces, camera).over(camera)
+    ray = rays(camera, pixel_grid(camera.height_px, camera.width_px))
+    height_m = transform_points(T_world_cam, (ray * z[..., None]).reshape(-1, 3))[:, 2]
+    cross = mesh.face_cross_m2
+    normal = (cross / np.linalg.norm(cross, axis=1, keepdims=True)) @ T_cam_world[:3, :3].T
+    off_m = np.abs((depth_m - z) * (ray * normal[face]).sum(axis=-1))
+    with np.errstate(invalid="ignore"):
+        above = height_m.reshape(z.shape) > FLOOR_M
+    return (face >= 0) & above & (off_m < WALL_M)
 
 
 def _supported(depth_m: Float[np.ndarray, "h w"]) -> Bool[np.ndarray, "h w"]:

@@ -16,3 +16,9 @@ def test_mcnemars_chance_is_the_binomial_laws():
     assert mcnemar(1, 9) == pytest.approx(2 * 11 / 1024)
     assert mcnemar(9, 1) == mcnemar(1, 9)
     assert mcnemar(5, 5) == mcnemar(0, 0) == 1.0
+
+
+def test_the_interval_of_all_and_of_none_ends_at_the_share_itself():
+    """(p + z^2/2n +- ...) / (1 + z^2/n) is exactly 1 or 0 there, which rounding misses."""
+    for of in range(1, 300):
+        assert wilson(of, of)[1] == 1.0 and wilson(0, of)[0] == 0.0

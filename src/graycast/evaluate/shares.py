@@ -15,7 +15,9 @@ def wilson(hits: int, of: int) -> tuple[float, float]:
     share, spread = hits / of, z * z / of
     middle = share + spread / 2
     half = z * math.sqrt(share * (1 - share) / of + spread / (4 * of))
-    return (middle - half) / (1 + spread), (middle + half) / (1 + spread)
+    low, high = (middle - half) / (1 + spread), (middle + half) / (1 + spread)
+    # Both ends are exact where all or none hit; rounding would leave the share itself out.
+    return low if hits else 0.0, high if hits < of else 1.0
 
 
 def mcnemar(only_first: int, only_second: int) -> float:

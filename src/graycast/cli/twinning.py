@@ -90,7 +90,7 @@ def _twin(options: argparse.Namespace) -> int:
     from ..real.depth_file import read_intrinsics
     from ..real.fitted_config import refuse_existing, refuse_there
     from ..real.realism import read_scans
-    from ..real.twin import check_scans, files_of, make_twin, summary, write_twin
+    from ..real.twin import check_scans, files_of, make_twin, notes_on, summary, write_twin
 
     refuse_existing(options.out, options.config)
     refuse_there(*files_of(options.out))
@@ -102,6 +102,8 @@ def _twin(options: argparse.Namespace) -> int:
     if not scans:
         raise GraycastError("no scans are given: name depth files or a folder of them")
     check_scans(scans, cell)
+    for note in notes_on(cell.config.domain):
+        print(f"note: {note}")
     with progress_bar() as bar:
         going = bar.add_task("", total=None)
         twin = make_twin(

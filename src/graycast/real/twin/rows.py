@@ -78,10 +78,15 @@ def compare(real: Figures, twin: Figures) -> tuple[Row, ...]:
     return tuple(rows)
 
 
+def pulls_of(rows: Sequence[Row]) -> Float[np.ndarray, " n"]:
+    """How many spreads each of the sensor's rows is off, bounded smoothly."""
+    share = np.array([row.off for row in rows if row.owner == "sensor"]) / _MOST_Z
+    return _MOST_Z * np.sign(share) * np.sqrt(np.tanh(share**2))
+
+
 def loss_of(rows: Sequence[Row]) -> float:
     """Mean square of how far the sensor's rows are off, each bounded."""
-    off = np.array([row.off for row in rows if row.owner == "sensor"])
-    return float((_MOST_Z**2 * np.tanh((off / _MOST_Z) ** 2)).mean())
+    return float((pulls_of(rows) ** 2).mean())
 
 
 # name: unit, whose doing, and the least spread that is believed

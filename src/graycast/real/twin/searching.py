@@ -4,17 +4,20 @@ Light is rendered once for each code, so a trial is exposure, noise, decoding an
 Covariance matrix adaptation walks the box of the declared parameters (Hansen's `cma`), with the
 same noise in every trial, so that the same search takes the same way. First each
 parameter is tried alone, which finds what is far off. A code is no number: each candidate has a
-short search from there, and the best goes on.
+short search from there, and the best goes on
+by damped Gauss-Newton steps, as the loss is a sum of squares.
 
 Source: Hansen, "The CMA Evolution Strategy: A Tutorial", arXiv 1604.00772.
 """
 
+import contextlib
 import importlib.util
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Float
+from scipy.optimize import least_squares
 
 from ...errors import GraycastError
 from ...pattern import CodeSpec
@@ -22,14 +25,15 @@ from ...scanner import Scanner
 from ..realism import DepthScan
 from ..realism.patches import find_floor
 from .parameters import BIN_REFLECTANCE, Parameter, shares_of, values_at, with_values
-from .rows import Figures, Row, compare, figures_of, loss_of
+from .rows import Figures, Row, compare, figures_of, loss_of, pulls_of
 from .stage import Lit, scan_lit
 
-FIRST_STEP = 0.2  # of the way between the bounds
+_FIRST_STEP = 0.2  # of the way between the bounds
 _FIRST_PART = 0.15  # as a share of the trials, for the short search of each code
 _DARK_LOSS = 1e3  # of a scanner that sees nothing
 _FIRST_LOOK = (0.0, 0.5, 1.0)  # shares at which a parameter is tried alone before the search
 _PROFILE = np.linspace(0.0, 1.0, 5)  # shares at which a parameter is tried alone, beside the best
+_LEVER = 0.1  # as a share: a slope over less is mostly noise
 _DECIDED = 0.5  # as a share of its range: a parameter held worse than this is not decided
 
 OnTrial = Callable[[int, int, str], None]
@@ -39,8 +43,8 @@ OnTrial = Callable[[int, int, str], None]
 class Held:
     """How well the data hold a parameter: between what it may lie.
 
-    `low` and `high` are the nearest tried values beyond which nothing that was tried fits as well
-    as two draws of noise are alike.
+    Between `low` and `high` are the values that fit as well as two draws of noise are alike: those
+    that were tried, and those for which the other parameters can make up (`joint_reach`).
     """
 
     parameter: Parameter
@@ -97,13 +101,14 @@ def search(
     share = _FIRST_PART if len(codes) > 1 else 0.0
     best: dict[CodeSpec, tuple[float, Float[np.ndarray, " n"]]] = {}
     for code in codes:
-        best[code] = court.walk(code, x0, max(int(share * trials), 1), FIRST_STEP)
+        best[code] = court.walk(code, x0, max(int(share * trials), 1))
     code = min(best, key=lambda c: best[c][0])
     left = trials - court.done
-    loss, x = court.walk(code, best[code][1], max(left, 1), FIRST_STEP / 2)
+    loss, x = court.refine(code, best[code][1], left)
     if best[code][0] < loss:
         loss, x = best[code]
-    held = _hold(court, code, x, loss, seed)
+    after = court.rows(code, x)
+    held = _hold(court, code, x, after, seed)
     values = values_at(x, parameters)
     return Found(
         scanner=replace(with_values(start, parameters, values), code=code),
@@ -111,7 +116,7 @@ def search(
         held=held,
         by_code={c.period_px: min(best[c][0], loss if c == code else np.inf) for c in codes},
         before=before,
-        after=court.rows(code, x),
+        after=after,
         trials=court.done,
     )
 
@@ -157,13 +162,19 @@ class _Court:
         return compare(self.real, figures_of(scans, self.floor)) if scans else ()
 
     def loss(self, code: CodeSpec, x: Float[np.ndarray, " n"], seed: int | None = None) -> float:
+        return self.judge(code, x, seed)[0]
+
+    def judge(
+        self, code: CodeSpec, x: Float[np.ndarray, " n"], seed: int | None = None
+    ) -> tuple[float, tuple[Row, ...]]:
+        """A trial: its loss and its rows, none of which are there if nothing is lit."""
         rows = self.rows(code, x, seed)
         loss = loss_of(rows) if rows else _DARK_LOSS
         if seed is None:
             self.tried.append((code, x.copy(), loss))
         self.done, self.least = self.done + 1, min(self.least, loss)
         self.on_trial(self.done, self.total, f"lowest misfit {self.least:.2f}")
-        return loss
+        return loss, rows
 
     def first_look(self, code: CodeSpec, x0: Float[np.ndarray, " n"]) -> Float[np.ndarray, " n"]:
         """One parameter after another at a few places, each kept where it is best."""
@@ -178,7 +189,7 @@ class _Court:
         return x
 
     def walk(
-        self, code: CodeSpec, x0: Float[np.ndarray, " n"], trials: int, step: float
+        self, code: CodeSpec, x0: Float[np.ndarray, " n"], trials: int
     ) -> tuple[float, Float[np.ndarray, " n"]]:
         """The least loss of a search from a place, and where it was."""
         import cma
@@ -190,7 +201,7 @@ class _Court:
             "seed": np.nan,  # cma would seed NumPy's global stream; its draws come from `rng`
             "randn": lambda *size: rng.standard_normal(size),
         }
-        strategy = cma.CMAEvolutionStrategy(np.clip(x0, 0.02, 0.98), step, options)
+        strategy = cma.CMAEvolutionStrategy(np.clip(x0, 0.02, 0.98), _FIRST_STEP, options)
         best, at = self.loss(code, x0), x0
         last = self.done + trials - 1
         while self.done < last and not strategy.stop():
@@ -202,37 +213,123 @@ class _Court:
                 best, at = losses[k], np.asarray(asked[k])
         return best, at
 
+    def refine(
+        self, code: CodeSpec, x0: Float[np.ndarray, " n"], trials: int
+    ) -> tuple[float, Float[np.ndarray, " n"]]:
+        """The least loss of damped Gauss-Newton steps from a place, and where it was.
+
+        The loss is a sum of squares, and rows change almost evenly with most parameters, so a step
+        from the slopes of all rows goes farther than a walk that hears their sum alone.
+        """
+        last = self.done + trials
+        best, rows = self.judge(code, x0)
+        at, known = x0, {x0.tobytes(): pulls_of(rows)}
+        if not rows:  # nothing is lit there, so nothing has a slope
+            return best, at
+
+        def pulls(x: Float[np.ndarray, " n"]) -> Float[np.ndarray, " rows"]:
+            nonlocal best, at
+            if x.tobytes() not in known:
+                if self.done >= last:
+                    raise _Spent
+                loss, rows = self.judge(code, x)
+                if loss < best:
+                    best, at = loss, x.copy()
+                dark = np.full(len(known[x0.tobytes()]), np.sqrt(_DARK_LOSS))
+                known[x.tobytes()] = pulls_of(rows) if rows else dark
+            return known[x.tobytes()]
+
+        def slopes(x: Float[np.ndarray, " n"]) -> Float[np.ndarray, "rows n"]:
+            here, columns = pulls(x), []
+            for i, own in enumerate(x):
+                moved = x.copy()
+                moved[i] += _LEVER if own + _LEVER <= 1 else -_LEVER
+                columns.append((pulls(moved) - here) / (moved[i] - own))
+            return np.stack(columns, axis=1)
+
+        with contextlib.suppress(_Spent):
+            before = np.inf
+            while best < before:  # a step ends at bounds that were near; from there it goes on
+                before, start = best, np.clip(at, 0.01, 0.99)
+                least_squares(pulls, start, jac=slopes, bounds=(0.0, 1.0), xtol=1e-2, ftol=1e-2)
+        return best, at
+
+
+def joint_reach(slopes: Float[np.ndarray, "rows n"], room: float) -> Float[np.ndarray, " n"]:
+    """How far each parameter may lie from the best, the others making up for it.
+
+    The rows are taken to be linear about the best, whose sum of squares may rise by `room`, and a
+    parameter alone to lie evenly in its range. With room as two standard deviations, the result is
+    two of the marginal law: that of a Gauss-Newton step with a ridge.
+
+    Args:
+        slopes: of each row by each parameter, whose range is one.
+    """
+    precision = 4 * slopes.T @ slopes / room + 12 * np.eye(slopes.shape[1])
+    return 2 * np.sqrt(np.diag(np.linalg.inv(precision)))
+
+
+class _Spent(Exception):
+    """All trials of a refinement are done."""
+
 
 def _hold(
-    court: _Court, code: CodeSpec, x: Float[np.ndarray, " n"], loss: float, seed: int
+    court: _Court,
+    code: CodeSpec,
+    x: Float[np.ndarray, " n"],
+    after: Sequence[Row],
+    seed: int,
 ) -> tuple[Held, ...]:
-    """Each parameter alone over its range, and in all trials before: where the fit is worse.
+    """Each parameter alone over its range, in all trials before, and with all others: what fits.
 
-    Worse is by more than two other draws of the noise make of the best itself, or by a twentieth,
-    and than the scanner itself would be: the means of so few scans and scenes differ, in spreads,
-    with a variance of one over either number.
+    What does not fit is worse by more than two other draws of the noise make of the best itself, or
+    by a twentieth, and than the scanner itself would be: the means of so few scans and scenes
+    differ, in spreads, with a variance of one over either number.
     """
+    if not after:  # nothing is lit, so nothing is known
+        return tuple(
+            Held(parameter=p, value=p.value(float(share)), low=p.low, high=p.high)
+            for p, share in zip(court.parameters, x, strict=True)
+        )
+    loss = loss_of(after)
     other = [court.loss(code, x, seed + 1000 * k) for k in (1, 2)]
     limit = loss + max(2 * float(np.abs(np.array(other) - loss).max()), 0.05 * loss, 1e-9)
     scans = max(len(values) for values in court.real.value.values())
     limit = max(limit, 1 / scans + 1 / len(court.lit))
-    fits = np.array([at for c, at, was in court.tried if c == code and was <= limit])
-    found = []
-    for i, parameter in enumerate(court.parameters):
+    fits = np.array([at for _, at, was in court.tried if was <= limit])  # with any code
+    fits = np.vstack([fits.reshape(-1, len(x)), x])
+    slopes, alone = [], []
+    for i, own in enumerate(x):
         good: list[float] = fits[:, i].tolist()
         bad: list[float] = []
+        pulls = {float(own): pulls_of(after)}
         for share in _PROFILE:
             moved = x.copy()
             moved[i] = share
-            (good if court.loss(code, moved) <= limit else bad).append(float(share))
+            tried, rows = court.judge(code, moved)
+            (good if tried <= limit else bad).append(float(share))
+            if rows and abs(share - own) >= _LEVER:
+                pulls[float(share)] = pulls_of(rows)
+        slopes.append(_slope(pulls, float(own)))
         low = max((b for b in bad if b < min(good)), default=min(good))
         high = min((b for b in bad if b > max(good)), default=max(good))
-        found.append(
-            Held(
-                parameter=parameter,
-                value=parameter.value(float(x[i])),
-                low=parameter.value(low),
-                high=parameter.value(high),
-            )
+        alone.append((low, high))
+    reach = joint_reach(np.stack(slopes, axis=1), len(slopes[0]) * (limit - loss))
+    return tuple(
+        Held(
+            parameter=p,
+            value=p.value(float(own)),
+            low=p.value(min(low, float(own - far))),
+            high=p.value(max(high, float(own + far))),
         )
-    return tuple(found)
+        for p, own, (low, high), far in zip(court.parameters, x, alone, reach, strict=True)
+    )
+
+
+def _slope(
+    pulls: dict[float, Float[np.ndarray, " rows"]], own: float
+) -> Float[np.ndarray, " rows"]:
+    """Between the nearest places tried on either side; zero where nothing else was seen."""
+    below = max((share for share in pulls if share < own), default=own)
+    above = min((share for share in pulls if share > own), default=own)
+    return (pulls[above] - pulls[below]) / (above - below) if above > below else 0 * pulls[own]

@@ -74,10 +74,10 @@ def report_text(twin: Twin) -> str:
         "",
         "## What was fitted",
         "",
-        "Between `from` and `to` the fit was as good as the noise allows, with all "
-        "other parameters as found or in a trial of the search. Parameters compensate for each "
-        "other, so these ranges are no confidence intervals: for simulated scanners with hidden "
-        "parameters, about half of the decided numbers were within them (docs/twin.md).",
+        "Between `from` and `to` the fit is as good as the noise allows: with all other parameters "
+        "as found, in a trial of the search, or if other parameters make up for it. The ranges "
+        "are no confidence intervals: for simulated scanners with hidden parameters, about seven "
+        "of ten decided numbers were within them (docs/twin.md).",
         "",
         "| key | twin | from | to | do the scans decide it? |",
         "|---|---|---|---|---|",

@@ -29,6 +29,8 @@ from graycast.real.import_real import import_real
 from graycast.rig_file import save_scanner
 from graycast.scanner import Scanner, preset
 
+from .random_shapes import random_shape
+
 DATA = Path(__file__).resolve().parents[3] / "shared" / "data"
 REAL = DATA / "phoxi"
 # What was measured of the device (README.md beside the scans): projector on the camera's left.
@@ -81,8 +83,8 @@ def scanner():
     return replace(known, rig=rig)
 
 
-def configuration(meshes: Path) -> dict:
-    """Mixed parts in the real bin, each kind repainted in most scenes."""
+def configuration(meshes: Path, shapes: int) -> dict:
+    """Mixed parts and so many random shapes in the real bin, each repainted in most scenes."""
     rng = np.random.default_rng(0)
     parts = []
     for file in sorted((DATA / "meshes" / "kit").glob("*.stl")):
@@ -91,6 +93,10 @@ def configuration(meshes: Path) -> dict:
         mesh = zoo_part(name).mesh
         file = meshes / f"{name}.stl"
         trimesh.Trimesh(mesh.vertices_m * factor, mesh.faces, process=False).export(file)
+        parts.append(_part(file, "m", rng))
+    for seed in range(shapes):
+        file = meshes / f"shape_{seed:02d}.stl"
+        random_shape(seed).export(file)
         parts.append(_part(file, "m", rng))
     for name in ("hygiene_spray", "toothpaste", "metal_workpiece_1", "metal_workpiece_2"):
         parts.append({"builtin": name})
@@ -129,9 +135,13 @@ def configuration(meshes: Path) -> dict:
 
 
 def cell_to_fit(known: dict) -> dict:
-    """The same cell for `graycast twin`: what is fitted is the preset's, and pictures are quiet."""
+    """The same cell for `graycast twin`: what is fitted is the preset's, and pictures are quiet.
+
+    Its light is that of every scan; random lamps would be noise that the scanner does not have.
+    """
     fitted = {key: value for key, value in known.items() if key not in ("exposure", "decode")}
-    return fitted | {"rig": "cell_rig.yaml", "render": {"samples": 128}}
+    domain = known["domain"] | {"lamps": None, "environment": None}
+    return fitted | {"rig": "cell_rig.yaml", "render": {"samples": 128}, "domain": domain}
 
 
 def every_second_pixel(known: Scanner) -> Scanner:
@@ -213,12 +223,16 @@ def _refuse_without_data() -> None:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--out", type=Path, required=True)
-    out = parser.parse_args().out
+    parser.add_argument(
+        "--shapes", type=int, default=42, help="The number of random shapes among the parts."
+    )
+    arguments = parser.parse_args()
+    out = arguments.out
     _refuse_without_data()
     (out / "meshes").mkdir(parents=True, exist_ok=True)
     save_scanner(scanner(), out / "rig.yaml")
     save_scanner(every_second_pixel(scanner()), out / "cell_rig.yaml")
-    content = configuration((out / "meshes").absolute())
+    content = configuration((out / "meshes").absolute(), arguments.shapes)
     written = {"twin.yaml": content, "cell.yaml": cell_to_fit(content), "study.yaml": STUDY}
     for name, value in written.items():
         (out / name).write_text(yaml.safe_dump(value, sort_keys=False), encoding="utf-8")

@@ -9,7 +9,7 @@ import coal
 
 from graycast.frames import look_at, pixel_grid
 from graycast.optics import Optics, rays
-from graycast.pick.heap import CELL_M, GUESSED_M, measured_heap
+from graycast.pick.heap import CELL_M, GUESSED_M, measured_heap, measured_points
 from graycast.pick.obstacles import heap_obstacle
 from graycast.pick.robot import Mounted, tool_touches
 from graycast.scene import Bin
@@ -37,9 +37,13 @@ def block(x, y):
     return np.where((x > 0.02) & (x < 0.07) & (y > 0.01) & (y < 0.05), 0.04, 0.0)
 
 
+def heap_of(depth, T_world_cam=T_WORLD_CAM, without=None):
+    return measured_heap(measured_points(depth, CAMERA, T_world_cam, BOX), without=without)
+
+
 @pytest.fixture(scope="module")
 def heap():
-    return measured_heap(depth_of(block), CAMERA, T_WORLD_CAM, BOX)
+    return heap_of(depth_of(block))
 
 
 def at(heap, x, y):
@@ -66,7 +70,7 @@ def test_what_was_not_seen_is_as_high_as_what_was_seen_beside_it():
     inside = np.zeros(depth.shape, bool)
     rows, columns = np.nonzero(depth < np.nanmin(depth) + 0.005)  # the block's top
     inside[rows.min() : rows.max(), (columns.min() + columns.max()) // 2 : columns.max() + 20] = 1
-    heap = measured_heap(np.where(inside, np.nan, depth), CAMERA, T_WORLD_CAM, BOX)
+    heap = heap_of(np.where(inside, np.nan, depth))
     assert not heap.seen.all()
     # Of the block's unseen half, what is nearer to the seen half than the floor counts as block.
     guessed = ~heap.seen
@@ -77,7 +81,7 @@ def test_what_was_not_seen_is_as_high_as_what_was_seen_beside_it():
 def test_a_shadow_beside_a_part_is_as_high_as_the_part():
     """From far aside the camera sees nothing for 22 mm behind the block."""
     aside = look_at(np.array([0.35, 0.03, 0.5]), np.zeros(3), np.array([0.0, 1.0, 0.0]))
-    heap = measured_heap(depth_of(block, aside), CAMERA, aside, BOX)
+    heap = heap_of(depth_of(block, aside), aside)
     shadow_m = 0.04 * (0.35 - 0.02) / (0.5 - 0.04)
     for x in np.arange(0.02 - shadow_m / 3, 0.02, CELL_M):  # nearer to the block than to the floor
         assert at(heap, x, 0.03) == pytest.approx(0.04, abs=1e-3)
@@ -88,20 +92,20 @@ def test_a_spike_is_not_believed_and_a_thin_post_is(heap):
     """One pixel alone, and six side by side, both 60 mm above the floor."""
     depth = depth_of(block)
     depth[60, 60] = depth[60, 60] - 0.06
-    assert measured_heap(depth, CAMERA, T_WORLD_CAM, BOX).height_m.max() < 0.041
+    assert heap_of(depth).height_m.max() < 0.041
     depth[60:62, 60:63] = depth[60, 60]
-    assert measured_heap(depth, CAMERA, T_WORLD_CAM, BOX).height_m.max() > 0.05
+    assert heap_of(depth).height_m.max() > 0.05
 
 
 def test_nothing_seen_is_a_full_bin():
     nothing = np.full((CAMERA.height_px, CAMERA.width_px), np.nan)
-    assert (measured_heap(nothing, CAMERA, T_WORLD_CAM, BOX).height_m == BOX.inner_m[2]).all()
+    assert (heap_of(nothing).height_m == BOX.inner_m[2]).all()
 
 
 def test_a_part_is_left_out_for_the_fingers_that_close_round_it(heap):
     depth = depth_of(block)
     top = depth < np.nanmin(depth) + 0.012
-    without = measured_heap(depth, CAMERA, T_WORLD_CAM, BOX, without=top)
+    without = heap_of(depth, without=top)
     assert at(without, 0.045, 0.03) < 0.02 < at(heap, 0.045, 0.03)
 
 
@@ -118,10 +122,10 @@ def test_a_part_beside_a_wall_is_not_taken_to_be_as_high_as_the_wall():
     point = above[:3, 3] + (rays(CAMERA, pixel_grid(200, 240)) * depth[..., None]) @ above[:3, :3].T
     seen = (point[..., 2] > 5e-4) & (point[..., 2] < 0.021) & (np.abs(point[..., 1]) < 0.032)
     seen &= (point[..., 0] > 0.05) & (point[..., 0] < 0.099)
-    whole = measured_heap(depth, CAMERA, above, BOX)
+    whole = heap_of(depth, above)
     assert at(whole, 0.075, 0.0) == pytest.approx(0.02, abs=1e-3)
     assert whole.height_m.max() < 0.03  # and no wall
-    without = measured_heap(depth, CAMERA, above, BOX, without=seen)
+    without = heap_of(depth, above, without=seen)
     assert at(without, 0.075, 0.0) < 5e-3
 
 

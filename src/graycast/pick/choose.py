@@ -20,7 +20,7 @@ from .aim import (
     spread,
 )
 from .clock import Clock
-from .heap import measured_heap
+from .heap import measured_heap, measured_points
 from .obstacles import heap_obstacle
 from .outcome import Outcome
 from .ready import Ready
@@ -124,7 +124,8 @@ class _Heaps:
     """The measured heap; for fingers, without the part that they grip."""
 
     def __init__(self, ready: Ready, view: Sight) -> None:
-        self._ready, self._view = ready, view
+        self._ready, self._shape = ready, view.depth_m.shape
+        self._points = measured_points(view.depth_m, view.camera, view.T_world_cam, ready.cell.box)
         self._made: dict[int, _Heap] = {}
 
     def of(self, aim: Aim) -> _Heap:
@@ -134,14 +135,8 @@ class _Heaps:
         return self._made[key]
 
     def _make(self, aim: Aim) -> _Heap:
-        view = self._view
-        heap = measured_heap(
-            view.depth_m,
-            view.camera,
-            view.T_world_cam,
-            self._ready.cell.box,
-            without=None if aim.opening_m is None else aim.target.inside(view.depth_m.shape),
-        )
+        without = None if aim.opening_m is None else aim.target.inside(self._shape)
+        heap = measured_heap(self._points, without=without)
         return _Heap(
             obstacle=heap_obstacle(heap, self._ready.here.T_base_world),
             highest_m=float(heap.height_m.max()),

@@ -47,32 +47,51 @@ class MeasuredHeap:
         self.seen.flags.writeable = False
 
 
-def measured_heap(
+@dataclass(frozen=True, slots=True, kw_only=True)
+class MeasuredPoints:
+    """The points [m, in the world] of a scan that may be of parts, and the pixel of each."""
+
+    point_m: Float[np.ndarray, "n 3"]
+    pixel: Bool[np.ndarray, "h w"]  # in rows, as `point_m` has them
+    box: Bin
+
+
+def measured_points(
     depth_m: Float[np.ndarray, "h w"],
     camera: Optics,
     T_world_cam: Float[np.ndarray, "4 4"],
     box: Bin,
-    *,
-    without: Bool[np.ndarray, "h w"] | None = None,
+) -> MeasuredPoints:
+    """What is neither a spike nor a wall of the bin.
+
+    Args:
+        depth_m: z of each pixel, NaN where it is missing.
+    """
+    pixel = _supported(depth_m) & ~_of_wall(depth_m, camera, T_world_cam, box)
+    ray = rays(camera, pixel_grid(camera.height_px, camera.width_px)[pixel])
+    point_m = transform_points(T_world_cam, ray * depth_m[pixel][:, None])
+    return MeasuredPoints(point_m=point_m, pixel=pixel, box=box)
+
+
+def measured_heap(
+    points: MeasuredPoints, *, without: Bool[np.ndarray, "h w"] | None = None
 ) -> MeasuredHeap:
     """Heights over the bin's inside.
 
     Args:
-        depth_m: z of each pixel, NaN where it is missing.
         without: pixels that are left out: the part that fingers are to close round.
     """
-    kept = _supported(depth_m) & ~_of_wall(depth_m, camera, T_world_cam, box)
-    kept &= True if without is None else ~without
-    ray = rays(camera, pixel_grid(camera.height_px, camera.width_px)[kept])
-    point = transform_points(T_world_cam, ray * depth_m[kept][:, None])
-    columns, rows = (int(np.ceil(size / CELL_M)) + 1 for size in box.inner_m[:2])
+    size_m = points.box.inner_m
+    kept = np.s_[:] if without is None else ~without[points.pixel]
+    point = points.point_m[kept]
+    columns, rows = (int(np.ceil(size / CELL_M)) + 1 for size in size_m[:2])
     j = np.rint(point[:, 0] / CELL_M + (columns - 1) / 2).astype(np.int64)
     i = np.rint(point[:, 1] / CELL_M + (rows - 1) / 2).astype(np.int64)
     inside = (j >= 0) & (j < columns) & (i >= 0) & (i < rows)
     height = np.full((rows, columns), -np.inf)
     np.maximum.at(height, (i[inside], j[inside]), point[inside, 2])
     seen = np.isfinite(height)
-    return MeasuredHeap(height_m=_guessed(height, seen, box.inner_m[2]), seen=seen)
+    return MeasuredHeap(height_m=_guessed(height, seen, size_m[2]), seen=seen)
 
 
 def _of_wall(

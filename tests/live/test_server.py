@@ -1,11 +1,14 @@
 """Who may speak to the server, and what it answers; nothing is rendered here."""
 
 import json
+import os
 import re
+import signal
 import threading
 import time
 from http.client import HTTPConnection
 from pathlib import Path
+from queue import SimpleQueue
 
 import pytest
 from small_cell import write_cell
@@ -14,6 +17,7 @@ from graycast.config import load_config
 from graycast.errors import ConfigError, GraycastError
 from graycast.live import Server, serve
 from graycast.live.server import GRACE_S
+from graycast.live.session import Session
 
 
 @pytest.fixture
@@ -133,6 +137,39 @@ def test_a_saved_file_is_the_cell_that_is_shown(server):
     assert saved.model_dump(exclude={"rig"}) == shown.model_dump(exclude={"rig"})
     assert (path.parent / saved.rig).read_bytes() == Path(shown.rig).read_bytes()
     assert saved.light.environment.radiance == (0.5, 0.5, 0.5)
+
+
+@pytest.mark.slow
+def test_a_killed_process_is_started_again_but_not_one_that_finished_nothing(tmp_path):
+    """A killed process stands for one that crashed, or for which memory was exhausted."""
+    told = SimpleQueue()
+    session = Session(write_cell(tmp_path), device="cpu", on_message=told.put)
+
+    def heard(kind):
+        while True:
+            message = told.get(timeout=120)
+            if message.kind == kind and message.content.get("exact", True):
+                return message.content
+
+    session.open()
+    heard("picture")
+    session.set("exposure.target", 0.3)
+    first = session.pid
+    os.kill(first, signal.SIGKILL)
+    error = heard("error")
+    assert "ended by SIGKILL: it was started again" in error["error"] and "number" not in error
+    assert session.pid not in (None, first)
+    os.kill(session.pid, signal.SIGKILL)  # long before it has made anything
+    error = heard("error")
+    assert "before it finished a picture: undo" in error["error"]
+    assert session.pid is None and error["number"] == session.number
+    session.open()  # as a page does that is loaded again
+    assert heard("picture")["number"] == session.number
+    assert "target: 0.3" in session.state()["text"]
+    session.close()
+    assert session.pid is None
+    while not told.empty():
+        assert told.get().kind != "error"  # what was stopped did not end by itself
 
 
 @pytest.mark.slow

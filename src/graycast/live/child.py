@@ -1,5 +1,7 @@
 """The process that makes the pictures, so that all its memory and threads go when it ends."""
 
+import faulthandler
+import signal
 from collections.abc import Callable
 from contextlib import suppress
 from multiprocessing import get_context
@@ -17,6 +19,7 @@ def _work(connection: Connection, folder: Path, scene_id: int, device: str) -> N
     """Answer what comes in until nothing more does; of several asks the last one counts."""
     from .line import Line, Superseded
 
+    faulthandler.enable()  # where native code crashes, standard error says where it was called
     line = Line(
         folder=folder,
         scene_id=scene_id,
@@ -77,13 +80,13 @@ class Maker:
         scene_id: int,
         device: str,
         on_answer: Callable[[Answer], None],
-        on_end: Callable[[], None],
+        on_end: Callable[[str], None],
     ) -> None:
         """Start it.
 
         Args:
             on_answer: called in the thread with every answer.
-            on_end: called in the thread when the process has ended, however that came.
+            on_end: called in the thread with what ended the process, if `stop` did not.
         """
         context = get_context("spawn")
         self._connection, theirs = context.Pipe()
@@ -93,8 +96,8 @@ class Maker:
         self._process.start()
         theirs.close()
         self._on_answer, self._on_end = on_answer, on_end
-        self._lock = Lock()  # of the two below, and of the pipe's one end
-        self._on_the_way = False
+        self._lock = Lock()  # of the three below, and of the pipe's one end
+        self._on_the_way = self._stopping = False
         self._waiting: Ask | None = None
         self._thread = Thread(target=self._listen, daemon=True)
         self._thread.start()
@@ -125,13 +128,12 @@ class Maker:
     def stop(self) -> None:
         """End it, and with it all that it holds."""
         with self._lock, suppress(BrokenPipeError, OSError):
-            self._waiting = None
+            self._stopping, self._waiting = True, None
             self._connection.send(None)
-        self._process.join(STOP_S)
-        if self._process.is_alive():
+        self._thread.join(STOP_S)
+        if self._thread.is_alive():
             self._process.kill()
-            self._process.join()
-        self._thread.join()
+            self._thread.join()
         self._connection.close()
         self._process.close()
 
@@ -143,4 +145,18 @@ class Maker:
                     self._taken()
                 else:
                     self._on_answer(answer)
-        self._on_end()
+        self._process.join(STOP_S)
+        if self._process.is_alive():
+            self._process.kill()
+            self._process.join()
+        with self._lock:
+            stopping = self._stopping
+        if not stopping:
+            self._on_end(_end_of(self._process.exitcode or 0))
+
+
+def _end_of(exit_code: int) -> str:
+    """What ended a process, in words."""
+    if exit_code >= 0:
+        return f"exit code {exit_code}"
+    return signal.Signals(-exit_code).name

@@ -72,6 +72,7 @@ class Session:
         self._own: set[Path] = set()  # files that this session has written
         self._lock = RLock()
         self._maker: Maker | None = None
+        self._has_finished = False  # whether the running process has finished a picture
         self._folder = Path(tempfile.mkdtemp(prefix="graycast-live-"))
 
     # --- opening and closing ------------------------------------------------------------------
@@ -92,6 +93,7 @@ class Session:
         """Begin to make pictures, if that is not done already."""
         with self._lock:
             if self._maker is None:
+                self._has_finished = False
                 self._maker = Maker(
                     folder=self._path.parent,
                     scene_id=self._scene_id,
@@ -275,6 +277,7 @@ class Session:
             asked_at = self._asked_at.get(answer.number)
             waited_ms = None if asked_at is None else 1e3 * (time.perf_counter() - asked_at)
             content = dict(answer.header)
+            self._has_finished |= content.get("exact", False)
             if answer.arrays:
                 self._version += 1
                 self._held[answer.kind] = Held(version=self._version, answer=answer)
@@ -283,13 +286,27 @@ class Session:
                 content |= {"version": self._version, "waited_ms": waited_ms}
         self._on_message(Message(kind=answer.kind, content=content))
 
-    def _ended(self) -> None:
-        """The process is gone; where nobody wanted that, the page is told."""
+    def _ended(self, by: str) -> None:
+        """The process is gone, and nobody stopped it: another one makes the picture.
+
+        A process that did not finish one picture has no successor, as it would end likewise.
+        """
         with self._lock:
-            wanted, self._maker = self._maker is None, None
-        if not wanted:
-            text = "the process that makes the pictures has ended: reload the page to start another"
-            self._on_message(Message(kind="error", content={"error": text}))
+            if self._maker is None:  # `pause` was quicker
+                return
+            self._maker = None
+            again, number = self._has_finished, self._number
+            if again:
+                self.open()
+        text = f"the process that makes the pictures was ended by {by}"
+        if again:
+            content: dict[str, Any] = {
+                "error": f"{text}: it was started again, and nothing that you set is lost"
+            }
+        else:
+            remedy = "undo the last change, then reload the page to start it again"
+            content = {"error": f"{text} before it finished a picture: {remedy}", "number": number}
+        self._on_message(Message(kind="error", content=content))
 
 
 def _turned(document: Document) -> list[str]:

@@ -105,7 +105,6 @@ def test_a_detector_of_one_class_serves_where_grips_need_no_model(tmp_path, monk
     camera, blank = made.cell.cell.scene.rig.camera, np.zeros((120, 160))
     look = Look(
         view=Sight(depth_m=blank + 1, camera=camera, T_world_cam=rigid(np.eye(3), np.zeros(3))),
-        scanner_depth_m=blank,
         gray=blank.astype(np.uint8),
         rgb=np.zeros((120, 160, 3), np.uint8),
         instance=blank.astype(int),

@@ -1,6 +1,6 @@
 """One scan of the bin: light, sensor, decoding and detection."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -8,13 +8,13 @@ from jaxtyping import Float, UInt8
 
 from ..config import resolve_quality
 from ..dataset.example import Example
-from ..decode import DepthMap
 from ..detections import Detections
 from ..frames import inverse
 from ..picture import color_picture, gray_picture
 from ..render import Renderer, Rendering
 from ..scanner import measure, scan_seconds, take
 from ..scene import Layout
+from ..sensor import Capture
 from .aim import Sight, Target, whole_bin
 from .cell import PickCell
 
@@ -31,7 +31,6 @@ class Look:
     """
 
     view: Sight
-    scanner_depth_m: Float[np.ndarray, "h w"]
     gray: UInt8[np.ndarray, "h w"]
     rgb: UInt8[np.ndarray, "h w 3"] | None
     instance: np.ndarray
@@ -43,27 +42,26 @@ def scan(
 ) -> Look:
     """Scan the parts in their poses; depth that cannot be decoded is missing.
 
+    If nothing looks at more than perfect depth, one sample a pixel makes the picture of the record.
+
     Raises:
         ValueError: the picture is dark, or a value is out of its range.
     """
     base, picking = cell.cell, cell.config.picking
     render_seed, noise_seed, picture_seed, depth_seed = map(int, seed.generate_state(4, np.uint64))
+    quality = resolve_quality(cell.config)
+    if picking.depth != "scanner" and cell.detector is None:
+        quality = replace(quality, samples=1)
     rendering = renderer.render(
-        base.scene,
-        layout,
-        base.patterns(),
-        quality=resolve_quality(cell.config),
-        seed=render_seed,
+        base.scene, layout, base.patterns(), quality=quality, seed=render_seed
     )
     capture = take(base.scanner, rendering.radiance, seed=noise_seed)
-    _, measured = measure(base.scanner, capture)
     return Look(
         view=Sight(
-            depth_m=_acted_on(cell, rendering, measured, depth_seed),
+            depth_m=_acted_on(cell, rendering, capture, depth_seed),
             camera=base.scene.rig.camera,
             T_world_cam=base.scene.T_world_cam,
         ),
-        scanner_depth_m=measured.depth_m,
         gray=gray_picture(capture),
         rgb=_picture(cell, renderer, rendering, picture_seed),
         instance=rendering.truth.instance,
@@ -72,12 +70,12 @@ def scan(
 
 
 def _acted_on(
-    cell: PickCell, rendering: Rendering, measured: DepthMap, seed: int
+    cell: PickCell, rendering: Rendering, capture: Capture, seed: int
 ) -> Float[np.ndarray, "h w"]:
     """The scanner's depth, or what simulators without one would give the robot."""
     picking = cell.config.picking
     if picking.depth == "scanner":
-        return measured.depth_m
+        return measure(cell.cell.scanner, capture)[1].depth_m
     perfect = rendering.truth.depth_m.astype(np.float64)
     if picking.depth_noise_m is None:
         return perfect

@@ -235,8 +235,9 @@ def test_the_judge_knows_what_is_right_and_what_is_not():
         assert ap50(targets, wrong, kind) < 0.1
 
 
-# Steps over four pictures, 7 to 85 CPU seconds each. RF-DETR from nothing is not done in hundreds.
-STEPS = {"mask-rcnn": 120, "yolov3": 100, "solov2": 80, "yolov7": 120}
+# Steps over four pictures, 7 to 130 CPU seconds each.
+STEPS = {"mask-rcnn": 120, "yolov3": 100, "solov2": 80, "yolov7": 120, "rf-detr": 110}
+RATES = {"rf-detr": 3e-4}  # of learning, where that for pretrained weights takes hundreds of steps
 
 
 @pytest.mark.slow
@@ -248,10 +249,11 @@ def test_four_pictures_are_learnt_by_heart(model):
     images, targets = drawn_pictures(4, size_px=size_px, channels=3, seed=0)
     recipe = network.recipe
     assert recipe.optimizer == "adamw"
-    optimizer = torch.optim.AdamW(network.parameters(), lr=recipe.learning_rate, weight_decay=0)
+    rate = RATES.get(model, recipe.learning_rate)
+    optimizer = torch.optim.AdamW(network.parameters(), lr=rate, weight_decay=0)
     for step in range(STEPS[model]):
         for group in optimizer.param_groups:
-            group["lr"] = recipe.learning_rate * min(1.0, (step + 1) / 20)
+            group["lr"] = rate * min(1.0, (step + 1) / 20)
         optimizer.zero_grad()
         sum(network.losses(images, targets).values()).backward()
         optimizer.step()

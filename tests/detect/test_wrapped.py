@@ -109,10 +109,17 @@ def test_rf_detr_finds_the_boxes_of_rfdetr():
     with torch.no_grad():
         theirs = PostProcess(num_select=300)(network.network(images), torch.tensor([[64, 96]] * 2))
     for ours, bare in zip(network.find(images, most=300, least_score=0.0), theirs, strict=True):
-        assert len(ours.score) == 300
+        assert len(ours.score) == 2 * 24  # either class of a query for each patch of 16 px
         assert torch.equal(ours.label, bare["labels"])
         torch.testing.assert_close(ours.score, bare["scores"])
         torch.testing.assert_close(ours.box, bare["boxes"])
+
+
+@pytest.mark.parametrize(("size_px", "queries"), [((64, 96), 24), ((320, 320), 300)])
+def test_every_query_of_rf_detr_has_a_patch_to_start_from(size_px, queries):
+    """Else its groups of queries get each other's patches in training, and learn nothing."""
+    network = opened("rf-detr", size_px=size_px).network
+    assert network.num_queries == network.transformer.num_queries == queries
 
 
 def test_a_query_of_rf_detr_that_means_an_ignored_instance_is_not_told_off():

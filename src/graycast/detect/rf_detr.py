@@ -30,7 +30,10 @@ TERMS = {"class": "loss_ce", "box": "loss_bbox", "overlap": "loss_giou"}
 
 @final
 class RfDetr(nn.Module):
-    """Finds boxes, at most 300. Its backbones are its own, named by `SIZES`."""
+    """Finds boxes, at most 300 and at most one for each patch of a picture.
+
+    Its backbones are its own, named by `SIZES`.
+    """
 
     finds_masks = False
     recipe = Recipe(optimizer="adamw", learning_rate=1e-4, batch=4, weight_decay=1e-4)
@@ -60,7 +63,12 @@ class RfDetr(nn.Module):
                 raise GraycastError(f"model rf-detr has no backbone {other!r}: choose {choices}")
         # One class more than it is told is what the library builds; a name of weights, of which
         # it reads none here, keeps it from fetching others.
-        described = size(num_classes=classes - 1, pretrain_weights="none", device="cpu")
+        described = size(
+            num_classes=classes - 1,
+            num_queries=_queries(size, size_px),
+            pretrain_weights="none",
+            device="cpu",
+        )
         training = config.TrainConfig(dataset_dir=".", output_dir=".")
         self.network = build_model_from_config(described, training)
         self.criterion, self._choose = build_criterion_from_config(described, training)
@@ -154,6 +162,19 @@ class RfDetr(nn.Module):
             silent[index] = _means_ignored(box, hidden[index], real)
             silent[index, query.to(silent.device)] = False
         return {"pred_logits": layer["pred_logits"].masked_fill(silent[..., None], SILENT)}
+
+
+def _queries(size: Any, size_px: tuple[int, int]) -> int:
+    """As many queries as a size has, but no more than there are patches in a picture.
+
+    Each query starts at a patch of its own. In training, the library hands the patches on to its
+    groups of queries as if there were enough for all: if not, whole groups get none, and others
+    those of another group, and the scores do not converge.
+    """
+    known = size.model_fields
+    patch_px = known["patch_size"].default
+    patches = (size_px[0] // patch_px) * (size_px[1] // patch_px)
+    return min(known["num_queries"].default, patches)
 
 
 def _means_ignored(

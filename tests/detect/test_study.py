@@ -192,7 +192,9 @@ def test_a_world_without_masks_is_scored_by_boxes_alone(tmp_path, monkeypatch):
     detector = SimpleNamespace(network=SimpleNamespace(finds_masks=True))
     monkeypatch.setattr(running, "_trained", lambda *_: detector)
     monkeypatch.setattr(running, "_found", all_found)
-    results = run_study(spec, tmp_path / "out")
+    done = []
+    results = run_study(spec, tmp_path / "out", on_done=done.append)
+    assert done == results
     write_study(spec, results, tmp_path / "out")
     rows = list(csv.DictReader(io.StringIO((tmp_path / "out" / "table.csv").read_text())))
     assert [(row["kind"], row["own"], row["other"], row["gap"]) for row in rows] == [
@@ -248,4 +250,6 @@ def test_a_study_goes_on_and_says_what_the_judge_says(tmp_path, capsys):
     assert main(["study", str(written(tmp_path, tests=tests)), "--out", str(out)]) == 0
     held = json.loads(next(out.glob("runs/*_rgb_*/found_other_0/detect.json")).read_text())
     assert 0 < len(held["scene_ids"]) < 14  # not those of before
-    capsys.readouterr()
+    told = capsys.readouterr().out.splitlines()
+    line = next(one for one in told if one.startswith("yolov3_mobilenet-v3-small_rgb_default"))
+    assert f"box own {float(row['own']):.2f}" in line and "box other 0." in line

@@ -414,6 +414,17 @@ def _study(options: argparse.Namespace) -> None:
                 stage, description=f"{run.name}: {what}", completed=done, total=total or None
             )
 
-        results = run_study(spec, options.out, device=options.device, on_told=on_told)
+        def on_done(result) -> None:
+            figures = [
+                f"{kind} {world} {result.of(world, kind).value:.2f}"
+                for world, kind in result.figures
+            ]
+            bar.console.print(
+                f"{result.run.name}: AP50 {', '.join(figures)}", markup=False, soft_wrap=True
+            )
+
+        results = run_study(
+            spec, options.out, device=options.device, on_told=on_told, on_done=on_done
+        )
     write_study(spec, results, options.out)
     print((options.out / "table.md").read_text(encoding="utf-8"))

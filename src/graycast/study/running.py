@@ -82,12 +82,14 @@ def run_study(
     *,
     device: str = "auto",
     on_told: Callable[[Run, str, int, int], None] = lambda run, stage, done, total: None,
+    on_done: Callable[[Result], None] = lambda result: None,
 ) -> list[Result]:
     """Train and score what is not done yet.
 
     Args:
         out: each run has a folder in `out/runs`; the same study goes on in it.
         on_told: called with the run, what is going on, how much of it is done and of how much.
+        on_done: called with each run's result.
 
     Raises:
         GraycastError: a dataset is missing or lacks what the runs ask of it, which is said before
@@ -117,6 +119,7 @@ def run_study(
                     drawn(each, FIGURE, seed=1000 * number + i) for i, each in enumerate(scores)
                 )
         results.append(Result(run=run, figures=figures))
+        on_done(results[-1])
     return results
 
 

@@ -28,8 +28,8 @@ class World:
     """A bin between two attempts.
 
     `numbers` are of the parts that lie in it, in the layout's order. `hand_eye` maps planned places
-    of the tip to true ones: the calibration's error. `q` is where the arm is, `tabu` where grips
-    failed since something was picked near by.
+    of the tip to true ones: the calibration's error. `q` is where the arm is. Since something was
+    picked near by, grips failed at `tabu`, and the arm found no way to `blocked`.
     """
 
     layout: Layout
@@ -37,6 +37,7 @@ class World:
     hand_eye: Float[np.ndarray, "4 4"]
     q: Joints
     tabu: tuple[Float[np.ndarray, "3"], ...] = ()
+    blocked: tuple[Float[np.ndarray, "3"], ...] = ()
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -82,17 +83,18 @@ def carry_out(ready: Ready, world: World, choice: Choice) -> tuple[Carried, Worl
     carried = _told(ready, met, lifted, outside, error)
     gone = outside.copy()
     gone[met.part] |= lifted.lost_s is None
-    tabu = _tabu(world.tabu, aim.place_m, taken=carried.outcome in TAKEN)
-    return carried, replace(_settled(ready, world, lifted.T_world_part, ~gone), tabu=tabu)
+    after = _settled(ready, world, lifted.T_world_part, ~gone)
+    if carried.outcome not in TAKEN:
+        return carried, replace(after, tabu=(*after.tabu, aim.place_m))
+    tabu, blocked = (_beyond(places, aim.place_m) for places in (after.tabu, after.blocked))
+    return carried, replace(after, tabu=tabu, blocked=blocked)
 
 
-def _tabu(
-    tabu: tuple[Float[np.ndarray, "3"], ...], place_m: Float[np.ndarray, "3"], *, taken: bool
+def _beyond(
+    places: tuple[Float[np.ndarray, "3"], ...], place_m: Float[np.ndarray, "3"]
 ) -> tuple[Float[np.ndarray, "3"], ...]:
-    """Places where grips failed; a successful pick clears those near it."""
-    if not taken:
-        return (*tabu, place_m)
-    return tuple(failed for failed in tabu if np.linalg.norm(failed - place_m) > FREED_M)
+    """Without those near a place from which a part was taken."""
+    return tuple(place for place in places if np.linalg.norm(place - place_m) > FREED_M)
 
 
 def _told(

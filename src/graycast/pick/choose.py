@@ -29,6 +29,7 @@ from .tools import SuctionTool, pieces
 from .ways import Blocked, Load, Ways, ways
 
 TABU_M = 0.015  # about a grip that failed, where none is tried before something near was picked
+BLOCKED_M = 0.04  # about a grip to which no way was found, where others wait for their turn
 ALIKE_M = 0.008  # grips nearer than this are one, as far as planning goes
 LEAST_UP_M = 0.02
 # How far the middle of what is seen of an unknown part may be from its centre of mass, each way.
@@ -51,38 +52,57 @@ def choose(
     found: Sequence[Target],
     q: Joints,
     tabu: Sequence[Float[np.ndarray, "3"]],
+    blocked: Sequence[Float[np.ndarray, "3"]],
     *,
     seed: int,
     clock: Clock,
 ) -> Choice | Blocked:
     """Choose a grip for the targets, or state why there is none.
 
+    A grip near one to which no way was found waits until all others were tried: what is too far
+    for the arm, or too steep, is so all round.
+
     Args:
         q: joint angles where the arm is.
         tabu: where grips failed before.
+        blocked: to where no way was found before.
         seed: of places and plans.
     """
     picking = ready.cell.config.picking
-    why, planned = Blocked(outcome=Outcome.NOTHING_FOUND), 0
+    why, sought = Blocked(outcome=Outcome.NOTHING_FOUND), list[Float[np.ndarray, "3"]]()
     heaps = _Heaps(ready, view)
-    for together in _together(ranked(found, view, tabu), picking.targets):
-        with clock("grips"):
-            aims = _aims(ready, together, view, seed)
-            aims = [aim for aim in aims if aim.score >= picking.least_score]
-        fresh = [aim for aim in aims if not _near(aim.place_m, tabu)]
-        if aims and not fresh and why.outcome is Outcome.NOTHING_FOUND:
-            why = Blocked(outcome=Outcome.GIVEN_UP)
-        for aim in spread(best_first(fresh), ALIKE_M):
-            with clock("plan"):
-                heap = heaps.of(aim)
-                blocked = _unlike(ready, view, aim) or _blocked_tool(ready, aim, heap)
-                tried = blocked or _ways(ready, q, aim, heap, seed)
-            if isinstance(tried, Ways):
-                return Choice(aim=aim, ways=tried)
-            why, planned = tried, planned + (blocked is None)
-            if planned == picking.grips:
-                return why
-    return why
+
+    def aims() -> Iterator[Aim]:
+        """In the order in which they are tried; the places that are sought decide it, too."""
+        nonlocal why
+        later = []
+        for together in _together(ranked(found, view, (*tabu, *blocked)), picking.targets):
+            with clock("grips"):
+                all_of_them = _aims(ready, together, view, seed)
+                held = [aim for aim in all_of_them if aim.score >= picking.least_score]
+            fresh = [aim for aim in held if not _near(aim.place_m, tabu, TABU_M)]
+            if held and not fresh and why.outcome is Outcome.NOTHING_FOUND:
+                why = Blocked(outcome=Outcome.GIVEN_UP)
+            for aim in spread(best_first(fresh), ALIKE_M):
+                if _near(aim.place_m, (*blocked, *sought), BLOCKED_M):
+                    later.append(aim)
+                else:
+                    yield aim
+        yield from later
+
+    for aim in aims():
+        with clock("plan"):
+            heap = heaps.of(aim)
+            hit = _unlike(ready, view, aim) or _blocked_tool(ready, aim, heap)
+            tried = hit or _ways(ready, q, aim, heap, seed)
+        if isinstance(tried, Ways):
+            return Choice(aim=aim, ways=tried)
+        why = tried
+        if hit is None:
+            sought.append(aim.place_m)
+        if len(sought) == picking.grips:
+            break
+    return replace(why, places_m=tuple(sought))
 
 
 def _together(groups: Sequence[Sequence[Target]], count: int) -> Iterator[Sequence[Target]]:
@@ -92,8 +112,10 @@ def _together(groups: Sequence[Sequence[Target]], count: int) -> Iterator[Sequen
             yield group[start : start + count]
 
 
-def _near(place_m: Float[np.ndarray, "3"], tabu: Sequence[Float[np.ndarray, "3"]]) -> bool:
-    return any(np.linalg.norm(place_m - failed) < TABU_M for failed in tabu)
+def _near(
+    place_m: Float[np.ndarray, "3"], others_m: Sequence[Float[np.ndarray, "3"]], within_m: float
+) -> bool:
+    return any(np.linalg.norm(place_m - other_m) < within_m for other_m in others_m)
 
 
 def _aims(ready: Ready, found: Sequence[Target], view: Sight, seed: int) -> list[Aim]:

@@ -139,6 +139,7 @@ def _attempt(
         found,
         world.q,
         world.tabu,
+        world.blocked,
         seed=int(plan_seed.generate_state(1)[0]),
         clock=clock,
     )
@@ -151,6 +152,7 @@ def _attempt(
         work_s=clock.seconds,
     )
     if isinstance(choice, Blocked):
+        world = replace(world, blocked=(*world.blocked, *choice.places_m))
         return replace(attempt, outcome=choice.outcome, detail=choice.detail), seen, world
     with clock("physics"):
         carried, after = carry_out(ready, world, choice)

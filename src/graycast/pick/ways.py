@@ -1,5 +1,6 @@
 """The arm's paths of one pick: to the approach, down, up, and away to the place of parts."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -21,8 +22,8 @@ class Ways:
     """`to` ends before the grip, `down` at it; `off`, `up` and `away` carry the part.
 
     `off` is a short and slow way: a tool that is fast when the part's weight comes on it has to
-    pull it along with a jerk. A leaning tool is set upright on its way up: a heavy part would turn
-    it out of its seal.
+    pull it along with a jerk. A leaning tool is set upright at the end of its way up, or meanwhile
+    if the arm cannot reach so high while it leans: a heavy part would turn it out of its seal.
     """
 
     to: Trajectory
@@ -62,10 +63,11 @@ class Load:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Blocked:
-    """The reason why no path was found."""
+    """The reason why no path was found, and the places of the grips [m] to which one was sought."""
 
     outcome: Outcome
     detail: str = ""
+    places_m: tuple[Float[np.ndarray, "3"], ...] = ()
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -166,14 +168,19 @@ class _Search:
         off, raised = tip.copy(), tip.copy()
         off[2, 3] += OFF_M
         raised[2, 3] += max(self.up_m, OFF_M)
-        lines: dict[str, Float[np.ndarray, "k joints"]] = {}
-        last = q_before
-        straights = {"down": tip, "off": off, "up": raised, "upright": _upright(raised)}
-        for name, end in straights.items():
-            line = straight(robot, last, here.flange(end), self.obstacles)
-            if line is None:
-                return self._why(last, here.flange(end), name)
-            lines[name], last = line, line[-1]
+        upright = _upright(raised)
+        near = self._straights(q_before, {"down": tip, "off": off})
+        if isinstance(near, Blocked):
+            return near
+        rise = self._straights(near["off"][-1], {"up": raised, "upright": upright})
+        if isinstance(rise, Blocked):
+            turning = self._straights(near["off"][-1], {"upright": upright})
+            if isinstance(turning, Blocked):
+                return rise
+            rise = turning
+        first, *rest = rise.values()
+        up = np.concatenate([first, *(line[1:] for line in rest)])
+        last = up[-1]
         to = plan(robot, q, q_before, self.obstacles, seed=self.seed)
         if to is None:
             return Blocked(outcome=Outcome.UNREACHABLE, detail="no collision-free path to the grip")
@@ -183,15 +190,26 @@ class _Search:
             return Blocked(
                 outcome=Outcome.UNREACHABLE, detail="no collision-free path with the part"
             )
-        up = np.concatenate([lines["up"], lines["upright"][1:]])
         down_s, up_s = here.approach_m / here.straight_m_s, self.up_m / here.straight_m_s
         return Ways(
             to=drive(robot, to),
-            down=_slowly(drive(robot, lines["down"]), down_s),
-            off=_slowly(drive(robot, lines["off"]), OFF_M / here.lift_off_m_s),
+            down=_slowly(drive(robot, near["down"]), down_s),
+            off=_slowly(drive(robot, near["off"]), OFF_M / here.lift_off_m_s),
             up=_gently(robot, here, _slowly(drive(robot, up), up_s), self.load),
             away=_gently(robot, here, drive(robot, away), self.load),
         )
+
+    def _straights(
+        self, q: Joints, ends: Mapping[str, Float[np.ndarray, "4 4"]]
+    ) -> dict[str, Float[np.ndarray, "k joints"]] | Blocked:
+        """Straight motions of the tip, one after the other, by their names."""
+        lines: dict[str, Float[np.ndarray, "k joints"]] = {}
+        for name, end in ends.items():
+            line = straight(self.robot, q, self.here.flange(end), self.obstacles)
+            if line is None:
+                return self._why(q, self.here.flange(end), name)
+            lines[name], q = line, line[-1]
+        return lines
 
     def _why(self, q: Joints, T_base_flange: Float[np.ndarray, "4 4"], name: str) -> Blocked:
         """The reason why a straight path fails: a collision, or the limits of the arm."""

@@ -79,6 +79,23 @@ def test_the_ways_join_and_end_where_they_should(arm, here):
     np.testing.assert_allclose(raised[:3, 2], [0, 0, 1], atol=1e-3)  # upright
 
 
+def test_a_tool_that_leans_too_far_out_to_be_raised_turns_upright_on_its_way_up(arm, here):
+    """Leaning, no turn of the tool has joint angles at the end of the way up; upright it has."""
+    grip = rigid(axis_rotation("y", np.radians(-45)), np.array([-0.5, 0.1, 0.1]))
+    raised = rigid(np.eye(3), grip[:3, 3] + [0, 0, 0.3])
+    for turn in range(8):
+        leaning = raised @ inverse(rigid(np.eye(3), grip[:3, 3])) @ grip
+        turned = leaning @ rigid(axis_rotation("z", turn * np.pi / 4), np.zeros(3))
+        assert not arm.reach(here.flange(turned), arm.home, seed=0)
+    way = found(arm, here, grip=grip, up_m=0.3)
+    assert isinstance(way, Ways)
+    poses = np.stack([tip(arm, here, way.up.at(t)) for t in np.linspace(0, way.up.seconds, 40)])
+    off = np.linalg.norm(poses[:, :2, 3] - grip[:2, 3], axis=1)
+    assert off.max() < 0.01 and (np.diff(poses[:, 2, 3]) > -1e-4).all()  # the flange goes straight
+    assert (np.diff(poses[:, 2, 2]) > -1e-4).all()  # and ever more upright
+    np.testing.assert_allclose(poses[-1][:3, 2], [0, 0, 1], atol=1e-3)
+
+
 def test_a_part_is_carried_no_harder_than_its_grip_was_judged(arm, here):
     """By the engine's own steps of 2 ms, smoothed over 20: a coarser law would hide spikes."""
     way = found(arm, here)

@@ -6,9 +6,11 @@ import re
 import signal
 import threading
 import time
+from dataclasses import replace
 from http.client import HTTPConnection
 from pathlib import Path
 from queue import SimpleQueue
+from types import SimpleNamespace
 
 import pytest
 from small_cell import write_cell
@@ -16,6 +18,7 @@ from small_cell import write_cell
 from graycast.config import load_config
 from graycast.errors import ConfigError, GraycastError
 from graycast.live import Server, serve
+from graycast.live.asking import Answer
 from graycast.live.server import GRACE_S
 from graycast.live.session import Session
 
@@ -139,6 +142,31 @@ def test_a_saved_file_is_the_cell_that_is_shown(server):
     assert saved.light.environment.radiance == (0.5, 0.5, 0.5)
 
 
+def test_a_page_that_comes_later_hears_why_there_is_no_picture(server, monkeypatch):
+    """Else a page whose stream broke off would wait for it without end."""
+    idle = SimpleNamespace(ask=lambda ask: None, stop=lambda: None, pid=1)
+    monkeypatch.setattr("graycast.live.session.Maker", lambda **_: idle)
+    session, refusal = server.session, {"error": "the bin is too small"}
+
+    def heard():
+        with server.page() as told:
+            return [told.get() for _ in range(told.qsize())]
+
+    def kinds():
+        return [message.kind for message in heard()]
+
+    with server.page():
+        assert kinds() == ["state"]
+        old = Answer(kind="error", number=session.number - 1, header=refusal, arrays={})
+        session._answered(old)
+        assert kinds() == ["state"]
+        session._answered(replace(old, number=session.number))
+        assert kinds() == ["state", "error"]
+        assert heard()[1].content == refusal | {"number": session.number}  # the page compares it
+        do(server, do="set", key="exposure.target", value=0.3)
+        assert kinds() == ["state"]
+
+
 @pytest.mark.slow
 def test_a_killed_process_is_started_again_but_not_one_that_finished_nothing(tmp_path):
     """A killed process stands for one that crashed, or for which memory was exhausted."""
@@ -161,7 +189,7 @@ def test_a_killed_process_is_started_again_but_not_one_that_finished_nothing(tmp
     assert session.pid not in (None, first)
     os.kill(session.pid, signal.SIGKILL)  # long before it has made anything
     error = heard("error")
-    assert "before it finished a picture: undo" in error["error"]
+    assert "before it finished a picture: undo the" in error["error"]
     assert session.pid is None and error["number"] == session.number
     session.open()  # as a page does that is loaded again
     assert heard("picture")["number"] == session.number

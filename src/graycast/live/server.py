@@ -91,6 +91,8 @@ class Server:
             queue.put(Message(kind="state", content=self.session.state()))
             for held in self.session.newer(0):
                 queue.put(Message(kind=held.answer.kind, content={"version": held.version}))
+            if (refusal := self.session.refusal) is not None:
+                queue.put(refusal)
             with self._lock:
                 self._pages.append(queue)
         try:

@@ -69,6 +69,7 @@ class Session:
         self._asked: dict[int, Document] = {}
         self._asked_at: dict[int, float] = {}
         self._held: dict[str, Held] = {}
+        self._refusal: Message | None = None
         self._own: set[Path] = set()  # files that this session has written
         self._lock = RLock()
         self._maker: Maker | None = None
@@ -216,6 +217,12 @@ class Session:
         with self._lock:
             return [held for held in self._held.values() if held.version > version]
 
+    @property
+    def refusal(self) -> Message | None:
+        """Why there is no picture of what is set; None unless it was refused."""
+        with self._lock:
+            return self._refusal
+
     # --- within -------------------------------------------------------------------------------
 
     @property
@@ -239,6 +246,7 @@ class Session:
     def _show(self) -> None:
         """Tell the page what is set, and ask for its picture."""
         self._number += 1
+        self._refusal = None
         self._asked_at[self._number] = time.perf_counter()
         self._asked[self._number] = self._now
         for old in [n for n in self._asked if n <= self._number - MOST_UNDO]:
@@ -284,7 +292,12 @@ class Session:
                 told = ("number", "kind", "first", "samples", "of", "exact")
                 content = {name: content[name] for name in told if name in content}
                 content |= {"version": self._version, "waited_ms": waited_ms}
-        self._on_message(Message(kind=answer.kind, content=content))
+            if answer.kind == "error":
+                content["number"] = answer.number
+            message = Message(kind=answer.kind, content=content)
+            if answer.kind == "error" and answer.number == self._number:
+                self._refusal = message
+        self._on_message(message)
 
     def _ended(self, by: str) -> None:
         """The process is gone, and nobody stopped it: another one makes the picture.
@@ -295,18 +308,16 @@ class Session:
             if self._maker is None:  # `pause` was quicker
                 return
             self._maker = None
-            again, number = self._has_finished, self._number
-            if again:
+            text = f"the process that makes the pictures was ended by {by}"
+            if self._has_finished:
                 self.open()
-        text = f"the process that makes the pictures was ended by {by}"
-        if again:
-            content: dict[str, Any] = {
-                "error": f"{text}: it was started again, and nothing that you set is lost"
-            }
-        else:
-            remedy = "undo the last change, then reload the page to start it again"
-            content = {"error": f"{text} before it finished a picture: {remedy}", "number": number}
-        self._on_message(Message(kind="error", content=content))
+                text += ": it was started again, and nothing that you set is lost"
+                message = Message(kind="error", content={"error": text})
+            else:
+                text += " before it finished a picture: undo the last change, then reload the page"
+                message = Message(kind="error", content={"error": text, "number": self._number})
+                self._refusal = message
+        self._on_message(message)
 
 
 def _turned(document: Document) -> list[str]:

@@ -107,6 +107,7 @@
         at("doing").textContent = `${message.stage} …`;
         break;
       case "error":
+        if (message.number && message.number !== state?.number) break; // something else is set now
         at("doing").textContent = "";
         main.dataset.failed = message.number ?? "";
         tell(message.error);

@@ -2,6 +2,7 @@
 
 import argparse
 import json
+import os
 import re
 import shutil
 import subprocess
@@ -196,6 +197,17 @@ def test_the_installed_command_is_this_one_and_states_its_version():
     assert script.load() is main
     said = subprocess.check_output([*GRAYCAST, "--version"], text=True)
     assert said == f"graycast {__version__}\n"
+
+
+def test_a_reader_that_goes_away_is_no_error():
+    """As `graycast ... | head -1` is: `head` closes the pipe after its line."""
+    read, write = os.pipe()
+    os.close(read)
+    ran = subprocess.run(
+        [*GRAYCAST, "completion", "bash"], stdout=write, stderr=subprocess.PIPE, text=True
+    )
+    os.close(write)
+    assert (ran.returncode, ran.stderr) == (1, "")
 
 
 # --- what the commands do ----------------------------------------------------------------------

@@ -1,6 +1,8 @@
 """The command line: the list of commands, and how their errors are reported."""
 
 import argparse
+import os
+import select
 import signal
 import sys
 from collections.abc import Sequence
@@ -58,15 +60,29 @@ def main(arguments: Sequence[str] | None = None) -> int:
     if arguments is None:  # a process of its own
         signal.signal(signal.SIGTERM, _stop)  # a batch system's way to say Ctrl-C
     try:
-        return options.run(options) or 0
+        code = options.run(options) or 0
+        sys.stdout.flush()
+        return code
     except KeyboardInterrupt:
         print(f"graycast: the command was stopped; {options.when_stopped}", file=sys.stderr)
         return 130
     except (GraycastError, ValueError, OSError, MemoryError) as error:
+        if isinstance(error, BrokenPipeError) and _nobody_reads():
+            return 1
         if options.debug:
             raise
         print(f"graycast: error: {told(error)}", file=sys.stderr)
         return 1
+
+
+def _nobody_reads() -> bool:
+    """Whether the reader of the output is gone, as `head` is after its lines: that is no error."""
+    output = select.poll()
+    output.register(sys.stdout.fileno(), 0)
+    if not any(event & select.POLLERR for _, event in output.poll(0)):
+        return False
+    os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # for the flush at the end
+    return True
 
 
 def _stop(number: int, frame: object) -> None:

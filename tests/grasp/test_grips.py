@@ -95,12 +95,13 @@ JAWS = Jaws(opening_m=0.05, force_n=40.0, friction=0.3, finger_m=(0.006, 0.010, 
 
 
 def test_jaw_grips_of_a_box_close_on_parallel_faces_that_fit():
-    places = jaw_places(box(), JAWS, weight_n=0.5, center_m=np.zeros(3), doubt=SURE, count=120)
+    told = {"weight_n": 0.5, "center_m": np.zeros(3), "doubt": SURE, "chances": 1}
+    places = jaw_places(box(), JAWS, **told, count=120)
     grips = best_first(places)
     openings = {round(1e3 * grip.opening_m, 6) for grip in grips}
     assert openings == {20.0, 30.0, 40.0}
     narrow = Jaws(opening_m=0.035, force_n=40.0, friction=0.3, finger_m=(0.006, 0.010, 0.040))
-    places = jaw_places(box(), narrow, weight_n=0.5, center_m=np.zeros(3), doubt=SURE, count=120)
+    places = jaw_places(box(), narrow, **told, count=120)
     grips = best_first(places)
     # 2 mm of room on both sides: of 20 and 30 mm both fit into 35 mm, 40 mm does not.
     assert {round(1e3 * grip.opening_m, 6) for grip in grips} == {20.0, 30.0}
@@ -139,7 +140,9 @@ def test_no_finger_stands_in_the_part():
         ),
     ]
     u = mesh_of(trimesh.boolean.union(walls))
-    places = jaw_places(u, JAWS, weight_n=0.3, center_m=np.zeros(3), doubt=SURE, count=300)
+    places = jaw_places(
+        u, JAWS, weight_n=0.3, center_m=np.zeros(3), doubt=SURE, count=300, chances=1
+    )
     grips = best_first(places)
     assert any(grip.opening_m == pytest.approx(0.003) for grip in grips)  # round one wall
     points = trimesh.sample.sample_surface(trimesh.Trimesh(u.vertices_m, u.faces), 5000, seed=1)[0]

@@ -1,5 +1,6 @@
 """Execution of a grip: the tool grips, lifts and carries the part, and the rest settles."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -39,6 +40,20 @@ class World:
     tabu: tuple[Float[np.ndarray, "3"], ...] = ()
     blocked: tuple[Float[np.ndarray, "3"], ...] = ()
 
+    def without_way(self, places_m: Sequence[Float[np.ndarray, "3"]]) -> "World":
+        """The same, where the arm found no way to these places."""
+        return replace(self, blocked=(*self.blocked, *places_m))
+
+    def gripped(self, place_m: Float[np.ndarray, "3"], *, taken: bool) -> "World":
+        """The same after a grip: a failure is remembered, a pick clears what is near it."""
+        if not taken:
+            return replace(self, tabu=(*self.tabu, place_m))
+        tabu, blocked = (
+            tuple(place for place in places if np.linalg.norm(place - place_m) > FREED_M)
+            for places in (self.tabu, self.blocked)
+        )
+        return replace(self, tabu=tabu, blocked=blocked)
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Carried:
@@ -69,7 +84,7 @@ def carry_out(ready: Ready, world: World, choice: Choice) -> tuple[Carried, Worl
         carried = Carried(
             outcome=_blamed(met.outcome, error), detail=met.detail, part=met.part, pose_error=error
         )
-        return carried, replace(world, tabu=(*world.tabu, aim.place_m))
+        return carried, world.gripped(aim.place_m, taken=False)
     lifted = lift(
         ready.cell.box,
         ready.bodies,
@@ -84,17 +99,7 @@ def carry_out(ready: Ready, world: World, choice: Choice) -> tuple[Carried, Worl
     gone = outside.copy()
     gone[met.part] |= lifted.lost_s is None
     after = _settled(ready, world, lifted.T_world_part, ~gone)
-    if carried.outcome not in TAKEN:
-        return carried, replace(after, tabu=(*after.tabu, aim.place_m))
-    tabu, blocked = (_beyond(places, aim.place_m) for places in (after.tabu, after.blocked))
-    return carried, replace(after, tabu=tabu, blocked=blocked)
-
-
-def _beyond(
-    places: tuple[Float[np.ndarray, "3"], ...], place_m: Float[np.ndarray, "3"]
-) -> tuple[Float[np.ndarray, "3"], ...]:
-    """Without those near a place from which a part was taken."""
-    return tuple(place for place in places if np.linalg.norm(place - place_m) > FREED_M)
+    return carried, after.gripped(aim.place_m, taken=carried.outcome in TAKEN)
 
 
 def _told(

@@ -152,7 +152,7 @@ def _attempt(
         work_s=clock.seconds,
     )
     if isinstance(choice, Blocked):
-        world = replace(world, blocked=(*world.blocked, *choice.places_m))
+        world = world.without_way(choice.places_m)
         return replace(attempt, outcome=choice.outcome, detail=choice.detail), seen, world
     with clock("physics"):
         carried, after = carry_out(ready, world, choice)

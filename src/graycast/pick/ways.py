@@ -14,6 +14,7 @@ from .robot import Joints, Mounted, Obstacle, Robot
 
 TURNS = 4  # of a round cup about its axis, which all hold alike
 OFF_M = 0.01  # on which the load comes on the tool: bellows stretch by less
+Lines = dict[str, Float[np.ndarray, "k joints"]]  # straight motions by their names
 ELBOWS = 3  # ways to hold the arm that are tried before a grip
 
 
@@ -169,14 +170,17 @@ class _Search:
         off[2, 3] += OFF_M
         raised[2, 3] += max(self.up_m, OFF_M)
         upright = _upright(raised)
-        near = self._straights(q_before, {"down": tip, "off": off})
-        if isinstance(near, Blocked):
-            return near
-        rise = self._straights(near["off"][-1], {"up": raised, "upright": upright})
-        if isinstance(rise, Blocked):
-            turning = self._straights(near["off"][-1], {"upright": upright})
-            if isinstance(turning, Blocked):
-                return rise
+        closing = {"down": tip, "off": off}
+        near = self._straights(q_before, closing)
+        if len(near) < len(closing):
+            return self._why(q_before, near, closing)
+        q_off = near["off"][-1]
+        rising = {"up": raised, "upright": upright}
+        rise = self._straights(q_off, rising)
+        if len(rise) < len(rising):
+            turning = self._straights(q_off, {"upright": upright})
+            if not turning:
+                return self._why(q_off, rise, rising)
             rise = turning
         first, *rest = rise.values()
         up = np.concatenate([first, *(line[1:] for line in rest)])
@@ -199,20 +203,23 @@ class _Search:
             away=_gently(robot, here, drive(robot, away), self.load),
         )
 
-    def _straights(
-        self, q: Joints, ends: Mapping[str, Float[np.ndarray, "4 4"]]
-    ) -> dict[str, Float[np.ndarray, "k joints"]] | Blocked:
-        """Straight motions of the tip, one after the other, by their names."""
-        lines: dict[str, Float[np.ndarray, "k joints"]] = {}
+    def _straights(self, q: Joints, ends: Mapping[str, Float[np.ndarray, "4 4"]]) -> Lines:
+        """Straight motions of the tip, one after the other, up to the first that there is not."""
+        lines: Lines = {}
         for name, end in ends.items():
             line = straight(self.robot, q, self.here.flange(end), self.obstacles)
             if line is None:
-                return self._why(q, self.here.flange(end), name)
+                break
             lines[name], q = line, line[-1]
         return lines
 
-    def _why(self, q: Joints, T_base_flange: Float[np.ndarray, "4 4"], name: str) -> Blocked:
-        """The reason why a straight path fails: a collision, or the limits of the arm."""
+    def _why(
+        self, q: Joints, lines: Lines, ends: Mapping[str, Float[np.ndarray, "4 4"]]
+    ) -> Blocked:
+        """The reason why the next straight path fails: a collision, or the limits of the arm."""
+        name, end = list(ends.items())[len(lines)]
+        q = [q, *(line[-1] for line in lines.values())][-1]
+        T_base_flange = self.here.flange(end)
         if straight(self.robot, q, T_base_flange, ()) is not None:
             for obstacle in self.obstacles:
                 if straight(self.robot, q, T_base_flange, (obstacle,)) is None:

@@ -4,8 +4,8 @@ Light is rendered once for each code, so a trial is exposure, noise, decoding an
 Covariance matrix adaptation walks the box of the declared parameters (Hansen's `cma`), with the
 same noise in every trial, so that the same search takes the same way. First each
 parameter is tried alone, which finds what is far off. A code is no number: each candidate has a
-short search from there, and the best goes on
-by damped Gauss-Newton steps, as the loss is a sum of squares.
+short search from there, and the best goes on by damped Gauss-Newton steps, as the loss is a sum of
+squares.
 
 Source: Hansen, "The CMA Evolution Strategy: A Tutorial", arXiv 1604.00772.
 """

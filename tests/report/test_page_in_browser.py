@@ -358,6 +358,26 @@ def test_views_flip_by_keys_and_the_difference_is_white_where_there_is_none(page
     ready(page, "overview")
 
 
+def test_a_picture_has_its_place_when_its_scene_is_ready(page, made):
+    first, later = page.evaluate(
+        """async () => {
+            const main = document.getElementById("main"), name = "train-000003";
+            const place = () => JSON.stringify(
+                document.getElementById("picture").getBoundingClientRect());
+            const seen = new Promise((done) => new MutationObserver((_, self) => {
+                if (main.dataset.ready !== name) return;
+                self.disconnect();
+                done(place());
+            }).observe(main, { attributes: true }));
+            location.hash = `#/${name}`;
+            const first = await seen;
+            for (let k = 0; k < 3; k++) await new Promise(requestAnimationFrame);
+            return [first, place()];
+        }"""
+    )
+    assert first == later
+
+
 def test_zoom_keeps_the_pixel_under_the_pointer(page, made):
     opened(page, made, 0)
     page.mouse.move(*place(page, 80, 33))

@@ -154,6 +154,7 @@
       at(".under").replaceChildren(...toolbar.under([cloudWords()], []));
     } else {
       repaint();
+      viewer.settle(); // now, not when the observer hears of it: who is told `ready` may point at once
       viewer.cover(prefs, open.lit);
     }
   }

@@ -28,8 +28,10 @@
       fit = 1,
       drag = null,
       cut = 0.5,
-      how = "single";
+      how = "single",
+      fitted = "";
 
+    const room = () => `${stage.clientWidth} ${stage.clientHeight}`;
     const wide = () => stage.clientWidth / (how === "side" ? 2 : 1);
     const place = () => {
       const scale = fit * zoom;
@@ -47,10 +49,15 @@
     };
     const home = () => {
       fit = Math.min(wide() / width, stage.clientHeight / height) || 1;
+      fitted = room();
       zoom = 1;
       x = (wide() - width * fit) / 2;
       y = (stage.clientHeight - height * fit) / 2;
       place();
+    };
+    /** The whole picture again, if the stage is not of the size that it was fitted to. */
+    const settle = () => {
+      if (room() !== fitted) home();
     };
     const zoomAt = (factor, px = wide() / 2, py = stage.clientHeight / 2) => {
       const next = Math.min(Math.max(zoom * factor, 1), 60),
@@ -116,12 +123,13 @@
       cut = Math.min(Math.max(share(cut), 0), 1);
       place();
     });
-    const watch = new ResizeObserver(home);
+    const watch = new ResizeObserver(settle);
     watch.observe(stage);
 
     return {
       stage,
       home,
+      settle,
       zoomAt,
       close: () => watch.disconnect(),
       /** Show `views`, one or two of them; returns what `Graycast.paint` says of each. */

@@ -132,8 +132,7 @@ def _cut(
 
     shape = trimesh.Trimesh(mesh.vertices_m, mesh.faces, process=False)
     segment, face = trimesh.intersections.mesh_plane(shape, normal, point_m, return_faces=True)
-    cross = mesh.face_cross_m2[face]
-    return segment, cross / np.maximum(np.linalg.norm(cross, axis=1, keepdims=True), 1e-30)
+    return segment, mesh.face_normal[face]
 
 
 def _within(span_m: Float[np.ndarray, "n 2"], half_m: float) -> Float[np.ndarray, " n"]:

@@ -244,7 +244,7 @@ def bin_mesh(box: Bin) -> Mesh:
     if box.own_texture:
         return mesh
     corner = mesh.vertices_m[mesh.faces]
-    axis = np.abs(mesh.face_cross_m2).argmax(axis=1)
+    axis = np.abs(mesh.face_normal).argmax(axis=1)
     # Wood grain (u) runs along the longer horizontal direction of each face.
     u = np.where((axis == 0)[:, None], corner[..., 1], corner[..., 0])
     v = np.where((axis == 2)[:, None], corner[..., 1], corner[..., 2])
@@ -279,8 +279,7 @@ def _box_mesh(box: Bin) -> Mesh:
 def inner_floor(box: Bin, mesh: Mesh) -> Bool[np.ndarray, " f"]:
     """Which faces of the bin's mesh are its inner floor: they look up and lie at its height."""
     corner = mesh.vertices_m[mesh.faces]
-    cross = mesh.face_cross_m2
-    looks_up = cross[:, 2] > _UPRIGHT * np.linalg.norm(cross, axis=1)
+    looks_up = mesh.face_normal[:, 2] > _UPRIGHT
     low = np.abs(corner[..., 2]).max(axis=1) < max(1e-3, _LOW * box.inner_m[2])
     within = (np.abs(corner[..., :2].mean(axis=1)) < np.array(box.inner_m[:2]) / 2).all(axis=1)
     return looks_up & low & within

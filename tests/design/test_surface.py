@@ -98,7 +98,7 @@ def test_the_open_surface_weighs_what_it_shows_from_above():
     sides and its underside weigh nothing. A wider cone sees its top by the mean cosine."""
     rig = make_rig(centred(600, 500, 400), centred(900, 700, 500))
     scene = plate_in_bin(rig, (0.0, 0.0, 0.8), rim_m=0.0065)
-    area_m2 = np.linalg.norm(scene.parts[0].mesh.face_cross_m2, axis=1).sum() / 2
+    area_m2 = scene.parts[0].mesh.face_area_m2.sum()
     straight = spread_surface(scene, ON_THE_FLOOR, points=POINTS, cone_deg=0.0)
     assert straight.weight.mean() * area_m2 == pytest.approx(LENGTH_M * WIDTH_M, rel=2e-3)
     assert not straight.weight[straight.normal[:, 2] < 0.9].any()

@@ -116,9 +116,8 @@ def _corner_normals(mesh: Mesh) -> Float[np.ndarray, "f 3 3"]:
     ahead = _unit(np.roll(corner, -1, axis=1) - corner)
     behind = _unit(np.roll(corner, 1, axis=1) - corner)
     angle_rad = np.arccos(np.clip((ahead * behind).sum(axis=-1), -1.0, 1.0))
-    face_normal = _unit(np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0]))
     total = np.zeros(mesh.vertices_m.shape)
-    np.add.at(total, mesh.faces, angle_rad[..., None] * face_normal[:, None])
+    np.add.at(total, mesh.faces, angle_rad[..., None] * mesh.face_normal[:, None])
     return _unit(total)[mesh.faces]
 
 

@@ -73,7 +73,7 @@ def spread_surface(scene: Scene, layout: Layout, *, points: int, cone_deg: float
 
     No chance is involved: one heap has the same points in every setting.
     """
-    area = [float(np.linalg.norm(part.mesh.face_cross_m2, axis=1).sum()) for part in scene.parts]
+    area = [float(part.mesh.face_area_m2.sum()) for part in scene.parts]
     total = sum(area[kind] for kind in layout.part_index)
     place, normal, instance = [], [], []
     for number, kind in enumerate(layout.part_index.tolist()):

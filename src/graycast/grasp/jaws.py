@@ -110,8 +110,7 @@ def jaw_places(
     friction = jaws.friction * np.maximum(1 + doubt.friction_share * off[:, 0], 0)
     a, b, c = np.moveaxis(mesh.vertices_m[mesh.faces].astype(np.float64), 1, 0)
     through_m, face = _far_side(point, -normal, a, b - a, c - a)
-    cross = mesh.face_cross_m2
-    far_normal = (cross / np.linalg.norm(cross, axis=1, keepdims=True))[face]
+    far_normal = mesh.face_normal[face]
     slope = np.tan(np.arccos(np.clip(-np.einsum("ni,ni->n", far_normal, normal), 0, 1)))
     fits = (through_m > 1e-4) & (through_m + 2 * CLEARANCE_M <= jaws.opening_m)
     closes = slope <= jaws.friction

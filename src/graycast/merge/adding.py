@@ -56,7 +56,7 @@ def surface_of(
     meshes: Sequence[Mesh], T_world_part: Sequence[Float[np.ndarray, "4 4"]], *, points: int
 ) -> Surface:
     """So many points over all instances, by their areas; no chance is involved."""
-    area = [float(np.linalg.norm(mesh.face_cross_m2, axis=1).sum()) for mesh in meshes]
+    area = [float(mesh.face_area_m2.sum()) for mesh in meshes]
     place, normal, instance = [np.zeros((0, 3))], [np.zeros((0, 3))], [np.zeros(0, np.int64)]
     for number, (mesh, T) in enumerate(zip(meshes, T_world_part, strict=True)):
         own, facing = spread_points(mesh, max(1, round(points * area[number] / sum(area))))

@@ -88,8 +88,18 @@ class Mesh:
         return np.ptp(self.vertices_m, axis=0)
 
     @property
-    def face_cross_m2(self) -> Float[np.ndarray, "f 3"]:
-        """Outward, along each face's normal, as long as twice its area."""
+    def face_area_m2(self) -> Float[np.ndarray, " f"]:
+        return np.linalg.norm(self._face_cross_m2, axis=1) / 2
+
+    @property
+    def face_normal(self) -> Float[np.ndarray, "f 3"]:
+        """Outward, of length 1; zero for a face without area."""
+        cross = self._face_cross_m2
+        length = np.linalg.norm(cross, axis=1, keepdims=True)
+        return cross / np.where(length > 0, length, 1.0)
+
+    @property
+    def _face_cross_m2(self) -> Float[np.ndarray, "f 3"]:
         corner = self.vertices_m[self.faces]
         return np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
 

@@ -24,20 +24,18 @@ def surface_points(
 
     Source: Y. Eldar et al., "The farthest point strategy for progressive image sampling", 1997.
     """
-    cross = mesh.face_cross_m2
-    area = np.linalg.norm(cross, axis=1) / 2
+    area = mesh.face_area_m2
     wanted = int(np.clip(DENSITY * area.sum() / step_m**2, 200, DENSITY * most))
     point, face = _candidates(mesh, area, wanted)
     chosen = _farthest(point, step_m, most)
-    normal = cross[face[chosen]] / (2 * area[face[chosen], None])
-    return point[chosen], normal
+    return point[chosen], mesh.face_normal[face[chosen]]
 
 
 def dense_points(
     mesh: Mesh, step_m: float, *, most: int
 ) -> tuple[Float[np.ndarray, "n 3"], Float[np.ndarray, "n 3"]]:
     """The same quickly, for many points: `step_m` apart in the mean, some nearer and farther."""
-    area_m2 = float(np.linalg.norm(mesh.face_cross_m2, axis=1).sum()) / 2
+    area_m2 = float(mesh.face_area_m2.sum())
     return spread_points(mesh, int(np.clip(area_m2 / step_m**2, 200, most)))
 
 
@@ -45,10 +43,8 @@ def spread_points(
     mesh: Mesh, count: int
 ) -> tuple[Float[np.ndarray, "n 3"], Float[np.ndarray, "n 3"]]:
     """The given number of points with equal shares of the area, and their outward normals."""
-    cross = mesh.face_cross_m2
-    area = np.linalg.norm(cross, axis=1) / 2
-    point, face = _candidates(mesh, area, count)
-    return point, cross[face] / (2 * area[face, None])
+    point, face = _candidates(mesh, mesh.face_area_m2, count)
+    return point, mesh.face_normal[face]
 
 
 def _candidates(mesh: Mesh, area: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:

@@ -107,8 +107,7 @@ def _of_wall(
     face, z = rasterize(vertices_cam, mesh.faces, camera).over(camera)
     ray = rays(camera, pixel_grid(camera.height_px, camera.width_px))
     height_m = transform_points(T_world_cam, (ray * z[..., None]).reshape(-1, 3))[:, 2]
-    cross = mesh.face_cross_m2
-    normal = (cross / np.linalg.norm(cross, axis=1, keepdims=True)) @ T_cam_world[:3, :3].T
+    normal = mesh.face_normal @ T_cam_world[:3, :3].T
     off_m = np.abs((depth_m - z) * (ray * normal[face]).sum(axis=-1))
     with np.errstate(invalid="ignore"):
         above = height_m.reshape(z.shape) > FLOOR_M

@@ -56,12 +56,10 @@ def pose_model(mesh: Mesh, symmetry: Symmetry) -> PoseModel:
     diameter_m = 2 * float(np.linalg.norm(used - middle, axis=1).max())
     point, normal = surface_points(mesh, STEP * diameter_m, most=MOST_POINTS)
     dense, dense_normal = dense_points(mesh, DENSE_STEP * diameter_m, most=MOST_DENSE)
-    cross = mesh.face_cross_m2
-    length = np.linalg.norm(cross, axis=1, keepdims=True)
     return PoseModel(
         vertices_m=np.ascontiguousarray(mesh.vertices_m, dtype=np.float64),
         faces=np.ascontiguousarray(mesh.faces),
-        face_normal=cross / np.where(length > 0, length, 1.0),
+        face_normal=mesh.face_normal,
         diameter_m=diameter_m,
         point=point,
         normal=normal,

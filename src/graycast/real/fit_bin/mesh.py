@@ -106,9 +106,7 @@ def mesh_shape(box: Bin) -> MeshShape:
     if mesh is None:
         raise ValueError("the bin is a box, not a mesh: open_box gives its faces")
     corner = mesh.vertices_m[mesh.faces]
-    cross = mesh.face_cross_m2
-    area_m2 = np.linalg.norm(cross, axis=1) / 2
-    normal = cross / np.maximum(2 * area_m2, 1e-30)[:, None]
+    area_m2, normal = mesh.face_area_m2, mesh.face_normal
     spacing_m = max(_LEAST_SPACING_M, float(np.sqrt(area_m2.sum() / _SAMPLES)))
     sample_m, owner = _spread(corner, area_m2)
     trees = []

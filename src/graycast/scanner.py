@@ -34,7 +34,15 @@ from .render import Radiance
 from .rig import BINNING, PRESETS, Rig, preset_rig
 from .sensor import Capture, SensorSpec, auto_exposure_s, expose, merge_exposures
 from .settings import Positive, check_fields
-from .speckle import draw_speckle, footprint_px, material_contrast, pixel_contrast, speckled
+from .speckle import (
+    PATCH_M,
+    draw_speckle,
+    footprint_px,
+    material_contrast,
+    pixel_contrast,
+    speckled,
+    uneven,
+)
 
 APERTURE_SLACK = 0.05  # by which sensor.f_number may differ from the camera's own aperture
 
@@ -124,11 +132,13 @@ def take(scanner: Scanner, radiance: Radiance, *, seed: int) -> Capture:
     )
     if scanner.rig.speckle_contrast:
         reflectance = radiance.albedo @ np.array(scanner.rig.band_weights, dtype=np.float32)
+        contrast = _contrast(scanner, reflectance)
+        if scanner.rig.speckle_unevenness:
+            contrast = uneven(
+                contrast, scanner.rig.speckle_unevenness, patch_px=_patch_px(scanner.rig), seed=seed
+            )
         stack = speckled(
-            stack,
-            draw_speckle(
-                _contrast(scanner, reflectance), scanner.sensor, seed=seed, side=_side(scanner)
-            ),
+            stack, draw_speckle(contrast, scanner.sensor, seed=seed, side=_side(scanner))
         )
     seeds = np.random.SeedSequence(seed).generate_state(len(exposure.factors), np.uint64)
     shown = _shown(scanner, stack)
@@ -199,6 +209,11 @@ def _off_px(scanner: Scanner, capture: Capture, depth: DepthMap) -> Float[np.nda
         return np.zeros(depth.depth_m.shape, dtype=np.float32)
     contrast = _contrast(scanner, _seen_reflectance(scanner, capture, depth))
     return np.float32(footprint_px(scanner.sensor, side=_side(scanner))) * contrast
+
+
+def _patch_px(rig: Rig) -> float:
+    """A patch of equal finish in the picture, in the middle of the working range."""
+    return rig.camera.fx_px * PATCH_M / ((rig.near_m + rig.far_m) / 2)
 
 
 def _side(scanner: Scanner) -> float:

@@ -27,6 +27,7 @@ FORMAT_VERSION, SEALED_SINCE, ONE_IMAGE = 3, 2, 2
 # Fields that older datasets lack; where they are off they are left out, so that those can go on.
 _LATER = {
     "speckle_volume": 0.0,
+    "speckle_unevenness": 0.0,
     "line_noise": 0.0,
     "min_sigmas": 0.0,
     "outlier_repair": False,

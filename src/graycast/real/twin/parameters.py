@@ -17,6 +17,7 @@ from ...scanner import Scanner
 BIN_REFLECTANCE = (
     "bin.reflectance"  # a factor on the bin's colour, the one key that is no scanner's
 )
+FULL_WELL = "sensor.full_well_e"  # the gain follows, so that a full well keeps its digital number
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -57,10 +58,12 @@ class Parameter:
 PARAMETERS: tuple[Parameter, ...] = (
     Parameter(key="exposure.target", low=0.1, high=1.0, walk="log"),
     Parameter(key="exposure.factors[1]", low=1.5, high=60.0, walk="log"),
+    Parameter(key=FULL_WELL, low=5e3, high=2e5, walk="log"),
     Parameter(key="sensor.read_noise_e", low=1.0, high=80.0, walk="log"),
     Parameter(key="veil", low=0.0, high=0.2),
     Parameter(key="speckle_contrast", low=0.0, high=1.0),
     Parameter(key="speckle_volume", low=0.2, high=50.0, walk="log"),
+    Parameter(key="speckle_unevenness", low=0.0, high=0.8),
     Parameter(key="line_noise", low=0.0, high=0.05),
     Parameter(key="decode.min_sigmas", low=3.0, high=150.0, walk="log"),
     Parameter(key="decode.doubt", low=0.03, high=0.4),
@@ -98,6 +101,9 @@ def with_values(
                 value = int(value)
             elif parameter.switch:
                 value = bool(value)
+            if parameter.key == FULL_WELL:
+                gain = scanner.sensor.gain_dn_per_e * scanner.sensor.full_well_e / value
+                scanner = _replaced(scanner, ["sensor", "gain_dn_per_e"], float(f"{gain:.4g}"))
             scanner = _replaced(scanner, _path(parameter.key), value)
     return scanner
 

@@ -21,6 +21,7 @@ ORDER = (
     "mask_box",
     "optics",
     "raster",
+    "finish",
     "ply",
     "pattern",
     "rig",

@@ -1,6 +1,5 @@
 """Speckle on the sensor: its contrast, grain and laws, and what it does to positions and depth."""
 
-import itertools
 import math
 from dataclasses import replace
 
@@ -19,7 +18,6 @@ from graycast.speckle import (
     pixel_contrast,
     shared_light,
     speckled,
-    uneven,
 )
 
 RED = SensorSpec(wavelength_m=637e-9, f_number=4.0, pixel_pitch_m=6.9e-6)
@@ -165,22 +163,6 @@ def test_white_matter_keeps_light_as_long_as_a_random_walk_says():
         assert contrast == pytest.approx(1 / math.sqrt(1 + 3.0 * mean_path), rel=0.02)
     assert material_contrast(np.array([0.0, 0.7]), 0.0).tolist() == [1, 1]
     assert material_contrast(np.array([0.0]), 9.0)[0] == 1
-
-
-def test_uneven_contrast_has_its_spread_and_its_patches_and_no_more_power():
-    mean, patch_px = 0.1, 8.0
-    drawn = [uneven(np.full(SHAPE, mean), 0.3, patch_px=patch_px, seed=seed) for seed in range(6)]
-    log = np.log(np.stack(drawn))
-    assert log.std() == pytest.approx(0.3, rel=1e-3)
-    assert np.mean(np.square(drawn)) == pytest.approx(mean**2, rel=0.03)
-    rest = log - log.mean()
-    for lag in (4, 8, 12):
-        expected = math.exp(-((lag / patch_px) ** 2))
-        for shifted in (np.roll(rest, lag, axis=1), np.roll(rest, lag, axis=2)):
-            assert (rest * shifted).mean() / rest.var() == pytest.approx(expected, abs=0.05)
-    common = [(a * b).mean() / rest.var() for a, b in itertools.combinations(rest, 2)]
-    assert np.mean(common) == pytest.approx(0, abs=0.03)
-    assert uneven(np.full(SHAPE, 0.9), 1.0, patch_px=patch_px, seed=0).max() == 1
 
 
 # --- what it does to pictures ------------------------------------------------------------------

@@ -28,6 +28,7 @@ What all packages use:
     mask_box         the box about a mask's pixels
     optics           camera and projector: distortion and its inverse, thin lens, vignetting
     raster           the depth of a mesh at pixel centres, for checks
+    finish           noise whose amplitude differs between patches of a surface
     ply              point clouds and meshes as PLY files
 
 What is simulated:

@@ -26,6 +26,7 @@ from .decode import (
     with_displacement,
     without_hidden,
 )
+from .finish import PATCH_M, uneven
 from .frames import pixel_grid
 from .line_noise import lines_seen, place_sigma_px, with_line_noise
 from .optics import rays
@@ -34,15 +35,7 @@ from .render import Radiance
 from .rig import BINNING, PRESETS, Rig, preset_rig
 from .sensor import Capture, SensorSpec, auto_exposure_s, expose, merge_exposures
 from .settings import Positive, check_fields
-from .speckle import (
-    PATCH_M,
-    draw_speckle,
-    footprint_px,
-    material_contrast,
-    pixel_contrast,
-    speckled,
-    uneven,
-)
+from .speckle import draw_speckle, footprint_px, material_contrast, pixel_contrast, speckled
 
 APERTURE_SLACK = 0.05  # by which sensor.f_number may differ from the camera's own aperture
 

@@ -22,16 +22,13 @@ from typing import no_type_check
 import numba
 import numpy as np
 from jaxtyping import Float
-from scipy import fft, ndimage
+from scipy import fft
 
 from .sensor import SensorSpec
 
 LAGS = 3  # pixels over which neighbours' speckle is correlated: a speckle is smaller
 MOST_REFLECTANCE = 0.95  # a mean path in matter without any absorption has no end
 FURTHEST_PX = 0.5  # light that a pixel gathers is centred within what it senses with
-# Distance on a surface at which the finish of two places has a correlation of 1/e. Measured on five
-# scans of one bin of plastic, the parts in it included.
-PATCH_M = 0.010
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -107,28 +104,6 @@ def footprint_px(sensor: SensorSpec, *, side: float = 1.0) -> float:
     return math.hypot(side / math.sqrt(12), point_px)
 
 
-def uneven(
-    contrast: Float[np.ndarray, "h w"], unevenness: float, *, patch_px: float, seed: int
-) -> Float[np.ndarray, "h w"]:
-    """Contrast on surfaces whose finish differs from patch to patch.
-
-    It is multiplied by a field with a log-normal law, whose logarithm has the standard deviation
-    `unevenness` and the correlation `exp(-(r / patch_px)^2)`. The mean square of the contrast stays
-    what it was, and so does the mean power of the noise. A pixel's contrast is at most 1.
-
-    Args:
-        patch_px: `PATCH_M` in the picture. It is one number for the whole picture, as if all
-            surfaces were equally far away and faced the camera.
-        seed: of the capture. The patches are new in every capture, although those of real surfaces
-            move with the surface.
-    """
-    rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=_PATCHES))
-    field = rng.standard_normal(contrast.shape, dtype=np.float32)
-    field = ndimage.gaussian_filter(field, patch_px / 2, mode="wrap")
-    field *= unevenness / max(float(field.std()), 1e-9)
-    return np.minimum(contrast * np.exp(field - np.float32(unevenness**2)), np.float32(1))
-
-
 def draw_speckle(
     contrast: Float[np.ndarray, "h w"], sensor: SensorSpec, *, seed: int, side: float = 1.0
 ) -> Speckle:
@@ -152,7 +127,7 @@ def draw_speckle(
     return Speckle(brightness=brightness, right_px=right, down_px=down)
 
 
-_STREAM, _PATCHES = (2,), (4,)  # beside those of the sensor's noise and of lines
+_STREAM = (2,)  # beside those of the sensor's noise
 
 
 def _correlated(

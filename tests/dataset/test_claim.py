@@ -74,13 +74,18 @@ def test_settings_that_came_later_are_told_where_they_are_on_and_only_there():
     """An older dataset, whose claim lacks them, goes on; one with them on is another."""
     for off, on in (
         (DecodeSpec(), DecodeSpec(min_sigmas=5.0)),
-        (FilterSpec(), FilterSpec(outlier_repair=True, hidden_sigmas=3.0, raster_px=0.3)),
+        (
+            FilterSpec(),
+            FilterSpec(
+                outlier_repair=True, hidden_sigmas=3.0, raster_px=0.3, raster_unevenness=0.2
+            ),
+        ),
         (
             make_rig(),
             replace(make_rig(), speckle_volume=2.0, speckle_unevenness=0.2, line_noise=0.01),
         ),
     ):
-        older = {"min_sigmas", "outlier_repair", "hidden_sigmas", "raster_px"}
+        older = {"min_sigmas", "outlier_repair", "hidden_sigmas", "raster_px", "raster_unevenness"}
         older |= {"speckle_volume", "speckle_unevenness", "line_noise"}
         assert not older & set(described_values(off))
         assert set(described_values(on)) == {field.name for field in fields(on)}

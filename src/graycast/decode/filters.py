@@ -42,7 +42,8 @@ class FilterSpec:
     `island_px`: connected surfaces of fewer pixels go.
     `smoothing_px`: standard deviation of a Gaussian kernel; 0.55 lets 0.56 of white noise pass and
     correlates neighbours by 0.36.
-    `raster_px`: standard deviation of the place in its pixel that a depth is of (see `raster`).
+    `raster_px`: standard deviation of the place in its pixel that a depth is of (see `raster`);
+    `raster_unevenness`: how much it differs between patches of a surface (see `finish`).
     `step_angle_deg`: neighbours are connected up to this angle of incidence.
     """
 
@@ -99,6 +100,16 @@ class FilterSpec:
             ge=0,
             le=1,
             description="standard deviation of the place in its pixel that a depth is of",
+            exclude_if=unsaid,
+        ),
+    ] = None
+    raster_unevenness: Annotated[
+        float | None,
+        Field(
+            ge=0,
+            le=1,
+            description="Standard deviation of the natural logarithm of raster_px between "
+            "patches of a surface.",
             exclude_if=unsaid,
         ),
     ] = None
@@ -167,7 +178,14 @@ def filter_depth(depth: DepthMap, spec: FilterSpec, camera: Optics) -> DepthMap:
         filtered_sigma_m[removed] = np.nan
     reason = np.where(removed, np.uint8(Reason.OUTLIER), depth.reason)
     filtered = DepthMap(depth_m=filtered_m, sigma_m=filtered_sigma_m, reason=reason)
-    return on_raster(filtered, spec.raster_px) if spec.raster_px else filtered
+    if not spec.raster_px:
+        return filtered
+    return on_raster(
+        filtered,
+        spec.raster_px,
+        unevenness=spec.raster_unevenness or 0.0,
+        focal_px=camera.fx_px,
+    )
 
 
 def _framed(image: Float[np.ndarray, "h w"], margin_px: int) -> Float[np.ndarray, "H W"]:

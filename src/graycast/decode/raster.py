@@ -11,6 +11,7 @@ from dataclasses import replace
 import numpy as np
 from jaxtyping import Float
 
+from ..finish import PATCH_M, uneven
 from .maps import DepthMap
 
 # as a share of its depth, that a surface may rise from one pixel to the next but one
@@ -18,15 +19,24 @@ STEEPEST = 0.02
 _SEED = 15  # of the raster; any number would do
 
 
-def on_raster(depth: DepthMap, raster_px: float) -> DepthMap:
+def on_raster(
+    depth: DepthMap, raster_px: float, *, unevenness: float = 0.0, focal_px: float
+) -> DepthMap:
     """The depth at a point `raster_px` (one sigma along each axis) from the pixel's centre.
+
+    With an `unevenness` above 0 the points of some patches are farther from their centres, and
+    those of others nearer (`finish.uneven`); the mean square stays the same.
 
     The surface is the plane, in inverse depth, through both neighbours of a pixel along each axis;
     beside steps and holes it is flat. `sigma_m` holds what the place does to the depth.
     """
     shape = depth.depth_m.shape
-    widest = np.sqrt(3) * raster_px  # places are even over a square
-    right, down = np.random.default_rng(_SEED).uniform(-widest, widest, (2, *shape))
+    away_px = np.full(shape, raster_px)
+    if unevenness and np.isfinite(depth.depth_m).any():
+        patch_px = focal_px * PATCH_M / float(np.nanmedian(depth.depth_m))
+        away_px = uneven(away_px, unevenness, patch_px=patch_px, seed=_SEED)
+    widest = np.sqrt(3) * away_px  # places are even over a square
+    right, down = widest * np.random.default_rng(_SEED).uniform(-1, 1, (2, *shape))
     inverse = 1 / depth.depth_m.astype(np.float64)
     along, across = _slope(inverse, 1), _slope(inverse, 0)
     depth_m = 1 / (inverse + right * along + down * across)

@@ -75,6 +75,7 @@ PARAMETERS: tuple[Parameter, ...] = (
     Parameter(key="filters.island_px", low=0.0, high=60.0, whole=True, off_below=1.0),
     Parameter(key="filters.smoothing_px", low=0.0, high=0.7, off_below=0.25),
     Parameter(key="filters.raster_px", low=0.0, high=0.6, off_below=0.02),
+    Parameter(key="filters.raster_unevenness", low=0.0, high=0.8, off_below=0.01),
     Parameter(key=BIN_REFLECTANCE, low=0.3, high=3.0, walk="log"),
 )
 

@@ -122,6 +122,7 @@ ROWS: dict[str, tuple[str, Owner, float]] = {
     "noise common to rows": ("", "sensor", 0.02),
     "noise common to columns": ("", "sensor", 0.02),
     "floor's noise common to rows": ("", "sensor", 0.02),
+    "tails of the floor's noise": ("%", "sensor", 1.0),
     "tails of the noise": ("%", "sensor", 1.0),
     "differences far out": ("%", "sensor", 0.05),
     "holes in flat places": ("per 10 000", "sensor", 1.0),
@@ -147,16 +148,16 @@ def _one(scan: DepthScan, floor: Float[np.ndarray, "3"] | None) -> dict[str, flo
     for low in range(0, 50, 10):
         group = sigma_mm[(degrees >= low) & (degrees < low + 10)]
         values.append(float(np.median(group)) if len(group) >= 20 else float("nan"))
-    *of_floor, floor_shared = _floor(scan, floor)
+    *of_floor, floor_shared, floor_tails = _floor(scan, floor)
     values += [*of_floor, 100 * (1 - len(sigma_mm) / max(fine.tiles, 1))]
-    values += [*_texture(scan), floor_shared, *_tails(scan), _flat_holes(scan)]
+    values += [*_texture(scan), floor_shared, floor_tails, *_tails(scan), _flat_holes(scan)]
     return dict(zip(ROWS, values, strict=True))
 
 
 def _floor(scan: DepthScan, floor: Float[np.ndarray, "3"] | None) -> list[float]:
-    """Fine noise [mm], the share of holes [%], what rows share, where the floor is bare."""
+    """Of the bare floor: fine noise [mm], the share of holes [%], what rows share, tails [%]."""
     if floor is None:
-        return [float("nan")] * 3
+        return [float("nan")] * 4
     row, column = np.mgrid[: scan.depth_m.shape[0], : scan.depth_m.shape[1]]
     inverse = floor[0] * column + floor[1] * row + floor[2]
     plane_m = 1.0 / np.where(inverse > 0, inverse, np.nan)
@@ -165,10 +166,10 @@ def _floor(scan: DepthScan, floor: Float[np.ndarray, "3"] | None) -> list[float]
     known = mixed[~np.isnan(mixed)]
     ring = on_floor[1:-1, :-2] & on_floor[1:-1, 2:] & on_floor[:-2, 1:-1] & on_floor[2:, 1:-1]
     if len(known) < 500:
-        return [float("nan")] * 3
+        return [float("nan")] * 4
     holes = (ring & ~scan.valid[1:-1, 1:-1]).sum() / max(int(ring.sum()), 1)
     shared = _shared(third_difference(np.where(on_floor, scan.depth_m, np.nan)))
-    return [1e3 * robust_sigma(known), 100 * float(holes), shared]
+    return [1e3 * robust_sigma(known), 100 * float(holes), shared, _tails_of(mixed)[0]]
 
 
 def _texture(scan: DepthScan) -> list[float]:
@@ -188,7 +189,10 @@ def _tails(scan: DepthScan) -> list[float]:
 
     Of squares, since noise differs from place to place; a normal law has 0 and 0.006.
     """
-    mixed = second_difference(scan.depth_m)
+    return _tails_of(second_difference(scan.depth_m))
+
+
+def _tails_of(mixed: Float[np.ndarray, "h w"]) -> list[float]:
     rows, columns = (n // SQUARE_PX * SQUARE_PX for n in mixed.shape)
     cut = mixed[:rows, :columns].reshape(rows // SQUARE_PX, SQUARE_PX, -1, SQUARE_PX)
     squares = cut.swapaxes(1, 2).reshape(-1, SQUARE_PX**2)

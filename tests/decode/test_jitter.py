@@ -32,7 +32,7 @@ def test_the_error_is_the_slope_times_a_pixels_width(tilt_deg, azimuth_deg):
     """At the axis a pixel is z / f wide, and a plane rises by tan(tilt) times that. The stated
     sigma is the errors'."""
     z_m = tilted(tilt_deg, azimuth_deg)
-    placed = on_raster(depth_map(z_m), 0.25)
+    placed = on_raster(depth_map(z_m), 0.25, focal_px=F_PX)
     error_m = placed.depth_m - z_m
     near = np.s_[130:170, 140:180]
     law_m = 0.25 * math.tan(math.radians(tilt_deg)) * z_m[near].mean() / F_PX
@@ -43,7 +43,7 @@ def test_the_error_is_the_slope_times_a_pixels_width(tilt_deg, azimuth_deg):
 
 def test_the_raster_is_white_and_the_same_in_every_shot():
     z_m = tilted(45, 30)
-    once, again = on_raster(depth_map(z_m), 0.3), on_raster(depth_map(z_m), 0.3)
+    once, again = (on_raster(depth_map(z_m), 0.3, focal_px=F_PX) for _ in range(2))
     assert np.array_equal(once.depth_m, again.depth_m)
     share = ((once.depth_m - z_m) / once.sigma_m)[1:-1, 1:-1]
     for a, b in ((share[1:], share[:-1]), (share[:, 1:], share[:, :-1])):
@@ -54,5 +54,5 @@ def test_a_facing_surface_a_step_and_a_hole_stay_as_they_are():
     z_m = np.full(SHAPE, 0.8)
     z_m[:, 160:] = 0.9
     z_m[100:110, 100:110] = np.nan
-    placed = on_raster(depth_map(z_m), 0.3)
+    placed = on_raster(depth_map(z_m), 0.3, focal_px=F_PX)
     assert np.allclose(placed.depth_m, z_m, rtol=1e-6, equal_nan=True)

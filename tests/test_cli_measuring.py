@@ -1,6 +1,7 @@
 """`graycast decode`, `realism`, `certify` and `rig calibrate` as a user runs them."""
 
 import json
+import shutil
 from dataclasses import replace
 
 import numpy as np
@@ -163,6 +164,12 @@ def test_realism_measures_what_decode_made_and_compares(decoded, capsys, tmp_pat
     assert (made / "plots.png").is_file()
     both = run(capsys, "realism", "--compare", made, made)
     assert both.count("measured") >= 2
+    maps = tmp_path / "maps"
+    maps.mkdir()
+    shutil.copy(out / "depth.npy", maps)
+    fresh = run(capsys, "realism", "--compare", made, maps, "--intrinsics", K)
+    row = next(line for line in fresh.splitlines() if line.strip().startswith("median depth"))
+    assert len(set(row.split()[2:])) == 2  # a value and its unit: both sets have the same
 
 
 @pytest.mark.parametrize(
@@ -170,6 +177,7 @@ def test_realism_measures_what_decode_made_and_compares(decoded, capsys, tmp_pat
     [
         (["realism"], "give depth maps to measure, or --compare"),
         (["realism", "x.npy"], "--out is missing"),
+        (["realism", "--compare", "a", "b", "--gray", "g.png"], "--gray and --reason"),
         (["realism", "gone.npy", "--intrinsics", "1,1,0,0", "--out", "o"], "gone.npy"),
         (["decode", "gone.yaml", "--out", "o"], "gone.yaml"),
         (["rig", "calibrate", "gone.yaml", "--board", "chess:1", "--out", "r"], "chessboard:"),

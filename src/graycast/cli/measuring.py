@@ -1,7 +1,7 @@
 """Commands that measure: decode, certify and realism."""
 
 import argparse
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 from ..errors import GraycastError
@@ -105,7 +105,8 @@ def add_commands(commands) -> None:
         type=Path,
         nargs=2,
         metavar=("A", "B"),
-        help="Two sets to compare: folders that this command wrote, or datasets.",
+        help="Two sets to compare: folders that this command wrote, datasets, or folders of depth "
+        "maps, for which --intrinsics, --scale and --size are used.",
     )
     realism.add_argument(
         "--classifier",
@@ -182,6 +183,11 @@ def _realism(options: argparse.Namespace) -> int:
     if options.classifier and options.compare is None:
         raise GraycastError("--classifier distinguishes two sets: add --compare with two sets")
     if options.compare is not None:
+        if options.gray or options.reason:
+            raise GraycastError(
+                "--gray and --reason are not used by --compare: measure each set with them and "
+                "--out, and compare the folders"
+            )
         if options.out is not None and (options.out / RECORD_FILE).exists():
             raise GraycastError(
                 f"{options.out}: is itself one of the measured sets: give another folder with --out"
@@ -217,7 +223,7 @@ def _compare(options: argparse.Namespace) -> int:
     if options.out is not None:
         refuse_foreign(options.out, TABLE)
     found = _two_sample(options) if options.classifier else None
-    records = [_record(path) for path in options.compare]
+    records = [_record(path, options) for path in options.compare]
     print(table(*records))
     if found is not None:
         print("\n" + two_sample_table(found[0]))
@@ -233,9 +239,9 @@ def _compare(options: argparse.Namespace) -> int:
 
 def _two_sample(options: argparse.Namespace) -> tuple:
     """Run the classifier test; return its result and both sets of maps."""
-    from ..real.realism import read_perfect, read_scans, two_sample_test
+    from ..real.realism import read_perfect, two_sample_test
 
-    first, second = (_spread(list(read_scans([path])), options.most) for path in options.compare)
+    first, second = (_spread(list(_scans(path, options)), options.most) for path in options.compare)
     perfect = _spread(list(read_perfect(options.compare[1])), options.most)
     a, b = options.compare
     names = (a.name, b.name) if a.name != b.name else (str(a), str(b))
@@ -260,13 +266,20 @@ def _write_table(records: list, folder: Path) -> None:
     draw_realism(records, folder / "plots.png")
 
 
-def _record(path: Path):
-    """Read a measured set, or measure a dataset or folder that states its intrinsics."""
-    from ..real.realism import RECORD_FILE, measure_all, pool, read_record, read_scans
+def _record(path: Path, options: argparse.Namespace):
+    """Read a measured set, or measure a dataset or a folder of depth maps."""
+    from ..real.realism import RECORD_FILE, measure_all, pool, read_record
 
     if path.is_file() or (path / RECORD_FILE).is_file():
         return read_record(path)
-    return pool(measure_all(read_scans([path])), name=str(path))
+    return pool(measure_all(_scans(path, options)), name=str(path))
+
+
+def _scans(path: Path, options: argparse.Namespace) -> Iterator:
+    """The depth maps of one set of `--compare`."""
+    from ..real.realism import read_scans
+
+    return read_scans([path], K=intrinsics_of(options), scale_m=options.scale, size_px=options.size)
 
 
 def _files(paths: Sequence[Path]) -> list[Path]:

@@ -5,8 +5,8 @@ about 10 mm. It belongs to the surface: it is the same in every scan of a surfac
 same pixel nor the same ray of the projector has it on another surface. Brightness does not explain
 it (docs/twin.md).
 
-Leaves out: patches that move with their surface; each capture has its own. Their size in the
-picture is the same everywhere.
+Leaves out: patches that move with their surface. Speckle has other patches in every capture, and a
+raster has the same ones in all. Their size in the picture is the same everywhere.
 """
 
 import numpy as np
@@ -30,7 +30,7 @@ def uneven(
 
     Args:
         patch_px: `PATCH_M` in the picture.
-        seed: of the capture.
+        seed: of the field.
     """
     rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=_STREAM))
     field = rng.standard_normal(amplitude.shape, dtype=np.float32)

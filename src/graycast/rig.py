@@ -51,8 +51,8 @@ class Rig:
     light at a point of the sensor, of a black rough surface in the projector's light: 0 of LEDs, up
     to 1 of a laser, 0.71 where the surface depolarises it. `speckle_volume` says how much less
     a material has that scatters light inside (see `speckle.material_contrast`), and
-    `speckle_unevenness` how much it differs between patches of a surface. `line_noise` is one
-    standard deviation, as a share, of each projected line's light in each picture (`line_noise`).
+    `speckle_unevenness` how much the contrast differs between patches of a surface. `line_noise` is
+    one standard deviation, as a share, of each projected line's light in each picture.
 
     Leaves out: spectra finer than three bands and the projector's line; a response that depends on
     place, time or the picture.

@@ -43,7 +43,7 @@ class FilterSpec:
     `smoothing_px`: standard deviation of a Gaussian kernel; 0.55 lets 0.56 of white noise pass and
     correlates neighbours by 0.36.
     `raster_px`: standard deviation of the place in its pixel that a depth is of (see `raster`);
-    `raster_unevenness`: how much it differs between patches of a surface (see `finish`).
+    `raster_unevenness`: how much `raster_px` differs between patches of a surface (`finish`).
     `step_angle_deg`: neighbours are connected up to this angle of incidence.
     """
 

@@ -57,6 +57,14 @@ def test_a_filter_goes_off_below_its_least_value():
     assert low.filters.hidden_sigmas is None
 
 
+def test_a_deeper_well_is_as_bright_when_it_is_full():
+    well = next(p for p in PARAMETERS if p.key == "sensor.full_well_e")
+    deep = with_values(SCANNER, [well], {well.key: 8e4}).sensor
+    assert deep.full_well_e == 8e4
+    full_dn = SCANNER.sensor.full_well_e * SCANNER.sensor.gain_dn_per_e
+    assert deep.full_well_e * deep.gain_dn_per_e == pytest.approx(full_dn, rel=1e-3)
+
+
 def test_a_switch_is_on_from_the_middle_of_its_range():
     repair = next(p for p in PARAMETERS if p.key == "filters.outlier_repair")
     for share, on in ((0.49, False), (0.5, True)):

@@ -53,11 +53,11 @@ class PairNoise:
     """Sums over the places that two maps share."""
 
     pixels: int
-    sigma_m: float | None
-    along_rows: tuple[float, ...] | None
-    along_columns: tuple[float, ...] | None
-    standing: float | None
-    unevenness: float | None
+    sigma_m: float | None = None
+    along_rows: tuple[float, ...] | None = None
+    along_columns: tuple[float, ...] | None = None
+    standing: float | None = None
+    unevenness: float | None = None
 
 
 def measure_fine(scan: DepthScan) -> FineNoise:
@@ -126,14 +126,7 @@ def measure_pair(first: DepthScan, second: DepthScan) -> PairNoise | None:
     rest = _without_drift(difference)
     known = rest[~np.isnan(rest)]
     if len(known) < 1000:
-        return PairNoise(
-            pixels=len(known),
-            sigma_m=None,
-            along_rows=None,
-            along_columns=None,
-            standing=None,
-            unevenness=None,
-        )
+        return PairNoise(pixels=len(known))
     same = ~np.isnan(difference)
     standing, unevenness = _of_the_surface(
         *(second_difference(np.where(same, one.depth_m, np.nan)) for one in (first, second))

@@ -150,7 +150,8 @@ def _one(scan: DepthScan, floor: Float[np.ndarray, "3"] | None) -> dict[str, flo
         values.append(float(np.median(group)) if len(group) >= 20 else float("nan"))
     *of_floor, floor_shared, floor_tails = _floor(scan, floor)
     values += [*of_floor, 100 * (1 - len(sigma_mm) / max(fine.tiles, 1))]
-    values += [*_texture(scan), floor_shared, floor_tails, *_tails(scan), _flat_holes(scan)]
+    values += [*_texture(scan), floor_shared, floor_tails]
+    values += [*_tails(second_difference(scan.depth_m)), _flat_holes(scan)]
     return dict(zip(ROWS, values, strict=True))
 
 
@@ -169,7 +170,7 @@ def _floor(scan: DepthScan, floor: Float[np.ndarray, "3"] | None) -> list[float]
         return [float("nan")] * 4
     holes = (ring & ~scan.valid[1:-1, 1:-1]).sum() / max(int(ring.sum()), 1)
     shared = _shared(third_difference(np.where(on_floor, scan.depth_m, np.nan)))
-    return [1e3 * robust_sigma(known), 100 * float(holes), shared, _tails_of(mixed)[0]]
+    return [1e3 * robust_sigma(known), 100 * float(holes), shared, _tails(mixed)[0]]
 
 
 def _texture(scan: DepthScan) -> list[float]:
@@ -184,15 +185,11 @@ def _texture(scan: DepthScan) -> list[float]:
     return [*ratios, _shared(along_x), _shared(along_y)]
 
 
-def _tails(scan: DepthScan) -> list[float]:
+def _tails(mixed: Float[np.ndarray, "h w"]) -> list[float]:
     """By how much noise is wider than its median tells [%], and the share beyond 4 sigma [%].
 
     Of squares, since noise differs from place to place; a normal law has 0 and 0.006.
     """
-    return _tails_of(second_difference(scan.depth_m))
-
-
-def _tails_of(mixed: Float[np.ndarray, "h w"]) -> list[float]:
     rows, columns = (n // SQUARE_PX * SQUARE_PX for n in mixed.shape)
     cut = mixed[:rows, :columns].reshape(rows // SQUARE_PX, SQUARE_PX, -1, SQUARE_PX)
     squares = cut.swapaxes(1, 2).reshape(-1, SQUARE_PX**2)

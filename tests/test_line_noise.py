@@ -72,6 +72,31 @@ def test_positions_scatter_by_the_closed_form_and_alike_along_a_line(scanner, ra
     assert abs(neighbours) < 0.1  # lines have errors of their own
 
 
+@pytest.mark.parametrize("length_px", [1.0, 3.0])
+def test_errors_of_a_length_are_alike_near_by_alone(scanner, radiance, length_px):
+    """exp(-(r / l)^2) along a line, nothing across; their scatter stays that of whole lines."""
+    rig = scanner.rig
+    length_m = length_px * (rig.near_m + rig.far_m) / 2 / rig.camera.fx_px
+    short = replace(scanner, rig=replace(rig, line_noise_length_m=length_m))
+    column, _ = places(short, radiance, range(20))
+    error = column - column.mean(axis=0)
+    expected = PERIOD_PX / (2 * np.pi) * SHARE * np.sqrt(5 / (2 * STEPS))
+    assert error.std() == pytest.approx(expected, rel=0.05)
+    for rows in (1, 2, 3, 5):
+        alike = np.corrcoef(error[:, :-rows].ravel(), error[:, rows:].ravel())[0, 1]
+        assert alike == pytest.approx(np.exp(-((rows / length_px) ** 2)), abs=0.03)
+    assert abs(np.corrcoef(error[..., :-1].ravel(), error[..., 1:].ravel())[0, 1]) < 0.03
+
+
+def test_lines_along_rows_have_a_length_as_well(scanner, radiance):
+    line = lines_seen(radiance.pattern, scanner.light_code(), "column")
+    upright = with_line_noise(radiance.pattern, line, 0.1, axis="column", length_px=2.0, seed=1)
+    lying = with_line_noise(
+        radiance.pattern.swapaxes(1, 2), line.T, 0.1, axis="row", length_px=2.0, seed=1
+    )
+    np.testing.assert_array_equal(upright, lying.swapaxes(1, 2))
+
+
 def test_sigma_tells_the_error(scanner, radiance):
     _, found = places(scanner, radiance, range(12))
     inner = np.s_[2:-2, 2:-2]
@@ -89,7 +114,7 @@ def test_a_still_projector_changes_nothing_and_exposures_differ(scanner, radianc
     )
     line = lines_seen(radiance.pattern, scanner.light_code(), "column")
     first, again, other = (
-        with_line_noise(radiance.pattern, line, 0.1, seed=seed) for seed in (1, 1, 2)
+        with_line_noise(radiance.pattern, line, 0.1, axis="column", seed=seed) for seed in (1, 1, 2)
     )
     np.testing.assert_array_equal(first, again)
     assert not np.array_equal(first, other)
@@ -98,6 +123,6 @@ def test_a_still_projector_changes_nothing_and_exposures_differ(scanner, radianc
 def test_light_of_no_known_line_is_left(scanner, radiance):
     line = lines_seen(radiance.pattern, scanner.light_code(), "column").copy()
     line[:, 40:] = np.nan
-    noisy = with_line_noise(radiance.pattern, line, 0.1, seed=1)
+    noisy = with_line_noise(radiance.pattern, line, 0.1, axis="column", seed=1)
     np.testing.assert_array_equal(noisy[..., 40:], radiance.pattern[..., 40:].astype(np.float32))
     assert not np.array_equal(noisy[..., :40], radiance.pattern[..., :40])

@@ -1,18 +1,21 @@
 """Light of a projector's lines that is a little brighter or darker in every picture.
 
 A laser line that sweeps over the scene is modulated in time, and its power is never quite what was
-asked for: each line of each picture has its own relative error. Pixels that look at the same line
-share it, so it makes noise that neighbours along the projector's lines have in common, and none
-that neighbours across them have. No exposure and no brightness helps against it.
+asked for: each line of each picture has its own relative error, from end to end or, with a length,
+from place to place. Pixels that look at the same place of a line share it, so it makes noise that
+neighbours along the projector's lines have in common, and none that neighbours across them have.
+No exposure and no brightness helps against it.
 
 Leaves out: errors that neighbouring lines share; that a camera's pixel may see several lines, or a
-line's blur; light that came over other surfaces.
+line's blur; light that came over other surfaces; that a length along a line looks shorter from
+afar, and that lines may be inclined in the camera's picture.
 """
 
 import math
 
 import numpy as np
 from jaxtyping import Float
+from scipy import fft
 
 from .decode import DecodeSpec, Levels, decode
 from .pattern import Axis, Code
@@ -37,17 +40,52 @@ def with_line_noise(
     line: Float[np.ndarray, "h w"],
     share: float,
     *,
+    axis: Axis,
+    length_px: float = math.inf,
     seed: int,
 ) -> Float[np.ndarray, "n h w"]:
-    """Each picture's light, times one plus the error (one sigma: `share`) of the line it is of."""
+    """Each picture's light, times one plus the error (one sigma: `share`) of the line it is of.
+
+    Args:
+        axis: that of `line`.
+        length_px: at which distance along a line, in the camera's picture, the errors have a
+            correlation of 1/e: `exp(-(r / length_px)^2)`. Infinite: a line has one error.
+    """
     known = np.isfinite(line)
     number = np.where(known, line, 0).astype(np.int64)
     number -= min(int(number.min()), 0)  # a line just outside the picture is one, too
     rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=_STREAM))
-    error = rng.standard_normal((len(stack), int(number.max()) + 1), dtype=np.float32)
-    gain = np.maximum(1 + np.float32(share) * error, 0)
-    gain = np.where(known, gain[:, number], np.float32(1))
-    return np.asarray(stack, dtype=np.float32) * gain
+    if math.isinf(length_px):
+        lines = int(number.max()) + 1
+        errors = iter(rng.standard_normal((len(stack), 1, lines), dtype=np.float32))
+        place = np.zeros_like(number)
+    else:
+        place = np.indices(number.shape)[0 if axis == "column" else 1]
+        places = int(place.max()) + 1
+        seen, number = np.unique(number, return_inverse=True)
+        lines = len(seen)
+        errors = (_correlated(rng, places, lines, length_px) for _ in stack)
+    noisy = np.array(stack, dtype=np.float32)
+    for picture, error in zip(noisy, errors, strict=True):
+        gain = np.maximum(1 + np.float32(share) * error[place, number], 0)
+        picture *= np.where(known, gain, np.float32(1))
+    return noisy
+
+
+def _correlated(
+    rng: np.random.Generator, places: int, lines: int, length_px: float
+) -> Float[np.ndarray, "places lines"]:
+    """Normal numbers of unit variance, alike along the lines and independent across them."""
+    far = np.arange(places)
+    far = np.minimum(far, places - far)  # the last place is beside the first
+    power = fft.rfft(np.exp(-((far / length_px) ** 2))).real
+    weight = np.sqrt(places / 2 * np.maximum(power, 0))
+    weight[0] *= math.sqrt(2)  # a real number, as the last one of an even count is
+    if places % 2 == 0:
+        weight[-1] *= math.sqrt(2)
+    # White noise has a white spectrum, so it is drawn there.
+    spectrum = rng.standard_normal((len(weight), 2 * lines), dtype=np.float32).view(np.complex64)
+    return fft.irfft(spectrum * weight.astype(np.float32)[:, None], n=places, axis=0)
 
 
 def place_sigma_px(code: Code, axis: Axis, share: float) -> float:

@@ -52,7 +52,8 @@ class Rig:
     to 1 of a laser, 0.71 where the surface depolarises it. `speckle_volume` says how much less
     a material has that scatters light inside (see `speckle.material_contrast`), and
     `speckle_unevenness` how much the contrast differs between patches of a surface. `line_noise` is
-    one standard deviation, as a share, of each projected line's light in each picture.
+    one standard deviation, as a share, of each projected line's light in each picture; errors of
+    one line have a correlation of 1/e at `line_noise_length_m`.
 
     Leaves out: spectra finer than three bands and the projector's line; a response that depends on
     place, time or the picture.
@@ -144,6 +145,15 @@ class Rig:
         float,
         Field(ge=0, le=0.2, description="Of each projected line's light in a picture, a share."),
     ] = 0.0
+    line_noise_length_m: Annotated[
+        float,
+        Field(
+            gt=0,
+            description="Distance along a projected line, on a surface in the middle of the "
+            "working range, at which line noise has a correlation of 1/e. A line has "
+            "one error from end to end if the key is absent.",
+        ),
+    ] = math.inf
 
     @property
     def T_proj_cam(self) -> Float[np.ndarray, "4 4"]:

@@ -128,7 +128,10 @@ def take(scanner: Scanner, radiance: Radiance, *, seed: int) -> Capture:
         contrast = _contrast(scanner, reflectance)
         if scanner.rig.speckle_unevenness:
             contrast = uneven(
-                contrast, scanner.rig.speckle_unevenness, patch_px=_patch_px(scanner.rig), seed=seed
+                contrast,
+                scanner.rig.speckle_unevenness,
+                patch_px=_in_picture_px(scanner.rig, PATCH_M),
+                seed=seed,
             )
         stack = speckled(
             stack, draw_speckle(contrast, scanner.sensor, seed=seed, side=_side(scanner))
@@ -156,8 +159,12 @@ def _shown(
     share = scanner.rig.line_noise
     if not share:
         return lambda seed: stack
-    line = lines_seen(stack, scanner.light_code(), triangulation_axis(scanner.rig))
-    return lambda seed: with_line_noise(stack, line, share, seed=seed)
+    axis = triangulation_axis(scanner.rig)
+    line = lines_seen(stack, scanner.light_code(), axis)
+    length_px = _in_picture_px(scanner.rig, scanner.rig.line_noise_length_m)
+    return lambda seed: with_line_noise(
+        stack, line, share, axis=axis, length_px=length_px, seed=seed
+    )
 
 
 def scan_seconds(scanner: Scanner, capture: Capture, *, readout_s: float) -> float:
@@ -204,9 +211,9 @@ def _off_px(scanner: Scanner, capture: Capture, depth: DepthMap) -> Float[np.nda
     return np.float32(footprint_px(scanner.sensor, side=_side(scanner))) * contrast
 
 
-def _patch_px(rig: Rig) -> float:
-    """A patch of equal finish in the picture, in the middle of the working range."""
-    return rig.camera.fx_px * PATCH_M / ((rig.near_m + rig.far_m) / 2)
+def _in_picture_px(rig: Rig, length_m: float) -> float:
+    """A length on a surface that faces the camera in the middle of the working range."""
+    return rig.camera.fx_px * length_m / ((rig.near_m + rig.far_m) / 2)
 
 
 def _side(scanner: Scanner) -> float:

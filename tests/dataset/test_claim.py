@@ -82,11 +82,17 @@ def test_settings_that_came_later_are_told_where_they_are_on_and_only_there():
         ),
         (
             make_rig(),
-            replace(make_rig(), speckle_volume=2.0, speckle_unevenness=0.2, line_noise=0.01),
+            replace(
+                make_rig(),
+                speckle_volume=2.0,
+                speckle_unevenness=0.2,
+                line_noise=0.01,
+                line_noise_length_m=0.004,
+            ),
         ),
     ):
         older = {"min_sigmas", "outlier_repair", "hidden_sigmas", "raster_px", "raster_unevenness"}
-        older |= {"speckle_volume", "speckle_unevenness", "line_noise"}
+        older |= {"speckle_volume", "speckle_unevenness", "line_noise", "line_noise_length_m"}
         assert not older & set(described_values(off))
         assert set(described_values(on)) == {field.name for field in fields(on)}
     told = described_values(replace(make_rig(), speckle_volume=2.0))

@@ -76,9 +76,9 @@ def add_commands(commands: argparse._SubParsersAction) -> None:
     twin.add_argument(
         "--trials",
         type=positive,
-        default=360,
+        default=560,
         metavar="N",
-        help="The number of simulated scanners that the search tries (default: 360).",
+        help="The number of simulated scanners that the search tries (default: 560).",
     )
     add_seed(twin, 0)
     add_device(twin)

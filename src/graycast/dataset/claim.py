@@ -29,6 +29,7 @@ _LATER = {
     "speckle_volume": 0.0,
     "speckle_unevenness": 0.0,
     "line_noise": 0.0,
+    "line_noise_length_m": math.inf,
     "min_sigmas": 0.0,
     "outlier_repair": False,
     "hidden_sigmas": None,

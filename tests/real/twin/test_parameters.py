@@ -6,11 +6,13 @@ import pytest
 from graycast.pattern import CodeSpec
 from graycast.real.twin.parameters import (
     BIN_REFLECTANCE,
+    NOISE_OF_SURFACE,
     PARAMETERS,
     candidate_codes,
     shares_of,
     value_of,
     values_at,
+    with_noise_of_surface,
     with_values,
 )
 from graycast.rig_file import load_scanner, save_scanner
@@ -76,3 +78,11 @@ def test_finer_codes_are_tried_and_a_plain_one_is_left():
     assert [c.period_px for c in candidate_codes(SCANNER.code)] == [48.0, 24.0, 12.0]
     plain = CodeSpec(codec="gray")
     assert candidate_codes(plain) == (plain,)
+
+
+def test_noise_of_the_surface_is_of_declared_parameters_and_leaves_the_others():
+    start = np.linspace(0.2, 0.8, len(PARAMETERS))
+    moved = values_at(with_noise_of_surface(start, PARAMETERS), PARAMETERS)
+    assert set(NOISE_OF_SURFACE) <= {p.key for p in PARAMETERS}
+    for key, value in (values_at(start, PARAMETERS) | NOISE_OF_SURFACE).items():
+        assert moved[key] == pytest.approx(value, rel=1e-3)

@@ -60,3 +60,16 @@ def test_single_holes_in_flat_places_are_counted_and_others_are_not():
     single = 8 * 8
     places = 238 * 318 - 8 * single - 6 * 42  # that have eight neighbours with depth
     assert row(z_m, "holes in flat places") == pytest.approx(1e4 * single / places, rel=1e-9)
+
+
+@pytest.mark.parametrize("apart", [1, 2])
+def test_noise_common_to_rows_is_told_at_its_distance_alone(apart):
+    """A moving sum of two rows of independent noise has the correlation 1/2 at their distance."""
+    z_m = plane()
+    rng = np.random.default_rng(1)
+    white = rng.standard_normal((z_m.shape[0] + apart, z_m.shape[1]))
+    depth_m = z_m + SIGMA_M * (white[apart:] + white[:-apart]) / sqrt(2)
+    told = [row(depth_m, f"noise common to rows{where}") for where in ("", " 2 px apart")]
+    assert told[apart - 1] == pytest.approx(0.5, abs=0.03)
+    assert told[2 - apart] == pytest.approx(0.0, abs=0.03)
+    assert row(depth_m, "noise common to columns") == pytest.approx(0.0, abs=0.03)

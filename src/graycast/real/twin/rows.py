@@ -120,6 +120,7 @@ ROWS: dict[str, tuple[str, Owner, float]] = {
     "noise along x over fine noise": ("", "sensor", 0.02),
     "noise along y over fine noise": ("", "sensor", 0.02),
     "noise common to rows": ("", "sensor", 0.02),
+    "noise common to rows 2 px apart": ("", "sensor", 0.02),
     "noise common to columns": ("", "sensor", 0.02),
     "floor's noise common to rows": ("", "sensor", 0.02),
     "tails of the floor's noise": ("%", "sensor", 1.0),
@@ -179,10 +180,10 @@ def _texture(scan: DepthScan) -> list[float]:
     known = mixed[~np.isnan(mixed)]
     fine_m = robust_sigma(known)
     if len(known) < 500 or not fine_m:  # depth without any noise has no texture
-        return [float("nan")] * 4
+        return [float("nan")] * 5
     along_x, along_y = third_difference(scan.depth_m), third_difference(scan.depth_m.T)
     ratios = [robust_sigma(a[~np.isnan(a)]) / fine_m for a in (along_x, along_y)]
-    return [*ratios, _shared(along_x), _shared(along_y)]
+    return [*ratios, _shared(along_x), _shared(along_x, apart=2), _shared(along_y)]
 
 
 def _tails(mixed: Float[np.ndarray, "h w"]) -> list[float]:
@@ -220,12 +221,12 @@ def _flat_holes(scan: DepthScan) -> float:
     return 1e4 * float((flat & ~scan.valid[1:-1, 1:-1]).sum() / max(int(flat.sum()), 1))
 
 
-def _shared(along: Float[np.ndarray, "h w"]) -> float:
-    """The correlation of a line's differences with those of the next line, by medians of products.
+def _shared(along: Float[np.ndarray, "h w"], *, apart: int = 1) -> float:
+    """The correlation of a line's differences with those of a line so far off, by medians.
 
     Of sums and differences, whose robust variances do not hear edges.
     """
-    a, b = along[:-1], along[1:]
+    a, b = along[:-apart], along[apart:]
     both = ~np.isnan(a) & ~np.isnan(b)
     plus, minus = (robust_sigma(v) ** 2 for v in (a[both] + b[both], a[both] - b[both]))
     return float((plus - minus) / (plus + minus)) if plus + minus > 0 else 0.0

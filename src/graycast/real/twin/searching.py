@@ -4,7 +4,8 @@ Light is rendered once for each code, so a trial is exposure, noise, decoding an
 Covariance matrix adaptation walks the box of the declared parameters (Hansen's `cma`), with the
 same noise in every trial, so that the same search takes the same way. First each
 parameter is tried alone, which finds what is far off. A code is no number: each candidate has a
-short search from there, and the best goes on by damped Gauss-Newton steps, as the loss is a sum of
+short search from there. The best code has another one, which begins with noise of the surface
+instead of the light. The better end goes on by damped Gauss-Newton steps, as the loss is a sum of
 squares.
 
 Source: Hansen, "The CMA Evolution Strategy: A Tutorial", arXiv 1604.00772.
@@ -24,12 +25,19 @@ from ...pattern import CodeSpec
 from ...scanner import Scanner
 from ..realism import DepthScan
 from ..realism.patches import find_floor
-from .parameters import BIN_REFLECTANCE, Parameter, shares_of, values_at, with_values
+from .parameters import (
+    BIN_REFLECTANCE,
+    Parameter,
+    shares_of,
+    values_at,
+    with_noise_of_surface,
+    with_values,
+)
 from .rows import Figures, Row, compare, figures_of, loss_of, pulls_of
 from .stage import Lit, scan_lit
 
 _FIRST_STEP = 0.2  # of the way between the bounds
-_FIRST_PART = 0.15  # as a share of the trials, for the short search of each code
+_FIRST_PART = 0.1  # as a share of the trials, for a short search
 _DARK_LOSS = 1e3  # of a scanner that sees nothing
 _FIRST_LOOK = (0.0, 0.5, 1.0)  # shares at which a parameter is tried alone before the search
 _PROFILE = np.linspace(0.0, 1.0, 5)  # shares at which a parameter is tried alone, beside the best
@@ -97,12 +105,12 @@ def search(
     court = _Court(start, lit, parameters, real, seed, trials + profile, on_trial)
     x0 = shares_of(start, parameters)
     before = court.rows(start.code, x0)
-    x0 = court.first_look(start.code, x0)
-    share = _FIRST_PART if len(codes) > 1 else 0.0
-    best: dict[CodeSpec, tuple[float, Float[np.ndarray, " n"]]] = {}
-    for code in codes:
-        best[code] = court.walk(code, x0, max(int(share * trials), 1))
+    short = max(int(_FIRST_PART * trials), 1)
+    of_light = court.first_look(start.code, x0)
+    best = {code: court.walk(code, of_light, short) for code in codes}
     code = min(best, key=lambda c: best[c][0])
+    of_surface = court.first_look(code, with_noise_of_surface(x0, parameters))
+    best[code] = min(best[code], court.walk(code, of_surface, short), key=lambda end: end[0])
     left = trials - court.done
     loss, x = court.refine(code, best[code][1], left)
     if best[code][0] < loss:

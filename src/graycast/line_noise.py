@@ -76,16 +76,17 @@ def _correlated(
     rng: np.random.Generator, places: int, lines: int, length_px: float
 ) -> Float[np.ndarray, "places lines"]:
     """Normal numbers of unit variance, alike along the lines and independent across them."""
-    far = np.arange(places)
-    far = np.minimum(far, places - far)  # the last place is beside the first
+    count = fft.next_fast_len(places, real=True)
+    far = np.arange(count)
+    far = np.minimum(far, count - far)  # the last one is beside the first
     power = fft.rfft(np.exp(-((far / length_px) ** 2))).real
-    weight = np.sqrt(places / 2 * np.maximum(power, 0))
+    weight = np.sqrt(count / 2 * np.maximum(power, 0))
     weight[0] *= math.sqrt(2)  # a real number, as the last one of an even count is
-    if places % 2 == 0:
+    if count % 2 == 0:
         weight[-1] *= math.sqrt(2)
     # White noise has a white spectrum, so it is drawn there.
     spectrum = rng.standard_normal((len(weight), 2 * lines), dtype=np.float32).view(np.complex64)
-    return fft.irfft(spectrum * weight.astype(np.float32)[:, None], n=places, axis=0)
+    return fft.irfft(spectrum * weight.astype(np.float32)[:, None], n=count, axis=0)[:places]
 
 
 def place_sigma_px(code: Code, axis: Axis, share: float) -> float:

@@ -88,6 +88,16 @@ def test_errors_of_a_length_are_alike_near_by_alone(scanner, radiance, length_px
     assert abs(np.corrcoef(error[..., :-1].ravel(), error[..., 1:].ravel())[0, 1]) < 0.03
 
 
+def test_errors_as_long_as_the_picture_scatter_by_their_share():
+    """400 places, 4000 lines: a ring of places cannot hold the law of such lengths as it is."""
+    line = np.broadcast_to(np.arange(4000.0), (400, 4000))
+    for length_px in (100.0, 200.0, 1000.0):
+        noisy = with_line_noise(
+            np.ones((1, 400, 4000)), line, 0.01, axis="column", length_px=length_px, seed=2
+        )
+        assert (noisy - 1).std() == pytest.approx(0.01, rel=0.02)
+
+
 def test_lines_along_rows_have_a_length_as_well(scanner, radiance):
     line = lines_seen(radiance.pattern, scanner.light_code(), "column")
     upright = with_line_noise(radiance.pattern, line, 0.1, axis="column", length_px=2.0, seed=1)

@@ -79,8 +79,9 @@ def _correlated(
     count = fft.next_fast_len(places, real=True)
     far = np.arange(count)
     far = np.minimum(far, count - far)  # the last one is beside the first
-    power = fft.rfft(np.exp(-((far / length_px) ** 2))).real
-    weight = np.sqrt(count / 2 * np.maximum(power, 0))
+    power = np.maximum(fft.fft(np.exp(-((far / length_px) ** 2))).real, 0)
+    power /= power.mean()  # what was below 0 is of lengths like the ring's own
+    weight = np.sqrt(count / 2 * power[: count // 2 + 1])
     weight[0] *= math.sqrt(2)  # a real number, as the last one of an even count is
     if count % 2 == 0:
         weight[-1] *= math.sqrt(2)

@@ -73,7 +73,7 @@ def test_where_a_part_came_from_is_told_and_is_no_other_dataset():
 def test_settings_that_came_later_are_told_where_they_are_on_and_only_there():
     """An older dataset, whose claim lacks them, goes on; one with them on is another."""
     for off, on in (
-        (DecodeSpec(), DecodeSpec(min_sigmas=5.0)),
+        (DecodeSpec(), DecodeSpec(min_sigmas=5.0, settling_votes=14)),
         (
             FilterSpec(),
             FilterSpec(
@@ -92,7 +92,13 @@ def test_settings_that_came_later_are_told_where_they_are_on_and_only_there():
         ),
     ):
         older = {"min_sigmas", "outlier_repair", "hidden_sigmas", "raster_px", "raster_unevenness"}
-        older |= {"speckle_volume", "speckle_unevenness", "line_noise", "line_noise_length_m"}
+        older |= {
+            "settling_votes",
+            "speckle_volume",
+            "speckle_unevenness",
+            "line_noise",
+            "line_noise_length_m",
+        }
         assert not older & set(described_values(off))
         assert set(described_values(on)) == {field.name for field in fields(on)}
     told = described_values(replace(make_rig(), speckle_volume=2.0))

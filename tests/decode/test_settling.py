@@ -1,12 +1,15 @@
 """Periods that weak phases leave open: neighbours settle them where they agree, and only those."""
 
+from dataclasses import replace
+
 import numba
 import numpy as np
 import pytest
 from limits import SHAPE, WEAK_CODES, stack, surface
-from projected import LEVELS
+from projected import LEVELS, share_of_white
 
 from graycast.decode import DecodeSpec, Mark, Reason, decode, decode_plain
+from graycast.pattern import gray_phase
 
 SPEC = DecodeSpec(min_contrast=0.005)
 
@@ -122,3 +125,83 @@ def test_threads_settle_the_same():
         numba.set_num_threads(before)
     assert np.array_equal(found[0].column, found[1].column, equal_nan=True)
     assert np.array_equal(found[0].mark, found[1].mark)
+
+
+VOTES = 14
+CONTRADICTION = gray_phase(512, 384, axes=("column",), period_px=24.0)
+
+
+def contradicting(spoilt, share=None):
+    """A strong stack, two of whose coarse Gray bits are grey in the given pixels."""
+    frames = stack(CONTRADICTION, white_dn=1200.0, share=share)
+    bits = [k for k, f in enumerate(CONTRADICTION.frames) if f.kind == "gray"][1:3]
+    middle = (frames.max(axis=0) / 2 + frames.min(axis=0) / 2).astype(np.uint16)
+    for k in bits:
+        frames[k][spoilt] = middle[spoilt]
+    return frames
+
+
+def read(frames, votes, decoder=decode):
+    return decoder(frames, CONTRADICTION, replace(SPEC, settling_votes=votes), LEVELS)
+
+
+def test_neighbours_count_the_period_of_a_pixel_whose_bits_contradict_each_other():
+    """One pixel of a hundred, on surfaces and beside steps and bars."""
+    spoilt = np.random.default_rng(5).random(SHAPE) < 0.01
+    before, after = (read(contradicting(spoilt), votes) for votes in (0, VOTES))
+    assert (before.reason[spoilt] != Reason.DECODED).all()
+    clear = before.reason == Reason.DECODED
+    for field in ("column", "sigma_column", "reason", "mark"):  # those of the others as before
+        assert np.array_equal(getattr(before, field)[clear], getattr(after, field)[clear])
+    settled = after.mark & Mark.SETTLED > 0
+    assert settled[spoilt].mean() > 0.9
+    assert not settled[clear].any()
+    off_px = np.abs(after.column - surface())[settled]
+    assert (off_px < 6 * after.sigma_column[settled] + 0.02).all()
+
+
+def test_a_region_of_contradictory_pixels_is_not_filled():
+    """What is settled does not speak for others, so only pixels at the region's border are."""
+    spoilt = np.zeros(SHAPE, dtype=bool)
+    spoilt[20:40, 10:30] = True  # on the wall
+    after = read(contradicting(spoilt), VOTES)
+    assert (after.reason[22:38, 12:28] != Reason.DECODED).all()
+    assert (after.mark[22:38, 12:28] & Mark.SETTLED == 0).all()
+
+
+def test_neighbours_of_several_surfaces_do_not_settle_a_pixel():
+    """At a step by two periods the phase goes on as if there were none."""
+    x = np.broadcast_to(np.arange(SHAPE[1], dtype=float), SHAPE)
+    place = 60 + 1.5 * x + 48.0 * (x >= 128)
+    spoilt = np.zeros(SHAPE, dtype=bool)
+    spoilt[10:180:5, 100:156] = True
+    spoilt[:, ::2] = False
+    after = read(contradicting(spoilt, share_of_white(CONTRADICTION, place)), VOTES)
+    settled = spoilt & (after.mark & Mark.SETTLED > 0)
+    assert not settled[:, 127:129].any()
+    assert settled[:, 101:126].sum() == spoilt[:, 101:126].sum()
+    assert (np.abs(after.column - place)[settled] < 0.5).all()
+
+
+def test_of_two_axes_one_that_cannot_be_settled_refuses_the_pixel():
+    """The plain decoder says the same, axis by axis."""
+    code = gray_phase(512, 384, axes=("column", "row"), period_px=24.0)
+    column = surface()
+    row = np.broadcast_to(np.linspace(40, 300, SHAPE[0])[:, None], SHAPE)
+    frames = (60 + 1200 * share_of_white(code, column, row)).astype(np.uint16)
+    lone = np.random.default_rng(8).random(SHAPE) < 0.01
+    block = np.zeros(SHAPE, dtype=bool)
+    block[20:40, 10:30] = True
+    middle = np.uint16(660)
+    for axis, spoilt in (("column", block), ("row", lone)):
+        bits = [k for k, f in enumerate(code.frames) if f.kind == "gray" and f.axis == axis][1:3]
+        for k in bits:
+            frames[k][spoilt] = middle
+    spec = replace(SPEC, settling_votes=VOTES)
+    fast, plain = (f(frames, code, spec, LEVELS) for f in (decode, decode_plain))
+    assert (fast.reason[22:38, 12:28] != Reason.DECODED).all()
+    assert (fast.mark & Mark.SETTLED > 0).sum() > 0.8 * (lone & ~block).sum()
+    assert np.array_equal(fast.reason, plain.reason)
+    assert np.array_equal(fast.mark, plain.mark)
+    for field in ("column", "row"):
+        np.testing.assert_allclose(getattr(fast, field), getattr(plain, field), atol=2e-3)

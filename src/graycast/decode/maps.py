@@ -127,7 +127,8 @@ class DecodeSpec:
     bits of an axis contradict each other; its `fine_bits` finest bits do not count: there a pixel
     may see several stripes and still be right, and doubt only widens `sigma`. A single doubtful bit
     contradicts where misreading it would cost more than 2^fine_bits values; under a phase code,
-    half a period, and `fine_bits` is not used.
+    half a period, and `fine_bits` is not used. The phase of a pixel whose bits contradict is known
+    all the same: its period is taken from its neighbours where `settling_votes` of them agree.
     Where both axes are coded, a point farther from its epipolar line than `max_epipolar_px` and
     three standard deviations is an outlier; 0 lets all pass.
     """
@@ -144,6 +145,16 @@ class DecodeSpec:
     ] = 0.0
     doubt: Annotated[float, Field(ge=0, lt=1)] = 0.15
     fine_bits: Annotated[int, Field(ge=0)] = 3
+    settling_votes: Annotated[
+        int,
+        Field(
+            ge=0,
+            le=24,
+            description="A pixel with a phase whose Gray bits contradict each other takes the "
+            "period that at least so many of its 24 neighbours lead to. 0 switches this off.",
+            exclude_if=unsaid,
+        ),
+    ] = 0
     max_epipolar_px: Annotated[
         float,
         Field(

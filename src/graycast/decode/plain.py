@@ -12,6 +12,7 @@ from .phases import MAX_MISFIT, MIN_LEAD, MODEL_RAD, OFF_CELL_PERIODS, SLACK_PER
 from .plan import AxisPlan, Period, plan_axes, read_frames
 from .reading import SHADOW_SIGMAS
 from .settling import (
+    AGAINST_SHARE,
     CHOICES,
     CLEAR,
     MAX_AGAINST,
@@ -46,6 +47,7 @@ def decode_plain(
     for axis, plan in plans.items():
         place, sigma = np.full(high.shape, np.nan), np.full(high.shape, np.nan)
         coarse = variance = rival = None
+        free = why == Reason.DECODED
         _say(why, _lost(stack, full, plan, high + low, levels), Reason.SATURATED)
         if plan.bits:
             coarse, variance, rival, doubts = _gray(
@@ -56,15 +58,23 @@ def decode_plain(
             place, sigma = coarse, np.sqrt(variance + plan.cell_px**2 / 12)
         if plan.periods:
 
-            def lit(amplitude, strength=strength):
+            def lit(amplitude, strength=strength, why=why):
                 weakest = np.minimum(strength, 2 * amplitude)
                 return _judge(why, high, low, weakest, top, spec, levels) == Reason.DECODED
 
+            def in_two(amplitude, wrong, why=why, free=free, lit=lit):
+                said = why.copy()
+                _say(said, wrong, Reason.INTERREFLECTION)
+                contradicts = np.isin(said, [Reason.CONTRADICTORY, Reason.INTERREFLECTION])
+                known = lit(amplitude, why=np.where(contradicts, 0, said))
+                return free & contradicts & known, ~contradicts & known
+
             place, sigma, amplitude, wrong, by_others = _phase(
-                stack, plan, levels, coarse, variance, rival, lit
+                stack, plan, levels, coarse, variance, rival, lit, in_two, spec.settling_votes
             )
             strength = np.minimum(strength, 2 * amplitude)
             mark[by_others] |= Mark.SETTLED
+            why[by_others] = Reason.DECODED
             _say(why, wrong, Reason.CONTRADICTORY if coarse is None else Reason.INTERREFLECTION)
         _say(why, (place < -0.5) | (place > plan.size_px - 0.5), Reason.OUTSIDE_PROJECTOR)
         found[axis] = place, sigma
@@ -173,7 +183,7 @@ def _gray(stack, plan: AxisPlan, spec: DecodeSpec, levels: Levels, high, low, fi
 
 
 @np.errstate(divide="ignore", invalid="ignore")
-def _phase(stack, plan: AxisPlan, levels: Levels, coarse, variance, rival, lit):
+def _phase(stack, plan: AxisPlan, levels: Levels, coarse, variance, rival, lit, in_two, votes):
     mean, amplitude, turn, noise2, light = _first_phase(stack, plan.periods[0], levels)
     first, settled = plan.periods[0].period_px, np.zeros(turn.shape, dtype=bool)
     others = [_first_phase(stack, p, levels) if p.full else None for p in plan.periods[1:]]
@@ -185,6 +195,10 @@ def _phase(stack, plan: AxisPlan, levels: Levels, coarse, variance, rival, lit):
         far = 0.5 * plan.cell_px + OFF_CELL_PERIODS * first + 2 * np.sqrt(variance)
         wrong = np.abs((k + turn) * first - coarse) > far
         wrong |= np.floor((coarse + rival) / first - turn + 0.5) != k
+        if votes:
+            refused, clear = in_two(amplitude, wrong)
+            k, settled = _vote(turn, k, refused, clear, votes)
+            wrong &= ~settled
     u = (k + turn) * first
     weight = (2 * np.pi / first) ** 2 / noise2
     summed = weight * u
@@ -274,6 +288,24 @@ def _settle(turn, choice, cost, state, lit):
         k = np.where(agreed, np.take_along_axis(choice, best, 0)[0], k)
         state[agreed] = CLEAR
     return k, was_open & (state == CLEAR), state != CLEAR
+
+
+def _vote(turn, k, refused, clear, votes):
+    """`settling.settle_refused`, over whole pictures: the period of each pixel, and the settled."""
+    said = []
+    for dy, dx in product(range(-REACH_PX, REACH_PX + 1), repeat=2):
+        if dy or dx:
+            there, (its_turn, its_k, its_clear) = _beside(dy, dx, turn, k, clear)
+            apart = turn - its_turn
+            step = np.rint(apart)
+            speaks = there & its_clear & (np.abs(apart - step) <= STEP_PERIODS)
+            said.append(np.where(speaks, its_k - step, np.nan))
+    counts = np.array([np.sum(np.array(said) == one, axis=0) for one in said])
+    most = counts.max(axis=0)
+    best = np.take_along_axis(np.array(said), counts.argmax(axis=0)[None], 0)[0]
+    others = np.isfinite(said).sum(axis=0) - most
+    settled = refused & (most >= votes) & (others <= AGAINST_SHARE * most)
+    return np.where(settled, best, k), settled
 
 
 def _beside(dy, dx, *maps):

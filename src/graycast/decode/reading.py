@@ -27,7 +27,7 @@ from .phases import (
     read_phases,
 )
 from .plan import AxisPlan, plan_axes, read_frames
-from .settling import CHOICES, CLEAR, OPEN, settle
+from .settling import CHOICES, CLEAR, OPEN, settle, settle_refused
 
 SHADOW_SIGMAS = 6.0  # the range of some twenty noisy frames of equal light seldom exceeds it
 
@@ -100,6 +100,7 @@ class _Seen:
     frames: UInt8[np.ndarray, "n h w"] | UInt16[np.ndarray, "n h w"]
     law: tuple[np.float32, ...]  # offset_dn, floor_dn2, slope_dn, doubt, fine_error
     dark: tuple[np.float32, np.float32]  # shows too little: min_contrast [DN], min_sigmas
+    votes: int  # of neighbours that settle the period of a contradictory pixel; 0 is none
     saturation_dn: np.float32
     high: Float32[np.ndarray, "h w"]
     low: Float32[np.ndarray, "h w"]
@@ -127,6 +128,7 @@ def _look(
         frames=frames,
         law=tuple(np.float32(number) for number in numbers),
         dark=(np.float32(spec.min_contrast * levels.range_dn), np.float32(spec.min_sigmas)),
+        votes=spec.settling_votes,
         saturation_dn=saturation_dn,
         high=high,
         low=low,
@@ -145,6 +147,7 @@ def _read(seen: _Seen, plan: AxisPlan) -> tuple:
     # Only a phase asks for rivals; without one they may go where the place will be written.
     rival = np.zeros(shape, dtype=np.float32) if plan.periods else place
     clipped = bool(seen.top.any())
+    free = seen.why == Reason.DECODED  # of what another axis says
     if plan.bits:
         bits = np.array([(b.frame, b.inverse, b.xor, b.counts) for b in plan.bits])
         grid = np.array([plan.first_px, plan.cell_px, plan.reach], dtype=np.float32)
@@ -153,14 +156,14 @@ def _read(seen: _Seen, plan: AxisPlan) -> tuple:
             lose_bits(seen.frames, bits, *light, seen.top, seen.saturation_dn, seen.why)
         read_gray(seen.frames, bits, grid, seen.law, *light, place, sigma, rival, seen.why)
     if plan.periods:
-        _read_phases(seen, plan, clipped, place, sigma, rival)
+        _read_phases(seen, plan, clipped, free, place, sigma, rival)
     else:
         _within_cell(np.float32(plan.cell_px**2 / 12), sigma)
     _outside(np.float32(plan.size_px), place, seen.why)
     return place, sigma
 
 
-def _read_phases(seen: _Seen, plan: AxisPlan, clipped: bool, place, sigma, rival) -> None:
+def _read_phases(seen: _Seen, plan: AxisPlan, clipped: bool, free, place, sigma, rival) -> None:
     counts = [len(p.frames) for p in plan.periods]
     starts = np.cumsum([0, *counts[:-1]])
     lengths = [p.period_px for p in plan.periods]
@@ -175,6 +178,8 @@ def _read_phases(seen: _Seen, plan: AxisPlan, clipped: bool, place, sigma, rival
     read_phases(seen.frames, periods, index, waves, seen.law, seen.strength, turn, noise2)
     if plan.bits:
         count_by_gray(periods, np.float32(plan.cell_px), turn, place, sigma, rival, seen.why)
+        if seen.votes:
+            _settle_refused(seen, periods[0, 0], turn[:, 0], free, place)
     else:
         _count(seen, (periods, delta, plan.size_px, turn, noise2), place)
     fuse(periods, turn, noise2, place, sigma)
@@ -196,6 +201,20 @@ def _count(seen: _Seen, measured: tuple, place) -> None:
         settled = settle(periods, turn, choice, cost, place, state, lit, min_lead=MIN_LEAD)
         seen.mark[settled] |= np.uint8(Mark.SETTLED)
     seen.why[(state != CLEAR) & (seen.why == Reason.DECODED)] = Reason.CONTRADICTORY
+
+
+def _settle_refused(seen: _Seen, period_px: float, turn, free, place) -> None:
+    """Give pixels whose bits contradict each other the period that their neighbours lead to."""
+    said = seen.why.copy()
+    _judge(seen.high, seen.low, seen.strength, seen.top, said, seen.law, seen.dark)
+    refused = free & ((said == Reason.CONTRADICTORY) | (said == Reason.INTERREFLECTION))
+    if refused.any():
+        clear = said == Reason.DECODED
+        settled = settle_refused(
+            period_px, np.ascontiguousarray(turn), place, refused, clear, votes=seen.votes
+        )
+        seen.mark[settled] |= np.uint8(Mark.SETTLED)
+        seen.why[settled] = Reason.DECODED
 
 
 @numba.njit(parallel=True, cache=True, error_model="numpy")

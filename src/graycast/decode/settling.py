@@ -17,6 +17,7 @@ MIN_NEIGHBOURS = 8  # that say something
 # them, say, that see no such surface.
 MAX_AGAINST = 0.34
 PASSES = 8  # what one pass settles speaks in the next
+AGAINST_SHARE = 0.25  # of those that speak for a period: more that speak against it leave it open
 
 
 def settle(periods, turn, choice, cost, place, state, lit, *, min_lead):
@@ -128,3 +129,51 @@ def _chosen(first, choice, cost, state, lit, count, y, x, against, min_lead):
     if lead < min_lead or against[best] > np.float32(MAX_AGAINST * MOST_SAID) * said:
         return -1
     return choice[y, best, x]
+
+
+def settle_refused(period_px, turn, place, refused, clear, *, votes):
+    """Count the periods of pixels whose own code contradicts itself, by their neighbours.
+
+    The phase of such a pixel is known; what is not is its period. Each clear neighbour on the same
+    surface says one. The period is taken that at least `votes` neighbours say, if hardly any says
+    another one. What is settled does not speak for others, so large regions are not filled.
+
+    Args:
+        turn: phase [periods], (h, w).
+        place: place of clear pixels [px]; those of settled ones are written.
+        refused, clear: which pixels are to be settled and which speak, (h, w).
+
+    Returns:
+        which were settled.
+    """
+    settled = np.zeros(place.shape, dtype=np.bool_)
+    _vote(np.float32(period_px), turn, place, refused, clear, votes, settled)
+    return settled
+
+
+@numba.njit(parallel=True, cache=True)
+@no_type_check  # the tests' type checker wraps functions, which numba cannot compile
+def _vote(period, turn, place, refused, clear, votes, settled):
+    h, w = place.shape
+    side = 2 * REACH_PX + 1
+    for y in numba.prange(h):
+        said = np.empty(side * side, dtype=np.int32)
+        for x in range(w):
+            if not refused[y, x]:
+                continue
+            count = 0
+            for j in range(max(y - REACH_PX, 0), min(y + REACH_PX + 1, h)):
+                for i in range(max(x - REACH_PX, 0), min(x + REACH_PX + 1, w)):
+                    apart = turn[y, x] - turn[j, i]
+                    step = np.rint(apart)
+                    if clear[j, i] and abs(apart - step) <= np.float32(STEP_PERIODS):
+                        its_own = np.rint(place[j, i] / period - turn[j, i])
+                        said[count] = np.int32(its_own - step)
+                        count += 1
+            if count < votes:
+                continue
+            k = np.int32(np.median(said[:count]))  # most say it, or there is no agreement
+            agreed = (said[:count] == k).sum()
+            if agreed >= votes and count - agreed <= AGAINST_SHARE * agreed:
+                settled[y, x] = True
+                place[y, x] = (np.float32(k) + turn[y, x]) * period

@@ -217,6 +217,7 @@ def describe_stack(scanner: Scanner, files: Sequence[str], *, rig: str) -> str:
             "min_sigmas": float(decode.min_sigmas),
             "doubt": float(decode.doubt),
             "fine_bits": int(decode.fine_bits),
+            "settling_votes": int(decode.settling_votes),
             "max_epipolar_px": float(decode.max_epipolar_px),
         },
         "rig": rig,

@@ -68,6 +68,7 @@ PARAMETERS: tuple[Parameter, ...] = (
     Parameter(key="line_noise_length_m", low=0.001, high=0.3, walk="log"),
     Parameter(key="decode.min_sigmas", low=3.0, high=150.0, walk="log"),
     Parameter(key="decode.doubt", low=0.03, high=0.4),
+    Parameter(key="decode.settling_votes", low=0.0, high=24.0, whole=True),
     Parameter(key="filters.flying_angle_deg", low=60.0, high=89.0),
     Parameter(key="filters.outlier_sigmas", low=3.0, high=15.0, walk="log"),
     Parameter(key="filters.outlier_share", low=1e-4, high=3e-3, walk="log"),

@@ -2,11 +2,11 @@
 
 Light is rendered once for each code, so a trial is exposure, noise, decoding and filters alone.
 Covariance matrix adaptation walks the box of the declared parameters (Hansen's `cma`), with the
-same noise in every trial, so that the same search takes the same way. First each
-parameter is tried alone, which finds what is far off. A code is no number: each candidate has a
-short search from there. The best code has another one, which begins with noise of the surface
-instead of the light. The better end goes on by damped Gauss-Newton steps, as the loss is a sum of
-squares.
+same noise in every trial, so that the same search takes the same way. First each parameter is tried
+alone, which finds what is far off: once with the configured noise, which is mostly that of the
+light, and once with noise of the surface. A code is no number: each candidate has a short search
+from the better of both. The best one's end goes on by damped Gauss-Newton steps, as the loss is a
+sum of squares.
 
 Source: Hansen, "The CMA Evolution Strategy: A Tutorial", arXiv 1604.00772.
 """
@@ -106,11 +106,9 @@ def search(
     x0 = shares_of(start, parameters)
     before = court.rows(start.code, x0)
     short = max(int(_FIRST_PART * trials), 1)
-    of_light = court.first_look(start.code, x0)
-    best = {code: court.walk(code, of_light, short) for code in codes}
+    begun = [court.first_look(start.code, x) for x in (x0, with_noise_of_surface(x0, parameters))]
+    best = {code: court.walk(code, court.better(code, begun), short) for code in codes}
     code = min(best, key=lambda c: best[c][0])
-    of_surface = court.first_look(code, with_noise_of_surface(x0, parameters))
-    best[code] = min(best[code], court.walk(code, of_surface, short), key=lambda end: end[0])
     left = trials - court.done
     loss, x = court.refine(code, best[code][1], left)
     if best[code][0] < loss:
@@ -183,6 +181,12 @@ class _Court:
         self.done, self.least = self.done + 1, min(self.least, loss)
         self.on_trial(self.done, self.total, f"lowest misfit {self.least:.2f}")
         return loss, rows
+
+    def better(
+        self, code: CodeSpec, places: Sequence[Float[np.ndarray, " n"]]
+    ) -> Float[np.ndarray, " n"]:
+        """The place with the least loss, the first of equal ones."""
+        return min(places, key=lambda x: self.loss(code, x))
 
     def first_look(self, code: CodeSpec, x0: Float[np.ndarray, " n"]) -> Float[np.ndarray, " n"]:
         """One parameter after another at a few places, each kept where it is best."""

@@ -11,8 +11,14 @@ from graycast.pattern import CodeSpec
 from graycast.real.realism import DepthScan
 from graycast.real.realism.patches import find_floor
 from graycast.real.twin import searching
-from graycast.real.twin.parameters import PARAMETERS, with_values
-from graycast.real.twin.rows import compare, figures_of, loss_of
+from graycast.real.twin.parameters import (
+    NOISE_OF_SURFACE,
+    PARAMETERS,
+    shares_of,
+    with_noise_of_surface,
+    with_values,
+)
+from graycast.real.twin.rows import Figures, Row, compare, figures_of, loss_of
 from graycast.real.twin.searching import scans_of, search
 from graycast.real.twin.stage import Lit, scan_lit
 from graycast.render import Quality
@@ -119,3 +125,28 @@ def test_a_bin_that_reflects_more_is_brighter_and_less_noisy(stage):
     is_bin = lit[0].is_bin
     assert (np.isnan(plain.depth_m) & is_bin).sum() >= (np.isnan(bright.depth_m) & is_bin).sum()
     assert not np.array_equal(plain.depth_m[is_bin], bright.depth_m[is_bin], equal_nan=True)
+
+
+def test_a_code_that_fits_with_noise_of_the_surface_alone_is_found(stage, monkeypatch):
+    """From the light's noise that code is nowhere better than the configured one."""
+    coarse = CodeSpec(codec="gray_phase", axes=("column",), period_px=48.0, steps=4)
+    fine = replace(coarse, period_px=12.0)
+    scanner = replace(stage[0], code=coarse)
+    fitted = [p for p in PARAMETERS if p.key in NOISE_OF_SURFACE]
+    of_light = shares_of(scanner, fitted)
+    of_surface = with_noise_of_surface(of_light, fitted)
+
+    class Plateau(searching._Court):
+        def rows(self, code, x, seed=None):
+            off = 2.0 if code == coarse else 4.0
+            if code == fine and np.linalg.norm(x - of_surface) < 0.5:
+                off = float(np.linalg.norm(x - of_surface))
+            return (Row(name="a", unit="", owner="sensor", real=0.0, spread=1.0, twin=off),)
+
+    monkeypatch.setattr(searching, "_Court", Plateau)
+    monkeypatch.setattr(searching, "_FIRST_LOOK", ())
+    real = Figures(value={"a": np.zeros(3)})
+    made = search(scanner, stage[1], [coarse, fine], fitted, real, trials=60, seed=1)
+    assert np.linalg.norm(of_light - of_surface) > 0.5
+    assert made.scanner.code == fine
+    assert loss_of(made.after) < 0.1

@@ -294,9 +294,12 @@ def _hold(
 ) -> tuple[Held, ...]:
     """Each parameter alone over its range, in all trials before, and with all others: what fits.
 
-    What does not fit is worse by more than two other draws of the noise make of the best itself, or
-    by a twentieth, and than the scanner itself would be: the means of so few scans and scenes
-    differ, in spreads, with a variance of one over either number.
+    What does not fit is worse by more than two other draws of the noise make of the best itself,
+    and than the scanner itself would be: the means of so few scans and scenes differ, in spreads,
+    with a variance of one over either number. It is also worse by two standard deviations, which is
+    a sum of squares of 4 in units of what the best still is off, as rows that do not fit are not
+    known better than that (R. T. Birge, "The calculation of errors by the method of least squares",
+    1932).
     """
     if not after:  # nothing is lit, so nothing is known
         return tuple(
@@ -305,9 +308,11 @@ def _hold(
         )
     loss = loss_of(after)
     other = [court.loss(code, x, seed + 1000 * k) for k in (1, 2)]
-    limit = loss + max(2 * float(np.abs(np.array(other) - loss).max()), 0.05 * loss, 1e-9)
     scans = max(len(values) for values in court.real.value.values())
-    limit = max(limit, 1 / scans + 1 / len(court.lit))
+    means = 1 / scans + 1 / len(court.lit)
+    two_sigmas = 4 * max(loss, means) / len(pulls_of(after))
+    limit = loss + max(2 * float(np.abs(np.array(other) - loss).max()), two_sigmas)
+    limit = max(limit, means)
     fits = np.array([at for _, at, was in court.tried if was <= limit])  # with any code
     fits = np.vstack([fits.reshape(-1, len(x)), x])
     slopes, alone = [], []

@@ -76,9 +76,9 @@ def add_commands(commands: argparse._SubParsersAction) -> None:
     twin.add_argument(
         "--trials",
         type=positive,
-        default=560,
+        default=700,
         metavar="N",
-        help="The number of simulated scanners that the search tries (default: 560).",
+        help="The number of simulated scanners that the search tries (default: 700).",
     )
     add_seed(twin, 0)
     add_device(twin)

@@ -35,7 +35,7 @@ class Row:
     unit: str
     owner: Owner
     real: float
-    spread: float  # standard deviation over the real scans, at least what is believed
+    spread: float  # standard deviation over the real scans, at least a share of the mean
     twin: float
 
     @property
@@ -70,8 +70,7 @@ def compare(real: Figures, twin: Figures) -> tuple[Row, ...]:
             continue
         mean = float(known.mean())
         spread = max(float(known.std(ddof=1)) if len(known) > 1 else 0.0, least)
-        if unit:  # a ratio's level says nothing of how well it is known
-            spread = max(spread, _LEAST_SPREAD * abs(mean))
+        spread = max(spread, _LEAST_SPREAD * abs(mean))
         twin_mean = float(own.mean()) if len(own) else mean + _MOST_Z * spread
         rows.append(
             Row(name=name, unit=unit, owner=owner, real=mean, spread=spread, twin=twin_mean)

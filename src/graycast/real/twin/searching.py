@@ -4,9 +4,9 @@ Light is rendered once for each code, so a trial is exposure, noise, decoding an
 Covariance matrix adaptation walks the box of the declared parameters (Hansen's `cma`), with the
 same noise in every trial, so that the same search takes the same way. First each parameter is tried
 alone, which finds what is far off: once with the configured noise, which is mostly that of the
-light, and once with noise of the surface. A code is no number: each candidate has a short search
-from the better of both. The best one's end goes on by damped Gauss-Newton steps, as the loss is a
-sum of squares.
+light, and once with noise of the surface. A code is no number: each candidate has a short walk from
+the better of both, and a few damped Gauss-Newton steps from the walk's end, as the loss is a sum of
+squares. The best one goes on by such steps.
 
 Source: Hansen, "The CMA Evolution Strategy: A Tutorial", arXiv 1604.00772.
 """
@@ -37,7 +37,7 @@ from .rows import Figures, Row, compare, figures_of, loss_of, pulls_of
 from .stage import Lit, scan_lit
 
 _FIRST_STEP = 0.2  # of the way between the bounds
-_FIRST_PART = 0.1  # as a share of the trials, for a short search
+_FIRST_WALK, _FIRST_STEPS = 0.05, 0.1  # as shares of the trials, for each code
 _DARK_LOSS = 1e3  # of a scanner that sees nothing
 _FIRST_LOOK = (0.0, 0.5, 1.0)  # shares at which a parameter is tried alone before the search
 _PROFILE = np.linspace(0.0, 1.0, 5)  # shares at which a parameter is tried alone, beside the best
@@ -105,14 +105,14 @@ def search(
     court = _Court(start, lit, parameters, real, seed, trials + profile, on_trial)
     x0 = shares_of(start, parameters)
     before = court.rows(start.code, x0)
-    short = max(int(_FIRST_PART * trials), 1)
+    walk, steps = (max(int(share * trials), 1) for share in (_FIRST_WALK, _FIRST_STEPS))
     begun = [court.first_look(start.code, x) for x in (x0, with_noise_of_surface(x0, parameters))]
-    best = {code: court.walk(code, court.better(code, begun), short) for code in codes}
+    best = {}
+    for code in codes:
+        _, x = court.walk(code, court.better(code, begun), walk)
+        best[code] = court.refine(code, x, steps)
     code = min(best, key=lambda c: best[c][0])
-    left = trials - court.done
-    loss, x = court.refine(code, best[code][1], left)
-    if best[code][0] < loss:
-        loss, x = best[code]
+    loss, x = court.refine(code, best[code][1], trials - court.done)
     after = court.rows(code, x)
     held = _hold(court, code, x, after, seed)
     values = values_at(x, parameters)
@@ -120,7 +120,7 @@ def search(
         scanner=replace(with_values(start, parameters, values), code=code),
         values=values,
         held=held,
-        by_code={c.period_px: min(best[c][0], loss if c == code else np.inf) for c in codes},
+        by_code={c.period_px: loss if c == code else best[c][0] for c in codes},
         before=before,
         after=after,
         trials=court.done,

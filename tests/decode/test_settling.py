@@ -205,3 +205,17 @@ def test_of_two_axes_one_that_cannot_be_settled_refuses_the_pixel():
     assert np.array_equal(fast.mark, plain.mark)
     for field in ("column", "row"):
         np.testing.assert_allclose(getattr(fast, field), getattr(plain, field), atol=2e-3)
+
+
+def test_a_pixel_whose_frames_are_at_the_top_is_not_settled_by_either_decoder():
+    """Its light goes before its code: what it contradicts may be what the top has cut off."""
+    spoilt = np.random.default_rng(5).random(SHAPE) < 0.01
+    frames = contradicting(spoilt)
+    clipped = spoilt & (np.arange(SHAPE[1]) % 2 == 0)
+    frames[0][clipped] = int(LEVELS.saturation_dn)
+    fast, plain = (read(frames, VOTES, decoder) for decoder in (decode, decode_plain))
+    assert not (fast.mark & Mark.SETTLED > 0)[clipped].any()
+    assert (fast.reason[clipped] == Reason.SATURATED).any()
+    assert (fast.mark & Mark.SETTLED > 0)[spoilt & ~clipped].mean() > 0.9
+    assert np.array_equal(fast.reason, plain.reason)
+    assert np.array_equal(fast.mark, plain.mark)

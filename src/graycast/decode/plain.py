@@ -58,19 +58,13 @@ def decode_plain(
             place, sigma = coarse, np.sqrt(variance + plan.cell_px**2 / 12)
         if plan.periods:
 
-            def lit(amplitude, strength=strength, why=why):
+            def judged(amplitude, wrong=False, strength=strength):
+                said = np.where(wrong & (why == 0), np.uint8(Reason.INTERREFLECTION), why)
                 weakest = np.minimum(strength, 2 * amplitude)
-                return _judge(why, high, low, weakest, top, spec, levels) == Reason.DECODED
-
-            def in_two(amplitude, wrong, why=why, free=free, lit=lit):
-                said = why.copy()
-                _say(said, wrong, Reason.INTERREFLECTION)
-                contradicts = np.isin(said, [Reason.CONTRADICTORY, Reason.INTERREFLECTION])
-                known = lit(amplitude, why=np.where(contradicts, 0, said))
-                return free & contradicts & known, ~contradicts & known
+                return _judge(said, high, low, weakest, top, spec, levels)
 
             place, sigma, amplitude, wrong, by_others = _phase(
-                stack, plan, levels, coarse, variance, rival, lit, in_two, spec.settling_votes
+                stack, plan, levels, coarse, variance, rival, judged, free, spec.settling_votes
             )
             strength = np.minimum(strength, 2 * amplitude)
             mark[by_others] |= Mark.SETTLED
@@ -183,21 +177,22 @@ def _gray(stack, plan: AxisPlan, spec: DecodeSpec, levels: Levels, high, low, fi
 
 
 @np.errstate(divide="ignore", invalid="ignore")
-def _phase(stack, plan: AxisPlan, levels: Levels, coarse, variance, rival, lit, in_two, votes):
+def _phase(stack, plan: AxisPlan, levels: Levels, coarse, variance, rival, judged, free, votes):
     mean, amplitude, turn, noise2, light = _first_phase(stack, plan.periods[0], levels)
     first, settled = plan.periods[0].period_px, np.zeros(turn.shape, dtype=bool)
     others = [_first_phase(stack, p, levels) if p.full else None for p in plan.periods[1:]]
     if coarse is None:
         choice, cost, state = _count(stack, plan, turn, noise2, others, mean, amplitude, light)
-        k, settled, wrong = _settle(turn, choice, cost, state, lit(amplitude))
+        k, settled, wrong = _settle(turn, choice, cost, state, judged(amplitude) == 0)
     else:
         k = np.floor(coarse / first - turn + 0.5)
         far = 0.5 * plan.cell_px + OFF_CELL_PERIODS * first + 2 * np.sqrt(variance)
         wrong = np.abs((k + turn) * first - coarse) > far
         wrong |= np.floor((coarse + rival) / first - turn + 0.5) != k
         if votes:
-            refused, clear = in_two(amplitude, wrong)
-            k, settled = _vote(turn, k, refused, clear, votes)
+            said = judged(amplitude, wrong)
+            refused = free & np.isin(said, [Reason.CONTRADICTORY, Reason.INTERREFLECTION])
+            k, settled = _vote(turn, k, refused, said == Reason.DECODED, votes)
             wrong &= ~settled
     u = (k + turn) * first
     weight = (2 * np.pi / first) ** 2 / noise2

@@ -147,7 +147,7 @@ def _read(seen: _Seen, plan: AxisPlan) -> tuple:
     # Only a phase asks for rivals; without one they may go where the place will be written.
     rival = np.zeros(shape, dtype=np.float32) if plan.periods else place
     clipped = bool(seen.top.any())
-    free = seen.why == Reason.DECODED  # of what another axis says
+    free = seen.why == Reason.DECODED if seen.votes else None  # of what another axis says
     if plan.bits:
         bits = np.array([(b.frame, b.inverse, b.xor, b.counts) for b in plan.bits])
         grid = np.array([plan.first_px, plan.cell_px, plan.reach], dtype=np.float32)
@@ -190,9 +190,7 @@ def _count(seen: _Seen, measured: tuple, place) -> None:
     periods, _, _, turn, _ = measured
     state = np.empty(place.shape, dtype=np.uint8)
     count_by_phases(*measured, place, state)
-    said = seen.why.copy()
-    _judge(seen.high, seen.low, seen.strength, seen.top, said, seen.law, seen.dark)
-    lit = said == Reason.DECODED
+    lit = _judged(seen) == Reason.DECODED
     if (lit & (state == OPEN)).any():
         h, w = place.shape
         choice = np.empty((h, CHOICES, w), dtype=np.int32)
@@ -203,10 +201,16 @@ def _count(seen: _Seen, measured: tuple, place) -> None:
     seen.why[(state != CLEAR) & (seen.why == Reason.DECODED)] = Reason.CONTRADICTORY
 
 
-def _settle_refused(seen: _Seen, period_px: float, turn, free, place) -> None:
-    """Give pixels whose bits contradict each other the period that their neighbours lead to."""
+def _judged(seen: _Seen) -> UInt8[np.ndarray, "h w"]:
+    """Each pixel's reason so far, by its light as well as by its code."""
     said = seen.why.copy()
     _judge(seen.high, seen.low, seen.strength, seen.top, said, seen.law, seen.dark)
+    return said
+
+
+def _settle_refused(seen: _Seen, period_px: float, turn, free, place) -> None:
+    """Give pixels whose bits contradict each other the period that their neighbours lead to."""
+    said = _judged(seen)
     refused = free & ((said == Reason.CONTRADICTORY) | (said == Reason.INTERREFLECTION))
     if refused.any():
         clear = said == Reason.DECODED

@@ -150,3 +150,43 @@ def test_a_code_that_fits_with_noise_of_the_surface_alone_is_found(stage, monkey
     assert np.linalg.norm(of_light - of_surface) > 0.5
     assert made.scanner.code == fine
     assert loss_of(made.after) < 0.1
+
+
+def court_of(stage, fitted, off, trials=100):
+    """A court whose one row is a formula of the shares, and the places that it has judged."""
+    scanner, judged = stage[0], []
+
+    class Formula(searching._Court):
+        def rows(self, code, x, seed=None):
+            judged.append(x.tobytes())
+            return (
+                Row(name="a", unit="", owner="sensor", real=0.0, spread=1.0, twin=float(off(x))),
+            )
+
+    real = Figures(value={"a": np.zeros(3)})
+    court = Formula(scanner, stage[1], fitted, real, 1, trials, lambda done, total, text: None)
+    return court, judged
+
+
+def test_steps_come_back_from_where_a_row_is_sixty_spreads_off(stage):
+    """A bound that is flat there would say of no parameter which way is better."""
+    court, _ = court_of(stage, FITTED, lambda x: 100 * (x[0] - 0.3) + 5 * (x[1] - 0.6))
+    loss, x = court.refine(stage[0].code, np.array([0.9, 0.6]), 30)
+    assert loss < 0.01
+    assert 100 * (x[0] - 0.3) + 5 * (x[1] - 0.6) == pytest.approx(0, abs=0.1)
+
+
+def test_a_place_that_is_asked_for_again_costs_no_trial(stage):
+    """Steps that go on from where they ended before repeat the slopes of that place."""
+    code = stage[0].code
+    court, judged = court_of(stage, FITTED, lambda x: 3 + np.sin(9 * x[0]) * np.cos(7 * x[1]))
+    loss, x = court.refine(code, np.array([0.5, 0.5]), 400)
+    done = court.done
+    assert done == len(judged) < 400
+    assert court.refine(code, x, 400)[0] == loss
+    assert court.walk(code, x, 20, step=0.05)[0] <= loss
+    assert court.done >= done + 15
+    assert court.done == len(judged) == len(set(judged))
+    again = court.done
+    court.judge(code, x, seed=9)  # other noise is another trial
+    assert court.done == again + 1

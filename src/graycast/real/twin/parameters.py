@@ -93,6 +93,7 @@ NOISE_OF_SURFACE: Mapping[str, float] = {
     "speckle_unevenness": 0.3,
     "line_noise": 0.006,
     "line_noise_length_m": 0.004,
+    "filters.smoothing_px": 0.0,  # so that what neighbours share is the surface's doing
     "filters.raster_px": 0.1,
     "filters.raster_unevenness": 0.4,
 }

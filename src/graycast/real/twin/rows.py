@@ -24,7 +24,8 @@ _LEAST_KNOWN = 0.7  # of a square's differences, to tell tails
 _LEAST_SQUARES = 5
 _SMOOTH_M = 5e-4  # a square whose differences scatter more is no smooth surface
 _FLAT_M = 5e-3
-_MOST_Z = 5.0  # a row that is far off counts no more than this
+_UNKNOWN_Z = 5.0  # how far off a row is that the twin's scans cannot tell
+_FAR_Z = 3.0  # what is farther off counts by its logarithm
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -71,7 +72,7 @@ def compare(real: Figures, twin: Figures) -> tuple[Row, ...]:
         mean = float(known.mean())
         spread = max(float(known.std(ddof=1)) if len(known) > 1 else 0.0, least)
         spread = max(spread, _LEAST_SPREAD * abs(mean))
-        twin_mean = float(own.mean()) if len(own) else mean + _MOST_Z * spread
+        twin_mean = float(own.mean()) if len(own) else mean + _UNKNOWN_Z * spread
         rows.append(
             Row(name=name, unit=unit, owner=owner, real=mean, spread=spread, twin=twin_mean)
         )
@@ -79,13 +80,17 @@ def compare(real: Figures, twin: Figures) -> tuple[Row, ...]:
 
 
 def pulls_of(rows: Sequence[Row]) -> Float[np.ndarray, " n"]:
-    """How many spreads each of the sensor's rows is off, bounded smoothly."""
-    share = np.array([row.off for row in rows if row.owner == "sensor"]) / _MOST_Z
-    return _MOST_Z * np.sign(share) * np.sqrt(np.tanh(share**2))
+    """How many spreads each of the sensor's rows is off; far ones count by their logarithm.
+
+    A few rows that no twin meets shall not decide alone, but a bound that is flat would hide which
+    way leads nearer to them: the search would stay where many rows are far off.
+    """
+    off = np.array([row.off for row in rows if row.owner == "sensor"])
+    return _FAR_Z * np.arcsinh(off / _FAR_Z)
 
 
 def loss_of(rows: Sequence[Row]) -> float:
-    """Mean square of how far the sensor's rows are off, each bounded."""
+    """Mean square of `pulls_of`."""
     return float((pulls_of(rows) ** 2).mean())
 
 

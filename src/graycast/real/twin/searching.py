@@ -6,7 +6,7 @@ same noise in every trial, so that the same search takes the same way. First eac
 alone, which finds what is far off: once with the configured noise, which is mostly that of the
 light, and once with noise of the surface. A code is no number: each candidate has a short walk from
 the better of both, and a few damped Gauss-Newton steps from the walk's end, as the loss is a sum of
-squares. The best one goes on by such steps.
+squares. The best one goes on by such steps, and when they end, by a walk about their end.
 
 Source: Hansen, "The CMA Evolution Strategy: A Tutorial", arXiv 1604.00772.
 """
@@ -36,7 +36,7 @@ from .parameters import (
 from .rows import Figures, Row, compare, figures_of, loss_of, pulls_of
 from .stage import Lit, scan_lit
 
-_FIRST_STEP = 0.2  # of the way between the bounds
+_FAR, _NEAR = 0.2, 0.05  # first steps of a walk, as shares of the way between the bounds
 _FIRST_WALK, _FIRST_STEPS = 0.05, 0.1  # as shares of the trials, for each code
 _DARK_LOSS = 1e3  # of a scanner that sees nothing
 _FIRST_LOOK = (0.0, 0.5, 1.0)  # shares at which a parameter is tried alone before the search
@@ -109,10 +109,11 @@ def search(
     begun = [court.first_look(start.code, x) for x in (x0, with_noise_of_surface(x0, parameters))]
     best = {}
     for code in codes:
-        _, x = court.walk(code, court.better(code, begun), walk)
+        _, x = court.walk(code, court.better(code, begun), walk, step=_FAR)
         best[code] = court.refine(code, x, steps)
     code = min(best, key=lambda c: best[c][0])
-    loss, x = court.refine(code, best[code][1], trials - court.done)
+    _, x = court.refine(code, best[code][1], trials - court.done)
+    loss, x = court.walk(code, x, trials - court.done, step=_NEAR)
     after = court.rows(code, x)
     held = _hold(court, code, x, after, seed)
     values = values_at(x, parameters)
@@ -155,7 +156,8 @@ class _Court:
         self.start, self.lit, self.parameters, self.real = start, lit, parameters, real
         self.seed, self.total, self.on_trial = seed, total, on_trial
         self.done, self.least = 0, np.inf
-        self.tried: list[tuple[CodeSpec, Float[np.ndarray, " n"], float]] = []  # one noise for all
+        # Of the noise that all share: a place that is asked for again costs no trial.
+        self.tried: dict[tuple[CodeSpec, bytes], tuple[float, tuple[Row, ...]]] = {}
         self.floor = find_floor([one.truth.depth_m for one in lit])
 
     def rows(
@@ -174,10 +176,13 @@ class _Court:
         self, code: CodeSpec, x: Float[np.ndarray, " n"], seed: int | None = None
     ) -> tuple[float, tuple[Row, ...]]:
         """A trial: its loss and its rows, none of which are there if nothing is lit."""
+        place = code, x.tobytes()
+        if seed is None and place in self.tried:
+            return self.tried[place]
         rows = self.rows(code, x, seed)
         loss = loss_of(rows) if rows else _DARK_LOSS
         if seed is None:
-            self.tried.append((code, x.copy(), loss))
+            self.tried[place] = loss, rows
         self.done, self.least = self.done + 1, min(self.least, loss)
         self.on_trial(self.done, self.total, f"lowest misfit {self.least:.2f}")
         return loss, rows
@@ -201,7 +206,7 @@ class _Court:
         return x
 
     def walk(
-        self, code: CodeSpec, x0: Float[np.ndarray, " n"], trials: int
+        self, code: CodeSpec, x0: Float[np.ndarray, " n"], trials: int, *, step: float
     ) -> tuple[float, Float[np.ndarray, " n"]]:
         """The least loss of a search from a place, and where it was."""
         import cma
@@ -213,9 +218,9 @@ class _Court:
             "seed": np.nan,  # cma would seed NumPy's global stream; its draws come from `rng`
             "randn": lambda *size: rng.standard_normal(size),
         }
-        strategy = cma.CMAEvolutionStrategy(np.clip(x0, 0.02, 0.98), _FIRST_STEP, options)
+        strategy = cma.CMAEvolutionStrategy(np.clip(x0, 0.02, 0.98), step, options)
+        last = self.done + trials
         best, at = self.loss(code, x0), x0
-        last = self.done + trials - 1
         while self.done < last and not strategy.stop():
             asked = strategy.ask()
             losses = [self.loss(code, np.asarray(x)) for x in asked]
@@ -235,21 +240,19 @@ class _Court:
         """
         last = self.done + trials
         best, rows = self.judge(code, x0)
-        at, known = x0, {x0.tobytes(): pulls_of(rows)}
+        at = x0
         if not rows:  # nothing is lit there, so nothing has a slope
             return best, at
+        dark = np.full(len(pulls_of(rows)), np.sqrt(_DARK_LOSS))
 
         def pulls(x: Float[np.ndarray, " n"]) -> Float[np.ndarray, " rows"]:
             nonlocal best, at
-            if x.tobytes() not in known:
-                if self.done >= last:
-                    raise _Spent
-                loss, rows = self.judge(code, x)
-                if loss < best:
-                    best, at = loss, x.copy()
-                dark = np.full(len(known[x0.tobytes()]), np.sqrt(_DARK_LOSS))
-                known[x.tobytes()] = pulls_of(rows) if rows else dark
-            return known[x.tobytes()]
+            if self.done >= last and (code, x.tobytes()) not in self.tried:
+                raise _Spent
+            loss, rows = self.judge(code, x)
+            if loss < best:
+                best, at = loss, x.copy()
+            return pulls_of(rows) if rows else dark
 
         def slopes(x: Float[np.ndarray, " n"]) -> Float[np.ndarray, "rows n"]:
             here, columns = pulls(x), []
@@ -313,7 +316,9 @@ def _hold(
     two_sigmas = 4 * max(loss, means) / len(pulls_of(after))
     limit = loss + max(2 * float(np.abs(np.array(other) - loss).max()), two_sigmas)
     limit = max(limit, means)
-    fits = np.array([at for _, at, was in court.tried if was <= limit])  # with any code
+    fits = np.array(
+        [np.frombuffer(at) for (_, at), (was, _) in court.tried.items() if was <= limit]
+    )
     fits = np.vstack([fits.reshape(-1, len(x)), x])
     slopes, alone = [], []
     for i, own in enumerate(x):

@@ -76,8 +76,8 @@ def report_text(twin: Twin) -> str:
         "",
         "Between `from` and `to` the fit is as good as the noise allows: with all other parameters "
         "as found, in a trial of the search, or if other parameters make up for it. The ranges "
-        "are no confidence intervals: for simulated scanners with hidden parameters, about three "
-        "of four decided numbers were within them (docs/twin.md).",
+        "are no confidence intervals: for simulated scanners with hidden parameters, about seven "
+        "of ten decided numbers were within them (docs/twin.md).",
         "",
         "| key | twin | from | to | do the scans decide it? |",
         "|---|---|---|---|---|",

@@ -24,7 +24,7 @@ def test_without_the_scans_it_stops_in_one_line(tmp_path):
     """As a stranger has it: the repository with nothing beside it."""
     folder = tmp_path / "stranger" / "repository" / "tests" / "detect"
     folder.mkdir(parents=True)
-    for name in ("__init__.py", "phoxi_twin.py", "random_shapes.py"):
+    for name in ("__init__.py", "phoxi_twin.py", "printed_cartons.py", "random_shapes.py"):
         (folder / name).write_bytes((TESTS / "detect" / name).read_bytes())
     ended = said(folder.parent, tmp_path / "out")
     assert ended.returncode == 1

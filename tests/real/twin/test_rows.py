@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.stats import norm
 
-from graycast.real.twin.rows import figures_of
+from graycast.real.twin.rows import ROWS, Figures, compare, figures_of
 
 from ..realism.synthetic import plane, scan
 
@@ -73,3 +73,12 @@ def test_noise_common_to_rows_is_told_at_its_distance_alone(apart):
     assert told[apart - 1] == pytest.approx(0.5, abs=0.03)
     assert told[2 - apart] == pytest.approx(0.0, abs=0.03)
     assert row(depth_m, "noise common to columns") == pytest.approx(0.0, abs=0.03)
+
+
+def test_three_equal_scans_are_believed_to_a_twentieth_or_to_the_declared_spread():
+    """Scans that happen to be equal would else meet no row at all."""
+    real = Figures(value={name: np.full(3, 1.0) for name in ROWS})
+    spread = {one.name: one.spread for one in compare(real, real)}
+    assert spread["fine noise, median"] == 0.05
+    assert spread["noise along x over fine noise"] == 0.05
+    assert spread["missing in the frame"] == 3.0

@@ -152,8 +152,9 @@ def cell_to_fit(known: dict, cartons: list[Path]) -> dict:
     printed = [{"mesh": str(file), "unit": "m", "density_kg_m3": 500} for file in cartons]
     material = known["bin"]["material"] | {"roughness": 0.5}
     fitted["bin"] = known["bin"] | {"material": material}
-    fitted |= {"parts": [*known["parts"], *printed], "domain": domain}
-    return fitted | {"rig": "cell_rig.yaml", "render": {"samples": 128}}
+    parts = [*known["parts"], *printed]
+    own = {"rig": "cell_rig.yaml", "render": {"samples": 128}, "domain": domain, "parts": parts}
+    return fitted | own
 
 
 def write_cartons(meshes: Path, count: int) -> list[Path]:
@@ -249,11 +250,12 @@ def main() -> None:
     arguments = parser.parse_args()
     out = arguments.out
     _refuse_without_data()
-    (out / "meshes").mkdir(parents=True, exist_ok=True)
+    meshes = (out / "meshes").absolute()
+    meshes.mkdir(parents=True, exist_ok=True)
     save_scanner(scanner(), out / "rig.yaml")
     save_scanner(every_second_pixel(scanner()), out / "cell_rig.yaml")
-    content = configuration((out / "meshes").absolute(), arguments.shapes)
-    cell = cell_to_fit(content, write_cartons((out / "meshes").absolute(), CARTONS))
+    content = configuration(meshes, arguments.shapes)
+    cell = cell_to_fit(content, write_cartons(meshes, CARTONS))
     written = {"twin.yaml": content, "cell.yaml": cell, "study.yaml": STUDY}
     for name, value in written.items():
         (out / name).write_text(yaml.safe_dump(value, sort_keys=False), encoding="utf-8")

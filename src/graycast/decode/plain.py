@@ -59,7 +59,8 @@ def decode_plain(
         if plan.periods:
 
             def judged(amplitude, wrong=False, strength=strength):
-                said = np.where(wrong & (why == 0), np.uint8(Reason.INTERREFLECTION), why)
+                said = why.copy()
+                _say(said, wrong, Reason.INTERREFLECTION)
                 weakest = np.minimum(strength, 2 * amplitude)
                 return _judge(said, high, low, weakest, top, spec, levels)
 
@@ -183,7 +184,7 @@ def _phase(stack, plan: AxisPlan, levels: Levels, coarse, variance, rival, judge
     others = [_first_phase(stack, p, levels) if p.full else None for p in plan.periods[1:]]
     if coarse is None:
         choice, cost, state = _count(stack, plan, turn, noise2, others, mean, amplitude, light)
-        k, settled, wrong = _settle(turn, choice, cost, state, judged(amplitude) == 0)
+        k, settled, wrong = _settle(turn, choice, cost, state, judged(amplitude) == Reason.DECODED)
     else:
         k = np.floor(coarse / first - turn + 0.5)
         far = 0.5 * plan.cell_px + OFF_CELL_PERIODS * first + 2 * np.sqrt(variance)

@@ -21,9 +21,9 @@ test-slow: setup-test
 setup:
 	@scripts/setup
 
-# The packages for tests, style, types and documentation, in addition to those above.
+# The packages for tests, style, types, documentation and twins, in addition to those above.
 setup-test:
-	@scripts/setup test,docs
+	@scripts/setup test,twin,docs
 
 # The documentation as a site: out/site/index.html.
 docs: setup-test

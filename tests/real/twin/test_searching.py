@@ -1,5 +1,6 @@
 """The search takes the same way twice, touches nothing else, and its figures are their own."""
 
+import importlib.util
 from dataclasses import replace
 
 import numpy as np
@@ -27,6 +28,10 @@ from graycast.rig import preset_rig
 from graycast.scanner import Scanner
 from graycast.scene import EMPTY_LAYOUT, Sphere
 from graycast.sensor import SensorSpec
+
+needs_cma = pytest.mark.skipif(
+    importlib.util.find_spec("cma") is None, reason="needs cma: pip install 'graycast[twin]'"
+)
 
 FITTED = [p for p in PARAMETERS if p.key in ("sensor.read_noise_e", "filters.smoothing_px")]
 
@@ -73,6 +78,7 @@ def found(stage, real, trials=40):
     return search(scanner, lit, [scanner.code], FITTED, figures, trials=trials, seed=1)
 
 
+@needs_cma
 @pytest.mark.slow
 def test_the_same_seed_takes_the_same_way(stage, monkeypatch):
     monkeypatch.setattr(searching, "_PROFILE", (0.5,))
@@ -83,6 +89,7 @@ def test_the_same_seed_takes_the_same_way(stage, monkeypatch):
     assert first.after == second.after
 
 
+@needs_cma
 @pytest.mark.slow
 def test_two_hidden_numbers_are_found(stage, monkeypatch):
     """Also from a first look that lies in another valley: a walk alone ended at 1.9 and 0.36."""
@@ -94,6 +101,7 @@ def test_two_hidden_numbers_are_found(stage, monkeypatch):
     assert loss_of(made.after) < 0.5
 
 
+@needs_cma
 @pytest.mark.slow
 def test_numpy_s_own_stream_is_left_alone(stage, monkeypatch):
     """cma seeds it by default."""
@@ -127,6 +135,7 @@ def test_a_bin_that_reflects_more_is_brighter_and_less_noisy(stage):
     assert not np.array_equal(plain.depth_m[is_bin], bright.depth_m[is_bin], equal_nan=True)
 
 
+@needs_cma
 def test_a_code_that_fits_with_noise_of_the_surface_alone_is_found(stage, monkeypatch):
     """From the light's noise that code is nowhere better than the configured one."""
     coarse = CodeSpec(codec="gray_phase", axes=("column",), period_px=48.0, steps=4)
@@ -176,6 +185,7 @@ def test_steps_come_back_from_where_a_row_is_sixty_spreads_off(stage):
     assert 100 * (x[0] - 0.3) + 5 * (x[1] - 0.6) == pytest.approx(0, abs=0.1)
 
 
+@needs_cma
 def test_a_place_that_is_asked_for_again_costs_no_trial(stage):
     """Steps that go on from where they ended before repeat the slopes of that place."""
     code = stage[0].code

@@ -6,6 +6,8 @@ import signal
 import subprocess
 import threading
 import time
+from dataclasses import dataclass
+from multiprocessing.connection import wait
 from pathlib import Path
 
 import numpy as np
@@ -15,6 +17,7 @@ from small_cell import content, finished, start
 from graycast.dataset import validate
 from graycast.engine import Failed, Made, SceneTask, make_all
 from graycast.engine import local as local_module
+from graycast.engine.job import Job
 from graycast.engine.local import LocalPool, _deaf_to_interrupts, list_gpus
 from graycast.errors import WorkerDied
 
@@ -70,6 +73,47 @@ def test_ctrl_c_while_a_worker_starts_is_heard_afterwards():
             signal.raise_signal(signal.SIGINT)
             begun = subprocess.run(["grep", "SigBlk", "/proc/self/status"], capture_output=True)
     assert int(begun.stdout.split()[1], 16) & 1 << (signal.SIGINT - 1)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class HeavyJob(Job):
+    """Its results are larger than what a pipe holds, so they are read while they are written."""
+
+    def open(self, **_ignored):
+        return self
+
+    def make(self, scene_id):
+        return Made(
+            scene_id=scene_id,
+            files=(("large.bin", bytes(16_000_000)),),
+            seconds=0.0,
+            reasons={},
+            rss_bytes=0,
+        )
+
+    def close(self):
+        pass
+
+
+def test_a_worker_that_is_killed_while_it_hands_over_its_scene_keeps_nobody_waiting():
+    pool, outcomes = LocalPool(HeavyJob(seed=0, device="cpu"), workers=2, threads=1), []
+    try:
+        pool.submit(0)
+        assert wait([pool._workers[0].connection], timeout=60)  # it has begun to write, and waits
+        pool.submit(1)
+        os.kill(pool._workers[0]._process.pid, signal.SIGKILL)
+        listener = threading.Thread(
+            target=lambda: outcomes.extend(pool.gather() for _ in range(2)), daemon=True
+        )
+        listener.start()
+        listener.join(timeout=60)
+        assert not listener.is_alive(), "it waits for the rest of what a dead process wrote"
+        assert pool.free == 2
+    finally:
+        pool.close()
+    failed, made = sorted(outcomes, key=lambda outcome: outcome.scene_id)
+    assert isinstance(failed.error, WorkerDied)
+    assert made.files == (("large.bin", bytes(16_000_000)),)
 
 
 @pytest.mark.slow

@@ -1,15 +1,14 @@
 """Worker processes of this machine: replaced when they die, stopped with their parent."""
 
-import atexit
 import multiprocessing
 import os
 import signal
 import tempfile
 import threading
+import traceback
 from collections.abc import Iterator
-from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
-from concurrent.futures.process import BrokenProcessPool
-from contextlib import contextmanager
+from contextlib import ExitStack, closing, contextmanager, suppress
+from multiprocessing.connection import Connection, wait
 from multiprocessing.process import BaseProcess
 from pathlib import Path
 
@@ -30,11 +29,7 @@ _THREAD_VARIABLES = (
 
 
 class LocalPool:
-    """Several worker processes that share this machine's threads, memory and GPUs.
-
-    `concurrent.futures` gives up a whole pool when one of its processes dies. So each worker is
-    the only process of a pool of its own.
-    """
+    """Several worker processes that share this machine's threads, memory and GPUs."""
 
     def __init__(self, task: Job, *, workers: int, threads: int | None) -> None:
         self._task = task
@@ -57,15 +52,15 @@ class LocalPool:
 
     @property
     def free(self) -> int:
-        return sum(worker.future is None for worker in self._workers)
+        return sum(not worker.busy for worker in self._workers)
 
     def submit(self, scene_id: int) -> None:
-        next(worker for worker in self._workers if worker.future is None).submit(scene_id)
+        next(worker for worker in self._workers if not worker.busy).submit(scene_id)
 
     def gather(self) -> Made | Failed:
-        busy = {worker.future: worker for worker in self._workers if worker.future is not None}
-        ended, _ = wait(busy, return_when=FIRST_COMPLETED)
-        worker = busy[ended.pop()]
+        busy = [worker for worker in self._workers if worker.busy]
+        heard = wait([worker.connection for worker in busy if worker.connection is not None])
+        worker = next(worker for worker in busy if worker.connection in heard)
         outcome = worker.result()
         if isinstance(outcome, Made) and outcome.rss_bytes > self._memory_bytes:
             worker.end()  # between two scenes, before the system kills it in the middle of one
@@ -73,7 +68,7 @@ class LocalPool:
 
     def close(self) -> None:
         for worker in self._workers:
-            if worker.future is not None:
+            if worker.busy:
                 worker.stop()  # rather than wait for minutes
             else:
                 worker.end()
@@ -81,74 +76,90 @@ class LocalPool:
 
 
 class _Worker:
-    """One process that makes a scene at a time; it is started when it gets its first one."""
+    """One process that makes a scene at a time; it is started when it gets its first one.
+
+    All that is said to it and by it goes through one pipe, whose other end is the process's alone.
+    So a process that is killed while it writes its result ends the pipe in the middle, and nobody
+    waits for the rest. (In a pool of `concurrent.futures`, the parent holds that end, too, and
+    waits for ever.)
+    """
 
     def __init__(self, task: Job, threads: int, variables: dict[str, str]) -> None:
-        self.future: Future[Made] | None = None
+        self.busy = False
+        self.connection: Connection | None = None
         self._task, self._threads, self._variables = task, threads, variables
         self._scene_id = -1
-        self._pool: ProcessPoolExecutor | None = None
         self._process: BaseProcess | None = None
 
     def submit(self, scene_id: int) -> None:
-        self._scene_id = scene_id
-        try:
-            self.future = self._start(scene_id)
-        except BrokenProcessPool:  # it was killed while it waited
-            self.stop()
-            self.future = self._start(scene_id)
+        # Busy before it hears of the scene: a run that is stopped meanwhile does not wait for it.
+        self._scene_id, self.busy = scene_id, True
+        if self.connection is None or not self._send(scene_id):
+            self.stop()  # it was killed while it waited
+            self._start()
+            self.busy = True
+            self._send(scene_id)  # where it is dead already, `result` says so
 
-    def _start(self, scene_id: int) -> "Future[Made]":
-        if self._pool is None:
-            self._pool = ProcessPoolExecutor(
-                1,
-                mp_context=multiprocessing.get_context("spawn"),  # a JIT's threads do not fork
-                initializer=_begin,
-                initargs=(self._task, self._threads),
-            )
-        others = set(multiprocessing.active_children())
+    def _start(self) -> None:
+        context = multiprocessing.get_context("spawn")  # a JIT's threads do not fork
         with _deaf_to_interrupts(), _environment(self._variables):
-            future = self._pool.submit(_make, scene_id)
-        started = set(multiprocessing.active_children()) - others
-        self._process = next(iter(started), self._process)
-        return future
+            self.connection, theirs = context.Pipe()
+            process = context.Process(target=_work, args=(theirs,), daemon=True)
+            process.start()
+            theirs.close()
+            self._process = process
+        self._send((self._task, self._threads))
+
+    def _send(self, message: object) -> bool:
+        """Whether the process was there to hear it."""
+        if self.connection is None:
+            raise RuntimeError("the worker was not started")
+        try:
+            self.connection.send(message)
+        except OSError:
+            return False
+        return True
 
     def result(self) -> Made | Failed:
         """The result of the finished scene; a worker that failed unexpectedly is replaced."""
-        future, self.future = self.future, None
-        if future is None:
+        if self.connection is None or self._process is None or not self.busy:
             raise RuntimeError("nothing was submitted")
+        error: Exception
         try:
-            return future.result()
-        except BrokenProcessPool:
-            if self._pool is not None:
-                self._pool.shutdown(wait=True)  # then its exit code is known
-            error: Exception = WorkerDied(_obituary(self._process))
+            outcome: Made | Exception = self.connection.recv()
+        except (EOFError, OSError):
+            self._process.join()
+            error = WorkerDied(_obituary(self._process.exitcode))
             self.stop()
-        except Exception as raised:
-            error = raised
+        except Exception as unreadable:  # an error whose class cannot be made from its words
+            error = unreadable
+            self.end()
+        else:
+            self.busy = False  # not before: a process that is still heard is no idle one
+            if isinstance(outcome, Made):
+                return outcome
+            error = outcome
             if not is_the_scenes_own(error):
                 self.end()  # a lost driver does not come back in the same process
         return Failed(scene_id=self._scene_id, error=error)
 
     def end(self) -> None:
-        """End the idle process; the next scene starts another."""
-        if self._pool is not None:
-            self._pool.shutdown(wait=True)
-        self._pool = self._process = None
+        """Let the idle process end; the next scene starts another."""
+        self.busy = False
+        if self.connection is not None:
+            self.connection.close()  # it ends when it hears nothing more
+        if self._process is not None:
+            self._process.join()
+        self.connection = self._process = None
 
     def stop(self) -> None:
         """End the process at once."""
-        pool, process = self._pool, self._process
-        self.future = self._pool = self._process = None
-        if process is not None and pool is not None:
-            process.kill()
-        if pool is not None:
-            pool.shutdown(wait=True, cancel_futures=True)
+        if self._process is not None:
+            self._process.kill()
+        self.end()
 
 
-def _obituary(process: BaseProcess | None) -> str:
-    code = None if process is None else process.exitcode
+def _obituary(code: int | None) -> str:
     if code is None or code >= 0:
         return f"its worker process ended (exit code {code})"
     name = signal.Signals(-code).name
@@ -207,20 +218,32 @@ def _machine_memory_bytes() -> int:
 
 # --- in the worker -----------------------------------------------------------------------------
 
-_maker: Maker | None = None  # a pool gives its process no other place for it
 
-
-def _begin(task: Job, threads: int) -> None:
-    global _maker
-    _maker = task.open(threads=threads)
-    atexit.register(_maker.close)
+def _work(connection: Connection) -> None:
+    """Make the scenes that are asked for, until the parent closes its end of the pipe."""
     threading.Thread(target=_end_with_parent, daemon=True).start()
+    with suppress(EOFError, ConnectionError), ExitStack() as opened:
+        task, threads = connection.recv()
+        maker: Maker | None = None
+        while True:
+            scene_id = connection.recv()
+            try:
+                if maker is None:
+                    maker = opened.enter_context(closing(task.open(threads=threads)))
+                outcome = maker.make(scene_id)
+            except Exception as error:
+                error.add_note(traceback.format_exc())  # it does not travel with the error
+                outcome = error
+            _tell(connection, outcome)
 
 
-def _make(scene_id: int) -> Made:
-    if _maker is None:
-        raise RuntimeError("the worker has not begun")
-    return _maker.make(scene_id)
+def _tell(connection: Connection, outcome: Made | Exception) -> None:
+    try:
+        connection.send(outcome)
+    except OSError:
+        os._exit(1)  # nobody listens any more
+    except Exception:  # an error that holds what cannot be sent
+        connection.send(RuntimeError(f"{type(outcome).__name__}: {outcome}"))
 
 
 def _end_with_parent() -> None:

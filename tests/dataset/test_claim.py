@@ -77,7 +77,11 @@ def test_settings_that_came_later_are_told_where_they_are_on_and_only_there():
         (
             FilterSpec(),
             FilterSpec(
-                outlier_repair=True, hidden_sigmas=3.0, raster_px=0.3, raster_unevenness=0.2
+                outlier_repair=True,
+                hidden_sigmas=3.0,
+                raster_px=0.3,
+                raster_window_px=0.7,
+                raster_unevenness=0.2,
             ),
         ),
         (
@@ -94,6 +98,7 @@ def test_settings_that_came_later_are_told_where_they_are_on_and_only_there():
         older = {"min_sigmas", "outlier_repair", "hidden_sigmas", "raster_px", "raster_unevenness"}
         older |= {
             "settling_votes",
+            "raster_window_px",
             "speckle_volume",
             "speckle_unevenness",
             "line_noise",

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from graycast.decode.maps import DepthMap, Reason
-from graycast.decode.raster import on_raster
+from graycast.decode.raster import on_raster, places
 
 F_PX, SHAPE = 500.0, (300, 320)
 
@@ -48,6 +48,36 @@ def test_the_raster_is_white_and_the_same_in_every_shot():
     share = ((once.depth_m - z_m) / once.sigma_m)[1:-1, 1:-1]
     for a, b in ((share[1:], share[:-1]), (share[:, 1:], share[:, :-1])):
         assert abs((a * b).mean()) < 4 / math.sqrt(share.size)
+
+
+@pytest.mark.parametrize("window_px", [0.6, 1.0, 1.7])
+def test_places_of_overlapping_windows_are_the_gradient_of_a_random_field(window_px):
+    """Oracle: the second derivatives of the field's autocovariance `exp(-r^2 / 4 w^2)`."""
+    right, down = places((400, 420), window_px)
+    for along in (right, down.T):
+        assert along.std() == pytest.approx(1, rel=0.02)
+        for r in (1, 2, 3):
+            alike = math.exp(-((r / window_px) ** 2) / 4)
+            sideways = (along[r:] * along[:-r]).mean()
+            onwards = (along[:, r:] * along[:, :-r]).mean()
+            assert sideways == pytest.approx(alike, abs=0.025)
+            assert onwards == pytest.approx(alike * (1 - r * r / (2 * window_px**2)), abs=0.025)
+    assert abs((right * down).mean()) < 0.02  # of one pixel they are independent
+
+
+@pytest.mark.parametrize(("azimuth_deg", "axis"), [(0, 0), (90, 1)])
+def test_with_a_window_a_slope_has_noise_in_common_across_it(azimuth_deg, axis):
+    """The same law seen in depth: neighbours across the slope share noise, those along it do not.
+
+    Half a pixel is the window, so along the slope the correlation is -0.37, and across it 0.37.
+    """
+    z_m = tilted(50, azimuth_deg)
+    placed = on_raster(depth_map(z_m), 0.2, window_px=0.5, focal_px=F_PX)
+    share = ((placed.depth_m - z_m) / placed.sigma_m)[1:-1, 1:-1]
+    assert share.std() == pytest.approx(1, rel=0.02)
+    share = np.moveaxis(share, axis, 0)
+    assert (share[1:] * share[:-1]).mean() == pytest.approx(math.exp(-1), abs=0.03)
+    assert (share[:, 1:] * share[:, :-1]).mean() == pytest.approx(-math.exp(-1), abs=0.03)
 
 
 def test_a_facing_surface_a_step_and_a_hole_stay_as_they_are():

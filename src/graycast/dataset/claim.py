@@ -35,6 +35,7 @@ _LATER = {
     "outlier_repair": False,
     "hidden_sigmas": None,
     "raster_px": None,
+    "raster_window_px": None,
     "raster_unevenness": None,
 }
 _BESIDE = ("fingerprint", "sources", "versions", SUMS)  # what the fingerprint does not cover

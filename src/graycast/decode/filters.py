@@ -43,6 +43,7 @@ class FilterSpec:
     `smoothing_px`: standard deviation of a Gaussian kernel; 0.55 lets 0.56 of white noise pass and
     correlates neighbours by 0.36.
     `raster_px`: standard deviation of the place in its pixel that a depth is of (see `raster`);
+    `raster_window_px`: standard deviation of the window whose light decides on that place;
     `raster_unevenness`: how much `raster_px` differs between patches of a surface (`finish`).
     `step_angle_deg`: neighbours are connected up to this angle of incidence.
     """
@@ -100,6 +101,16 @@ class FilterSpec:
             ge=0,
             le=1,
             description="standard deviation of the place in its pixel that a depth is of",
+            exclude_if=unsaid,
+        ),
+    ] = None
+    raster_window_px: Annotated[
+        float | None,
+        Field(
+            ge=0.5,
+            le=4,
+            description="Standard deviation of the window whose light decides on the place of a "
+            "depth; without it, the places of neighbouring pixels are independent.",
             exclude_if=unsaid,
         ),
     ] = None
@@ -183,6 +194,7 @@ def filter_depth(depth: DepthMap, spec: FilterSpec, camera: Optics) -> DepthMap:
     return on_raster(
         filtered,
         spec.raster_px,
+        window_px=spec.raster_window_px or 0.0,
         unevenness=spec.raster_unevenness or 0.0,
         focal_px=camera.fx_px,
     )

@@ -140,21 +140,18 @@ def cell_to_fit(known: dict, cartons: list[Path]) -> dict:
     """The same cell for `graycast twin`: what is fitted is the preset's, and pictures are quiet.
 
     A third of its parts are printed cartons, mostly white, as in the real scans, where noise on
-    white paper is a quarter of that on the dark bin. Most parts keep their own colours.
+    white paper is a quarter of that on the dark bin. Most parts keep their own colours. They cover
+    a quarter of the picture, as those of the scans do.
 
-    Its light is that of every scan; random lamps would be noise that the scanner does not have. Its
-    bin is less glossy: at a roughness of 0.4 the walls mirror the floor over so much of the left
-    wall, which every real scan has, that holes there tell the twin (docs/twin.md).
+    Its light is that of every scan; random lamps would be noise that the scanner does not have.
     """
     fitted = {key: value for key, value in known.items() if key not in ("exposure", "decode")}
     domain = known["domain"] | {"lamps": None, "environment": None}
     domain["parts"] = domain["parts"] | {"brightness": [0.7, 1.2], "repainted_share": 0.3}
     printed = [{"mesh": str(file), "unit": "m", "density_kg_m3": 500} for file in cartons]
-    material = known["bin"]["material"] | {"roughness": 0.5}
-    fitted["bin"] = known["bin"] | {"material": material}
     parts = [*known["parts"], *printed]
     own = {"rig": "cell_rig.yaml", "render": {"samples": 128}, "domain": domain, "parts": parts}
-    return fitted | own
+    return fitted | own | {"count": [8, 20]}
 
 
 def write_cartons(meshes: Path, count: int) -> list[Path]:

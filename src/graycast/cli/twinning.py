@@ -76,9 +76,9 @@ def add_commands(commands: argparse._SubParsersAction) -> None:
     twin.add_argument(
         "--trials",
         type=positive,
-        default=700,
+        default=1000,
         metavar="N",
-        help="The number of simulated scanners that the search tries (default: 700).",
+        help="The number of simulated scanners that the search tries (default: 1000).",
     )
     add_seed(twin, 0)
     add_device(twin)

@@ -5,8 +5,9 @@ import pytest
 
 from graycast.pattern import CodeSpec
 from graycast.real.twin.parameters import (
-    BIN_REFLECTANCE,
+    BIN_ROUGHNESS,
     NOISE_OF_SURFACE,
+    OF_BIN,
     PARAMETERS,
     candidate_codes,
     shares_of,
@@ -23,8 +24,8 @@ SCANNER = preset("phoxi-m", "small")
 
 @pytest.mark.parametrize("parameter", PARAMETERS, ids=lambda p: p.key)
 def test_a_value_survives_the_scanner_and_its_file(parameter, tmp_path):
-    if parameter.key == BIN_REFLECTANCE:
-        assert value_of(SCANNER, parameter) == 1.0
+    if parameter.key in OF_BIN:
+        assert value_of(SCANNER, parameter) == (0.0 if parameter.key == BIN_ROUGHNESS else 1.0)
         return
     value = parameter.value(0.7)
     scanner = with_values(SCANNER, [parameter], {parameter.key: value})

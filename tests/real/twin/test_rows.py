@@ -75,10 +75,55 @@ def test_noise_common_to_rows_is_told_at_its_distance_alone(apart):
     assert row(depth_m, "noise common to columns") == pytest.approx(0.0, abs=0.03)
 
 
+@pytest.mark.parametrize("turned", [False, True])
+def test_noise_of_slopes_is_told_by_the_way_that_they_slope(turned):
+    """White noise along the slope that neighbours across it share half of, on one slope only."""
+    z_m = plane(tilt_rad=1.0, distance_m=0.6)
+    rng = np.random.default_rng(2)
+    white = rng.standard_normal((z_m.shape[0] + 1, z_m.shape[1]))
+    depth_m = z_m + SIGMA_M * (white[1:] + white[:-1]) / sqrt(2)
+    if turned:
+        depth_m = depth_m.T[: z_m.shape[0]]
+    rows, columns = (
+        row(depth_m, f"noise common to {lines}, sloping along {axis}")
+        for lines, axis in (("rows", "x"), ("columns", "y"))
+    )
+    shared, other = (columns, rows) if turned else (rows, columns)
+    assert shared == pytest.approx(0.5, abs=0.03)
+    assert np.isnan(other)
+
+
+def test_a_facing_surface_tells_nothing_of_slopes():
+    assert np.isnan(row(noisy(1.0), "noise along x above fine noise, sloping along x"))
+
+
+def test_holes_that_stand_together_leave_more_squares_whole():
+    """Of 7 x 10 squares of 32 px, one has the 49 holes, or each of 49 has one."""
+    together, strewn = plane().copy(), plane().copy()
+    together[40:47, 40:47] = np.nan
+    strewn[16:224:32, 16:224:32] = np.nan
+    for depth_m, whole in ((together, 69), (strewn, 21)):
+        assert row(depth_m, "smooth squares without a hole") == pytest.approx(100 * whole / 70)
+    bent = strewn + 0.01 * np.sin(np.arange(320) * 0.8)
+    bent[:, 256:] = strewn[:, 256:]  # the squares that have holes are no longer smooth
+    assert row(bent, "smooth squares without a hole") == pytest.approx(100)
+
+
+def test_depth_that_is_missing_on_a_side_of_the_bin_is_counted_there():
+    z_m = plane().copy()
+    side, seen = np.zeros(z_m.shape, dtype=bool), np.ones(z_m.shape, dtype=bool)
+    side[:, :50], seen[:120] = True, False
+    z_m[60:150, :50] = np.nan
+    told = figures_of([scan(z_m)], None, {"left": side, "seen": seen}).value
+    assert told["missing on the bin's left side"][0] == pytest.approx(100 * 90 / 240)
+    assert told["missing where a real scan has depth"][0] == pytest.approx(100 * 30 * 50 / 38400)
+    assert np.isnan(told["missing on the bin's upper side"][0])
+
+
 def test_three_equal_scans_are_believed_to_a_twentieth_or_to_the_declared_spread():
     """Scans that happen to be equal would else meet no row at all."""
     real = Figures(value={name: np.full(3, 1.0) for name in ROWS})
     spread = {one.name: one.spread for one in compare(real, real)}
     assert spread["fine noise, median"] == 0.05
-    assert spread["noise along x over fine noise"] == 0.05
-    assert spread["missing in the frame"] == 3.0
+    assert spread["noise along x above fine noise"] == 2.0
+    assert spread["missing where a real scan has depth"] == 3.0

@@ -21,7 +21,7 @@ from graycast.real.twin.parameters import (
 )
 from graycast.real.twin.rows import Figures, Row, compare, figures_of, loss_of
 from graycast.real.twin.searching import scans_of, search
-from graycast.real.twin.stage import Lit, scan_lit
+from graycast.real.twin.stage import BinLook, Lit, scan_lit
 from graycast.render import Quality
 from graycast.render.reference import ReferenceRenderer
 from graycast.rig import preset_rig
@@ -128,7 +128,7 @@ def test_a_bin_that_reflects_more_is_brighter_and_less_noisy(stage):
     scanner, lit = stage
     scanner = replace(scanner, exposure=replace(scanner.exposure, exposure_s=2e-3))
     plain, bright = (
-        scan_lit(lit[0], scanner, bin_factor=factor, seed=3, name="s") for factor in (1.0, 4.0)
+        scan_lit(lit[0], scanner, BinLook(color=factor), seed=3, name="s") for factor in (1.0, 4.0)
     )
     is_bin = lit[0].is_bin
     assert (np.isnan(plain.depth_m) & is_bin).sum() >= (np.isnan(bright.depth_m) & is_bin).sum()
@@ -173,7 +173,9 @@ def court_of(stage, fitted, off, trials=100):
             )
 
     real = Figures(value={"a": np.zeros(3)})
-    court = Formula(scanner, stage[1], fitted, real, 1, trials, lambda done, total, text: None)
+    court = Formula(
+        scanner, stage[1], fitted, real, None, 1, trials, lambda done, total, text: None
+    )
     return court, judged
 
 

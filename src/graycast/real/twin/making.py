@@ -1,7 +1,7 @@
 """From real scans and a cell's configuration to the twin: read, refuse, light, search, judge."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from ...cell import Cell, open_cell_renderer
 from ...config import resolve_quality
@@ -11,15 +11,25 @@ from ...scene import bin_of
 from ..realism import DepthScan, TwoSample, two_sample_test
 from ..realism.patches import find_floor
 from ..realism.two_sample import require_sklearn
-from .parameters import BIN_REFLECTANCE, PARAMETERS, Parameter, candidate_codes
+from .parameters import (
+    BIN_COLOR,
+    BIN_GLOSS,
+    BIN_ROUGHNESS,
+    PARAMETERS,
+    ROUGHER,
+    Parameter,
+    candidate_codes,
+)
 from .refusing import refuse_without_shadow
 from .rows import figures_of
 from .searching import Found, OnTrial, require_cma, scans_of, search
-from .stage import light_scenes
+from .stage import light_scenes, missing_places
 
 LEAST_SCANS = 3
 JUDGED_SCENES = 2  # beside those that are searched with: the classifier's alone
 _BRIGHTEST = 0.9  # reflectance that a bin may be given
+_SMOOTHEST = 0.1  # roughness: a smoother coat shows the lamp in single pixels
+_COATS = (-ROUGHER, 0.0, ROUGHER)  # that are rendered
 
 OnStage = Callable[[str], None]
 
@@ -57,7 +67,7 @@ def make_twin(
     require_cma()
     require_sklearn()
     check_scans(real, cell)
-    codes = candidate_codes(cell.scanner.code)
+    codes, parameters = candidate_codes(cell.scanner.code), fitted_parameters(cell)
     with open_cell_renderer(cell, device=device) as renderer:
         lit = light_scenes(
             cell,
@@ -66,16 +76,19 @@ def make_twin(
             seed=seed,
             renderer=renderer,
             quality=resolve_quality(cell.config),
+            rougher=_COATS if BIN_GLOSS in {p.key for p in parameters} else (),
             on_stage=on_stage,
         )
     on_stage("measuring the real scans")
-    figures = figures_of(real, find_floor([scan.depth_m for scan in real]))
+    places = missing_places(lit[:scenes], real)
+    figures = figures_of(real, find_floor([scan.depth_m for scan in real]), places)
     found = search(
         cell.scanner,
         lit[:scenes],
         codes,
-        fitted_parameters(cell),
+        parameters,
         figures,
+        places=places,
         trials=trials,
         seed=seed,
         on_trial=on_trial,
@@ -128,11 +141,24 @@ def check_scans(real: Sequence[DepthScan], cell: Cell) -> None:
 
 
 def fitted_parameters(cell: Cell) -> tuple[Parameter, ...]:
-    """All that are declared; the bin's brightness only where a colour of its own can be scaled."""
+    """All that are declared; the bin's colour, gloss and roughness only where they can be changed.
+
+    A texture has no one colour, and the gloss of a metal is its colour.
+    """
     box = bin_of(cell.scene)
     plain = [m for m in (box.material, box.floor) if m is not None]
-    scalable = not box.own_texture and all(m.texture is None for m in plain)
-    return tuple(p for p in PARAMETERS if p.key != BIN_REFLECTANCE or scalable)
+    fitted = {p.key: p for p in PARAMETERS}
+    if box.own_texture or any(m.texture is not None for m in plain):
+        del fitted[BIN_COLOR]
+    least, most = min(m.roughness for m in plain), max(m.roughness for m in plain)
+    specular = max(m.specular for m in plain)
+    fixed = any(m.metallic > 0 for m in plain) or not specular or BIN_COLOR not in fitted
+    if fixed or least - ROUGHER < _SMOOTHEST or most + ROUGHER > 1:
+        del fitted[BIN_GLOSS], fitted[BIN_ROUGHNESS]
+    else:
+        gloss = fitted[BIN_GLOSS]
+        fitted[BIN_GLOSS] = replace(gloss, high=min(gloss.high, 1 / specular))
+    return tuple(fitted.values())
 
 
 def scaled_color(material: Material, factor: float) -> list[float]:

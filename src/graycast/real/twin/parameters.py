@@ -14,9 +14,14 @@ from jaxtyping import Float
 from ...pattern import CodeSpec
 from ...scanner import Scanner
 
-BIN_REFLECTANCE = (
-    "bin.reflectance"  # a factor on the bin's colour, the one key that is no scanner's
+# The keys that are no scanner's: factors on the bin's own colour and on the coat over it, and how
+# much rougher the coat is.
+BIN_COLOR, BIN_GLOSS, BIN_ROUGHNESS = OF_BIN = (
+    "bin.material.base_color",
+    "bin.material.specular",
+    "bin.material.roughness",
 )
+ROUGHER = 0.15  # the range of the roughness, to either side of the configured one
 FULL_WELL = "sensor.full_well_e"  # the gain follows, so that a full well keeps its digital number
 
 
@@ -77,8 +82,11 @@ PARAMETERS: tuple[Parameter, ...] = (
     Parameter(key="filters.island_px", low=0.0, high=60.0, whole=True, off_below=1.0),
     Parameter(key="filters.smoothing_px", low=0.0, high=0.7, off_below=0.25),
     Parameter(key="filters.raster_px", low=0.0, high=0.6, off_below=0.02),
+    Parameter(key="filters.raster_window_px", low=0.3, high=2.0, off_below=0.5),
     Parameter(key="filters.raster_unevenness", low=0.0, high=0.8, off_below=0.01),
-    Parameter(key=BIN_REFLECTANCE, low=0.3, high=3.0, walk="log"),
+    Parameter(key=BIN_COLOR, low=0.1, high=3.0, walk="log"),
+    Parameter(key=BIN_GLOSS, low=0.25, high=2.0, walk="log"),
+    Parameter(key=BIN_ROUGHNESS, low=-ROUGHER, high=ROUGHER),
 )
 
 # Noise is of the light or of the surface. A search that begins at one hardly finds the other,
@@ -86,16 +94,22 @@ PARAMETERS: tuple[Parameter, ...] = (
 # for a laser scanner over plastic (docs/twin.md).
 NOISE_OF_SURFACE: Mapping[str, float] = {
     "exposure.target": 1.0,
-    FULL_WELL: 4e4,
+    FULL_WELL: 1.5e4,
     "sensor.read_noise_e": 3.0,
-    "speckle_contrast": 0.75,
+    "speckle_contrast": 0.5,
     "speckle_volume": 10.0,
     "speckle_unevenness": 0.3,
     "line_noise": 0.006,
     "line_noise_length_m": 0.004,
+    "decode.min_sigmas": 40.0,
+    "decode.settling_votes": 14.0,
+    "filters.outlier_sigmas": 5.0,
+    "filters.island_px": 0.0,
     "filters.smoothing_px": 0.0,  # so that what neighbours share is the surface's doing
-    "filters.raster_px": 0.1,
+    "filters.raster_px": 0.09,
+    "filters.raster_window_px": 0.65,
     "filters.raster_unevenness": 0.4,
+    BIN_ROUGHNESS: -0.1,
 }
 
 
@@ -113,7 +127,7 @@ def with_values(
 ) -> Scanner:
     """The scanner with those values in the place of its own."""
     for parameter in parameters:
-        if parameter.key != BIN_REFLECTANCE:
+        if parameter.key not in OF_BIN:
             value: Any = values[parameter.key]
             if parameter.off_below is not None and value < parameter.off_below:
                 value = None
@@ -130,8 +144,8 @@ def with_values(
 
 def value_of(scanner: Scanner, parameter: Parameter) -> float:
     """The scanner's own value; the lower bound of what is off or not there."""
-    if parameter.key == BIN_REFLECTANCE:
-        return 1.0
+    if parameter.key in OF_BIN:
+        return 0.0 if parameter.key == BIN_ROUGHNESS else 1.0
     found: Any = scanner
     for name in _path(parameter.key):
         if isinstance(name, int):

@@ -9,7 +9,8 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
+from scipy import ndimage
 
 from ..realism import DepthScan
 from ..realism.fine import measure_fine, median_over_mean
@@ -18,12 +19,18 @@ from ..realism.patches import SQUARE_PX, robust_sigma, second_difference, third_
 from ..realism.steps import count_steps
 
 Owner = Literal["sensor", "scene"]
+Places = Mapping[str, Bool[np.ndarray, "h w"]]  # where missing depth is counted, by `PLACES`
 _SIGMAS = 2.0  # within so many standard deviations of the real scans' mean a row is met
 _LEAST_SPREAD = 0.05  # as a share of the mean: three scans do not tell a spread well
 _LEAST_KNOWN = 0.7  # of a square's differences, to tell tails
 _LEAST_SQUARES = 5
 _SMOOTH_M = 5e-4  # a square whose differences scatter more is no smooth surface
 _FLAT_M = 5e-3
+_PARABOLOID_M, _MOST_NEAR = 2e-3, 0.97
+_SLOPE, _LEVEL = (0.5, 3.0), 0.25  # tangents of slopes along an axis, and across it at most
+_LEAST_ON_SLOPES = 5000  # differences: of fewer, scans differ by chance
+_STEP_M = 0.03
+PLACES = ("seen", "left", "right", "upper", "lower")
 _UNKNOWN_Z = 5.0  # how far off a row is that the twin's scans cannot tell
 _FAR_Z = 3.0  # what is farther off counts by its logarithm
 
@@ -56,9 +63,18 @@ class Figures:
     value: Mapping[str, Float[np.ndarray, " scans"]]
 
 
-def figures_of(scans: Sequence[DepthScan], floor: Float[np.ndarray, "3"] | None) -> Figures:
-    """All rows of each scan; `floor` is the plane of `find_floor`, None where none was found."""
-    each = [_one(scan, floor) for scan in scans]
+def figures_of(
+    scans: Sequence[DepthScan],
+    floor: Float[np.ndarray, "3"] | None,
+    places: Places | None = None,
+) -> Figures:
+    """All rows of each scan.
+
+    Args:
+        floor: the plane of `find_floor`, None where none was found.
+        places: of `missing_places`; without them, missing depth is counted in the whole frame.
+    """
+    each = [_one(scan, floor, places or {}) for scan in scans]
     return Figures(value={name: np.array([one[name] for one in each]) for name in ROWS})
 
 
@@ -96,7 +112,11 @@ def loss_of(rows: Sequence[Row]) -> float:
 
 # name: unit, whose doing, and the least spread that is believed
 ROWS: dict[str, tuple[str, Owner, float]] = {
-    "missing in the frame": ("%", "sensor", 3.0),
+    "missing where a real scan has depth": ("%", "sensor", 3.0),
+    "missing on the bin's left side": ("%", "sensor", 3.0),
+    "missing on the bin's right side": ("%", "sensor", 3.0),
+    "missing on the bin's upper side": ("%", "sensor", 3.0),
+    "missing on the bin's lower side": ("%", "sensor", 3.0),
     "missing among present neighbours": ("%", "sensor", 0.02),
     "holes of 1 px": ("per scan", "sensor", 10.0),
     "holes of 2 to 4 px": ("per scan", "sensor", 10.0),
@@ -122,26 +142,38 @@ ROWS: dict[str, tuple[str, Owner, float]] = {
     "fine noise of the floor": ("mm", "sensor", 0.003),
     "holes in the floor": ("%", "sensor", 0.05),
     "tiles that are rough": ("%", "sensor", 0.3),
-    "noise along x over fine noise": ("", "sensor", 0.02),
-    "noise along y over fine noise": ("", "sensor", 0.02),
+    "noise along x above fine noise": ("%", "sensor", 2.0),
+    "noise along y above fine noise": ("%", "sensor", 2.0),
     "noise common to rows": ("", "sensor", 0.02),
     "noise common to rows 2 px apart": ("", "sensor", 0.02),
     "noise common to columns": ("", "sensor", 0.02),
+    "noise along x above fine noise, sloping along x": ("%", "sensor", 2.0),
+    "noise along y above fine noise, sloping along x": ("%", "sensor", 2.0),
+    "noise common to rows, sloping along x": ("", "sensor", 0.02),
+    "noise along y above fine noise, sloping along y": ("%", "sensor", 2.0),
+    "noise common to columns, sloping along y": ("", "sensor", 0.02),
     "floor's noise common to rows": ("", "sensor", 0.02),
     "tails of the floor's noise": ("%", "sensor", 1.0),
     "tails of the noise": ("%", "sensor", 1.0),
     "differences far out": ("%", "sensor", 0.05),
     "holes in flat places": ("per 10 000", "sensor", 1.0),
+    "smooth squares without a hole": ("%", "sensor", 2.0),
 }
 
 
-def _one(scan: DepthScan, floor: Float[np.ndarray, "3"] | None) -> dict[str, float]:
+def _one(
+    scan: DepthScan,
+    floor: Float[np.ndarray, "3"] | None,
+    places: Places,
+) -> dict[str, float]:
     valid = scan.valid
     ring = valid[1:-1, :-2] & valid[1:-1, 2:] & valid[:-2, 1:-1] & valid[2:, 1:-1]
-    missing, steps, fine = count_missing(scan), count_steps(scan), measure_fine(scan)
-    holes, specks = missing.hole_sizes_px, missing.speck_sizes_px
-    values = [1 - valid.mean(), (ring & ~valid[1:-1, 1:-1]).sum() / max(int(ring.sum()), 1)]
-    values = [100 * float(v) for v in values]
+    gaps, steps, fine = count_missing(scan), count_steps(scan), measure_fine(scan)
+    holes, specks = gaps.hole_sizes_px, gaps.speck_sizes_px
+    at = [places.get(name, np.full(valid.shape, name == "seen")) for name in PLACES]
+    missing = [float((~valid[one]).mean()) if one.any() else np.nan for one in at]
+    among_present = (ring & ~valid[1:-1, 1:-1]).sum() / max(int(ring.sum()), 1)
+    values = [100 * float(v) for v in (*missing, among_present)]
     for sizes in (holes, specks):
         values += [float(((sizes >= a) & (sizes <= b)).sum()) for a, b in ((1, 1), (2, 4), (5, 10))]
     values += [float(n) for n in (steps.right_farther, steps.left_farther)]
@@ -156,8 +188,9 @@ def _one(scan: DepthScan, floor: Float[np.ndarray, "3"] | None) -> dict[str, flo
         values.append(float(np.median(group)) if len(group) >= 20 else float("nan"))
     *of_floor, floor_shared, floor_tails = _floor(scan, floor)
     values += [*of_floor, 100 * (1 - len(sigma_mm) / max(fine.tiles, 1))]
-    values += [*_texture(scan), floor_shared, floor_tails]
+    values += [*_texture(scan), *_on_slopes(scan), floor_shared, floor_tails]
     values += [*_tails(second_difference(scan.depth_m)), _flat_holes(scan)]
+    values.append(_whole_squares(scan.depth_m))
     return dict(zip(ROWS, values, strict=True))
 
 
@@ -180,15 +213,58 @@ def _floor(scan: DepthScan, floor: Float[np.ndarray, "3"] | None) -> list[float]
 
 
 def _texture(scan: DepthScan) -> list[float]:
-    """How noise along rows and columns relates to the fine noise, and what neighbours share."""
+    """By how much noise along rows and columns is above the fine noise [%]; what lines share."""
     mixed = second_difference(scan.depth_m)
     known = mixed[~np.isnan(mixed)]
     fine_m = robust_sigma(known)
     if len(known) < 500 or not fine_m:  # depth without any noise has no texture
         return [float("nan")] * 5
     along_x, along_y = third_difference(scan.depth_m), third_difference(scan.depth_m.T)
-    ratios = [robust_sigma(a[~np.isnan(a)]) / fine_m for a in (along_x, along_y)]
+    ratios = [100 * (robust_sigma(a[~np.isnan(a)]) / fine_m - 1) for a in (along_x, along_y)]
     return [*ratios, _shared(along_x), _shared(along_x, apart=2), _shared(along_y)]
+
+
+def _on_slopes(scan: DepthScan) -> list[float]:
+    """The texture of noise on surfaces that slope along x, and on those that slope along y.
+
+    Noise of light does not know which way a surface slopes. Depth that was measured beside its
+    pixel does: its error is the slope's, and has the correlations of the place along that axis.
+    """
+    z_m = _mean(scan.depth_m)
+    down, right = np.gradient(z_m)
+    across, along = right * scan.K[0, 0] / z_m, down * scan.K[1, 1] / z_m
+    told = []
+    for own, other, turned in ((across, along, False), (along, across, True)):
+        with np.errstate(invalid="ignore"):  # NaN is not >
+            slopes = (np.abs(own) > _SLOPE[0]) & (np.abs(own) < _SLOPE[1])
+            slopes &= np.abs(other) < _LEVEL
+        depth_m = np.where(slopes, scan.depth_m, np.nan)
+        told.append(_ratios(depth_m.T if turned else depth_m))
+    (along_x, along_y, rows), (along_y_of_y, _, columns) = told
+    return [along_x, along_y, rows, along_y_of_y, columns]
+
+
+def _ratios(depth_m: Float[np.ndarray, "h w"]) -> tuple[float, float, float]:
+    """Noise along the rows and along the columns above the fine noise [%]; what rows share."""
+    mixed = second_difference(depth_m)
+    known = mixed[~np.isnan(mixed)]
+    fine_m = robust_sigma(known)
+    if len(known) < _LEAST_ON_SLOPES or not fine_m:
+        return float("nan"), float("nan"), float("nan")
+    along, across = third_difference(depth_m), third_difference(depth_m.T)
+    ratios = [100 * (robust_sigma(a[~np.isnan(a)]) / fine_m - 1) for a in (along, across)]
+    return ratios[0], ratios[1], _shared(along)
+
+
+def _mean(depth_m: Float[np.ndarray, "h w"]) -> Float[np.ndarray, "h w"]:
+    """Over 7 x 7 pixels that all have depth and lie within a step; NaN elsewhere."""
+    known = np.isfinite(depth_m)
+    filled = np.where(known, depth_m, 0.0)
+    mean = ndimage.uniform_filter(filled, 7) / np.maximum(
+        ndimage.uniform_filter(known.astype(np.float64), 7), 1e-9
+    )
+    low, high = (f(filled, 7) for f in (ndimage.minimum_filter, ndimage.maximum_filter))
+    return np.where((low > 0) & (high - low < _STEP_M), mean, np.nan)
 
 
 def _tails(mixed: Float[np.ndarray, "h w"]) -> list[float]:
@@ -196,9 +272,7 @@ def _tails(mixed: Float[np.ndarray, "h w"]) -> list[float]:
 
     Of squares, since noise differs from place to place; a normal law has 0 and 0.006.
     """
-    rows, columns = (n // SQUARE_PX * SQUARE_PX for n in mixed.shape)
-    cut = mixed[:rows, :columns].reshape(rows // SQUARE_PX, SQUARE_PX, -1, SQUARE_PX)
-    squares = cut.swapaxes(1, 2).reshape(-1, SQUARE_PX**2)
+    squares = _squares(mixed)
     squares = squares[(~np.isnan(squares)).mean(axis=1) >= _LEAST_KNOWN]
     if len(squares) < _LEAST_SQUARES:
         return [float("nan")] * 2
@@ -224,6 +298,37 @@ def _flat_holes(scan: DepthScan) -> float:
     with np.errstate(invalid="ignore"):
         flat = np.maximum.reduce(around) - np.minimum.reduce(around) < _FLAT_M  # NaN is not
     return 1e4 * float((flat & ~scan.valid[1:-1, 1:-1]).sum() / max(int(flat.sum()), 1))
+
+
+def _whole_squares(depth_m: Float[np.ndarray, "h w"]) -> float:
+    """Of the smooth squares, the share [%] that has depth everywhere.
+
+    Holes that stand together, as on a wall at the limit of the light, leave most squares whole;
+    as many holes that are strewn about do not. A square is smooth if it has depth at 70 % of its
+    pixels and if 97 % of these lie within 2 mm of a paraboloid.
+    """
+    z_m = _squares(depth_m)
+    known = np.isfinite(z_m)
+    enough = known.mean(axis=1) >= _LEAST_KNOWN
+    z_m, known = z_m[enough], known[enough]
+    t = np.linspace(-1, 1, SQUARE_PX)
+    x, y = (c.ravel() for c in np.meshgrid(t, t))
+    basis = np.stack([x**0, x, y, x * x, x * y, y * y], axis=-1)
+    level = np.where(known, z_m, 0.0)
+    A = np.einsum("np,pi,pj->nij", known.astype(np.float64), basis, basis, optimize=True)
+    fit = np.linalg.solve(A, (level @ basis)[..., None])[..., 0] @ basis.T
+    near = known & (np.abs(level - fit) <= _PARABOLOID_M)
+    smooth = near.sum(axis=1) >= _MOST_NEAR * known.sum(axis=1)
+    if smooth.sum() < _LEAST_SQUARES:
+        return float("nan")
+    return 100 * float(known[smooth].all(axis=1).mean())
+
+
+def _squares(values: Float[np.ndarray, "h w"]) -> Float[np.ndarray, "n pixels"]:
+    """Squares beside each other; what is left at the right and lower borders is cut off."""
+    rows, columns = (n // SQUARE_PX * SQUARE_PX for n in values.shape)
+    cut = values[:rows, :columns].reshape(rows // SQUARE_PX, SQUARE_PX, -1, SQUARE_PX)
+    return cut.swapaxes(1, 2).reshape(-1, SQUARE_PX**2)
 
 
 def _shared(along: Float[np.ndarray, "h w"], *, apart: int = 1) -> float:

@@ -1,12 +1,13 @@
 """The search: which values make a cell's simulated scans have the real scans' statistics.
 
 Light is rendered once for each code, so a trial is exposure, noise, decoding and filters alone.
-Covariance matrix adaptation walks the box of the declared parameters (Hansen's `cma`), with the
+All places lie in the box of the declared parameters, with the
 same noise in every trial, so that the same search takes the same way. First each parameter is tried
 alone, which finds what is far off: once with the configured noise, which is mostly that of the
-light, and once with noise of the surface. A code is no number: each candidate has a short walk from
-the better of both, and a few damped Gauss-Newton steps from the walk's end, as the loss is a sum of
-squares. The best one goes on by such steps, and when they end, by a walk about their end.
+light, and once with noise of the surface. A code is no number, and neither is a kind of noise: each
+pair of them has a few damped Gauss-Newton steps, as the loss is a sum of squares. The best pairs go
+on by more such steps, the best of these by all that are left, and when they end, by a walk about
+their end.
 
 Source: Hansen, "The CMA Evolution Strategy: A Tutorial", arXiv 1604.00772.
 """
@@ -26,22 +27,26 @@ from ...scanner import Scanner
 from ..realism import DepthScan
 from ..realism.patches import find_floor
 from .parameters import (
-    BIN_REFLECTANCE,
+    BIN_COLOR,
+    BIN_GLOSS,
+    BIN_ROUGHNESS,
     Parameter,
     shares_of,
     values_at,
     with_noise_of_surface,
     with_values,
 )
-from .rows import Figures, Row, compare, figures_of, loss_of, pulls_of
-from .stage import Lit, scan_lit
+from .rows import Figures, Places, Row, compare, figures_of, loss_of, pulls_of
+from .stage import BinLook, Lit, scan_lit
 
-_FAR, _NEAR = 0.2, 0.05  # first steps of a walk, as shares of the way between the bounds
-_FIRST_WALK, _FIRST_STEPS = 0.05, 0.1  # as shares of the trials, for each code
+_NEAR = 0.05  # first steps of a walk, as a share of the way between the bounds
+_HEAT, _FINAL = 0.06, 0.12  # shares of the trials, for each pair and for each of the best
+_FINALISTS = 2
 _DARK_LOSS = 1e3  # of a scanner that sees nothing
 _FIRST_LOOK = (0.0, 0.5, 1.0)  # shares at which a parameter is tried alone before the search
 _PROFILE = np.linspace(0.0, 1.0, 5)  # shares at which a parameter is tried alone, beside the best
 _LEVER = 0.1  # as a share: a slope over less is mostly noise
+_FITS = 2.0  # times the scanner's own loss
 _DECIDED = 0.5  # as a share of its range: a parameter held worse than this is not decided
 
 OnTrial = Callable[[int, int, str], None]
@@ -76,7 +81,18 @@ class Found:
     by_code: dict[float | None, float]  # least loss by period [px] of the code
     before: tuple[Row, ...]
     after: tuple[Row, ...]
+    fitting: float  # the most that the loss may be for the parameters to say something
     trials: int
+
+    @property
+    def loss(self) -> float:
+        """The twin's misfit; infinite where nothing is lit."""
+        return loss_of(self.after) if self.after else float("inf")
+
+    @property
+    def fits(self) -> bool:
+        """Whether the misfit is low enough for the parameters to be those of the scanner."""
+        return self.loss <= self.fitting
 
 
 def require_cma() -> None:
@@ -95,24 +111,32 @@ def search(
     parameters: Sequence[Parameter],
     real: Figures,
     *,
+    places: Places | None = None,
     trials: int,
     seed: int,
     on_trial: OnTrial = lambda done, total, text: None,
 ) -> Found:
-    """The best of about so many trials, and how well it holds each parameter."""
+    """The best of about so many trials, and how well it holds each parameter.
+
+    Args:
+        places: where missing depth is counted; those with which `real` was made.
+    """
     require_cma()
     profile = len(parameters) * len(_PROFILE) + 2
-    court = _Court(start, lit, parameters, real, seed, trials + profile, on_trial)
+    court = _Court(start, lit, parameters, real, places, seed, trials + profile, on_trial)
     x0 = shares_of(start, parameters)
     before = court.rows(start.code, x0)
-    walk, steps = (max(int(share * trials), 1) for share in (_FIRST_WALK, _FIRST_STEPS))
-    begun = [court.first_look(start.code, x) for x in (x0, with_noise_of_surface(x0, parameters))]
-    best = {}
-    for code in codes:
-        _, x = court.walk(code, court.better(code, begun), walk, step=_FAR)
-        best[code] = court.refine(code, x, steps)
-    code = min(best, key=lambda c: best[c][0])
-    _, x = court.refine(code, best[code][1], trials - court.done)
+    kinds = [court.first_look(start.code, x) for x in (x0, with_noise_of_surface(x0, parameters))]
+    ends = [
+        (code, *court.refine(code, x, max(int(_HEAT * trials), 1))) for code in codes for x in kinds
+    ]
+    ends.sort(key=lambda end: end[1])
+    ends[:_FINALISTS] = [
+        (code, *court.refine(code, x, max(int(_FINAL * trials), 1)))
+        for code, _, x in ends[:_FINALISTS]
+    ]
+    code, _, x = min(ends, key=lambda end: end[1])
+    _, x = court.refine(code, x, trials - court.done)
     loss, x = court.walk(code, x, trials - court.done, step=_NEAR)
     after = court.rows(code, x)
     held = _hold(court, code, x, after, seed)
@@ -121,9 +145,13 @@ def search(
         scanner=replace(with_values(start, parameters, values), code=code),
         values=values,
         held=held,
-        by_code={c.period_px: loss if c == code else best[c][0] for c in codes},
+        by_code={
+            c.period_px: min([one for own, one, _ in ends if own == c] + [loss] * (c == code))
+            for c in codes
+        },
         before=before,
         after=after,
+        fitting=fitting_loss(real, len(lit)),
         trials=court.done,
     )
 
@@ -132,10 +160,13 @@ def scans_of(
     lit: Sequence[Lit], scanner: Scanner, values: dict[str, float], *, seed: int, name: str
 ) -> list[DepthScan]:
     """The twin's scans of the scenes; a scene in which nothing is lit is left out."""
-    factor = values.get(BIN_REFLECTANCE, 1.0)
+    look = BinLook(
+        color=values.get(BIN_COLOR, 1.0),
+        gloss=values.get(BIN_GLOSS, 1.0),
+        rougher=values.get(BIN_ROUGHNESS, 0.0),
+    )
     made = [
-        scan_lit(one, scanner, bin_factor=factor, seed=seed + k, name=f"{name} {k}")
-        for k, one in enumerate(lit)
+        scan_lit(one, scanner, look, seed=seed + k, name=f"{name} {k}") for k, one in enumerate(lit)
     ]
     return [scan for scan in made if scan is not None and scan.valid.sum() > 1000]
 
@@ -149,11 +180,13 @@ class _Court:
         lit: Sequence[Lit],
         parameters: Sequence[Parameter],
         real: Figures,
+        places: Places | None,
         seed: int,
         total: int,
         on_trial: OnTrial,
     ) -> None:
         self.start, self.lit, self.parameters, self.real = start, lit, parameters, real
+        self.places = places
         self.seed, self.total, self.on_trial = seed, total, on_trial
         self.done, self.least = 0, np.inf
         # Of the noise that all share: a place that is asked for again costs no trial.
@@ -167,7 +200,7 @@ class _Court:
         scanner = replace(with_values(self.start, self.parameters, values), code=code)
         seed = self.seed if seed is None else seed
         scans = scans_of(self.lit, scanner, values, seed=seed, name="twin")
-        return compare(self.real, figures_of(scans, self.floor)) if scans else ()
+        return compare(self.real, figures_of(scans, self.floor, self.places)) if scans else ()
 
     def loss(self, code: CodeSpec, x: Float[np.ndarray, " n"], seed: int | None = None) -> float:
         return self.judge(code, x, seed)[0]
@@ -186,12 +219,6 @@ class _Court:
         self.done, self.least = self.done + 1, min(self.least, loss)
         self.on_trial(self.done, self.total, f"lowest misfit {self.least:.2f}")
         return loss, rows
-
-    def better(
-        self, code: CodeSpec, places: Sequence[Float[np.ndarray, " n"]]
-    ) -> Float[np.ndarray, " n"]:
-        """The place with the least loss, the first of equal ones."""
-        return min(places, key=lambda x: self.loss(code, x))
 
     def first_look(self, code: CodeSpec, x0: Float[np.ndarray, " n"]) -> Float[np.ndarray, " n"]:
         """One parameter after another at a few places, each kept where it is best."""
@@ -284,6 +311,16 @@ def joint_reach(slopes: Float[np.ndarray, "rows n"], room: float) -> Float[np.nd
     return 2 * np.sqrt(np.diag(np.linalg.inv(precision)))
 
 
+def own_loss(real: Figures, scenes: int) -> float:
+    """The loss that the real scanner itself would have: the means of so few scans differ."""
+    return 1 / max(len(values) for values in real.value.values()) + 1 / scenes
+
+
+def fitting_loss(real: Figures, scenes: int) -> float:
+    """The most that a twin's loss may be for its parameters to say something of the scanner's."""
+    return _FITS * own_loss(real, scenes)
+
+
 class _Spent(Exception):
     """All trials of a refinement are done."""
 
@@ -303,16 +340,18 @@ def _hold(
     a sum of squares of 4 in units of what the best still is off, as rows that do not fit are not
     known better than that (R. T. Birge, "The calculation of errors by the method of least squares",
     1932).
+
+    A twin whose misfit is far above that of the scanner itself lies in another valley, or lacks
+    what the scanner has, and its own neighbourhood says nothing about the scanner's numbers.
     """
-    if not after:  # nothing is lit, so nothing is known
+    if not after or loss_of(after) > fitting_loss(court.real, len(court.lit)):
         return tuple(
             Held(parameter=p, value=p.value(float(share)), low=p.low, high=p.high)
             for p, share in zip(court.parameters, x, strict=True)
         )
     loss = loss_of(after)
     other = [court.loss(code, x, seed + 1000 * k) for k in (1, 2)]
-    scans = max(len(values) for values in court.real.value.values())
-    means = 1 / scans + 1 / len(court.lit)
+    means = own_loss(court.real, len(court.lit))
     two_sigmas = 4 * max(loss, means) / len(pulls_of(after))
     limit = loss + max(2 * float(np.abs(np.array(other) - loss).max()), two_sigmas)
     limit = max(limit, means)

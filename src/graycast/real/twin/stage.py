@@ -1,16 +1,17 @@
 """Scenes of a cell under light, rendered once for every code: what a twin's search looks at."""
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+import warnings
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 
 import numpy as np
-from jaxtyping import Bool
+from jaxtyping import Bool, Float
 
 from ...cell import Cell
 from ...frames import pixel_grid, transform_points
 from ...optics import rays
 from ...pattern import CodeSpec
-from ...render import GroundTruth, Radiance, Renderer
+from ...render import GroundTruth, Quality, Radiance, Renderer
 from ...rig import grey_levels
 from ...scanner import Scanner
 from ...scanner import scan as shoot
@@ -18,14 +19,30 @@ from ...scene import Scene, bin_of
 from ...simulate import lay_out
 from ..realism import DepthScan
 
+_STEEP, _STEP = 0.6, 10.0  # tangents of the camera's angle of incidence, about
+
 OnStage = Callable[[str], None]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class BinLook:
+    """A bin's look in terms of the configured one: factors, and what is added to its roughness."""
+
+    color: float = 1.0
+    gloss: float = 1.0
+    rougher: float = 0.0
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Lit:
-    """One scene's light for each code, and which pixels show the bin."""
+    """One scene's light for each code, and which pixels show the bin.
+
+    `coats` has the light if the bin had no colour of its own, only the coat over it, by how much
+    rougher than configured the coat is; it is empty where the bin has no coat.
+    """
 
     radiance: dict[CodeSpec, Radiance]
+    coats: Mapping[float, dict[CodeSpec, Radiance]] = field(default_factory=dict)
     is_bin: Bool[np.ndarray, "h w"]
     truth: DepthScan  # perfect depth
 
@@ -37,10 +54,14 @@ def light_scenes(
     *,
     seed: int,
     renderer: Renderer,
-    quality,
+    quality: Quality,
+    rougher: Sequence[float],
     on_stage: OnStage,
 ) -> tuple[Lit, ...]:
-    """Drop and render each scene once, all codes in one pass.
+    """Drop each scene and render it, all codes in one pass, and again with a black bin.
+
+    Args:
+        rougher: what is added to the black bins' roughness; a bin without gloss needs none.
 
     Raises:
         DropError: the parts of a scene did not come to an acceptable rest.
@@ -54,20 +75,30 @@ def light_scenes(
         on_stage(f"scene {scene_id}: parts fall")
         scene, layout = lay_out(cell, scene_id, seed=seed)
         on_stage(f"scene {scene_id}: {renderer.name} renders {int(ends[-1])} patterns")
-        rendering = renderer.render(
-            scene, layout, np.concatenate(stack), quality=quality, seed=seed + scene_id
-        )
-        whole = rendering.radiance
+        found = [
+            renderer.render(
+                one, layout, np.concatenate(stack), quality=quality, seed=seed + scene_id
+            )
+            for one in (scene, *(with_black_bin(scene, more) for more in rougher))
+        ]
+        split = [
+            {
+                code: replace(
+                    one.radiance, pattern=one.radiance.pattern[end - len(own) : end].copy()
+                )
+                for code, own, end in zip(codes, stack, ends, strict=True)
+            }
+            for one in found
+        ]
+        truth = found[0].truth
         lit.append(
             Lit(
-                radiance={
-                    code: replace(whole, pattern=whole.pattern[end - len(one) : end].copy())
-                    for code, one, end in zip(codes, stack, ends, strict=True)
-                },
-                is_bin=_bin_pixels(scene, rendering.truth),
+                radiance=split[0],
+                coats=dict(zip(rougher, split[1:], strict=True)),
+                is_bin=_bin_pixels(scene, truth),
                 truth=DepthScan(
                     name=f"scene {scene_id}, perfect",
-                    depth_m=rendering.truth.depth_m.astype(np.float64),
+                    depth_m=truth.depth_m.astype(np.float64),
                     K=rig.camera.K,
                 ),
             )
@@ -75,22 +106,79 @@ def light_scenes(
     return tuple(lit)
 
 
+def with_black_bin(scene: Scene, rougher: float) -> Scene:
+    """The scene with a bin that has no colour of its own, only its gloss, and another roughness."""
+    box = bin_of(scene)
+    black = {
+        name: replace(
+            material,
+            base_color=(0.0, 0.0, 0.0),
+            projector_reflectance=None,
+            roughness=material.roughness + rougher,
+        )
+        for name in ("material", "floor")
+        if (material := getattr(box, name)) is not None
+    }
+    return replace(scene, bin=replace(box, **black))
+
+
+def missing_places(
+    lit: Sequence[Lit], real: Sequence[DepthScan]
+) -> dict[str, Bool[np.ndarray, "h w"]]:
+    """Where missing depth is counted: in all that real scans see, and on the bin's steep sides.
+
+    `seen` has the pixels at which one of the real scans has depth. The other pixels tell nothing,
+    because a bin differs from its model, and its rim may hide a wall. The sides are named by where
+    in the picture they lie. They are told from the farthest depth that any of the scenes has at a
+    pixel, so that parts hide little. All scenes must have the same camera and the same bin.
+    """
+    seen = np.any([scan.valid for scan in real], axis=0)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", RuntimeWarning)  # a pixel that no scene shows the bin at
+        far_m = np.nanmax([np.where(one.is_bin, one.truth.depth_m, np.nan) for one in lit], axis=0)
+    K = lit[0].truth.K
+    down, right = np.gradient(far_m)
+    across, along = right * K[0, 0] / far_m, down * K[1, 1] / far_m
+    with np.errstate(invalid="ignore"):  # NaN is not >
+        steep = (np.hypot(across, along) > _STEEP) & (np.hypot(across, along) < _STEP) & seen
+        sideways = np.abs(across) > np.abs(along)
+        return {
+            "seen": seen,
+            "left": steep & sideways & (across > 0),
+            "right": steep & sideways & (across < 0),
+            "upper": steep & ~sideways & (along > 0),
+            "lower": steep & ~sideways & (along < 0),
+        }
+
+
 def scan_lit(
-    lit: Lit, scanner: Scanner, *, bin_factor: float, seed: int, name: str
+    lit: Lit, scanner: Scanner, look: BinLook, *, seed: int, name: str
 ) -> DepthScan | None:
-    """What the scanner makes of a scene whose bin reflects so many times what was rendered.
+    """What the scanner makes of a scene whose bin has another look; None where nothing is lit.
 
     The bin's own light is scaled, direct and indirect alike; what it sends to the parts is not.
-    That holds while the bin is dark. None where nothing is lit.
+    That holds while the bin is dark. Gloss is taken to be proportional to the coat's reflectance
+    at normal incidence, which is not so where light grazes, and the light under the coat not to
+    depend on it: with half of the coat, 6 % of the light are missing. Between two coats that were
+    rendered, the light is taken to change evenly with the roughness.
     """
     radiance = lit.radiance[scanner.code]
-    if bin_factor != 1:
-        factor = np.where(lit.is_bin, np.float32(bin_factor), np.float32(1))
+    if look != BinLook():
+        coats = {more: light[scanner.code] for more, light in lit.coats.items()}
         radiance = replace(
             radiance,
-            pattern=radiance.pattern * factor,
-            white=radiance.white * factor,
-            ambient=radiance.ambient * factor,
+            **{
+                name: _with_look(
+                    getattr(radiance, name),
+                    {more: getattr(light, name) for more, light in coats.items()},
+                    lit.is_bin,
+                    look,
+                )
+                for name in ("pattern", "white", "ambient")
+            },
+            albedo=np.where(
+                lit.is_bin[..., None], np.float32(look.color) * radiance.albedo, radiance.albedo
+            ),
         )
     try:
         shot = shoot(scanner, radiance, seed=seed)
@@ -98,6 +186,41 @@ def scan_lit(
         return None
     depth_m = shot.depth.depth_m.astype(np.float64)
     return DepthScan(name=name, depth_m=depth_m, K=scanner.rig.camera.K)
+
+
+def _with_look(
+    light: Float[np.ndarray, "*n h w"],
+    coats: Mapping[float, Float[np.ndarray, "*n h w"]],
+    is_bin: Bool[np.ndarray, "h w"],
+    look: BinLook,
+) -> Float[np.ndarray, "*n h w"]:
+    """Where the bin is seen: so many times what lies under the coat, and so many times the coat."""
+    weight = _weights(sorted(coats), look)
+    scaled = np.float32(look.color) * light
+    for more, share in weight.items():
+        if share:
+            scaled += np.float32(share) * coats[more]
+    if coats:
+        np.maximum(scaled, 0, out=scaled)  # each of them has noise of its own
+    return np.where(is_bin, scaled, light)
+
+
+def _weights(rougher: Sequence[float], look: BinLook) -> dict[float, float]:
+    """How often each coat is added: that of the look, and less the one that the light has."""
+    if not rougher:
+        return {}
+    weight = dict.fromkeys(rougher, 0.0)
+    for more, times in ((look.rougher, look.gloss), (0.0, -look.color)):
+        more = min(max(more, rougher[0]), rougher[-1])
+        after = int(np.clip(np.searchsorted(rougher, more), 1, len(rougher) - 1))
+        if len(rougher) == 1:
+            weight[rougher[0]] += times
+            continue
+        low, high = rougher[after - 1], rougher[after]
+        share = (more - low) / (high - low)
+        weight[low] += times * (1 - share)
+        weight[high] += times * share
+    return weight
 
 
 def _bin_pixels(scene: Scene, truth: GroundTruth) -> Bool[np.ndarray, "h w"]:

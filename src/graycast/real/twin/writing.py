@@ -19,7 +19,7 @@ from ..fitted_config import fitted_text, refuse_there
 from ..realism import TwoSample, two_sample_table
 from ..realism.two_sample import PLACES
 from .making import Twin, scaled_color
-from .parameters import BIN_REFLECTANCE
+from .parameters import BIN_COLOR, BIN_GLOSS, BIN_ROUGHNESS
 from .rows import Row
 from .searching import Found
 
@@ -76,8 +76,9 @@ def report_text(twin: Twin) -> str:
         "",
         "Between `from` and `to` the fit is as good as the noise allows: with all other parameters "
         "as found, in a trial of the search, or if other parameters make up for it. The ranges "
-        "are no confidence intervals: for simulated scanners with hidden parameters, about seven "
-        "of ten decided numbers were within them (docs/twin.md).",
+        "are no confidence intervals (docs/twin.md).",
+        "",
+        _whether_it_fits(found),
         "",
         "| key | twin | from | to | do the scans decide it? |",
         "|---|---|---|---|---|",
@@ -110,9 +111,21 @@ def summary(twin: Twin) -> list[str]:
             f"real against itself {own}"
         )
     loose = [held.parameter.key for held in found.held if not held.decided]
-    if loose:
+    if not found.fits:
+        lines.append(_whether_it_fits(found))
+    elif loose:
         lines.append(f"the scans do not determine {', '.join(loose)}")
     return lines
+
+
+def _whether_it_fits(found: Found) -> str:
+    own = f"{found.fitting:.2f}, which is twice what the scatter of so few scans explains"
+    if found.fits:
+        return f"The misfit is {found.loss:.2f}. It is below {own}."
+    return (
+        f"The misfit is {found.loss:.2f}. It is above {own}. So the twin is not the scanner "
+        "itself, and no parameter is said to be decided."
+    )
 
 
 def draw_twin(twin: Twin, path: Path) -> None:
@@ -180,13 +193,17 @@ def _sensor_auc(test: TwoSample, place: str, row: str | None = None) -> str:
 
 
 def _bin(found: Found, cell: Cell) -> dict[str, Any]:
-    """The bin's section with its colours scaled, where that was fitted."""
-    factor = found.values.get(BIN_REFLECTANCE)
-    if factor is None:
+    """The bin's section with the colours and the coat that were fitted."""
+    color, gloss = (found.values.get(key) for key in (BIN_COLOR, BIN_GLOSS))
+    if color is None:
         return {}
     section = cell.config.bin.model_dump(mode="json", exclude_none=True)
     box = bin_of(cell.scene)
     for key, material in (("material", box.material), ("floor", box.floor)):
         if material is not None:
-            section.setdefault(key, {})["base_color"] = scaled_color(material, factor)
+            own = section.setdefault(key, {})
+            own["base_color"] = scaled_color(material, color)
+            if gloss is not None:
+                own["specular"] = round(min(material.specular * gloss, 1.0), 4)
+                own["roughness"] = round(material.roughness + found.values[BIN_ROUGHNESS], 4)
     return {"bin": section}

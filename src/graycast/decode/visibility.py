@@ -49,9 +49,13 @@ def without_hidden(depth: DepthMap, rig: Rig, *, sigmas: float) -> DepthMap:
     place[known] = seen(z_m)
     noise[known] = np.abs(seen(z_m + sigma_m) - place[known])
     sense = np.sign(rig.T_proj_cam[i, i])
-    hidden = np.zeros(known.shape, dtype=np.bool_)
-    maps = [m if column else m.T for m in (sense * place, noise, depth.depth_m, hidden)]
-    _hide(*map(np.ascontiguousarray, maps[:3]), sigmas, maps[3])
+    # Copies, so that the kernel is compiled for one kind of array alone.
+    maps = [
+        np.array(m if column else m.T, order="C") for m in (sense * place, noise, depth.depth_m)
+    ]
+    beside = np.zeros(maps[0].shape, dtype=np.bool_)
+    _hide(*maps, sigmas, beside)
+    hidden = beside if column else beside.T
     nothing = np.float32(np.nan)
     return replace(
         depth,
@@ -65,17 +69,18 @@ def without_hidden(depth: DepthMap, rig: Rig, *, sigmas: float) -> DepthMap:
 @no_type_check  # the tests' type checker wraps functions, which numba cannot compile
 def _hide(place, noise, z, sigmas, hidden):
     h, w = place.shape
+    right = np.int64(1)  # a number of its own would be compiled for by itself, as -1 would
     for y in range(h):
-        last = -1  # the last pixel that has depth
+        last = np.int64(-1)  # the last pixel that has depth
         for x in range(w):
             if np.isnan(place[y, x]):
                 continue
             apart = sigmas * (noise[y, x] + noise[y, last])
             if last >= 0 and place[y, x] < place[y, last] - apart:
                 if z[y, x] < z[y, last]:
-                    _hide_beside(place[y], noise[y], sigmas, x, last, 1, hidden[y])
+                    _hide_beside(place[y], noise[y], sigmas, x, last, right, hidden[y])
                 else:
-                    _hide_beside(place[y], noise[y], sigmas, last, x, -1, hidden[y])
+                    _hide_beside(place[y], noise[y], sigmas, last, x, -right, hidden[y])
             last = x
 
 

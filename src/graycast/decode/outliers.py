@@ -6,6 +6,9 @@ import numba
 import numpy as np
 from jaxtyping import Bool, Float
 
+from .median import median
+
+LEAST = 4  # values that make a median
 SUPPORT_PX = 3  # so many of 24 neighbours near an outlying pixel's depth make it a detail
 WHOLE_PX = 20  # so many of 24 neighbours near their median are a surface without an edge
 
@@ -74,27 +77,19 @@ def _outlies(inverse, noise, y, x, sigmas, share):
     window = inverse[y - 2 : y + 3, x - 2 : x + 3].astype(np.float64)
     middle = window[2, 2]
     window[2, 2] = np.nan
-    slope_x = _median((window[:, 1:] - window[:, :-1]).ravel())
-    slope_y = _median((window[1:] - window[:-1]).ravel())
+    slope_x = median((window[:, 1:] - window[:, :-1]).ravel(), LEAST)
+    slope_y = median((window[1:] - window[:-1]).ravel(), LEAST)
     if np.isnan(slope_x) or np.isnan(slope_y):
         return False, 0.0, 0.0  # too few neighbours to judge: `island_px` does
     for dy in range(-2, 3):
         for dx in range(-2, 3):
             window[dy + 2, dx + 2] -= slope_y * dy + slope_x * dx
     level = window.ravel()
-    median = _median(level)
-    deviation = abs(middle - median)
-    local = 1.4826 * _median(np.abs(level - median))
+    usual = median(level, LEAST)
+    deviation = abs(middle - usual)
+    local = 1.4826 * median(np.abs(level - usual), LEAST)
     limit = max(sigmas * max(noise[y, x], local), share * middle)
     if not deviation > limit or (np.abs(level - middle) < 0.5 * deviation).sum() >= SUPPORT_PX:
         return False, 0.0, 0.0
-    whole = (np.abs(level - median) <= limit).sum() >= WHOLE_PX
-    return True, median, local if whole else 0.0
-
-
-@numba.njit(cache=True)
-@no_type_check  # the tests' type checker wraps functions, which numba cannot compile
-def _median(values):
-    """The median of the values that are not NaN; NaN for fewer than 4 values."""
-    known = values[~np.isnan(values)]
-    return np.median(known) if len(known) >= 4 else np.nan
+    whole = (np.abs(level - usual) <= limit).sum() >= WHOLE_PX
+    return True, usual, local if whole else 0.0

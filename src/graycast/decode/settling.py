@@ -5,6 +5,8 @@ from typing import no_type_check
 import numba
 import numpy as np
 
+from .median import median
+
 CLEAR, OPEN, REFUSED = 0, 1, 2  # of a count of periods: what its own phases say
 CHOICES = 4  # places that are kept of a pixel in doubt, the best ones
 REACH_PX = 2  # neighbours are those of a window of 5 x 5 pixels
@@ -157,7 +159,7 @@ def _vote(period, turn, place, refused, clear, votes, settled):
     h, w = place.shape
     side = 2 * REACH_PX + 1
     for y in numba.prange(h):
-        said = np.empty(side * side, dtype=np.int32)
+        said = np.empty(side * side)
         for x in range(w):
             if not refused[y, x]:
                 continue
@@ -168,11 +170,11 @@ def _vote(period, turn, place, refused, clear, votes, settled):
                     step = np.rint(apart)
                     if clear[j, i] and abs(apart - step) <= np.float32(STEP_PERIODS):
                         its_own = np.rint(place[j, i] / period - turn[j, i])
-                        said[count] = np.int32(its_own - step)
+                        said[count] = its_own - step
                         count += 1
             if count < votes:
                 continue
-            k = np.int32(np.median(said[:count]))  # most say it, or there is no agreement
+            k = np.int32(median(said[:count], 1))  # most say it, or there is no agreement
             agreed = (said[:count] == k).sum()
             if agreed >= votes and count - agreed <= AGAINST_SHARE * agreed:
                 settled[y, x] = True

@@ -36,14 +36,14 @@ def bit_counts(words: list[mi.UInt32]) -> list[mi.UInt32]:
     Full adders count all 32 bits at once, so that a pattern costs as many additions as the count
     has bits.
     """
-
-    def add(a: mi.UInt32, b: mi.UInt32, c: mi.UInt32) -> tuple[mi.UInt32, mi.UInt32]:
-        return a ^ b ^ c, (a & b) | (c & (a ^ b))
-
     if len(words) == 1:
         return words
-    ones, twos = add(*words[:3])
+    ones, twos = _add(*words[:3])
     if len(words) == 3:
         return [ones, twos]
-    others, carry = add(*words[3:])
-    return [ones ^ others, *add(twos, carry, ones & others)]
+    others, carry = _add(*words[3:])
+    return [ones ^ others, *_add(twos, carry, ones & others)]
+
+
+def _add(a: mi.UInt32, b: mi.UInt32, c: mi.UInt32) -> tuple[mi.UInt32, mi.UInt32]:
+    return a ^ b ^ c, (a & b) | (c & (a ^ b))

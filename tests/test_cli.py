@@ -451,20 +451,31 @@ def test_bench_of_a_scene_splits_its_time_and_memory(tmp_path):
     assert figures["peak_rss_bytes"] >= max(figures["rss_bytes_after_each_scene"])
 
 
-def test_ctrl_c_ends_with_code_130(capsys, monkeypatch):
+@pytest.fixture
+def another_doctor(monkeypatch):
+    """Lets a command do something else; what was built before holds the one that it has."""
+
+    def put(run):
+        monkeypatch.setattr(machine, "_doctor", run)
+        monkeypatch.setattr(command, "_parser", command._parser.__wrapped__)
+
+    return put
+
+
+def test_ctrl_c_ends_with_code_130(capsys, another_doctor):
     def stop(options):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(machine, "_doctor", stop)
+    another_doctor(stop)
     assert main(["doctor"]) == 130
     assert capsys.readouterr().err == "graycast: the command was stopped; nothing was written\n"
 
 
-def test_an_error_of_several_lines_is_shown_as_one(capsys, monkeypatch):
+def test_an_error_of_several_lines_is_shown_as_one(capsys, another_doctor):
     def fail(options):
         raise ValueError("what is wrong:\n  this\n\nand that")
 
-    monkeypatch.setattr(machine, "_doctor", fail)
+    another_doctor(fail)
     assert main(["doctor"]) == 1
     assert capsys.readouterr().err == "graycast: error: what is wrong: this and that\n"
 

@@ -6,6 +6,7 @@ import select
 import signal
 import sys
 from collections.abc import Sequence
+from functools import cache
 
 from .. import __version__
 from ..errors import GraycastError, told
@@ -89,6 +90,7 @@ def _stop(number: int, frame: object) -> None:
     raise KeyboardInterrupt
 
 
+@cache  # a process that runs several commands, as the tests do, builds it once
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog="graycast",

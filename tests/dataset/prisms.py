@@ -82,15 +82,22 @@ def make_rig():
 
 def hit_depth(mesh, T_cam_part, x, y):
     """z where the rays (x, y, 1) enter a convex mesh; NaN where they miss. The mesh is closed."""
+    z_m = np.full(x.shape, np.nan)
     corner = mesh.vertices_m[mesh.faces] @ T_cam_part[:3, :3].T + T_cam_part[:3, 3]
+    assert corner[..., 2].min() > 0  # so that it lies between the rays to its corners
+    seen = (corner[..., :2] / corner[..., 2:]).reshape(-1, 2)
+    (left, top), (right, bottom) = seen.min(axis=0), seen.max(axis=0)
+    near = (x >= left) & (x <= right) & (y >= top) & (y <= bottom)
+    x, y = x[near], y[near]
     normal = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
     offset = np.einsum("fi,fi->f", normal, corner[:, 0])
-    slope = normal @ np.stack([x.ravel(), y.ravel(), np.ones(x.size)])
+    slope = normal @ np.stack([x, y, np.ones(x.size)])
     with np.errstate(divide="ignore"):
         t = offset[:, None] / slope
     enter = np.where(slope < 0, t, -np.inf).max(axis=0)
     leave = np.where(slope > 0, t, np.inf).min(axis=0)
-    return np.where((enter < leave) & (enter > 0), enter, np.nan).reshape(x.shape)
+    z_m[near] = np.where((enter < leave) & (enter > 0), enter, np.nan)
+    return z_m
 
 
 def cam_poses(seed):

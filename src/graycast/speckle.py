@@ -161,11 +161,11 @@ def speckled(stack: Float[np.ndarray, "n h w"], speckle: Speckle) -> Float[np.nd
     1977 (monotonised central differences).
     """
     out = np.empty(stack.shape, dtype=np.float32)
-    _weigh(
-        np.ascontiguousarray(stack, dtype=np.float32),
-        *(np.float32(getattr(speckle, name)) for name in ("brightness", "right_px", "down_px")),
-        out,
-    )
+    maps = (stack, speckle.brightness, speckle.right_px, speckle.down_px)
+    seen = [np.ascontiguousarray(each, dtype=np.float32).view() for each in maps]
+    for each in seen:
+        each.flags.writeable = False  # one kind of array to compile for, whoever made it
+    _weigh(*seen, out)
     return out
 
 

@@ -163,6 +163,7 @@ def test_the_quick_drawing_is_the_checking_rasters(bracket, distortion):
                     cy_px=79.5, distortion=distortion)  # fmt: skip
     y, x = np.mgrid[:160, :200].astype(float)
     ray = np.ascontiguousarray(rays(camera, np.stack([x, y], axis=-1))[..., :2])
+    ray.flags.writeable = False  # as those of a cloud are, for which the kernel is compiled
     mesh, z, face = bracket.mesh, np.empty((160, 200)), np.empty((160, 200), np.int64)
     for seed in range(3):
         vertices = np.ascontiguousarray(mesh.vertices_m, np.float64)

@@ -40,7 +40,8 @@ def drawn_figures(
         (average precision, recall of all detections); NaN where a draw has nothing to find.
     """
     scene, to_find = matches.scene, matches.to_find
-    return _figures(matches.hit, matches.counted, scene, to_find, times.astype(np.int64), RECALLS)
+    often = times.astype(np.int64, order="C")
+    return _figures(matches.hit, matches.counted, scene, to_find, often, RECALLS)
 
 
 @numba.njit(cache=True)

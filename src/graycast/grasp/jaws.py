@@ -109,7 +109,7 @@ def jaw_places(
     T_tool_true = _displaced(doubt, chances, seed)
     friction = jaws.friction * np.maximum(1 + doubt.friction_share * off[:, 0], 0)
     a, b, c = np.moveaxis(mesh.vertices_m[mesh.faces].astype(np.float64), 1, 0)
-    through_m, face = _far_side(point, -normal, a, b - a, c - a)
+    through_m, face = _far_side(point, -normal, a, b - a, c - a, most_m=np.inf)
     far_normal = mesh.face_normal[face]
     slope = np.tan(np.arccos(np.clip(-np.einsum("ni,ni->n", far_normal, normal), 0, 1)))
     fits = (through_m > 1e-4) & (through_m + 2 * CLEARANCE_M <= jaws.opening_m)
@@ -233,7 +233,7 @@ def _in_the_way(
 
 @numba.njit(cache=True)
 @no_type_check  # the tests' type checker would wrap the function, which numba cannot compile
-def _far_side(origin, way, a, ab, ac, most_m=np.inf):
+def _far_side(origin, way, a, ab, ac, most_m):
     """Distance along each ray to the last triangle that it crosses up to there; -1 for none."""
     distance, face = np.full(len(origin), -1.0), np.full(len(origin), -1)
     for i in range(len(origin)):

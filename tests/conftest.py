@@ -43,16 +43,16 @@ def one_thread_beside_others():
 
 @pytest.fixture(scope="session", autouse=True)
 def one_compiler_beside_others(tmp_path_factory):
-    """In a fresh clone Numba's compiler takes a third of the processor time: never twice."""
+    """In a fresh clone Numba's compiler takes a third of the processor time: nothing twice."""
     if not BESIDE_OTHERS:
         yield
         return
-    from numba.core.event import install_listener
-    from one_compiler import OneAtATime
+    from one_compiler import one_compiler_a_kernel
 
-    with open(tmp_path_factory.getbasetemp().parent / "compiler.lock", "w") as file:
-        with install_listener("numba:compiler_lock", OneAtATime(file)):
-            yield
+    folder = tmp_path_factory.getbasetemp().parent / "kernels"
+    folder.mkdir(exist_ok=True)
+    with one_compiler_a_kernel(folder):
+        yield
 
 
 @pytest.fixture(scope="session")

@@ -1,27 +1,35 @@
 """Workers side by side compile a kernel once: one of them, and the others load it."""
 
 import fcntl
-from typing import IO
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from unittest import mock
 
-from numba.core.event import Listener
+from numba.core.dispatcher import Dispatcher
 
 
-class OneAtATime(Listener):
-    """Numba's lock of a process, made a lock of all: it is taken again inside of itself.
+@contextmanager
+def one_compiler_a_kernel(folder: Path) -> Iterator[None]:
+    """While it lasts, what a process of several compiles for numba's cache it locks by its name.
 
-    What a process finds compiled it looks up under this lock, so who had to wait finds it. Without
-    it both compile, and of two that store their versions at once one is forgotten.
+    Without it two processes compile the same, and of two that store versions of a kernel at once
+    one is forgotten. Numba looks a kernel up after the lock is taken, so who had to wait finds it.
+    While one is compiled so are those that it calls: a kernel calls none that waits for it.
     """
+    compile_one, held = Dispatcher.compile, set()
 
-    def __init__(self, file: IO[str]):
-        self.file, self.depth = file, 0
+    def compile_alone(kernel, signature):
+        name = f"{kernel.py_func.__module__}.{kernel.py_func.__qualname__}"
+        if not name.startswith("graycast.") or name in held:
+            return compile_one(kernel, signature)
+        with open(folder / name, "w") as file:
+            fcntl.flock(file, fcntl.LOCK_EX)  # until it is closed
+            held.add(name)
+            try:
+                return compile_one(kernel, signature)
+            finally:
+                held.remove(name)
 
-    def on_start(self, event) -> None:
-        if self.depth == 0:
-            fcntl.flock(self.file, fcntl.LOCK_EX)
-        self.depth += 1
-
-    def on_end(self, event) -> None:
-        self.depth -= 1
-        if self.depth == 0:
-            fcntl.flock(self.file, fcntl.LOCK_UN)
+    with mock.patch.object(Dispatcher, "compile", compile_alone):
+        yield

@@ -202,3 +202,40 @@ def test_a_place_that_is_asked_for_again_costs_no_trial(stage):
     again = court.done
     court.judge(code, x, seed=9)  # other noise is another trial
     assert court.done == again + 1
+
+
+def test_a_twin_that_does_not_fit_decides_nothing(stage):
+    """A row that is two spreads off: the scatter of three scans and two scenes explains less."""
+    code = stage[0].code
+    court, judged = court_of(stage, FITTED, lambda x: 2.0 + x[0])
+    held = searching._hold(court, {code: np.array([0.0, 0.5])}, seed=1)
+    assert [(one.low, one.high) for one in held] == [(p.low, p.high) for p in FITTED]
+    assert not any(one.decided for one in held)
+    assert len(judged) == 1  # no trial is spent on what is not believed
+
+
+def test_where_two_codes_fit_an_interval_has_the_values_of_both(stage):
+    """One has the hidden number at 0.2, the other at 0.8; each alone would exclude the other."""
+    fine = stage[0].code
+    coarse = replace(fine, period_px=48.0)
+    middle = {fine: 0.2, coarse: 0.8}
+
+    class TwoValleys(searching._Court):
+        def rows(self, code, x, seed=None):
+            off = 12.0 * (x[0] - middle[code])
+            return tuple(
+                Row(name=n, unit="", owner="sensor", real=0.0, spread=1.0, twin=twin)
+                for n, twin in (("a", off), ("b", 0.0))
+            )
+
+    def span(*codes):
+        real = Figures(value={"a": np.zeros(3), "b": np.zeros(3)})
+        court = TwoValleys(
+            stage[0], stage[1], FITTED, real, None, 1, 100, lambda done, total, text: None
+        )
+        held = searching._hold(court, {c: np.array([middle[c], 0.5]) for c in codes}, seed=1)
+        return [FITTED[0].share(v) for v in (held[0].low, held[0].high)]
+
+    (low, high), (_, most), (least, _) = span(fine, coarse), span(fine), span(coarse)
+    assert low <= 0.2 and high >= 0.8
+    assert most < 0.8 and least > 0.2

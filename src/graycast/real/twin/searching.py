@@ -1,20 +1,19 @@
 """The search: which values make a cell's simulated scans have the real scans' statistics.
 
 Light is rendered once for each code, so a trial is exposure, noise, decoding and filters alone.
-All places lie in the box of the declared parameters, with the
-same noise in every trial, so that the same search takes the same way. First each parameter is tried
-alone, which finds what is far off: once with the configured noise, which is mostly that of the
-light, and once with noise of the surface. A code is no number, and neither is a kind of noise: each
-pair of them has a few damped Gauss-Newton steps, as the loss is a sum of squares. The best pairs go
-on by more such steps, the best of these by all that are left, and when they end, by a walk about
-their end.
+The noise is the same in every trial, so that the same search takes the same way. First each
+parameter is tried alone, which finds what is far off: once with the configured noise, which is
+mostly that of the light, and once with noise of the surface. A code is no number, and neither is a
+kind of noise: each pair of them has a few damped Gauss-Newton steps, as the loss is a sum of
+squares. The better pair of each code goes on by more such steps, the best of these by all that are
+left, and when they end, by a walk about their end (covariance matrix adaptation).
 
 Source: Hansen, "The CMA Evolution Strategy: A Tutorial", arXiv 1604.00772.
 """
 
 import contextlib
 import importlib.util
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -40,8 +39,7 @@ from .rows import Figures, Places, Row, compare, figures_of, loss_of, pulls_of
 from .stage import BinLook, Lit, scan_lit
 
 _NEAR = 0.05  # first steps of a walk, as a share of the way between the bounds
-_HEAT, _FINAL = 0.06, 0.12  # shares of the trials, for each pair and for each of the best
-_FINALISTS = 2
+_HEAT, _FINAL = 0.06, 0.12  # shares of the trials, for each pair and for the better one of a code
 _DARK_LOSS = 1e3  # of a scanner that sees nothing
 _FIRST_LOOK = (0.0, 0.5, 1.0)  # shares at which a parameter is tried alone before the search
 _PROFILE = np.linspace(0.0, 1.0, 5)  # shares at which a parameter is tried alone, beside the best
@@ -122,33 +120,27 @@ def search(
         places: where missing depth is counted; those with which `real` was made.
     """
     require_cma()
-    profile = len(parameters) * len(_PROFILE) + 2
-    court = _Court(start, lit, parameters, real, places, seed, trials + profile, on_trial)
+    most = trials + len(codes) * len(parameters) * len(_PROFILE) + 2
+    court = _Court(start, lit, parameters, real, places, seed, most, on_trial)
     x0 = shares_of(start, parameters)
     before = court.rows(start.code, x0)
     kinds = [court.first_look(start.code, x) for x in (x0, with_noise_of_surface(x0, parameters))]
-    ends = [
-        (code, *court.refine(code, x, max(int(_HEAT * trials), 1))) for code in codes for x in kinds
-    ]
-    ends.sort(key=lambda end: end[1])
-    ends[:_FINALISTS] = [
-        (code, *court.refine(code, x, max(int(_FINAL * trials), 1)))
-        for code, _, x in ends[:_FINALISTS]
-    ]
-    code, _, x = min(ends, key=lambda end: end[1])
-    _, x = court.refine(code, x, trials - court.done)
-    loss, x = court.walk(code, x, trials - court.done, step=_NEAR)
+    heat, final = (max(int(share * trials), 1) for share in (_HEAT, _FINAL))
+    ends = {}
+    for code in codes:
+        _, x = min((court.refine(code, x, heat) for x in kinds), key=lambda end: end[0])
+        ends[code] = court.refine(code, x, final)
+    code = min(ends, key=lambda c: ends[c][0])
+    _, x = court.refine(code, ends[code][1], trials - court.done)
+    ends[code] = _, x = court.walk(code, x, trials - court.done, step=_NEAR)
     after = court.rows(code, x)
-    held = _hold(court, code, x, after, seed)
+    held = _hold(court, {code: x} | {other: end[1] for other, end in ends.items()}, seed)
     values = values_at(x, parameters)
     return Found(
         scanner=replace(with_values(start, parameters, values), code=code),
         values=values,
         held=held,
-        by_code={
-            c.period_px: min([one for own, one, _ in ends if own == c] + [loss] * (c == code))
-            for c in codes
-        },
+        by_code={c.period_px: ends[c][0] for c in codes},
         before=before,
         after=after,
         fitting=fitting_loss(real, len(lit)),
@@ -326,13 +318,9 @@ class _Spent(Exception):
 
 
 def _hold(
-    court: _Court,
-    code: CodeSpec,
-    x: Float[np.ndarray, " n"],
-    after: Sequence[Row],
-    seed: int,
+    court: _Court, ends: Mapping[CodeSpec, Float[np.ndarray, " n"]], seed: int
 ) -> tuple[Held, ...]:
-    """Each parameter alone over its range, in all trials before, and with all others: what fits.
+    """Between what each parameter may lie, about the best place of each code that fits.
 
     What does not fit is worse by more than two other draws of the noise make of the best itself,
     and than the scanner itself would be: the means of so few scans and scenes differ, in spreads,
@@ -343,18 +331,35 @@ def _hold(
 
     A twin whose misfit is far above that of the scanner itself lies in another valley, or lacks
     what the scanner has, and its own neighbourhood says nothing about the scanner's numbers.
+
+    Args:
+        ends: the place that the search found for each code, the best one first.
     """
-    if not after or loss_of(after) > fitting_loss(court.real, len(court.lit)):
+    code, x = next(iter(ends.items()))
+    loss, after = court.judge(code, x)
+    if not after or loss > fitting_loss(court.real, len(court.lit)):
         return tuple(
             Held(parameter=p, value=p.value(float(share)), low=p.low, high=p.high)
             for p, share in zip(court.parameters, x, strict=True)
         )
-    loss = loss_of(after)
     other = [court.loss(code, x, seed + 1000 * k) for k in (1, 2)]
     means = own_loss(court.real, len(court.lit))
     two_sigmas = 4 * max(loss, means) / len(pulls_of(after))
     limit = loss + max(2 * float(np.abs(np.array(other) - loss).max()), two_sigmas)
     limit = max(limit, means)
+    spans = [_span(court, c, at, limit) for c, at in ends.items() if court.loss(c, at) <= limit]
+    low, high = np.min([s[0] for s in spans], axis=0), np.max([s[1] for s in spans], axis=0)
+    return tuple(
+        Held(parameter=p, value=p.value(float(v)), low=p.value(float(a)), high=p.value(float(b)))
+        for p, v, a, b in zip(court.parameters, x, low, high, strict=True)
+    )
+
+
+def _span(
+    court: _Court, code: CodeSpec, x: Float[np.ndarray, " n"], limit: float
+) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, " n"]]:
+    """Each parameter alone over its range, in all trials before, and with all others: what fits."""
+    loss, after = court.judge(code, x)
     fits = np.array(
         [np.frombuffer(at) for (_, at), (was, _) in court.tried.items() if was <= limit]
     )
@@ -376,15 +381,8 @@ def _hold(
         high = min((b for b in bad if b > max(good)), default=max(good))
         alone.append((low, high))
     reach = joint_reach(np.stack(slopes, axis=1), len(slopes[0]) * (limit - loss))
-    return tuple(
-        Held(
-            parameter=p,
-            value=p.value(float(own)),
-            low=p.value(min(low, float(own - far))),
-            high=p.value(max(high, float(own + far))),
-        )
-        for p, own, (low, high), far in zip(court.parameters, x, alone, reach, strict=True)
-    )
+    lowest, highest = np.array(alone).T
+    return np.minimum(lowest, x - reach), np.maximum(highest, x + reach)
 
 
 def _slope(

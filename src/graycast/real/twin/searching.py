@@ -1,12 +1,13 @@
 """The search: which values make a cell's simulated scans have the real scans' statistics.
 
 Light is rendered once for each code, so a trial is exposure, noise, decoding and filters alone.
-The noise is the same in every trial, so that the same search takes the same way. First each
-parameter is tried alone, which finds what is far off: once with the configured noise, which is
-mostly that of the light, and once with noise of the surface. A code is no number, and neither is a
-kind of noise: each pair of them has a few damped Gauss-Newton steps, as the loss is a sum of
-squares. The better pair of each code goes on by more such steps, the best of these by all that are
-left, and when they end, by a walk about their end (covariance matrix adaptation).
+The noise is the same in every trial, so that the same search takes the same way. It has two starts:
+the configured scanner, whose noise is mostly that of the light and of which each parameter is first
+tried alone, to find what is far off; and the same with noise of the surface, as a real laser
+scanner has it. A code is no number, and neither is a kind of noise: each pair of them has a few
+damped Gauss-Newton steps, as the loss is a sum of squares. The better pair of each code goes on by
+more such steps, the best of these by all that are left, and when they end, by a walk about their
+end (covariance matrix adaptation).
 
 Source: Hansen, "The CMA Evolution Strategy: A Tutorial", arXiv 1604.00772.
 """
@@ -124,7 +125,7 @@ def search(
     court = _Court(start, lit, parameters, real, places, seed, most, on_trial)
     x0 = shares_of(start, parameters)
     before = court.rows(start.code, x0)
-    kinds = [court.first_look(start.code, x) for x in (x0, with_noise_of_surface(x0, parameters))]
+    kinds = [court.first_look(start.code, x0), with_noise_of_surface(x0, parameters)]
     heat, final = (max(int(share * trials), 1) for share in (_HEAT, _FINAL))
     ends = {}
     for code in codes:

@@ -6,12 +6,7 @@ import shutil
 import signal
 from pathlib import Path
 
-import jaxtyping
 import pytest
-from checked import checked
-
-# What the hook of jaxtyping writes into each module that is imported, from here on.
-jaxtyping.jaxtyped = checked
 
 # A run in the background is born deaf to Ctrl-C, and so would be what tests start and interrupt.
 if signal.getsignal(signal.SIGINT) == signal.SIG_IGN:

@@ -4,6 +4,7 @@ import multiprocessing
 import os
 import signal
 import subprocess
+import sys
 import threading
 import time
 from dataclasses import dataclass
@@ -73,6 +74,20 @@ def test_ctrl_c_while_a_worker_starts_is_heard_afterwards():
             signal.raise_signal(signal.SIGINT)
             begun = subprocess.run(["grep", "SigBlk", "/proc/self/status"], capture_output=True)
     assert int(begun.stdout.split()[1], 16) & 1 << (signal.SIGINT - 1)
+
+
+def test_the_first_worker_of_a_program_does_not_hear_ctrl_c():
+    """Before it, Python starts a process of its own, and lets Ctrl-C through again."""
+    program = (
+        "from graycast.engine.local import _Worker\n"
+        "worker = _Worker(None, 1, {})\n"
+        "worker._start()\n"
+        "print(open(f'/proc/{worker._process.pid}/status').read())\n"
+        "worker.stop()"
+    )
+    told = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True)
+    (blocked,) = [line for line in told.stdout.splitlines() if line.startswith("SigBlk")]
+    assert int(blocked.split()[1], 16) & 1 << (signal.SIGINT - 1), told.stderr
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -8,6 +8,7 @@ import threading
 import traceback
 from collections.abc import Iterator
 from contextlib import ExitStack, closing, contextmanager, suppress
+from multiprocessing import resource_tracker
 from multiprocessing.connection import Connection, wait
 from multiprocessing.process import BaseProcess
 from pathlib import Path
@@ -102,6 +103,8 @@ class _Worker:
 
     def _start(self) -> None:
         context = multiprocessing.get_context("spawn")  # a JIT's threads do not fork
+        # Python starts it with the first process, and lets Ctrl-C through again when it does.
+        resource_tracker.ensure_running()
         with _deaf_to_interrupts(), _environment(self._variables):
             self.connection, theirs = context.Pipe()
             process = context.Process(target=_work, args=(theirs,), daemon=True)

@@ -124,7 +124,7 @@ def search(
     most = trials + len(codes) * len(parameters) * len(_PROFILE) + 2
     court = _Court(start, lit, parameters, real, places, seed, most, on_trial)
     x0 = shares_of(start, parameters)
-    before = court.rows(start.code, x0)
+    _, before = court.judge(start.code, x0)
     kinds = [court.first_look(start.code, x0), with_noise_of_surface(x0, parameters)]
     heat, final = (max(int(share * trials), 1) for share in (_HEAT, _FINAL))
     ends = {}
@@ -134,7 +134,7 @@ def search(
     code = min(ends, key=lambda c: ends[c][0])
     _, x = court.refine(code, ends[code][1], trials - court.done)
     ends[code] = _, x = court.walk(code, x, trials - court.done, step=_NEAR)
-    after = court.rows(code, x)
+    _, after = court.judge(code, x)
     held = _hold(court, {code: x} | {other: end[1] for other, end in ends.items()}, seed)
     values = values_at(x, parameters)
     return Found(

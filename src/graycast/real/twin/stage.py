@@ -207,20 +207,11 @@ def _with_look(
 
 def _weights(rougher: Sequence[float], look: BinLook) -> dict[float, float]:
     """How often each coat is added: that of the look, and less the one that the light has."""
-    if not rougher:
-        return {}
-    weight = dict.fromkeys(rougher, 0.0)
-    for more, times in ((look.rougher, look.gloss), (0.0, -look.color)):
-        more = min(max(more, rougher[0]), rougher[-1])
-        after = int(np.clip(np.searchsorted(rougher, more), 1, len(rougher) - 1))
-        if len(rougher) == 1:
-            weight[rougher[0]] += times
-            continue
-        low, high = rougher[after - 1], rougher[after]
-        share = (more - low) / (high - low)
-        weight[low] += times * (1 - share)
-        weight[high] += times * share
-    return weight
+    return {
+        more: look.gloss * float(np.interp(look.rougher, rougher, own))
+        - look.color * float(np.interp(0.0, rougher, own))
+        for more, own in zip(rougher, np.eye(len(rougher)), strict=True)
+    }
 
 
 def _bin_pixels(scene: Scene, truth: GroundTruth) -> Bool[np.ndarray, "h w"]:

@@ -163,4 +163,9 @@ def fitted_parameters(cell: Cell) -> tuple[Parameter, ...]:
 
 def scaled_color(material: Material, factor: float) -> list[float]:
     """A material's colour, so many times as bright, up to what a surface can reflect."""
-    return [round(min(band * factor, _BRIGHTEST), 4) for band in material.base_color]
+    return [scaled_reflectance(band, factor) for band in material.base_color]
+
+
+def scaled_reflectance(reflectance: float, factor: float) -> float:
+    """So many times the reflectance, up to what a surface can reflect."""
+    return round(min(reflectance * factor, _BRIGHTEST), 4)

@@ -18,7 +18,7 @@ from ...settings import read_text
 from ..fitted_config import fitted_text, refuse_there
 from ..realism import TwoSample, two_sample_table
 from ..realism.two_sample import PLACES
-from .making import Twin, scaled_color
+from .making import Twin, scaled_color, scaled_reflectance
 from .parameters import BIN_COLOR, BIN_GLOSS, BIN_ROUGHNESS
 from .rows import Row
 from .searching import Found
@@ -203,6 +203,10 @@ def _bin(found: Found, cell: Cell) -> dict[str, Any]:
         if material is not None:
             own = section.setdefault(key, {})
             own["base_color"] = scaled_color(material, color)
+            if material.projector_reflectance is not None:  # it is what the camera sees
+                own["projector_reflectance"] = scaled_reflectance(
+                    material.projector_reflectance, color
+                )
             if gloss is not None:
                 own["specular"] = round(min(material.specular * gloss, 1.0), 4)
                 own["roughness"] = round(material.roughness + found.values[BIN_ROUGHNESS], 4)

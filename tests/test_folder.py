@@ -6,7 +6,14 @@ import sys
 import pytest
 
 from graycast.errors import GraycastError
-from graycast.folder import beside, new_folder, take_lock, whole_folder, write_whole
+from graycast.folder import (
+    beside,
+    claimed_folder,
+    new_folder,
+    take_lock,
+    whole_folder,
+    write_whole,
+)
 
 KILLED = """
 import os, signal, sys
@@ -50,6 +57,37 @@ def test_of_two_runs_the_first_to_end_has_the_new_folder(tmp_path):
             with new_folder(tmp_path / "out") as quick:
                 (quick / "quick").write_text("quick")
     assert names(tmp_path) == ["out", "out/quick"]
+
+
+KILLED_WRITING = """
+import os, signal, sys
+from pathlib import Path
+from graycast.folder import claimed_folder, fill_whole
+def half(file):
+    file.write(b"half")
+    file.flush()
+    os.kill(os.getpid(), signal.SIGKILL)
+with claimed_folder(Path(sys.argv[1]), "inside", ".lock"):
+    Path(sys.argv[2]).parent.mkdir(exist_ok=True)
+    fill_whole(Path(sys.argv[2]), half)
+"""
+
+
+@pytest.mark.parametrize("file", ["table.md", "inside/claim.json", "inside/setting/000.json"])
+def test_what_a_run_was_killed_writing_goes_with_the_next_that_claims_its_folder(tmp_path, file):
+    out = tmp_path / "out"
+    run = [sys.executable, "-c", KILLED_WRITING, str(out), str(out / file)]
+    assert subprocess.run(run).returncode == -9
+    (left,) = [name for name in names(out) if "/.tmp-" in f"/{name}"]
+    (out / "inside/kept.json").write_text("kept")
+    before = {*names(out)}
+    with claimed_folder(out, "inside", ".lock"):
+        assert {*names(out)} == before - {left}
+        (out / left).write_text("half of a file of the run that goes on")
+        with pytest.raises(GraycastError, match="another run is writing"):
+            with claimed_folder(out, "inside", ".lock"):
+                pass
+        assert {*names(out)} == before
 
 
 def test_a_file_is_as_it_was_where_the_new_one_cannot_be_put_there(tmp_path, monkeypatch):

@@ -48,8 +48,8 @@ def fill_whole(path: Path, write: Callable[[IO[bytes]], object]) -> None:
 def beside(place: Path) -> Iterator[Path]:
     """Yield a temporary path, which is renamed to `place` when the block succeeds.
 
-    If the block fails, the path is removed. The path of a killed run remains; its name begins
-    with `ASIDE`.
+    If the block fails, the path is removed. The path of a killed run remains until the next run
+    calls `remove_left`; its name begins with `ASIDE`.
 
     Raises:
         OSError: the operating system refuses, or `place` is a folder that is not empty.
@@ -112,6 +112,8 @@ def take_lock(file: Path) -> IO[str] | None:
 def claimed_folder(out: Path, inside: str, lock_name: str) -> Iterator[None]:
     """Make a folder and hold its lock, so that no other run writes to it.
 
+    What killed runs left in it, in `inside` and in the folders of that is removed.
+
     Raises:
         DatasetError: another run writes there, or the operating system refuses.
     """
@@ -127,7 +129,25 @@ def claimed_folder(out: Path, inside: str, lock_name: str) -> Iterator[None]:
             f"another run is writing to {out}: wait until it ends, or choose another folder"
         )
     with lock:
+        with _refusals(out):
+            within = [entry for entry in (out / inside).iterdir() if entry.is_dir()]
+            remove_left(out, out / inside, *within)
         yield
+
+
+def remove_left(*folders: Path) -> None:
+    """Remove the temporary paths that killed runs left directly in these folders.
+
+    Those of a run that is still going would go, too: hold the lock of the result first.
+
+    Raises:
+        OSError: the operating system refuses.
+    """
+    for left in [entry for folder in folders for entry in folder.glob(f"{ASIDE}*")]:
+        if left.is_dir():
+            shutil.rmtree(left)
+        else:
+            left.unlink()
 
 
 def refuse_foreign(out: Path, mark: str) -> None:

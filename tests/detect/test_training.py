@@ -236,6 +236,15 @@ def test_a_training_that_could_not_begin_leaves_the_folder_free(dataset, tmp_pat
     train([dataset], tmp_path / "run", SMALL)
 
 
+def test_what_a_training_was_killed_writing_goes_with_the_next(tmp_path):
+    """Its first file too, before which nothing shows that the folder is a training's."""
+    for left in (".tmp-run.json-dead", ".tmp-checkpoint.pt-dead"):
+        run = RunFolder(tmp_path)
+        (tmp_path / left).write_bytes(b"half")
+        with run.claimed({"seed": 0}):
+            assert {path.name for path in tmp_path.iterdir()} == {".lock", "run.json"}
+
+
 @pytest.mark.slow
 def test_two_trainings_in_one_folder_are_refused(dataset, tmp_path):
     """Also before the first checkpoint, and only as long as the other one goes on."""

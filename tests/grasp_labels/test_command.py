@@ -65,8 +65,11 @@ def test_the_same_command_goes_on_and_workers_change_nothing(folder):
     assert label(folder) == 0
     whole = labels(folder)
     (folder / "ds/grasps/suction/train/000001.json").unlink()
+    for left in (".tmp-grasps.json-dead", "train/.tmp-000001.json-dead"):  # of a killed run
+        (folder / "ds/grasps/suction" / left).write_bytes(b"half")
     assert label(folder) == 0
     assert labels(folder) == whole
+    assert not list(folder.rglob(".tmp-*"))
     assert label(folder, "--name", "twice", "--workers", "2") == 0
     assert labels(folder, "twice") == whole
 

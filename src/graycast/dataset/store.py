@@ -18,7 +18,7 @@ from pathlib import Path
 from typing import IO, Any, final
 
 from ..errors import DatasetError
-from ..folder import ASIDE, beside, take_lock
+from ..folder import ASIDE, beside, remove_left, take_lock
 from ..parts import Part
 from ..rig import Rig
 from .bop import camera_json, scene_files
@@ -169,7 +169,7 @@ class Store:
         So that a configuration that turned out to be impossible does not keep the folder.
         """
         with suppress(OSError):
-            _sweep(self.out)
+            remove_left(self.out, self.out / "train")
             if self.finished():
                 return
             shutil.rmtree(self.out / "models", ignore_errors=True)
@@ -222,7 +222,7 @@ def open_store(
     lock = _locked(out)
     try:
         with _disk_errors(out):
-            _sweep(out)
+            remove_left(out, out / "train")
             if (out / CLAIM).exists():
                 refuse_other(out / CLAIM, claim)
                 cameras = [camera_file(taker.name) for taker in takers]
@@ -308,15 +308,6 @@ def _locked(out: Path) -> IO[str]:
             f"another run is writing to {out}: wait until it ends, or choose another folder"
         )
     return lock
-
-
-def _sweep(out: Path) -> None:
-    """Remove what killed runs left."""
-    for left in [*out.glob(f"{ASIDE}*"), *out.glob(f"train/{ASIDE}*")]:
-        if left.is_dir():
-            shutil.rmtree(left)
-        else:
-            left.unlink()
 
 
 def _common_files(

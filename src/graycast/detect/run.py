@@ -14,7 +14,7 @@ import torch
 
 from ..dataset.json_text import json_bytes
 from ..errors import GraycastError
-from ..folder import fill_whole, take_lock, write_whole
+from ..folder import ASIDE, fill_whole, remove_left, take_lock, write_whole
 from ..plotting import ACCENT, INK, SECOND, SOFT, caption, plain_figure, save_png
 
 RUN = "run.json"
@@ -64,6 +64,7 @@ class RunFolder:
         """
         file = self.path / RUN
         with self._locked():
+            remove_left(self.path)
             if file.is_file() and (self.path / CHECKPOINT).is_file():
                 self._compare(_json(file), json.loads(json_bytes(content)))
             else:
@@ -75,7 +76,8 @@ class RunFolder:
         if self.path.is_file():
             raise GraycastError(f"{self.path}: is a file: choose a folder")
         if not (self.path / RUN).is_file() and self.path.is_dir():
-            if any(entry.name != _LOCK for entry in self.path.iterdir()):
+            held = (entry.name for entry in self.path.iterdir() if entry.name != _LOCK)
+            if not all(name.startswith(ASIDE) for name in held):
                 raise GraycastError(
                     f"{self.path}: is not empty and holds no run: choose another --out"
                 )

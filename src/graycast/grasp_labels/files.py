@@ -23,7 +23,7 @@ from ..dataset.reading import Unreadable, read_json
 from ..dataset.records import MM_PER_M
 from ..dataset.stored import StoredDataset, StoredScene
 from ..errors import DatasetError
-from ..folder import take_lock, write_whole
+from ..folder import remove_left, take_lock, write_whole
 from .options import Labelling
 from .scene import Label
 from .world import Heap
@@ -77,6 +77,7 @@ def open_labels(
             f"another run is writing to {out}: wait until it ends, or give another --name"
         )
     with lock:
+        remove_left(out, *(entry for entry in out.iterdir() if entry.is_dir()))
         if (out / GRASP_CLAIM).exists():
             _refuse_other(out, claim)
         else:

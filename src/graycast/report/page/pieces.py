@@ -14,7 +14,7 @@ from string import Template
 from typing import Protocol, runtime_checkable
 
 from ...errors import GraycastError
-from ...folder import ASIDE, beside, write_whole
+from ...folder import beside, remove_left, write_whole
 
 PIECES = "scenes"  # the folder in which the page's scripts look for them
 _STAMP = "stamp"
@@ -98,8 +98,7 @@ def write_pieces(
         on_piece: called with the key of every piece made.
     """
     folder = out / PIECES
-    for left in folder.glob(f"{ASIDE}*"):
-        shutil.rmtree(left)
+    remove_left(folder)
     todo = [piece for piece in pieces if not _is_current(folder, piece)]
     kept = len(pieces) - len(todo)
     if on_start is not None:

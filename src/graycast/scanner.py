@@ -24,7 +24,6 @@ from .decode import (
     triangulate,
     triangulation_axis,
     with_displacement,
-    without_hidden,
 )
 from .finish import PATCH_M, uneven
 from .frames import pixel_grid
@@ -191,10 +190,7 @@ def measure(scanner: Scanner, capture: Capture) -> tuple[CodeMap, DepthMap]:
                 scanner.light_code(), triangulation_axis(scanner.rig), scanner.rig.line_noise
             ),
         )
-    depth = filter_depth(depth, scanner.filters, camera=scanner.rig.camera)
-    if scanner.filters.hidden_sigmas:
-        depth = without_hidden(depth, scanner.rig, sigmas=scanner.filters.hidden_sigmas)
-    return codes, depth
+    return codes, filter_depth(depth, scanner.filters, scanner.rig)
 
 
 def _contrast(scanner: Scanner, reflectance: Float[np.ndarray, "h w"]) -> Float[np.ndarray, "h w"]:

@@ -1,6 +1,7 @@
 """Filters of depth maps: surfaces stay, whatever their tilt; what hangs between them goes."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -10,9 +11,11 @@ from graycast.decode.filters import FilterSpec, filter_depth
 from graycast.decode.maps import DepthMap, Reason
 from graycast.frames import pixel_grid
 from graycast.optics import Optics, rays
+from graycast.rig import preset_rig
 
 # A narrow field, so that a plane's angle of incidence is nearly its tilt: 0.36 mm a pixel at 0.8 m.
 CAMERA = Optics(width_px=240, height_px=200, fx_px=2250.0, fy_px=2250.0, cx_px=119.5, cy_px=99.5)
+RIG = replace(preset_rig("paper"), camera=CAMERA)
 SHAPE = (200, 240)
 SIGMA_M = 1e-4
 ALL = FilterSpec(flying_angle_deg=75.0, outlier_sigmas=4.0, island_px=30, smoothing_px=0.55)
@@ -39,7 +42,7 @@ def depth_map(z_m, *, sigma_m=SIGMA_M, seed=None):
 
 
 def removed(z_m, spec, **noise):
-    return filter_depth(depth_map(z_m, **noise), spec, CAMERA).reason == Reason.OUTLIER
+    return filter_depth(depth_map(z_m, **noise), spec, RIG).reason == Reason.OUTLIER
 
 
 # --- all of them -------------------------------------------------------------------------------
@@ -60,10 +63,10 @@ def test_no_filter_is_no_change_and_nothing_is_filled():
     z_m[50:60, 70:90] = np.nan
     noisy = depth_map(z_m, seed=1)
     for off in (FilterSpec(), FilterSpec(flying_angle_deg=0.0, outlier_sigmas=0.0, island_px=0)):
-        same = filter_depth(noisy, off, CAMERA)
+        same = filter_depth(noisy, off, RIG)
         assert np.array_equal(same.depth_m, noisy.depth_m, equal_nan=True)
         assert np.array_equal(same.sigma_m, noisy.sigma_m, equal_nan=True)
-    filtered = filter_depth(noisy, ALL, CAMERA)
+    filtered = filter_depth(noisy, ALL, RIG)
     gone = filtered.reason != Reason.DECODED
     assert (filtered.reason[50:60, 70:90] == Reason.SHADOW).all()
     assert np.array_equal(gone, np.isnan(filtered.depth_m))
@@ -73,9 +76,9 @@ def test_no_filter_is_no_change_and_nothing_is_filled():
 def test_maps_that_do_not_fit_are_refused():
     narrow = Optics(width_px=200, height_px=200, fx_px=1.0, fy_px=1.0, cx_px=0.0, cy_px=0.0)
     with pytest.raises(ValueError, match="240 x 200 px, the rig's camera 200 x 200"):
-        filter_depth(depth_map(plane()), ALL, narrow)
+        filter_depth(depth_map(plane()), ALL, replace(RIG, camera=narrow))
     with pytest.raises(ValueError, match="every depth its sigma_m"):
-        filter_depth(depth_map(plane(), sigma_m=np.nan), ALL, CAMERA)
+        filter_depth(depth_map(plane(), sigma_m=np.nan), ALL, RIG)
 
 
 @pytest.mark.parametrize(
@@ -128,7 +131,7 @@ def test_flying_pixels_go_from_a_step_in_any_direction_and_the_step_stays(rim_px
 def test_all_filters_leave_under_3_percent_of_a_step_flying():
     z_m, rim = disc_on_ground(1.5, random=True)
     at_step = ndimage.binary_dilation(rim, iterations=1)
-    filtered = filter_depth(depth_map(z_m, seed=2), ALL, CAMERA)
+    filtered = filter_depth(depth_map(z_m, seed=2), ALL, RIG)
     left = rim & (filtered.reason == Reason.DECODED)
     assert left.sum() < 0.03 * (at_step & (filtered.reason == Reason.DECODED)).sum()
 
@@ -239,10 +242,10 @@ def test_repaired_outliers_get_the_surfaces_depth_and_leave_no_pepper(tilt_deg):
     z_m = clean + np.where(spike, 3e-3, 0)
     spec = FilterSpec(outlier_sigmas=4.0, outlier_repair=True)
     noisy = depth_map(z_m, seed=3)
-    filtered = filter_depth(noisy, spec, CAMERA)
+    filtered = filter_depth(noisy, spec, RIG)
     assert np.isfinite(filtered.depth_m).all()
     assert (filtered.reason == Reason.DECODED).all()
-    assert np.isnan(filter_depth(noisy, OUTLIER, CAMERA).depth_m[spike]).all()
+    assert np.isnan(filter_depth(noisy, OUTLIER, RIG).depth_m[spike]).all()
     error_m = (filtered.depth_m - clean)[spike]
     assert np.abs(error_m).max() < 4 * SIGMA_M
     assert error_m.std() < 0.5 * SIGMA_M
@@ -306,7 +309,7 @@ def test_smoothed_white_noise_has_the_variance_and_correlation_of_the_kernel(
     kernel = gauss(smoothing_px)
     law = signal.correlate2d(kernel, kernel, mode="full")
     share, lag_1 = law[40, 40], law[40, 41] / law[40, 40]
-    smooth = filter_depth(depth_map(z_m, seed=7), FilterSpec(smoothing_px=smoothing_px), CAMERA)
+    smooth = filter_depth(depth_map(z_m, seed=7), FilterSpec(smoothing_px=smoothing_px), RIG)
     inside = (slice(6, -6), slice(6, -6))
     error = (smooth.depth_m - z_m)[inside]
     independent = error.size * (kernel**2).sum()  # fewer than pixels, by the kernel's area
@@ -326,7 +329,7 @@ def test_the_stated_sigma_is_that_of_the_error_at_holes_and_borders_too():
     z_m, sigma_m = plane(50, 70), SIGMA_M * rng.uniform(0.5, 2.0, SHAPE)
     z_m = np.where(rng.random(SHAPE) < 0.3, np.nan, z_m)
     smooth = filter_depth(
-        depth_map(z_m, sigma_m=sigma_m, seed=9), FilterSpec(smoothing_px=0.8), CAMERA
+        depth_map(z_m, sigma_m=sigma_m, seed=9), FilterSpec(smoothing_px=0.8), RIG
     )
     score = ((smooth.depth_m - z_m) / smooth.sigma_m)[np.isfinite(z_m)]
     assert abs(score.mean()) < 0.03 and abs(score.var() - 1) < 0.05
@@ -337,7 +340,7 @@ def test_a_plane_is_not_bent_by_its_borders(tilt_deg):
     """A one-sided mean would pull the border in by a good part of a pixel's slope, 0.3 mm."""
     z_m = plane(tilt_deg)
     z_m[:, 100:120] = np.nan
-    smooth = filter_depth(depth_map(z_m), FilterSpec(smoothing_px=1.5), CAMERA)
+    smooth = filter_depth(depth_map(z_m), FilterSpec(smoothing_px=1.5), RIG)
     assert np.nanmax(np.abs(smooth.depth_m - z_m)) < 2e-7
     assert np.array_equal(np.isnan(smooth.depth_m), np.isnan(z_m))
 
@@ -347,7 +350,7 @@ def test_steps_stay_where_and_as_high_as_they_are(step_m):
     """Twenty sigmas is a step, however few degrees it makes from pixel to pixel."""
     z_m = plane()
     z_m[:, 120:] += step_m
-    smooth = filter_depth(depth_map(z_m, seed=10), FilterSpec(smoothing_px=1.0), CAMERA)
+    smooth = filter_depth(depth_map(z_m, seed=10), FilterSpec(smoothing_px=1.0), RIG)
     for column in (118, 119, 120, 121):
         error = smooth.depth_m[:, column] - z_m[:, column]
         assert abs(error.mean()) < 4 * SIGMA_M / math.sqrt(200 / 4)

@@ -41,6 +41,18 @@ def test_the_error_is_the_slope_times_a_pixels_width(tilt_deg, azimuth_deg):
     assert np.std((error_m / placed.sigma_m)[inside]) == pytest.approx(1, rel=0.02)
 
 
+@pytest.mark.parametrize("tilt_deg", [5, 30, 70])
+def test_the_error_of_a_limited_raster_ends_at_its_limit(tilt_deg):
+    """Oracle: the inverse squares of both deviations add up."""
+    z_m, limit_m = tilted(tilt_deg, 90), 2e-4
+    placed = on_raster(depth_map(z_m), 0.25, limit_m=limit_m, focal_px=F_PX)
+    near = np.s_[130:170, 140:180]
+    free_m = 0.25 * math.tan(math.radians(tilt_deg)) * z_m[near].mean() / F_PX
+    law_m = (free_m**-2 + limit_m**-2) ** -0.5
+    assert (placed.depth_m - z_m)[near].std() == pytest.approx(law_m, rel=0.08)
+    assert placed.sigma_m[near].mean() == pytest.approx(law_m, rel=0.02)
+
+
 def test_the_raster_is_white_and_the_same_in_every_shot():
     z_m = tilted(45, 30)
     once, again = (on_raster(depth_map(z_m), 0.3, focal_px=F_PX) for _ in range(2))

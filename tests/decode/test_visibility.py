@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 from stage import centred, make_rig
 
-from graycast.decode import DepthMap, Reason, without_hidden
+from graycast.decode import DepthMap, Reason
+from graycast.decode.visibility import without_hidden
 from graycast.frames import axis_rotation
 
 F_PX, BASELINE_M, WALL_M, BLOCK_M = 300.0, 0.2, 0.9, 0.8

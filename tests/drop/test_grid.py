@@ -25,6 +25,19 @@ def test_parts_start_in_cells_of_their_own_between_the_walls_and_above_the_rim()
     assert (np.abs(shift) < 4 * center.std(axis=0) * np.sqrt(1 / 150 + 1 / 60)).all()
 
 
+def test_parts_fall_over_a_share_of_the_opening_but_never_over_less_than_a_cell():
+    """As many parts then need more layers; the middle of the bin stays their middle."""
+    T, _ = start_poses(BIN, (BOX,), (60,), np.random.default_rng(1), opening_share=0.5)
+    center = T[:, :3, :3] @ BOX.mean(axis=0) + T[:, :3, 3]
+    assert (np.abs(center[:, :2]) < [0.1, 0.075]).all() and np.abs(center[:, 0]).max() > 0.04
+    corner = np.einsum("nij,kj->nki", T[:, :3, :3], BOX) + T[:, None, :3, 3]
+    assert (np.abs(corner[..., :2]) <= [0.1, 0.075]).all()
+    everywhere, _ = start_poses(BIN, (BOX,), (60,), np.random.default_rng(1))
+    assert T[:, 2, 3].max() > everywhere[:, 2, 3].max()
+    T, _ = start_poses(BIN, (ROD,), (3,), np.random.default_rng(1), opening_share=1e-3)
+    assert np.abs(T[:, :2, 3]).max() == 0.0  # one above the other
+
+
 @pytest.mark.slow
 def test_orientations_are_uniform():
     """Over uniform rotations each entry has mean 0 and mean square 1/3 (variance 4/45)."""

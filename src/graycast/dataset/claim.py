@@ -36,6 +36,8 @@ _LATER = {
     "hidden_sigmas": None,
     "raster_px": None,
     "raster_window_px": None,
+    "raster_limit_m": None,
+    "gap_px": None,
     "raster_unevenness": None,
 }
 _BESIDE = ("fingerprint", "sources", "versions", SUMS)  # what the fingerprint does not cover

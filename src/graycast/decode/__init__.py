@@ -17,7 +17,6 @@ from .plain import decode_plain
 from .reading import decode
 from .separation import separate
 from .triangulation import epipolar_residual_px, off_the_line, triangulate, triangulation_axis
-from .visibility import without_hidden
 
 __all__ = [
     "REASON_COLOR",
@@ -39,5 +38,4 @@ __all__ = [
     "triangulate",
     "triangulation_axis",
     "with_displacement",
-    "without_hidden",
 ]

@@ -1,8 +1,9 @@
-"""Filters of a decoded depth map: flying pixels, outliers, islands, smoothing, raster.
+"""Filters of a decoded depth map: flying pixels, outliers, islands, smoothing, raster, order, gaps.
 
-They run in that order; each sees what the ones before it left. None makes depth where there was
-none. Smoothing and the outlier test work on inverse depth, which is linear along a line of pixels
-on a plane: a plane's pixel is the mean of two opposite neighbours, however steep the plane.
+They run in that order; each sees what the ones before it left. Only the last one makes depth where
+there was none. Smoothing, the outlier test and the filling of gaps work on inverse depth, which is
+linear along a line of pixels on a plane: a plane's pixel is the mean of two opposite neighbours,
+however steep the plane.
 
 Leaves out: lens distortion, whose share in the angle between neighbouring rays is small.
 """
@@ -17,10 +18,13 @@ from jaxtyping import Float
 from pydantic import Field
 
 from ..optics import Optics
+from ..rig import Rig
 from ..settings import check_fields, unsaid
+from .gaps import with_gaps_filled
 from .maps import DepthMap, Reason
 from .outliers import find_outliers
 from .raster import on_raster
+from .visibility import without_hidden
 
 STEP_SIGMAS = 3.0  # noise up to here neither tears a surface nor makes it steep
 LINE_SIGMAS = 4.0  # a pixel further off the line of two neighbours is not smoothed with them
@@ -38,13 +42,15 @@ class FilterSpec:
     deviations, propagated or seen around them, and further than `outlier_share` of their depth;
     with `outlier_repair` those within a whole surface get its depth instead.
     `hidden_sigmas`: pixels go that a nearer surface hides from the projector, where positions are
-    out of order by more than so many standard deviations (`without_hidden`, after all others).
+    out of order by more than so many standard deviations (`visibility`).
     `island_px`: connected surfaces of fewer pixels go.
     `smoothing_px`: standard deviation of a Gaussian kernel; 0.55 lets 0.56 of white noise pass and
     correlates neighbours by 0.36.
     `raster_px`: standard deviation of the place in its pixel that a depth is of (see `raster`);
     `raster_window_px`: standard deviation of the window whose light decides on that place;
+    `raster_limit_m`: the standard deviation of depth that this place adds on the steepest surface;
     `raster_unevenness`: how much `raster_px` differs between patches of a surface (`finish`).
+    `gap_px`: gaps of at most so many pixels along the projector's lines are filled (`gaps`).
     `step_angle_deg`: neighbours are connected up to this angle of incidence.
     """
 
@@ -114,6 +120,15 @@ class FilterSpec:
             exclude_if=unsaid,
         ),
     ] = None
+    raster_limit_m: Annotated[
+        float | None,
+        Field(
+            gt=0,
+            description="The standard deviation of depth that raster_px adds at most, however "
+            "steep a surface is, in metres.",
+            exclude_if=unsaid,
+        ),
+    ] = None
     raster_unevenness: Annotated[
         float | None,
         Field(
@@ -121,6 +136,16 @@ class FilterSpec:
             le=1,
             description="Standard deviation of the natural logarithm of raster_px between "
             "patches of a surface.",
+            exclude_if=unsaid,
+        ),
+    ] = None
+    gap_px: Annotated[
+        int | None,
+        Field(
+            ge=0,
+            le=20,
+            description="Gaps of at most this number of pixels along the projector's lines are "
+            "filled, if both ends belong to one surface.",
             exclude_if=unsaid,
         ),
     ] = None
@@ -138,12 +163,12 @@ class FilterSpec:
         check_fields(self)
 
 
-def filter_depth(depth: DepthMap, spec: FilterSpec, camera: Optics) -> DepthMap:
-    """Remove unreliable pixels, then smooth the others.
+def filter_depth(depth: DepthMap, spec: FilterSpec, rig: Rig) -> DepthMap:
+    """Remove unreliable pixels, smooth the others, and fill short gaps.
 
     Args:
         depth: z and its standard deviation [m]; the noise of pixels is taken as independent.
-        camera: whose pixels these are; its focal length turns depth steps into angles.
+        rig: the camera whose pixels these are, and the projector that may not light all of them.
 
     Returns:
         A depth map in which filtered pixels are NaN with `Reason.OUTLIER`, and `sigma_m` is that
@@ -153,6 +178,23 @@ def filter_depth(depth: DepthMap, spec: FilterSpec, camera: Optics) -> DepthMap:
         ValueError: the map has another size than the camera's picture, or depth without a standard
             deviation.
     """
+    filtered = _filter_surfaces(depth, spec, rig.camera)
+    if spec.raster_px:
+        filtered = on_raster(
+            filtered,
+            spec.raster_px,
+            window_px=spec.raster_window_px or 0.0,
+            limit_m=spec.raster_limit_m or math.inf,
+            unevenness=spec.raster_unevenness or 0.0,
+            focal_px=rig.camera.fx_px,
+        )
+    if spec.hidden_sigmas:
+        filtered = without_hidden(filtered, rig, sigmas=spec.hidden_sigmas)
+    return with_gaps_filled(filtered, rig, most_px=spec.gap_px) if spec.gap_px else filtered
+
+
+def _filter_surfaces(depth: DepthMap, spec: FilterSpec, camera: Optics) -> DepthMap:
+    """What each pixel's surroundings in the map tell: flying pixels to smoothing."""
     h, w = depth.depth_m.shape
     if (h, w) != (camera.height_px, camera.width_px):
         size = f"{camera.width_px} x {camera.height_px}"
@@ -188,16 +230,7 @@ def filter_depth(depth: DepthMap, spec: FilterSpec, camera: Optics) -> DepthMap:
     else:
         filtered_sigma_m[removed] = np.nan
     reason = np.where(removed, np.uint8(Reason.OUTLIER), depth.reason)
-    filtered = DepthMap(depth_m=filtered_m, sigma_m=filtered_sigma_m, reason=reason)
-    if not spec.raster_px:
-        return filtered
-    return on_raster(
-        filtered,
-        spec.raster_px,
-        window_px=spec.raster_window_px or 0.0,
-        unevenness=spec.raster_unevenness or 0.0,
-        focal_px=camera.fx_px,
-    )
+    return DepthMap(depth_m=filtered_m, sigma_m=filtered_sigma_m, reason=reason)
 
 
 def _framed(image: Float[np.ndarray, "h w"], margin_px: int) -> Float[np.ndarray, "H W"]:

@@ -14,6 +14,7 @@ Leaves out: that light changes from shot to shot, as speckle does. In the real s
 noise or more is another one in every scan.
 """
 
+import math
 from dataclasses import replace
 
 import numpy as np
@@ -34,12 +35,18 @@ def on_raster(
     raster_px: float,
     *,
     window_px: float = 0.0,
+    limit_m: float = math.inf,
     unevenness: float = 0.0,
     focal_px: float,
 ) -> DepthMap:
     """The depth at a point `raster_px` (one sigma along each axis) from the pixel's centre.
 
     `window_px` is the standard deviation of the window, see `places`.
+
+    With a `limit_m`, the error of depth on a surface that rises by s per pixel is not
+    `raster_px s`, but `1 / sqrt(1 / (raster_px s)^2 + 1 / limit_m^2)`. So it is unchanged on gentle
+    slopes and ends at `limit_m` on the steepest, as in a scanner that leaves points out of its
+    window whose depth is too different.
 
     With an `unevenness` above 0 the points of some patches are farther from their centres, and
     those of others nearer (`finish.uneven`); the mean square stays the same.
@@ -55,12 +62,13 @@ def on_raster(
     right, down = away_px * places(shape, window_px)
     inverse = 1 / depth.depth_m.astype(np.float64)
     along, across = _slope(inverse, 1), _slope(inverse, 0)
-    depth_m = 1 / (inverse + right * along + down * across)
     spread_m = raster_px * np.hypot(along, across) / inverse**2
+    left = 1 / np.hypot(1, spread_m / limit_m)
+    depth_m = 1 / (inverse + left * (right * along + down * across))
     return replace(
         depth,
         depth_m=depth_m.astype(np.float32),
-        sigma_m=np.hypot(depth.sigma_m, spread_m).astype(np.float32),
+        sigma_m=np.hypot(depth.sigma_m, left * spread_m).astype(np.float32),
     )
 
 

@@ -20,6 +20,8 @@ def start_poses(
     corners_m: tuple[Float[np.ndarray, "_ 3"], ...],
     counts: tuple[int, ...],
     rng: np.random.Generator,
+    *,
+    opening_share: float = 1.0,
 ) -> tuple[Float[np.ndarray, "n 4 4"], Int[np.ndarray, " n"]]:
     """Start poses that touch neither each other nor the bin's walls carried upwards.
 
@@ -33,6 +35,8 @@ def start_poses(
         corners_m: per kind of part, points whose hull holds it, in the part's frame.
         counts: how many of each kind.
         rng: the only source of randomness.
+        opening_share: the grid is so many times as long and as wide as the bin, about its middle,
+            and at least a cell.
 
     Returns:
         `T_world_part`, and the kind of each; the kinds are mixed at random.
@@ -47,7 +51,8 @@ def start_poses(
         if count
     )
     side_m = 2 * CLEARANCE * reach_m
-    opening_m = np.array(box.inner_m[:2])
+    inner_m = np.array(box.inner_m[:2])
+    opening_m = np.minimum(inner_m, np.maximum(opening_share * inner_m, side_m))
     cells_xy = np.maximum(1, np.floor(opening_m / side_m)).astype(int)
     cell_m = np.array([*(opening_m / cells_xy), side_m])
     kind = np.repeat(np.arange(len(counts)), counts)

@@ -24,9 +24,11 @@ HEAP_ABOVE_RIM = 1.5  # no heap holds more than this many bins full
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class DropLimits:
-    """Limits of an acceptable layout, which must also be at rest with all parts inside.
+    """Where parts fall, and the limits of a layout, which must also be at rest, all parts inside.
 
-    `simulated_s` is how long one attempt may fall and settle, in simulated time.
+    `simulated_s` is how long one attempt may fall and settle, in simulated time. `opening_share`
+    is the share of the bin's inner length and of its inner width, about the middle, over which the
+    parts start; a small one makes a heap in the middle.
     """
 
     penetration_m: Annotated[
@@ -50,6 +52,16 @@ class DropLimits:
             exclude_if=lambda seconds: seconds == 20.0,  # so that older datasets can go on
         ),
     ] = 20.0
+    opening_share: Annotated[
+        float,
+        Field(
+            gt=0,
+            le=1,
+            description="The share of the bin's inner length and width, about its middle, over "
+            "which the parts fall.",
+            exclude_if=lambda share: share == 1.0,  # so that older datasets can go on
+        ),
+    ] = 1.0
 
     def __post_init__(self) -> None:
         check_fields(self)
@@ -120,7 +132,9 @@ def drop(
     for attempt in range(limits.attempts):
         on_stage(f"parts fall, attempt {attempt + 1} of {limits.attempts}")
         rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(attempt,)))
-        start, index = start_poses(scene.bin, corners_m, number, rng)
+        start, index = start_poses(
+            scene.bin, corners_m, number, rng, opening_share=limits.opening_share
+        )
         layout = simulate(
             scene.bin, bodies, start, index, simulated_s=limits.simulated_s, attempt=attempt
         )

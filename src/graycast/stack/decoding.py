@@ -22,7 +22,6 @@ from ..decode import (
     separate,
     triangulate,
     triangulation_axis,
-    without_hidden,
 )
 from ..decode.plan import plan_axes
 from ..errors import DecodeError
@@ -135,9 +134,7 @@ def decode_stack(
         else:  # as a scanner does whose limit this is
             depth = triangulate(codes, rig, max_epipolar_px=stated_px)
         if filters is not None:
-            depth = filter_depth(depth, filters, rig.camera)
-            if filters.hidden_sigmas:
-                depth = without_hidden(depth, rig, sigmas=filters.hidden_sigmas)
+            depth = filter_depth(depth, filters, rig)
         warnings += _rig_symptoms(first, residual_px)
         clock.lap("triangulate")
         if average:

@@ -38,7 +38,7 @@ def test_a_value_survives_the_scanner_and_its_file(parameter, tmp_path):
 def test_shares_span_the_bounds_and_come_back(parameter):
     assert (parameter.value(0.0), parameter.value(1.0)) == (parameter.low, parameter.high)
     for share in (0.0, 1.0) if parameter.switch else (0.0, 0.3, 0.8, 1.0):
-        tolerance = 0.01 if parameter.whole else 1e-3
+        tolerance = 0.5 / (parameter.high - parameter.low) if parameter.whole else 1e-3
         assert parameter.share(parameter.value(share)) == pytest.approx(share, abs=tolerance)
 
 
@@ -53,11 +53,14 @@ def test_nothing_else_changes():
     assert fitted.sensor == SCANNER.sensor
 
 
-def test_a_filter_goes_off_below_its_least_value():
+def test_a_filter_goes_off_below_its_least_value_and_a_limit_above_its_greatest():
     low = with_values(SCANNER, PARAMETERS, values_at(np.zeros(len(PARAMETERS)), PARAMETERS))
     assert low.filters.smoothing_px is None
     assert low.filters.island_px is None
-    assert low.filters.hidden_sigmas is None
+    assert low.filters.hidden_sigmas is None and low.filters.gap_px is None
+    assert low.filters.raster_limit_m == 5e-5
+    high = with_values(SCANNER, PARAMETERS, values_at(np.ones(len(PARAMETERS)), PARAMETERS))
+    assert high.filters.raster_limit_m is None and high.filters.gap_px == 6
 
 
 def test_a_deeper_well_is_as_bright_when_it_is_full():

@@ -30,7 +30,8 @@ class Parameter:
     """One number of a scanner, and where it may lie.
 
     `key` is the rig file's, with dots; a number in brackets is an item of a list. `off_below` is
-    the value under which a filter is switched off; a `switch` is on from the middle of its range.
+    the value under which a filter is switched off, and `off_above` the one over which a limit is
+    lifted; a `switch` is on from the middle of its range.
     """
 
     key: str
@@ -40,6 +41,7 @@ class Parameter:
     whole: bool = False
     switch: bool = False
     off_below: float | None = None
+    off_above: float | None = None
 
     def value(self, share: float) -> float:
         """The value at a share, 0 to 1, of the way from low to high."""
@@ -83,7 +85,9 @@ PARAMETERS: tuple[Parameter, ...] = (
     Parameter(key="filters.smoothing_px", low=0.0, high=0.7, off_below=0.25),
     Parameter(key="filters.raster_px", low=0.0, high=0.6, off_below=0.02),
     Parameter(key="filters.raster_window_px", low=0.3, high=2.0, off_below=0.5),
+    Parameter(key="filters.raster_limit_m", low=5e-5, high=2e-3, walk="log", off_above=1e-3),
     Parameter(key="filters.raster_unevenness", low=0.0, high=0.8, off_below=0.01),
+    Parameter(key="filters.gap_px", low=0.0, high=6.0, whole=True, off_below=1.0),
     Parameter(key=BIN_COLOR, low=0.1, high=3.0, walk="log"),
     Parameter(key=BIN_GLOSS, low=0.25, high=2.0, walk="log"),
     Parameter(key=BIN_ROUGHNESS, low=-ROUGHER, high=ROUGHER),
@@ -106,9 +110,11 @@ NOISE_OF_SURFACE: Mapping[str, float] = {
     "filters.outlier_sigmas": 5.0,
     "filters.island_px": 0.0,
     "filters.smoothing_px": 0.0,  # so that what neighbours share is the surface's doing
-    "filters.raster_px": 0.09,
-    "filters.raster_window_px": 0.65,
+    "filters.raster_px": 0.14,
+    "filters.raster_window_px": 0.5,
+    "filters.raster_limit_m": 1.7e-4,
     "filters.raster_unevenness": 0.4,
+    "filters.gap_px": 2.0,
     BIN_ROUGHNESS: -0.1,
 }
 
@@ -131,6 +137,8 @@ def with_values(
             value: Any = values[parameter.key]
             if parameter.off_below is not None and value < parameter.off_below:
                 value = None
+            elif parameter.off_above is not None and value > parameter.off_above:
+                value = None
             elif parameter.whole:
                 value = int(value)
             elif parameter.switch:
@@ -143,7 +151,7 @@ def with_values(
 
 
 def value_of(scanner: Scanner, parameter: Parameter) -> float:
-    """The scanner's own value; the lower bound of what is off or not there."""
+    """The scanner's own value; the bound at which it is off, where it is off or not there."""
     if parameter.key in OF_BIN:
         return 0.0 if parameter.key == BIN_ROUGHNESS else 1.0
     found: Any = scanner
@@ -153,7 +161,7 @@ def value_of(scanner: Scanner, parameter: Parameter) -> float:
         else:
             found = getattr(found, name)
         if found is None:
-            return parameter.low
+            return parameter.low if parameter.off_above is None else parameter.high
     return float(found)
 
 

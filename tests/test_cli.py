@@ -57,7 +57,8 @@ OPTIONS = {
     "import-real": "folder --out --intrinsics --distortion --scale --size --annotations "
     "--unlabelled --like",
     "fit-bin": "real --config --out --rgb --intrinsics --distortion --scale --size --inner --wall "
-    "--azimuth --floor-reflectance --white --black --cluttered --pose-only --seed --device",
+    "--azimuth --floor-reflectance --white --black --cluttered --pose-only --bend --seed "
+    "--device",
     "twin": "scans --config --out --intrinsics --scale --size --scenes --trials --seed --device",
     "rig show": "rig --resolution --out",
     "rig write": "rig --resolution --out",

@@ -60,21 +60,14 @@ def load_bin(path: Path, *, unit: str | None, up: Up) -> MeshBin:
     mesh, material, findings = load_mesh(path, unit=unit)
     turned = _moved(mesh, np.array(_TURNS[up], dtype=np.float64), np.zeros(3))
     try:
-        floor_m = _floor_m(turned)
-        depth_m = float(turned.bounds_m[1, 2]) - floor_m
-        if depth_m < _LEAST_DEPTH * turned.extent_m[2]:
-            raise _NoBin("the middle is not lower than the top")
-        sides = _sides_m(turned, floor_m + depth_m / 2)
+        origin, (x, y, depth_m) = inside_of(turned)
     except _NoBin as error:
         raise MeshError(
             f"{path}: is not an open bin whose opening faces {up}: {error}; state with up_axis "
             f"which axis points out of the opening ({', '.join(_TURNS)})"
         ) from error
-    low, high = sides[:, 0], sides[:, 1]
-    origin = np.array([*(low + high) / 2, floor_m])
-    x, y = (high - low).tolist()
     size = " x ".join(f"{1e3 * length:.0f}" for length in (x, y, depth_m))
-    bottom_m = floor_m - float(turned.bounds_m[0, 2])
+    bottom_m = float(origin[2] - turned.bounds_m[0, 2])
     told = f"{size} mm inside, and its floor is {1e3 * bottom_m:.1f} mm above the table"
     return MeshBin(
         mesh=_moved(turned, np.eye(3), -origin),
@@ -84,7 +77,22 @@ def load_bin(path: Path, *, unit: str | None, up: Up) -> MeshBin:
     )
 
 
-class _NoBin(Exception):
+def inside_of(mesh: Mesh) -> tuple[Float[np.ndarray, "3"], tuple[float, float, float]]:
+    """Where `load_bin` puts the origin of an upright bin [m], and its inner size [m].
+
+    Raises:
+        MeshError: the mesh has no floor with walls around it.
+    """
+    floor_m = _floor_m(mesh)
+    depth_m = float(mesh.bounds_m[1, 2]) - floor_m
+    if depth_m < _LEAST_DEPTH * mesh.extent_m[2]:
+        raise _NoBin("the middle is not lower than the top")
+    low, high = _sides_m(mesh, floor_m + depth_m / 2).T
+    x, y = (high - low).tolist()
+    return np.array([*(low + high) / 2, floor_m]), (x, y, depth_m)
+
+
+class _NoBin(MeshError):
     """The mesh lacks a property of a bin, which the text names."""
 
 

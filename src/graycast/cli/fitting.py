@@ -94,6 +94,13 @@ def add_commands(commands) -> None:
         action="store_true",
         help="Estimate only the pose, and keep the configured colours and light.",
     )
+    fit.add_argument(
+        "--bend",
+        type=Path,
+        metavar="BIN.ply",
+        help="Bend the mesh of the bin to where the views measured its surface, write it to this "
+        "new PLY file in the folder of --out, and name it in the new configuration.",
+    )
     add_seed(fit, 0)
     add_device(fit)
 
@@ -122,12 +129,17 @@ def _fit_bin(options: argparse.Namespace) -> int:
         refuse_existing,
         shape_of,
         summary,
+        with_bend,
         with_look,
         write_fit,
     )
     from ..scene import bin_of
 
     refuse_existing(options.out, options.config)
+    if options.bend is not None:
+        if options.bend.suffix.lower() != ".ply":
+            raise GraycastError(f"--bend {options.bend}: give a name that ends with .ply")
+        refuse_existing(options.bend, options.config)
     if (options.white is None) != (options.black is None):
         raise GraycastError("--white and --black are used only together: give both or neither")
     if options.pose_only and (options.white or options.floor_reflectance):
@@ -173,8 +185,10 @@ def _fit_bin(options: argparse.Namespace) -> int:
             device=options.device,
             seed=options.seed,
         )
+    if options.bend is not None:
+        fit = with_bend(fit, cell, views)
     print("\n".join(summary(fit)))
-    for path in write_fit(fit, cell, views, options.config, options.out):
+    for path in write_fit(fit, cell, views, options.config, options.out, mesh=options.bend):
         print(path)
     return 0
 

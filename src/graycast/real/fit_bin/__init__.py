@@ -1,6 +1,7 @@
 """Pose, colours and light of a real bin from views of it when it is empty."""
 
 from ..fitted_config import fitted_text, refuse_existing
+from .bending import BentBin, bend_bin, bent_bin
 from .composite import empty_view
 from .fitting import (
     BinFit,
@@ -11,6 +12,7 @@ from .fitting import (
     sections,
     shape_of,
     summary,
+    with_bend,
     with_look,
     write_fit,
 )
@@ -20,6 +22,7 @@ from .registration import FaceFit, PoseFit, difference, find_pose, judge, regist
 from .shape import BinShape
 
 __all__ = [
+    "BentBin",
     "BinFit",
     "BinShape",
     "BinView",
@@ -29,6 +32,8 @@ __all__ = [
     "PoseFit",
     "Said",
     "azimuth_of",
+    "bend_bin",
+    "bent_bin",
     "described",
     "difference",
     "empty_view",
@@ -45,6 +50,7 @@ __all__ = [
     "settle",
     "shape_of",
     "summary",
+    "with_bend",
     "with_look",
     "write_fit",
 ]

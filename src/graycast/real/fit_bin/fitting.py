@@ -19,8 +19,9 @@ from ...scene import Bin, bin_of
 from ...settings import read_text
 from ..depth_file import read_gray
 from ..fitted_config import fitted_text, refuse_there
+from .bending import BentBin, bent_bin, mesh_bytes
 from .box import open_box
-from .look import Frames, Look, fit_look
+from .look import Frames, Look, fit_look, mean_color
 from .mesh import mesh_shape
 from .plots import draw_residuals
 from .reading import BinView
@@ -30,13 +31,17 @@ from .shape import BinShape
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class BinFit:
-    """The fit. `apart` is the difference of each view's own pose from the common one [m, rad]."""
+    """The fit. `apart` is the difference of each view's own pose from the common one [m, rad].
+
+    `shape` and `pose` are those of the bin as drawn; `bent` has its own.
+    """
 
     views: tuple[str, ...]
     shape: BinShape
     pose: PoseFit
     apart: tuple[tuple[float, float], ...]
     look: Look | None = None
+    bent: BentBin | None = None
 
 
 def shape_of(box: Bin, *, wall_known: bool = True) -> BinShape:
@@ -98,6 +103,17 @@ def with_look(
     return replace(fit, look=look)
 
 
+def with_bend(fit: BinFit, cell: Cell, views: Sequence[BinView]) -> BinFit:
+    """The fit with the bin's mesh bent to the views; one that `write_fit` refuses stays as it is.
+
+    Raises:
+        GraycastError: see `bent_bin`.
+    """
+    if fit.pose.loose:
+        return fit
+    return replace(fit, bent=bent_bin(bin_of(cell.scene), fit.pose.T_world_cam, views))
+
+
 def read_frames(white: Path, black: Path, view: BinView) -> Frames:
     """Two frames of the measuring camera, as shares of the range of their files' numbers.
 
@@ -113,9 +129,23 @@ def read_frames(white: Path, black: Path, view: BinView) -> Frames:
 
 
 def write_fit(
-    fit: BinFit, cell: Cell, views: Sequence[BinView], base: Path, out: Path
+    fit: BinFit,
+    cell: Cell,
+    views: Sequence[BinView],
+    base: Path,
+    out: Path,
+    *,
+    mesh: Path | None = None,
 ) -> list[Path]:
     """The configuration, a report and a picture of the residuals, beside each other.
+
+    Args:
+        fit: what is written.
+        cell: that of the configuration `base`.
+        views: those that were fitted.
+        base: the configuration whose text is kept.
+        out: the new configuration.
+        mesh: of a bent bin, its file, in the folder of `out`.
 
     Raises:
         GraycastError: a file is there already, or cannot be written; or the pose is not held in all
@@ -126,16 +156,19 @@ def write_fit(
             f"nothing is written: no wall or edge determines {', '.join(fit.pose.loose)} of the "
             "bin: correct its size with --inner, or add views that show more of it"
         )
-    text = fitted_text(read_text(base), base, sections(fit, cell), _comments(fit, base))
+    text = fitted_text(read_text(base), base, sections(fit, cell, mesh), _comments(fit, base))
     report, picture = (out.with_name(out.stem + end) for end in (".fit.json", ".fit.png"))
-    refuse_there(report, picture, out)
+    files = [out, report, picture] if mesh is None else [out, report, picture, mesh]
+    refuse_there(*files)
     with whole_folder(out.parent) as aside:
         draw_residuals(fit.pose, fit.shape, views, aside / picture.name)
         told = json.dumps(described(fit), indent=1) + "\n"
         (aside / report.name).write_text(told, encoding="utf-8")
         (aside / out.name).write_text(text, encoding="utf-8")
-        refuse_there(report, picture, out)  # what came meanwhile
-    return [out, report, picture]
+        if fit.bent is not None and mesh is not None:
+            (aside / mesh.name).write_bytes(mesh_bytes(fit.bent.mesh))
+        refuse_there(*files)  # what came meanwhile
+    return files
 
 
 def azimuth_of(config: Config) -> float:
@@ -147,15 +180,20 @@ def azimuth_of(config: Config) -> float:
 # --- what is written ---------------------------------------------------------------------------
 
 
-def sections(fit: BinFit, cell: Cell) -> dict[str, Mapping[str, Any]]:
-    """The keys of a configuration that were fitted, with their new values."""
+def sections(fit: BinFit, cell: Cell, mesh: Path | None = None) -> dict[str, Mapping[str, Any]]:
+    """The keys of a configuration that were fitted, with their new values.
+
+    `mesh` is the file of a bent bin, beside the configuration.
+    """
     box = cell.config.bin.model_dump(mode="json", exclude_none=True)
-    if bin_of(cell.scene).mesh is None:
+    if fit.bent is not None and mesh is not None:
+        box = _bent_words(box, cell, mesh)
+    elif bin_of(cell.scene).mesh is None:
         box |= {"inner_m": list(bin_of(cell.scene).inner_m), "wall_m": bin_of(cell.scene).wall_m}
     else:
         box = {key: value for key, value in box.items() if key not in ("inner_m", "wall_m")}
     made: dict[str, Mapping[str, Any]] = {
-        "view": {"T_world_cam": _numbers(fit.pose.T_world_cam)},
+        "view": {"T_world_cam": _numbers((fit.bent or fit.pose).T_world_cam)},
         "bin": box,
     }
     if fit.look is None:
@@ -169,6 +207,20 @@ def sections(fit: BinFit, cell: Cell) -> dict[str, Mapping[str, Any]]:
     if fit.look.light_scale is not None:
         made["light"] = _scaled_light(cell.config, fit.look.light_scale)
     return made
+
+
+def _bent_words(box: Mapping[str, Any], cell: Cell, mesh: Path) -> dict[str, Any]:
+    """A bin's section with the bent mesh in place of what it was.
+
+    Its file has no texture. The wood of a box or the texture of a mesh's file gets one colour.
+    """
+    other = ("inner_m", "wall_m", "mesh", "unit", "up_axis")
+    words: dict[str, Any] = {"mesh": mesh.name, "unit": "m"}
+    words |= {key: value for key, value in box.items() if key not in other}
+    material = bin_of(cell.scene).material
+    if cell.config.bin.material is None:
+        words["material"] = _words(material, mean_color(material))
+    return words
 
 
 def _numbers(T: Float[np.ndarray, "4 4"]) -> list[float]:
@@ -212,6 +264,10 @@ def _comments(fit: BinFit, base: Path) -> dict[str, str]:
         comments["bin"] = f"Shape as given; {color}."
         comments["table"] = f"What the bin stands on: {color}."
         comments["light"] = "Levels from the white and black frames, scaled by one factor."
+    if fit.bent is not None:
+        shape = "Shape bent by graycast fit-bin to where the views measured it"
+        comments["bin"] = comments["bin"].replace("Shape as given", shape)
+        comments["view"] += "\nThe origin is in the middle of the bent floor."
     return comments
 
 
@@ -230,9 +286,19 @@ def described(fit: BinFit) -> dict[str, Any]:
         "not_held": list(pose.loose),
         "views_apart": [{"m": m, "rad": rad} for m, rad in fit.apart],
         "faces": [asdict(face) for face in pose.faces if face.seen_px],
+        "bent": None if fit.bent is None else _bent_figures(fit.bent),
         "look": None if look is None else asdict(look),
     }
     return _finite(content)
+
+
+def _bent_figures(bent: BentBin) -> dict[str, Any]:
+    named = ("median", "p90")
+    return {
+        "T_world_cam": bent.T_world_cam.tolist(),
+        "before_m": dict(zip(named, bent.before_m, strict=True)),
+        "after_m": dict(zip(named, bent.after_m, strict=True)),
+    }
 
 
 def _finite(value: Any) -> Any:
@@ -271,6 +337,12 @@ def summary(fit: BinFit) -> list[str]:
             f"  each view alone is up to {1e3 * far_m:.2f} mm and {math.degrees(turned):.3f} "
             "degrees from all together"
         )
+    if fit.bent is not None:
+        told = [
+            f"median {1e3 * median_m:.2f} mm, 90 % within {1e3 * most_m:.2f} mm"
+            for median_m, most_m in (fit.bent.before_m, fit.bent.after_m)
+        ]
+        lines.append(f"  depth from the mesh: {told[0]}; from the bent mesh: {told[1]}")
     return lines if fit.look is None else lines + _look_lines(fit.look)
 
 

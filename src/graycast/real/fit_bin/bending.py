@@ -1,0 +1,366 @@
+"""A bin's mesh bent until its visible surface lies where a scan measured it.
+
+A real bin is not as its drawing: walls bulge, floors sag. Each vertex is moved along its camera ray
+by the ratio of measured depth to the mesh's depth. The ratio is one smooth function of the ray, so
+all that lies on a ray keeps its order: the mesh does not fold, and the outside of a wall goes along
+with its inside.
+
+Leaves out: places that parts, shadows or the bin itself hide, which take the ratio of what is
+measured beside them; the outside and the underside, which follow the inside along the ray, so that
+a wall's thickness is not measured; shape finer than `EDGE_M`; and what differs by `REACH_M` or more
+along the ray, which on a wall seen at a grazing angle is much less across the wall. A part flatter
+than that, at the same place in all views, is taken for the bin.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import final
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+from scipy.ndimage import binary_dilation, gaussian_filter, map_coordinates
+
+from ...bins import inside_of
+from ...errors import GraycastError
+from ...frames import inverse, pixel_grid, rigid, transform_points
+from ...optics import Optics, project, rays
+from ...parts import Mesh
+from ...parts.builtin import CREASE_RAD
+from ...parts.normals import crease_normals
+from ...ply import WORLD_FRAME, header
+from ...raster import rasterize
+from ...scene import Bin, bin_mesh
+from .reading import BinView
+
+EDGE_M = 8e-3  # edges this short are not split; also the standard deviation of the smoothing
+_LONGEST_M = 8 * EDGE_M  # edges longer than this always are: a face is looked at in a few points
+_CURVED_M = 1e-4  # how far a face may be from the smooth shape: the noise of one pixel
+# Bins are off by several millimetres; most parts, and a wrong surface behind an edge, by more.
+REACH_M = 15e-3
+_STEP_M = 5e-3  # how much more than its neighbours' a step in depth is
+_MARGIN_PX = 3  # pixels beside a step or a part mix two surfaces
+_LEAST_SIGMA_PX = 2.0
+_LEAST_SHARE = 0.05  # of the mesh's pixels; fewer say that the pose is wrong
+_COARSER = 0.01  # weight of the next coarser level: it counts where little is measured
+_ROUNDS = 3  # smoothing takes 10 % off a bulge, and two rounds more put all but 0.1 % back
+
+
+def bend_bin(
+    mesh: Mesh,
+    T_world_cam: Float[np.ndarray, "4 4"],
+    camera: Optics,
+    depth_m: Float[np.ndarray, "h w"],
+) -> Mesh:
+    """The mesh of a bin with its visible surface where it was measured.
+
+    Faces are split where they bend, down to edges of `EDGE_M`, and shared edges alike, so that a
+    watertight mesh stays watertight. Pixels count whose measurement is within `REACH_M` of the mesh
+    and not beside a step of the mesh or something that stands in front of it.
+
+    Args:
+        mesh: the bin as drawn, in the world frame.
+        T_world_cam: the camera's pose over it.
+        camera: of the measurement.
+        depth_m: z-depth [m] in the camera frame; NaN where nothing is measured.
+
+    Returns:
+        The bent mesh in the frame of `mesh`. Vertices outside of the picture move with the nearest
+        pixel, those behind the camera stay. uv are those of the place before it was bent.
+
+    Raises:
+        ValueError: the depth has another size than the camera's picture.
+        GraycastError: hardly any of the mesh is where the measurement is.
+    """
+    expected_m = _cast(mesh, T_world_cam, camera)
+    if expected_m.shape != depth_m.shape:
+        sizes = [f"{s[1]} x {s[0]}" for s in (depth_m.shape, expected_m.shape)]
+        raise ValueError(f"the depth is {sizes[0]} pixels, the camera's picture is {sizes[1]}")
+    taken = _taken(expected_m, depth_m)
+    if taken.sum() < _LEAST_SHARE * max(np.isfinite(expected_m).sum(), 1):
+        raise GraycastError(
+            f"the bin cannot be bent: fewer than {_LEAST_SHARE:.0%} of its pixels are measured "
+            f"within {1e3 * REACH_M:.0f} mm of its mesh: check the pose and the mesh"
+        )
+    sigma_px = max(_LEAST_SIGMA_PX, EDGE_M * camera.fx_px / float(np.median(expected_m[taken])))
+    bend = _Bend(T_world_cam=T_world_cam, camera=camera, log_ratio=np.zeros(depth_m.shape))
+    bent = mesh
+    for _ in range(_ROUNDS):
+        with np.errstate(invalid="ignore", divide="ignore"):
+            left = np.log(depth_m / expected_m)
+        counts = taken & _clear_of_steps(expected_m) & np.isfinite(left)
+        more = _smooth(np.where(counts, left, 0.0), counts.astype(np.float64), sigma_px)
+        bend = replace(bend, log_ratio=bend.log_ratio + more)
+        split = _split(mesh, bend)
+        bent = replace(split, vertices_m=split.vertices_m + bend.shift_m(split.vertices_m))
+        expected_m = _cast(bent, T_world_cam, camera)
+    if mesh.corner_normals is None:
+        return bent
+    normals = crease_normals(bent.vertices_m, bent.faces, CREASE_RAD)
+    return replace(bent, corner_normals=normals)
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True)
+class BentBin:
+    """A bent mesh in a frame of its own, as a configuration reads it, and the camera's pose there.
+
+    The origin is in the middle of the bent floor, which is not where the drawn one was. `before_m`
+    and `after_m` are the median and 90 % of the distances along z between mesh and measurement.
+    """
+
+    mesh: Mesh
+    T_world_cam: Float[np.ndarray, "4 4"]
+    before_m: tuple[float, float]
+    after_m: tuple[float, float]
+
+
+def bent_bin(box: Bin, T_world_cam: Float[np.ndarray, "4 4"], views: Sequence[BinView]) -> BentBin:
+    """A bin bent to the median of all views of one camera; a box becomes a mesh.
+
+    Raises:
+        GraycastError: see `bend_bin`.
+        MeshError: the bent mesh is no open bin any more.
+    """
+    camera, depth_m = views[0].camera, _median_depth(views)
+    mesh = bin_mesh(box)
+    bent = bend_bin(mesh, T_world_cam, camera, depth_m)
+    drawn_m = _cast(mesh, T_world_cam, camera)
+    taken = _taken(drawn_m, depth_m)
+    origin_m, _ = inside_of(bent)
+    return BentBin(
+        mesh=replace(bent, vertices_m=bent.vertices_m - origin_m),
+        T_world_cam=rigid(np.eye(3), -origin_m) @ T_world_cam,
+        before_m=_spread(depth_m, drawn_m, taken),
+        after_m=_spread(depth_m, _cast(bent, T_world_cam, camera), taken),
+    )
+
+
+def mesh_bytes(mesh: Mesh) -> bytes:
+    """A binary PLY of a mesh in the world frame [m], with neither uv nor normals."""
+    head = header(
+        "binary_little_endian",
+        [("double", name) for name in "xyz"],
+        vertices=len(mesh.vertices_m),
+        faces=len(mesh.faces),
+        said=[f"comment {WORLD_FRAME}"],
+    )
+    table = np.empty(len(mesh.faces), dtype=[("count", "u1"), ("corner", "<i4", 3)])
+    table["count"], table["corner"] = 3, mesh.faces
+    return head + mesh.vertices_m.astype("<f8").tobytes() + table.tobytes()
+
+
+def _median_depth(views: Sequence[BinView]) -> Float[np.ndarray, "h w"]:
+    depth_m = np.stack([view.depth_m for view in views])
+    known = np.isfinite(depth_m).any(axis=0)
+    median_m = np.full(known.shape, np.nan)
+    median_m[known] = np.nanmedian(depth_m[:, known], axis=0)
+    return median_m
+
+
+def _spread(
+    depth_m: Float[np.ndarray, "h w"],
+    mesh_m: Float[np.ndarray, "h w"],
+    taken: Bool[np.ndarray, "h w"],
+) -> tuple[float, float]:
+    off_m = np.abs(depth_m - mesh_m)[taken & np.isfinite(mesh_m)]
+    median_m, most_m = np.quantile(off_m, (0.5, 0.9)).tolist()
+    return median_m, most_m
+
+
+# --- which pixels count ------------------------------------------------------------------------
+
+
+def _cast(
+    mesh: Mesh, T_world_cam: Float[np.ndarray, "4 4"], camera: Optics
+) -> Float[np.ndarray, "h w"]:
+    """z-depth [m] of the mesh, NaN beside it."""
+    vertices_cam = transform_points(inverse(T_world_cam), mesh.vertices_m)
+    return rasterize(vertices_cam, mesh.faces, camera).over(camera)[1]
+
+
+def _taken(
+    mesh_m: Float[np.ndarray, "h w"], depth_m: Float[np.ndarray, "h w"]
+) -> Bool[np.ndarray, "h w"]:
+    """Where the measurement is the bin's."""
+    # A gap in the measurement has no margin: scans have single gaps everywhere.
+    with np.errstate(invalid="ignore"):
+        other = np.abs(depth_m - mesh_m) >= REACH_M
+    known = np.isfinite(depth_m) & np.isfinite(mesh_m)
+    return known & ~_widened(other) & _clear_of_steps(mesh_m)
+
+
+def _clear_of_steps(z_m: Float[np.ndarray, "h w"]) -> Bool[np.ndarray, "h w"]:
+    """Pixels away from where depth jumps or ends.
+
+    A steep wall falls evenly from pixel to pixel, so a step is what falls by more than both
+    neighbouring pairs do.
+    """
+    z_m = np.nan_to_num(z_m)  # what ends falls to 0
+    return ~_widened(_steps(z_m) | _steps(z_m.T).T)
+
+
+def _steps(z_m: Float[np.ndarray, "h w"]) -> Bool[np.ndarray, "h w"]:
+    """Both pixels of each step along the rows."""
+    fall = np.pad(np.abs(np.diff(z_m, axis=1)), ((0, 0), (1, 1)))
+    jump = fall[:, 1:-1] > np.maximum(fall[:, :-2], fall[:, 2:]) + _STEP_M
+    return np.pad(jump, ((0, 0), (1, 0))) | np.pad(jump, ((0, 0), (0, 1)))
+
+
+def _widened(mask: Bool[np.ndarray, "h w"]) -> Bool[np.ndarray, "h w"]:
+    return binary_dilation(mask, np.ones((3, 3), dtype=bool), iterations=_MARGIN_PX)
+
+
+# --- the ratio as a smooth function over the picture -------------------------------------------
+
+
+def _smooth(
+    value: Float[np.ndarray, "h w"], weight: Float[np.ndarray, "h w"], sigma_px: float
+) -> Float[np.ndarray, "h w"]:
+    """Normalised convolution with a Gaussian, continued from coarser levels; 0 far from all.
+
+    Source: H. Knutsson & C.-F. Westin, "Normalized and differential convolution", 1993. Each level
+    has half the pixels of the one before it, so its Gaussian reaches twice as far.
+
+    Args:
+        value: what is averaged.
+        weight: of each pixel, from 0 to 1.
+        sigma_px: of the finest level.
+    """
+    total = gaussian_filter(value * weight, sigma_px, mode="constant")
+    share = gaussian_filter(weight, sigma_px, mode="constant")
+    if max(value.shape) <= 2 * sigma_px:
+        return total / (share + _COARSER)
+    pooled = _halved(weight)
+    mean = _halved(value * weight) / np.where(pooled > 0, pooled, 1.0)
+    y, x = (np.arange(size) / 2 - 0.25 for size in value.shape)  # places of the centres
+    coarse = map_coordinates(
+        _smooth(mean, pooled, sigma_px), np.meshgrid(y, x, indexing="ij"), order=1, mode="nearest"
+    )
+    return (total + _COARSER * coarse) / (share + _COARSER)
+
+
+def _halved(image: Float[np.ndarray, "h w"]) -> Float[np.ndarray, "hh hw"]:
+    """Means of 2 x 2 pixels; beyond the border is 0."""
+    rows, columns = image.shape
+    even = np.pad(image, ((0, rows % 2), (0, columns % 2)))
+    return even.reshape(even.shape[0] // 2, 2, even.shape[1] // 2, 2).mean(axis=(1, 3))
+
+
+# --- the mesh ----------------------------------------------------------------------------------
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Bend:
+    """Where points of the world go: along their camera ray, by a ratio for each pixel."""
+
+    T_world_cam: Float[np.ndarray, "4 4"]
+    camera: Optics
+    log_ratio: Float[np.ndarray, "h w"]
+
+    def shift_m(self, point_m: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n 3"]:
+        """Points outside of the picture take its nearest pixel, those behind the camera stay."""
+        pixel = self._pixel(point_m)
+        front = np.isfinite(pixel).all(axis=1)
+        growth = np.zeros(len(pixel))
+        place = pixel[front, ::-1].T
+        growth[front] = np.expm1(map_coordinates(self.log_ratio, place, order=1, mode="nearest"))
+        return growth[:, None] * (point_m - self.T_world_cam[:3, 3])
+
+    def _pixel(self, point_m: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n 2"]:
+        point = transform_points(inverse(self.T_world_cam), point_m)
+        height_px, width_px = self.log_ratio.shape
+        # Beyond the picture's rays a lens model may fold: rays are held in before they are
+        # projected. The outermost rays are those of the border.
+        border = pixel_grid(height_px, width_px)
+        border = np.concatenate([border[[0, -1]].reshape(-1, 2), border[:, [0, -1]].reshape(-1, 2)])
+        ray = rays(self.camera, border)[:, :2]
+        z = np.where(point[:, 2] > 0, point[:, 2], np.nan)
+        ideal = np.clip(point[:, :2] / z[:, None], ray.min(axis=0), ray.max(axis=0))
+        pixel = project(self.camera, np.column_stack([ideal, np.ones(len(ideal))]))
+        return np.clip(pixel, 0, [width_px - 1, height_px - 1])
+
+
+# Corners 0 to 2 of a face and the middles 3 to 5 of its edges 01, 12 and 20: the faces that take
+# its place, by which edges are split (bits 1, 2 and 4).
+_PIECES = (
+    ((0, 1, 2),),
+    ((0, 3, 2), (3, 1, 2)),
+    ((0, 1, 4), (0, 4, 2)),
+    ((3, 1, 4), (0, 3, 4), (0, 4, 2)),
+    ((0, 1, 5), (5, 1, 2)),
+    ((0, 3, 5), (3, 1, 2), (3, 2, 5)),
+    ((4, 2, 5), (0, 1, 4), (0, 4, 5)),
+    ((0, 3, 5), (3, 1, 4), (5, 4, 2), (3, 4, 5)),
+)
+
+
+_STEPS = 4  # per edge, of the points at which a face is compared with the smooth shape
+_WITHIN = np.array(
+    [(i, j, _STEPS - i - j) for i in range(_STEPS + 1) for j in range(_STEPS + 1 - i)]
+) / float(_STEPS)
+
+
+def _split(mesh: Mesh, bend: _Bend) -> Mesh:
+    """The same surface with smaller faces where it bends, and without shading normals.
+
+    trimesh's subdivide_to_size splits all edges of a face, also those that its neighbour keeps,
+    which opens cracks. Here an edge is split for both of its faces or for none, and only the
+    longest edge of a face asks for it, which keeps faces from becoming slivers.
+    Source: M.-C. Rivara, "Algorithms for refining triangular grids suitable for adaptive and
+    multigrid techniques", 1984.
+    """
+    vertices_m, faces, uv = mesh.vertices_m, mesh.faces, mesh.corner_uv
+    new = np.arange(len(faces))  # what was found flat enough is not asked again
+    while True:
+        edge, of_face = _edges(faces)
+        length_m = np.linalg.norm(np.diff(vertices_m[edge], axis=1)[:, 0], axis=1)
+        longest = of_face[new, length_m[of_face[new]].argmax(axis=1)]
+        long = np.zeros(len(edge), dtype=bool)
+        long[longest[_curved(vertices_m[faces[new]], length_m[longest], bend)]] = True
+        if not long.any():
+            return Mesh(vertices_m=vertices_m.copy(), faces=faces.copy(), corner_uv=uv)
+        number = np.where(long, len(vertices_m) + np.cumsum(long) - 1, -1)
+        vertices_m = np.concatenate([vertices_m, vertices_m[edge[long]].mean(axis=1)])
+        middle = number[of_face]
+        corner = np.concatenate([faces, middle], axis=1)
+        pattern = (middle >= 0) @ np.array([1, 2, 4])
+        owner, piece = _pieces(pattern)
+        new = np.flatnonzero(pattern[owner] > 0)
+        faces = np.take_along_axis(corner[owner], piece, axis=1)
+        if uv is not None:
+            both = np.concatenate([uv, (uv + np.roll(uv, -1, axis=1)) / 2], axis=1)
+            uv = np.take_along_axis(both[owner], piece[..., None], axis=1)
+
+
+def _curved(
+    corner_m: Float[np.ndarray, "f 3 3"], longest_m: Float[np.ndarray, " f"], bend: _Bend
+) -> Bool[np.ndarray, " f"]:
+    """Which faces are to be split: too long, or farther from the smooth shape than allowed."""
+    curved = longest_m > _LONGEST_M
+    asked = np.flatnonzero(~curved & (longest_m > EDGE_M))
+    point_m = np.einsum("pk,fki->fpi", _WITHIN, corner_m[asked])
+    exact_m = bend.shift_m(point_m.reshape(-1, 3)).reshape(point_m.shape)
+    at_corner_m = bend.shift_m(corner_m[asked].reshape(-1, 3)).reshape(-1, 3, 3)
+    flat_m = np.einsum("pk,fki->fpi", _WITHIN, at_corner_m)
+    curved[asked] = (np.linalg.norm(exact_m - flat_m, axis=-1) > _CURVED_M).any(axis=1)
+    return curved
+
+
+def _edges(faces: Int[np.ndarray, "f 3"]) -> tuple[Int[np.ndarray, "e 2"], Int[np.ndarray, "f 3"]]:
+    """All edges once, lower vertex first, and the numbers of each face's edges 01, 12 and 20."""
+    ends = np.sort(np.stack([faces, np.roll(faces, -1, axis=1)], axis=-1).reshape(-1, 2), axis=1)
+    edge, of_face = np.unique(ends, axis=0, return_inverse=True)
+    return edge, of_face.reshape(-1, 3)
+
+
+def _pieces(
+    pattern: Int[np.ndarray, " f"],
+) -> tuple[Int[np.ndarray, " g"], Int[np.ndarray, "g 3"]]:
+    """The faces after a split: which face each is a piece of, and its corners in `_PIECES`."""
+    owners, pieces = [], []
+    for kind, made in enumerate(_PIECES):
+        mine = np.flatnonzero(pattern == kind)
+        owners.append(np.repeat(mine, len(made)))
+        pieces.append(np.tile(np.array(made), (len(mine), 1)))
+    return np.concatenate(owners), np.concatenate(pieces)

@@ -24,7 +24,12 @@ import yaml
 from pycocotools import mask as coco_mask
 
 from graycast.bench.zoo_parts import zoo_part
+from graycast.config import BinSection, resolve_bin
 from graycast.frames import axis_rotation, inverse, rigid
+from graycast.optics import Optics
+from graycast.real.fit_bin.bending import bent_bin, mesh_bytes
+from graycast.real.fit_bin.composite import empty_view
+from graycast.real.fit_bin.reading import BinView
 from graycast.real.import_real import import_real
 from graycast.rig_file import save_scanner
 from graycast.scanner import Scanner, preset
@@ -136,12 +141,26 @@ def configuration(meshes: Path, shapes: int) -> dict:
     }
 
 
-def cell_to_fit(known: dict, cartons: list[Path]) -> dict:
+def write_bent_bin(camera: Optics, file: Path) -> list[float]:
+    """The bin as the scans show it, whose walls bulge; the camera's pose over it, row by row."""
+    drawn = resolve_bin(BinSection(mesh=REAL / "bin.obj", unit="m"), REAL)[0]
+    views = []
+    for i in range(5):
+        depth_m = np.load(REAL / f"depth_{i}.npy")[..., 0].astype(np.float64)
+        depth_m[depth_m == 0] = np.nan
+        views.append(BinView(name=f"depth_{i}", camera=camera, depth_m=depth_m))
+    bent = bent_bin(drawn, np.array(T_BIN_CAM), [empty_view(views)])
+    file.write_bytes(mesh_bytes(bent.mesh))
+    return [float(value) for value in bent.T_world_cam.ravel()]
+
+
+def cell_to_fit(known: dict, cartons: list[Path], bin_file: Path, T_world_cam: list[float]) -> dict:
     """The same cell for `graycast twin`: what is fitted is the preset's, and pictures are quiet.
 
     A third of its parts are printed cartons, mostly white, as in the real scans, where noise on
-    white paper is a quarter of that on the dark bin. Most parts keep their own colours. They cover
-    a quarter of the picture, as those of the scans do.
+    white paper is a quarter of that on the dark bin. Most parts keep their own colours. They lie in
+    the middle and cover a quarter of the picture, as those of the scans do, and the walls have the
+    slopes of the real ones: a classifier sees how many squares are floor, and how steep walls are.
 
     Its light is that of every scan; random lamps would be noise that the scanner does not have.
     """
@@ -151,7 +170,8 @@ def cell_to_fit(known: dict, cartons: list[Path]) -> dict:
     printed = [{"mesh": str(file), "unit": "m", "density_kg_m3": 500} for file in cartons]
     parts = [*known["parts"], *printed]
     own = {"rig": "cell_rig.yaml", "render": {"samples": 128}, "domain": domain, "parts": parts}
-    return fitted | own | {"count": [8, 20]}
+    own |= {"bin": known["bin"] | {"mesh": str(bin_file)}, "view": {"T_world_cam": T_world_cam}}
+    return fitted | own | {"count": [10, 24], "drop": {"attempts": 10, "opening_share": 0.6}}
 
 
 def write_cartons(meshes: Path, count: int) -> list[Path]:
@@ -252,7 +272,9 @@ def main() -> None:
     save_scanner(scanner(), out / "rig.yaml")
     save_scanner(every_second_pixel(scanner()), out / "cell_rig.yaml")
     content = configuration(meshes, arguments.shapes)
-    cell = cell_to_fit(content, write_cartons(meshes, CARTONS))
+    bin_file = meshes / "bin.ply"
+    pose = write_bent_bin(scanner().rig.camera, bin_file)
+    cell = cell_to_fit(content, write_cartons(meshes, CARTONS), bin_file, pose)
     written = {"twin.yaml": content, "cell.yaml": cell, "study.yaml": STUDY}
     for name, value in written.items():
         (out / name).write_text(yaml.safe_dump(value, sort_keys=False), encoding="utf-8")

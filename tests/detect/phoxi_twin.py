@@ -42,6 +42,9 @@ REAL = DATA / "phoxi"
 # What was measured of the device (README.md beside the scans): projector on the camera's left.
 BASELINE_M, TOE_IN_DEG, NEAR_M, FAR_M = 0.235, 8.4, 0.6, 1.0
 FX_PX, CX_PX, CY_PX, SIZE_PX = 552.5, 255.5, 191.75, (516, 386)
+# Tangents of the projector's outermost rays, from where depth ends in all scans along a straight
+# line (left, right, above); below, the camera's picture ends before.
+LIT_X, LIT_Y = (-0.4161, 0.4225), (-0.3135, 0.4)
 T_BIN_CAM = [
     [-0.989165430, 0.00623583812, 0.146672650, -0.120568007],
     [0.00614760043, 0.999980547, -0.00105488641, 0.000705997615],
@@ -78,16 +81,31 @@ def scanner():
     camera = replace(
         known.rig.camera, fx_px=FX_PX, fy_px=FX_PX, cx_px=CX_PX, cy_px=CY_PX, focus_m=0.78
     )
+    (fx_px, cx_px), (fy_px, cy_px) = (
+        _lens(size, lit)
+        for size, lit in (
+            (known.rig.projector.width_px, LIT_X),
+            (known.rig.projector.height_px, LIT_Y),
+        )
+    )
+    projector = replace(known.rig.projector, fx_px=fx_px, fy_px=fy_px, cx_px=cx_px, cy_px=cy_px)
     rig = replace(
         known.rig,
         name="phoxi-twin",
         camera=camera,
+        projector=projector,
         T_cam_proj=inverse(T_rig_cam) @ T_rig_proj,
         near_m=NEAR_M,
         far_m=FAR_M,
         picture_level=0.0,
     )
     return replace(known, rig=rig)
+
+
+def _lens(size_px: int, lit: tuple[float, float]) -> tuple[float, float]:
+    """Focal length and principal point of a picture between two rays."""
+    focal_px = size_px / (lit[1] - lit[0])
+    return focal_px, -lit[0] * focal_px - 0.5
 
 
 def configuration(meshes: Path, shapes: int) -> dict:

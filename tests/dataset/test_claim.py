@@ -83,7 +83,6 @@ def test_settings_that_came_later_are_told_where_they_are_on_and_only_there():
                 raster_window_px=0.7,
                 raster_limit_m=2e-4,
                 raster_unevenness=0.2,
-                gap_px=2,
             ),
         ),
         (
@@ -102,7 +101,6 @@ def test_settings_that_came_later_are_told_where_they_are_on_and_only_there():
             "settling_votes",
             "raster_window_px",
             "raster_limit_m",
-            "gap_px",
             "speckle_volume",
             "speckle_unevenness",
             "line_noise",

@@ -52,6 +52,7 @@ T_BIN_CAM = [
     [0.0, 0.0, 0.0, 1.0],
 ]
 CARTONS = 40  # a third of the parts, as in the scans
+SLIPPERY = 0.15
 # Of the trade's families those that are as long as a hand, for clutter that is no carton. The
 # factor makes small ones as large as household things are.
 FAMILIES = {
@@ -177,8 +178,9 @@ def cell_to_fit(known: dict, cartons: list[Path], bin_file: Path, T_world_cam: l
 
     A third of its parts are printed cartons, mostly white, as in the real scans, where noise on
     white paper is a quarter of that on the dark bin. Most parts keep their own colours. They lie in
-    the middle and cover a quarter of the picture, as those of the scans do, and the walls have the
-    slopes of the real ones: a classifier sees how many squares are floor, and how steep walls are.
+    the middle, cover a quarter of the picture and mostly lie flat, as those of the scans do: with
+    little friction hardly a carton comes to lean on others. The walls have the slopes of the real
+    ones. A classifier sees how many squares are floor, how steep they are, and how bright.
 
     Its light is that of every scan; random lamps would be noise that the scanner does not have.
     """
@@ -186,10 +188,11 @@ def cell_to_fit(known: dict, cartons: list[Path], bin_file: Path, T_world_cam: l
     domain = known["domain"] | {"lamps": None, "environment": None}
     domain["parts"] = domain["parts"] | {"brightness": [0.7, 1.2], "repainted_share": 0.3}
     printed = [{"mesh": str(file), "unit": "m", "density_kg_m3": 500} for file in cartons]
-    parts = [*known["parts"], *printed]
+    parts = [part | {"friction": SLIPPERY} for part in (*known["parts"], *printed)]
     own = {"rig": "cell_rig.yaml", "render": {"samples": 128}, "domain": domain, "parts": parts}
-    own |= {"bin": known["bin"] | {"mesh": str(bin_file)}, "view": {"T_world_cam": T_world_cam}}
-    return fitted | own | {"count": [10, 24], "drop": {"attempts": 10, "opening_share": 0.6}}
+    own |= {"bin": known["bin"] | {"mesh": str(bin_file), "friction": SLIPPERY}}
+    own |= {"view": {"T_world_cam": T_world_cam}}
+    return fitted | own | {"count": [8, 20], "drop": {"attempts": 10, "opening_share": 0.6}}
 
 
 def write_cartons(meshes: Path, count: int) -> list[Path]:

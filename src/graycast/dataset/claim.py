@@ -37,7 +37,6 @@ _LATER = {
     "raster_px": None,
     "raster_window_px": None,
     "raster_limit_m": None,
-    "gap_px": None,
     "raster_unevenness": None,
 }
 _BESIDE = ("fingerprint", "sources", "versions", SUMS)  # what the fingerprint does not cover

@@ -1,9 +1,8 @@
-"""Filters of a decoded depth map: flying pixels, outliers, islands, smoothing, raster, order, gaps.
+"""Filters of a decoded depth map: flying pixels, outliers, islands, smoothing, raster, order.
 
-They run in that order; each sees what the ones before it left. Only the last one makes depth where
-there was none. Smoothing, the outlier test and the filling of gaps work on inverse depth, which is
-linear along a line of pixels on a plane: a plane's pixel is the mean of two opposite neighbours,
-however steep the plane.
+They run in that order; each sees what the ones before it left. None makes depth where there was
+none. Smoothing and the outlier test work on inverse depth, which is linear along a line of pixels
+on a plane: a plane's pixel is the mean of two opposite neighbours, however steep the plane.
 
 Leaves out: lens distortion, whose share in the angle between neighbouring rays is small.
 """
@@ -20,7 +19,6 @@ from pydantic import Field
 from ..optics import Optics
 from ..rig import Rig
 from ..settings import check_fields, unsaid
-from .gaps import with_gaps_filled
 from .maps import DepthMap, Reason
 from .outliers import find_outliers
 from .raster import on_raster
@@ -50,7 +48,6 @@ class FilterSpec:
     `raster_window_px`: standard deviation of the window whose light decides on that place;
     `raster_limit_m`: the standard deviation of depth that this place adds on the steepest surface;
     `raster_unevenness`: how much `raster_px` differs between patches of a surface (`finish`).
-    `gap_px`: gaps of at most so many pixels along the projector's lines are filled (`gaps`).
     `step_angle_deg`: neighbours are connected up to this angle of incidence.
     """
 
@@ -139,16 +136,6 @@ class FilterSpec:
             exclude_if=unsaid,
         ),
     ] = None
-    gap_px: Annotated[
-        int | None,
-        Field(
-            ge=0,
-            le=20,
-            description="Gaps of at most this number of pixels along the projector's lines are "
-            "filled, if both ends belong to one surface.",
-            exclude_if=unsaid,
-        ),
-    ] = None
     step_angle_deg: Annotated[
         float,
         Field(
@@ -164,7 +151,7 @@ class FilterSpec:
 
 
 def filter_depth(depth: DepthMap, spec: FilterSpec, rig: Rig) -> DepthMap:
-    """Remove unreliable pixels, smooth the others, and fill short gaps.
+    """Remove unreliable pixels, and smooth the others.
 
     Args:
         depth: z and its standard deviation [m]; the noise of pixels is taken as independent.
@@ -190,7 +177,7 @@ def filter_depth(depth: DepthMap, spec: FilterSpec, rig: Rig) -> DepthMap:
         )
     if spec.hidden_sigmas:
         filtered = without_hidden(filtered, rig, sigmas=spec.hidden_sigmas)
-    return with_gaps_filled(filtered, rig, most_px=spec.gap_px) if spec.gap_px else filtered
+    return filtered
 
 
 def _filter_surfaces(depth: DepthMap, spec: FilterSpec, camera: Optics) -> DepthMap:

@@ -57,10 +57,10 @@ def test_a_filter_goes_off_below_its_least_value_and_a_limit_above_its_greatest(
     low = with_values(SCANNER, PARAMETERS, values_at(np.zeros(len(PARAMETERS)), PARAMETERS))
     assert low.filters.smoothing_px is None
     assert low.filters.island_px is None
-    assert low.filters.hidden_sigmas is None and low.filters.gap_px is None
+    assert low.filters.hidden_sigmas is None
     assert low.filters.raster_limit_m == 5e-5
     high = with_values(SCANNER, PARAMETERS, values_at(np.ones(len(PARAMETERS)), PARAMETERS))
-    assert high.filters.raster_limit_m is None and high.filters.gap_px == 6
+    assert high.filters.raster_limit_m is None
 
 
 def test_a_deeper_well_is_as_bright_when_it_is_full():

@@ -40,7 +40,7 @@ from .rows import Figures, Places, Row, compare, figures_of, loss_of, pulls_of
 from .stage import BinLook, Lit, scan_lit
 
 _NEAR = 0.05  # first steps of a walk, as a share of the way between the bounds
-_HEAT, _FINAL = 0.06, 0.12  # shares of the trials, for each pair and for the better one of a code
+_HEAT, _FINAL = 0.04, 0.1  # shares of the trials, for each pair and for the better one of a code
 _DARK_LOSS = 1e3  # of a scanner that sees nothing
 _FIRST_LOOK = (0.0, 0.5, 1.0)  # shares at which a parameter is tried alone before the search
 _PROFILE = np.linspace(0.0, 1.0, 5)  # shares at which a parameter is tried alone, beside the best

@@ -59,7 +59,8 @@ OPTIONS = {
     "fit-bin": "real --config --out --rgb --intrinsics --distortion --scale --size --inner --wall "
     "--azimuth --floor-reflectance --white --black --cluttered --pose-only --bend --seed "
     "--device",
-    "twin": "scans --config --out --intrinsics --scale --size --scenes --trials --seed --device",
+    "twin": "scans --config --out --intrinsics --scale --size --rgb --kept-aside --trials --seed "
+    "--device",
     "rig show": "rig --resolution --out",
     "rig write": "rig --resolution --out",
     "rig import": "calibration --out --unit --near --far --camera-size --projector-size",

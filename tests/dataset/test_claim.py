@@ -73,7 +73,7 @@ def test_where_a_part_came_from_is_told_and_is_no_other_dataset():
 def test_settings_that_came_later_are_told_where_they_are_on_and_only_there():
     """An older dataset, whose claim lacks them, goes on; one with them on is another."""
     for off, on in (
-        (DecodeSpec(), DecodeSpec(min_sigmas=5.0, settling_votes=14)),
+        (DecodeSpec(), DecodeSpec(min_sigmas=5.0, settling_votes=14, min_visibility=0.5)),
         (
             FilterSpec(),
             FilterSpec(
@@ -99,6 +99,7 @@ def test_settings_that_came_later_are_told_where_they_are_on_and_only_there():
         older = {"min_sigmas", "outlier_repair", "hidden_sigmas", "raster_px", "raster_unevenness"}
         older |= {
             "settling_votes",
+            "min_visibility",
             "raster_window_px",
             "raster_limit_m",
             "speckle_volume",

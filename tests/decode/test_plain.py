@@ -53,6 +53,7 @@ SPECS = (
     DecodeSpec(),
     DecodeSpec(min_contrast=0.3, doubt=0.5, fine_bits=0),
     DecodeSpec(min_contrast=0.01, min_sigmas=40.0),
+    DecodeSpec(min_contrast=0.01, min_visibility=0.6),
 )
 
 

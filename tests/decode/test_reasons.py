@@ -84,6 +84,28 @@ def test_a_phase_without_amplitude_has_low_modulation_though_its_gray_bits_are_b
     assert one_pixel(code, change=flatten) is Reason.LOW_MODULATION
 
 
+def test_a_pixel_that_sees_two_surfaces_contradicts_itself_where_its_stripes_have_little_contrast():
+    """Two phases, half a period apart, cancel each other while all bits are the same for both.
+
+    A share f of the light is of the other place, so the contrast of the stripes is 1 - 2 f.
+    """
+    code = gray_phase(256, 192, axes=("column",))
+
+    def mixed(f):
+        def change(stack):
+            for k, frame in enumerate(code.frames):
+                if frame.kind == "phase":
+                    stack[k] = round(50 + (1 - 2 * f) * (int(stack[k]) - 50))
+
+        return change
+
+    spec = DecodeSpec(min_visibility=0.6)
+    assert one_pixel(code, spec=spec) is Reason.DECODED
+    for f, reason in ((0.15, Reason.DECODED), (0.25, Reason.CONTRADICTORY)):
+        assert one_pixel(code, change=mixed(f), spec=spec, dark=0, bright=100) is reason
+        assert one_pixel(code, change=mixed(f), dark=0, bright=100) is Reason.DECODED
+
+
 WELL = SensorSpec(
     offset_dn=10.0, gain_dn_per_e=0.1003, full_well_e=1000.0, read_noise_e=0.1, bit_depth=8
 )  # full at 110.26 DN, which the sensor stores as 110

@@ -160,11 +160,11 @@ def configuration(meshes: Path, shapes: int) -> dict:
     }
 
 
-def write_bent_bin(camera: Optics, file: Path) -> list[float]:
-    """The bin as the scans show it, whose walls bulge; the camera's pose over it, row by row."""
+def write_bent_bin(camera: Optics, scans: list[int], file: Path) -> list[float]:
+    """The bin as these scans show it, whose walls bulge; the camera's pose over it, row by row."""
     drawn = resolve_bin(BinSection(mesh=REAL / "bin.obj", unit="m"), REAL)[0]
     views = []
-    for i in range(5):
+    for i in scans:
         depth_m = np.load(REAL / f"depth_{i}.npy")[..., 0].astype(np.float64)
         depth_m[depth_m == 0] = np.nan
         views.append(BinView(name=f"depth_{i}", camera=camera, depth_m=depth_m))
@@ -204,8 +204,11 @@ def write_cartons(meshes: Path, count: int) -> list[Path]:
 
 
 def every_second_pixel(known: Scanner) -> Scanner:
-    """The scans are every second pixel of the device's map, so a pixel senses with a quarter."""
-    camera = replace(known.rig.camera, fill_factor=0.25)
+    """The scans are every second pixel of the device's map, so a pixel senses with a quarter.
+
+    The device's lens blurs by more than one of its own pixels, as all lenses do.
+    """
+    camera = replace(known.rig.camera, fill_factor=0.25, psf_px=0.35)
     return replace(known, rig=replace(known.rig, name="phoxi-cell", camera=camera))
 
 
@@ -285,6 +288,15 @@ def main() -> None:
     parser.add_argument(
         "--shapes", type=int, default=42, help="The number of random shapes among the parts."
     )
+    parser.add_argument(
+        "--scans",
+        type=int,
+        nargs="+",
+        choices=range(5),
+        default=[0, 1, 2, 3, 4],
+        help="The numbers of the scans that the bin of cell.yaml is bent to. Name those that "
+        "`graycast twin` fits, and the other scans stay unseen.",
+    )
     arguments = parser.parse_args()
     out = arguments.out
     _refuse_without_data()
@@ -294,7 +306,7 @@ def main() -> None:
     save_scanner(every_second_pixel(scanner()), out / "cell_rig.yaml")
     content = configuration(meshes, arguments.shapes)
     bin_file = meshes / "bin.ply"
-    pose = write_bent_bin(scanner().rig.camera, bin_file)
+    pose = write_bent_bin(scanner().rig.camera, arguments.scans, bin_file)
     cell = cell_to_fit(content, write_cartons(meshes, CARTONS), bin_file, pose)
     written = {"twin.yaml": content, "cell.yaml": cell, "study.yaml": STUDY}
     for name, value in written.items():

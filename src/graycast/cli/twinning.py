@@ -35,8 +35,9 @@ def add_commands(commands: argparse._SubParsersAction) -> None:
         "--config",
         type=Path,
         required=True,
-        help="The configuration of the cell. It states the bin, its pose, parts like the "
-        "real ones, and a rig with the geometry of the scanner.",
+        help="The configuration of the cell. It states the bin, its pose, and a rig with the "
+        "geometry of the scanner. Its parts are those of the scenes that are generated later; "
+        "the search needs none, because it simulates the scenes of the scans.",
     )
     twin.add_argument(
         "--out",
@@ -67,11 +68,20 @@ def add_commands(commands: argparse._SubParsersAction) -> None:
         "needed for PLY point clouds that do not state it.",
     )
     twin.add_argument(
-        "--scenes",
+        "--rgb",
+        type=Path,
+        nargs="+",
+        default=[],
+        help="The colour pictures, one for each depth map in the same order, which show the same "
+        "view. They tell how much light the parts reflect. Without them, all parts are grey.",
+    )
+    twin.add_argument(
+        "--kept-aside",
         type=positive,
-        default=3,
+        default=0,
         metavar="N",
-        help="The number of simulated scenes in the search (default: 3).",
+        help="The number of scans, from the last one backwards, that are not fitted. The twin is "
+        "compared with them in the end (default: 0).",
     )
     twin.add_argument(
         "--trials",
@@ -89,8 +99,9 @@ def _twin(options: argparse.Namespace) -> int:
     from ..config import load_config
     from ..real.depth_file import read_intrinsics
     from ..real.fitted_config import refuse_existing, refuse_there
+    from ..real.pictures import read_rgb
     from ..real.realism import read_scans
-    from ..real.twin import check_scans, files_of, make_twin, notes_on, summary, write_twin
+    from ..real.twin import check_scans, files_of, make_twin, summary, write_twin
 
     refuse_existing(options.out, options.config)
     refuse_there(*files_of(options.out))
@@ -101,15 +112,17 @@ def _twin(options: argparse.Namespace) -> int:
     scans = list(read_scans(options.scans, K=K, scale_m=options.scale, size_px=options.size))
     if not scans:
         raise GraycastError("no scans are given: name depth files or a folder of them")
-    check_scans(scans, cell)
-    for note in notes_on(cell.config.domain):
-        print(f"note: {note}")
+    check_scans(scans, cell, kept=options.kept_aside)
+    pictures = [read_rgb(path) for path in options.rgb]
+    if not pictures:
+        print("note: no colour pictures are given (--rgb), so all parts are taken to be grey")
     with progress_bar() as bar:
         going = bar.add_task("", total=None)
         twin = make_twin(
             scans,
             cell,
-            scenes=options.scenes,
+            pictures=pictures,
+            kept=options.kept_aside,
             trials=options.trials,
             seed=options.seed,
             device=options.device,

@@ -32,6 +32,7 @@ _LATER = {
     "line_noise_length_m": math.inf,
     "min_sigmas": 0.0,
     "settling_votes": 0,
+    "min_visibility": 0.0,
     "outlier_repair": False,
     "hidden_sigmas": None,
     "raster_px": None,

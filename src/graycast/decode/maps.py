@@ -129,6 +129,9 @@ class DecodeSpec:
     contradicts where misreading it would cost more than 2^fine_bits values; under a phase code,
     half a period, and `fine_bits` is not used. The phase of a pixel whose bits contradict is known
     all the same: its period is taken from its neighbours where `settling_votes` of them agree.
+    Under a phase code, a pixel that sees two surfaces, or one by way of another, has stripes of
+    less contrast than its brightest and darkest frame: below `min_visibility` of it, its light
+    contradicts itself.
     Where both axes are coded, a point farther from its epipolar line than `max_epipolar_px` and
     three standard deviations is an outlier; 0 lets all pass.
     """
@@ -155,6 +158,17 @@ class DecodeSpec:
             exclude_if=unsaid,
         ),
     ] = 0
+    min_visibility: Annotated[
+        float,
+        Field(
+            ge=0,
+            lt=1,
+            description="Lowest contrast of a phase code's stripes, as a share of the contrast "
+            "between the brightest and the darkest frame of the same pixel. Pixels that see two "
+            "surfaces at once have less. 0 switches this off.",
+            exclude_if=unsaid,
+        ),
+    ] = 0.0
     max_epipolar_px: Annotated[
         float,
         Field(

@@ -98,6 +98,9 @@ def _say(why, where, reason) -> None:
 def _judge(why, high, low, strength, top, spec: DecodeSpec, levels: Levels):
     """Reasons about a pixel's light take precedence over reasons about its code."""
     noise_dn2 = levels.floor_dn2 + levels.slope_dn * np.maximum(low - levels.offset_dn, 0)
+    least = np.float32(spec.min_visibility) * (high - low).astype(np.float32)
+    mixed = (why == Reason.DECODED) & (strength.astype(np.float32) < least)
+    why = np.where(mixed, Reason.CONTRADICTORY, why)
     reason = np.select(
         [
             high - low < SHADOW_SIGMAS * np.sqrt(noise_dn2),

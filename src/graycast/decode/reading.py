@@ -99,7 +99,8 @@ class _Seen:
 
     frames: UInt8[np.ndarray, "n h w"] | UInt16[np.ndarray, "n h w"]
     law: tuple[np.float32, ...]  # offset_dn, floor_dn2, slope_dn, doubt, fine_error
-    dark: tuple[np.float32, np.float32]  # shows too little: min_contrast [DN], min_sigmas
+    # Shows too little: min_contrast [DN], min_sigmas, min_visibility.
+    dark: tuple[np.float32, np.float32, np.float32]
     votes: int  # of neighbours that settle the period of a contradictory pixel; 0 is none
     saturation_dn: np.float32
     high: Float32[np.ndarray, "h w"]
@@ -127,7 +128,11 @@ def _look(
     return _Seen(
         frames=frames,
         law=tuple(np.float32(number) for number in numbers),
-        dark=(np.float32(spec.min_contrast * levels.range_dn), np.float32(spec.min_sigmas)),
+        dark=(
+            np.float32(spec.min_contrast * levels.range_dn),
+            np.float32(spec.min_sigmas),
+            np.float32(spec.min_visibility),
+        ),
         votes=spec.settling_votes,
         saturation_dn=saturation_dn,
         high=high,
@@ -277,9 +282,12 @@ def _judge(high, low, strength, top, why, law, dark):
 @no_type_check  # the tests' type checker wraps functions, which numba cannot compile
 def _judge_row(high, low, strength, top, why, law, dark):
     offset_dn, floor_dn2, slope_dn, _, _ = law
-    dark_dn, sigmas = dark
+    dark_dn, sigmas, visibility = dark
     shadow2, zero = np.float32(SHADOW_SIGMAS**2), np.float32(0)
     said = why.astype(np.int32)
+    for x in range(len(why)):
+        mixed = (said[x] == Reason.DECODED) & (strength[x] < visibility * (high[x] - low[x]))
+        said[x] = np.int32(Reason.CONTRADICTORY) if mixed else said[x]
     for x in range(len(why)):
         said[x] = said[x] if strength[x] >= dark_dn else np.int32(Reason.LOW_MODULATION)
     for x in range(len(why)):

@@ -114,7 +114,7 @@ def read_shot(
     """
     for path in shot.files.values():
         _refuse_damaged(path)
-    rgb = None if shot.rgb is None else _read_rgb(shot.rgb)
+    rgb = None if shot.rgb is None else read_rgb(shot.rgb)
     gray = None if shot.gray is None else np.rint(read_gray(shot.gray) * 255).astype(np.uint8)
     depth_m = None
     if shot.depth is not None:
@@ -163,12 +163,17 @@ def _is_whole(path: Path) -> bool:
     return value.dtype.kind in "ui"
 
 
-def _read_rgb(path: Path) -> UInt8[np.ndarray, "h w 3"]:
+def read_rgb(path: Path) -> UInt8[np.ndarray, "h w 3"]:
+    """A colour picture of 8-bit sRGB; transparency is left out.
+
+    Raises:
+        DatasetError: the file is missing, damaged, or has no three channels of 8 bits.
+    """
     image = read_image(path)
     if image.ndim != 3 or image.shape[2] not in (3, 4) or image.dtype != np.uint8:
         raise DatasetError(
-            f"{path}: is {image.dtype} {image.shape}: colour pictures have 3 channels of 8 bits; "
-            "put those of one channel into the folder gray"
+            f"{path}: is {image.dtype} {image.shape}: colour pictures have 3 channels of 8 bits: "
+            "convert it, or put pictures of one channel into the folder gray of import-real"
         )
     return np.ascontiguousarray(image[..., 2::-1])
 

@@ -218,6 +218,7 @@ def describe_stack(scanner: Scanner, files: Sequence[str], *, rig: str) -> str:
             "doubt": float(decode.doubt),
             "fine_bits": int(decode.fine_bits),
             "settling_votes": int(decode.settling_votes),
+            "min_visibility": float(decode.min_visibility),
             "max_epipolar_px": float(decode.max_epipolar_px),
         },
         "rig": rig,

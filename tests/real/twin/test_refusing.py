@@ -3,9 +3,8 @@
 import numpy as np
 import pytest
 
-from graycast.domain.sections import RandomizedSection
 from graycast.errors import GraycastError
-from graycast.real.twin.refusing import notes_on, refuse_without_shadow
+from graycast.real.twin.refusing import refuse_without_shadow
 
 from ..realism.synthetic import plane, plates, scan, scattered_plates
 
@@ -43,11 +42,3 @@ def test_scans_without_steps_say_nothing():
         GraycastError, match="depth steps per map, which are too few to identify the kind of"
     ):
         refuse_without_shadow([scan(plane())] * 3)
-
-
-def test_a_cell_with_another_light_in_each_scene_is_told_of():
-    """A real cell has one: what random lamps add would be fitted as the scanner's noise."""
-    (note,) = notes_on(RandomizedSection(kind="randomized", camera=None, bin=None))
-    assert note.startswith("domain.environment, domain.lamps: ")
-    one = {"camera": None, "bin": None, "lamps": None, "environment": None}
-    assert notes_on(RandomizedSection(kind="randomized", **one)) == notes_on(None) == ()

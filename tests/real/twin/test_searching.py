@@ -150,7 +150,7 @@ def test_a_code_that_fits_with_noise_of_the_surface_alone_is_found(stage, monkey
             off = 2.0 if code == coarse else 4.0
             if code == fine and np.linalg.norm(x - of_surface) < 0.5:
                 off = float(np.linalg.norm(x - of_surface))
-            return (Row(name="a", unit="", owner="sensor", real=0.0, spread=1.0, twin=off),)
+            return (Row(name="a", unit="", real=0.0, spread=1.0, twin=off),)
 
     monkeypatch.setattr(searching, "_Court", Plateau)
     monkeypatch.setattr(searching, "_FIRST_LOOK", ())
@@ -168,9 +168,7 @@ def court_of(stage, fitted, off, trials=100):
     class Formula(searching._Court):
         def rows(self, code, x, seed=None):
             judged.append(x.tobytes())
-            return (
-                Row(name="a", unit="", owner="sensor", real=0.0, spread=1.0, twin=float(off(x))),
-            )
+            return (Row(name="a", unit="", real=0.0, spread=1.0, twin=float(off(x))),)
 
     real = Figures(value={"a": np.zeros(3)})
     court = Formula(
@@ -224,7 +222,7 @@ def test_where_two_codes_fit_an_interval_has_the_values_of_both(stage):
         def rows(self, code, x, seed=None):
             off = 12.0 * (x[0] - middle[code])
             return tuple(
-                Row(name=n, unit="", owner="sensor", real=0.0, spread=1.0, twin=twin)
+                Row(name=n, unit="", real=0.0, spread=1.0, twin=twin)
                 for n, twin in (("a", off), ("b", 0.0))
             )
 

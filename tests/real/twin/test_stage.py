@@ -1,5 +1,7 @@
 """A bin of another colour and gloss is a sum of two renderings; its sides are where it is steep."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from small_cell import write_cell
@@ -16,18 +18,21 @@ DARK = {"base_color": [0.05, 0.05, 0.05], "roughness": 0.5, "specular": 0.5}
 
 
 def lit_bin(folder, renderer, **material):
-    """One scene in a bin of that material, and in the same bin without colour."""
+    """A box in a bin of that material, and in the same bin without colour."""
     folder.mkdir()
     path = write_cell(folder, bin={"inner_m": [0.25, 0.2, 0.1], "material": DARK | material})
     cell = resolve_cell(load_config(path), folder)
+    (box,) = cell.scene.parts
+    lifted = replace(box.mesh, vertices_m=box.mesh.vertices_m + np.array([0.02, 0.01, 0.015]))
     (lit,) = light_scenes(
         cell,
+        [replace(cell.scene, parts=(replace(box, mesh=lifted),))],
         [cell.scanner.code],
-        [0],
         seed=3,
         renderer=renderer,
         quality=Quality(samples=256, depth=4),
         rougher=(-0.15, 0.0, 0.15),
+        names=["a scan"],
         on_stage=lambda stage: None,
     )
     return cell.scanner, lit

@@ -22,7 +22,7 @@ def test_a_hidden_scanner_s_statistics_are_come_nearer_to(monkeypatch):
     loader.exec_module(script)
     monkeypatch.setattr(searching, "_PROFILE", ())
     scanner = script.small_scanner()
-    lit = [script.light(scanner, np.random.default_rng((16, k))) for k in range(6)]
+    lit = [script.light(scanner, np.random.default_rng((16, k))) for k in range(script.SCENES)]
     one = script.study(0, lit, trials=70)
     assert loss_of(one.found.after) < 0.5 * loss_of(one.found.before)
     for held in one.found.held:

@@ -2,7 +2,6 @@
 
 from .making import LEAST_SCANS, Twin, check_scans, make_twin
 from .parameters import PARAMETERS, Parameter
-from .refusing import notes_on
 from .writing import files_of, summary, write_twin
 
 __all__ = [
@@ -13,7 +12,6 @@ __all__ = [
     "check_scans",
     "files_of",
     "make_twin",
-    "notes_on",
     "summary",
     "write_twin",
 ]

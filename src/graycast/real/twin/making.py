@@ -1,7 +1,10 @@
-"""From real scans and a cell's configuration to the twin: read, refuse, light, search, judge."""
+"""From real scans and a cell's configuration to the twin: refuse, stage, light, search, judge."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+
+import numpy as np
+from jaxtyping import UInt8
 
 from ...cell import Cell, open_cell_renderer
 from ...config import resolve_quality
@@ -21,12 +24,13 @@ from .parameters import (
     candidate_codes,
 )
 from .refusing import refuse_without_shadow
+from .restaging import restage
 from .rows import figures_of
 from .searching import Found, OnTrial, require_cma, scans_of, search
 from .stage import light_scenes, missing_places
 
 LEAST_SCANS = 3
-JUDGED_SCENES = 2  # beside those that are searched with: the classifier's alone
+LEAST_KEPT = 2  # scans that the search does not see, for the classifier to learn from
 _BRIGHTEST = 0.9  # reflectance that a bin may be given
 _SMOOTHEST = 0.1  # roughness: a smoother coat shows the lamp in single pixels
 _COATS = (-ROUGHER, 0.0, ROUGHER)  # that are rendered
@@ -36,55 +40,67 @@ OnStage = Callable[[str], None]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Twin:
-    """What was found, with pictures and the classifier's word before and after.
+    """What was found, with pictures and the classifier's word on it.
 
-    `pairs` has a real scan, a scan as the cell was configured, and one of the twin.
+    `shown` has a real scan, and its scene as the scanner was configured and as the twin scans it.
+    `classified` has 'before' and 'after' the search, and 'kept aside' of scans that were.
     """
 
     found: Found
-    scenes: int
+    scans: int  # that were fitted
     shown: tuple[DepthScan, DepthScan, DepthScan]
-    classified: dict[str, TwoSample]  # 'before' and 'after'
+    classified: dict[str, TwoSample]
 
 
 def make_twin(
     real: Sequence[DepthScan],
     cell: Cell,
     *,
-    scenes: int,
+    pictures: Sequence[UInt8[np.ndarray, "_ _ 3"]] = (),
+    kept: int = 0,
     trials: int,
     seed: int,
     device: str = "auto",
     on_stage: OnStage = lambda stage: None,
     on_trial: OnTrial = lambda done, total, text: None,
 ) -> Twin:
-    """Fit the cell's scanner, and its bin's brightness, to real scans.
+    """Fit the cell's scanner, and the look of its bin, to real scans.
+
+    Args:
+        pictures: in colour, one for each scan, or none; see `restage`.
+        kept: so many of the last scans the search does not see; the classifier judges them apart.
 
     Raises:
         GraycastError: there are too few scans, of another camera than the rig's, or of no
-            structured light; cma or scikit-learn is not installed.
+            structured light; pictures do not fit; cma or scikit-learn is not installed.
     """
     require_cma()
     require_sklearn()
-    check_scans(real, cell)
+    check_scans(real, cell, kept=kept)
+    fitted = len(real) - kept
     codes, parameters = candidate_codes(cell.scanner.code), fitted_parameters(cell)
+    on_stage("staging the scenes of the scans")
+    staged = restage(real, cell.scene, pictures)
     with open_cell_renderer(cell, device=device) as renderer:
         lit = light_scenes(
             cell,
+            staged,
             codes,
-            range(scenes + JUDGED_SCENES),
             seed=seed,
             renderer=renderer,
             quality=resolve_quality(cell.config),
             rougher=_COATS if BIN_GLOSS in {p.key for p in parameters} else (),
+            names=[scan.name for scan in real],
             on_stage=on_stage,
         )
     on_stage("measuring the real scans")
-    places = missing_places(lit[:scenes], real)
-    figures = figures_of(real, find_floor([scan.depth_m for scan in real]), places)
+    places = missing_places(lit[:fitted], real[:fitted])
+    figures = figures_of(
+        real[:fitted], find_floor([scan.depth_m for scan in real[:fitted]]), places
+    )
     found = search(
         cell.scanner,
-        lit[:scenes],
+        lit[:fitted],
         codes,
         parameters,
         figures,
@@ -96,33 +112,45 @@ def make_twin(
     other = seed + 100_000  # the noise of what is judged is not that of the search
     before = scans_of(lit, cell.scanner, {}, seed=other, name="as configured")
     after = scans_of(lit, found.scanner, found.values, seed=other, name="twin")
-    on_stage("classifying the scans before the search")
-    classified = {
-        "before": two_sample_test(real, before, names=("real", "as configured"), seed=seed)
-    }
-    on_stage("classifying the twin's scans")
     perfect = [one.truth for one in lit]
-    classified["after"] = two_sample_test(
-        real, after, perfect=perfect, names=("real", "twin"), seed=seed
-    )
+    classified = {}
+    for name, own, made, chosen in (
+        ("before", "as configured", before, slice(0, fitted)),
+        ("after", "twin", after, slice(0, fitted)),
+        ("kept aside", "twin", after, slice(fitted, None)),
+    ):
+        if real[chosen]:
+            on_stage(f"classifying the scans, {name}")
+            classified[name] = two_sample_test(
+                real[chosen],
+                made[chosen],
+                perfect=() if name == "before" else perfect[chosen],
+                names=("real", own),
+                seed=seed,
+            )
     return Twin(
         found=found,
-        scenes=scenes,
-        shown=(real[0], before[-1], after[-1]),
+        scans=fitted,
+        shown=(real[0], before[0], after[0]),
         classified=classified,
     )
 
 
-def check_scans(real: Sequence[DepthScan], cell: Cell) -> None:
-    """Whether a twin can be made of these scans.
+def check_scans(real: Sequence[DepthScan], cell: Cell, *, kept: int = 0) -> None:
+    """Whether a twin can be made of these scans, so many of which are kept aside.
 
     Raises:
         GraycastError: it cannot; the text says why, and what to give.
     """
-    if len(real) < LEAST_SCANS:
+    if len(real) - kept < LEAST_SCANS:
         raise GraycastError(
-            f"{len(real)} scans are given: give at least {LEAST_SCANS}, so that their spread is "
-            "known"
+            f"{len(real)} scans are given, {kept} of them to keep aside: give at least "
+            f"{LEAST_SCANS} to fit, so that their spread is known"
+        )
+    if 0 < kept < LEAST_KEPT:
+        raise GraycastError(
+            f"{kept} scan is kept aside: keep at least {LEAST_KEPT}, because the classifier leaves "
+            "out each scan once, or none"
         )
     camera = cell.scanner.rig.camera
     for scan in real:

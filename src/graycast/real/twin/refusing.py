@@ -1,8 +1,7 @@
-"""Scans and cells of which no twin can be made, and cells of which none should be made."""
+"""Scans of which no twin can be made."""
 
 from collections.abc import Sequence
 
-from ...domain import DomainSection
 from ...errors import GraycastError
 from ..realism import DepthScan
 from ..realism.steps import count_steps
@@ -44,21 +43,3 @@ def refuse_without_shadow(scans: Sequence[DepthScan]) -> None:
             "flight. A twin needs structured light, where one direction has almost no such "
             "steps: give raw scans of a structured-light scanner, or use another simulator"
         )
-
-
-def notes_on(domain: DomainSection | None) -> tuple[str, ...]:
-    """What of a cell differs from scene to scene though the real cell has one of it.
-
-    Random lamps add noise of light that the scanner does not have, and the search takes it for the
-    scanner's.
-    """
-    if domain is None or domain.kind != "randomized":
-        return ()
-    named = ("camera", "environment", "lamps", "bin")
-    drawn = [f"domain.{name}" for name in named if getattr(domain, name) is not None]
-    if not drawn:
-        return ()
-    return (
-        f"{', '.join(drawn)}: each scene draws its own, but the real cell has one view, one light "
-        "and one bin. The twin's noise will contain these differences: set the keys to null.",
-    )

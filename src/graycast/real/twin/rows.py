@@ -1,12 +1,10 @@
 """The statistics that a twin is to share with the real scans: one row each, a number per scan.
 
-A row is of the sensor, or of the scene: what lies in the bin decides the latter, so it is shown
-beside the others and not fitted.
+The twin scans the scenes of the real scans, so all of them are the sensor's doing.
 """
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Literal
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -18,7 +16,6 @@ from ..realism.missing import count_missing
 from ..realism.patches import SQUARE_PX, robust_sigma, second_difference, third_difference
 from ..realism.steps import count_steps
 
-Owner = Literal["sensor", "scene"]
 Places = Mapping[str, Bool[np.ndarray, "h w"]]  # where missing depth is counted, by `PLACES`
 _SIGMAS = 2.0  # within so many standard deviations of the real scans' mean a row is met
 _LEAST_SPREAD = 0.05  # as a share of the mean: three scans do not tell a spread well
@@ -41,7 +38,6 @@ class Row:
 
     name: str
     unit: str
-    owner: Owner
     real: float
     spread: float  # standard deviation over the real scans, at least a share of the mean
     twin: float
@@ -81,7 +77,7 @@ def figures_of(
 def compare(real: Figures, twin: Figures) -> tuple[Row, ...]:
     """Row by row; what neither tells is left out."""
     rows = []
-    for name, (unit, owner, least) in ROWS.items():
+    for name, (unit, least) in ROWS.items():
         known, own = (f.value[name][~np.isnan(f.value[name])] for f in (real, twin))
         if not len(known):
             continue
@@ -89,19 +85,17 @@ def compare(real: Figures, twin: Figures) -> tuple[Row, ...]:
         spread = max(float(known.std(ddof=1)) if len(known) > 1 else 0.0, least)
         spread = max(spread, _LEAST_SPREAD * abs(mean))
         twin_mean = float(own.mean()) if len(own) else mean + _UNKNOWN_Z * spread
-        rows.append(
-            Row(name=name, unit=unit, owner=owner, real=mean, spread=spread, twin=twin_mean)
-        )
+        rows.append(Row(name=name, unit=unit, real=mean, spread=spread, twin=twin_mean))
     return tuple(rows)
 
 
 def pulls_of(rows: Sequence[Row]) -> Float[np.ndarray, " n"]:
-    """How many spreads each of the sensor's rows is off; far ones count by their logarithm.
+    """How many spreads each row is off; far ones count by their logarithm.
 
     A few rows that no twin meets shall not decide alone, but a bound that is flat would hide which
     way leads nearer to them: the search would stay where many rows are far off.
     """
-    off = np.array([row.off for row in rows if row.owner == "sensor"])
+    off = np.array([row.off for row in rows])
     return _FAR_Z * np.arcsinh(off / _FAR_Z)
 
 
@@ -110,54 +104,54 @@ def loss_of(rows: Sequence[Row]) -> float:
     return float((pulls_of(rows) ** 2).mean())
 
 
-# name: unit, whose doing, and the least spread that is believed
-ROWS: dict[str, tuple[str, Owner, float]] = {
-    "missing where a real scan has depth": ("%", "sensor", 3.0),
-    "missing on the bin's left side": ("%", "sensor", 3.0),
-    "missing on the bin's right side": ("%", "sensor", 3.0),
-    "missing on the bin's upper side": ("%", "sensor", 3.0),
-    "missing on the bin's lower side": ("%", "sensor", 3.0),
-    "missing among present neighbours": ("%", "sensor", 0.02),
-    "holes of 1 px": ("per scan", "sensor", 10.0),
-    "holes of 2 to 4 px": ("per scan", "sensor", 10.0),
-    "holes of 5 to 10 px": ("per scan", "sensor", 5.0),
-    "specks of 1 px": ("per scan", "sensor", 5.0),
-    "specks of 2 to 4 px": ("per scan", "sensor", 5.0),
-    "specks of 5 to 10 px": ("per scan", "sensor", 3.0),
-    "jumps, right side farther": ("per scan", "sensor", 3.0),
-    "jumps, left side farther": ("per scan", "scene", 10.0),
-    "jumps, lower side farther": ("per scan", "scene", 10.0),
-    "jumps, upper side farther": ("per scan", "scene", 10.0),
-    "flying at steps": ("%", "sensor", 0.2),
-    "fine noise, 10 %": ("mm", "sensor", 0.003),
-    "fine noise, 25 %": ("mm", "sensor", 0.003),
-    "fine noise, median": ("mm", "sensor", 0.003),
-    "fine noise, 75 %": ("mm", "sensor", 0.003),
-    "fine noise, 90 %": ("mm", "sensor", 0.003),
-    "fine noise, 0 to 10 deg": ("mm", "sensor", 0.003),
-    "fine noise, 10 to 20 deg": ("mm", "sensor", 0.003),
-    "fine noise, 20 to 30 deg": ("mm", "sensor", 0.003),
-    "fine noise, 30 to 40 deg": ("mm", "sensor", 0.003),
-    "fine noise, 40 to 50 deg": ("mm", "sensor", 0.003),
-    "fine noise of the floor": ("mm", "sensor", 0.003),
-    "holes in the floor": ("%", "sensor", 0.05),
-    "tiles that are rough": ("%", "sensor", 0.3),
-    "noise along x above fine noise": ("%", "sensor", 2.0),
-    "noise along y above fine noise": ("%", "sensor", 2.0),
-    "noise common to rows": ("", "sensor", 0.02),
-    "noise common to rows 2 px apart": ("", "sensor", 0.02),
-    "noise common to columns": ("", "sensor", 0.02),
-    "noise along x above fine noise, sloping along x": ("%", "sensor", 2.0),
-    "noise along y above fine noise, sloping along x": ("%", "sensor", 2.0),
-    "noise common to rows, sloping along x": ("", "sensor", 0.02),
-    "noise along y above fine noise, sloping along y": ("%", "sensor", 2.0),
-    "noise common to columns, sloping along y": ("", "sensor", 0.02),
-    "floor's noise common to rows": ("", "sensor", 0.02),
-    "tails of the floor's noise": ("%", "sensor", 1.0),
-    "tails of the noise": ("%", "sensor", 1.0),
-    "differences far out": ("%", "sensor", 0.05),
-    "holes in flat places": ("per 10 000", "sensor", 1.0),
-    "smooth squares without a hole": ("%", "sensor", 2.0),
+# name: unit, and the least spread that is believed
+ROWS: dict[str, tuple[str, float]] = {
+    "missing where a real scan has depth": ("%", 3.0),
+    "missing on the bin's left side": ("%", 3.0),
+    "missing on the bin's right side": ("%", 3.0),
+    "missing on the bin's upper side": ("%", 3.0),
+    "missing on the bin's lower side": ("%", 3.0),
+    "missing among present neighbours": ("%", 0.02),
+    "holes of 1 px": ("per scan", 10.0),
+    "holes of 2 to 4 px": ("per scan", 10.0),
+    "holes of 5 to 10 px": ("per scan", 5.0),
+    "specks of 1 px": ("per scan", 5.0),
+    "specks of 2 to 4 px": ("per scan", 5.0),
+    "specks of 5 to 10 px": ("per scan", 3.0),
+    "jumps, right side farther": ("per scan", 3.0),
+    "jumps, left side farther": ("per scan", 10.0),
+    "jumps, lower side farther": ("per scan", 10.0),
+    "jumps, upper side farther": ("per scan", 10.0),
+    "flying at steps": ("%", 0.2),
+    "fine noise, 10 %": ("mm", 0.003),
+    "fine noise, 25 %": ("mm", 0.003),
+    "fine noise, median": ("mm", 0.003),
+    "fine noise, 75 %": ("mm", 0.003),
+    "fine noise, 90 %": ("mm", 0.003),
+    "fine noise, 0 to 10 deg": ("mm", 0.003),
+    "fine noise, 10 to 20 deg": ("mm", 0.003),
+    "fine noise, 20 to 30 deg": ("mm", 0.003),
+    "fine noise, 30 to 40 deg": ("mm", 0.003),
+    "fine noise, 40 to 50 deg": ("mm", 0.003),
+    "fine noise of the floor": ("mm", 0.003),
+    "holes in the floor": ("%", 0.05),
+    "tiles that are rough": ("%", 0.3),
+    "noise along x above fine noise": ("%", 2.0),
+    "noise along y above fine noise": ("%", 2.0),
+    "noise common to rows": ("", 0.02),
+    "noise common to rows 2 px apart": ("", 0.02),
+    "noise common to columns": ("", 0.02),
+    "noise along x above fine noise, sloping along x": ("%", 2.0),
+    "noise along y above fine noise, sloping along x": ("%", 2.0),
+    "noise common to rows, sloping along x": ("", 0.02),
+    "noise along y above fine noise, sloping along y": ("%", 2.0),
+    "noise common to columns, sloping along y": ("", 0.02),
+    "floor's noise common to rows": ("", 0.02),
+    "tails of the floor's noise": ("%", 1.0),
+    "tails of the noise": ("%", 1.0),
+    "differences far out": ("%", 0.05),
+    "holes in flat places": ("per 10 000", 1.0),
+    "smooth squares without a hole": ("%", 2.0),
 }
 
 

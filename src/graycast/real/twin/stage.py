@@ -16,8 +16,8 @@ from ...rig import grey_levels
 from ...scanner import Scanner
 from ...scanner import scan as shoot
 from ...scene import Scene, bin_of
-from ...simulate import lay_out
 from ..realism import DepthScan
+from .restaging import layout_of
 
 _STEEP, _STEP = 0.6, 10.0  # tangents of the camera's angle of incidence, about
 
@@ -49,35 +49,36 @@ class Lit:
 
 def light_scenes(
     cell: Cell,
+    scenes: Sequence[Scene],
     codes: Sequence[CodeSpec],
-    scene_ids: Sequence[int],
     *,
     seed: int,
     renderer: Renderer,
     quality: Quality,
     rougher: Sequence[float],
+    names: Sequence[str],
     on_stage: OnStage,
 ) -> tuple[Lit, ...]:
-    """Drop each scene and render it, all codes in one pass, and again with a black bin.
+    """Render each scene of `restage`, all codes in one pass, and again with a black bin.
 
     Args:
         rougher: what is added to the black bins' roughness; a bin without gloss needs none.
-
-    Raises:
-        DropError: the parts of a scene did not come to an acceptable rest.
+        names: of the scenes, for who waits.
     """
     rig = cell.scanner.rig
     shown = [replace(cell.scanner, code=code).light_code() for code in codes]
     stack = [one.render(lambda share: grey_levels(rig, share)) for one in shown]
     ends = np.cumsum([len(one) for one in stack])
     lit = []
-    for scene_id in scene_ids:
-        on_stage(f"scene {scene_id}: parts fall")
-        scene, layout = lay_out(cell, scene_id, seed=seed)
-        on_stage(f"scene {scene_id}: {renderer.name} renders {int(ends[-1])} patterns")
+    for number, (scene, name) in enumerate(zip(scenes, names, strict=True)):
+        on_stage(f"{name}: {renderer.name} renders {int(ends[-1])} patterns")
         found = [
             renderer.render(
-                one, layout, np.concatenate(stack), quality=quality, seed=seed + scene_id
+                one,
+                layout_of(scene),
+                np.concatenate(stack),
+                quality=quality,
+                seed=seed + number,
             )
             for one in (scene, *(with_black_bin(scene, more) for more in rougher))
         ]
@@ -97,7 +98,7 @@ def light_scenes(
                 coats=dict(zip(rougher, split[1:], strict=True)),
                 is_bin=_bin_pixels(scene, truth),
                 truth=DepthScan(
-                    name=f"scene {scene_id}, perfect",
+                    name=f"{name}, perfect",
                     depth_m=truth.depth_m.astype(np.float64),
                     K=rig.camera.K,
                 ),

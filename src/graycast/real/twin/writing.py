@@ -41,7 +41,7 @@ def write_twin(twin: Twin, cell: Cell, base: Path, out: Path) -> list[Path]:
         read_text(base),
         base,
         {"rig": rig.name} | _bin(twin.found, cell),
-        {"rig": f"Fitted by graycast twin to {_scans(twin)} real scans, from {base.name}."},
+        {"rig": f"Fitted by graycast twin to {twin.scans} real scans, from {base.name}."},
         dropped=tuple(ScannerSections.model_fields),
     )
     refuse_there(rig, report, picture, out)
@@ -57,19 +57,17 @@ def write_twin(twin: Twin, cell: Cell, base: Path, out: Path) -> list[Path]:
 def report_text(twin: Twin) -> str:
     """Tables in Markdown: statistics, parameters, codes, and what the classifier says."""
     found = twin.found
-    sensor = [row for row in found.after if row.owner == "sensor"]
     lines = [
         "# The twin's report",
         "",
-        f"Searched {found.trials} trials on {twin.scenes} simulated scenes of the cell.",
+        f"The search made {found.trials} trials on the scenes of {twin.scans} real scans.",
         f"Statistics within two spreads of the real scans: {_met(found.before)} before, "
-        f"{_met(found.after)} after; of the sensor's {len(sensor)} alone: "
-        f"{sum(row.is_met for row in sensor)} after.",
+        f"{_met(found.after)} of {len(found.after)} after.",
         "",
         "## Statistics",
         "",
-        "| statistic | whose | real | spread | as configured | twin | met |",
-        "|---|---|---|---|---|---|---|",
+        "| statistic | real | spread | as configured | twin | met |",
+        "|---|---|---|---|---|---|",
         *_rows(found.before, found.after),
         "",
         "## What was fitted",
@@ -135,7 +133,7 @@ def draw_twin(twin: Twin, path: Path) -> None:
     grid = figure.add_gridspec(2, 3, height_ratios=[1, 1.2])
     known = np.concatenate([s.depth_m[s.valid] for s in twin.shown])
     low, high = np.percentile(known, [1, 99])
-    names = ("a real scan", "as configured", "the twin")
+    names = ("a real scan", "its scene as configured", "its scene as the twin scans it")
     for k, (name, scan) in enumerate(zip(names, twin.shown, strict=True)):
         ax = figure.add_subplot(grid[0, k])
         ax.imshow(scan.depth_m, vmin=low, vmax=high, cmap="viridis")
@@ -157,10 +155,6 @@ def draw_twin(twin: Twin, path: Path) -> None:
     save_png(figure, path, dpi=80)
 
 
-def _scans(twin: Twin) -> int:
-    return len(set(twin.classified["after"].squares[0].scan.tolist()))
-
-
 def _met(rows: Sequence[Row]) -> int:
     return sum(row.is_met for row in rows)
 
@@ -173,8 +167,8 @@ def _rows(before: Sequence[Row], after: Sequence[Row]) -> list[str]:
         unit = f" [{row.unit}]" if row.unit else ""
         told = "yes" if row.is_met else f"no, {row.off:+.1f} spreads"
         lines.append(
-            f"| {row.name}{unit} | {row.owner} | {row.real:.3g} | {row.spread:.2g} | {was} | "
-            f"{row.twin:.3g} | {told} |"
+            f"| {row.name}{unit} | {row.real:.3g} | {row.spread:.2g} | {was} | {row.twin:.3g} | "
+            f"{told} |"
         )
     return lines
 

@@ -1,0 +1,390 @@
+"""The scene of a real scan, staged again: a solid in the bin's mesh, with the picture on its top.
+
+What a scan measured nearer than the bin becomes one solid. Its top is the measured surface without
+its noise, and its sides run along the camera's rays down to the bin, so that no light passes under
+what it cannot pass in reality, and the camera does not see them. A scan that is simulated of this
+scene shows the same surfaces at the same pixels as the real one, so that whatever differs is the
+sensor's.
+
+Leaves out: surfaces that the scan lost, unless they are small gaps in others; light that passes
+under an overhang; what is thinner than `_THIN_M`; other materials than matt plastic or paper.
+"""
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+from jaxtyping import Bool, Float, Int, UInt8
+from scipy import ndimage
+
+from ...color import linear, srgb
+from ...errors import GraycastError
+from ...frames import inverse, transform_points
+from ...optics import Optics, rays
+from ...parts import Material, Mesh, Part
+from ...raster import rasterize
+from ...scene import EMPTY_LAYOUT, Layout, Scene, bin_mesh, bin_of
+from ..realism import DepthScan
+
+_THIN_M = 1.5e-3  # above the bin: its mesh and the noise are off by less
+_LEAST_PX = 30  # pixels of a thing; a mirror image in a glossy wall has fewer
+_STEP_M = 5e-3  # neighbours whose surfaces are further apart are not joined
+_MOST_GAP_PX = 60  # of a gap that the surface about it crosses
+_BENT_M = 4e-3  # so near to a plane what is about such a gap lies
+_LEAST_AROUND = 0.8  # as a share of what is about it
+_OUT_PX = 0.44  # less than half: the centres of pixels beside the edge stay free
+_UNDER_M = 2e-3  # so deep the sides go into the bin
+_BRIGHTEST, _WHITE_SHARE = 0.8, 0.97  # reflectance that so many pixels of all pictures are below
+_DARKEST = 0.03  # black print and plastic reflect about as much
+_GREY = 0.5  # without a picture
+_ROUGHNESS = 0.5
+# Radius of the window [px], its terms (3 are a plane, 6 a paraboloid) and what is near to a surface
+# [m], round after round. A gap of 0.6 mm is three times the noise of dark plastic.
+_ROUNDS = ((1, 3, 3e-3), (2, 3, 1.2e-3), (3, 6, 0.8e-3), (5, 6, 0.6e-3), (5, 6, 0.6e-3))
+_WIDTHS = 1.7  # a window's radius in standard deviations of its weight
+_RIDGE = 1e-3  # in pixels' weights: a slope that few pixels tell is small
+
+Planes = Float[np.ndarray, "h w 3"]  # inverse depth [1/m], its changes per pixel along x and y
+
+
+def restage(
+    scans: Sequence[DepthScan],
+    scene: Scene,
+    pictures: Sequence[UInt8[np.ndarray, "_ _ 3"]] = (),
+) -> tuple[Scene, ...]:
+    """The scene of each scan: `scene` with its bin, camera and light, and one solid part in it.
+
+    The part is in the world frame: it lies at the identity. A scan of an empty bin has none.
+
+    Args:
+        pictures: 8-bit sRGB that shows what each depth map shows, with as many pixels or more; none
+            make all parts grey. The brightest surfaces of all pictures are taken to be white.
+
+    Raises:
+        GraycastError: the pictures are not as many as the scans, or of another shape.
+    """
+    camera, mesh = scene.rig.camera, bin_mesh(bin_of(scene))
+    vertices_cam = transform_points(inverse(scene.T_world_cam), mesh.vertices_m)
+    bin_m = rasterize(vertices_cam, mesh.faces, camera).over(camera)[1]
+    before = [standing_before(scan.depth_m, bin_m) for scan in scans]
+    textures = _textures(scans, before, pictures)
+    staged = []
+    for scan, solid, texture in zip(scans, before, textures, strict=True):
+        parts: tuple[Part, ...] = ()
+        if solid.any():
+            planes = surfaces(scan.depth_m, solid)
+            known = np.isfinite(scan.depth_m)
+            top = solid_of(_without_gaps(planes, known), known, bin_m, camera)
+            world_m = transform_points(scene.T_world_cam, top.vertices_m)
+            parts = (_part(scan.name, replace(top, vertices_m=world_m), texture),)
+        staged.append(replace(scene, parts=parts))
+    return tuple(staged)
+
+
+def layout_of(staged: Scene) -> Layout:
+    """Where the solid of a scene of `restage` lies."""
+    if not staged.parts:
+        return EMPTY_LAYOUT
+    return Layout(T_world_part=np.eye(4)[None], part_index=np.zeros(1, dtype=np.int64))
+
+
+def standing_before(
+    depth_m: Float[np.ndarray, "h w"], bin_m: Float[np.ndarray, "h w"]
+) -> Bool[np.ndarray, "h w"]:
+    """Pixels at which a thing is nearer than the bin, or at which there is no bin.
+
+    Args:
+        depth_m: as measured, NaN where nothing is.
+        bin_m: depth of the empty bin, NaN beside it.
+    """
+    known = np.isfinite(depth_m)
+    both = known & np.isfinite(bin_m)
+    before_m = np.where(both, bin_m - depth_m, 0.0)
+    # Noise is evened out over 3 x 3 pixels, but the bin beside a high thing stays the bin's.
+    mean_m = _mean(np.clip(before_m, -3 * _THIN_M, 3 * _THIN_M), both, 3)
+    before = (mean_m > _THIN_M) & (before_m > _THIN_M / 2)
+    label, _ = ndimage.label(known & (before | ~np.isfinite(bin_m)))
+    large = np.bincount(label.ravel()) >= _LEAST_PX
+    large[0] = False
+    return large[label]
+
+
+def surfaces(depth_m: Float[np.ndarray, "h w"], solid: Bool[np.ndarray, "h w"]) -> Planes:
+    """The surface at each pixel of the solid without the noise; NaN elsewhere.
+
+    The inverse depth of a plane is linear over the picture, so each pixel gets the plane or the
+    paraboloid of inverse depth that lies nearest to the pixels about it. These count the less the
+    farther they are from the surface of the round before, so that edges stay sharp.
+    """
+    y, x = np.nonzero(solid)
+    z_m = depth_m[y, x]
+    margin = max(radius for radius, _, _ in _ROUNDS)
+    inside = np.pad(solid, margin)
+    value = np.pad(1 / np.where(solid, depth_m, 1.0), margin)
+    found = np.zeros((len(y), 6))
+    found[:, 0] = 1 / z_m
+    for radius, terms, near_m in _ROUNDS:
+        A, b = np.zeros((len(y), terms, terms)), np.zeros((len(y), terms))
+        A[:, range(1, terms), range(1, terms)] = _RIDGE
+        for dy in range(-radius, radius + 1):
+            for dx in range(-radius, radius + 1):
+                basis = np.array([1, dx, dy, dx * dx, dx * dy, dy * dy], dtype=np.float64)
+                at = y + margin + dy, x + margin + dx
+                off_m = (value[at] - found @ basis) * z_m**2
+                weight = inside[at] * np.exp(-np.minimum((off_m / near_m) ** 2, 50.0))
+                weight *= np.exp(-(dx * dx + dy * dy) / 2 * (_WIDTHS / radius) ** 2)
+                A += weight[:, None, None] * np.outer(basis[:terms], basis[:terms])
+                b += (weight * value[at])[:, None] * basis[:terms]
+        lonely = A[:, 0, 0] < 1e-9  # the round before lies near to none: it stays
+        A[lonely] = np.eye(terms)
+        b[lonely] = found[lonely, :terms]
+        found[:, :terms] = np.linalg.solve(A, b[..., None])[..., 0]
+    planes = np.full((*solid.shape, 3), np.nan)
+    planes[y, x] = found[:, :3]
+    return planes
+
+
+def solid_of(
+    planes: Planes,
+    known: Bool[np.ndarray, "h w"],
+    bin_m: Float[np.ndarray, "h w"],
+    camera: Optics,
+) -> Mesh:
+    """The solid under the surfaces, closed, in the camera frame; uv are those of the picture.
+
+    Each pixel is a rectangle whose corners lie at the pixel's corners. Neighbours share a corner if
+    their surfaces meet there. Where nothing is known beside a pixel, a scanner has seen two
+    surfaces at once, so the edge lies somewhere within that pixel: half of it is covered.
+
+    Args:
+        known: where the scan has depth, be it of the solid or not.
+        bin_m: depth of the empty bin, NaN beside it.
+    """
+    height, width = known.shape
+    vertex, inverse_m = _corners(planes)
+    place, slope = _places(vertex, planes)
+    moved = _outwards(vertex, known, len(place))
+    deeper = inverse_m + (slope * moved).sum(axis=1)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        held = (deeper > 0) & (np.abs(1 / deeper - 1 / inverse_m) < _STEP_M)
+    pixel = place + np.where(held[:, None], moved, 0.0)
+    z_m = 1 / np.where(held, deeper, inverse_m)
+    ray = rays(camera, pixel)
+    faces = _rectangles(vertex, np.isfinite(planes[..., 0]))
+    low_m = np.maximum(_at(bin_m, pixel), z_m) + _UNDER_M
+    rim = _rim(faces, len(z_m))
+    first, second = rim.T
+    sides = [
+        np.stack([second, first, first + len(z_m)], axis=1),
+        np.stack([second, first + len(z_m), second + len(z_m)], axis=1),
+    ]
+    faces = np.concatenate([faces, faces[:, ::-1] + len(z_m), *sides])
+    share = (pixel + 0.5) / [width, height]
+    uv = np.column_stack([share[:, 0], 1 - share[:, 1]])
+    return Mesh(
+        vertices_m=np.concatenate([ray * z_m[:, None], ray * low_m[:, None]]),
+        faces=faces,
+        corner_uv=np.concatenate([uv, uv])[faces],
+    )
+
+
+# --- the mesh ------------------------------------------------------------------------------------
+
+# The four pixels about a corner, as the steps from the corner's row and column to theirs. Corner
+# (i, j) lies above and left of pixel (i, j). It lies a bit aside, as the ray of a pixel's centre
+# would otherwise run along the edge between the two triangles of the pixel, and may miss both.
+_ABOUT = ((-1, -1), (-1, 0), (0, -1), (0, 0))
+_CORNER_PX = np.array([-0.45, -0.48])  # x and y, from the centre of pixel (i, j)
+
+
+def _corners(
+    planes: Planes,
+) -> tuple[Int[np.ndarray, "h1 w1 4"], Float[np.ndarray, " v"]]:
+    """The vertex of each pixel about each corner, -1 where none is; each one's inverse depth."""
+    height, width = planes.shape[:2]
+    value = np.full((height + 1, width + 1, 4), np.nan)
+    for k, (down, right) in enumerate(_ABOUT):
+        own = planes @ np.array([1.0, *(_CORNER_PX - [right, down])])
+        value[-down : height - down, -right : width - right, k] = own
+    order = np.argsort(-value, axis=-1)  # the nearest one first, NaN last
+    ordered = np.take_along_axis(value, order, axis=-1)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        apart = np.diff(1 / ordered, axis=-1) > _STEP_M  # NaN is not
+    group = np.concatenate([np.zeros_like(apart[..., :1]), apart], axis=-1).cumsum(axis=-1)
+    some = np.isfinite(ordered)
+    name = 4 * np.arange(group[..., 0].size).reshape(group.shape[:2])[..., None] + group
+    _, number = np.unique(name[some], return_inverse=True)
+    total = np.bincount(number, weights=ordered[some]) / np.bincount(number)
+    vertex = np.full(value.shape, -1)
+    vertex[some] = number
+    back = np.argsort(order, axis=-1)
+    return np.take_along_axis(vertex, back, axis=-1), total
+
+
+def _places(
+    vertex: Int[np.ndarray, "h1 w1 4"], planes: Planes
+) -> tuple[Float[np.ndarray, "v 2"], Float[np.ndarray, "v 2"]]:
+    """Where each vertex lies in the picture, and how the inverse depth changes there."""
+    i, j, k = np.nonzero(vertex >= 0)
+    number = vertex[i, j, k]
+    count = np.bincount(number)
+    down, right = np.array(_ABOUT)[k].T
+    slope = planes[i + down, j + right, 1:]
+    place = np.empty((len(count), 2))
+    place[number] = np.column_stack([j, i]) + _CORNER_PX
+    mean = [np.bincount(number, weights=own) / count for own in slope.T]
+    return place, np.column_stack(mean)
+
+
+def _outwards(
+    vertex: Int[np.ndarray, "h1 w1 4"], known: Bool[np.ndarray, "h w"], count: int
+) -> Float[np.ndarray, "v 2"]:
+    """By how many pixels each vertex moves: half of one to each side where nothing is known."""
+    moved = np.zeros((count, 2))
+    unknown = np.pad(~known, 1)  # beyond the picture as well as in it
+    unknown[[0, -1]] = unknown[:, [0, -1]] = True
+    for k, (down, right) in enumerate(_ABOUT):
+        own = vertex[..., k]
+        i, j = np.nonzero(own >= 0)
+        y, x = i + down + 1, j + right + 1  # of the pixel, in the padded picture
+        # The corner is on the pixel's lower side where the pixel is above it, and so on.
+        for axis, step, beyond in (
+            (0, -1 - 2 * right, unknown[y, x - 1 - 2 * right]),
+            (1, -1 - 2 * down, unknown[y - 1 - 2 * down, x]),
+        ):
+            np.add.at(moved[:, axis], own[i, j][beyond], float(step))
+    # A thing of one pixel's width grows to neither side.
+    return _OUT_PX * np.clip(moved, -1, 1)
+
+
+def _rectangles(
+    vertex: Int[np.ndarray, "h1 w1 4"], solid: Bool[np.ndarray, "h w"]
+) -> Int[np.ndarray, "f 3"]:
+    """Two triangles for each pixel, which face the camera."""
+    top_left, top_right = vertex[:-1, :-1, 3][solid], vertex[:-1, 1:, 2][solid]
+    low_left, low_right = vertex[1:, :-1, 1][solid], vertex[1:, 1:, 0][solid]
+    return np.concatenate(
+        [
+            np.stack([top_left, low_left, top_right], axis=1),
+            np.stack([top_right, low_left, low_right], axis=1),
+        ]
+    )
+
+
+def _rim(faces: Int[np.ndarray, "f 3"], count: int) -> Int[np.ndarray, "e 2"]:
+    """The edges that have one face only, in its direction."""
+    edge = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]]).astype(np.int64)
+    name, other = edge @ [count, 1], edge @ [1, count]
+    return edge[~np.isin(name, other)]
+
+
+def _at(bin_m: Float[np.ndarray, "h w"], pixel: Float[np.ndarray, "v 2"]) -> np.ndarray:
+    """The bin's depth at places of the picture; beside the bin that of its nearest pixel."""
+    beside = ~np.isfinite(bin_m)
+    if beside.all():
+        return np.zeros(len(pixel))
+    nearest = ndimage.distance_transform_edt(beside, return_distances=False, return_indices=True)
+    filled = bin_m[tuple(nearest)]
+    return ndimage.map_coordinates(filled, pixel[:, ::-1].T, order=1, mode="nearest")
+
+
+# --- gaps and noise ------------------------------------------------------------------------------
+
+
+def _without_gaps(planes: Planes, known: Bool[np.ndarray, "h w"]) -> Planes:
+    """Small gaps of the scan get the plane of what is about them, if that is one surface."""
+    filled = planes.copy()
+    label, _ = ndimage.label(~known)
+    reach = 2
+    for number, box in enumerate(ndimage.find_objects(label), 1):
+        rows, columns = (slice(max(s.start - reach, 0), s.stop + reach) for s in box)
+        gap = label[rows, columns] == number
+        if gap.sum() > _MOST_GAP_PX:
+            continue
+        around = ndimage.binary_dilation(gap, np.ones((3, 3), dtype=bool), reach) & ~gap
+        own = planes[rows, columns, 0]
+        solid = around & np.isfinite(own)
+        if solid.sum() < max(_LEAST_AROUND * around.sum(), 6):
+            continue
+        y, x = np.mgrid[: gap.shape[0], : gap.shape[1]]
+        basis = np.stack([np.ones(gap.shape), x, y], axis=-1)
+        plane = np.linalg.lstsq(basis[solid], own[solid], rcond=None)[0]
+        if np.abs(1 / (basis[solid] @ plane) - 1 / own[solid]).max() < _BENT_M:
+            inside = basis[gap] @ plane
+            filled[rows, columns][gap] = np.column_stack(
+                [inside, np.full(len(inside), plane[1]), np.full(len(inside), plane[2])]
+            )
+    return filled
+
+
+def _mean(
+    value: Float[np.ndarray, "h w"], counts: Bool[np.ndarray, "h w"], size_px: int
+) -> Float[np.ndarray, "h w"]:
+    """Over a square, of the pixels that count; 0 where none does."""
+    share = ndimage.uniform_filter(counts.astype(np.float64), size_px)
+    total = ndimage.uniform_filter(np.where(counts, value, 0.0), size_px)
+    return np.where(share > 1e-6, total / np.maximum(share, 1e-6), 0.0)
+
+
+# --- what is on it -------------------------------------------------------------------------------
+
+
+def _textures(
+    scans: Sequence[DepthScan],
+    solid: Sequence[Bool[np.ndarray, "h w"]],
+    pictures: Sequence[UInt8[np.ndarray, "_ _ 3"]],
+) -> tuple[UInt8[np.ndarray, "_ _ 3"] | None, ...]:
+    """The pictures as reflectances in sRGB: one factor for all makes their brightest things white.
+
+    Raises:
+        GraycastError: they are not as many as the scans, or of another shape.
+    """
+    if not pictures:
+        return (None,) * len(scans)
+    if len(pictures) != len(scans):
+        raise GraycastError(
+            f"{len(pictures)} colour pictures are given for {len(scans)} scans: give one picture "
+            "for each scan, in the same order, or none"
+        )
+    light, bright = [], []
+    for scan, own, picture in zip(scans, solid, pictures, strict=True):
+        (height, width), (own_height, own_width) = scan.depth_m.shape, picture.shape[:2]
+        if min(own_height / height, own_width / width) < 0.99 or (
+            abs(own_height * width - own_width * height) > 0.01 * own_width * height
+        ):
+            raise GraycastError(
+                f"{scan.name}: its colour picture has {own_width} x {own_height} pixels and the "
+                f"depth map {width} x {height}: give a picture of the same view that has the same "
+                "shape and as many pixels or more"
+            )
+        value = _seen(linear(picture), picture)
+        light.append(value)
+        y, x = np.nonzero(own)
+        bright.append(value[y * own_height // height, x * own_width // width].max(axis=-1))
+    every = np.concatenate(bright)
+    white = float(np.quantile(every, _WHITE_SHARE)) if len(every) else 1.0
+    factor = _BRIGHTEST / max(white, 1e-6)
+    return tuple(srgb(np.clip(factor * value, _DARKEST, 0.9)) for value in light)
+
+
+def _seen(
+    value: Float[np.ndarray, "_ _ 3"], picture: UInt8[np.ndarray, "_ _ 3"]
+) -> Float[np.ndarray, "_ _ 3"]:
+    """With the nearest colour where a picture that was mapped onto the depth has none (black)."""
+    black = ndimage.binary_dilation(picture.max(axis=-1) <= 2, np.ones((3, 3), dtype=bool))
+    if black.all():
+        return value
+    nearest = ndimage.distance_transform_edt(black, return_distances=False, return_indices=True)
+    return value[tuple(nearest)]
+
+
+def _part(name: str, mesh: Mesh, texture: UInt8[np.ndarray, "_ _ 3"] | None) -> Part:
+    material = Material(base_color=(_GREY,) * 3, texture=texture, roughness=_ROUGHNESS)
+    return Part(
+        name=name,
+        mesh=mesh,
+        material=material,
+        density_kg_m3=1000.0,
+        friction=0.5,
+        source="a real scan",
+    )

@@ -1,0 +1,256 @@
+"""A scene that is staged from its scan has the surfaces, the edges and the shadows of the first."""
+
+import numpy as np
+import pytest
+import trimesh
+
+from graycast.errors import GraycastError
+from graycast.frames import axis_rotation, inverse, rigid, transform_points
+from graycast.optics import Optics
+from graycast.parts import Material, Mesh
+from graycast.raster import rasterize
+from graycast.real.realism import DepthScan
+from graycast.real.twin.restaging import layout_of, restage, standing_before, surfaces
+from graycast.rig import Rig
+from graycast.scene import Bin, Scene, bin_mesh
+
+WIDTH_PX, HEIGHT_PX, F_PX = 240, 180, 250.0
+SIGMA_M = 2e-4
+T_WORLD_CAM = rigid(axis_rotation("x", np.pi), np.array([0.01, -0.02, 0.75]))
+PROJECTOR_M = np.array([-0.2, 0.0, 0.0])  # in the camera frame
+
+
+def camera(finer=1):
+    """The same view with so many pixels for each one."""
+    return Optics(
+        width_px=finer * WIDTH_PX,
+        height_px=finer * HEIGHT_PX,
+        fx_px=finer * F_PX,
+        fy_px=finer * F_PX,
+        cx_px=(finer * WIDTH_PX - 1) / 2,
+        cy_px=(finer * HEIGHT_PX - 1) / 2,
+    )
+
+
+def bin_scene():
+    rig = Rig(
+        name="small",
+        camera=camera(),
+        projector=camera(),
+        T_cam_proj=rigid(np.eye(3), PROJECTOR_M),
+        near_m=0.4,
+        far_m=1.0,
+    )
+    box = Bin(inner_m=(0.6, 0.45, 0.1), material=Material(base_color=(0.05,) * 3))
+    return Scene(rig=rig, T_world_cam=T_WORLD_CAM, bin=box)
+
+
+def things():
+    """A leaning box, a ball and a narrow tower, in the world."""
+    block = trimesh.creation.box((0.12, 0.08, 0.04))
+    block.apply_transform(rigid(axis_rotation("y", 0.4), np.array([-0.1, 0.05, 0.06])))
+    ball = trimesh.creation.icosphere(subdivisions=5, radius=0.035)
+    ball.apply_translation((0.08, 0.07, 0.035))
+    tower = trimesh.creation.box((0.012, 0.1, 0.09))
+    tower.apply_translation((0.06, -0.08, 0.045))
+    return trimesh.util.concatenate([block, ball, tower])
+
+
+def seen(vertices_m, faces, optics, T_cam_world):
+    """z-depth, NaN where nothing is."""
+    return rasterize(transform_points(T_cam_world, vertices_m), faces, optics).over(optics)[1]
+
+
+def of_thing(optics, thing=None):
+    thing = things() if thing is None else thing
+    return seen(np.array(thing.vertices), np.array(thing.faces), optics, inverse(T_WORLD_CAM))
+
+
+def of_bin(optics):
+    mesh = bin_mesh(bin_scene().bin)
+    return seen(mesh.vertices_m, mesh.faces, optics, inverse(T_WORLD_CAM))
+
+
+def of_part(staged, optics, T_cam_world=None):
+    mesh = staged.parts[0].mesh
+    T = inverse(T_WORLD_CAM) if T_cam_world is None else T_cam_world
+    return seen(mesh.vertices_m, mesh.faces, optics, T)
+
+
+def scan_of(depth_m, name="scan"):
+    K = np.array([[F_PX, 0, (WIDTH_PX - 1) / 2], [0, F_PX, (HEIGHT_PX - 1) / 2], [0, 0, 1]])
+    return DepthScan(name=name, depth_m=depth_m, K=K)
+
+
+def noisy_scan(seed=0, thing=None):
+    """Bin and things with noise and single holes; a pixel that sees two surfaces has no depth."""
+    rng = np.random.default_rng(seed)
+    depth_m = np.fmin(of_thing(camera(), thing), of_bin(camera()))
+    fine = np.isfinite(of_thing(camera(4), thing)).reshape(HEIGHT_PX, 4, WIDTH_PX, 4)
+    covered = fine.mean(axis=(1, 3))
+    depth_m = depth_m + SIGMA_M * rng.standard_normal(depth_m.shape)
+    depth_m[(covered > 0) & (covered < 1)] = np.nan
+    depth_m[rng.random(depth_m.shape) < 0.01] = np.nan
+    return scan_of(depth_m)
+
+
+@pytest.fixture(scope="module")
+def staged():
+    (made,) = restage([noisy_scan()], bin_scene())
+    return made
+
+
+def test_the_surface_is_there_at_every_pixel_without_the_noise(staged):
+    """Paraboloids leave a fifth of the noise; edges are not rounded by more than a pixel's step."""
+    truth_m, made_m = of_thing(camera()), of_part(staged, camera())
+    inner = np.isfinite(truth_m) & np.isfinite(noisy_scan().depth_m)
+    assert np.isfinite(made_m[inner]).all()  # neither a gap nor a crack
+    off_m = np.abs(made_m - truth_m)[inner]
+    assert np.median(off_m) < 0.3 * SIGMA_M
+    assert np.quantile(off_m, 0.95) < 2 * SIGMA_M
+    assert np.quantile(off_m, 0.99) < 2e-3
+    elsewhere = np.isfinite(made_m) & ~np.isfinite(truth_m) & np.isfinite(noisy_scan().depth_m)
+    assert elsewhere.sum() <= 2
+
+
+def test_edges_lie_where_pixels_see_two_surfaces(staged):
+    """At four times as many pixels, the things cover the same area up to a tenth of a pixel."""
+    truth, made = (np.isfinite(one) for one in (of_thing(camera(4)), of_part(staged, camera(4))))
+    assert made.sum() / truth.sum() == pytest.approx(1, abs=0.02)
+    assert (made != truth).sum() < 0.06 * truth.sum()
+
+
+def test_the_solid_is_closed(staged):
+    """Every edge is passed as often in one direction as in the other."""
+    mesh = staged.parts[0].mesh
+    edge = np.concatenate([mesh.faces[:, [k, (k + 1) % 3]] for k in range(3)]).astype(np.int64)
+    n = len(mesh.vertices_m)
+    there = np.sort(edge @ [n, 1])
+    assert np.array_equal(there, np.sort(edge @ [1, n]))
+    assert trimesh.Trimesh(mesh.vertices_m, mesh.faces, process=False).volume > 0
+
+
+def test_shadows_are_those_of_the_things(staged):
+    """Oracle: what the projector's pinhole sees of the true things, and of the solid.
+
+    A sheet without sides would let light pass under the tower and under the leaning box.
+    """
+    T_proj_world = rigid(np.eye(3), -PROJECTOR_M) @ inverse(T_WORLD_CAM)
+    true, made = things(), staged.parts[0].mesh
+
+    def lit(vertices_m, faces):
+        behind_m = np.fmin(seen(vertices_m, faces, camera(2), T_proj_world), of_floor(T_proj_world))
+        floor_m = of_bin(camera())
+        y, x = np.nonzero(np.isfinite(floor_m) & ~np.isfinite(of_thing(camera())))
+        z_m = floor_m[y, x]
+        own = camera()
+        point = (
+            np.column_stack([(x - own.cx_px) / F_PX * z_m, (y - own.cy_px) / F_PX * z_m, z_m])
+            - PROJECTOR_M
+        )
+        pixel = np.round(
+            2 * F_PX * point[:, :2] / point[:, 2:] + [camera(2).cx_px, camera(2).cy_px]
+        )
+        column, row = pixel.astype(int).T
+        inside = (column >= 0) & (row >= 0) & (column < 2 * WIDTH_PX) & (row < 2 * HEIGHT_PX)
+        shadow = np.zeros(len(x), dtype=bool)
+        shadow[inside] = behind_m[row[inside], column[inside]] < point[inside, 2] - 3e-3
+        return ~shadow
+
+    def of_floor(T_cam_world):
+        mesh = bin_mesh(bin_scene().bin)
+        return seen(mesh.vertices_m, mesh.faces, camera(2), T_cam_world)
+
+    truly = lit(np.array(true.vertices), np.array(true.faces))
+    told = lit(made.vertices_m, made.faces)
+    assert (~truly).sum() > 500
+    assert (truly != told).sum() < 0.12 * (~truly).sum()
+    top = made.faces[: len(made.faces) // 2]
+    sheet = lit(made.vertices_m, top[(made.vertices_m[top][:, :, 2] > 0.004).all(axis=1)])
+    assert sheet.sum() >= told.sum()
+
+
+def test_small_gaps_of_one_surface_are_closed_and_large_ones_are_not():
+    depth_m = noisy_scan().depth_m.copy()
+    board = trimesh.creation.box((0.2, 0.2, 0.03))
+    board.apply_translation((0, 0, 0.015))
+    depth_m = noisy_scan(thing=board).depth_m.copy()
+    middle_y, middle_x = (
+        np.argwhere(np.isfinite(of_thing(camera(), board))).mean(axis=0).astype(int)
+    )
+    small = np.s_[middle_y - 18 : middle_y - 12, middle_x : middle_x + 8]
+    large = np.s_[middle_y : middle_y + 12, middle_x : middle_x + 12]
+    depth_m[small] = depth_m[large] = np.nan
+    (made,) = restage([scan_of(depth_m)], bin_scene())
+    made_m, truth_m = of_part(made, camera()), of_thing(camera(), board)
+    assert np.abs(made_m - truth_m)[small].max() < 1e-3
+    assert np.isnan(made_m[large][1:-1, 1:-1]).all()
+
+
+def test_the_bin_s_own_noise_is_no_thing():
+    scan = scan_of(noisy_scan().depth_m)
+    solid = standing_before(scan.depth_m, of_bin(camera()))
+    assert not (solid & ~np.isfinite(of_thing(camera()))).sum() > 0.002 * solid.sum()
+    rng = np.random.default_rng(3)
+    empty = of_bin(camera()) + SIGMA_M * rng.standard_normal((HEIGHT_PX, WIDTH_PX))
+    (made,) = restage([scan_of(empty)], bin_scene())
+    assert made.parts == () and len(layout_of(made).part_index) == 0
+
+
+def test_a_plane_and_a_sharp_edge_are_kept():
+    """Two boards that meet at a ridge: a plain mean over the window would cut it by 0.6 mm."""
+    x = np.mgrid[:60, :80][1].astype(float)
+    inverse_m = 1.4 + 2e-3 * np.abs(x - 39.5)
+    planes = surfaces(1 / inverse_m, np.ones(x.shape, dtype=bool))
+    off_m = np.abs(1 / planes[..., 0] - 1 / inverse_m)
+    assert off_m[:, 10:30].max() < 1e-5
+    assert off_m.max() < 3e-4
+    assert planes[30, 20, 1] == pytest.approx(-2e-3, abs=1e-5)
+    assert planes[30, 60, 1] == pytest.approx(2e-3, abs=1e-5)
+
+
+def painted(height_px, width_px, color=(200, 100, 50)):
+    return np.full((height_px, width_px, 3), color, dtype=np.uint8)
+
+
+def test_pictures_become_reflectances_whose_brightest_is_white():
+    """One factor for all: the second picture is half as bright, in linear light."""
+    first, second = (
+        painted(2 * HEIGHT_PX, 2 * WIDTH_PX),
+        painted(HEIGHT_PX, WIDTH_PX, (146, 71, 33)),
+    )
+    first[: HEIGHT_PX // 2] = 0  # mapped onto the depth, with nothing there
+    staged = restage([noisy_scan(0), noisy_scan(1)], bin_scene(), [first, second])
+    a, b = (one.parts[0].material.texture for one in staged)
+    assert a.shape == first.shape
+    assert (a == a[-1, -1]).all()  # the nearest colour where the picture has none
+
+    def light(value):
+        share = value / 255
+        return np.where(share <= 0.04045, share / 12.92, ((share + 0.055) / 1.055) ** 2.4)
+
+    assert light(a[0, 0])[0] == pytest.approx(0.8, abs=0.01)
+    assert light(a[0, 0])[1] / light(a[0, 0])[0] == pytest.approx(light(100) / light(200), rel=0.03)
+    assert light(b[0, 0])[0] == pytest.approx(0.4, abs=0.01)
+    assert light(b[0, 0])[2] == pytest.approx(0.03, abs=0.002)  # nothing is blacker than print
+
+
+def test_a_texture_lies_where_its_picture_shows_the_surface(staged):
+    """uv of the top's vertices are their places in the picture."""
+    part = staged.parts[0]
+    mesh: Mesh = part.mesh
+    corner = transform_points(inverse(T_WORLD_CAM), mesh.vertices_m[mesh.faces].reshape(-1, 3))
+    pixel = F_PX * corner[:, :2] / corner[:, 2:] + [(WIDTH_PX - 1) / 2, (HEIGHT_PX - 1) / 2]
+    uv = mesh.corner_uv.reshape(-1, 2)
+    np.testing.assert_allclose(uv[:, 0], (pixel[:, 0] + 0.5) / WIDTH_PX, atol=1e-9)
+    np.testing.assert_allclose(uv[:, 1], 1 - (pixel[:, 1] + 0.5) / HEIGHT_PX, atol=1e-9)
+
+
+def test_pictures_that_do_not_belong_to_the_scans_are_refused():
+    scans = [noisy_scan()]
+    with pytest.raises(GraycastError, match="2 colour pictures are given for 1 scans"):
+        restage(scans, bin_scene(), [painted(HEIGHT_PX, WIDTH_PX)] * 2)
+    with pytest.raises(GraycastError, match="has 240 x 240 pixels and the depth map 240 x 180"):
+        restage(scans, bin_scene(), [painted(240, 240)])
+    with pytest.raises(GraycastError, match="has 120 x 90 pixels"):
+        restage(scans, bin_scene(), [painted(90, 120)])

@@ -110,7 +110,7 @@ class FilterSpec:
     raster_window_px: Annotated[
         float | None,
         Field(
-            ge=0.5,
+            ge=0.4,
             le=4,
             description="Standard deviation of the window whose light decides on the place of a "
             "depth; without it, the places of neighbouring pixels are independent.",

@@ -32,7 +32,7 @@ _STEP_M = 5e-3  # neighbours whose surfaces are further apart are not joined
 _MOST_GAP_PX = 60  # of a gap that the surface about it crosses
 _BENT_M = 4e-3  # so near to a plane what is about such a gap lies
 _LEAST_AROUND = 0.8  # as a share of what is about it
-_OUT_PX = 0.44  # less than half: the centres of pixels beside the edge stay free
+_MOST_COVERED = 0.95  # of a pixel beside a thing
 _UNDER_M = 2e-3  # so deep the sides go into the bin
 _BRIGHTEST, _WHITE_SHARE = 0.8, 0.97  # reflectance that so many pixels of all pictures are below
 _DARKEST = 0.03  # black print and plastic reflect about as much
@@ -74,7 +74,8 @@ def restage(
         if solid.any():
             planes = surfaces(scan.depth_m, solid)
             known = np.isfinite(scan.depth_m)
-            top = solid_of(_without_gaps(planes, known), known, bin_m, camera)
+            covered = _covered(known, _brightness(texture, scene, known.shape))
+            top = solid_of(_without_gaps(planes, known), covered, bin_m, camera)
             world_m = transform_points(scene.T_world_cam, top.vertices_m)
             parts = (_part(scan.name, replace(top, vertices_m=world_m), texture),)
         staged.append(replace(scene, parts=parts))
@@ -146,24 +147,24 @@ def surfaces(depth_m: Float[np.ndarray, "h w"], solid: Bool[np.ndarray, "h w"]) 
 
 def solid_of(
     planes: Planes,
-    known: Bool[np.ndarray, "h w"],
+    covered: Float[np.ndarray, "h w 4"],
     bin_m: Float[np.ndarray, "h w"],
     camera: Optics,
 ) -> Mesh:
     """The solid under the surfaces, closed, in the camera frame; uv are those of the picture.
 
     Each pixel is a rectangle whose corners lie at the pixel's corners. Neighbours share a corner if
-    their surfaces meet there. Where nothing is known beside a pixel, a scanner has seen two
-    surfaces at once, so the edge lies somewhere within that pixel: half of it is covered.
+    their surfaces meet there.
 
     Args:
-        known: where the scan has depth, be it of the solid or not.
+        covered: how much of the pixel on its left, right, upper and lower side a pixel's surface
+            covers as well.
         bin_m: depth of the empty bin, NaN beside it.
     """
-    height, width = known.shape
+    height, width = covered.shape[:2]
     vertex, inverse_m = _corners(planes)
     place, slope = _places(vertex, planes)
-    moved = _outwards(vertex, known, len(place))
+    moved = _outwards(vertex, covered, len(place))
     deeper = inverse_m + (slope * moved).sum(axis=1)
     with np.errstate(divide="ignore", invalid="ignore"):
         held = (deeper > 0) & (np.abs(1 / deeper - 1 / inverse_m) < _STEP_M)
@@ -237,24 +238,19 @@ def _places(
 
 
 def _outwards(
-    vertex: Int[np.ndarray, "h1 w1 4"], known: Bool[np.ndarray, "h w"], count: int
+    vertex: Int[np.ndarray, "h1 w1 4"], covered: Float[np.ndarray, "h w 4"], count: int
 ) -> Float[np.ndarray, "v 2"]:
-    """By how many pixels each vertex moves: half of one to each side where nothing is known."""
-    moved = np.zeros((count, 2))
-    unknown = np.pad(~known, 1)  # beyond the picture as well as in it
-    unknown[[0, -1]] = unknown[:, [0, -1]] = True
+    """By how many pixels each vertex moves, so that its pixel's surface covers what it shall."""
+    most, least = np.zeros((count, 2)), np.zeros((count, 2))
     for k, (down, right) in enumerate(_ABOUT):
-        own = vertex[..., k]
-        i, j = np.nonzero(own >= 0)
-        y, x = i + down + 1, j + right + 1  # of the pixel, in the padded picture
-        # The corner is on the pixel's lower side where the pixel is above it, and so on.
-        for axis, step, beyond in (
-            (0, -1 - 2 * right, unknown[y, x - 1 - 2 * right]),
-            (1, -1 - 2 * down, unknown[y - 1 - 2 * down, x]),
-        ):
-            np.add.at(moved[:, axis], own[i, j][beyond], float(step))
-    # A thing of one pixel's width grows to neither side.
-    return _OUT_PX * np.clip(moved, -1, 1)
+        i, j = np.nonzero(vertex[..., k] >= 0)
+        number, y, x = vertex[i, j, k], i + down, j + right
+        # A corner is on the pixel's right side where the pixel is on its left, and so on.
+        np.maximum.at(most[:, 0], number, covered[y, x, 1] if right else 0.0)
+        np.maximum.at(least[:, 0], number, 0.0 if right else covered[y, x, 0])
+        np.maximum.at(most[:, 1], number, covered[y, x, 3] if down else 0.0)
+        np.maximum.at(least[:, 1], number, 0.0 if down else covered[y, x, 2])
+    return np.where((most > 0) & (least > 0), 0.0, most - least)  # a thing one pixel wide stays
 
 
 def _rectangles(
@@ -324,6 +320,50 @@ def _mean(
     share = ndimage.uniform_filter(counts.astype(np.float64), size_px)
     total = ndimage.uniform_filter(np.where(counts, value, 0.0), size_px)
     return np.where(share > 1e-6, total / np.maximum(share, 1e-6), 0.0)
+
+
+# --- edges ---------------------------------------------------------------------------------------
+
+
+def _covered(
+    known: Bool[np.ndarray, "h w"], brightness: Float[np.ndarray, "h w"]
+) -> Float[np.ndarray, "h w 4"]:
+    """How much of each neighbour without depth a pixel's surface covers (left, right, up, down).
+
+    A scanner loses a pixel that sees two surfaces if both send it about as much light, so in a gap
+    of one or two pixels the edge lies where they do: a bright thing covers little of a pixel that
+    it shares with a dark one. Where a gap is wider, the far surface is in shadow and the edge may
+    lie anywhere: half of the pixel is covered.
+    """
+    covered = np.zeros((*known.shape, 4))
+    for side, (axis, step) in enumerate(((1, -1), (1, 1), (0, -1), (0, 1))):
+        beside, second, third = (_shifted(known, axis, k * step) for k in (1, 2, 3))
+        far = np.where(second, 2, 3)
+        light = np.where(
+            far == 2,
+            _shifted(brightness, axis, 2 * step),
+            _shifted(brightness, axis, 3 * step),
+        )
+        share = light / (light + brightness)
+        covered[..., side] = np.where(beside, 0.0, np.where(second | third, share, 0.5))
+    return np.minimum(covered, _MOST_COVERED)
+
+
+def _shifted(image: np.ndarray, axis: int, step: int) -> np.ndarray:
+    """What lies so many pixels further along an axis; at the border the last one."""
+    place = np.clip(np.arange(image.shape[axis]) + step, 0, image.shape[axis] - 1)
+    return np.take(image, place, axis=axis)
+
+
+def _brightness(
+    texture: UInt8[np.ndarray, "_ _ 3"] | None, scene: Scene, shape: tuple[int, int]
+) -> Float[np.ndarray, "h w"]:
+    """Reflectance in the projector's light at each pixel; all alike without a picture."""
+    if texture is None:
+        return np.ones(shape)
+    weights = np.array(scene.rig.band_weights)
+    y, x = (np.arange(n) * own // n for n, own in zip(shape, texture.shape, strict=False))
+    return linear(texture[np.ix_(y, x)]) @ (weights / weights.sum())
 
 
 # --- what is on it -------------------------------------------------------------------------------

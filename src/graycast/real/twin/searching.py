@@ -19,7 +19,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Float
-from scipy.optimize import least_squares
 
 from ...errors import GraycastError
 from ...pattern import CodeSpec
@@ -45,6 +44,9 @@ _DARK_LOSS = 1e3  # of a scanner that sees nothing
 _FIRST_LOOK = (0.0, 0.5, 1.0)  # shares at which a parameter is tried alone before the search
 _PROFILE = np.linspace(0.0, 1.0, 5)  # shares at which a parameter is tried alone, beside the best
 _LEVER = 0.1  # as a share: a slope over less is mostly noise
+# Of damped steps: the last lever, the first damping [spreads^2 per range^2], how many steps may
+# fail before slopes are taken anew, and the shortest way.
+_LEAST_LEVER, _DAMPING, _MOST_FAILED, _LEAST_WAY = 0.02, 10.0, 4, 1e-3
 _FITS = 2.0  # times the scanner's own loss
 _DECIDED = 0.5  # as a share of its range: a parameter held worse than this is not decided
 
@@ -126,7 +128,8 @@ def search(
     x0 = shares_of(start, parameters)
     _, before = court.judge(start.code, x0)
     kinds = [court.first_look(start.code, x0), with_noise_of_surface(x0, parameters)]
-    heat, final = (max(int(share * trials), 1) for share in (_HEAT, _FINAL))
+    step = len(parameters) + 2  # trials: fewer tell no slopes, and no step is made
+    heat, final = (max(int(share * trials), step) for share in (_HEAT, _FINAL))
     ends = {}
     for code in codes:
         _, x = min((court.refine(code, x, heat) for x in kinds), key=lambda end: end[0])
@@ -255,39 +258,62 @@ class _Court:
     ) -> tuple[float, Float[np.ndarray, " n"]]:
         """The least loss of damped Gauss-Newton steps from a place, and where it was.
 
-        The loss is a sum of squares, and rows change almost evenly with most parameters, so a step
-        from the slopes of all rows goes farther than a walk that hears their sum alone.
+        The loss is a sum of squares, so a step from the slopes of all rows goes farther than a walk
+        that hears their sum alone. Slopes cost a trial for each parameter, so what a step finds
+        corrects them (Broyden's update), and they are taken anew, over half of the way and on the
+        other side, where no step leads on.
         """
         last = self.done + trials
         best, rows = self.judge(code, x0)
-        at = x0
+        x = at = x0
         if not rows:  # nothing is lit there, so nothing has a slope
             return best, at
         dark = np.full(len(pulls_of(rows)), np.sqrt(_DARK_LOSS))
 
-        def pulls(x: Float[np.ndarray, " n"]) -> Float[np.ndarray, " rows"]:
+        def pulls(place: Float[np.ndarray, " n"]) -> Float[np.ndarray, " rows"]:
             nonlocal best, at
-            if self.done >= last and (code, x.tobytes()) not in self.tried:
+            if self.done >= last and (code, place.tobytes()) not in self.tried:
                 raise _Spent
-            loss, rows = self.judge(code, x)
+            loss, seen = self.judge(code, place)
             if loss < best:
-                best, at = loss, x.copy()
-            return pulls_of(rows) if rows else dark
+                best, at = loss, place
+            return pulls_of(seen) if seen else dark
 
-        def slopes(x: Float[np.ndarray, " n"]) -> Float[np.ndarray, "rows n"]:
-            here, columns = pulls(x), []
-            for i, own in enumerate(x):
-                moved = x.copy()
-                moved[i] += _LEVER if own + _LEVER <= 1 else -_LEVER
-                columns.append((pulls(moved) - here) / (moved[i] - own))
-            return np.stack(columns, axis=1)
-
+        here, lever = pulls_of(rows), _LEVER
         with contextlib.suppress(_Spent):
-            before = np.inf
-            while best < before:  # a step ends at bounds that were near; from there it goes on
-                before, start = best, np.clip(at, 0.01, 0.99)
-                least_squares(pulls, start, jac=slopes, bounds=(0.0, 1.0), xtol=1e-2, ftol=1e-2)
+            while abs(lever) >= _LEAST_LEVER:
+                before, failed, damping = best, 0, _DAMPING
+                slope = _slopes(pulls, x, here, lever)
+                x, here = at, pulls(at)  # one of the places that were tried may be better
+                while failed < _MOST_FAILED:
+                    normal = slope.T @ slope + damping * np.eye(len(x))
+                    moved = np.clip(x - np.linalg.solve(normal, slope.T @ here), 0.0, 1.0)
+                    way = moved - x
+                    if np.linalg.norm(way) < _LEAST_WAY:
+                        break
+                    found = pulls(moved)
+                    slope += np.outer(found - here - slope @ way, way) / (way @ way)
+                    if (found**2).mean() < (here**2).mean():
+                        x, here, damping, failed = moved, found, damping / 3, 0
+                    else:
+                        damping, failed = 4 * damping, failed + 1
+                lever = -lever if best < 0.98 * before else -lever / 2
         return best, at
+
+
+def _slopes(
+    pulls: Callable[[Float[np.ndarray, " n"]], Float[np.ndarray, " rows"]],
+    x: Float[np.ndarray, " n"],
+    here: Float[np.ndarray, " rows"],
+    lever: float,
+) -> Float[np.ndarray, "rows n"]:
+    """Of each row by each parameter, over so much of the parameter's range."""
+    columns = []
+    for i, own in enumerate(x):
+        moved = x.copy()
+        moved[i] += lever if 0 <= own + lever <= 1 else -lever
+        columns.append((pulls(moved) - here) / (moved[i] - own))
+    return np.stack(columns, axis=1)
 
 
 def joint_reach(slopes: Float[np.ndarray, "rows n"], room: float) -> Float[np.ndarray, " n"]:

@@ -1,5 +1,7 @@
 """Parameters by the rig file's keys: values go in where the file has them, and come out again."""
 
+from dataclasses import asdict
+
 import numpy as np
 import pytest
 
@@ -90,3 +92,21 @@ def test_noise_of_the_surface_is_of_declared_parameters_and_leaves_the_others():
     assert set(NOISE_OF_SURFACE) <= {p.key for p in PARAMETERS}
     for key, value in (values_at(start, PARAMETERS) | NOISE_OF_SURFACE).items():
         assert moved[key] == pytest.approx(value, rel=1e-3)
+
+
+def test_a_small_step_from_the_start_switches_nothing_on_or_off():
+    """A start at the value below which a filter is off had no slope: every step lost the filter.
+
+    Whole numbers are left out, because they have no smaller step.
+    """
+    whole = {p.key.partition(".")[2] for p in PARAMETERS if p.whole}
+    start = with_noise_of_surface(shares_of(SCANNER, PARAMETERS), PARAMETERS)
+
+    def off(shares):
+        made = with_values(SCANNER, PARAMETERS, values_at(shares, PARAMETERS))
+        filters = asdict(made.filters)
+        none = {key for key, value in filters.items() if value is None or value is False}
+        return none - whole
+
+    for step in (-0.03, 0.03):
+        assert off(np.clip(start + step, 0, 1)) == off(start)

@@ -74,8 +74,10 @@ def restage(
         if solid.any():
             planes = surfaces(scan.depth_m, solid)
             known = np.isfinite(scan.depth_m)
+            planes = _without_gaps(planes, known)
+            known = known | np.isfinite(planes[..., 0])
             covered = _covered(known, _brightness(texture, scene, known.shape))
-            top = solid_of(_without_gaps(planes, known), covered, bin_m, camera)
+            top = solid_of(planes, covered, bin_m, camera)
             world_m = transform_points(scene.T_world_cam, top.vertices_m)
             parts = (_part(scan.name, replace(top, vertices_m=world_m), texture),)
         staged.append(replace(scene, parts=parts))
@@ -338,12 +340,8 @@ def _covered(
     covered = np.zeros((*known.shape, 4))
     for side, (axis, step) in enumerate(((1, -1), (1, 1), (0, -1), (0, 1))):
         beside, second, third = (_shifted(known, axis, k * step) for k in (1, 2, 3))
-        far = np.where(second, 2, 3)
-        light = np.where(
-            far == 2,
-            _shifted(brightness, axis, 2 * step),
-            _shifted(brightness, axis, 3 * step),
-        )
+        near, far = (_shifted(brightness, axis, k * step) for k in (2, 3))
+        light = np.where(second, near, far)
         share = light / (light + brightness)
         covered[..., side] = np.where(beside, 0.0, np.where(second | third, share, 0.5))
     return np.minimum(covered, _MOST_COVERED)

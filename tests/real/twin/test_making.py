@@ -1,0 +1,79 @@
+"""The whole command on scans of a simulated scanner: its files, its words, and the same twice."""
+
+import cv2
+import numpy as np
+import pytest
+import yaml
+from small_cell import write_cell
+
+from graycast.cell import resolve_cell
+from graycast.cli import main
+from graycast.config import load_config
+from graycast.picture import color_picture
+from graycast.real.twin import making, searching
+from graycast.real.twin.parameters import OF_BIN, PARAMETERS
+from graycast.render import Quality
+from graycast.scanner import scan
+from graycast.simulate import lay_out
+
+SCANS = 5
+
+
+@pytest.fixture(scope="module")
+def scanned(tmp_path_factory, mitsuba_renderer):
+    """A cell, and five scans of its heaps with their colour pictures."""
+    folder = tmp_path_factory.mktemp("cell")
+    path = write_cell(folder, count=8)
+    cell = resolve_cell(load_config(path), folder)
+    for number in range(SCANS):
+        scene, layout = lay_out(cell, number, seed=5)
+        found = mitsuba_renderer.render(
+            scene, layout, cell.patterns(), quality=Quality(samples=16, depth=3), seed=number
+        )
+        shot = scan(cell.scanner, found.radiance, seed=number)
+        np.save(folder / f"depth_{number}.npy", shot.depth.depth_m)
+        rgb = color_picture(cell.scanner, found, denoiser=None, seed=number)
+        cv2.imwrite(str(folder / f"rgb_{number}.png"), rgb[..., ::-1])
+    return folder, path
+
+
+def twin(folder, path, out, *options):
+    depth = [str(folder / f"depth_{k}.npy") for k in range(SCANS)]
+    rgb = [str(folder / f"rgb_{k}.png") for k in range(SCANS)]
+    words = ["twin", *depth, "--rgb", *rgb, "--config", str(path), "--out", str(folder / out)]
+    return main([*words, "--trials", "2", *options])
+
+
+@pytest.mark.slow
+def test_the_command_writes_a_twin_and_the_same_one_twice(scanned, monkeypatch, capsys):
+    few = [p for p in PARAMETERS if p.key in (*OF_BIN, "sensor.read_noise_e")]
+    monkeypatch.setattr(making, "PARAMETERS", few)
+    monkeypatch.setattr(searching, "_FIRST_LOOK", ())
+    monkeypatch.setattr(searching, "_PROFILE", ())
+    folder, path = scanned
+    for out in ("one.yaml", "two.yaml"):
+        assert twin(folder, path, out, "--kept-aside", "2") == 0
+    assert "statistics met: " in capsys.readouterr().out
+    ends = (".yaml", ".rig.yaml", ".twin.md", ".twin.png")
+    one, two = ([(folder / (n + end)).read_bytes() for end in ends] for n in ("one", "two"))
+    assert one[1:] == two[1:]
+    assert one[0].replace(b"one.rig", b"two.rig") == two[0]
+    report = one[2].decode()
+    assert "on the scenes of 3 real scans" in report and "### Kept aside" in report
+    content = yaml.safe_load(one[0])
+    assert content["rig"] == "one.rig.yaml"
+    assert resolve_cell(load_config(folder / "one.yaml"), folder).scanner.rig.name == "small-twin"
+
+
+@pytest.mark.slow
+def test_too_few_scans_to_fit_or_to_keep_are_refused(scanned, capsys):
+    folder, path = scanned
+    assert twin(folder, path, "few.yaml", "--kept-aside", "3") == 1
+    assert "5 scans are given, 3 of them to keep aside: give at least 3 to fit" in said(capsys)
+    assert twin(folder, path, "few.yaml", "--kept-aside", "1") == 1
+    assert "1 scan is kept aside: keep at least 2" in said(capsys)
+    assert not (folder / "few.yaml").exists()
+
+
+def said(capsys):
+    return " ".join(capsys.readouterr().err.split())

@@ -7,6 +7,7 @@ import numba
 import numpy as np
 from jaxtyping import Float, Int
 
+from .frames import inverse, transform_points
 from .optics import Optics, project, rays
 
 
@@ -42,6 +43,17 @@ class Raster:
 
 
 NOTHING = Raster(left_px=0, top_px=0, z=np.zeros((0, 0)), face=np.zeros((0, 0), dtype=np.int64))
+
+
+def seen_from(
+    T_world_cam: Float[np.ndarray, "4 4"],
+    vertices_m: Float[np.ndarray, "v 3"],
+    faces: Int[np.ndarray, "f 3"],
+    camera: Optics,
+) -> tuple[Int[np.ndarray, "h w"], Float[np.ndarray, "h w"]]:
+    """Face and z-depth [m] over the image of a mesh in the world frame; see `Raster.over`."""
+    vertices_cam = transform_points(inverse(T_world_cam), vertices_m)
+    return rasterize(vertices_cam, faces, camera).over(camera)
 
 
 def rasterize(

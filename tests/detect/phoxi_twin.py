@@ -176,6 +176,7 @@ def write_bent_bin(camera: Optics, scans: list[int], file: Path) -> list[float]:
 def cell_to_fit(known: dict, cartons: list[Path], bin_file: Path, T_world_cam: list[float]) -> dict:
     """The same cell for `graycast twin`: what is fitted is the preset's, and pictures are quiet.
 
+    The search simulates the scans' own scenes; the parts are for scenes that are generated later.
     A third of its parts are printed cartons, mostly white, as in the real scans, where noise on
     white paper is a quarter of that on the dark bin. Most parts keep their own colours. They lie in
     the middle, cover a quarter of the picture and mostly lie flat, as those of the scans do: with

@@ -285,7 +285,7 @@ def _judge_row(high, low, strength, top, why, law, dark):
     dark_dn, sigmas, visibility = dark
     shadow2, zero = np.float32(SHADOW_SIGMAS**2), np.float32(0)
     said = why.astype(np.int32)
-    for x in range(len(why)):
+    for x in range(len(why) if visibility > zero else 0):
         mixed = (said[x] == Reason.DECODED) & (strength[x] < visibility * (high[x] - low[x]))
         said[x] = np.int32(Reason.CONTRADICTORY) if mixed else said[x]
     for x in range(len(why)):

@@ -19,7 +19,7 @@ from scipy import ndimage
 
 from ..frames import inverse, pixel_grid, transform_points
 from ..optics import Optics, rays
-from ..raster import rasterize
+from ..raster import seen_from
 from ..scene import Bin, bin_mesh
 
 CELL_M = 4e-3
@@ -102,12 +102,10 @@ def _of_wall(
 ) -> Bool[np.ndarray, "h w"]:
     """Pixels whose point lies on a wall of the bin, or on its rim."""
     mesh = bin_mesh(box)
-    T_cam_world = inverse(T_world_cam)
-    vertices_cam = transform_points(T_cam_world, mesh.vertices_m)
-    face, z = rasterize(vertices_cam, mesh.faces, camera).over(camera)
+    face, z = seen_from(T_world_cam, mesh.vertices_m, mesh.faces, camera)
     ray = rays(camera, pixel_grid(camera.height_px, camera.width_px))
     height_m = transform_points(T_world_cam, (ray * z[..., None]).reshape(-1, 3))[:, 2]
-    normal = mesh.face_normal @ T_cam_world[:3, :3].T
+    normal = mesh.face_normal @ inverse(T_world_cam)[:3, :3].T
     off_m = np.abs((depth_m - z) * (ray * normal[face]).sum(axis=-1))
     with np.errstate(invalid="ignore"):
         above = height_m.reshape(z.shape) > FLOOR_M

@@ -191,9 +191,10 @@ def test_a_place_that_is_asked_for_again_costs_no_trial(stage):
     code = stage[0].code
     court, judged = court_of(stage, FITTED, lambda x: 3 + np.sin(9 * x[0]) * np.cos(7 * x[1]))
     loss, x = court.refine(code, np.array([0.5, 0.5]), 400)
-    assert court.done == len(judged) < 400
-    assert court.refine(code, x, 400)[0] <= loss
     done = court.done
+    assert done == len(judged) < 400
+    assert court.refine(code, x, 400)[0] == loss
+    assert court.done == done
     assert court.walk(code, x, 20, step=0.05)[0] <= loss
     assert court.done >= done + 15
     assert court.done == len(judged) == len(set(judged))

@@ -28,7 +28,7 @@ from ...parts import Mesh
 from ...parts.builtin import CREASE_RAD
 from ...parts.normals import crease_normals
 from ...ply import WORLD_FRAME, header
-from ...raster import rasterize
+from ...raster import seen_from
 from ...scene import Bin, bin_mesh
 from .reading import BinView
 
@@ -174,8 +174,7 @@ def _cast(
     mesh: Mesh, T_world_cam: Float[np.ndarray, "4 4"], camera: Optics
 ) -> Float[np.ndarray, "h w"]:
     """z-depth [m] of the mesh, NaN beside it."""
-    vertices_cam = transform_points(inverse(T_world_cam), mesh.vertices_m)
-    return rasterize(vertices_cam, mesh.faces, camera).over(camera)[1]
+    return seen_from(T_world_cam, mesh.vertices_m, mesh.faces, camera)[1]
 
 
 def _taken(

@@ -11,9 +11,8 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from scipy.spatial import cKDTree
 
-from ...frames import inverse, transform_points
 from ...parts import Mesh
-from ...raster import rasterize
+from ...raster import seen_from
 from ...scene import Bin, inner_floor
 from .reading import Grid
 from .shape import COS_ALIKE, NO_FACE
@@ -80,8 +79,8 @@ class MeshShape:
     def cast(
         self, T_world_cam: Float[np.ndarray, "4 4"], grid: Grid
     ) -> tuple[Int[np.ndarray, "rows columns"], Float[np.ndarray, "rows columns"]]:
-        vertices_cam = transform_points(inverse(T_world_cam), self.mesh.vertices_m)
-        face, z = rasterize(vertices_cam, self.mesh.faces, grid.camera).over(grid.camera)
+        mesh = self.mesh
+        face, z = seen_from(T_world_cam, mesh.vertices_m, mesh.faces, grid.camera)
         return face, np.where(face == NO_FACE, np.inf, z)
 
     def votes(

@@ -19,14 +19,15 @@ from scipy import ndimage
 
 from ...color import linear, srgb
 from ...errors import GraycastError
-from ...frames import inverse, transform_points
+from ...frames import transform_points
 from ...optics import Optics, rays
 from ...parts import Material, Mesh, Part
-from ...raster import rasterize
+from ...raster import seen_from
 from ...scene import EMPTY_LAYOUT, Layout, Scene, bin_mesh, bin_of
 from ..realism import DepthScan
 
 _THIN_M = 1.5e-3  # above the bin: its mesh and the noise are off by less
+_LEAST_BIN = 0.05  # as a share of all depth; less says that the pose is wrong
 _LEAST_PX = 30  # pixels of a thing; a mirror image in a glossy wall has fewer
 _STEP_M = 5e-3  # neighbours whose surfaces are further apart are not joined
 _MOST_GAP_PX = 60  # of a gap that the surface about it crosses
@@ -61,11 +62,12 @@ def restage(
             make all parts grey. The brightest surfaces of all pictures are taken to be white.
 
     Raises:
-        GraycastError: the pictures are not as many as the scans, or of another shape.
+        GraycastError: the pictures are not as many as the scans, or of another shape; the bin is
+            hardly anywhere where the scans have depth.
     """
     camera, mesh = scene.rig.camera, bin_mesh(bin_of(scene))
-    vertices_cam = transform_points(inverse(scene.T_world_cam), mesh.vertices_m)
-    bin_m = rasterize(vertices_cam, mesh.faces, camera).over(camera)[1]
+    bin_m = seen_from(scene.T_world_cam, mesh.vertices_m, mesh.faces, camera)[1]
+    _refuse_elsewhere(scans, bin_m)
     before = [standing_before(scan.depth_m, bin_m) for scan in scans]
     textures = _textures(scans, before, pictures)
     staged = []
@@ -77,9 +79,9 @@ def restage(
             planes = _without_gaps(planes, known)
             known = known | np.isfinite(planes[..., 0])
             covered = _covered(known, _brightness(texture, scene, known.shape))
-            top = solid_of(planes, covered, bin_m, camera)
-            world_m = transform_points(scene.T_world_cam, top.vertices_m)
-            parts = (_part(scan.name, replace(top, vertices_m=world_m), texture),)
+            made = solid_of(planes, covered, bin_m, camera)
+            world_m = transform_points(scene.T_world_cam, made.vertices_m)
+            parts = (_part(scan.name, replace(made, vertices_m=world_m), texture),)
         staged.append(replace(scene, parts=parts))
     return tuple(staged)
 
@@ -89,6 +91,25 @@ def layout_of(staged: Scene) -> Layout:
     if not staged.parts:
         return EMPTY_LAYOUT
     return Layout(T_world_part=np.eye(4)[None], part_index=np.zeros(1, dtype=np.int64))
+
+
+def _refuse_elsewhere(scans: Sequence[DepthScan], bin_m: Float[np.ndarray, "h w"]) -> None:
+    """With a wrong pose, all that the scans show would stand before the bin, and be a thing.
+
+    Raises:
+        GraycastError: hardly any depth of the scans is the bin's.
+    """
+    near = known = 0
+    for scan in scans:
+        known += int(scan.valid.sum())
+        with np.errstate(invalid="ignore"):  # NaN is not <
+            near += int((np.abs(scan.depth_m - bin_m) < _THIN_M).sum())
+    if near < _LEAST_BIN * known:
+        raise GraycastError(
+            f"fewer than {_LEAST_BIN:.0%} of the pixels with depth are within "
+            f"{1e3 * _THIN_M:.1f} mm of the bin: check the bin and the camera's pose over it "
+            "(graycast fit-bin finds the pose, and --bend bends the bin to its scans)"
+        )
 
 
 def standing_before(
@@ -281,8 +302,7 @@ def _at(bin_m: Float[np.ndarray, "h w"], pixel: Float[np.ndarray, "v 2"]) -> np.
     beside = ~np.isfinite(bin_m)
     if beside.all():
         return np.zeros(len(pixel))
-    nearest = ndimage.distance_transform_edt(beside, return_distances=False, return_indices=True)
-    filled = bin_m[tuple(nearest)]
+    filled = _from_nearest(bin_m, beside)
     return ndimage.map_coordinates(filled, pixel[:, ::-1].T, order=1, mode="nearest")
 
 
@@ -359,9 +379,7 @@ def _brightness(
     """Reflectance in the projector's light at each pixel; all alike without a picture."""
     if texture is None:
         return np.ones(shape)
-    weights = np.array(scene.rig.band_weights)
-    y, x = (np.arange(n) * own // n for n, own in zip(shape, texture.shape, strict=False))
-    return linear(texture[np.ix_(y, x)]) @ (weights / weights.sum())
+    return linear(_at_depth(texture, shape)) @ np.array(scene.rig.band_weights)
 
 
 # --- what is on it -------------------------------------------------------------------------------
@@ -397,8 +415,7 @@ def _textures(
             )
         value = _seen(linear(picture), picture)
         light.append(value)
-        y, x = np.nonzero(own)
-        bright.append(value[y * own_height // height, x * own_width // width].max(axis=-1))
+        bright.append(_at_depth(value, own.shape)[own].max(axis=-1))
     every = np.concatenate(bright)
     white = float(np.quantile(every, _WHITE_SHARE)) if len(every) else 1.0
     factor = _BRIGHTEST / max(white, 1e-6)
@@ -410,10 +427,20 @@ def _seen(
 ) -> Float[np.ndarray, "_ _ 3"]:
     """With the nearest colour where a picture that was mapped onto the depth has none (black)."""
     black = ndimage.binary_dilation(picture.max(axis=-1) <= 2, np.ones((3, 3), dtype=bool))
-    if black.all():
-        return value
-    nearest = ndimage.distance_transform_edt(black, return_distances=False, return_indices=True)
-    return value[tuple(nearest)]
+    return value if black.all() else _from_nearest(value, black)
+
+
+def _from_nearest(image: np.ndarray, missing: Bool[np.ndarray, "_ _"]) -> np.ndarray:
+    """The image with the value of the nearest pixel that has one where one is missing."""
+    nearest = ndimage.distance_transform_edt(missing, return_distances=False, return_indices=True)
+    return image[tuple(nearest)]
+
+
+def _at_depth(image: np.ndarray, shape: tuple[int, ...]) -> np.ndarray:
+    """The pixel of a finer picture of the same view at each pixel of the depth."""
+    height, width = shape
+    rows = np.arange(height) * image.shape[0] // height
+    return image[np.ix_(rows, np.arange(width) * image.shape[1] // width)]
 
 
 def _part(name: str, mesh: Mesh, texture: UInt8[np.ndarray, "_ _ 3"] | None) -> Part:

@@ -260,8 +260,9 @@ class _Court:
 
         The loss is a sum of squares, so a step from the slopes of all rows goes farther than a walk
         that hears their sum alone. Slopes cost a trial for each parameter, so what a step finds
-        corrects them (Broyden's update), and they are taken anew, over half of the way and on the
-        other side, where no step leads on.
+        corrects them (Broyden's update). Where no step leads on, they are taken anew, and where
+        that was in vain, over half of the way and on the other side. The end is where all of these
+        lead nowhere, so a search that begins there ends there.
         """
         last = self.done + trials
         best, rows = self.judge(code, x0)
@@ -297,7 +298,7 @@ class _Court:
                         x, here, damping, failed = moved, found, damping / 3, 0
                     else:
                         damping, failed = 4 * damping, failed + 1
-                lever = -lever if best < 0.98 * before else -lever / 2
+                lever = _LEVER if best < before else -lever / 2
         return best, at
 
 
@@ -331,7 +332,10 @@ def joint_reach(slopes: Float[np.ndarray, "rows n"], room: float) -> Float[np.nd
 
 
 def own_loss(real: Figures, scenes: int) -> float:
-    """The loss that the real scanner itself would have: the means of so few scans differ."""
+    """The loss that the real scanner itself would have: the means of so few scans differ.
+
+    It is that of scans of other scenes. Scans of the same scenes differ less, so this is generous.
+    """
     return 1 / max(len(values) for values in real.value.values()) + 1 / scenes
 
 

@@ -1,5 +1,7 @@
 """The whole command on scans of a simulated scanner: its files, its words, and the same twice."""
 
+from dataclasses import replace
+
 import cv2
 import numpy as np
 import pytest
@@ -9,10 +11,12 @@ from small_cell import write_cell
 from graycast.cell import resolve_cell
 from graycast.cli import main
 from graycast.config import load_config
+from graycast.pattern import CodeSpec
 from graycast.picture import color_picture
 from graycast.real.twin import making, searching
 from graycast.real.twin.parameters import OF_BIN, PARAMETERS
 from graycast.render import Quality
+from graycast.rig_file import load_scanner, save_scanner
 from graycast.scanner import scan
 from graycast.simulate import lay_out
 
@@ -24,6 +28,9 @@ def scanned(tmp_path_factory, mitsuba_renderer):
     """A cell, and five scans of its heaps with their colour pictures."""
     folder = tmp_path_factory.mktemp("cell")
     path = write_cell(folder, count=8)
+    # Gray code alone is off by more than things are higher than the bin.
+    code = CodeSpec(codec="gray_phase", axes=("column",), period_px=16.0, steps=4)
+    save_scanner(replace(load_scanner(folder / "rig.yaml"), code=code), folder / "rig.yaml")
     cell = resolve_cell(load_config(path), folder)
     for number in range(SCANS):
         scene, layout = lay_out(cell, number, seed=5)

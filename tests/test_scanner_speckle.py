@@ -12,6 +12,7 @@ from graycast.render import Quality, Radiance
 from graycast.render.reference import ReferenceRenderer
 from graycast.scanner import ExposureSpec, Scanner, preset, scan, take
 from graycast.scene import EMPTY_LAYOUT
+from graycast.speckle import material_contrast
 
 WALL_M = 0.75
 
@@ -146,3 +147,23 @@ def test_other_light_has_no_speckle(scanner, light):
     white = take(scanner, lit, seed=1).frames[scanner.light_code().brightest]
     noise_dn = np.sqrt(scanner.sensor.variance_dn2(float(white.mean())))
     assert white.std() == pytest.approx(noise_dn, rel=0.05)
+
+
+def test_the_raster_s_noise_falls_as_speckle_does_from_black_to_white(scanner, light):
+    """Both come of uneven light, so a reflectance R has `1 / sqrt(1 + volume 2R / (1 - R^2))` of
+    a black surface's. The wall leans away from the projector, so it is taken for darker than it is
+    by the cosine.
+    """
+    normal = np.array([0.25, 0.15, 1.0]) / np.linalg.norm([0.25, 0.15, 1.0])
+    from_projector = np.array([0.0, 0.0, WALL_M]) - scanner.rig.T_cam_proj[:3, 3]
+    cosine = normal @ from_projector / np.linalg.norm(from_projector)
+    rig = replace(scanner.rig, speckle_contrast=0.05, speckle_volume=5.0)
+    noise_m = {}
+    for reflectance, rendering in light.items():
+        depth_m = {}
+        for raster_px in (0.0, 0.5):
+            own = replace(scanner, rig=rig, filters=replace(scanner.filters, raster_px=raster_px))
+            depth_m[raster_px] = scan(own, rendering.radiance, seed=1).depth.depth_m
+        noise_m[reflectance] = np.nanstd((depth_m[0.5] - depth_m[0.0])[2:-2, 2:-2])
+    law = material_contrast(np.array([0.7, 0.03]) * cosine, 5.0)
+    assert noise_m[0.7] / noise_m[0.03] == pytest.approx(law[0] / law[1], rel=0.08)

@@ -124,7 +124,7 @@ def take(scanner: Scanner, radiance: Radiance, *, seed: int) -> Capture:
     )
     if scanner.rig.speckle_contrast:
         reflectance = radiance.albedo @ np.array(scanner.rig.band_weights, dtype=np.float32)
-        contrast = _contrast(scanner, reflectance)
+        contrast = _of_black(scanner) * material_contrast(reflectance, scanner.rig.speckle_volume)
         if scanner.rig.speckle_unevenness:
             contrast = uneven(
                 contrast,
@@ -180,31 +180,27 @@ def measure(scanner: Scanner, capture: Capture) -> tuple[CodeMap, DepthMap]:
     """Pictures to projector positions to depth, filtered as the scanner does."""
     codes = decode(capture.frames, scanner.light_code(), scanner.decode, levels_of(scanner.sensor))
     depth = triangulate(codes, scanner.rig, max_epipolar_px=scanner.decode.max_epipolar_px)
-    if scanner.rig.speckle_contrast or scanner.rig.line_noise:
+    rig = scanner.rig
+    light_contrast = np.ones(depth.depth_m.shape, dtype=np.float32)
+    if rig.speckle_contrast:
+        seen = _seen_reflectance(scanner, capture, depth)
+        light_contrast = material_contrast(seen, rig.speckle_volume)
+    if rig.speckle_contrast or rig.line_noise:
+        # By how much speckle puts each pixel's light off its centre (one sigma).
+        off_px = footprint_px(scanner.sensor, side=_side(scanner)) * _of_black(scanner)
         depth = with_displacement(
             depth,
             codes,
-            scanner.rig,
-            _off_px(scanner, capture, depth),
-            place_px=place_sigma_px(
-                scanner.light_code(), triangulation_axis(scanner.rig), scanner.rig.line_noise
-            ),
+            rig,
+            np.float32(off_px) * light_contrast,
+            place_px=place_sigma_px(scanner.light_code(), triangulation_axis(rig), rig.line_noise),
         )
-    return codes, filter_depth(depth, scanner.filters, scanner.rig)
+    return codes, filter_depth(depth, scanner.filters, rig, light_contrast=light_contrast)
 
 
-def _contrast(scanner: Scanner, reflectance: Float[np.ndarray, "h w"]) -> Float[np.ndarray, "h w"]:
-    """Of each pixel's speckle, by what its surface gives back."""
-    of_black = scanner.rig.speckle_contrast * pixel_contrast(scanner.sensor, side=_side(scanner))
-    return of_black * material_contrast(reflectance, scanner.rig.speckle_volume)
-
-
-def _off_px(scanner: Scanner, capture: Capture, depth: DepthMap) -> Float[np.ndarray, "h w"]:
-    """By how much speckle puts each pixel's light off its centre (one sigma)."""
-    if not scanner.rig.speckle_contrast:
-        return np.zeros(depth.depth_m.shape, dtype=np.float32)
-    contrast = _contrast(scanner, _seen_reflectance(scanner, capture, depth))
-    return np.float32(footprint_px(scanner.sensor, side=_side(scanner))) * contrast
+def _of_black(scanner: Scanner) -> float:
+    """Contrast of speckle in a pixel that shows a black surface."""
+    return scanner.rig.speckle_contrast * pixel_contrast(scanner.sensor, side=_side(scanner))
 
 
 def _in_picture_px(rig: Rig, length_m: float) -> float:

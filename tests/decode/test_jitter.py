@@ -92,6 +92,28 @@ def test_with_a_window_a_slope_has_noise_in_common_across_it(azimuth_deg, axis):
     assert (share[:, 1:] * share[:, :-1]).mean() == pytest.approx(-math.exp(-1), abs=0.03)
 
 
+@pytest.mark.parametrize("share", [0.0, 0.3])
+def test_of_a_place_s_variance_the_window_has_its_share(share):
+    """Independent variances add up, and so do covariances: the rest is white."""
+    right, _ = places((400, 420), 1.0, share)
+    assert right.std() == pytest.approx(1, rel=0.02)
+    sideways = (right[1:] * right[:-1]).mean()
+    assert sideways == pytest.approx(share * math.exp(-1 / 4), abs=0.015)
+
+
+def test_where_light_is_even_a_place_is_nearer_to_the_middle():
+    """Half the contrast of light moves the mean of a window half as far, and sigma tells it."""
+    z_m = tilted(45, 0)
+    contrast = np.where(np.arange(SHAPE[1]) < 160, 1.0, 0.5) * np.ones(SHAPE)
+    placed = on_raster(depth_map(z_m), 0.25, light_contrast=contrast, focal_px=F_PX)
+    whole = on_raster(depth_map(z_m), 0.25, focal_px=F_PX)
+    moved, alone = placed.depth_m - z_m, whole.depth_m - z_m
+    assert np.allclose(moved[:, 160:], 0.5 * alone[:, 160:], rtol=0.01, atol=1e-6)
+    assert np.array_equal(moved[:, :160], alone[:, :160])
+    inside = np.s_[1:-1, 161:-1]
+    assert np.std((moved / placed.sigma_m)[inside]) == pytest.approx(1, rel=0.02)
+
+
 def test_a_facing_surface_a_step_and_a_hole_stay_as_they_are():
     z_m = np.full(SHAPE, 0.8)
     z_m[:, 160:] = 0.9

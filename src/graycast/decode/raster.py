@@ -35,13 +35,17 @@ def on_raster(
     raster_px: float,
     *,
     window_px: float = 0.0,
+    window_share: float = 1.0,
     limit_m: float = math.inf,
     unevenness: float = 0.0,
+    light_contrast: Float[np.ndarray, "h w"] | float = 1.0,
     focal_px: float,
 ) -> DepthMap:
     """The depth at a point `raster_px` (one sigma along each axis) from the pixel's centre.
 
-    `window_px` is the standard deviation of the window, see `places`.
+    `window_px` and `window_share` are those of `places`. `light_contrast` is how uneven the light
+    in a pixel's window is, as a share of that on a black surface: where a surface has an even
+    light, as white paper has, the mean of the window's points lies nearer to the centre by it.
 
     With a `limit_m`, the error of depth on a surface that rises by s per pixel is not
     `raster_px s`, but `1 / sqrt(1 / (raster_px s)^2 + 1 / limit_m^2)`. So it is unchanged on gentle
@@ -59,11 +63,11 @@ def on_raster(
     if unevenness and np.isfinite(depth.depth_m).any():
         patch_px = focal_px * PATCH_M / float(np.nanmedian(depth.depth_m))
         away_px = uneven(away_px, unevenness, patch_px=patch_px, seed=_SEED)
-    right, down = away_px * places(shape, window_px)
+    right, down = places(shape, window_px, window_share) * away_px
     inverse = 1 / depth.depth_m.astype(np.float64)
     along, across = _slope(inverse, 1), _slope(inverse, 0)
     spread_m = raster_px * np.hypot(along, across) / inverse**2
-    left = 1 / np.hypot(1, spread_m / limit_m)
+    left = light_contrast / np.hypot(1, spread_m / limit_m)
     depth_m = 1 / (inverse + left * (right * along + down * across))
     return replace(
         depth,
@@ -72,7 +76,9 @@ def on_raster(
     )
 
 
-def places(shape: tuple[int, int], window_px: float) -> Float[np.ndarray, "2 h w"]:
+def places(
+    shape: tuple[int, int], window_px: float, window_share: float = 1.0
+) -> Float[np.ndarray, "2 h w"]:
     """Where each pixel's point lies, to the right and downwards, with a variance of one.
 
     Without a window, places are independent and even over a square. With one of the standard
@@ -80,11 +86,13 @@ def places(shape: tuple[int, int], window_px: float) -> Float[np.ndarray, "2 h w
     independent from spot to spot. To first order in the light's contrast this is the gradient of
     a Gaussian convolved with white noise. Two pixels at a distance r have the correlation
     `exp(-r^2 / 4 w^2)` across the direction of the place, and along it `1 - r^2 / 2 w^2` times as
-    much.
+    much. Of the variance, `window_share` is the window's, and the rest is independent: a scanner
+    that takes the mean of few points has both.
     """
     rng = np.random.default_rng(_SEED)
+    alone = np.sqrt(3) * rng.uniform(-1, 1, (2, *shape))
     if not window_px:
-        return np.sqrt(3) * rng.uniform(-1, 1, (2, *shape))
+        return alone
     light = rng.standard_normal((_FINE * shape[0], _FINE * shape[1]), dtype=np.float32)
     sigma = _FINE * window_px
     middle = np.zeros(2 * int(8 * sigma) + 3)
@@ -95,7 +103,8 @@ def places(shape: tuple[int, int], window_px: float) -> Float[np.ndarray, "2 h w
         ndimage.gaussian_filter(light, sigma, order=order, mode="wrap")[::_FINE, ::_FINE] / norm
         for order in ((0, 1), (1, 0))
     )
-    return np.stack([right, down])
+    shared = np.stack([right, down])
+    return np.sqrt(window_share) * shared + np.sqrt(1 - window_share) * alone
 
 
 def _slope(inverse: Float[np.ndarray, "h w"], axis: int) -> Float[np.ndarray, "h w"]:

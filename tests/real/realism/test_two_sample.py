@@ -109,6 +109,29 @@ def test_the_floor_is_the_plane_that_was_drawn():
     assert g == pytest.approx(np.linalg.solve(K.T, normal), rel=1e-3, abs=1e-6)
 
 
+@pytest.mark.parametrize("seed", range(6))
+def test_a_floor_is_found_where_it_is_an_eighth_of_the_depth(seed):
+    """The rest are boxes that lean as they like, none of them as large as the floor that is left.
+
+    Three random pixels lie on the floor once in 512 draws.
+    """
+    rng = np.random.default_rng(seed)
+    y, x = np.mgrid[:240, :300]
+    ray_x, ray_y = (x - 150) / 300, (y - 120) / 300
+    depth_m = np.full((240, 300), 0.8)
+    for top in range(0, 240, 40):
+        for left in range(0, 300, 50):
+            if (top // 40 + 2 * (left // 50)) % 8:
+                box = np.s_[top : top + 40, left : left + 50]
+                lean_x, lean_y = rng.uniform(-0.6, 0.6, 2)
+                plane_m = rng.uniform(0.6, 0.78) / (1 - lean_x * ray_x - lean_y * ray_y)
+                depth_m[box] = plane_m[box]
+    noisy = depth_m + 1e-4 * rng.standard_normal(depth_m.shape)
+    g = find_floor([noisy])
+    assert g @ [150, 120, 1] == pytest.approx(1 / 0.8, rel=1e-3)
+    assert g[:2] == pytest.approx([0, 0], abs=1e-5)
+
+
 def test_second_differences_do_not_hear_a_bend():
     y, x = np.mgrid[:32, :32] / 32.0
     bent = 0.5 + 0.01 * x**2 - 0.02 * y**2 + 0.01 * x * y + 0.003 * x**3

@@ -13,7 +13,13 @@ from scipy import ndimage
 from ..realism import DepthScan
 from ..realism.fine import measure_fine, median_over_mean
 from ..realism.missing import count_missing
-from ..realism.patches import SQUARE_PX, robust_sigma, second_difference, third_difference
+from ..realism.patches import (
+    SQUARE_PX,
+    correlation,
+    robust_sigma,
+    second_difference,
+    third_difference,
+)
 from ..realism.steps import count_steps
 
 Places = Mapping[str, Bool[np.ndarray, "h w"]]  # where missing depth is counted, by `PLACES`
@@ -207,15 +213,40 @@ def _floor(scan: DepthScan, floor: Float[np.ndarray, "3"] | None) -> list[float]
 
 
 def _texture(scan: DepthScan) -> list[float]:
-    """By how much noise along rows and columns is above the fine noise [%]; what lines share."""
-    mixed = second_difference(scan.depth_m)
-    known = mixed[~np.isnan(mixed)]
-    fine_m = robust_sigma(known)
-    if len(known) < 500 or not fine_m:  # depth without any noise has no texture
+    """By how much noise along rows and columns is above the fine noise [%]; what lines share.
+
+    Medians over squares of smooth surfaces, as a classifier of squares hears them.
+    """
+    z_m = _squares(scan.depth_m).reshape(-1, SQUARE_PX, SQUARE_PX)
+    mixed = second_difference(z_m).reshape(len(z_m), -1)
+    z_m = z_m[(~np.isnan(mixed)).mean(axis=1) >= _LEAST_KNOWN]
+    fine_m = _sigmas(second_difference(z_m))
+    smooth = (fine_m > 0) & (fine_m < _SMOOTH_M)  # depth without any noise has no texture
+    if smooth.sum() < _LEAST_SQUARES:
         return [float("nan")] * 5
-    along_x, along_y = third_difference(scan.depth_m), third_difference(scan.depth_m.T)
-    ratios = [100 * (robust_sigma(a[~np.isnan(a)]) / fine_m - 1) for a in (along_x, along_y)]
-    return [*ratios, _shared(along_x), _shared(along_x, apart=2), _shared(along_y)]
+    z_m, fine_m = z_m[smooth], fine_m[smooth]
+    along_x, along_y = third_difference(z_m), third_difference(z_m.swapaxes(1, 2))
+    told = [100 * (_sigmas(along) / fine_m - 1) for along in (along_x, along_y)]
+    for along, apart in ((along_x, 1), (along_x, 2), (along_y, 1)):
+        told.append(_alike(along[:, :-apart], along[:, apart:]))
+    return [float(np.nanmedian(one)) for one in told]
+
+
+def _sigmas(values: Float[np.ndarray, "n a b"]) -> Float[np.ndarray, " n"]:
+    """`robust_sigma` of each of them."""
+    return 1.4826 * np.nanmedian(np.abs(values.reshape(len(values), -1)), axis=1)
+
+
+def _alike(a: Float[np.ndarray, "n a b"], b: Float[np.ndarray, "n a b"]) -> Float[np.ndarray, " n"]:
+    """The correlation of each pair, as `correlation`; NaN of what has little in common."""
+    limit = 4 * _sigmas(np.concatenate([a, b], axis=1))[:, None, None]
+    a, b = np.clip(a, -limit, limit), np.clip(b, -limit, limit)
+    both = ~np.isnan(a) & ~np.isnan(b)
+    product, a2, b2 = (
+        np.where(both, values, 0.0).sum(axis=(1, 2)) for values in (a * b, a * a, b * b)
+    )
+    few = both.mean(axis=(1, 2)) < 0.5 * _LEAST_KNOWN
+    return np.where(few, np.nan, product / np.maximum(np.sqrt(a2 * b2), 1e-300))
 
 
 def _on_slopes(scan: DepthScan) -> list[float]:
@@ -326,11 +357,5 @@ def _squares(values: Float[np.ndarray, "h w"]) -> Float[np.ndarray, "n pixels"]:
 
 
 def _shared(along: Float[np.ndarray, "h w"], *, apart: int = 1) -> float:
-    """The correlation of a line's differences with those of a line so far off, by medians.
-
-    Of sums and differences, whose robust variances do not hear edges.
-    """
-    a, b = along[:-apart], along[apart:]
-    both = ~np.isnan(a) & ~np.isnan(b)
-    plus, minus = (robust_sigma(v) ** 2 for v in (a[both] + b[both], a[both] - b[both]))
-    return float((plus - minus) / (plus + minus)) if plus + minus > 0 else 0.0
+    """The correlation of a line's differences with those of a line so far off."""
+    return correlation(along[:-apart], along[apart:])

@@ -49,7 +49,8 @@ class FilterSpec:
     `raster_window_px`: standard deviation of the window whose light decides on that place;
     `raster_window_share`: the share of the place's variance that it decides on;
     `raster_limit_m`: the standard deviation of depth that this place adds on the steepest surface;
-    `raster_unevenness`: how much `raster_px` differs between patches of a surface (`finish`).
+    `raster_unevenness`: how much `raster_px` differs between patches of a surface (`finish`);
+    `raster_line_unevenness`: how much it differs from pixel to pixel across the projector's lines.
     `step_angle_deg`: neighbours are connected up to this angle of incidence.
     """
 
@@ -158,6 +159,16 @@ class FilterSpec:
             exclude_if=unsaid,
         ),
     ] = None
+    raster_line_unevenness: Annotated[
+        float | None,
+        Field(
+            ge=0,
+            le=1,
+            description="Standard deviation of the natural logarithm of raster_px from pixel to "
+            "pixel; pixels of one column that touch have nearly the same.",
+            exclude_if=unsaid,
+        ),
+    ] = None
     step_angle_deg: Annotated[
         float,
         Field(
@@ -205,6 +216,7 @@ def filter_depth(
             light_contrast=light_contrast,
             limit_m=spec.raster_limit_m or math.inf,
             unevenness=spec.raster_unevenness or 0.0,
+            line_unevenness=spec.raster_line_unevenness or 0.0,
             focal_px=rig.camera.fx_px,
         )
     if spec.hidden_sigmas:

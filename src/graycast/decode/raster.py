@@ -10,7 +10,8 @@ show this on slopes of both directions (docs/twin.md).
 
 The positions are fixed, because they belong to the raster and not to a shot.
 
-Leaves out: that light changes from shot to shot, as speckle does. In the real scans, half of this
+Leaves out: lines of a projector that lies above or below the camera, which are rows; that light
+changes from shot to shot, as speckle does. In the real scans, half of this
 noise or more is another one in every scan.
 """
 
@@ -38,6 +39,7 @@ def on_raster(
     window_share: float = 1.0,
     limit_m: float = math.inf,
     unevenness: float = 0.0,
+    line_unevenness: float = 0.0,
     light_contrast: Float[np.ndarray, "h w"] | float = 1.0,
     focal_px: float,
 ) -> DepthMap:
@@ -55,6 +57,9 @@ def on_raster(
     With an `unevenness` above 0 the points of some patches are farther from their centres, and
     those of others nearer (`finish.uneven`); the mean square stays the same.
 
+    With a `line_unevenness` above 0 they differ from pixel to pixel, too, but hardly between the
+    pixels of a column that touch (`line_amplitude`).
+
     The surface is the plane, in inverse depth, through both neighbours of a pixel along each axis;
     beside steps and holes it is flat. `sigma_m` holds what the place does to the depth.
     """
@@ -63,6 +68,8 @@ def on_raster(
     if unevenness and np.isfinite(depth.depth_m).any():
         patch_px = focal_px * PATCH_M / float(np.nanmedian(depth.depth_m))
         away_px = uneven(away_px, unevenness, patch_px=patch_px, seed=_SEED)
+    if line_unevenness:
+        away_px = away_px * line_amplitude(shape, line_unevenness)
     right, down = places(shape, window_px, window_share) * away_px
     inverse = 1 / depth.depth_m.astype(np.float64)
     along, across = _slope(inverse, 1), _slope(inverse, 0)
@@ -105,6 +112,21 @@ def places(
     )
     shared = np.stack([right, down])
     return np.sqrt(window_share) * shared + np.sqrt(1 - window_share) * alone
+
+
+def line_amplitude(shape: tuple[int, int], unevenness: float) -> Float[np.ndarray, "h w"]:
+    """A factor of each pixel's place, by a log-normal law whose mean square is 1.
+
+    Its logarithm has the standard deviation `unevenness`. It is independent between columns; along
+    a column, two pixels at a distance r have the correlation `exp(-r^2 / 4)`. In five real scans the
+    sizes of errors are alike in this way, so what makes them lies along the projector's lines.
+    """
+    rng = np.random.default_rng(_SEED + 1)
+    middle = np.zeros(2 * 8 + 1)
+    middle[len(middle) // 2] = 1.0
+    norm = np.sqrt((ndimage.gaussian_filter1d(middle, 1.0) ** 2).sum())
+    field = ndimage.gaussian_filter1d(rng.standard_normal(shape), 1.0, axis=0, mode="wrap") / norm
+    return np.exp(unevenness * field - unevenness**2)
 
 
 def _slope(inverse: Float[np.ndarray, "h w"], axis: int) -> Float[np.ndarray, "h w"]:

@@ -90,6 +90,7 @@ PARAMETERS: tuple[Parameter, ...] = (
     Parameter(key="filters.raster_window_share", low=0.0, high=1.0),
     Parameter(key="filters.raster_limit_m", low=5e-5, high=2e-3, walk="log", off_above=1e-3),
     Parameter(key="filters.raster_unevenness", low=0.0, high=0.8, off_below=0.01),
+    Parameter(key="filters.raster_line_unevenness", low=0.0, high=0.8, off_below=0.01),
     Parameter(key=BIN_COLOR, low=0.1, high=3.0, walk="log"),
     Parameter(key=BIN_GLOSS, low=0.25, high=2.0, walk="log"),
     Parameter(key=BIN_ROUGHNESS, low=-ROUGHER, high=ROUGHER),
@@ -100,14 +101,14 @@ PARAMETERS: tuple[Parameter, ...] = (
 # for a laser scanner over plastic (docs/twin.md).
 NOISE_OF_SURFACE: Mapping[str, float] = {
     "exposure.target": 0.5,
-    FULL_WELL: 3e4,
+    FULL_WELL: 4e4,
     "sensor.read_noise_e": 3.0,
     "speckle_contrast": 0.4,
     "speckle_volume": 7.0,
     "speckle_unevenness": 0.5,
     "line_noise": 0.004,
     "line_noise_length_m": 0.006,
-    "decode.min_sigmas": 55.0,
+    "decode.min_sigmas": 65.0,
     "decode.doubt": 0.3,
     "decode.settling_votes": 14.0,
     "filters.outlier_sigmas": 5.0,
@@ -116,9 +117,10 @@ NOISE_OF_SURFACE: Mapping[str, float] = {
     "filters.smoothing_px": 0.0,  # so that what neighbours share is the surface's doing
     "filters.raster_px": 0.45,
     "filters.raster_window_px": 0.6,
-    "filters.raster_window_share": 0.25,
+    "filters.raster_window_share": 0.2,
     "filters.raster_limit_m": 3e-4,
-    "filters.raster_unevenness": 0.5,
+    "filters.raster_unevenness": 0.3,
+    "filters.raster_line_unevenness": 0.4,
     BIN_GLOSS: 0.5,
     BIN_ROUGHNESS: 0.05,
 }

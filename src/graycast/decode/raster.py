@@ -118,8 +118,8 @@ def line_amplitude(shape: tuple[int, int], unevenness: float) -> Float[np.ndarra
     """A factor of each pixel's place, by a log-normal law whose mean square is 1.
 
     Its logarithm has the standard deviation `unevenness`. It is independent between columns; along
-    a column, two pixels at a distance r have the correlation `exp(-r^2 / 4)`. In five real scans the
-    sizes of errors are alike in this way, so what makes them lies along the projector's lines.
+    a column, two pixels at a distance r have the correlation `exp(-r^2 / 4)`. In five real scans,
+    the sizes of errors are alike in this way: what makes them lies along the projector's lines.
     """
     rng = np.random.default_rng(_SEED + 1)
     middle = np.zeros(2 * 8 + 1)

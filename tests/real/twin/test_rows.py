@@ -53,6 +53,29 @@ def test_noise_that_varies_within_a_square_has_the_tails_of_its_mixture():
     assert found == pytest.approx(expected, rel=0.2)  # differences reach over the borders
 
 
+@pytest.mark.parametrize("missing", [0.5, 0.99, 1.0])
+def test_a_scan_without_smooth_squares_has_no_texture(missing):
+    """A search tries scanners that see next to nothing: their scans are no error."""
+    z_m = noisy(1.0)
+    z_m[np.random.default_rng(1).random(z_m.shape) < missing] = np.nan
+    for name in ("noise along x above fine noise", "noise common to rows"):
+        assert np.isnan(row(z_m, name))
+
+
+def test_noise_common_to_rows_is_that_of_the_squares():
+    """Rows that are a sum of their own noise and of what neighbours have: the correlation of
+    `a_y + k a_(y+1)` with the next row is `k / (1 + k^2)`, which columns do not have.
+    """
+    k, white = (
+        0.3,
+        np.random.default_rng(2).standard_normal((plane().shape[0] + 1, plane().shape[1])),
+    )
+    z_m = plane() + SIGMA_M * (white[:-1] + k * white[1:])
+    assert row(z_m, "noise common to rows") == pytest.approx(k / (1 + k * k), abs=0.03)
+    assert row(z_m, "noise common to columns") == pytest.approx(0, abs=0.03)
+    assert row(z_m, "noise common to rows 2 px apart") == pytest.approx(0, abs=0.03)
+
+
 def test_single_holes_in_flat_places_are_counted_and_others_are_not():
     z_m = plane().copy()
     z_m[40:200:20, 40:200:20] = np.nan  # alone in a plane

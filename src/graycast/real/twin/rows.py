@@ -218,8 +218,8 @@ def _texture(scan: DepthScan) -> list[float]:
     Medians over squares of smooth surfaces, as a classifier of squares hears them.
     """
     z_m = _squares(scan.depth_m).reshape(-1, SQUARE_PX, SQUARE_PX)
-    mixed = second_difference(z_m).reshape(len(z_m), -1)
-    z_m = z_m[(~np.isnan(mixed)).mean(axis=1) >= _LEAST_KNOWN]
+    known = (~np.isnan(second_difference(z_m))).mean(axis=(1, 2))
+    z_m = z_m[known >= _LEAST_KNOWN]
     fine_m = _sigmas(second_difference(z_m))
     smooth = (fine_m > 0) & (fine_m < _SMOOTH_M)  # depth without any noise has no texture
     if smooth.sum() < _LEAST_SQUARES:
@@ -234,7 +234,7 @@ def _texture(scan: DepthScan) -> list[float]:
 
 def _sigmas(values: Float[np.ndarray, "n a b"]) -> Float[np.ndarray, " n"]:
     """`robust_sigma` of each of them."""
-    return 1.4826 * np.nanmedian(np.abs(values.reshape(len(values), -1)), axis=1)
+    return 1.4826 * np.nanmedian(np.abs(values), axis=(1, 2))
 
 
 def _alike(a: Float[np.ndarray, "n a b"], b: Float[np.ndarray, "n a b"]) -> Float[np.ndarray, " n"]:

@@ -11,8 +11,8 @@ show this on slopes of both directions (docs/twin.md).
 The positions are fixed, because they belong to the raster and not to a shot.
 
 Leaves out: lines of a projector that lies above or below the camera, which are rows; that light
-changes from shot to shot, as speckle does. In the real scans, half of this
-noise or more is another one in every scan.
+changes from shot to shot, as speckle does. In the real scans, half of this noise or more is another
+one in every scan.
 """
 
 import math

@@ -208,7 +208,8 @@ def _floor(scan: DepthScan, floor: Float[np.ndarray, "3"] | None) -> list[float]
     if len(known) < 500:
         return [float("nan")] * 4
     holes = (ring & ~scan.valid[1:-1, 1:-1]).sum() / max(int(ring.sum()), 1)
-    shared = _shared(third_difference(np.where(on_floor, scan.depth_m, np.nan)))
+    along = third_difference(np.where(on_floor, scan.depth_m, np.nan))
+    shared = correlation(along[:-1], along[1:])
     return [1e3 * robust_sigma(known), 100 * float(holes), shared, _tails(mixed)[0]]
 
 
@@ -218,9 +219,9 @@ def _texture(scan: DepthScan) -> list[float]:
     Medians over squares of smooth surfaces, as a classifier of squares hears them.
     """
     z_m = _squares(scan.depth_m).reshape(-1, SQUARE_PX, SQUARE_PX)
-    known = (~np.isnan(second_difference(z_m))).mean(axis=(1, 2))
-    z_m = z_m[known >= _LEAST_KNOWN]
-    fine_m = _sigmas(second_difference(z_m))
+    mixed = second_difference(z_m)
+    known = (~np.isnan(mixed)).mean(axis=(1, 2)) >= _LEAST_KNOWN
+    z_m, fine_m = z_m[known], _sigmas(mixed[known])
     smooth = (fine_m > 0) & (fine_m < _SMOOTH_M)  # depth without any noise has no texture
     if smooth.sum() < _LEAST_SQUARES:
         return [float("nan")] * 5
@@ -278,7 +279,7 @@ def _ratios(depth_m: Float[np.ndarray, "h w"]) -> tuple[float, float, float]:
         return float("nan"), float("nan"), float("nan")
     along, across = third_difference(depth_m), third_difference(depth_m.T)
     ratios = [100 * (robust_sigma(a[~np.isnan(a)]) / fine_m - 1) for a in (along, across)]
-    return ratios[0], ratios[1], _shared(along)
+    return ratios[0], ratios[1], correlation(along[:-1], along[1:])
 
 
 def _mean(depth_m: Float[np.ndarray, "h w"]) -> Float[np.ndarray, "h w"]:
@@ -354,8 +355,3 @@ def _squares(values: Float[np.ndarray, "h w"]) -> Float[np.ndarray, "n pixels"]:
     rows, columns = (n // SQUARE_PX * SQUARE_PX for n in values.shape)
     cut = values[:rows, :columns].reshape(rows // SQUARE_PX, SQUARE_PX, -1, SQUARE_PX)
     return cut.swapaxes(1, 2).reshape(-1, SQUARE_PX**2)
-
-
-def _shared(along: Float[np.ndarray, "h w"], *, apart: int = 1) -> float:
-    """The correlation of a line's differences with those of a line so far off."""
-    return correlation(along[:-apart], along[apart:])

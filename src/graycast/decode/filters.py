@@ -41,7 +41,8 @@ class FilterSpec:
     with `outlier_repair` those within a whole surface get its depth instead.
     `hidden_sigmas`: pixels go that a nearer surface hides from the projector, where positions are
     out of order by more than so many standard deviations (`visibility`).
-    `edge_px`: pixels go whose measured point lies nearer than this to a depth step.
+    `edge_x_px`, `edge_y_px`: pixels go whose measured point lies nearer than this to a depth step
+    between neighbours in a row, or in a column.
     `island_px`: connected surfaces of fewer pixels go.
     `smoothing_px`: standard deviation of a Gaussian kernel; 0.55 lets 0.56 of white noise pass and
     correlates neighbours by 0.36.
@@ -96,13 +97,25 @@ class FilterSpec:
             exclude_if=unsaid,
         ),
     ] = None
-    edge_px: Annotated[
+    edge_x_px: Annotated[
         float | None,
         Field(
             ge=0,
             le=1,
             description="Pixels are removed whose measured point is nearer than this to a depth "
-            "step, in pixels; beside a step, it is the share of pixels that is removed.",
+            "step between neighbours in a row, in pixels; it is the share of pixels beside such "
+            "steps that is removed.",
+            exclude_if=unsaid,
+        ),
+    ] = None
+    edge_y_px: Annotated[
+        float | None,
+        Field(
+            ge=0,
+            le=1,
+            description="Pixels are removed whose measured point is nearer than this to a depth "
+            "step between neighbours in a column, in pixels; it is the share of pixels beside such "
+            "steps that is removed.",
             exclude_if=unsaid,
         ),
     ] = None
@@ -249,8 +262,9 @@ def _filter_surfaces(depth: DepthMap, spec: FilterSpec, camera: Optics) -> Depth
         )
         _repair(z_m, sigma_m, level, spread, margin_px)
         _erase(z_m, removed, margin_px)
-    if spec.edge_px:
-        _edges(z_m, sigma_m, rays, step_tan, spec.edge_px, margin_px, removed)
+    if spec.edge_x_px or spec.edge_y_px:
+        edge_px = spec.edge_x_px or 0.0, spec.edge_y_px or 0.0
+        _edges(z_m, sigma_m, rays, step_tan, edge_px, margin_px, removed)
         _erase(z_m, removed, margin_px)
     if spec.island_px:
         _islands(z_m, sigma_m, rays, step_tan, spec.island_px, margin_px, removed)
@@ -425,8 +439,10 @@ def _within_step(z, fall, y, x, down, right, first, last):
 # --- edges -------------------------------------------------------------------------------------
 
 
-def _edges(z_m, sigma_m, rays, step_tan, edge_px: float, margin_px: int, removed) -> None:
-    """Remove points beside steps, on either side.
+def _edges(
+    z_m, sigma_m, rays, step_tan, edge_px: tuple[float, float], margin_px: int, removed
+) -> None:
+    """Remove points beside steps along rows and along columns, on either side.
 
     A step lies half way between two pixels, and a pixel's point anywhere in its square, as on a
     raster without a window: a map that has one of several measured points in each pixel lacks those
@@ -436,11 +452,12 @@ def _edges(z_m, sigma_m, rays, step_tan, edge_px: float, margin_px: int, removed
     fall = np.zeros((2, *z_m.shape), dtype=np.int8)
     _falls(z_m, sigma_m, rays, step_tan, fall)
     aside_px = places((h, w), 0.0) / (2 * math.sqrt(3))  # evenly from -1/2 to 1/2
-    is_near = [0.5 - aside_px < edge_px, 0.5 + aside_px < edge_px]  # to the next pixel, to the last
     for axis, toward in ((0, 1), (1, 0)):  # of `fall`: rightwards, downwards
+        to_next = 0.5 - aside_px[axis] < edge_px[axis]
+        to_last = 0.5 + aside_px[axis] < edge_px[axis]
         steps = np.roll(fall[axis], 1, toward) != 0, fall[axis] != 0
         after, here = (one[margin_px : margin_px + h, margin_px : margin_px + w] for one in steps)
-        removed |= here & is_near[0][axis] | after & is_near[1][axis]
+        removed |= here & to_next | after & to_last
 
 
 # --- islands -----------------------------------------------------------------------------------

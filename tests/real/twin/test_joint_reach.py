@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from graycast.real.twin.searching import joint_reach
+from graycast.real.twin.searching import joint_reach, made_up
 
 FREE = 2 * np.sqrt(1 / 12)  # two standard deviations of an even law over a range of one
 
@@ -28,3 +28,16 @@ def test_two_parameters_that_make_up_for_each_other_are_both_open():
 def test_a_row_that_hears_them_apart_holds_both():
     both = joint_reach(np.array([[100.0, 100.0], [100.0, -100.0]]), room=1.0)
     assert both.max() < 0.02
+
+
+def test_the_others_move_to_where_the_rows_are_what_they_were():
+    """A row hears the sum, so one goes down by what the other goes up; none leaves its range."""
+    x = np.array([0.4, 0.5])
+    place = made_up(x, np.zeros(1), np.array([[100.0, 50.0]]), 0, 0.5, room=1e-3)
+    assert place == pytest.approx([0.5, 0.3], abs=1e-4)
+    assert made_up(x, np.zeros(1), np.array([[100.0, 50.0]]), 0, 1.0, room=1e-3)[1] == 0.0
+
+
+def test_others_that_no_row_hears_stay():
+    x = np.array([0.4, 0.5])
+    assert made_up(x, np.ones(1), np.array([[100.0, 0.0]]), 0, 0.5, room=1.0)[1] == 0.5

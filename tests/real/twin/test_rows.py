@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.stats import norm
 
-from graycast.real.twin.rows import ROWS, Figures, compare, figures_of
+from graycast.real.twin.rows import ROWS, Figures, _from_place_to_place, compare, figures_of
 
 from ..realism.synthetic import plane, scan
 
@@ -60,6 +60,21 @@ def test_a_scan_without_smooth_squares_has_no_texture(missing):
     z_m[np.random.default_rng(1).random(z_m.shape) < missing] = np.nan
     for name in ("noise along x above fine noise", "noise common to rows"):
         assert np.isnan(row(z_m, name))
+
+
+def test_noise_differs_from_place_to_place_by_the_law_of_its_amplitude():
+    """Amplitudes of squares of 16 px, normal in their logarithm, come back as its spread; what each
+    square tells by chance adds to it in quadrature, and is all that even noise has.
+    """
+    rng = np.random.default_rng(4)
+    spread, even = 0.3, rng.standard_normal((480, 640))
+    amplitude = np.kron(np.exp(spread * rng.standard_normal((30, 40))), np.ones((16, 16)))
+    chance = _from_place_to_place(SIGMA_M * even)
+    # The median of 256 sizes: a standard error of 1 / (2 f sqrt(256)), f the density there.
+    size = norm.ppf(0.75)
+    assert chance == pytest.approx(100 / (2 * 2 * norm.pdf(size) * 16) / size, rel=0.1)
+    told = _from_place_to_place(SIGMA_M * amplitude * even)
+    assert told == pytest.approx(sqrt((100 * spread) ** 2 + chance**2), rel=0.07)
 
 
 def test_noise_common_to_rows_is_that_of_the_squares():

@@ -82,13 +82,17 @@ def funnel():
 def test_sides_are_told_by_where_they_lie_and_what_no_scan_has_seen_is_left_out():
     depth_m = funnel()
     truth = DepthScan(name="t", depth_m=depth_m, K=K)
-    lit = Lit(radiance={}, is_bin=np.ones(depth_m.shape, dtype=bool), truth=truth)
+    is_bin = np.ones(depth_m.shape, dtype=bool)
+    is_bin[:3] = False
+    lit = Lit(radiance={}, is_bin=is_bin, truth=truth)
     seen = depth_m.copy()
     seen[:, :40] = np.nan
     sides = missing_places([lit], [scan(seen), scan(np.where(np.eye(240, 320) > 0, np.nan, seen))])
     assert np.array_equal(sides.pop("seen"), ~np.isnan(seen))
+    assert np.array_equal(sides.pop("unseen"), np.isnan(seen) & is_bin)
     y, x = np.mgrid[-119.5:120, -159.5:160]
     far, inner = np.maximum(np.abs(x), np.abs(y)) > 62, np.abs(np.abs(x) - np.abs(y)) > 2
+    far[:4] = False  # no bin
     for name, where in {"left": -x, "right": x, "upper": -y, "lower": y}.items():
         mine = far & inner & (where > 0) & (where == np.maximum(np.abs(x), np.abs(y)))
         mine[:, :42] = sides[name][:, :42]

@@ -33,6 +33,7 @@ _ELECTORS = 2000  # so many of the pixels judge all draws, and all pixels judge 
 _FINALISTS = 20
 _LEAST_TRIANGLE_PX2 = 4000.0  # twice the area: a smaller one tells no slope
 _TINY_M = 1e-6
+_LEAST_PAIRS = 30  # of which a correlation is told
 
 FEATURES: dict[str, tuple[str, ...]] = {
     "noise": (
@@ -165,15 +166,21 @@ def robust_sigma(values: Float[np.ndarray, " n"]) -> float:
     return float(1.4826 * np.median(np.abs(values))) if len(values) else float("nan")
 
 
-def correlation(a: Float[np.ndarray, "a b"], b: Float[np.ndarray, "a b"]) -> float:
-    """Of neighbours, with what is far out cut off at 4 sigma."""
+def correlation(
+    a: Float[np.ndarray, "*n a b"], b: Float[np.ndarray, "*n a b"]
+) -> Float[np.ndarray, "*n"]:
+    """Of each two arrays, with what is far out cut off at 4 sigma; NaN of fewer than 30 pairs."""
     both = ~np.isnan(a) & ~np.isnan(b)
-    if both.sum() < 30:
-        return np.nan
-    limit = 4 * (robust_sigma(np.concatenate([a[both], b[both]])) + _TINY_M)
-    a, b = np.clip(a[both], -limit, limit), np.clip(b[both], -limit, limit)
-    power = np.sqrt((a * a).mean() * (b * b).mean())
-    return float((a * b).mean() / power) if power > 0 else 0.0
+    enough = both.sum(axis=(-2, -1)) >= _LEAST_PAIRS
+    pair = np.where(both, np.stack([a, b]), np.nan)[:, enough]
+    sigma = 1.4826 * np.nanmedian(np.abs(pair), axis=(0, -2, -1))
+    limit = 4 * (sigma + _TINY_M)[:, None, None]
+    a, b = np.clip(np.nan_to_num(pair), -limit, limit)  # a pair that is not known adds nothing
+    product, a2, b2 = (one.sum(axis=(-2, -1)) for one in (a * b, a * a, b * b))
+    found = np.full(enough.shape, np.nan)
+    power = np.sqrt(a2 * b2)
+    found[enough] = np.divide(product, power, out=np.zeros_like(power), where=power > 0)
+    return found
 
 
 # --- one square ----------------------------------------------------------------------------------
@@ -289,8 +296,8 @@ def _noise(z_m: Float[np.ndarray, "s s"]) -> list[float]:
         float((np.abs(known) > 4 * sigma_m).mean()),
         _log_ratio(along_x, sigma_m),
         _log_ratio(along_y, sigma_m),
-        correlation(along_x[:-1], along_x[1:]),
-        correlation(along_y[:, :-1], along_y[:, 1:]),
+        float(correlation(along_x[:-1], along_x[1:])),
+        float(correlation(along_y[:, :-1], along_y[:, 1:])),
     ]
 
 

@@ -27,13 +27,15 @@ _SIGMAS = 2.0  # within so many standard deviations of the real scans' mean a ro
 _LEAST_SPREAD = 0.05  # as a share of the mean: three scans do not tell a spread well
 _LEAST_KNOWN = 0.7  # of a square's differences, to tell tails
 _LEAST_SQUARES = 5
+_PLACE_PX = 16  # side of the squares whose noise is compared with that of their neighbours
+_LEAST_PAIRS = 30  # of such neighbours
 _SMOOTH_M = 5e-4  # a square whose differences scatter more is no smooth surface
 _FLAT_M = 5e-3
 _PARABOLOID_M, _MOST_NEAR = 2e-3, 0.97
 _SLOPE, _LEVEL = (0.5, 3.0), 0.25  # tangents of slopes along an axis, and across it at most
 _LEAST_ON_SLOPES = 5000  # differences: of fewer, scans differ by chance
 _STEP_M = 0.03
-PLACES = ("seen", "left", "right", "upper", "lower")
+PLACES = ("seen", "left", "right", "upper", "lower", "unseen")
 _UNKNOWN_Z = 5.0  # how far off a row is that the twin's scans cannot tell
 _FAR_Z = 3.0  # what is farther off counts by its logarithm
 
@@ -117,6 +119,7 @@ ROWS: dict[str, tuple[str, float]] = {
     "missing on the bin's right side": ("%", 3.0),
     "missing on the bin's upper side": ("%", 3.0),
     "missing on the bin's lower side": ("%", 3.0),
+    "missing where no real scan has depth": ("%", 3.0),
     "missing among present neighbours": ("%", 0.02),
     "holes of 1 px": ("per scan", 10.0),
     "holes of 2 to 4 px": ("per scan", 10.0),
@@ -139,6 +142,7 @@ ROWS: dict[str, tuple[str, float]] = {
     "fine noise, 20 to 30 deg": ("mm", 0.003),
     "fine noise, 30 to 40 deg": ("mm", 0.003),
     "fine noise, 40 to 50 deg": ("mm", 0.003),
+    "fine noise, from place to place": ("%", 1.0),
     "fine noise of the floor": ("mm", 0.003),
     "holes in the floor": ("%", 0.05),
     "tiles that are rough": ("%", 0.3),
@@ -186,6 +190,7 @@ def _one(
     for low in range(0, 50, 10):
         group = sigma_mm[(degrees >= low) & (degrees < low + 10)]
         values.append(float(np.median(group)) if len(group) >= 20 else float("nan"))
+    values.append(_from_place_to_place(second_difference(scan.depth_m)))
     *of_floor, floor_shared, floor_tails = _floor(scan, floor)
     values += [*of_floor, 100 * (1 - len(sigma_mm) / max(fine.tiles, 1))]
     values += [*_texture(scan), *_on_slopes(scan), floor_shared, floor_tails]
@@ -209,8 +214,27 @@ def _floor(scan: DepthScan, floor: Float[np.ndarray, "3"] | None) -> list[float]
         return [float("nan")] * 4
     holes = (ring & ~scan.valid[1:-1, 1:-1]).sum() / max(int(ring.sum()), 1)
     along = third_difference(np.where(on_floor, scan.depth_m, np.nan))
-    shared = correlation(along[:-1], along[1:])
+    shared = float(correlation(along[:-1], along[1:]))
     return [1e3 * robust_sigma(known), 100 * float(holes), shared, _tails(mixed)[0]]
+
+
+def _from_place_to_place(mixed: Float[np.ndarray, "h w"]) -> float:
+    """How much the noise of a small square differs from that of its neighbours [%].
+
+    Light and slope hardly change from one to the next, so this is the finish of the surface.
+    """
+    rows, columns = (n // _PLACE_PX for n in mixed.shape)
+    squares = _squares(mixed, _PLACE_PX)
+    sigma_m = np.full(len(squares), np.nan)
+    known = (~np.isnan(squares)).mean(axis=1) >= _LEAST_KNOWN
+    sigma_m[known] = 1.4826 * np.nanmedian(np.abs(squares[known]), axis=1)
+    smooth = (sigma_m > 0) & (sigma_m < _SMOOTH_M)  # NaN is not
+    log = np.log(np.where(smooth, sigma_m, np.nan)).reshape(rows, columns)
+    differing = np.concatenate([np.diff(log, axis=0).ravel(), np.diff(log, axis=1).ravel()])
+    differing = differing[~np.isnan(differing)]
+    if len(differing) < _LEAST_PAIRS:
+        return float("nan")
+    return 100 * robust_sigma(differing) / np.sqrt(2)
 
 
 def _texture(scan: DepthScan) -> list[float]:
@@ -229,25 +253,13 @@ def _texture(scan: DepthScan) -> list[float]:
     along_x, along_y = third_difference(z_m), third_difference(z_m.swapaxes(1, 2))
     told = [100 * (_sigmas(along) / fine_m - 1) for along in (along_x, along_y)]
     for along, apart in ((along_x, 1), (along_x, 2), (along_y, 1)):
-        told.append(_alike(along[:, :-apart], along[:, apart:]))
+        told.append(correlation(along[:, :-apart], along[:, apart:]))
     return [float(np.nanmedian(one)) for one in told]
 
 
 def _sigmas(values: Float[np.ndarray, "n a b"]) -> Float[np.ndarray, " n"]:
     """`robust_sigma` of each of them."""
     return 1.4826 * np.nanmedian(np.abs(values), axis=(1, 2))
-
-
-def _alike(a: Float[np.ndarray, "n a b"], b: Float[np.ndarray, "n a b"]) -> Float[np.ndarray, " n"]:
-    """The correlation of each pair, as `correlation`; NaN of what has little in common."""
-    limit = 4 * _sigmas(np.concatenate([a, b], axis=1))[:, None, None]
-    a, b = np.clip(a, -limit, limit), np.clip(b, -limit, limit)
-    both = ~np.isnan(a) & ~np.isnan(b)
-    product, a2, b2 = (
-        np.where(both, values, 0.0).sum(axis=(1, 2)) for values in (a * b, a * a, b * b)
-    )
-    few = both.mean(axis=(1, 2)) < 0.5 * _LEAST_KNOWN
-    return np.where(few, np.nan, product / np.maximum(np.sqrt(a2 * b2), 1e-300))
 
 
 def _on_slopes(scan: DepthScan) -> list[float]:
@@ -279,7 +291,7 @@ def _ratios(depth_m: Float[np.ndarray, "h w"]) -> tuple[float, float, float]:
         return float("nan"), float("nan"), float("nan")
     along, across = third_difference(depth_m), third_difference(depth_m.T)
     ratios = [100 * (robust_sigma(a[~np.isnan(a)]) / fine_m - 1) for a in (along, across)]
-    return ratios[0], ratios[1], correlation(along[:-1], along[1:])
+    return ratios[0], ratios[1], float(correlation(along[:-1], along[1:]))
 
 
 def _mean(depth_m: Float[np.ndarray, "h w"]) -> Float[np.ndarray, "h w"]:
@@ -350,8 +362,10 @@ def _whole_squares(depth_m: Float[np.ndarray, "h w"]) -> float:
     return 100 * float(known[smooth].all(axis=1).mean())
 
 
-def _squares(values: Float[np.ndarray, "h w"]) -> Float[np.ndarray, "n pixels"]:
+def _squares(
+    values: Float[np.ndarray, "h w"], side_px: int = SQUARE_PX
+) -> Float[np.ndarray, "n pixels"]:
     """Squares beside each other; what is left at the right and lower borders is cut off."""
-    rows, columns = (n // SQUARE_PX * SQUARE_PX for n in values.shape)
-    cut = values[:rows, :columns].reshape(rows // SQUARE_PX, SQUARE_PX, -1, SQUARE_PX)
-    return cut.swapaxes(1, 2).reshape(-1, SQUARE_PX**2)
+    rows, columns = (n // side_px * side_px for n in values.shape)
+    cut = values[:rows, :columns].reshape(rows // side_px, side_px, -1, side_px)
+    return cut.swapaxes(1, 2).reshape(-1, side_px**2)

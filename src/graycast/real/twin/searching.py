@@ -14,7 +14,7 @@ Source: Hansen, "The CMA Evolution Strategy: A Tutorial", arXiv 1604.00772.
 
 import contextlib
 import importlib.util
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -123,7 +123,7 @@ def search(
         places: where missing depth is counted; those with which `real` was made.
     """
     require_cma()
-    most = trials + len(codes) * len(parameters) * len(_PROFILE) + 2
+    most = trials + len(codes) * len(parameters) * (len(_PROFILE) + 2) + 2
     court = _Court(start, lit, parameters, real, places, seed, most, on_trial)
     x0 = shares_of(start, parameters)
     _, before = court.judge(start.code, x0)
@@ -389,31 +389,75 @@ def _hold(
 def _span(
     court: _Court, code: CodeSpec, x: Float[np.ndarray, " n"], limit: float
 ) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, " n"]]:
-    """Each parameter alone over its range, in all trials before, and with all others: what fits."""
+    """Between what each parameter fits: alone, in all trials before, and with all others moved.
+
+    An interval ends at the nearest share of `_PROFILE` that does not fit, even where the others are
+    moved to make up for it (`made_up`).
+    """
     loss, after = court.judge(code, x)
-    fits = np.array(
-        [np.frombuffer(at) for (_, at), (was, _) in court.tried.items() if was <= limit]
-    )
-    fits = np.vstack([fits.reshape(-1, len(x)), x])
-    slopes, alone = [], []
+    here, slopes = pulls_of(after), []
     for i, own in enumerate(x):
-        good: list[float] = fits[:, i].tolist()
-        bad: list[float] = []
-        pulls = {float(own): pulls_of(after)}
+        pulls = {float(own): here}
         for share in _PROFILE:
             moved = x.copy()
             moved[i] = share
-            tried, rows = court.judge(code, moved)
-            (good if tried <= limit else bad).append(float(share))
+            _, rows = court.judge(code, moved)
             if rows and abs(share - own) >= _LEVER:
                 pulls[float(share)] = pulls_of(rows)
         slopes.append(_slope(pulls, float(own)))
-        low = max((b for b in bad if b < min(good)), default=min(good))
-        high = min((b for b in bad if b > max(good)), default=max(good))
-        alone.append((low, high))
-    reach = joint_reach(np.stack(slopes, axis=1), len(slopes[0]) * (limit - loss))
-    lowest, highest = np.array(alone).T
-    return np.minimum(lowest, x - reach), np.maximum(highest, x + reach)
+    slope, room = np.stack(slopes, axis=1), len(here) * (limit - loss)
+    reach = joint_reach(slope, room)
+    fitting = np.array(
+        [x, *(np.frombuffer(at) for (_, at), (was, _) in court.tried.items() if was <= limit)]
+    )
+    low, high = x - reach, x + reach
+    for i in range(len(x)):
+
+        def fits(share: float, i: int = i) -> bool:
+            if low[i] <= share <= high[i]:
+                return True
+            return court.loss(code, made_up(x, here, slope, i, share, room=room)) <= limit
+
+        least, most = fitting[:, i].min(), fitting[:, i].max()
+        low[i] = min(low[i], _end(_PROFILE[::-1][_PROFILE[::-1] < least], least, fits))
+        high[i] = max(high[i], _end(_PROFILE[_PROFILE > most], most, fits))
+    return low, high
+
+
+def _end(shares: Iterable[float], end: float, fits: Callable[[float], bool]) -> float:
+    """The first of the shares that does not fit; the last one, or `end`, if all do."""
+    for share in shares:
+        end = float(share)
+        if not fits(end):
+            break
+    return end
+
+
+def made_up(
+    x: Float[np.ndarray, " n"],
+    pulls: Float[np.ndarray, " rows"],
+    slopes: Float[np.ndarray, "rows n"],
+    i: int,
+    share: float,
+    *,
+    room: float,
+) -> Float[np.ndarray, " n"]:
+    """The place with one parameter at a share, and all others where they make up for it best.
+
+    The rows are taken to be linear, and each parameter to lie evenly in its range, as
+    `joint_reach` does.
+
+    Args:
+        pulls: of the rows at `x`.
+    """
+    others = np.arange(len(x)) != i
+    slope = slopes[:, others]
+    moved = pulls + slopes[:, i] * (share - x[i])
+    normal = slope.T @ slope + 3 * room * np.eye(slope.shape[1])
+    place = x.copy()
+    place[i] = share
+    place[others] = np.clip(x[others] - np.linalg.solve(normal, slope.T @ moved), 0.0, 1.0)
+    return place
 
 
 def _slope(

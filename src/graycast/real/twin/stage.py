@@ -128,10 +128,12 @@ def missing_places(
 ) -> dict[str, Bool[np.ndarray, "h w"]]:
     """Where missing depth is counted: in all that real scans see, and on the bin's steep sides.
 
-    `seen` has the pixels at which one of the real scans has depth. The other pixels tell nothing,
-    because a bin differs from its model, and its rim may hide a wall. The sides are named by where
-    in the picture they lie. They are told from the farthest depth that any of the scenes has at a
-    pixel, so that parts hide little. All scenes must have the same camera and the same bin.
+    `seen` has the pixels at which one of the real scans has depth, and `unseen` those of the bin at
+    which none has any: the light does not reach them or is too weak there. The sides are what is
+    seen of them, because a bin differs from its model, and its rim may hide a wall. They are named
+    by where in the picture they lie. They are told from the farthest depth that any of the scenes
+    has at a pixel, so that parts hide little. All scenes must have the same camera and the same
+    bin.
     """
     seen = np.any([scan.valid for scan in real], axis=0)
     with warnings.catch_warnings():
@@ -149,6 +151,7 @@ def missing_places(
             "right": steep & sideways & (across < 0),
             "upper": steep & ~sideways & (along > 0),
             "lower": steep & ~sideways & (along < 0),
+            "unseen": ~seen & np.any([one.is_bin for one in lit], axis=0),
         }
 
 

@@ -13,7 +13,7 @@ from jaxtyping import Float
 from pydantic import AfterValidator, Field
 
 from .frames import pixel_grid
-from .settings import Finite, check_fields
+from .settings import Finite, check_fields, unsaid
 
 MAX_SIDE_PX = 32_768  # twice the longest sensors; beyond it a number is no size in pixels
 
@@ -44,10 +44,12 @@ class Optics:
     in focus; the pupil lies at z = 0. `psf_px` is the radius of a disc of blur that is there at
     every depth: aberrations and diffraction. `natural_vignetting` dims a camera by the fourth power
     of the cosine to its axis, a projector's intensity by the first (see `relative_illumination`).
+    `falloff` is the share of the light that is missing in the picture's corners beyond that, by
+    whatever cause (see `corner_share`).
     `fill_factor` is the share of a pixel's area, a centred square, that senses or shines.
 
-    Leaves out: skew; vignetting by the lens's own rims; what `blur_radius_px` says. Distortion
-    beyond the monotonic range is refused.
+    Leaves out: skew; what vignetting by the lens's own rims does to blur; what `blur_radius_px`
+    says. Distortion beyond the monotonic range is refused.
     """
 
     width_px: Annotated[
@@ -92,6 +94,16 @@ class Optics:
             "of the cosine of the field angle."
         ),
     ] = False
+    falloff: Annotated[
+        float | None,
+        Field(
+            ge=0,
+            lt=1,
+            description="Share of the light that is missing in the corners of the picture beyond "
+            "natural vignetting; it grows with the square of the distance from the middle.",
+            exclude_if=unsaid,
+        ),
+    ] = None
     fill_factor: Annotated[
         float, Field(gt=0, le=1, description="Share of a pixel's area that senses or emits light.")
     ] = 1.0
@@ -241,13 +253,23 @@ def blur_radius_px(optics: Optics, z_m: Float[np.ndarray, "*n"]) -> Float[np.nda
 
 
 def relative_illumination(optics: Optics) -> Float[np.ndarray, "h w"]:
-    """What natural vignetting leaves of a camera's light at each pixel's centre: cos^4 to the axis.
+    """What vignetting and falloff leave of a camera's light at each pixel's centre.
 
-    1 everywhere where `natural_vignetting` is off. The image's irradiance is `L cos^4`: two factors
-    by the longer way to the sensor, one by the pupil's and one by the sensor's slant.
+    With `natural_vignetting`, the image's irradiance is `L cos^4` of the angle to the axis: two
+    factors by the longer way to the sensor, one by the pupil's and one by the sensor's slant.
     Source: e.g. R. Kingslake, "Optics in Photography", 1992.
     """
-    if not optics.natural_vignetting:
-        return np.ones((optics.height_px, optics.width_px))
-    ray = rays(optics, pixel_grid(optics.height_px, optics.width_px))
-    return 1 / np.square(np.square(ray).sum(axis=-1))
+    pixel = pixel_grid(optics.height_px, optics.width_px)
+    left = 1 - (optics.falloff or 0.0) * corner_share(optics, pixel)
+    if optics.natural_vignetting:
+        left /= np.square(np.square(rays(optics, pixel)).sum(axis=-1))
+    return left
+
+
+def corner_share(optics: Optics, pixel: Float[np.ndarray, "*n 2"]) -> Float[np.ndarray, "*n"]:
+    """How much of `falloff` acts at places of the picture: 0 in its middle, 1 in its corners.
+
+    It is `(x^2 + y^2) / 2` where x and y are -1 and 1 at the borders: 1/2 in the borders' middles.
+    """
+    place = (2 * pixel + 1) / np.array([optics.width_px, optics.height_px]) - 1
+    return np.square(place).sum(axis=-1) / 2

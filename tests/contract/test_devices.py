@@ -19,6 +19,7 @@ from stage import (
 )
 
 from graycast.frames import inverse, transform_points
+from graycast.optics import project
 from graycast.render import Quality
 from graycast.scene import EMPTY_LAYOUT
 
@@ -77,6 +78,29 @@ def test_light_falls_with_the_cosine_to_the_fourth_of_a_camera_and_the_first_of_
     ):
         assert np.abs(one[lit] / other[lit] / expected[lit] - 1).max() < 1e-3
     assert np.abs(dimmed.albedo - plain.albedo).max() < 1e-6
+
+
+@pytest.mark.parametrize("device", ["camera", "projector"])
+def test_light_falls_off_with_the_square_of_the_distance_from_the_picture_s_middle(
+    renderer, device
+):
+    """The ratio of pictures with and without: a half is missing in the corners."""
+    rig = askew_rig(camera=optics(96, 72, 70))
+    pattern = plain_pattern(rig, 255)
+    plain = light_of(renderer, rig, pattern)
+    dimmed = light_of(renderer, changed(rig, device, falloff=0.5), pattern)
+    own = getattr(rig, device)
+    point = 0.8 * centre_rays(rig.camera)
+    if device == "projector":
+        point = transform_points(inverse(rig.T_cam_proj), point)
+    x, y = np.moveaxis(project(own, point), -1, 0)
+    x, y = (2 * x + 1) / own.width_px - 1, (2 * y + 1) / own.height_px - 1
+    expected = 1 - 0.25 * (x**2 + y**2)
+    lit = (plain.white > 0) & np.roll(plain.white > 0, (1, 1), (0, 1))
+    lit &= np.roll(plain.white > 0, (-1, -1), (0, 1))
+    assert lit.sum() > 2500 and expected[lit].min() < 0.7
+    for one, other in ((dimmed.white, plain.white), (dimmed.pattern[0], plain.pattern[0])):
+        assert np.abs(one[lit] / other[lit] / expected[lit] - 1).max() < 2e-3
 
 
 @pytest.mark.parametrize("levels", [(0, 255), (0, 51, 64, 128, 200, 255)])

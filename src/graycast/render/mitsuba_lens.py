@@ -78,6 +78,13 @@ def in_field(projector: Optics, place: mi.Point2f) -> mi.Bool:
     return inside & (place.y >= -0.5) & (place.y < projector.height_px - 0.5)
 
 
+def corner_share(optics: Optics, place: mi.Point2f) -> mi.Float:
+    """`optics.corner_share`."""
+    x = (2 * place.x + 1) / optics.width_px - 1
+    y = (2 * place.y + 1) / optics.height_px - 1
+    return (x * x + y * y) / 2
+
+
 def shines(projector: Optics, place: mi.Point2f) -> mi.Bool:
     """Whether a place of the projector's picture is on a pixel, rather than in a gap or outside."""
     inside = in_field(projector, place)

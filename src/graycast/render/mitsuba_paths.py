@@ -15,6 +15,7 @@ from ..scene import Scene
 from .mitsuba_lens import (
     blur_radius2,
     camera_ray,
+    corner_share,
     in_field,
     pixel_index,
     seen_by_projector,
@@ -240,6 +241,8 @@ class Tracer:
         strength = self.intensity_w_sr * inverse_square / len(places)
         if self.projector.natural_vignetting:
             strength *= q.z * dr.rsqrt(dr.squared_norm(q))
+        if self.projector.falloff:
+            strength *= 1 - self.projector.falloff * corner_share(self.projector, place)
         pixels = [pixel_index(self.projector, one) for one in places]
         return _Beam(wo, lit, strength, count, pixels, shining)
 

@@ -14,7 +14,7 @@ import numpy as np
 from jaxtyping import Bool, Float, UInt8
 
 from ..frames import inverse, pixel_grid, transform_points
-from ..optics import project, rays, relative_illumination
+from ..optics import corner_share, project, rays, relative_illumination
 from ..rig import Rig, emission
 from ..scene import Layout, Quad, Scene, Sphere
 from .radiance import (
@@ -132,6 +132,10 @@ def _direct(scene: Scene, pixel: Float[np.ndarray, "h w 2"]) -> tuple:
     irradiance = np.where(lit, rig.intensity_w_sr * cosine / distance**2, 0.0)
     if rig.projector.natural_vignetting:
         irradiance *= in_projector[..., 2] / distance
+    if rig.projector.falloff:
+        irradiance *= 1 - rig.projector.falloff * np.where(
+            lit, corner_share(rig.projector, seen_by), 0.0
+        )
     return irradiance, base, column_row
 
 

@@ -8,11 +8,11 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from ...cell import Cell
-from ...frames import pixel_grid, transform_points
-from ...optics import rays
+from ...frames import inverse, pixel_grid, transform_points
+from ...optics import corner_share, project, rays
 from ...pattern import CodeSpec
 from ...render import GroundTruth, Quality, Radiance, Renderer
-from ...rig import grey_levels
+from ...rig import Rig, grey_levels
 from ...scanner import Scanner
 from ...scanner import scan as shoot
 from ...scene import Scene, bin_of
@@ -38,13 +38,16 @@ class Lit:
     """One scene's light for each code, and which pixels show the bin.
 
     `coats` has the light if the bin had no colour of its own, only the coat over it, by how much
-    rougher than configured the coat is; it is empty where the bin has no coat.
+    rougher than configured the coat is; it is empty where the bin has no coat. `corner_share` is
+    `optics.corner_share` at each pixel in the projector's picture, and `falloff` that projector's.
     """
 
     radiance: dict[CodeSpec, Radiance]
     coats: Mapping[float, dict[CodeSpec, Radiance]] = field(default_factory=dict)
     is_bin: Bool[np.ndarray, "h w"]
     truth: DepthScan  # perfect depth
+    corner_share: Float[np.ndarray, "h w"] | float = 0.0
+    falloff: float = 0.0
 
 
 def light_scenes(
@@ -102,9 +105,19 @@ def light_scenes(
                     depth_m=truth.depth_m.astype(np.float64),
                     K=rig.camera.K,
                 ),
+                corner_share=in_projector_corner(rig, truth.depth_m),
+                falloff=rig.projector.falloff or 0.0,
             )
         )
     return tuple(lit)
+
+
+def in_projector_corner(rig: Rig, depth_m: Float[np.ndarray, "h w"]) -> Float[np.ndarray, "h w"]:
+    """`optics.corner_share` of where the projector sees each pixel's point; 0 without depth."""
+    ray = rays(rig.camera, pixel_grid(*depth_m.shape))
+    point = transform_points(inverse(rig.T_cam_proj), ray * depth_m[..., None])
+    share = corner_share(rig.projector, project(rig.projector, point))
+    return np.nan_to_num(np.minimum(share, 1.0)).astype(np.float32)
 
 
 def with_black_bin(scene: Scene, rougher: float) -> Scene:
@@ -164,7 +177,8 @@ def scan_lit(
     That holds while the bin is dark. Gloss is taken to be proportional to the coat's reflectance
     at normal incidence, which is not so where light grazes, and the light under the coat not to
     depend on it: with half of the coat, 6 % of the light are missing. Between two coats that were
-    rendered, the light is taken to change evenly with the roughness.
+    rendered, the light is taken to change evenly with the roughness. The projector's falloff dims a
+    pixel by what it is at the pixel's own point, also in the light that came by other surfaces.
     """
     radiance = lit.radiance[scanner.code]
     if look != BinLook():
@@ -184,6 +198,11 @@ def scan_lit(
                 lit.is_bin[..., None], np.float32(look.color) * radiance.albedo, radiance.albedo
             ),
         )
+    falloff = scanner.rig.projector.falloff or 0.0
+    if falloff != lit.falloff:
+        left = (1 - falloff * lit.corner_share) / (1 - lit.falloff * lit.corner_share)
+        dimmed = {name: getattr(radiance, name) * left for name in ("pattern", "white")}
+        radiance = replace(radiance, **dimmed)
     try:
         shot = shoot(scanner, radiance, seed=seed)
     except ValueError:

@@ -72,11 +72,22 @@ class Projector:
             shine = nodes.mul(shine, self._on_square(nodes, row))
         if self.optics["natural_vignetting"]:
             shine = nodes.mul(shine, way[2])
+        if self.optics["falloff"]:
+            shine = nodes.mul(shine, self._fallen_off(nodes, column, row))
         emission = nodes.new("ShaderNodeEmission")
         nodes.put(emission.inputs["Color"], self._lookup(nodes, column, row))
         nodes.put(emission.inputs["Strength"], shine)
         out = nodes.new("ShaderNodeOutputLight")
         nodes.put(out.inputs["Surface"], emission.outputs[0])
+
+    def _fallen_off(self, nodes: Nodes, column: object, row: object) -> object:
+        """What `falloff` leaves of the light, as `optics.corner_share` has it."""
+        missing = 0.0
+        for pixel, size_px in ((column, "width_px"), (row, "height_px")):
+            size = self.optics[size_px]
+            place = nodes.fma(pixel, 2 / size, 1 / size - 1)
+            missing = nodes.fma(nodes.mul(place, place), self.optics["falloff"] / 2, missing)
+        return nodes.math("SUBTRACT", 1.0, missing)
 
     def _seen(self, nodes: Nodes, ray: bpy.types.Node, way: list, T: np.ndarray) -> tuple:
         """Normalised coordinates of the point in focus that the ray goes through."""

@@ -21,7 +21,7 @@ from graycast.real.twin.parameters import (
 )
 from graycast.real.twin.rows import Figures, Row, compare, figures_of, loss_of
 from graycast.real.twin.searching import scans_of, search
-from graycast.real.twin.stage import BinLook, Lit, scan_lit
+from graycast.real.twin.stage import BinLook, Lit, in_projector_corner, scan_lit
 from graycast.render import Quality
 from graycast.render.reference import ReferenceRenderer
 from graycast.rig import preset_rig
@@ -33,6 +33,8 @@ needs_cma = pytest.mark.skipif(
     importlib.util.find_spec("cma") is None, reason="needs cma: pip install 'graycast[twin]'"
 )
 
+FALLOFF = next(p for p in PARAMETERS if p.key == "projector.falloff")
+DIRECT = Quality(samples=4, depth=1)
 FITTED = [p for p in PARAMETERS if p.key in ("sensor.read_noise_e", "filters.smoothing_px")]
 
 
@@ -44,16 +46,14 @@ def stage():
     rig = replace(rig, name="small", camera=camera, projector=projector)
     code = CodeSpec(codec="gray_phase", axes=("column",), period_px=16.0, steps=4)
     scanner = Scanner(rig=rig, code=code, sensor=SensorSpec())
-    grey, dark, lit = lambert(0.5), lambert(0.05), []
-    direct = Quality(samples=4, depth=1)
+    lit = []
     for x_m in (-0.05, 0.04):
-        ball = Sphere(center_m=(x_m, 0.0, 0.72), radius_m=0.06, material=grey)
-        scene = in_camera(rig, ball, wall(0.8, dark, half_m=1.0))
+        scene = in_camera(rig, ball(x_m), wall(0.8, lambert(0.05), half_m=1.0))
         found = ReferenceRenderer().render(
             scene,
             EMPTY_LAYOUT,
             scanner.light_code().render(),
-            quality=direct,
+            quality=DIRECT,
             seed=0,
         )
         lit.append(
@@ -64,6 +64,10 @@ def stage():
             )
         )
     return scanner, tuple(lit)
+
+
+def ball(x_m):
+    return Sphere(center_m=(x_m, 0.0, 0.72), radius_m=0.06, material=lambert(0.5))
 
 
 def hidden(stage, **values):
@@ -112,6 +116,29 @@ def test_numpy_s_own_stream_is_left_alone(stage, monkeypatch):
     np.random.seed(5)  # noqa: NPY002
     found(stage, real, trials=3)
     assert np.random.random() == expected  # noqa: NPY002
+
+
+def test_light_that_falls_off_is_what_the_renderer_shows(stage, monkeypatch):
+    """Oracle: the renderer's own picture with the falloff, where all light comes straight."""
+    scanner, (lit, _) = stage
+    rig = scanner.rig
+    lit = replace(lit, corner_share=in_projector_corner(rig, lit.truth.depth_m))
+    dimmed = with_values(scanner, [FALLOFF], {FALLOFF.key: 0.6})
+    taken = []
+    monkeypatch.setattr(
+        "graycast.real.twin.stage.shoot",
+        lambda scanner, radiance, seed: taken.append(radiance) or (_ for _ in ()).throw(ValueError),
+    )
+    scans_of([lit], dimmed, {}, seed=1, name="s")
+    scene = in_camera(dimmed.rig, ball(-0.05), wall(0.8, lambert(0.05), half_m=1.0))
+    shown = ReferenceRenderer().render(
+        scene, EMPTY_LAYOUT, scanner.light_code().render(), quality=DIRECT, seed=0
+    )
+    own, told = shown.radiance.white, taken[0].white
+    bright = own > 0
+    assert (told[bright] / lit.radiance[scanner.code].white[bright]).min() < 0.75
+    # Where a pixel shows an edge, its light comes from other places than its depth.
+    assert np.quantile(np.abs(told[bright] / own[bright] - 1), 0.97) < 2e-3
 
 
 def test_scans_are_those_of_their_own_twin(stage):

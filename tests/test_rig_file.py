@@ -499,7 +499,7 @@ def test_an_unknown_rig_word_lists_what_there_is(tmp_path, text, resolution, mes
 def test_the_schema_knows_exactly_the_keys_of_a_saved_rig(tmp_path):
     save_scanner(preset("paper"), tmp_path / "rig.yaml")
     content, schema = yaml.safe_load((tmp_path / "rig.yaml").read_text()), rig_schema()
-    unsaid = {"contrast_ratio", "line_noise_length_m"}, {"focus_m"}  # infinite ones
+    unsaid = {"contrast_ratio", "line_noise_length_m"}, {"focus_m", "falloff"}  # infinite, off
     assert set(schema["properties"]) == set(content) | unsaid[0]
     optics = schema["$defs"]["OpticsModel"]["properties"]
     assert set(optics) == set(content["camera"]) | unsaid[1]

@@ -419,8 +419,10 @@ def _span(
             return court.loss(code, made_up(x, here, slope, i, share, room=room)) <= limit
 
         least, most = fitting[:, i].min(), fitting[:, i].max()
-        low[i] = min(low[i], _end(_PROFILE[::-1][_PROFILE[::-1] < least], least, fits))
-        high[i] = max(high[i], _end(_PROFILE[_PROFILE > most], most, fits))
+        below = [share for share in _PROFILE[::-1] if share < least]
+        above = [share for share in _PROFILE if share > most]
+        low[i] = min(low[i], _end(below, least, fits))
+        high[i] = max(high[i], _end(above, most, fits))
     return low, high
 
 

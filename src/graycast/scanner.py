@@ -219,7 +219,8 @@ def _seen_reflectance(
     """Diffuse reflectance that a facing surface would need to be as bright, 0 without depth.
 
     Of the projector's light a surface at the distance d gives back `R I / (pi d^2)` [radiance].
-    A slanted surface has more; it is taken for darker, and its speckle for stronger.
+    A slanted surface has more, and so has one that the projector's falloff dims: they are taken for
+    darker, and their speckle for stronger.
     """
     rig, sensor = scanner.rig, scanner.sensor
     # From the darkest frame to the brightest; a code's own modulation may be of thin lines.

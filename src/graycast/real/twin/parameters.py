@@ -99,8 +99,8 @@ PARAMETERS: tuple[Parameter, ...] = (
 )
 
 # Noise is of the light or of the surface. A search that begins at one hardly finds the other,
-# since all of these change on the way, and none of them helps alone. The values were set by hand
-# for a laser scanner over plastic (docs/twin.md).
+# since all of these change on the way, and none of them helps alone. The values are those of a
+# laser scanner over plastic, found by hand and by searches from there (docs/twin.md).
 NOISE_OF_SURFACE: Mapping[str, float] = {
     "exposure.target": 0.9,
     "exposure.factors[1]": 15.0,

@@ -23,7 +23,6 @@ def script(tmp_path_factory):
     return module
 
 
-@pytest.mark.slow
 def test_each_bug_can_be_put_in_and_has_tests(script):
     names = [bug.bug for bug in script.BUGS]
     assert len(set(names)) == len(names)

@@ -12,6 +12,7 @@ afar, and that lines may be inclined in the camera's picture.
 """
 
 import math
+from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 from jaxtyping import Float
@@ -21,6 +22,7 @@ from .decode import DecodeSpec, Levels, decode
 from .pattern import Axis, Code
 
 _STREAM = (3,)  # beside those of the sensor's noise and of speckle
+_LEAST_WEIGHT = 1e-4  # of a frequency, as a share of the greatest; finer ones are not drawn
 _TOP_DN = 60_000  # as which light is decoded without noise
 
 
@@ -54,28 +56,29 @@ def with_line_noise(
     known = np.isfinite(line)
     number = np.where(known, line, 0).astype(np.int64)
     number -= min(int(number.min()), 0)  # a line just outside the picture is one, too
-    rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=_STREAM))
     if math.isinf(length_px):
-        lines = int(number.max()) + 1
-        errors = iter(rng.standard_normal((len(stack), 1, lines), dtype=np.float32))
-        place = np.zeros_like(number)
+        lines, places, place = int(number.max()) + 1, 1, np.zeros_like(number)
     else:
         place = np.indices(number.shape)[0 if axis == "column" else 1]
-        places = int(place.max()) + 1
         seen, number = np.unique(number, return_inverse=True)
-        lines = len(seen)
-        errors = (_correlated(rng, places, lines, length_px) for _ in stack)
-    noisy = np.array(stack, dtype=np.float32)
-    for picture, error in zip(noisy, errors, strict=True):
+        lines, places = len(seen), int(place.max()) + 1
+
+    def with_error(k: int) -> Float[np.ndarray, "h w"]:
+        rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(*_STREAM, k)))
+        error = _correlated(rng, places, lines, length_px)
         gain = np.maximum(1 + np.float32(share) * error[place, number], 0)
-        picture *= np.where(known, gain, np.float32(1))
-    return noisy
+        return stack[k] * np.where(known, gain, np.float32(1))
+
+    with ThreadPoolExecutor() as pool:  # NumPy and SciPy let several pictures be made at once
+        return np.stack(list(pool.map(with_error, range(len(stack)))))
 
 
 def _correlated(
     rng: np.random.Generator, places: int, lines: int, length_px: float
 ) -> Float[np.ndarray, "places lines"]:
     """Normal numbers of unit variance, alike along the lines and independent across them."""
+    if math.isinf(length_px):
+        return rng.standard_normal((places, lines), dtype=np.float32)
     count = fft.next_fast_len(places, real=True)
     far = np.arange(count)
     far = np.minimum(far, count - far)  # the last one is beside the first
@@ -85,7 +88,8 @@ def _correlated(
     weight[0] *= math.sqrt(2)  # a real number, as the last one of an even count is
     if count % 2 == 0:
         weight[-1] *= math.sqrt(2)
-    # White noise has a white spectrum, so it is drawn there.
+    weight = weight[: int(np.flatnonzero(weight > _LEAST_WEIGHT * weight.max())[-1]) + 1]
+    # White noise has a white spectrum, so it is drawn there, up to the finest that the length has.
     spectrum = rng.standard_normal((len(weight), 2 * lines), dtype=np.float32).view(np.complex64)
     return fft.irfft(spectrum * weight.astype(np.float32)[:, None], n=count, axis=0)[:places]
 

@@ -86,9 +86,9 @@ def add_commands(commands: argparse._SubParsersAction) -> None:
     twin.add_argument(
         "--trials",
         type=positive,
-        default=800,
+        default=500,
         metavar="N",
-        help="The number of simulated scanners that the search tries (default: 800).",
+        help="The number of simulated scanners that the search tries (default: 500).",
     )
     add_seed(twin, 0)
     add_device(twin)

@@ -73,7 +73,7 @@ def ball(x_m):
 def hidden(stage, **values):
     scanner, lit = stage
     made = with_values(scanner, FITTED, values)
-    return scans_of(lit, made, {}, seed=77, name="real")
+    return list(scans_of(lit, made, {}, seed=77, name="real"))
 
 
 def found(stage, real, trials=40):
@@ -129,7 +129,7 @@ def test_light_that_falls_off_is_what_the_renderer_shows(stage, monkeypatch):
         "graycast.real.twin.stage.shoot",
         lambda scanner, radiance, seed: taken.append(radiance) or (_ for _ in ()).throw(ValueError),
     )
-    scans_of([lit], dimmed, {}, seed=1, name="s")
+    list(scans_of([lit], dimmed, {}, seed=1, name="s"))
     scene = in_camera(dimmed.rig, ball(-0.05), wall(0.8, lambert(0.05), half_m=1.0))
     shown = ReferenceRenderer().render(
         scene, EMPTY_LAYOUT, scanner.light_code().render(), quality=DIRECT, seed=0

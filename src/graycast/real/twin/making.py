@@ -110,8 +110,8 @@ def make_twin(
         on_trial=on_trial,
     )
     other = seed + 100_000  # the noise of what is judged is not that of the search
-    before = scans_of(lit, cell.scanner, {}, seed=other, name="as configured")
-    after = scans_of(lit, found.scanner, found.values, seed=other, name="twin")
+    before = list(scans_of(lit, cell.scanner, {}, seed=other, name="as configured"))
+    after = list(scans_of(lit, found.scanner, found.values, seed=other, name="twin"))
     perfect = [one.truth for one in lit]
     classified = {}
     for name, own, made, chosen in (

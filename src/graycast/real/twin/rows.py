@@ -3,7 +3,8 @@
 The twin scans the scenes of the real scans, so all of them are the sensor's doing.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
 import numpy as np
@@ -66,19 +67,24 @@ class Figures:
 
     value: Mapping[str, Float[np.ndarray, " scans"]]
 
+    @property
+    def scans(self) -> int:
+        return len(next(iter(self.value.values())))
+
 
 def figures_of(
-    scans: Sequence[DepthScan],
+    scans: Iterable[DepthScan],
     floor: Float[np.ndarray, "3"] | None,
     places: Places | None = None,
 ) -> Figures:
-    """All rows of each scan.
+    """All rows of each scan; if scans are made one by one, while the next one is made.
 
     Args:
         floor: the plane of `find_floor`, None where none was found.
         places: of `missing_places`; without them, missing depth is counted in the whole frame.
     """
-    each = [_one(scan, floor, places or {}) for scan in scans]
+    with ThreadPoolExecutor(max_workers=1) as pool:
+        each = list(pool.map(lambda scan: _one(scan, floor, places or {}), scans))
     return Figures(value={name: np.array([one[name] for one in each]) for name in ROWS})
 
 

@@ -7,15 +7,17 @@ tried alone, to find what is far off; and the same with noise of the surface, as
 scanner has it. A code is no number, and neither is a kind of noise: each pair of them has a few
 damped Gauss-Newton steps, as the loss is a sum of squares. The better pair of each code goes on by
 more such steps, the best of these by all that are left, and when they end, by a walk about their
-end (covariance matrix adaptation).
+end (covariance matrix adaptation). What is far worse than the best of its kind is given up: a start
+at once, a code after its first steps.
 
 Source: Hansen, "The CMA Evolution Strategy: A Tutorial", arXiv 1604.00772.
 """
 
 import contextlib
 import importlib.util
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import TypeVar
 
 import numpy as np
 from jaxtyping import Float
@@ -40,6 +42,9 @@ from .stage import BinLook, Lit, scan_lit
 
 _NEAR = 0.05  # first steps of a walk, as a share of the way between the bounds
 _HEAT, _FINAL = 0.04, 0.1  # shares of the trials, for each pair and for the better one of a code
+_HOPELESS = (
+    2.0  # times the least loss of all starts, or of all codes: above it, one goes no further
+)
 _DARK_LOSS = 1e3  # of a scanner that sees nothing
 _FIRST_LOOK = (0.0, 0.5, 1.0)  # shares at which a parameter is tried alone before the search
 _PROFILE = np.linspace(0.0, 1.0, 5)  # shares at which a parameter is tried alone, beside the best
@@ -50,6 +55,7 @@ _LEAST_LEVER, _DAMPING, _MOST_FAILED, _LEAST_WAY = 0.02, 10.0, 4, 1e-3
 _FITS = 2.0  # times the scanner's own loss
 _DECIDED = 0.5  # as a share of its range: a parameter held worse than this is not decided
 
+_Key = TypeVar("_Key")
 OnTrial = Callable[[int, int, str], None]
 
 
@@ -132,9 +138,11 @@ def search(
     heat, final = (max(int(share * trials), step) for share in (_HEAT, _FINAL))
     ends = {}
     for code in codes:
-        _, x = min((court.refine(code, x, heat) for x in kinds), key=lambda end: end[0])
-        ends[code] = court.refine(code, x, final)
-    code = min(ends, key=lambda c: ends[c][0])
+        hopeful = _hopeful({number: court.loss(code, x) for number, x in enumerate(kinds)})
+        ends[code] = min((court.refine(code, kinds[n], heat) for n in hopeful), key=_loss)
+    for code in _hopeful({code: loss for code, (loss, _) in ends.items()}):
+        ends[code] = court.refine(code, ends[code][1], final)
+    code = min(ends, key=lambda c: _loss(ends[c]))
     _, x = court.refine(code, ends[code][1], trials - court.done)
     ends[code] = _, x = court.walk(code, x, trials - court.done, step=_NEAR)
     _, after = court.judge(code, x)
@@ -152,19 +160,29 @@ def search(
     )
 
 
+def _loss(end: tuple[float, Float[np.ndarray, " n"]]) -> float:
+    return end[0]
+
+
+def _hopeful(losses: Mapping[_Key, float]) -> list[_Key]:
+    """Those whose loss is not far above the least."""
+    least = min(losses.values())
+    return [key for key, loss in losses.items() if loss <= _HOPELESS * least]
+
+
 def scans_of(
     lit: Sequence[Lit], scanner: Scanner, values: dict[str, float], *, seed: int, name: str
-) -> list[DepthScan]:
-    """The twin's scans of the scenes; a scene in which nothing is lit is left out."""
+) -> Iterator[DepthScan]:
+    """The twin's scans of the scenes, made one by one; one in which nothing is lit is left out."""
     look = BinLook(
         color=values.get(BIN_COLOR, 1.0),
         gloss=values.get(BIN_GLOSS, 1.0),
         rougher=values.get(BIN_ROUGHNESS, 0.0),
     )
-    made = [
-        scan_lit(one, scanner, look, seed=seed + k, name=f"{name} {k}") for k, one in enumerate(lit)
-    ]
-    return [scan for scan in made if scan is not None and scan.valid.sum() > 1000]
+    for k, one in enumerate(lit):
+        scan = scan_lit(one, scanner, look, seed=seed + k, name=f"{name} {k}")
+        if scan is not None and scan.valid.sum() > 1000:
+            yield scan
 
 
 class _Court:
@@ -196,7 +214,8 @@ class _Court:
         scanner = replace(with_values(self.start, self.parameters, values), code=code)
         seed = self.seed if seed is None else seed
         scans = scans_of(self.lit, scanner, values, seed=seed, name="twin")
-        return compare(self.real, figures_of(scans, self.floor, self.places)) if scans else ()
+        figures = figures_of(scans, self.floor, self.places)
+        return compare(self.real, figures) if figures.scans else ()
 
     def loss(self, code: CodeSpec, x: Float[np.ndarray, " n"], seed: int | None = None) -> float:
         return self.judge(code, x, seed)[0]
@@ -336,7 +355,7 @@ def own_loss(real: Figures, scenes: int) -> float:
 
     It is that of scans of other scenes. Scans of the same scenes differ less, so this is generous.
     """
-    return 1 / max(len(values) for values in real.value.values()) + 1 / scenes
+    return 1 / real.scans + 1 / scenes
 
 
 def fitting_loss(real: Figures, scenes: int) -> float:

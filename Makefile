@@ -15,7 +15,7 @@ test: setup-test
 	.venv/bin/pytest -n 2 --dist loadfile
 
 test-slow: setup-test
-	.venv/bin/pytest -n 2 --dist loadfile -m 'slow and not gpu'
+	.venv/bin/pytest -n 2 --dist loadfile -m 'slow and not gpu' --durations=20
 
 # What Graycast itself needs, in the versions of constraints.txt.
 setup:

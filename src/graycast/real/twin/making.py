@@ -10,6 +10,7 @@ from ...cell import Cell, open_cell_renderer
 from ...config import resolve_quality
 from ...errors import GraycastError
 from ...parts import Material
+from ...pattern import CodeSpec
 from ...scene import bin_of
 from ..realism import DepthScan, TwoSample, two_sample_test
 from ..realism.patches import find_floor
@@ -27,7 +28,7 @@ from .refusing import refuse_without_shadow
 from .restaging import restage
 from .rows import figures_of
 from .searching import Found, OnTrial, require_cma, scans_of, search
-from .stage import light_scenes, missing_places
+from .stage import Lit, light_scenes, missing_places
 
 LEAST_SCANS = 3
 LEAST_KEPT = 2  # scans that the search does not see, for the classifier to learn from
@@ -81,26 +82,29 @@ def make_twin(
     codes, parameters = candidate_codes(cell.scanner.code), fitted_parameters(cell)
     on_stage("staging the scenes of the scans")
     staged = restage(real, cell.scene, pictures)
-    with open_cell_renderer(cell, device=device) as renderer:
-        lit = light_scenes(
-            cell,
-            staged,
-            codes,
-            seed=seed,
-            renderer=renderer,
-            quality=resolve_quality(cell.config),
-            rougher=_COATS if BIN_GLOSS in {p.key for p in parameters} else (),
-            names=[scan.name for scan in real],
-            on_stage=on_stage,
-        )
+
+    def light(chosen: slice, codes: Sequence[CodeSpec]) -> tuple[Lit, ...]:
+        with open_cell_renderer(cell, device=device) as renderer:
+            return light_scenes(
+                cell,
+                staged[chosen],
+                codes,
+                seed=seed + chosen.start,
+                renderer=renderer,
+                quality=resolve_quality(cell.config),
+                rougher=_COATS if BIN_GLOSS in {p.key for p in parameters} else (),
+                names=[scan.name for scan in real[chosen]],
+                on_stage=on_stage,
+            )
+
+    own, aside = slice(0, fitted), slice(fitted, len(real))
+    lit = light(own, codes)
     on_stage("measuring the real scans")
-    places = missing_places(lit[:fitted], real[:fitted])
-    figures = figures_of(
-        real[:fitted], find_floor([scan.depth_m for scan in real[:fitted]]), places
-    )
+    places = missing_places(lit, real[own])
+    figures = figures_of(real[own], find_floor([scan.depth_m for scan in real[own]]), places)
     found = search(
         cell.scanner,
-        lit[:fitted],
+        lit,
         codes,
         parameters,
         figures,
@@ -111,13 +115,15 @@ def make_twin(
     )
     other = seed + 100_000  # the noise of what is judged is not that of the search
     before = list(scans_of(lit, cell.scanner, {}, seed=other, name="as configured"))
+    if kept:
+        lit += light(aside, (found.scanner.code,))
     after = list(scans_of(lit, found.scanner, found.values, seed=other, name="twin"))
     perfect = [one.truth for one in lit]
     classified = {}
-    for name, own, made, chosen in (
-        ("before", "as configured", before, slice(0, fitted)),
-        ("after", "twin", after, slice(0, fitted)),
-        ("kept aside", "twin", after, slice(fitted, None)),
+    for name, made_by, made, chosen in (
+        ("before", "as configured", before, own),
+        ("after", "twin", after, own),
+        ("kept aside", "twin", after, aside),
     ):
         if real[chosen]:
             on_stage(f"classifying the scans, {name}")
@@ -125,7 +131,7 @@ def make_twin(
                 real[chosen],
                 made[chosen],
                 perfect=() if name == "before" else perfect[chosen],
-                names=("real", own),
+                names=("real", made_by),
                 seed=seed,
             )
     return Twin(

@@ -69,6 +69,7 @@ class Figures:
 
     @property
     def scans(self) -> int:
+        """How many scans the figures are of."""
         return len(next(iter(self.value.values())))
 
 

@@ -42,9 +42,7 @@ from .stage import BinLook, Lit, scan_lit
 
 _NEAR = 0.05  # first steps of a walk, as a share of the way between the bounds
 _HEAT, _FINAL = 0.04, 0.1  # shares of the trials, for each pair and for the better one of a code
-_HOPELESS = (
-    2.0  # times the least loss of all starts, or of all codes: above it, one goes no further
-)
+_HOPELESS = 2.0  # times the least loss of a code's starts, or of all codes: what is above it ends
 _DARK_LOSS = 1e3  # of a scanner that sees nothing
 _FIRST_LOOK = (0.0, 0.5, 1.0)  # shares at which a parameter is tried alone before the search
 _PROFILE = np.linspace(0.0, 1.0, 5)  # shares at which a parameter is tried alone, beside the best

@@ -127,8 +127,7 @@ def search(
         places: where missing depth is counted; those with which `real` was made.
     """
     require_cma()
-    most = trials + len(codes) * len(parameters) * (len(_PROFILE) + 2) + 2
-    court = _Court(start, lit, parameters, real, places, seed, most, on_trial)
+    court = _Court(start, lit, parameters, real, places, seed, trials, on_trial)
     x0 = shares_of(start, parameters)
     _, before = court.judge(start.code, x0)
     kinds = [court.first_look(start.code, x0), with_noise_of_surface(x0, parameters)]
@@ -230,7 +229,7 @@ class _Court:
         if seed is None:
             self.tried[place] = loss, rows
         self.done, self.least = self.done + 1, min(self.least, loss)
-        self.on_trial(self.done, self.total, f"lowest misfit {self.least:.2f}")
+        self.on_trial(self.done, max(self.done, self.total), f"lowest misfit {self.least:.2f}")
         return loss, rows
 
     def first_look(self, code: CodeSpec, x0: Float[np.ndarray, " n"]) -> Float[np.ndarray, " n"]:
@@ -390,6 +389,7 @@ def _hold(
             Held(parameter=p, value=p.value(float(share)), low=p.low, high=p.high)
             for p, share in zip(court.parameters, x, strict=True)
         )
+    court.total = court.done + len(ends) * len(x) * (len(_PROFILE) + 2) + 2  # at most
     other = [court.loss(code, x, seed + 1000 * k) for k in (1, 2)]
     means = own_loss(court.real, len(court.lit))
     two_sigmas = 4 * max(loss, means) / len(pulls_of(after))

@@ -265,3 +265,25 @@ def test_where_two_codes_fit_an_interval_has_the_values_of_both(stage):
     (low, high), (_, most), (least, _) = span(fine, coarse), span(fine), span(coarse)
     assert low <= 0.2 and high >= 0.8
     assert most < 0.8 and least > 0.2
+
+
+def test_a_valley_that_bends_decides_nothing(stage):
+    """The second parameter makes up for the first one everywhere, but not along a straight line."""
+    code = stage[0].code
+
+    def valley(x):
+        return 0.5 + 3.2 * (x - 0.5) ** 3
+
+    class Bent(searching._Court):
+        def rows(self, code, x, seed=None):
+            off = float(x[1] - valley(x[0]))
+            return tuple(
+                Row(name=f"{gain}", unit="", real=0.0, spread=1.0, twin=gain * off)
+                for gain in (60.0, 3.0)
+            )
+
+    real = Figures(value={"60.0": np.zeros(3), "3.0": np.zeros(3)})
+    court = Bent(stage[0], stage[1], FITTED, real, None, 1, 100, lambda done, total, text: None)
+    held = searching._hold(court, {code: np.array([0.1, valley(0.1)])}, seed=1)
+    assert not held[0].decided
+    assert held[0].low == FITTED[0].low and FITTED[0].share(held[0].high) > 0.6

@@ -20,7 +20,7 @@ from dataclasses import dataclass, replace
 from typing import TypeVar
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 from ...errors import GraycastError
 from ...pattern import CodeSpec
@@ -51,6 +51,7 @@ _LEVER = 0.1  # as a share: a slope over less is mostly noise
 # fail before slopes are taken anew, and the shortest way.
 _LEAST_LEVER, _DAMPING, _MOST_FAILED, _LEAST_WAY = 0.02, 10.0, 4, 1e-3
 _FITS = 2.0  # times the scanner's own loss
+_AGAIN = 3  # times the number of parameters: trials at an end of an interval
 _DECIDED = 0.5  # as a share of its range: a parameter held worse than this is not decided
 
 _Key = TypeVar("_Key")
@@ -270,7 +271,13 @@ class _Court:
         return best, at
 
     def refine(
-        self, code: CodeSpec, x0: Float[np.ndarray, " n"], trials: int
+        self,
+        code: CodeSpec,
+        x0: Float[np.ndarray, " n"],
+        trials: int,
+        *,
+        fixed: int | None = None,
+        enough: float = 0.0,
     ) -> tuple[float, Float[np.ndarray, " n"]]:
         """The least loss of damped Gauss-Newton steps from a place, and where it was.
 
@@ -279,8 +286,13 @@ class _Court:
         corrects them (Broyden's update). Where no step leads on, they are taken anew, and where
         that was in vain, over half of the way and on the other side. The end is where all of these
         lead nowhere, so a search that begins there ends there.
+
+        Args:
+            fixed: the number of a parameter that stays as it is.
+            enough: a loss with which the steps end.
         """
         last = self.done + trials
+        free = np.arange(len(x0)) != fixed
         best, rows = self.judge(code, x0)
         x = at = x0
         if not rows:  # nothing is lit there, so nothing has a slope
@@ -294,13 +306,15 @@ class _Court:
             loss, seen = self.judge(code, place)
             if loss < best:
                 best, at = loss, place
+            if best <= enough:
+                raise _Spent
             return pulls_of(seen) if seen else dark
 
         here, lever = pulls_of(rows), _LEVER
         with contextlib.suppress(_Spent):
             while abs(lever) >= _LEAST_LEVER:
                 before, failed, damping = best, 0, _DAMPING
-                slope = _slopes(pulls, x, here, lever)
+                slope = _slopes(pulls, x, here, lever, free)
                 x, here = at, pulls(at)  # one of the places that were tried may be better
                 while failed < _MOST_FAILED:
                     normal = slope.T @ slope + damping * np.eye(len(x))
@@ -323,10 +337,14 @@ def _slopes(
     x: Float[np.ndarray, " n"],
     here: Float[np.ndarray, " rows"],
     lever: float,
+    free: Bool[np.ndarray, " n"],
 ) -> Float[np.ndarray, "rows n"]:
-    """Of each row by each parameter, over so much of the parameter's range."""
+    """Of each row by each free parameter, over so much of its range; zero by the others."""
     columns = []
     for i, own in enumerate(x):
+        if not free[i]:
+            columns.append(np.zeros_like(here))
+            continue
         moved = x.copy()
         moved[i] += lever if 0 <= own + lever <= 1 else -lever
         columns.append((pulls(moved) - here) / (moved[i] - own))
@@ -396,7 +414,10 @@ def _hold(
     limit = loss + max(2 * float(np.abs(np.array(other) - loss).max()), two_sigmas)
     limit = max(limit, means)
     spans = [_span(court, c, at, limit) for c, at in ends.items() if court.loss(c, at) <= limit]
-    low, high = np.min([s[0] for s in spans], axis=0), np.max([s[1] for s in spans], axis=0)
+    low = np.clip(np.min([s[0] for s in spans], axis=0), 0.0, 1.0)
+    high = np.clip(np.max([s[1] for s in spans], axis=0), 0.0, 1.0)
+    for i in np.flatnonzero(high - low <= _DECIDED):
+        _widen(court, code, x, int(i), low, high, limit)
     return tuple(
         Held(parameter=p, value=p.value(float(v)), low=p.value(float(a)), high=p.value(float(b)))
         for p, v, a, b in zip(court.parameters, x, low, high, strict=True)
@@ -441,6 +462,29 @@ def _span(
         low[i] = min(low[i], _end(below, least, fits))
         high[i] = max(high[i], _end(above, most, fits))
     return low, high
+
+
+def _widen(
+    court: _Court,
+    code: CodeSpec,
+    x: Float[np.ndarray, " n"],
+    i: int,
+    low: Float[np.ndarray, " n"],
+    high: Float[np.ndarray, " n"],
+    limit: float,
+) -> None:
+    """Move the ends of an interval that decides outwards, while the others make up for it there.
+
+    They are searched anew: a single step, as in `_span`, leaves a valley that bends.
+    """
+    for end, way in ((low, -1), (high, 1)):
+        while 0 < end[i] < 1 and high[i] - low[i] <= _DECIDED:
+            place = x.copy()
+            place[i] = end[i]
+            if court.refine(code, place, _AGAIN * len(x), fixed=i, enough=limit)[0] > limit:
+                break
+            beyond = [share for share in _PROFILE if way * (share - end[i]) > 1e-9]
+            end[i] = min(beyond, key=lambda share: abs(share - end[i]))
 
 
 def _end(shares: Iterable[float], end: float, fits: Callable[[float], bool]) -> float:

@@ -385,7 +385,7 @@ class _Spent(Exception):
 def _hold(
     court: _Court, ends: Mapping[CodeSpec, Float[np.ndarray, " n"]], seed: int
 ) -> tuple[Held, ...]:
-    """Between what each parameter may lie, about the best place of each code that fits.
+    """Between what each parameter may lie, about the best place of each code that may be right.
 
     What does not fit is worse by more than two other draws of the noise make of the best itself,
     and than the scanner itself would be: the means of so few scans and scenes differ, in spreads,
@@ -395,14 +395,17 @@ def _hold(
     1932).
 
     A twin whose misfit is far above that of the scanner itself lies in another valley, or lacks
-    what the scanner has, and its own neighbourhood says nothing about the scanner's numbers.
+    what the scanner has, and its own neighbourhood says nothing about the scanner's numbers. Every
+    other code that is not far above it may be the scanner's, too: it had fewer trials than the best
+    one.
 
     Args:
         ends: the place that the search found for each code, the best one first.
     """
     code, x = next(iter(ends.items()))
     loss, after = court.judge(code, x)
-    if not after or loss > fitting_loss(court.real, len(court.lit)):
+    fitting = fitting_loss(court.real, len(court.lit))
+    if not after or loss > fitting:
         return tuple(
             Held(parameter=p, value=p.value(float(share)), low=p.low, high=p.high)
             for p, share in zip(court.parameters, x, strict=True)
@@ -411,9 +414,10 @@ def _hold(
     other = [court.loss(code, x, seed + 1000 * k) for k in (1, 2)]
     means = own_loss(court.real, len(court.lit))
     two_sigmas = 4 * max(loss, means) / len(pulls_of(after))
-    limit = loss + max(2 * float(np.abs(np.array(other) - loss).max()), two_sigmas)
-    limit = max(limit, means)
-    spans = [_span(court, c, at, limit) for c, at in ends.items() if court.loss(c, at) <= limit]
+    room = max(2 * float(np.abs(np.array(other) - loss).max()), two_sigmas)
+    limit = max(loss + room, means)
+    may_be = {c: own for c, at in ends.items() if (own := court.loss(c, at)) <= fitting}
+    spans = [_span(court, c, ends[c], max(own + room, means)) for c, own in may_be.items()]
     low = np.clip(np.min([s[0] for s in spans], axis=0), 0.0, 1.0)
     high = np.clip(np.max([s[1] for s in spans], axis=0), 0.0, 1.0)
     for i in np.flatnonzero(high - low <= _DECIDED):

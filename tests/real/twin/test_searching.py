@@ -267,9 +267,10 @@ def test_an_interval_has_the_values_of_each_code_that_may_be_right(stage, worse,
         held = searching._hold(court, {c: np.array([middle[c], 0.5]) for c in codes}, seed=1)
         return [FITTED[0].share(v) for v in (held[0].low, held[0].high)]
 
-    (low, high), (_, most) = span(fine, coarse), span(fine)
+    (low, high), (_, most), (least, _) = span(fine, coarse), span(fine), span(coarse)
     assert low <= 0.2 and most < 0.8
     assert (high >= 0.8) == counts
+    assert (least > 0.2) == counts  # alone, one that cannot be right says nothing
 
 
 def test_a_valley_that_bends_decides_nothing(stage):

@@ -63,7 +63,8 @@ class Held:
     """How well the data hold a parameter: between what it may lie.
 
     Between `low` and `high` are the values that fit as well as two draws of noise are alike: those
-    that were tried, and those for which the other parameters can make up (`joint_reach`).
+    that were tried, and those for which the other parameters can make up (`joint_reach`,
+    `made_up`, and a search where the interval would decide).
     """
 
     parameter: Parameter
@@ -340,15 +341,12 @@ def _slopes(
     free: Bool[np.ndarray, " n"],
 ) -> Float[np.ndarray, "rows n"]:
     """Of each row by each free parameter, over so much of its range; zero by the others."""
-    columns = []
-    for i, own in enumerate(x):
-        if not free[i]:
-            columns.append(np.zeros_like(here))
-            continue
+    slopes = np.zeros((len(here), len(x)))
+    for i in np.flatnonzero(free):
         moved = x.copy()
-        moved[i] += lever if 0 <= own + lever <= 1 else -lever
-        columns.append((pulls(moved) - here) / (moved[i] - own))
-    return np.stack(columns, axis=1)
+        moved[i] += lever if 0 <= x[i] + lever <= 1 else -lever
+        slopes[:, i] = (pulls(moved) - here) / (moved[i] - x[i])
+    return slopes
 
 
 def joint_reach(slopes: Float[np.ndarray, "rows n"], room: float) -> Float[np.ndarray, " n"]:
@@ -410,7 +408,7 @@ def _hold(
             Held(parameter=p, value=p.value(float(share)), low=p.low, high=p.high)
             for p, share in zip(court.parameters, x, strict=True)
         )
-    court.total = court.done + len(ends) * len(x) * (len(_PROFILE) + 2) + 2  # at most
+    court.total = court.done + len(ends) * len(x) * (len(_PROFILE) + 2) + 2  # without `_widen`
     other = [court.loss(code, x, seed + 1000 * k) for k in (1, 2)]
     means = own_loss(court.real, len(court.lit))
     two_sigmas = 4 * max(loss, means) / len(pulls_of(after))
@@ -487,8 +485,7 @@ def _widen(
             place[i] = end[i]
             if court.refine(code, place, _AGAIN * len(x), fixed=i, enough=limit)[0] > limit:
                 break
-            beyond = [share for share in _PROFILE if way * (share - end[i]) > 1e-9]
-            end[i] = min(beyond, key=lambda share: abs(share - end[i]))
+            end[i] = next(share for share in _PROFILE[::way] if way * (share - end[i]) > 0)
 
 
 def _end(shares: Iterable[float], end: float, fits: Callable[[float], bool]) -> float:

@@ -212,6 +212,16 @@ def test_steps_come_back_from_where_a_row_is_sixty_spreads_off(stage):
     assert 100 * (x[0] - 0.3) + 5 * (x[1] - 0.6) == pytest.approx(0, abs=0.1)
 
 
+def test_steps_leave_a_fixed_parameter_where_it_is_and_end_with_what_is_enough(stage):
+    """The other one makes up for it, as far as its range allows; all steps would go on to zero."""
+    court, judged = court_of(stage, FITTED, lambda x: 20 * (x[0] - 0.3) + 40 * (x[1] - 0.9))
+    loss, x = court.refine(stage[0].code, np.array([0.9, 0.9]), 60, fixed=0, enough=0.1)
+    assert x[0] == 0.9 and {np.frombuffer(place)[0] for place in judged} == {0.9}
+    assert x[1] == pytest.approx(0.6, abs=0.02)
+    assert loss <= 0.1
+    assert judged[-1] == x.tobytes()  # no trial more
+
+
 @needs_cma
 def test_a_place_that_is_asked_for_again_costs_no_trial(stage):
     """Steps that go on from where they ended before repeat the slopes of that place."""
@@ -240,7 +250,7 @@ def test_a_twin_that_does_not_fit_decides_nothing(stage):
     assert len(judged) == 1  # no trial is spent on what is not believed
 
 
-@pytest.mark.parametrize(("worse", "counts"), [(0.0, True), (1.6, True), (3.0, False)])
+@pytest.mark.parametrize(("worse", "counts"), [(0.0, True), (1.2, True), (3.0, False)])
 def test_an_interval_has_the_values_of_each_code_that_may_be_right(stage, worse, counts):
     """One has the hidden number at 0.2, the other at 0.8; each alone would exclude the other.
 
@@ -253,14 +263,11 @@ def test_an_interval_has_the_values_of_each_code_that_may_be_right(stage, worse,
 
     class TwoValleys(searching._Court):
         def rows(self, code, x, seed=None):
-            off = 12.0 * (x[0] - middle[code])
-            return tuple(
-                Row(name=n, unit="", real=0.0, spread=1.0, twin=twin)
-                for n, twin in (("a", off), ("b", rest[code]))
-            )
+            offs = [20.0 * (x[0] - middle[code])] + 10 * [rest[code]]
+            return tuple(Row(name="a", unit="", real=0.0, spread=1.0, twin=off) for off in offs)
 
     def span(*codes):
-        real = Figures(value={"a": np.zeros(3), "b": np.zeros(3)})
+        real = Figures(value={"a": np.zeros(3)})
         court = TwoValleys(
             stage[0], stage[1], FITTED, real, None, 1, 100, lambda done, total, text: None
         )

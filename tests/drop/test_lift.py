@@ -9,8 +9,8 @@ from scipy.spatial.transform import Rotation
 
 from graycast.drop import Hold, lift
 from graycast.drop.body import body_of
-from graycast.drop.lift import _turn
-from graycast.drop.rapier import GRAVITY_M_S2, SKIN_M, STEP_S
+from graycast.drop.lift import STEP_S, _turn
+from graycast.drop.rapier import GRAVITY_M_S2, SKIN_M
 from graycast.frames import rigid
 from graycast.grasp import Cup, Jaws, jaw_load_factor, load_factor
 from graycast.parts import Material, Mesh, Part

@@ -8,7 +8,8 @@ import trimesh
 
 pytest.importorskip("coal", reason="needs coal: pip install 'graycast[pick]'")
 
-from graycast.drop.rapier import GRAVITY_M_S2, SKIN_M, STEP_S
+from graycast.drop.lift import STEP_S
+from graycast.drop.rapier import GRAVITY_M_S2, SKIN_M
 from graycast.frames import axis_rotation, inverse, rigid
 from graycast.grasp import CARRIED_M_S2, Cup, Grip, Jaws
 from graycast.grasp_labels import Labelling

@@ -18,14 +18,15 @@ from scipy.spatial.transform import Rotation
 
 from ..scene import Bin
 from .body import Body
-from .rapier import STEP_S, Kind, Terms, open_heap
+from .rapier import Kind, Terms, open_heap
 
 Vector3 = Float[np.ndarray, "3"]
 # Springs are stiff enough to keep a path and soft enough for the step: at most these shares of
 # what one step can follow.
 MOST_STIFFNESS, MOST_DAMPING = 0.1, 0.5
-# Robots move faster than parts that are let down by hand.
+# Robots move faster than parts that are let down by hand, and their springs are stiff.
 SPEED_M_S = 10.0
+STEP_S = 0.002
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -86,7 +87,9 @@ def lift(
             on the part.
     """
     kinds = [Kind.of(body) for body in bodies]
-    heap = open_heap(Terms(speed_m_s=SPEED_M_S), box, kinds, T_world_part, part_index)
+    heap = open_heap(
+        Terms(speed_m_s=SPEED_M_S, step_s=STEP_S), box, kinds, T_world_part, part_index
+    )
     spring = _Spring.of(hold, bodies[part_index[number]])
     least, worst, lost_s = math.inf, (np.zeros(3), np.zeros(3)), None
     for step, target in enumerate(_targets(T_world_tool)):

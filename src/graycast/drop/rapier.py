@@ -26,7 +26,7 @@ from .overlap import overlap_m
 
 SCALE = 20.0
 GRAVITY_M_S2 = 9.81
-STEP_S = 0.002
+STEP_S = 0.004
 LINEAR_DAMPING = 0.2
 ANGULAR_DAMPING = 1.0
 # What falls from the top of the grid would arrive at 5 m/s, pass through the thin wall of another
@@ -48,6 +48,7 @@ class Terms:
     clustered: bool = False  # see `_world`
     friction: float = 1.0  # the share of it that counts
     speed_m_s: float = SPEED_LIMIT_M_S  # no part is faster
+    step_s: float = STEP_S
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -99,11 +100,12 @@ class Heap:
         body.add_force_at_point(tuple((SCALE * force_n).tolist()), origin, True)
         body.add_torque(tuple((SCALE**2 * moment_nm).tolist()), True)
 
-    def damp(self, factor: float) -> None:
-        for handle in self.parts:
+    def damp(self, factor: Float[np.ndarray, " n"]) -> None:
+        """Damp each part by this factor times the engine's small damping; 0 is none."""
+        for handle, own in zip(self.parts, factor.tolist(), strict=True):
             body = self.world.rigid_bodies[handle]
-            body.linear_damping = LINEAR_DAMPING * factor
-            body.angular_damping = ANGULAR_DAMPING * factor
+            body.linear_damping = LINEAR_DAMPING * own
+            body.angular_damping = ANGULAR_DAMPING * own
 
     def poses(self) -> Float[np.ndarray, "n 4 4"]:
         T = np.empty((len(self.parts), 4, 4))
@@ -131,10 +133,10 @@ def _world(terms: Terms) -> rapier3d.PhysicsWorld:
     world = rapier3d.PhysicsWorld(gravity=(0.0, 0.0, -GRAVITY_M_S2 * SCALE))
     world.set_num_threads(1)
     settings = world.integration_parameters
-    settings.dt = STEP_S
+    settings.dt = terms.step_s
     settings.num_solver_iterations = 8
     # Continuous detection against what stands still computes every hull's mass properties anew at
-    # every step, two thirds of all time. No part that moves 2 mm a step gets through `WALL_M`.
+    # every step, two thirds of all time. No part that moves 4 mm a step gets through `WALL_M`.
     settings.max_ccd_substeps = 0
     # Clustering chooses among the contact points of a compound's hulls anew at every step: four
     # times as fast, but a part on three points rocks from two of them to another two for ever, as

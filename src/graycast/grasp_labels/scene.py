@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Float
 
 from ..drop import lift
-from ..drop.rapier import STEP_S
+from ..drop.lift import STEP_S
 from ..frames import inverse
 from ..grasp import CARRIED_M_S2, CLEARANCE_M, Grip
 from ..pick.outcome import Outcome

@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from ..drop import Lift, lift, parts_outside, simulate
-from ..drop.rapier import STEP_S
+from ..drop.lift import STEP_S
 from ..evaluate.pose_errors import rotation_translation
 from ..frames import inverse
 from ..grasp import CLEARANCE_M

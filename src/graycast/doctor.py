@@ -11,6 +11,7 @@ from . import __version__
 from .errors import DeviceError
 from .render.cycles import examine_cycles
 from .render.device import OLDEST_LLVM, choose_device, examine_cuda, find_llvm, list_llvm
+from .render.trial import try_device
 
 _OLDEST_PYTHON = (3, 11)
 _PACKAGES = {  # distribution: what it gives
@@ -58,7 +59,7 @@ class Diagnosis:
 
 
 def examine() -> Diagnosis:
-    """Look for everything that Graycast can use, without importing or loading any of it."""
+    """Look for everything that Graycast can use; what may end a process is tried in a child."""
     return Diagnosis(findings=tuple((*_software(), *_machine(), *_devices())))
 
 
@@ -152,14 +153,31 @@ def _devices() -> Iterator[Finding]:
         name="OptiX",
         found="libnvoptix.so.1" if cuda.has_optix else "libnvoptix.so.1 cannot be loaded",
         ok=cuda.has_optix,
-        gives="ray tracing and denoising on an NVIDIA GPU; it is part of the driver",
+        gives="ray tracing on an NVIDIA GPU; it is part of the driver",
         needed=False,
     )
+    if chosen:
+        yield _trial("llvm")
+    if cuda.usable:
+        yield _trial("cuda")
     try:
         device, ok = choose_device("auto"), True
     except DeviceError as error:
         device, ok = str(error), False
     yield Finding(name="device auto", found=device, ok=ok, gives="rendering at all")
+
+
+def _trial(device: str) -> Finding:
+    """What came of a small picture, rendered and denoised in a process of its own."""
+    trial = try_device(device)
+    where = {"cpu": "the processor", "cuda": "the GPU", None: ""}[trial.denoiser]
+    return Finding(
+        name=f"picture on {device}",
+        found=trial.problem or f"rendered, and denoised on {where}, in {trial.seconds:.1f} s",
+        ok=trial.problem is None,
+        gives="rendering on this device",
+        needed=False,
+    )
 
 
 def _kib(key: str) -> int | None:

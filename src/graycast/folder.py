@@ -14,6 +14,12 @@ from .errors import DatasetError, GraycastError
 ASIDE = ".tmp-"
 
 
+def cache_folder(kind: str) -> Path:
+    """Where results of a kind are kept between runs: in `$XDG_CACHE_HOME`, else `~/.cache`."""
+    base = os.environ.get("XDG_CACHE_HOME")
+    return (Path(base) if base else Path.home() / ".cache") / "graycast" / kind
+
+
 def write_whole(path: Path, content: bytes) -> None:
     """Write a file under a temporary name and rename it, so it is never incomplete.
 

@@ -4,12 +4,13 @@ import json
 import os
 import subprocess
 import sys
+from functools import partial
 from pathlib import Path
 
 import pytest
 
 from graycast.errors import DeviceError
-from graycast.render import device
+from graycast.render import device, trial
 from graycast.render.device import CudaState, choose_device, find_llvm, list_llvm, open_device
 
 HAS_LLVM = find_llvm() is not None
@@ -142,6 +143,8 @@ def test_a_library_whose_name_says_nothing_is_asked_in_a_child(tmp_path, monkeyp
 def test_the_device_follows_from_what_is_there(monkeypatch, name, cuda, llvm, chosen):
     monkeypatch.setattr(device, "examine_cuda", lambda: cuda)
     monkeypatch.setattr(device, "find_llvm", lambda: Path("libLLVM.so.19.1") if llvm else None)
+    good = trial.Trial(device="cuda", seconds=1.0, denoiser="cuda")
+    monkeypatch.setattr(trial, "tried_before", lambda name, machine: good)
     assert choose_device(name) == chosen
 
 
@@ -244,3 +247,37 @@ def test_optix_under_mitsuba_is_refused_with_the_choices_that_there_are():
         ValueError, match=r"optix exists only for Cycles .*choose auto, cpu or cuda"
     ):
         choose_device("optix")
+
+
+def test_a_device_on_which_a_picture_ends_the_process_is_not_chosen(monkeypatch, tmp_path):
+    """As where a file of the driver is missing: the child dies, this process goes on."""
+    dying = partial(trial.try_device, program=("-c", "import os; os.abort()"))
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    monkeypatch.setattr(trial, "try_device", dying)
+    monkeypatch.setattr(device, "examine_cuda", lambda: GPU)
+    monkeypatch.setattr(device, "find_llvm", lambda: Path("libLLVM.so.19.1"))
+    assert choose_device("auto") == "llvm"
+    with pytest.raises(DeviceError, match=r"ended by SIGABRT.*use --device cpu"):
+        choose_device("cuda")
+    assert not list(tmp_path.rglob("*.json"))  # so that it is tried again after a repair
+
+
+def test_a_trial_that_went_well_is_not_made_again_until_the_machine_changes(monkeypatch, tmp_path):
+    made = []
+
+    def good(name):
+        made.append(name)
+        return trial.Trial(device=name, seconds=1.0, denoiser="cuda")
+
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    monkeypatch.setattr(trial, "try_device", good)
+    first, again = (trial.tried_before("cuda", "driver 1") for _ in range(2))
+    assert (first, made) == (again, ["cuda"])
+    trial.tried_before("cuda", "driver 2")
+    assert len(made) == 2
+
+
+@pytest.mark.slow
+def test_a_small_picture_is_rendered_and_denoised_on_the_processor():
+    found = trial.try_device("llvm")
+    assert (found.problem, found.denoiser) == (None, "cpu")

@@ -5,13 +5,12 @@ import time
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import Literal
 
 import numpy as np
 from jaxtyping import Bool
 
 from ..cell import Cell
-from ..render import Denoiser, Quality, Radiance, Renderer
+from ..render import DenoiserName, Quality, Radiance, Renderer
 from ..scanner import Scanner
 from ..scene import Layout
 from ..sensor import SensorSpec
@@ -62,7 +61,7 @@ def error_row(
     reference: Reference,
     renderer: Renderer,
     samples: int,
-    denoise: Denoiser | Literal["none"],
+    denoise: DenoiserName,
     work: Work,
     *,
     sensors: Sequence[SensorSpec] = (),
@@ -116,7 +115,7 @@ def _render(
     layout: Layout,
     renderer: Renderer,
     samples: int,
-    denoise: Denoiser | Literal["none"],
+    denoise: DenoiserName,
     seed: int,
     work: Work,
 ) -> tuple[Radiance, float]:

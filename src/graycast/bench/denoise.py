@@ -7,10 +7,8 @@ so. Rig and code are the paper's: white light, and Gray code along the baseline.
 the same rig in the light of one band, where Cycles' denoisers get pictures of pure red.
 """
 
-from typing import Literal
-
 from ..cell import Cell
-from ..render import Denoiser, Renderer
+from ..render import DenoiserName, Renderer
 from ..scene import Layout
 from ..sensor import SensorSpec
 from .cells import GRAY, bracket_cell, dropped
@@ -89,9 +87,9 @@ def sample_counts(most: int) -> tuple[int, ...]:
     return tuple(counts)
 
 
-def denoisers(renderer: Renderer) -> tuple[Denoiser | Literal["none"], ...]:
+def denoisers(renderer: Renderer) -> tuple[DenoiserName, ...]:
     """What can be tried on a renderer's device."""
-    gpu = renderer.device in ("cuda", "optix")
+    gpu = renderer.name == "cycles" and renderer.device != "cpu"
     return ("none", "oidn", "optix") if gpu else ("none", "oidn")
 
 

@@ -1,5 +1,6 @@
 """Worker processes of this machine: replaced when they die, stopped with their parent."""
 
+import logging
 import multiprocessing
 import os
 import signal
@@ -40,7 +41,10 @@ class LocalPool:
         self._temporary = tempfile.TemporaryDirectory(
             prefix="graycast-run-", ignore_cleanup_errors=True
         )
-        self._workers = [_Worker(task, self._threads, self._variables(i)) for i in range(workers)]
+        # Notes of the library's log hold for all workers alike, so only the first one prints them.
+        self._workers = [
+            _Worker(task, self._threads, self._variables(i), quiet=i > 0) for i in range(workers)
+        ]
 
     def _variables(self, index: int) -> dict[str, str]:
         """Environment variables of one worker."""
@@ -85,10 +89,11 @@ class _Worker:
     waits for ever.)
     """
 
-    def __init__(self, task: Job, threads: int, variables: dict[str, str]) -> None:
+    def __init__(self, task: Job, threads: int, variables: dict[str, str], *, quiet: bool) -> None:
         self.busy = False
         self.connection: Connection | None = None
         self._task, self._threads, self._variables = task, threads, variables
+        self._quiet = quiet
         self._scene_id = -1
         self._process: BaseProcess | None = None
 
@@ -111,7 +116,7 @@ class _Worker:
             process.start()
             theirs.close()
             self._process = process
-        self._send((self._task, self._threads))
+        self._send((self._task, self._threads, self._quiet))
 
     def _send(self, message: object) -> bool:
         """Whether the process was there to hear it."""
@@ -226,7 +231,9 @@ def _work(connection: Connection) -> None:
     """Make the scenes that are asked for, until the parent closes its end of the pipe."""
     threading.Thread(target=_end_with_parent, daemon=True).start()
     with suppress(EOFError, ConnectionError), ExitStack() as opened:
-        task, threads = connection.recv()
+        task, threads, quiet = connection.recv()
+        if quiet:
+            logging.getLogger("graycast").setLevel(logging.ERROR)
         maker: Maker | None = None
         while True:
             scene_id = connection.recv()

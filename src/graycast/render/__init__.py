@@ -2,6 +2,7 @@
 
 from .radiance import (
     Denoiser,
+    DenoiserName,
     FrameByFrame,
     GroundTruth,
     OnFrame,
@@ -15,6 +16,7 @@ from .radiance import (
 
 __all__ = [
     "Denoiser",
+    "DenoiserName",
     "FrameByFrame",
     "GroundTruth",
     "OnFrame",

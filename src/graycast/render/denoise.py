@@ -1,7 +1,13 @@
-"""Denoising of pictures: Open Image Denoise on the CPU, NVIDIA OptiX on the GPU.
+"""Denoising of pictures by Open Image Denoise, on the processor or on an NVIDIA GPU.
 
 It is for the colour picture. Patterns are denoised only where a study asks for it (`denoised`).
+OptiX has a denoiser, too, but where the driver's file of weights is missing, as in many containers,
+it ends the whole process.
 """
+
+import logging
+import math
+from typing import Any, Literal, final
 
 import numpy as np
 from jaxtyping import Float
@@ -21,11 +27,11 @@ def denoise(
         rgb: radiance [W sr^-1 m^-2], any scale.
         albedo: base reflectance of what each pixel sees.
         normal: unit normals, NaN where there is nothing.
-        by: 'oidn' on the processor, 'optix' on an NVIDIA GPU that Mitsuba has opened.
+        by: the renderer's own denoiser.
     """
     guides = np.clip(albedo, 0, 1), np.nan_to_num(normal, nan=0.0)
     images = [np.ascontiguousarray(image, dtype=np.float32) for image in (rgb, *guides)]
-    return _optix(*images) if by == "optix" else _oidn(*images)
+    return by(*images)
 
 
 def denoised(radiance: Radiance, normal: Float[np.ndarray, "h w 3"], by: Denoiser) -> Radiance:
@@ -49,18 +55,89 @@ def denoised(radiance: Radiance, normal: Float[np.ndarray, "h w 3"], by: Denoise
     )
 
 
-def _oidn(rgb: np.ndarray, albedo: np.ndarray, normal: np.ndarray) -> np.ndarray:
-    import pyoidn
+def open_denoiser(device: str) -> Denoiser:
+    """The denoiser of a renderer's device; the processor's where the GPU cannot denoise.
 
-    return pyoidn.denoise(rgb, albedo, normal, hdr=True)
+    In that case one line of the log says why.
+    """
+    if device == "cuda":
+        try:
+            return OpenImageDenoise("cuda")
+        except (OSError, RuntimeError) as error:
+            logging.getLogger(__name__).warning(
+                "colour pictures are denoised on the processor, because the GPU cannot: %s", error
+            )
+    return OpenImageDenoise("cpu")
 
 
-def _optix(rgb: np.ndarray, albedo: np.ndarray, normal: np.ndarray) -> np.ndarray:
-    import mitsuba as mi
+@final
+class OpenImageDenoise:
+    """The library of that name on the processor, or on the first GPU that this process may use.
 
-    h, w = rgb.shape[:2]
-    denoiser = mi.OptixDenoiser(input_size=[w, h], albedo=True, normals=True, temporal=False)
-    clean = denoiser(
-        mi.TensorXf(rgb), False, albedo=mi.TensorXf(albedo), normals=mi.TensorXf(normal)
-    )
-    return np.array(clean)
+    It keeps what it needs for one size of pictures until it gets another.
+
+    Raises:
+        OSError: its library cannot be loaded.
+        RuntimeError: it has no such device.
+    """
+
+    def __init__(self, device: Literal["cpu", "cuda"]) -> None:
+        import pyoidn
+
+        kinds = {"cpu": pyoidn.OIDN_DEVICE_TYPE_CPU, "cuda": pyoidn.OIDN_DEVICE_TYPE_CUDA}
+        if device == "cuda" and not pyoidn.Device.is_cuda_available():
+            raise RuntimeError("Open Image Denoise finds no GPU that it supports")
+        self.device = device
+        self._device = pyoidn.Device(kinds[device])
+        self._device.commit()
+        self._check()
+        self._kept: tuple[tuple[int, ...], Any, dict[str, Any]] | None = None
+
+    def __call__(
+        self,
+        rgb: Float[np.ndarray, "h w 3"],
+        albedo: Float[np.ndarray, "h w 3"],
+        normal: Float[np.ndarray, "h w 3"],
+    ) -> Float[np.ndarray, "h w 3"]:
+        """See `Denoiser`.
+
+        Raises:
+            RuntimeError: the device refused, as it does without memory.
+        """
+        network, buffers = self._network(rgb.shape)
+        for name, image in (("color", rgb), ("albedo", albedo), ("normal", normal)):
+            buffers[name].write(0, image.nbytes, image)
+        network.execute()
+        self._check()
+        clean = np.empty_like(rgb)
+        buffers["output"].read(0, clean.nbytes, clean)
+        return clean
+
+    def _network(self, shape: tuple[int, ...]) -> tuple[Any, dict[str, Any]]:
+        """The network for pictures of a shape, and the memory of its device that it works on."""
+        import pyoidn
+
+        if self._kept is None or self._kept[0] != shape:
+            names = ("color", "albedo", "normal", "output")
+            bytes_each = 4 * math.prod(shape)
+            buffers = {name: pyoidn.Buffer(self._device, bytes_each) for name in names}
+            network = pyoidn.Filter(self._device)
+            for name, buffer in buffers.items():
+                network.set_image(name, buffer, pyoidn.OIDN_FORMAT_FLOAT3, shape[1], shape[0])
+            network.set_bool("hdr", True)
+            network.commit()
+            self._check()
+            self._release()
+            self._kept = (shape, network, buffers)
+        return self._kept[1:]
+
+    def _release(self) -> None:
+        if self._kept is not None:
+            _, network, buffers = self._kept
+            network.release()
+            for buffer in buffers.values():
+                buffer.release()
+
+    def _check(self) -> None:
+        if message := self._device.get_error():
+            raise RuntimeError(message)

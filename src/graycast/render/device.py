@@ -132,17 +132,26 @@ def choose_device(name: str) -> str:
     if name not in DEVICES:
         raise ValueError(f"the device {name!r} does not exist: choose one of {', '.join(DEVICES)}")
     if name in ("auto", "cuda"):
-        cuda = examine_cuda()
-        if cuda.usable:
+        why = _why_not_cuda()
+        if why is None:
             return "cuda"
         if name == "cuda":
-            why = cuda.problem or "libnvoptix.so.1 cannot be loaded"
             raise DeviceError(
                 f"device cuda cannot be used: {why}; use --device cpu or repair the driver"
             )
     if find_llvm() is None:
         raise DeviceError(_no_llvm())
     return "llvm"
+
+
+def _why_not_cuda() -> str | None:
+    """Why nothing can be rendered on the GPU, or None."""
+    state = examine_cuda()
+    if not state.usable:
+        return state.problem or "libnvoptix.so.1 cannot be loaded"
+    from .trial import tried_before
+
+    return tried_before("cuda", state).problem
 
 
 def open_device(device: str, *, threads: int | None = None) -> None:

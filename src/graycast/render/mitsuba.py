@@ -33,7 +33,7 @@ import numpy as np
 
 from ..optics import relative_illumination
 from ..scene import Layout, Scene
-from .denoise import denoised
+from .denoise import denoised, open_denoiser
 from .mitsuba_paths import Tracer
 from .mitsuba_scene import PartShape, build
 from .mitsuba_truth import truth
@@ -70,7 +70,7 @@ class MitsubaRenderer(Renderer):
     def __init__(self, device: str, *, on_pass: OnPass | None = None):
         self.device, self._on_pass = device, on_pass
         self._built: _Built | None = None
-        self.denoiser: Denoiser = "optix" if device == "cuda" else "oidn"
+        self.denoiser: Denoiser = open_denoiser(device)
         self.versions = {name: version(name) for name in ("mitsuba", "drjit")}
 
     def render(
@@ -83,6 +83,8 @@ class MitsubaRenderer(Renderer):
         seed: int,
     ) -> Rendering:
         refuse_other_size(pattern, scene.rig.projector)
+        if quality.denoise == "optix":
+            raise ValueError("denoise optix exists only for Cycles: choose none or oidn")
         # Blocks that Dr.Jit keeps from the last scene: not all fit this one, so they would add up.
         dr.flush_malloc_cache()
         measured = at_projector_wavelength(scene)
@@ -100,7 +102,7 @@ class MitsubaRenderer(Renderer):
             )
         seen = truth(built.world, built.part_shapes, scene, layout)
         if quality.denoise != "none":
-            radiance = denoised(radiance, seen.normal, quality.denoise)
+            radiance = denoised(radiance, seen.normal, self.denoiser)
         return Rendering(radiance=radiance, truth=seen)
 
     def close(self) -> None:

@@ -12,7 +12,9 @@ from ..optics import Optics
 from ..scene import Layout, Scene
 from ..settings import check_fields
 
-Denoiser = Literal["oidn", "optix"]
+DenoiserName = Literal["none", "oidn", "optix"]
+# Takes radiance, albedo and normals, (h, w, 3) each in float32; returns clean radiance.
+Denoiser = Callable[[np.ndarray, np.ndarray, np.ndarray], np.ndarray]
 Samples = Annotated[int, Field(ge=1, le=65536, description="The number of light paths per pixel.")]
 PathDepth = Annotated[
     int,
@@ -34,13 +36,13 @@ class Quality:
     Depth 1 is only direct light; each further vertex adds one interreflection. `footprint`
     filters the patterns in interreflected light over the surface that a sample stands for; its
     bias vanishes as samples grow (Mitsuba alone has it). `denoise` cleans every picture of the
-    stack by itself, with Open Image Denoise or, on an NVIDIA GPU, OptiX.
+    stack by itself, with Open Image Denoise or, in Cycles on an NVIDIA GPU, OptiX.
     """
 
     samples: Samples = 16
     depth: PathDepth = 4
     footprint: bool = True
-    denoise: Denoiser | Literal["none"] = "none"
+    denoise: DenoiserName = "none"
 
     def __post_init__(self) -> None:
         check_fields(self)

@@ -17,6 +17,7 @@ from ..frames import inverse, pixel_grid, transform_points
 from ..optics import corner_share, project, rays, relative_illumination
 from ..rig import Rig, emission
 from ..scene import Layout, Quad, Scene, Sphere
+from .denoise import open_denoiser
 from .radiance import (
     Denoiser,
     GroundTruth,
@@ -36,10 +37,10 @@ class ReferenceRenderer(Renderer):
     """See the module. Raises ValueError for whatever is beyond its limits."""
 
     name, device = "reference", "cpu"
-    denoiser: Denoiser = "oidn"
 
     def __init__(self) -> None:
         self.versions: dict[str, str] = {}
+        self.denoiser: Denoiser = open_denoiser(self.device)
 
     def render(
         self,

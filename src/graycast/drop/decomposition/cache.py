@@ -1,7 +1,6 @@
 """Hulls kept on disk between runs."""
 
 import hashlib
-import os
 import zipfile
 from importlib.metadata import version
 from pathlib import Path
@@ -9,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from ... import folder
 from ...folder import fill_whole
 from ...parts import Mesh
 from .error import Decomposition, HullError
@@ -17,9 +17,8 @@ CACHE_VERSION = 3  # raise it where a change in this folder gives other hulls
 
 
 def cache_folder() -> Path:
-    """Where hulls are kept between runs: `$XDG_CACHE_HOME/graycast/hulls`, else `~/.cache/...`."""
-    base = os.environ.get("XDG_CACHE_HOME")
-    return (Path(base) if base else Path.home() / ".cache") / "graycast" / "hulls"
+    """Where hulls are kept between runs."""
+    return folder.cache_folder("hulls")
 
 
 def key_of(mesh: Mesh, settings: tuple[object, ...]) -> str:

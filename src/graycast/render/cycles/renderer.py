@@ -10,7 +10,7 @@ by `raster`, and with a distorted lens end at the image.
 
 import tempfile
 from pathlib import Path
-from typing import Literal, final
+from typing import final
 
 import numpy as np
 from jaxtyping import Float, UInt8
@@ -21,8 +21,10 @@ from ...optics import project, rays, relative_illumination
 from ...raster import rasterize
 from ...rig import Rig
 from ...scene import Layout, Scene
+from ..denoise import open_denoiser
 from ..device import examine_cuda
 from ..radiance import (
+    Denoiser,
     GroundTruth,
     OnFrame,
     Quality,
@@ -74,7 +76,6 @@ class CyclesRenderer(Renderer):
     """A renderer with one child process, which is replaced if it dies."""
 
     name = "cycles"
-    denoiser: Literal["oidn", "optix"] = "oidn"
 
     def __init__(
         self,
@@ -97,6 +98,7 @@ class CyclesRenderer(Renderer):
         self.threads, self.patterns_per_render = threads, patterns_per_render
         self.on_frame = on_frame or (lambda done, total: None)
         self._process: CyclesProcess | None = None
+        self.denoiser: Denoiser = open_denoiser("cpu")
 
     def render(
         self,

@@ -1,0 +1,121 @@
+"""A small picture rendered and denoised on a device, by a process that may die of it.
+
+A driver or a library that lacks something can end the process that uses it, without an exception.
+So a device is tried in a child before it is used. A trial that went well is kept in the user's
+cache folder, and is valid until a driver, a GPU or a library changes.
+"""
+
+import hashlib
+import json
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, replace
+from importlib.metadata import version
+
+from ..folder import cache_folder, write_whole
+from ..optics import Optics
+
+_LIMIT_S = 300.0  # a first picture on a GPU compiles for some 10 s
+_CAMERA = Optics(width_px=64, height_px=48, fx_px=70.0, fy_px=70.0, cx_px=31.5, cy_px=23.5)
+_PACKAGES = ("graycast", "mitsuba", "drjit", "pyoidn")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Trial:
+    """What came of a trial: `problem` says why there is no picture; `denoiser` is its device."""
+
+    device: str
+    seconds: float
+    denoiser: str | None = None
+    problem: str | None = None
+
+
+def try_device(device: str, *, program: Sequence[str] = ("-m", __spec__.name)) -> Trial:
+    """Render and denoise a small picture on 'llvm' or 'cuda' in a child process.
+
+    Args:
+        program: the child's arguments to Python, before the device.
+    """
+    start = time.perf_counter()
+    command = [sys.executable, *program, device]
+    try:
+        child = subprocess.run(command, capture_output=True, text=True, timeout=_LIMIT_S)
+    except subprocess.TimeoutExpired:
+        problem = f"a small picture was not finished in {_LIMIT_S:.0f} s"
+        return Trial(device=device, seconds=time.perf_counter() - start, problem=problem)
+    seconds = time.perf_counter() - start
+    if child.returncode == 0:
+        denoiser = json.loads(child.stdout.splitlines()[-1])["denoiser"]
+        return Trial(device=device, seconds=seconds, denoiser=denoiser)
+    return Trial(device=device, seconds=seconds, problem=_obituary(child))
+
+
+def tried_before(device: str, machine: object) -> Trial:
+    """`try_device`, or what came of it before on the same machine if that went well.
+
+    Args:
+        machine: all that the trial depends on beside the installed packages, such as the driver.
+    """
+    stated = repr((device, machine, sys.version, [version(name) for name in _PACKAGES]))
+    key = hashlib.sha256(stated.encode()).hexdigest()[:32]
+    file = cache_folder("devices") / f"{key}.json"
+    try:
+        return Trial(**json.loads(file.read_text(encoding="utf-8")))
+    except (OSError, ValueError, TypeError):  # it was not tried yet, or the file is damaged
+        trial = try_device(device)
+    if trial.problem is None:
+        file.parent.mkdir(parents=True, exist_ok=True)
+        write_whole(file, json.dumps(asdict(trial)).encode())
+    return trial
+
+
+def _obituary(child: subprocess.CompletedProcess[str]) -> str:
+    lines = [line.strip() for line in child.stderr.splitlines() if line.strip()]
+    how = f"ended with exit code {child.returncode}"
+    if child.returncode < 0:
+        how = f"was ended by {signal.Signals(-child.returncode).name}"
+    why = f": {lines[-1]}" if lines else ""
+    return f"a process that rendered a small picture on it {how}{why}"
+
+
+# --- in the child --------------------------------------------------------------------------------
+
+
+def _main(device: str) -> None:
+    import numpy as np
+
+    from ..parts import Material
+    from ..rig import preset_rig
+    from ..scene import EMPTY_LAYOUT, Quad, Scene
+    from .denoise import OpenImageDenoise, denoise
+    from .device import open_device
+    from .radiance import Quality
+
+    open_device(device)
+    from .mitsuba import MitsubaRenderer
+
+    rig = replace(preset_rig("paper"), camera=_CAMERA)
+    wall = Quad(
+        center_m=(0.0, 0.0, 0.7),
+        half_u_m=(1.0, 0.0, 0.0),
+        half_v_m=(0.0, -1.0, 0.0),  # its front is towards the camera
+        material=Material(base_color=(0.5, 0.5, 0.5)),
+    )
+    scene = Scene(rig=rig, T_world_cam=np.eye(4), surfaces=(wall,))
+    white = np.full((1, rig.projector.height_px, rig.projector.width_px), 255, dtype=np.uint8)
+    with MitsubaRenderer(device) as renderer:
+        rendering = renderer.render(scene, EMPTY_LAYOUT, white, quality=Quality(samples=4), seed=0)
+        light = rendering.radiance
+        clean = denoise(light.white_rgb, light.albedo, rendering.truth.normal, renderer.denoiser)
+        if not (np.isfinite(clean).all() and clean.mean() > 0):
+            raise RuntimeError(f"the picture of a lit wall is dark: its mean is {clean.mean()}")
+        if not isinstance(renderer.denoiser, OpenImageDenoise):
+            raise RuntimeError("the renderer has another denoiser")
+        print(json.dumps({"denoiser": renderer.denoiser.device}))
+
+
+if __name__ == "__main__":
+    _main(sys.argv[1])

@@ -89,7 +89,9 @@ class _Worker:
     waits for ever.)
     """
 
-    def __init__(self, task: Job, threads: int, variables: dict[str, str], *, quiet: bool) -> None:
+    def __init__(
+        self, task: Job, threads: int, variables: dict[str, str], *, quiet: bool = False
+    ) -> None:
         self.busy = False
         self.connection: Connection | None = None
         self._task, self._threads, self._variables = task, threads, variables

@@ -1,5 +1,5 @@
 # The two commands of the README: `make demo` and `make test`. Set-up goes into .venv.
-.PHONY: demo test test-slow setup setup-test cycles extras javascript docs clean
+.PHONY: demo test test-slow test-gpu setup setup-test cycles extras javascript docs clean
 
 GRAYCAST = .venv/bin/graycast
 
@@ -16,6 +16,10 @@ test: setup-test
 
 test-slow: setup-test
 	.venv/bin/pytest -n 2 --dist loadfile -m 'slow and not gpu' --durations=20
+
+# What needs an NVIDIA GPU: tests/gpu/README.md.
+test-gpu: setup-test
+	.venv/bin/pytest -m gpu tests/gpu
 
 # What Graycast itself needs, in the versions of constraints.txt.
 setup:

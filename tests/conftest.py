@@ -23,6 +23,21 @@ if BESIDE_OTHERS:
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 
+def pytest_addoption(parser):
+    parser.addoption(
+        "--device",
+        default="cpu",
+        choices=("cpu", "cuda"),
+        help="The device on which Mitsuba renders in the tests of one process.",
+    )
+    parser.addoption(
+        "--made-on-cpu",
+        type=Path,
+        metavar="DATASET",
+        help="Scenes of the demonstration made by a processor; tests/gpu/README.md says how.",
+    )
+
+
 def pytest_collection_finish():
     gc.freeze()
 
@@ -51,11 +66,11 @@ def one_compiler_beside_others(tmp_path_factory):
 
 
 @pytest.fixture(scope="session")
-def mitsuba_renderer():
-    """On the processor: a process cannot change Mitsuba's device."""
+def mitsuba_renderer(request):
+    """On the device of the run, the processor by default: a process cannot change it."""
     from graycast.render import open_renderer
 
-    return open_renderer("mitsuba", device="cpu")
+    return open_renderer("mitsuba", device=request.config.getoption("--device"))
 
 
 @pytest.fixture(scope="session")

@@ -16,6 +16,7 @@ EXTRAS = PROJECT["optional-dependencies"]
 IMPORTED = {
     "PyYAML": "yaml",
     "opencv-python-headless": "cv2",
+    "nvidia-ml-py": "pynvml",
     "pillow": "PIL",
     "pin": "pinocchio",
     "scikit-learn": "sklearn",

@@ -1,5 +1,8 @@
 """One scene all the way: what its manifest says of it is what was done."""
 
+import os
+import subprocess
+import sys
 from dataclasses import replace
 
 import numpy as np
@@ -81,3 +84,31 @@ def test_a_colour_picture_is_denoised_once(made, monkeypatch, words, denoiser):
     monkeypatch.setattr(simulate, "color_picture", picture)
     make_scene(cell, 3, seed=5, renderer=Held(shot.rendering))
     assert used == [denoiser]
+
+
+COMPILED = """
+import os, sys
+from pathlib import Path
+from graycast.cell import open_cell_renderer, resolve_cell
+from graycast.config import load_config
+from graycast.simulate import compile_kernels, make_scene
+
+path = Path(sys.argv[1])
+cell = resolve_cell(load_config(path), path.parent)
+kernels = lambda: {file.name for file in Path(os.environ["NUMBA_CACHE_DIR"]).rglob("*.nbc")}
+compile_kernels(cell)
+before = kernels()
+with open_cell_renderer(cell, device="cpu") as renderer:
+    make_scene(cell, 0, seed=0, renderer=renderer)
+print(len(before), *sorted(kernels() - before))
+"""
+
+
+@pytest.mark.slow
+def test_a_scene_compiles_nothing_that_was_not_compiled_before_the_workers_started(tmp_path):
+    environment = os.environ | {"NUMBA_CACHE_DIR": str(tmp_path / "kernels")}
+    command = [sys.executable, "-c", COMPILED, str(write_cell(tmp_path))]
+    ended = subprocess.run(command, env=environment, capture_output=True, text=True, check=True)
+    before, *later = ended.stdout.split()
+    assert int(before) > 10
+    assert later == []

@@ -36,7 +36,7 @@ from .errors import ConfigError, DatasetError, GraycastError
 from .render import OnFrame, choose_device
 from .rig import PRESETS
 from .scanner import Scanner
-from .simulate import Shot
+from .simulate import Shot, compile_kernels
 
 MOST_THREADS = 1024  # Blender's own limit; tens of thousands end the process
 
@@ -123,6 +123,9 @@ def generate(
                 prepared = prepare(parts, on_stage=on_stage)  # once, not by every worker
                 for note in hull_notes(parts, prepared):
                     on_note(note)
+                if workers.engine == "local" and min(workers.count, len(todo)) > 1:
+                    on_stage("compiling the decoder, once on this machine")
+                    compile_kernels(cell)
                 with closing(_open_pool(task, workers, len(todo), on_frame, on_stage)) as pool:
                     left = len(todo)
                     for outcome in make_all(pool, todo):

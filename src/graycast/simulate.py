@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from . import __version__
-from .cell import Cell, Eye, eyes
+from .cell import Cell, Eye, eyes, patterns_of
 from .config import resolve_quality
 from .dataset import Raw, Sample
 from .dataset.seeds import image_seeds, scene_seeds
@@ -22,8 +22,8 @@ from .decode import CodeMap, reason_shares
 from .domain import Variation, draw, moved_place, vary
 from .drop import OnStage as OnStage
 from .drop import drop
-from .picture import color_picture, gray_picture
-from .render import Renderer, Rendering
+from .picture import color_picture, developed, gray_picture
+from .render import Radiance, Renderer, Rendering
 from .scanner import measure, take
 from .scene import Layout, Scene, bin_of
 from .sensor import Capture
@@ -163,6 +163,32 @@ def _taken(
         image=eye.image,
     )
     return Shot(sample=sample, rendering=rendering, capture=capture, codes=codes)
+
+
+def compile_kernels(cell: Cell) -> None:
+    """Have Numba compile what a cell's scanners use, so that workers find it in its cache.
+
+    Pictures go from the sensor to depth, in which the camera sees what the projector shows: from
+    dark on the left to saturated on the right, so that each reason for no depth occurs.
+    """
+    for _, scanner in cell.scanners:
+        shown, camera = patterns_of(scanner), scanner.rig.camera
+        row = np.linspace(0, shown.shape[1] - 1, camera.height_px).astype(int)[:, None]
+        column = np.linspace(0, shown.shape[2] - 1, camera.width_px).astype(int)
+        light = np.linspace(0, 1, camera.width_px, dtype=np.float32)
+        light[-1 - camera.width_px // 200 :] = 10  # so few that automatic exposure lets them go
+        white = np.tile(light, (camera.height_px, 1))
+        colour = np.repeat(white[..., None], 3, axis=2)
+        radiance = Radiance(
+            pattern=white * (shown[:, row, column] / np.float32(255)),
+            white=white,
+            ambient=white / 10,
+            white_rgb=colour,
+            ambient_rgb=colour,
+            albedo=colour,
+        )
+        measure(scanner, take(scanner, radiance, seed=0))
+        developed(colour, scanner, seed=0)
 
 
 def cell_seeds(cell: Cell, scene_id: int, *, seed: int) -> dict[str, int]:

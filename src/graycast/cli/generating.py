@@ -69,6 +69,7 @@ def add_commands(commands) -> None:
 def _generate(options: argparse.Namespace) -> int:
     from ..card import CARD, write_card
     from ..generate import generate
+    from ..usage import GpuWatch
 
     workers = workers_of(options)
     cell = load_cell(options)
@@ -80,8 +81,8 @@ def _generate(options: argparse.Namespace) -> int:
         f"{scenes} scenes of {', '.join(part.name for part in cell.scene.parts)} by "
         f"{backend}{_where(backend, options)}, {_rigs(cell)}, seed {chosen_seed}, {_who(workers)}"
     )
-    with progress_bar() as bar:
-        shown = _Shown(bar, scenes)
+    with progress_bar() as bar, GpuWatch() as gpu:
+        shown = _Shown(bar, scenes, gpu)
         summary = generate(
             cell,
             options.out,
@@ -99,6 +100,8 @@ def _generate(options: argparse.Namespace) -> int:
     if summary.written or not (options.out / CARD).exists():
         write_card(options.out)  # an existing card may have a licence or the figures of all scenes
     _tell(summary, options.out)
+    if summary.written and gpu.share is not None:
+        print(f"  the GPU was busy {gpu.share:.0%} of the time")
     return 1 if summary.set_aside else 0
 
 
@@ -125,8 +128,8 @@ def _who(workers) -> str:
 class _Shown:
     """The progress bar of a run."""
 
-    def __init__(self, bar, scenes: int) -> None:
-        self._bar = bar
+    def __init__(self, bar, scenes: int, gpu) -> None:
+        self._bar, self._gpu = bar, gpu
         self._scenes = bar.add_task("scenes", total=scenes)
         self._stage = bar.add_task("", total=None, visible=False)
         self._frames = bar.add_task("renders of a scene", total=None, visible=False)
@@ -135,7 +138,9 @@ class _Shown:
         self._bar.update(self._scenes, completed=found)
 
     def made(self, made) -> None:
-        self._bar.update(self._scenes, advance=1)
+        share = self._gpu.share
+        words = "scenes" if share is None else f"scenes (GPU busy {share:.0%} of the time)"
+        self._bar.update(self._scenes, advance=1, description=words)
         self._bar.reset(self._frames, total=None, visible=False)
         decoded = made.reasons["decoded"]
         self._bar.console.print(

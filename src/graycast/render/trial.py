@@ -15,12 +15,13 @@ from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
 from importlib.metadata import version
 
+from .. import __version__
 from ..folder import cache_folder, write_whole
 from ..optics import Optics
 
 _LIMIT_S = 300.0  # a first picture on a GPU compiles for some 10 s
 _CAMERA = Optics(width_px=64, height_px=48, fx_px=70.0, fy_px=70.0, cx_px=31.5, cy_px=23.5)
-_PACKAGES = ("graycast", "mitsuba", "drjit", "pyoidn")
+_PACKAGES = ("mitsuba", "drjit", "pyoidn")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -59,7 +60,8 @@ def tried_before(device: str, machine: object) -> Trial:
     Args:
         machine: all that the trial depends on beside the installed packages, such as the driver.
     """
-    stated = repr((device, machine, sys.version, [version(name) for name in _PACKAGES]))
+    versions = [__version__, sys.version, *(version(name) for name in _PACKAGES)]
+    stated = repr((device, machine, versions))
     key = hashlib.sha256(stated.encode()).hexdigest()[:32]
     file = cache_folder("devices") / f"{key}.json"
     try:

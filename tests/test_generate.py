@@ -437,3 +437,16 @@ def test_a_step_of_depth_that_is_configured_is_that_of_files_and_no_key_of_the_d
     finer = resolve_cell(load_config(config_file), config_file.parent)
     with pytest.raises(DatasetError, match=r"depth_scale_mm \(0.5 there, 0.02 here"):
         run(finer, tmp_path / "out", scenes=1)
+
+
+def test_hulls_of_distractors_are_made_before_the_workers_start(tmp_path, monkeypatch):
+    distractors = {"count": [1, 2], "parts": [{"builtin": "toothpaste"}]}
+    path = write_cell(tmp_path, domain={"kind": "randomized", "distractors": distractors})
+    cell = resolve_cell(load_config(path), tmp_path)
+
+    def stop(parts, **_):
+        raise DropError(" and ".join(part.name for part in parts))
+
+    monkeypatch.setattr(sys.modules["graycast.generate"], "prepare", stop)
+    with pytest.raises(DropError, match="box and toothpaste"):
+        run(cell, tmp_path / "out", scenes=1)

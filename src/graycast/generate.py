@@ -96,7 +96,7 @@ def generate(
         on_made: called in this process after each scene.
         on_failed: called after each try that did not come out.
         on_frame: as in `open_renderer`, where this process makes all.
-        on_stage: called with the name of each part that is prepared; see also `make_scene`.
+        on_stage: called with what is being prepared; see also `make_scene`.
         on_note: called with a note on each part whose collision hulls are coarse.
 
     Raises:
@@ -119,9 +119,8 @@ def generate(
         run = _Run(store=store, found=len(found), on_made=on_made, on_failed=on_failed)
         try:
             if todo:
-                parts = cell.scene.parts
-                prepared = prepare(parts, on_stage=on_stage)  # once, not by every worker
-                for note in hull_notes(parts, prepared):
+                prepared = prepare(cell.kinds, on_stage=on_stage)  # once, not by every worker
+                for note in hull_notes(cell.kinds, prepared):
                     on_note(note)
                 if workers.engine == "local" and min(workers.count, len(todo)) > 1:
                     on_stage("compiling the decoder, once on this machine")

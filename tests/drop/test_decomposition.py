@@ -2,7 +2,9 @@ import os
 import signal
 import subprocess
 import sys
+import tempfile
 import time
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -11,8 +13,8 @@ from scipy.spatial import ConvexHull
 
 from graycast.bench.hulls import wavy_ring
 from graycast.bench.zoo_parts import ZOO, zoo_part
-from graycast.drop import cache_folder, convex_hulls, decomposition, hull_notes
-from graycast.drop.decomposition import child, decompose, hull_error, making, ready, tolerance_m
+from graycast.drop import cache_folder, convex_hulls, decomposition, hull_notes, prepare
+from graycast.drop.decomposition import decompose, hull_error, making, ready, tolerance_m
 from graycast.drop.decomposition.cache import read_decomposition
 from graycast.errors import GraycastError
 from graycast.parts import Mesh
@@ -36,7 +38,7 @@ def held(hulls, point) -> np.ndarray:
 
 
 def test_a_box_is_one_hull_of_its_own_volume_and_takes_no_child(tmp_path, monkeypatch):
-    monkeypatch.setattr(ready, "decompose_apart", lambda mesh, **_: pytest.fail("a child was run"))
+    monkeypatch.setattr(subprocess, "Popen", lambda *_, **__: pytest.fail("a child was run"))
     made = convex_hulls(box_part((0.04, 0.05, 0.06)).mesh, folder=tmp_path)
     ((vertices, faces),) = made.hulls
     assert made.error.worst_m < 1e-9 and not made.coarse
@@ -203,23 +205,85 @@ def test_the_cache_lies_where_xdg_says(tmp_path, monkeypatch):
 
 
 @pytest.mark.slow
-def test_stages_are_told_and_a_killed_child_is_an_error_with_a_remedy(tmp_path, monkeypatch):
-    mesh = zoo_part("nut").mesh
-    told = []
-    made = convex_hulls(mesh, folder=tmp_path, on_stage=told.append)
+def test_one_kind_tells_its_stages(tmp_path):
+    part, stages = zoo_part("nut"), []
+    (made,) = prepare((part,), hull_folder=tmp_path, on_stage=stages.append)
     assert len(made.hulls) > 1
-    assert made.error == hull_error(mesh, made.hulls) and not made.coarse
-    assert told[0].startswith("building a solid from 552 faces") and told[-1].startswith(
-        "measuring"
-    )
-    assert convex_hulls(mesh, folder=tmp_path, on_stage=told.append) and len(told) < 20
+    assert made.error == hull_error(part.mesh, made.hulls) and not made.coarse
+    assert stages[0] == "nut: building a solid from 552 faces" and len(stages) < 20
+    assert stages[-1].startswith("nut: measuring")
 
-    def kill(process, on_stage):
-        process.kill()
 
-    monkeypatch.setattr(child, "_follow", kill)
-    with pytest.raises(GraycastError, match=r"killed by signal 9.*free memory"):
-        convex_hulls(zoo_part("tee").mesh, folder=tmp_path)
+@pytest.fixture
+def children(monkeypatch, tmp_path):
+    """Every child process in the order of their starts, and two processors for them.
+
+    Temporary folders lie in `tmp_path / "aside"`.
+    """
+    started = []
+
+    class Recorded(subprocess.Popen):
+        def __init__(self, *args, **named):
+            super().__init__(*args, **named)
+            started.append(self)
+
+    monkeypatch.setattr(subprocess, "Popen", Recorded)
+    monkeypatch.setattr(os, "sched_getaffinity", lambda pid: {0, 1})
+    (tmp_path / "aside").mkdir()
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path / "aside"))
+    yield started
+    assert not any(_alive(child.pid) for child in started)
+    assert list((tmp_path / "aside").iterdir()) == []
+
+
+@pytest.mark.slow
+def test_several_kinds_are_cut_by_two_children_at_a_time_as_they_are_one_by_one(children, tmp_path):
+    box = box_part((0.04, 0.05, 0.06))
+    nut, *others = (zoo_part(name) for name in ("nut", "washer", "hex_bolt"))
+    parts = (box, nut, *others, replace(nut, name="another nut"))
+    stages, starts = [], []
+
+    def note(stage):
+        stages.append(stage)
+        starts.append(len(children))
+        assert sum(_alive(child.pid) for child in children) <= 2
+
+    made = prepare(parts, hull_folder=tmp_path / "cache", on_stage=note)
+    assert starts[0] == 2 and len(children) == 3
+    for part, one in zip(parts, made, strict=True):
+        hulls = decompose(part.mesh)
+        assert same(one.hulls, hulls) and one.error == hull_error(part.mesh, hulls)
+    counts = [f"collision hulls: {number} of 4 kinds are ready" for number in (1, 2, 3)]
+    assert list(dict.fromkeys(stage for stage in stages if "kinds" in stage)) == counts
+    last = stages[stages.index(counts[-1]) + 1 :]
+    assert len({stage.split(": ")[0] for stage in last}) <= 1
+
+    again = prepare(parts, hull_folder=tmp_path / "cache", on_stage=pytest.fail)
+    assert all(same(a.hulls, b.hulls) for a, b in zip(made, again, strict=True))
+    assert len(list((tmp_path / "cache").iterdir())) == 4 and len(children) == 3
+
+
+def test_an_error_while_kinds_are_cut_ends_all_children_and_keeps_what_is_ready(children, tmp_path):
+    parts = [box_part((0.04, 0.05, 0.06)), *map(zoo_part, ("washer", "nut", "hex_bolt"))]
+
+    def stop(stage):
+        assert stage == "collision hulls: 1 of 4 kinds are ready"
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        prepare(parts, hull_folder=tmp_path / "cache", on_stage=stop)
+    assert [child.returncode for child in children] == [-signal.SIGKILL] * 2
+    assert len(list((tmp_path / "cache").iterdir())) == 1
+
+
+def test_a_killed_child_is_an_error_with_name_and_remedy_and_ends_the_others(children, tmp_path):
+    with pytest.raises(GraycastError, match=r"cuts tee .* was killed by signal 9.*free memory"):
+        prepare(
+            [zoo_part("tee"), zoo_part("nut")],
+            hull_folder=tmp_path / "cache",
+            on_stage=lambda stage: children[0].kill(),
+        )
+    assert [child.returncode for child in children] == [-signal.SIGKILL] * 2
 
 
 WAIT = """

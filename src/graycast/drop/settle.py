@@ -13,7 +13,7 @@ from ..parts import Part
 from ..scene import Bin, Layout, Scene
 from ..settings import check_fields
 from .body import Body, body_of
-from .decomposition import Decomposition, OnStage, convex_hulls, silent
+from .decomposition import Decomposition, OnStage, convex_hulls_of, silent
 from .grid import start_poses
 from .rest import simulate
 
@@ -162,17 +162,10 @@ def prepare(
     """The collision hulls of each part, made now where the cache has none; `drop` finds them there.
 
     Raises:
-        ValueError, GraycastError: as in `convex_hulls`.
+        ValueError, GraycastError: as in `convex_hulls_of`.
     """
-
-    def of(part: Part) -> Decomposition:
-        return convex_hulls(
-            part.mesh,
-            folder=hull_folder,
-            on_stage=lambda stage: on_stage(f"{part.name}: {stage}"),
-        )
-
-    return tuple(of(part) for part in parts)
+    named = [(part.name, part.mesh) for part in parts]
+    return convex_hulls_of(named, folder=hull_folder, on_stage=on_stage)
 
 
 def hull_notes(parts: Iterable[Part], prepared: Iterable[Decomposition]) -> tuple[str, ...]:

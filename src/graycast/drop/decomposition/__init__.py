@@ -5,15 +5,15 @@ farther outside the part, so a hole stays open, and no point of the surface fart
 them. What cannot be reached from outside, a cavity, is filled.
 
 `solid` reads the mesh, `cutting` takes it apart, `joining` makes hulls of the pieces and joins
-those that may be one, `error` measures; `child` does all that in a process that can be ended, and
-`ready` keeps the result.
+those that may be one, `error` measures; `child` does all that in processes that can be ended, and
+`ready` keeps the results.
 """
 
 from .cache import cache_folder
 from .error import Decomposition, HullError, hull_error, tolerance_m
 from .hulls import Hull, hull_of
 from .making import OnStage, decompose, silent
-from .ready import convex_hulls
+from .ready import convex_hulls, convex_hulls_of
 
 __all__ = [
     "Decomposition",
@@ -22,6 +22,7 @@ __all__ = [
     "OnStage",
     "cache_folder",
     "convex_hulls",
+    "convex_hulls_of",
     "decompose",
     "hull_error",
     "hull_of",

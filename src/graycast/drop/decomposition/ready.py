@@ -1,5 +1,7 @@
-"""The hulls of a mesh, made once and kept."""
+"""The hulls of meshes, made once and kept."""
 
+from collections.abc import Iterator, Sequence
+from contextlib import closing
 from pathlib import Path
 
 from ...parts import Mesh
@@ -62,13 +64,49 @@ def convex_hulls(
         ValueError: the mesh is not closed, or inside out.
         GraycastError: the child was killed.
     """
-    key = key_of(mesh, _SETTINGS)
-    file = (cache_folder() if folder is None else folder) / f"{key}.npz"
-    made = read_decomposition(file)
-    if made is None:
-        if len(mesh.faces) <= FEW_FACES and making.is_one_hull(mesh):
-            made = measured(mesh, decompose(mesh))
-        else:
-            made = decompose_apart(mesh, on_stage=on_stage)
-        write_decomposition(file, made)
+    (made,) = convex_hulls_of((("", mesh),), folder=folder, on_stage=on_stage)
     return made
+
+
+def convex_hulls_of(
+    named: Sequence[tuple[str, Mesh]], *, folder: Path | None = None, on_stage: OnStage = silent
+) -> tuple[Decomposition, ...]:
+    """`convex_hulls` of each mesh, of equal ones once, by one child process per processor.
+
+    Args:
+        named: a part's name for stages and errors, which may be empty, and its mesh.
+        on_stage: called with the number of kinds that are ready, or, while the last one is made,
+            with what is being done.
+
+    Raises:
+        ValueError, GraycastError: as in `convex_hulls`; of the kind that fails first.
+    """
+    folder = cache_folder() if folder is None else folder
+    files = [folder / f"{key_of(mesh, _SETTINGS)}.npz" for _, mesh in named]
+    kinds = dict(zip(files, named, strict=True))
+    ready = {file: made for file in kinds if (made := read_decomposition(file)) is not None}
+
+    def keep(file: Path, made: Decomposition) -> None:
+        write_decomposition(file, made)
+        ready[file] = made
+
+    def jobs() -> Iterator[tuple[Path, str, Mesh]]:
+        for file, (name, mesh) in kinds.items():
+            if file in ready:
+                continue
+            if len(mesh.faces) <= FEW_FACES and making.is_one_hull(mesh):
+                keep(file, measured(mesh, decompose(mesh)))
+            else:
+                yield file, name, mesh
+
+    with closing(decompose_apart(jobs())) as all_news:
+        for file, news in all_news:
+            if isinstance(news, Decomposition):
+                keep(file, news)
+            left = len(kinds) - len(ready)
+            if left == 1 and isinstance(news, str):
+                name, _ = kinds[file]
+                on_stage(f"{name}: {news}" if name else news)
+            elif left:
+                on_stage(f"collision hulls: {len(ready)} of {len(kinds)} kinds are ready")
+    return tuple(ready[file] for file in files)

@@ -197,10 +197,11 @@ def test_row_0_of_a_texture_is_on_top_and_its_levels_are_srgb(path_tracer, metal
     rendering = path_tracer.render(scene, layout, plain_pattern(rig, 255), quality=ONE, seed=0)
     albedo = rendering.radiance.albedo
     linear = ((np.array([188, 100, 30]) / 255 + 0.055) / 1.055) ** 2.4
-    assert np.abs(albedo[8:14, 8:14] - [1, 0, 0]).max() < 1e-3
-    assert np.abs(albedo[8:14, 18:24] - [0, 1, 0]).max() < 1e-3
-    assert np.abs(albedo[18:24, 8:14] - [0, 0, 1]).max() < 1e-3
-    assert np.abs(albedo[18:24, 18:24] - linear).max() < 1e-3
+    rounding = 2e-3 if path_tracer.device == "cuda" else 1e-3  # its texture unit keeps 16 bits
+    assert np.abs(albedo[8:14, 8:14] - [1, 0, 0]).max() < rounding
+    assert np.abs(albedo[8:14, 18:24] - [0, 1, 0]).max() < rounding
+    assert np.abs(albedo[18:24, 8:14] - [0, 0, 1]).max() < rounding
+    assert np.abs(albedo[18:24, 18:24] - linear).max() < rounding
     assert (rendering.truth.instance[8:24, 8:24] == 0).all()
     if metallic == 0:
         light = rendering.radiance.white_rgb

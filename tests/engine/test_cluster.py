@@ -14,6 +14,7 @@ from small_cell import content, finished, start
 
 from graycast.cli import main
 from graycast.dataset import validate
+from graycast.engine.cluster import gpu_share
 
 RAY = Path(sys.executable).with_name("ray")
 needs_ray = pytest.mark.skipif(not RAY.exists(), reason="Ray is missing: pip install 'ray>=2.40'")
@@ -36,6 +37,22 @@ def test_ray_that_is_not_installed_is_told_with_its_remedy(
 
 
 @needs_ray
+@pytest.mark.parametrize(
+    ("resources", "threads", "scenes_on_a_gpu"),
+    [
+        ({"CPU": 16.0, "GPU": 1.0}, 1, 16),
+        ({"CPU": 16.0, "GPU": 1.0}, 4, 4),
+        ({"CPU": 48.0, "GPU": 4.0}, 1, 12),
+        ({"CPU": 2.0, "GPU": 8.0}, 1, 1),  # more GPUs than processors
+        ({"CPU": 3.0, "GPU": 1.0}, 1, 3),  # three thirds, rounded, still fit on one
+    ],
+)
+def test_all_processors_of_a_cluster_share_its_gpus(resources, threads, scenes_on_a_gpu):
+    share = gpu_share(resources, threads)
+    assert int(1.0 / share) == scenes_on_a_gpu
+    assert share * 1e4 == pytest.approx(round(share * 1e4))  # Ray counts no smaller shares
+
+
 def test_a_cluster_that_does_not_answer_is_named(config_file, tmp_path, capsys):
     command = ["generate", str(config_file), "--out", str(tmp_path / "out"), "--engine", "ray"]
     assert main([*command, "--address", "127.0.0.1:9"]) == 1

@@ -5,6 +5,7 @@ import math
 import os
 import socket
 import uuid
+from collections.abc import Mapping
 from typing import Any
 
 from .. import __version__
@@ -37,7 +38,9 @@ class RayPool:
             ) from error
         if task.device == "auto":
             task = task.on("cuda" if ray.cluster_resources().get("GPU") else "cpu")
-        self._gpus = int(task.device in GPU_DEVICES)
+        self._gpus = 0.0
+        if task.device in GPU_DEVICES:
+            self._gpus = gpu_share(ray.cluster_resources(), threads)
         remote = ray.remote(num_cpus=threads, num_gpus=self._gpus, max_retries=0)
         self._make = remote(_make_on_node)
         self._task = ray.put(task)
@@ -48,7 +51,7 @@ class RayPool:
         resources = self._ray.cluster_resources()  # machines may come and go
         places = resources.get("CPU", 0) / self._threads
         if self._gpus:
-            places = min(places, resources.get("GPU", 0))
+            places = min(places, resources.get("GPU", 0) / self._gpus)
         room = self._limit or _AHEAD * max(1, math.floor(places))
         return max(0, room - len(self._running))
 
@@ -73,6 +76,16 @@ class RayPool:
             for made in self._running:
                 self._ray.cancel(made, force=True)
         self._ray.shutdown()
+
+
+def gpu_share(resources: Mapping[str, float], threads: int) -> float:
+    """The share of a GPU that a scene takes, so that all processors have one to render on.
+
+    A scene needs the GPU for a small part of its time, and the drop needs a processor for most of
+    it. Ray counts in steps of 1e-4.
+    """
+    places = max(1.0, resources.get("CPU", 1.0) / threads)
+    return min(1.0, max(1e-4, math.floor(1e4 * resources.get("GPU", 1.0) / places) / 1e4))
 
 
 def _knock(address: str) -> None:

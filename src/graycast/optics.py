@@ -260,7 +260,9 @@ def relative_illumination(optics: Optics) -> Float[np.ndarray, "h w"]:
     Source: e.g. R. Kingslake, "Optics in Photography", 1992.
     """
     pixel = pixel_grid(optics.height_px, optics.width_px)
-    left = 1 - (optics.falloff or 0.0) * corner_share(optics, pixel)
+    left = np.ones(pixel.shape[:2])
+    if optics.falloff:
+        left -= optics.falloff * corner_share(optics, pixel)
     if optics.natural_vignetting:
         left /= np.square(np.square(rays(optics, pixel)).sum(axis=-1))
     return left

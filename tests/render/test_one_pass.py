@@ -137,7 +137,8 @@ def test_another_seed_gives_other_noise_and_zero_is_a_seed_like_any(mitsuba_rend
     for a, b in [(0, 2), (0, 3), (2, 3)]:
         lit = (images[a] > 0) & (images[b] > 0)
         assert (images[a] != images[b])[lit].mean() > 0.99
-        assert abs(images[a].mean() / images[b].mean() - 1) < 0.02
+        # Means of 200 seeds spread by 0.0075, so ratios by 0.0106; five times that.
+        assert abs(images[a].mean() / images[b].mean() - 1) < 0.053
 
 
 def test_the_footprint_leaves_direct_light_alone_and_keeps_the_sum_of_a_reflection(

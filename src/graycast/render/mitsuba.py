@@ -134,22 +134,22 @@ def light(
     camera = scene.rig.camera
     h, w = camera.height_px, camera.width_px
     paths = Tracer(world, scene, pattern, quality).trace(seed, on_pass)
-    dr.eval(paths)
 
-    share = (relative_illumination(camera) / quality.samples).astype(np.float32)
-    stack = np.empty((len(pattern), h, w), dtype=np.float32)
-    for k, channel in enumerate(paths.pattern):
-        np.multiply(channel.numpy().reshape(h, w), share, out=stack[k])
+    # The kernel of the paths also scales the sums and lays them out, with all of its threads.
+    share = mi.Float((relative_illumination(camera) / quality.samples).ravel())
+    white, ambient = paths.white * share, paths.ambient * share
+    passed = mi.Color3f(scene.rig.passed_bands)
+    stack = dr.ravel(mi.ArrayXf([channel * share for channel in paths.pattern]), "C")
+    gray = dr.sum(white), dr.dot(ambient, passed)
+    color = dr.ravel(white), dr.ravel(ambient), dr.ravel(paths.albedo / quality.samples)
+    dr.eval(stack, gray, color)
 
-    def colour(channels: mi.Color3f, share: np.ndarray) -> np.ndarray:
-        return np.ascontiguousarray(channels.numpy().T).reshape(h, w, 3) * share[..., None]
-
-    white_rgb, ambient_rgb = colour(paths.white, share), colour(paths.ambient, share)
+    white_rgb, ambient_rgb, albedo = (channels.numpy().reshape(h, w, 3) for channels in color)
     return Radiance(
-        pattern=stack,
-        white=white_rgb.sum(axis=-1),
-        ambient=ambient_rgb @ np.array(scene.rig.passed_bands, dtype=np.float32),
+        pattern=stack.numpy().reshape(len(pattern), h, w),
+        white=gray[0].numpy().reshape(h, w),
+        ambient=gray[1].numpy().reshape(h, w),
         white_rgb=white_rgb,
         ambient_rgb=ambient_rgb,
-        albedo=colour(paths.albedo, np.full((h, w), 1 / quality.samples, dtype=np.float32)),
+        albedo=albedo,
     )

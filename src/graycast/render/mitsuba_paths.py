@@ -33,15 +33,15 @@ DISC_LOOKUPS = 6  # over the disc of a defocused projector: pairs, so that strip
 
 # Steps of additive recurrences, a pair of dimensions each: M. Roberts' R2 for places in the pixel;
 # roots of primes (Richtmyer) for the pupil and blur of the camera, pupil and disc of the projector,
-# and lamps.
+# lamps, and the direction from the first vertex.
 STEPS = (
     (0.7548776662466927, 0.5698402909980532),
     *(
         (math.sqrt(a) % 1, math.sqrt(b) % 1)
-        for a, b in ((2, 3), (5, 7), (11, 13), (17, 19), (23, 29))
+        for a, b in ((2, 3), (5, 7), (11, 13), (17, 19), (23, 29), (31, 37))
     ),
 )
-PIXEL, CAMERA_PUPIL, CAMERA_BLUR, PROJECTOR_PUPIL, PROJECTOR_DISC, LAMP = range(len(STEPS))
+PIXEL, CAMERA_PUPIL, CAMERA_BLUR, PROJECTOR_PUPIL, PROJECTOR_DISC, LAMP, ONWARD = range(len(STEPS))
 
 
 @dataclass
@@ -178,6 +178,7 @@ class Tracer:
         lamp = self._lamp(p, si, hit) if self.ambient else None
         pick = p.rng.next_float32()
         uv = mi.Point2f(p.rng.next_float32(), p.rng.next_float32())
+        uv = dr.select(fresh, _in_sequence(p, ONWARD, paired=False), uv)
         # One call for all that the material is asked, so that it looks up its textures once.
         to_lamp = beam.wo if lamp is None else lamp.wo
         albedo, value, lamp_value, lamp_pdf, bs, gain = dr.dispatch(
@@ -363,9 +364,9 @@ def _side(p: Paths) -> mi.Float:
     return dr.select((p.sample & 1) == 0, mi.Float(1), -1)
 
 
-def _in_sequence(p: Paths, pair: int) -> mi.Point2f:
-    """Where the pixel's low-discrepancy sequence is: one step for each pair of samples."""
-    n = mi.Float(p.sample >> 1)
+def _in_sequence(p: Paths, pair: int, *, paired: bool = True) -> mi.Point2f:
+    """Where the pixel's low-discrepancy sequence is: one step for each pair of samples, or each."""
+    n = mi.Float(p.sample >> 1 if paired else p.sample)
     step, offset = STEPS[pair], p.offset[pair]
     point = mi.Point2f(dr.fma(n, step[0], offset.x), dr.fma(n, step[1], offset.y))
     return point - dr.floor(point)

@@ -3,6 +3,7 @@
 Imported only by `mitsuba.py`, after a variant was set.
 """
 
+import drjit as dr
 import mitsuba as mi
 import numpy as np
 
@@ -19,14 +20,15 @@ def packed(pattern: np.ndarray, rig: Rig) -> tuple[list[mi.UInt32], int]:
         bits_each = 1
     else:
         bits_each = 8 if np.allclose(share * 255, np.arange(256), rtol=0, atol=1e-9) else 16
-    level = np.rint(share * (2**bits_each - 1)).astype(np.uint32)
+    level = mi.UInt32(np.rint(share * (2**bits_each - 1)).astype(np.uint32))
     per_word = 32 // bits_each
     words = []
     for first in range(0, len(pattern), per_word):
-        word = np.zeros(pattern.shape[1:], dtype=np.uint32)
+        word = mi.UInt32(0)
         for k, image in enumerate(pattern[first : first + per_word]):
-            word |= (level << np.uint32(k * bits_each))[image]
-        words.append(mi.UInt32(word.ravel()))
+            word |= dr.gather(mi.UInt32, level, mi.UInt32(mi.UInt8(image.ravel()))) << k * bits_each
+        words.append(word)
+    dr.eval(words)
     return words, bits_each
 
 

@@ -26,8 +26,14 @@ from .figures import Figures
 PAIRS = 5  # timed in turn, A B A B ...
 
 
-def in_turn(first: Callable[[], object], second: Callable[[], object]) -> tuple[float, float]:
-    """Median seconds of two jobs that are run in turn, after one run of each to warm up."""
+def in_turn(
+    first: Callable[[], object], second: Callable[[], object]
+) -> tuple[float, float, float]:
+    """Median seconds of two jobs that are run in turn, after one run of each to warm up.
+
+    The third value is the median of the pairs' ratios: other work of the machine slows both jobs of
+    a pair, and a ratio of medians compares runs of different pairs.
+    """
     first(), second()
     seconds: tuple[list[float], list[float]] = ([], [])
     for _ in range(PAIRS):
@@ -35,7 +41,8 @@ def in_turn(first: Callable[[], object], second: Callable[[], object]) -> tuple[
             start = time.perf_counter()
             job()
             times.append(time.perf_counter() - start)
-    return median(seconds[0]), median(seconds[1])
+    ratios = [one / other for one, other in zip(*seconds, strict=True)]
+    return median(seconds[0]), median(seconds[1]), median(ratios)
 
 
 def measure_render(device: str, count: int) -> Figures:
@@ -59,7 +66,7 @@ def measure_render(device: str, count: int) -> Figures:
         plain = replace(quality, footprint=False)
         return light(world, cell.scene, patterns[:1], quality=plain, seed=1)
 
-    stack_s, frame_s = in_turn(stack, frame)
+    stack_s, frame_s, ratio = in_turn(stack, frame)
     start = time.perf_counter()
     truth(world, part_shapes, cell.scene, layout)
     camera = cell.scene.rig.camera
@@ -73,7 +80,7 @@ def measure_render(device: str, count: int) -> Figures:
         "depth": quality.depth,
         "stack_s": stack_s,
         "one_white_frame_s": frame_s,
-        "stack_over_frame": stack_s / frame_s,
+        "stack_over_frame": ratio,
         "build_s": build_s,
         "ground_truth_s": time.perf_counter() - start,
     }
@@ -89,7 +96,7 @@ def measure_decode() -> Figures:
     frames = _seen_by_camera(code, rng, 1920, 1080)
     levels = Levels(offset_dn=4.0, saturation_dn=255.0, floor_dn2=0.1, slope_dn=0.025)
     spec = DecodeSpec()
-    decode_s, copy_s = in_turn(lambda: decode(frames, code, spec, levels), frames.copy)
+    decode_s, copy_s, ratio = in_turn(lambda: decode(frames, code, spec, levels), frames.copy)
     start = time.perf_counter()
     decode_plain(frames, code, spec, levels)
     figures: Figures = {
@@ -98,7 +105,7 @@ def measure_decode() -> Figures:
         "height_px": 1080,
         "decode_s": decode_s,
         "copy_s": copy_s,
-        "decode_over_copy": decode_s / copy_s,
+        "decode_over_copy": ratio,
         "plain_numpy_s": time.perf_counter() - start,
     }
     figures |= _decode_by_opencv(frames, code, decode_s)
@@ -107,7 +114,7 @@ def measure_decode() -> Figures:
         for width_px, height_px in ((1032, 772), (1920, 1080)):
             code = make(1280, 720)
             frames = _seen_by_camera(code, rng, width_px, height_px)
-            seconds, _ = in_turn(partial(decode, frames, code, spec, levels), frames.copy)
+            seconds, *_ = in_turn(partial(decode, frames, code, spec, levels), frames.copy)
             figures[name][f"{len(frames)} frames {width_px} x {height_px}"] = seconds
     return figures
 

@@ -70,7 +70,7 @@ def _detection(detector: Detector, dataset: Path) -> Figures:
         for image in encoded:
             detector.answer(image.to(detector.device), most=300, least_score=0.05)
 
-    whole_s, bare_s = in_turn(whole, bare)
+    whole_s, bare_s, _ = in_turn(whole, bare)
     count = len(examples)
     return {"detect_ms": 1e3 * whole_s / count, "bare_ms": 1e3 * bare_s / count}
 

@@ -4,6 +4,7 @@ import argparse
 import json
 import os
 import platform
+import re
 import sys
 from datetime import UTC, datetime
 from pathlib import Path
@@ -49,11 +50,11 @@ def parsed(words: list[str] | None) -> argparse.Namespace:
     return args
 
 
-def machine() -> dict[str, object]:
-    lines = Path("/proc/cpuinfo").read_text().splitlines()
-    cpu = next((line for line in lines if line.startswith("model name")), platform.machine())
-    name = cpu.partition(": ")[2] or cpu
-    return {"cpu": name, "cores": os.cpu_count(), "python": platform.python_version()}
+def circumstances() -> dict[str, object]:
+    cpu = re.search(r"model name\s*: (.*)", Path("/proc/cpuinfo").read_text())
+    own = {"cpu": cpu[1] if cpu else platform.machine(), "cores": os.cpu_count()}
+    now = datetime.now(UTC).isoformat(timespec="seconds")
+    return {"date": now, "python": platform.python_version()} | own
 
 
 def show(text: str) -> None:
@@ -69,13 +70,14 @@ def main(words: list[str] | None = None) -> int:
     except CompareError as error:
         print(f"error: {error}", file=sys.stderr)
         return 2
+    except KeyboardInterrupt:
+        return 130  # the other tree is gone, and its process with it
     show("")
     rows = summarise(records)
     print(table(rows))
     if args.json:
         commits = present | {"there": commit_of(ROOT, args.rev)}
-        now = {"date": datetime.now(UTC).isoformat(timespec="seconds")}
-        figures = commits | now | machine() | {"rows": rows, "records": records}
+        figures = commits | circumstances() | {"rows": rows, "records": records}
         args.json.write_text(json.dumps(figures, indent=2) + "\n")
     return 0
 

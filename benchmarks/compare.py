@@ -24,7 +24,6 @@ SLOWER = 1.05  # above this ratio a stage is marked
 LEAST_ROUNDS = 2
 SIDES = ("here", "there")
 Record = dict[str, Any]  # a line of `stages.py` with its `side` and `round`
-Run = Callable[[str, str], list[Record]]
 
 
 class CompareError(Exception):
@@ -65,7 +64,7 @@ def compare(
         return list(in_turn(run, end_s))
 
 
-def in_turn(run: Run, end_s: float) -> Iterator[Record]:
+def in_turn(run: Callable[[str, str], list[Record]], end_s: float) -> Iterator[Record]:
     """As many rounds as fit: A B, B A, A B ..."""
     number, longest_s = 0, 0.0
     while number < LEAST_ROUNDS or time.monotonic() + longest_s < end_s:
@@ -75,19 +74,16 @@ def in_turn(run: Run, end_s: float) -> Iterator[Record]:
         longest_s, number = max(longest_s, time.monotonic() - start_s), number + 1
 
 
-def git(root: Path, *words: str) -> str:
+def git(root: Path, *words: str, refusal: str = "") -> str:
     done = subprocess.run(["git", "-C", root, *words], capture_output=True, text=True)
     if done.returncode:
-        raise CompareError(f"git {shlex.join(words)} failed: {done.stderr.strip()}")
+        raise CompareError(refusal or f"git {shlex.join(words)} failed: {done.stderr.strip()}")
     return done.stdout.strip()
 
 
 def commit_of(root: Path, rev: str) -> str:
-    try:
-        return git(root, "rev-parse", "--verify", f"{rev}^{{commit}}")
-    except CompareError:
-        text = f"{rev!r} is no commit of {root}: give a hash, a tag or a branch"
-        raise CompareError(text) from None
+    refusal = f"{rev!r} is no commit of {root}: give a hash, a tag or a branch"
+    return git(root, "rev-parse", "--verify", f"{rev}^{{commit}}", refusal=refusal)
 
 
 @contextmanager
@@ -109,7 +105,7 @@ def child(
     program = str(Path(__file__).with_name("stages.py"))
     command = [sys.executable, "-P", program, ",".join(stages), number, work]
     # Hulls of its own: the cache's key might not distinguish two commits.
-    own = {"PYTHONPATH": python_path, "XDG_CACHE_HOME": f"{work}/{side}"}
+    own = {"PYTHONPATH": python_path, "XDG_CACHE_HOME": f"{work}/{side}", "TMPDIR": work}
     with TemporaryFile("w+") as log:
         process = subprocess.Popen(
             command, stdout=subprocess.PIPE, stderr=log, text=True, env=os.environ | own
@@ -161,10 +157,8 @@ def _values(records: Sequence[Record], row: str, side: str) -> dict[str, float]:
 def _row(records: Sequence[Record], stage: str, row: str) -> Record:
     here, there = (_values(records, row, side) for side in SIDES)
     ratios = [here[k] / there[k] for k in here if k in there]
-    figures: Record = {
-        side: median(values.values()) if values else None
-        for side, values in zip(SIDES, (here, there), strict=True)
-    }
+    figures: Record = {"here": median(here.values()) if here else None}
+    figures |= {"there": median(there.values()) if there else None}
     # An error in the row of the stage itself is one before any of its rows was known.
     of = [r for r in records if "error" in r and r["row"] in (row, *([] if ratios else [stage]))]
     reasons = dict.fromkeys(f"{r['side']}: {r['error']}" for r in of)

@@ -5,6 +5,7 @@ import json
 import os
 import platform
 import re
+import signal
 import sys
 from datetime import UTC, datetime
 from pathlib import Path
@@ -83,4 +84,5 @@ def main(words: list[str] | None = None) -> int:
 
 
 if __name__ == "__main__":
+    signal.signal(signal.SIGTERM, signal.default_int_handler)  # `timeout` ends it like Ctrl-C
     sys.exit(main())

@@ -18,6 +18,7 @@ from itertools import count
 from pathlib import Path
 from statistics import median
 from tempfile import mkdtemp
+from types import SimpleNamespace
 from typing import Any
 
 Job = tuple[str, str, int, Callable[[], object]]  # stage, row, how often it runs, what runs
@@ -91,27 +92,29 @@ def images(work: Path, number: int) -> Iterator[Job]:
     yield "picture", "picture, denoised", 3, develop
     capture = take(scanner, light.radiance, seed=1)
     yield "decode", "decode", 5, partial(measure, scanner, capture)
-    yield from files(work, cell, layout, light, capture)
+    yield from files(work, cell, layout, light, renderer)
 
 
-def files(work: Path, cell: Any, layout: Any, light: Any, capture: Any) -> Iterator[Job]:
-    from graycast.dataset import Raw, Sample, open_store, validate
-    from graycast.picture import color_picture, gray_picture
-    from graycast.scanner import measure
+def files(work: Path, cell: Any, layout: Any, light: Any, renderer: Any) -> Iterator[Job]:
+    from graycast import simulate
+    from graycast.dataset import open_store, validate
 
-    scene, (codes, depth), numbers = cell.scene, measure(cell.scanner, capture), count()
-    image: Any = {"scene": scene, "layout": layout, "truth": light.truth, "scanner": depth}
-    image |= {"gray": gray_picture(capture), "modulation": codes.modulation}
-    image["rgb"] = color_picture(cell.scanner, light, denoiser=None, seed=1)
+    # `make_scene` with the layout and light that are there: a manifest must fit its dataset.
+    simulation: Any = simulate
+    simulation.drop = lambda *_, **__: layout
+    own = {name: getattr(renderer, name) for name in ("name", "device", "versions")}
+    again = SimpleNamespace(render=lambda *_, **__: light, denoiser=None, **own)
+    make = partial(simulation.make_scene, cell, seed=0, renderer=again)
+    samples, numbers = [make(number).sample for number in range(SCENES)], count()
+    config = cell.config.model_dump(mode="json", exclude={"scenes", "seed"})
     # A commit's own step would not do: a finer one makes larger files.
-    cellwide: Any = {"parts": scene.parts, "rig": scene.rig, "depth_scale_mm": 0.05}
-    with open_store(Path(mkdtemp(dir=work)) / "dataset", config={}, seed=0, **cellwide) as store:
+    shared: Any = {"parts": cell.scene.parts, "rig": cell.scene.rig, "depth_scale_mm": 0.05}
+    with open_store(Path(mkdtemp(dir=work)) / "dataset", config=config, seed=0, **shared) as store:
         several = "samples" in inspect.signature(store.write).parameters  # 114e8a0 takes one
 
         def write() -> None:
-            manifest = {"scene_id": next(numbers)}
-            sample: Any = Sample(manifest=manifest, raw=Raw(scanner=cell.scanner), **image)
-            store.write(manifest["scene_id"], [sample] if several else sample)
+            sample = samples[number := next(numbers)]
+            store.write(number, [sample] if several else sample)
 
         yield "write", "write", SCENES, write
         while len(store.finished()) < SCENES:

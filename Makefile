@@ -9,8 +9,8 @@ demo: setup
 	$(GRAYCAST) preview configs/demo.yaml --out out/demo/preview.png
 
 test: setup-test
-	.venv/bin/ruff check src tests examples
-	.venv/bin/ruff format --check src tests examples
+	.venv/bin/ruff check src tests examples benchmarks
+	.venv/bin/ruff format --check src tests examples benchmarks
 	.venv/bin/mypy
 	.venv/bin/pytest -n 2 --dist loadfile
 

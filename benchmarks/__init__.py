@@ -1,0 +1,1 @@
+"""Measurements of this repository's own code: no part of the package `graycast`."""

@@ -1,0 +1,88 @@
+"""`python -m benchmarks compare --help` explains itself."""
+
+import argparse
+import json
+import os
+import platform
+import re
+import signal
+import sys
+from datetime import UTC, datetime
+from pathlib import Path
+
+from .compare import CompareError, commit_of, compare, git, summarise, table
+from .stages import STAGES
+
+ROOT = Path(__file__).resolve().parents[1]
+HELP = """\
+Time the stages of the working tree, as it is, against those of another commit, and print a table.
+
+Both run in turn with the same Python, one process each per round. "here" is the working tree,
+"there" the other commit; the figures are medians over rounds, in seconds of processor time unless
+the row names something else. A ratio is here / there within one round: the table has the median,
+the lowest and the highest, and marks a median above 1.05. A mark whose lowest ratio is below 1 may
+be noise: time that stage alone, which gives it more rounds.
+
+    python -m benchmarks compare main
+    python -m benchmarks compare HEAD~5 --stages drop,render --minutes 4
+    python -m benchmarks compare 114e8a0 --path /tmp/packages --json ratios.json
+"""
+
+
+def parsed(words: list[str] | None) -> argparse.Namespace:
+    parser = argparse.ArgumentParser(prog="python -m benchmarks")
+    commands = parser.add_subparsers(required=True)
+    layout = argparse.RawDescriptionHelpFormatter
+    one = commands.add_parser(
+        "compare", help="time all stages against a commit", description=HELP, formatter_class=layout
+    )
+    one.add_argument("rev", metavar="REV", help="hash, tag or branch of the other commit")
+    minutes = "rounds are begun while they fit into this time, two in any case (default: 10)"
+    one.add_argument("--minutes", type=float, default=10, metavar="M", help=minutes)
+    stages = f"some of {','.join(STAGES)} (default: all)"
+    one.add_argument("--stages", default=",".join(STAGES), metavar="S,...", help=stages)
+    path = "packages for the other commit alone, from pip install --no-deps --target DIR"
+    one.add_argument("--path", type=Path, metavar="DIR", help=path)
+    one.add_argument("--json", type=Path, metavar="FILE", help="write all figures to a file")
+    args = parser.parse_args(words)
+    args.stages = args.stages.split(",")
+    if unknown := set(args.stages) - set(STAGES):
+        one.error(f"no stage {', '.join(sorted(unknown))}: choose from {', '.join(STAGES)}")
+    return args
+
+
+def circumstances() -> dict[str, object]:
+    cpu = re.search(r"model name\s*: (.*)", Path("/proc/cpuinfo").read_text())
+    own = {"cpu": cpu[1] if cpu else platform.machine(), "cores": os.cpu_count()}
+    now = datetime.now(UTC).isoformat(timespec="seconds")
+    return {"date": now, "python": platform.python_version()} | own
+
+
+def show(text: str) -> None:
+    print(f"\r{text[:99]:<99}\r", end="", file=sys.stderr, flush=True)
+
+
+def main(words: list[str] | None = None) -> int:
+    args = parsed(words)
+    chosen = {"stages": args.stages, "minutes": args.minutes, "path": args.path}
+    present = {"here": git(ROOT, "rev-parse", "HEAD"), "changed": git(ROOT, "status", "--short")}
+    try:
+        records = compare(ROOT, args.rev, **chosen, on_progress=show)
+    except CompareError as error:
+        print(f"error: {error}", file=sys.stderr)
+        return 2
+    except KeyboardInterrupt:
+        return 130  # the other tree is gone, and its process with it
+    show("")
+    rows = summarise(records)
+    print(table(rows))
+    if args.json:
+        commits = present | {"there": commit_of(ROOT, args.rev)}
+        figures = commits | circumstances() | {"rows": rows, "records": records}
+        args.json.write_text(json.dumps(figures, indent=2) + "\n")
+    return 0
+
+
+if __name__ == "__main__":
+    signal.signal(signal.SIGTERM, signal.default_int_handler)  # `timeout` ends it like Ctrl-C
+    sys.exit(main())

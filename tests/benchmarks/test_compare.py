@@ -1,0 +1,158 @@
+"""The comparison of two commits: its table, and what it leaves behind when it fails."""
+
+import subprocess
+from pathlib import Path
+
+import pytest
+
+from benchmarks import __main__ as program
+from benchmarks import compare as module
+from benchmarks.compare import CompareError, child, compare, summarise, table, worktree
+
+ROOT = Path(__file__).resolve().parents[2]
+
+
+def records(row, *, here, there, stage="drop"):
+    """Figures of as many rounds as there are numbers."""
+    sides = {"here": here, "there": there}
+    return [
+        {"stage": stage, "row": row, "side": side, "round": str(number), "value": value}
+        for side, values in sides.items()
+        for number, value in enumerate(values)
+    ]
+
+
+@pytest.fixture
+def repository(tmp_path):
+    """One commit with an empty package, and a child that ends before it says anything."""
+    root = tmp_path / "repository"
+    (root / "src/graycast").mkdir(parents=True)
+    (root / "src/graycast/__init__.py").write_text("")
+    (root / "pyproject.toml").write_text('[project]\ndependencies = ["no_such-package>=2"]\n')
+    who = ["-c", "user.name=A", "-c", "user.email=a@example.com"]
+    for words in (["init", "-q"], ["add", "."], [*who, "commit", "-qm", "first"]):
+        subprocess.run(["git", "-C", root, *words], check=True)
+    return root
+
+
+def trees(root):
+    return module.git(root, "worktree", "list").splitlines()
+
+
+def run(root, rev="HEAD", stages=("drop",)):
+    return compare(root, rev, stages=stages, minutes=0, path=None, on_progress=lambda text: None)
+
+
+def test_the_ratio_is_that_of_figures_of_one_round():
+    """The machine is twice as slow in the second round: no ratio shows it, the medians do."""
+    (row,) = summarise(records("fall", here=[1.1, 2.0, 1.2], there=[1.0, 2.0, 1.0]))
+    assert row["here"] == 1.2 and row["there"] == 1.0
+    assert (row["ratio"], row["lowest"], row["highest"]) == (1.1, 1.0, 1.2)
+    assert "| fall | 1.2 | 1 | 1.10 | 1.00..1.20 | **slower** |" in table([row])
+
+
+@pytest.mark.parametrize(("ratio", "marked"), [(0.5, False), (1.05, False), (1.06, True)])
+def test_what_is_slower_by_more_than_a_twentieth_is_marked(ratio, marked):
+    (row,) = summarise(records("fall", here=[ratio] * 2, there=[1.0] * 2))
+    assert ("slower" in row["note"]) == marked
+
+
+def test_a_stage_that_cannot_be_set_up_is_the_reason_of_all_its_rows():
+    ran = [r for name in ("a", "b") for r in records(name, here=[1.0, 1.0], there=[])]
+    failed = {"stage": "drop", "row": "drop", "side": "there", "round": "0", "error": "no | drop"}
+    rows = summarise([*ran, failed, *records("decode", here=[2.0], there=[2.0], stage="decode")])
+    assert [row["row"] for row in rows] == ["a", "b", "decode"]
+    assert [row["note"] for row in rows] == ["there: no | drop"] * 2 + [""]
+    assert "| a | 1 |  | | | there: no \\| drop |" in table(rows)
+
+
+def test_a_row_that_fails_does_not_speak_for_its_neighbours():
+    failed = {"stage": "drop", "row": "b", "side": "there", "round": "0", "error": "deep"}
+    first, second = summarise([*records("a", here=[1.0], there=[2.0]), failed])
+    assert (first["ratio"], first["note"]) == (0.5, "")
+    assert second["note"] == "there: deep" and "ratio" not in second
+
+
+def test_a_stage_that_a_tree_cannot_run_gives_its_reason(tmp_path):
+    """Neither the real stages nor their packages: this tree's `graycast` is empty."""
+    (tmp_path / "graycast").mkdir()
+    (tmp_path / "graycast/__init__.py").write_text("")
+    found = list(child(["import", "drop"], "0", str(tmp_path), "there", str(tmp_path)))
+    reasons = {record["row"]: record.get("error", "") for record in found}
+    assert reasons["import graycast"] == ""
+    assert reasons["graycast --help"].startswith("CalledProcessError")
+    assert reasons["drop"] == "ModuleNotFoundError: No module named 'graycast.drop'"
+    assert found[-1]["row"] == "peak memory [MB]"
+
+
+def test_a_process_that_dies_gives_every_stage_its_last_words(tmp_path, monkeypatch):
+    python = tmp_path / "python"
+    python.write_text("#!/bin/sh\necho first >&2; echo last words >&2; exit 3\n")
+    python.chmod(0o755)
+    monkeypatch.setattr(module.sys, "executable", str(python))
+    found = list(child(["import", "drop"], "0", str(tmp_path), "here", ""))
+    assert [record["row"] for record in found] == ["import", "drop"]
+    assert {r["error"] for r in found} == {"the process ended with 3: last words"}
+
+
+@pytest.mark.parametrize("error", [KeyboardInterrupt, ValueError])
+def test_the_other_tree_is_removed_after_an_error(repository, monkeypatch, error):
+    def interrupted(*words):
+        assert len(trees(repository)) == 2
+        raise error
+
+    monkeypatch.setattr(module, "child", interrupted)
+    with pytest.raises(error):
+        run(repository)
+    assert len(trees(repository)) == 1
+
+
+def test_the_other_tree_is_the_commit_and_not_the_working_tree(repository):
+    (repository / "src/graycast/__init__.py").write_text("changed = True")
+    with worktree(repository, "HEAD") as other:
+        assert (other / "src/graycast/__init__.py").read_text() == ""
+    assert not other.exists()
+
+
+def test_packages_that_the_other_commit_alone_needs_are_named(repository, monkeypatch):
+    lacking = {"stage": "drop", "row": "drop", "error": "no", "missing": "no_such"}
+    monkeypatch.setattr(module, "child", lambda *words: iter([lacking]))
+    with pytest.raises(CompareError, match=r"--target DIR 'no_such-package>=2', then give --path"):
+        run(repository)
+    assert len(trees(repository)) == 1
+
+
+@pytest.mark.parametrize("missing", ["graycast.old_place", None])
+def test_a_module_that_has_moved_does_not_end_the_comparison(repository, monkeypatch, missing):
+    moved = {"stage": "drop", "row": "drop", "error": "no", "missing": missing}
+    monkeypatch.setattr(module, "child", lambda *words: iter([moved]))
+    order = [(record["round"], record["side"]) for record in run(repository)]
+    assert order == [("0", "here"), ("0", "there"), ("1", "there"), ("1", "here")]
+
+
+def test_an_unknown_commit_is_one_clear_error(capsys):
+    assert program.main(["compare", "no-such-commit"]) == 2
+    error = capsys.readouterr().err
+    assert error.startswith("error: 'no-such-commit' is no commit of") and error.count("\n") == 1
+
+
+def test_an_unknown_stage_is_named(capsys):
+    with pytest.raises(SystemExit):
+        program.main(["compare", "HEAD", "--stages", "drop,nap"])
+    assert "no stage nap: choose from import, hulls, drop" in capsys.readouterr().err
+
+
+@pytest.mark.slow
+def test_a_commit_takes_as_long_as_itself():
+    """Against HEAD itself. Processor time of equal code differs by what shares the caches: by up to
+    a tenth in two rounds on a busy machine. A factor of 1.5 is far from that, and far from a ratio
+    that is upside down, of different work, or of compiling, which takes decode fifty times as long.
+    """
+    found = compare(
+        ROOT, "HEAD", stages=("import", "decode"), minutes=1, path=None, on_progress=print
+    )
+    rows = summarise(found)
+    assert {row["row"] for row in rows} == {
+        *("import graycast", "graycast --help", "decode", "peak memory [MB]")
+    }
+    assert all(1 / 1.5 < row["ratio"] < 1.5 for row in rows), table(rows)

@@ -35,6 +35,7 @@ from ..optics import relative_illumination
 from ..scene import Layout, Scene
 from .denoise import denoised, open_denoiser
 from .mitsuba_paths import Tracer
+from .mitsuba_patterns import aligned
 from .mitsuba_scene import PartShape, build
 from .mitsuba_truth import truth
 from .radiance import Denoiser, OnPass, Quality, Radiance, Renderer, Rendering, refuse_other_size
@@ -136,7 +137,8 @@ def light(
     paths = Tracer(world, scene, pattern, quality).trace(seed, on_pass)
 
     # The kernel of the paths also scales the sums and lays them out, with all of its threads.
-    share = mi.Float((relative_illumination(camera) / quality.samples).ravel())
+    falloff = relative_illumination(camera) / quality.samples
+    share = mi.Float(aligned(falloff.astype(np.float32)))
     white, ambient = paths.white * share, paths.ambient * share
     passed = mi.Color3f(scene.rig.passed_bands)
     stack = dr.ravel(mi.ArrayXf([channel * share for channel in paths.pattern]), "C")

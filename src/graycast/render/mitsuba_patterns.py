@@ -26,10 +26,23 @@ def packed(pattern: np.ndarray, rig: Rig) -> tuple[list[mi.UInt32], int]:
     for first in range(0, len(pattern), per_word):
         word = mi.UInt32(0)
         for k, image in enumerate(pattern[first : first + per_word]):
-            word |= dr.gather(mi.UInt32, level, mi.UInt32(mi.UInt8(image.ravel()))) << k * bits_each
+            grey = mi.UInt32(mi.UInt8(aligned(image)))
+            word |= dr.gather(mi.UInt32, level, grey) << k * bits_each
         words.append(word)
     dr.eval(words)
     return words, bits_each
+
+
+def aligned(values: np.ndarray) -> np.ndarray:
+    """A flat copy that begins at a multiple of 64 bytes.
+
+    Dr.Jit computes on NumPy's own memory, and compiles another kernel where that begins elsewhere.
+    """
+    room = np.empty(values.nbytes + 64, dtype=np.uint8)
+    first = -room.ctypes.data % 64
+    copy = room[first : first + values.nbytes].view(values.dtype)
+    copy[:] = values.ravel()
+    return copy
 
 
 def bit_counts(words: list[mi.UInt32]) -> list[mi.UInt32]:

@@ -175,14 +175,14 @@ def test_what_damping_alone_holds_is_found_when_it_is_let_go(monkeypatch):
     assert layout.at_rest
 
 
-def test_motion_is_that_of_the_farthest_point_since_any_look():
-    """Oracle: a turn by a about a corner moves the far end of a 60 mm side by 2 L sin(a / 2)."""
+def test_motion_is_that_of_the_farthest_point_since_each_look():
+    """Oracle: a turn by a about a corner moves the far end of a diagonal by 2 L sin(a / 2)."""
     body = body_of_box((0.06, 0.02, 0.02))
     corner = np.array([-0.03, -0.01, -0.01])
     turns = [axis_rotation("z", a) for a in (0.0, 0.4, 0.1)]
     T = np.stack([rigid(turn, corner - turn @ corner)[None] for turn in turns])
-    far_m = 2 * np.hypot(0.06, 0.02) * np.sin(0.3 / 2)  # from 0.4 to 0.1 rad
-    assert motion_m(T, body.box_m[None]) == pytest.approx([far_m])
+    far_m = 2 * np.hypot(0.06, 0.02) * np.sin(np.array([[0.1], [0.3], [0.0]]) / 2)  # to 0.1 rad
+    assert motion_m(T, body.box_m[None]) == pytest.approx(far_m)
 
 
 @pytest.mark.slow

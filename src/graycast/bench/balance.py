@@ -54,7 +54,7 @@ def unbalanced_m(
         body = data.body(f"part {i}")
         T[:3, :3], T[:3, 3] = body.xmat.reshape(3, 3), body.xpos
     box_m = np.stack([body.box_m for body in bodies])[layout.part_index]
-    return motion_m(np.stack([layout.T_world_part, end]), box_m)
+    return motion_m(np.stack([layout.T_world_part, end]), box_m)[0]
 
 
 def _spec(box: Bin, bodies: tuple[Body, ...], layout: Layout):

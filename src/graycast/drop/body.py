@@ -70,15 +70,16 @@ def body_of(part: Part, hulls: tuple[Hull, ...]) -> Body:
 
 def motion_m(
     T_world_part: Float[np.ndarray, "t n 4 4"], box_m: Float[np.ndarray, "n 8 3"]
-) -> Float[np.ndarray, " n"]:
-    """The largest distance of a point of each part from its position in the last pose [m].
+) -> Float[np.ndarray, "t n"]:
+    """The largest distance of a point of each part, in each pose, from where it is in the last [m].
 
     `box_m` are corners of a box about each part, in its frame. Distance from a fixed pose is a
     convex function of the point, so no point in the box was farther than a corner.
     """
-    corner_m = np.einsum("tnij,nkj->tnki", T_world_part[..., :3, :3], box_m)
+    corner_m = box_m @ np.swapaxes(T_world_part[..., :3, :3], -1, -2)
     corner_m += T_world_part[:, :, None, :3, 3]
-    return np.linalg.norm(corner_m - corner_m[-1], axis=-1).max(axis=(0, 2))
+    away_m = corner_m - corner_m[-1]
+    return np.sqrt(np.einsum("tnki,tnki->tnk", away_m, away_m).max(axis=2))
 
 
 def parts_outside(

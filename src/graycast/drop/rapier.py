@@ -18,7 +18,7 @@ import rapier3d
 from jaxtyping import Float, Int
 from scipy.spatial.transform import Rotation
 
-from ..frames import rigid, rotation_from_quaternion
+from ..frames import rotation_from_quaternion
 from ..parts import Mesh
 from ..scene import Bin
 from .body import Body
@@ -87,7 +87,7 @@ class Heap:
         """A part's pose, its origin's velocity [m/s], and how it turns [rad/s], in the world."""
         body = self.world.rigid_bodies[self.parts[number]]
         at_origin = body.velocity_at_point(body.position.translation.to_tuple())
-        return _pose(body), _three(at_origin) / SCALE, _three(body.angvel)
+        return _poses([body])[0], _three(at_origin) / SCALE, _three(body.angvel)
 
     def push(
         self, number: int, force_n: Float[np.ndarray, "3"], moment_nm: Float[np.ndarray, "3"]
@@ -108,10 +108,7 @@ class Heap:
             body.angular_damping = ANGULAR_DAMPING * own
 
     def poses(self) -> Float[np.ndarray, "n 4 4"]:
-        T = np.empty((len(self.parts), 4, 4))
-        for i, handle in enumerate(self.parts):
-            T[i] = _pose(self.world.rigid_bodies[handle])
-        return T
+        return _poses([self.world.rigid_bodies[handle] for handle in self.parts])
 
 
 def open_heap(
@@ -246,10 +243,14 @@ def _mass_properties(body: Body) -> rapier3d.MassProperties:
     )
 
 
-def _pose(body: rapier3d.RigidBody) -> Float[np.ndarray, "4 4"]:
-    q = body.position.rotation
-    R = rotation_from_quaternion(np.array([q.i, q.j, q.k, q.w]))
-    return rigid(R, np.array(body.position.translation.to_tuple()) / SCALE)
+def _poses(bodies: list[rapier3d.RigidBody]) -> Float[np.ndarray, "n 4 4"]:
+    places = [body.position for body in bodies]
+    turns = [(q.i, q.j, q.k, q.w) for q in (place.rotation for place in places)]
+    T = np.tile(np.eye(4), (len(bodies), 1, 1))
+    T[:, :3, :3] = rotation_from_quaternion(np.array(turns).reshape(-1, 4))
+    at = [place.translation.to_tuple() for place in places]
+    T[:, :3, 3] = np.array(at).reshape(-1, 3) / SCALE
+    return T
 
 
 def _three(vector: rapier3d.Vec3) -> Float[np.ndarray, "3"]:

@@ -118,9 +118,8 @@ def _rest(
         heap.damp(np.where(damped_looks > 0, factor, 0.0))
         heap.run(LOOK_S)
         seen.append(heap.poses())
-        poses = np.stack(seen)
-        moved_m = motion_m(poses, box_m)
-        lately_m = motion_m(poses[-1 - PLACE_LOOKS :], box_m)
+        away_m = motion_m(np.stack(seen), box_m)
+        moved_m, lately_m = away_m.max(axis=0), away_m[-1 - PLACE_LOOKS :].max(axis=0)
         on_its_way = (moved_m > REST_MOTION_M) & (lately_m > PLACE_MOTION_M)
         damped_looks = np.where(on_its_way, damped_looks + 1, 0)
         free_looks = 0 if on_its_way.any() else free_looks + 1

@@ -1,4 +1,4 @@
-"""`python -m benchmarks compare --help` explains itself."""
+"""`python -m benchmarks --help` and the `--help` of its commands explain themselves."""
 
 import argparse
 import json
@@ -7,10 +7,12 @@ import platform
 import re
 import signal
 import sys
+import textwrap
 from datetime import UTC, datetime
 from pathlib import Path
 
 from .compare import CompareError, commit_of, compare, git, summarise, table
+from .page import page
 from .stages import STAGES
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -29,6 +31,11 @@ be noise: time that stage alone, which gives it more rounds.
 """
 
 
+PAGE = """\
+Measure every figure of docs/benchmarks.md, and write the page with the date, the commit and the
+machine. It takes 8 minutes on two processors, which should have nothing else to do."""
+
+
 def parsed(words: list[str] | None) -> argparse.Namespace:
     parser = argparse.ArgumentParser(prog="python -m benchmarks")
     commands = parser.add_subparsers(required=True)
@@ -44,7 +51,15 @@ def parsed(words: list[str] | None) -> argparse.Namespace:
     path = "packages for the other commit alone, from pip install --no-deps --target DIR"
     one.add_argument("--path", type=Path, metavar="DIR", help=path)
     one.add_argument("--json", type=Path, metavar="FILE", help="write all figures to a file")
+    one.set_defaults(run=run_compare)
+    other = commands.add_parser(
+        "page", help="measure and write docs/benchmarks.md", description=PAGE
+    )
+    other.add_argument("--out", type=Path, default=ROOT / "docs" / "benchmarks.md", metavar="FILE")
+    other.set_defaults(run=run_page)
     args = parser.parse_args(words)
+    if args.run is run_page:
+        return args
     args.stages = args.stages.split(",")
     if unknown := set(args.stages) - set(STAGES):
         one.error(f"no stage {', '.join(sorted(unknown))}: choose from {', '.join(STAGES)}")
@@ -53,7 +68,9 @@ def parsed(words: list[str] | None) -> argparse.Namespace:
 
 def circumstances() -> dict[str, object]:
     cpu = re.search(r"model name\s*: (.*)", Path("/proc/cpuinfo").read_text())
+    memory_bytes = os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
     own = {"cpu": cpu[1] if cpu else platform.machine(), "cores": os.cpu_count()}
+    own |= {"memory_gib": round(memory_bytes / 2**30)}
     now = datetime.now(UTC).isoformat(timespec="seconds")
     return {"date": now, "python": platform.python_version()} | own
 
@@ -62,8 +79,28 @@ def show(text: str) -> None:
     print(f"\r{text[:99]:<99}\r", end="", file=sys.stderr, flush=True)
 
 
+def run_page(args: argparse.Namespace) -> int:
+    texts = []
+    commit = git(ROOT, "describe", "--always", "--dirty")
+    for number, (heading, text) in enumerate(page(ROOT, circumstances(), commit)):
+        show(f"{heading} is measured")
+        paragraphs = [
+            textwrap.fill(part, 120, break_on_hyphens=False) if part[0] != "|" else part
+            for part in text.split("\n\n")
+        ]
+        texts.append(f"{'##' if number else '#'} {heading}\n\n" + "\n\n".join(paragraphs) + "\n")
+    show("")
+    args.out.write_text("\n".join(texts), encoding="utf-8")
+    print(args.out)
+    return 0
+
+
 def main(words: list[str] | None = None) -> int:
     args = parsed(words)
+    return args.run(args)
+
+
+def run_compare(args: argparse.Namespace) -> int:
     chosen = {"stages": args.stages, "minutes": args.minutes, "path": args.path}
     present = {"here": git(ROOT, "rev-parse", "HEAD"), "changed": git(ROOT, "status", "--short")}
     try:

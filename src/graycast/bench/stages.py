@@ -137,8 +137,8 @@ def _decode_by_opencv(frames: UInt8[np.ndarray, "n h w"], code: Code, decode_s: 
 
     if not hasattr(cv2, "structured_light"):
         missing = (
-            "not measured: this OpenCV has no structured_light; docs/benchmarks.md says how to "
-            "install opencv-contrib-python-headless in its place"
+            "not measured: this OpenCV has no structured_light: run pip install --force-reinstall "
+            "--no-deps opencv-contrib-python-headless"
         )
         return {"opencv_over_decode": missing}
     pattern = cv2.structured_light.GrayCodePattern.create(code.width_px, code.height_px)

@@ -17,9 +17,9 @@ Rows = list[list[str]]
 INTRODUCTION = """\
 `python -m benchmarks page` measures every figure of this page anew and writes the page. It was
 written on {date} at commit `{commit}` on a machine with {cores} processors ({cpu}),
-{memory_gib} GiB, Python {python} and no GPU. Ratios can be expected to hold on other machines; seconds cannot.
-`python -m benchmarks compare REV` holds every stage against another commit. Figures of a GPU are in
-[many-scenes.md](many-scenes.md#on-a-gpu), those of Blender Cycles in
+{memory_gib} GiB, Python {python} and no GPU. Ratios can be expected to hold on other machines;
+seconds cannot. `python -m benchmarks compare REV` holds every stage against another commit. Figures
+of a GPU are in [many-scenes.md](many-scenes.md#on-a-gpu), those of Blender Cycles in
 [backends.md](backends.md#measured)."""
 
 
@@ -39,7 +39,7 @@ def page(root: Path, circumstances: dict[str, object], commit: str) -> Iterator[
         "Decoding": decoding,
         "Convex hulls": hulls,
     }
-    yield "Benchmarks", INTRODUCTION.format(**circumstances, commit=commit)
+    yield "Benchmarks", INTRODUCTION.format(**circumstances, commit=commit).replace("\n", " ")
     for heading, measure in sections.items():
         yield heading, measure()
 

@@ -11,7 +11,7 @@ from typing import Any
 
 DROPS, SEEDS = (30, 100, 180, 255), range(1, 6)
 PAPER = ("metal_workpiece_1", "toothpaste")
-SCENES = 5  # of each paper configuration, after one that compiles
+SCENES = 3  # of each paper configuration, after one that compiles
 Rows = list[list[str]]
 
 INTRODUCTION = """\

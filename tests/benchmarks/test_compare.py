@@ -146,13 +146,13 @@ def test_an_unknown_stage_is_named(capsys):
 def test_a_commit_takes_as_long_as_itself():
     """Against HEAD itself. Processor time of equal code differs by what shares the caches: by up to
     a tenth in two rounds on a busy machine. A factor of 1.5 is far from that, and far from a ratio
-    that is upside down, of different work, or of compiling, which takes decode fifty times as long.
+    of different work. The imports alone, since other stages render first.
     """
-    found = compare(
-        ROOT, "HEAD", stages=("import", "decode"), minutes=1, path=None, on_progress=print
-    )
+    found = compare(ROOT, "HEAD", stages=("import",), minutes=0.1, path=None, on_progress=print)
     rows = summarise(found)
     assert {row["row"] for row in rows} == {
-        *("import graycast", "graycast --help", "decode", "peak memory [MB]")
+        "import graycast",
+        "graycast --help",
+        "peak memory [MB]",
     }
     assert all(1 / 1.5 < row["ratio"] < 1.5 for row in rows), table(rows)

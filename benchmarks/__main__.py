@@ -82,8 +82,7 @@ def show(text: str) -> None:
 def run_page(args: argparse.Namespace) -> int:
     texts = []
     commit = git(ROOT, "describe", "--always", "--dirty")
-    today = circumstances() | {"date": datetime.now(UTC).date().isoformat()}
-    for number, (heading, text) in enumerate(page(ROOT, today, commit)):
+    for number, (heading, text) in enumerate(page(ROOT, circumstances(), commit)):
         show(f"{heading} is measured")
         paragraphs = [
             textwrap.fill(part, 120, break_on_hyphens=False) if part[0] != "|" else part

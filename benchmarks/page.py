@@ -16,7 +16,7 @@ Rows = list[list[str]]
 
 INTRODUCTION = """\
 `python -m benchmarks page` measures every figure of this page anew and writes the page. It was
-written on {date} at commit `{commit}` on a machine with {cores} processors ({cpu}),
+written on {date:.10} at commit `{commit}` on a machine with {cores} processors ({cpu}),
 {memory_gib} GiB, Python {python} and no GPU. Ratios can be expected to hold on other machines;
 seconds cannot. `python -m benchmarks compare REV` holds every stage against another commit. Figures
 of a GPU are in [many-scenes.md](many-scenes.md#on-a-gpu), those of Blender Cycles in

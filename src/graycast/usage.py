@@ -5,7 +5,6 @@ import resource
 import threading
 import time
 from pathlib import Path
-from types import TracebackType
 
 _TICKS_PER_S = os.sysconf("SC_CLK_TCK")
 
@@ -66,12 +65,7 @@ class GpuWatch:
         self._thread.start()
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *error: object) -> None:
         self._ended.set()
         self._thread.join()
 

@@ -157,8 +157,8 @@ def test_a_bolt_on_the_floor_comes_to_rest_on_head_and_shank(bolt, tilt_rad):
 
 
 def test_what_damping_alone_holds_is_found_when_it_is_let_go(monkeypatch):
-    """Down 15.5 degrees a slab slides 75 mm in 0.6 s; damped by 1e4 it creeps 0.07 mm in 0.4 s."""
-    monkeypatch.setattr(rapier, "LINEAR_DAMPING", 1e4)
+    """Down 15.5 degrees a slab slides 75 mm in 0.6 s; damped by 1e5 it creeps 0.06 mm in 0.6 s."""
+    monkeypatch.setattr(rapier, "LINEAR_DAMPING", 1e5)
     upright, angle = rapier._world, np.deg2rad(15.5)
 
     def tilted(stage):
@@ -173,6 +173,59 @@ def test_what_damping_alone_holds_is_found_when_it_is_let_go(monkeypatch):
     monkeypatch.setattr(rest, "REST_MOTION_M", 1.0)  # nobody looks
     layout = simulate(box, (body,), at(-0.1, 0, 0.0052), np.zeros(1, int), simulated_s=2.0)
     assert layout.at_rest
+
+
+def test_what_leaves_its_place_slowly_does_not_rest(monkeypatch):
+    """A tenth of a degree beyond what nine tenths of the friction hold, a slab slides 0.2 mm in the
+    first 0.2 s, in which what rests moves by 0.01 mm at most, and 0.54 mm in 0.6 s.
+    """
+    upright, angle = rapier._world, np.deg2rad(13.2)
+
+    def tilted(terms):
+        world = upright(terms)
+        world.gravity = tuple(196.2 * np.array([np.sin(angle), 0.0, -np.cos(angle)]))
+        return world
+
+    monkeypatch.setattr(rapier, "_world", tilted)
+    box, body = Bin(inner_m=(0.4, 0.3, 0.1), friction=0.2), body_of_box((0.06, 0.06, 0.01), 0.4)
+    layout = simulate(box, (body,), at(-0.1, 0, 0.0052), np.zeros(1, int), simulated_s=1.0)
+    assert not layout.at_rest
+
+
+class Scripted(rapier.Heap):
+    """A heap whose parts are at these heights [m] at each look; it notes how they are damped."""
+
+    def __init__(self, height_m):
+        object.__setattr__(self, "world", None)
+        script = {"height_m": np.array(height_m), "look": 0, "factors": []}
+        object.__setattr__(self, "parts", script)
+
+    def damp(self, factor):
+        self.parts["factors"].append(factor.tolist())
+
+    def run(self, seconds):
+        self.parts["look"] += 1
+
+    def poses(self):
+        look = min(self.parts["look"], len(self.parts["height_m"]) - 1)
+        return np.concatenate([at(0, 0, z) for z in self.parts["height_m"][look]])
+
+
+def test_only_a_part_on_its_way_is_damped_and_rest_counts_from_when_none_is():
+    """One of two parts sinks by 1 mm a look for ten looks. Oracle: by hand. It has left its place
+    at look 1, and come to another at look 15, which sees five looks without motion; five looks
+    without damping end at look 19. It is damped from look 2 to look 15, the other part never.
+    """
+    sinking = [(0.1 - 1e-3 * min(look, 10), 0.1) for look in range(30)]
+    heap = Scripted(sinking)
+    box_m = np.stack([body_of_box((0.04,) * 3).box_m] * 2)
+    end, _, seconds, rests = rest._rest(heap, box_m, 5.0)
+    assert rests and seconds == pytest.approx(19 * rest.LOOK_S)
+    assert end[:, 2, 3] == pytest.approx([0.09, 0.1])
+    factors = np.array(heap.parts["factors"])
+    assert np.flatnonzero(factors[:, 0]).tolist() == list(range(1, 15))
+    assert not factors[:, 1].any()
+    assert factors[1:6, 0].tolist() == [1.0] * 5 and (np.diff(factors[10:15, 0]) > 0).all()
 
 
 def test_motion_is_that_of_the_farthest_point_since_each_look():

@@ -1,0 +1,36 @@
+"""Open Image Denoise, as the library's own shortcut uses it, and where there is no GPU."""
+
+import numpy as np
+import pyoidn
+import pytest
+
+from graycast.render.denoise import OpenImageDenoise, denoise, open_denoiser
+
+
+def noisy_wall(h, w):
+    """A wall that gets brighter to the right, with noise of a tenth."""
+    rng = np.random.default_rng(0)
+    clean = np.repeat(np.tile(np.linspace(0.4, 0.6, w), (h, 1))[..., None], 3, axis=2)
+    normal = np.broadcast_to([0.0, 0.0, -1.0], clean.shape)
+    return clean, clean + rng.normal(0, 0.1, clean.shape), np.full(clean.shape, 0.5), normal
+
+
+def test_noise_goes_light_stays_and_another_size_gets_a_network_of_its_own():
+    by = open_denoiser("cpu")
+    for h, w in ((48, 64), (48, 64), (64, 48)):
+        clean, noisy, albedo, normal = noisy_wall(h, w)
+        result = denoise(noisy, albedo, normal, by)
+        assert (result - clean).std() < 0.03 < (noisy - clean).std()
+        assert result.mean() == pytest.approx(clean.mean(), abs=0.01)
+        inputs = [np.ascontiguousarray(x, dtype=np.float32) for x in (noisy, albedo, normal)]
+        assert np.array_equal(result, pyoidn.denoise(*inputs, hdr=True))
+
+
+def test_where_the_gpu_cannot_denoise_the_processor_does_and_one_line_says_so(monkeypatch, caplog):
+    monkeypatch.setattr(pyoidn.Device, "is_cuda_available", staticmethod(lambda: False))
+    by = open_denoiser("cuda")
+    assert isinstance(by, OpenImageDenoise) and by.device == "cpu"
+    (record,) = caplog.records
+    assert "denoised on the processor, because the GPU cannot" in record.getMessage()
+    open_denoiser("cpu")
+    assert len(caplog.records) == 1

@@ -168,8 +168,9 @@ class Layout:
 
     `part_index[i]` indexes `Scene.parts`; instance i has the pose `T_world_part[i]`. The numbers
     are what an acceptance test needs: nobody has judged them yet. `last_motion_m` is how far a
-    point of a part was from its place within the last 0.6 s. Penetration is that of the collision
-    hulls, which may lie inside a curved surface by half a millimetre.
+    point of a part was from its place within the last 0.6 s, or 0.2 s if that showed rest.
+    Penetration is that of the collision hulls, which may lie inside a curved surface by half a
+    millimetre.
     """
 
     T_world_part: Float[np.ndarray, "n 4 4"]

@@ -63,6 +63,7 @@ def test_a_dropped_box_rests_flat_at_half_its_side():
     )  # fmt: skip
     (T,) = layout.T_world_part
     assert layout.at_rest and layout.outside == 0
+    assert layout.last_motion_m <= rest.STILL_MOTION_M
     assert T[2, 3] == pytest.approx(0.02, abs=0.3e-3)
     assert np.abs(T[2, :3]).max() == pytest.approx(1, abs=1e-5)  # one of its axes is upright
     assert layout.deepest_penetration_m < 0.1e-3
@@ -219,7 +220,8 @@ def test_only_a_part_on_its_way_is_damped_and_rest_counts_from_when_none_is():
     sinking = [(0.1 - 1e-3 * min(look, 10), 0.1) for look in range(30)]
     heap = Scripted(sinking)
     box_m = np.stack([body_of_box((0.04,) * 3).box_m] * 2)
-    end, _, seconds, rests = rest._rest(heap, box_m, 5.0)
+    end, last_m, seconds, rests = rest._rest(heap, box_m, 5.0)
+    assert last_m == 0  # in the 0.2 s that showed rest, not in the fall before them
     assert rests and seconds == pytest.approx(19 * rest.LOOK_S)
     assert end[:, 2, 3] == pytest.approx([0.09, 0.1])
     factors = np.array(heap.parts["factors"])

@@ -105,6 +105,8 @@ def _rest(
 ) -> tuple[Float[np.ndarray, "n 4 4"], float, float, bool]:
     """Poses, how far a point moved last [m], simulated time [s], and whether the parts rest.
 
+    The motion is that of the last 0.6 s, or of the last 0.2 s if these showed that all parts rest.
+
     They rest where, with no part damped, none moved farther than `REST_MOTION_M` in `REST_LOOKS`,
     or `STILL_MOTION_M` in `PLACE_LOOKS`. A part is damped from when it has left its place until it
     has come to another.
@@ -126,13 +128,16 @@ def _rest(
         holds = free_looks >= REST_LOOKS and moved_m.max() <= REST_MOTION_M
         still = free_looks >= PLACE_LOOKS and lately_m.max() <= STILL_MOTION_M
         rests = bool(holds or still)
-    return seen[-1], float(moved_m.max()), look * LOOK_S, rests
+    last_m = lately_m if still else moved_m
+    return seen[-1], float(last_m.max()), look * LOOK_S, rests
 
 
 def _looks(seconds: float) -> int:
     return max(1, round(seconds / LOOK_S))
 
 
-def _damping(time_s: Float[np.ndarray, " n"] | float, from_s: float, doubles_s: float):
+def _damping(
+    time_s: Float[np.ndarray, " n"] | float, from_s: float, doubles_s: float
+) -> np.ndarray | np.floating:
     """The factor of damping after some time [s], 1 to `MOST_DAMPING`."""
     return np.clip(2.0 ** ((time_s - from_s) / doubles_s), 1.0, MOST_DAMPING)

@@ -277,6 +277,14 @@ def test_a_trial_that_went_well_is_not_made_again_until_the_machine_changes(monk
     assert len(made) == 2
 
 
+def test_a_good_device_is_used_also_where_no_file_can_be_kept(monkeypatch, tmp_path):
+    (tmp_path / "home").write_text("a file in the place of a folder")
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "home"))
+    good = trial.Trial(device="cuda", seconds=1.0, denoiser="cuda")
+    monkeypatch.setattr(trial, "try_device", lambda name: good)
+    assert trial.tried_before("cuda", "driver 1") == good
+
+
 @pytest.mark.slow
 def test_a_small_picture_is_rendered_and_denoised_on_the_processor():
     found = trial.try_device("llvm")

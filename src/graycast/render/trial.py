@@ -12,10 +12,12 @@ import subprocess
 import sys
 import time
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import asdict, dataclass, replace
 from importlib.metadata import version
 
 from .. import __version__
+from ..errors import GraycastError
 from ..folder import cache_folder, write_whole
 from ..optics import Optics
 
@@ -69,8 +71,9 @@ def tried_before(device: str, machine: object) -> Trial:
     except (OSError, ValueError, TypeError):  # it was not tried yet, or the file is damaged
         trial = try_device(device)
     if trial.problem is None:
-        file.parent.mkdir(parents=True, exist_ok=True)
-        write_whole(file, json.dumps(asdict(trial)).encode())
+        with suppress(OSError, GraycastError):  # where no file can be kept, the next process tries again
+            file.parent.mkdir(parents=True, exist_ok=True)
+            write_whole(file, json.dumps(asdict(trial)).encode())
     return trial
 
 

@@ -71,7 +71,7 @@ def tried_before(device: str, machine: object) -> Trial:
     except (OSError, ValueError, TypeError):  # it was not tried yet, or the file is damaged
         trial = try_device(device)
     if trial.problem is None:
-        with suppress(OSError, GraycastError):  # where no file can be kept, the next process tries again
+        with suppress(OSError, GraycastError):  # without a file the next process tries again
             file.parent.mkdir(parents=True, exist_ok=True)
             write_whole(file, json.dumps(asdict(trial)).encode())
     return trial

@@ -39,31 +39,58 @@ machine. It takes 8 minutes on two processors, which should have nothing else to
 def parsed(words: list[str] | None) -> argparse.Namespace:
     parser = argparse.ArgumentParser(prog="python -m benchmarks")
     commands = parser.add_subparsers(required=True)
-    layout = argparse.RawDescriptionHelpFormatter
     one = commands.add_parser(
-        "compare", help="time all stages against a commit", description=HELP, formatter_class=layout
+        "compare",
+        help="Time all stages against those of another commit.",
+        description=HELP,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
     )
-    one.add_argument("rev", metavar="REV", help="hash, tag or branch of the other commit")
-    minutes = "rounds are begun while they fit into this time, two in any case (default: 10)"
-    one.add_argument("--minutes", type=float, default=10, metavar="M", help=minutes)
-    stages = f"some of {','.join(STAGES)} (default: all)"
-    one.add_argument("--stages", default=",".join(STAGES), metavar="S,...", help=stages)
-    path = "packages for the other commit alone, from pip install --no-deps --target DIR"
-    one.add_argument("--path", type=Path, metavar="DIR", help=path)
-    one.add_argument("--json", type=Path, metavar="FILE", help="write all figures to a file")
     one.set_defaults(run=run_compare)
-    other = commands.add_parser(
-        "page", help="measure and write docs/benchmarks.md", description=PAGE
+    one.add_argument("rev", metavar="REV", help="The other commit, by its hash, a tag or a branch.")
+    one.add_argument(
+        "--minutes",
+        type=float,
+        default=10,
+        metavar="M",
+        help="A round is begun if it fits into this time; two rounds always run (default: 10).",
     )
-    other.add_argument("--out", type=Path, default=ROOT / "docs" / "benchmarks.md", metavar="FILE")
+    one.add_argument(
+        "--stages",
+        type=stages,
+        default=STAGES,
+        metavar="S,...",
+        help=f"The stages that are timed, out of {', '.join(STAGES)} (default: all of them).",
+    )
+    one.add_argument(
+        "--path",
+        type=Path,
+        metavar="DIR",
+        help="A folder with packages that only the other commit needs; fill it with "
+        "pip install --no-deps --target DIR.",
+    )
+    one.add_argument(
+        "--json", type=Path, metavar="FILE", help="A file to which all figures are written."
+    )
+    other = commands.add_parser(
+        "page", help="Measure every figure of docs/benchmarks.md.", description=PAGE
+    )
     other.set_defaults(run=run_page)
-    args = parser.parse_args(words)
-    if args.run is run_page:
-        return args
-    args.stages = args.stages.split(",")
-    if unknown := set(args.stages) - set(STAGES):
-        one.error(f"no stage {', '.join(sorted(unknown))}: choose from {', '.join(STAGES)}")
-    return args
+    other.add_argument(
+        "--out",
+        type=Path,
+        default=ROOT / "docs" / "benchmarks.md",
+        metavar="FILE",
+        help="The file to which the page is written (default: docs/benchmarks.md).",
+    )
+    return parser.parse_args(words)
+
+
+def stages(text: str) -> list[str]:
+    chosen = text.split(",")
+    if unknown := set(chosen) - set(STAGES):
+        message = f"no stage {', '.join(sorted(unknown))}: choose from {', '.join(STAGES)}"
+        raise argparse.ArgumentTypeError(message)
+    return chosen
 
 
 def circumstances() -> dict[str, object]:

@@ -7,6 +7,7 @@ cache folder, and is valid until a driver, a GPU or a library changes.
 
 import hashlib
 import json
+import os
 import signal
 import subprocess
 import sys
@@ -44,8 +45,9 @@ def try_device(device: str, *, program: Sequence[str] = ("-m", __spec__.name)) -
     """
     start = time.perf_counter()
     command = [sys.executable, *program, device]
+    env = os.environ | {"PYTHONPATH": os.pathsep.join(filter(None, sys.path))}
     try:
-        child = subprocess.run(command, capture_output=True, text=True, timeout=_LIMIT_S)
+        child = subprocess.run(command, env=env, capture_output=True, text=True, timeout=_LIMIT_S)
     except subprocess.TimeoutExpired:
         problem = f"a small picture was not finished in {_LIMIT_S:.0f} s"
         return Trial(device=device, seconds=time.perf_counter() - start, problem=problem)

@@ -126,7 +126,7 @@ def test_sections_left_out_are_the_values_left_out():
     """A default is stated twice, in words and in values; the two must not drift apart."""
     config, here = least(), Path()
     scanner, own = words.resolve_scanner(config, here), preset("paper")
-    for name in ("code", "sensor", "exposure", "decode", "filters"):
+    for name in ("code", "sensor", "exposure", "decode", "filters", "faults"):
         assert getattr(scanner, name) == getattr(own, name)
     assert words.resolve_quality(config) == Quality()
     assert words.resolve_environment(config.light.environment, here) == Environment()
@@ -400,6 +400,7 @@ def test_every_setting_is_refused_when_it_is_misspelt(tmp_path):
 _PLACES = {
     "": (),
     "FilterSection": ("filters",),
+    "FaultSection": ("faults",),
     "PartSection": ("parts", 0),
     "MaterialSection": ("parts", 0, "material"),
     "SymmetrySection": ("parts", 0, "symmetry"),

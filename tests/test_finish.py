@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from graycast.decode import DepthMap
-from graycast.decode.raster import on_raster
+from graycast.faults import on_raster
 from graycast.finish import PATCH_M, uneven
 
 SHAPE = (400, 420)

@@ -21,6 +21,7 @@ from graycast.dataset import validate
 from graycast.decode import DecodeSpec, FilterSpec
 from graycast.engine import SceneMaker
 from graycast.errors import DatasetError, DropError
+from graycast.faults import FaultSpec
 from graycast.generate import Workers, generate, read_origin, rerender
 from graycast.pattern import CodeSpec
 from graycast.scanner import ExposureSpec, Scanner
@@ -151,6 +152,7 @@ SCANNERS = {
     "exposure": ExposureSpec(target=0.7),
     "decode": DecodeSpec(min_contrast=0.1),
     "filters": FilterSpec(island_px=3),
+    "faults": FaultSpec(raster_px=0.1),
 }
 
 

@@ -37,6 +37,7 @@ ORDER = (
     "photon_transfer",
     "decode",
     "line_noise",
+    "faults",
     "scanner",
     "picture",
     "rig_file",

@@ -90,7 +90,7 @@ def read(path, **changes):
 def same(a, b):
     """Of rigs or of scanners."""
     if isinstance(a, Scanner):
-        others = ("code", "sensor", "exposure", "decode", "filters")
+        others = ("code", "sensor", "exposure", "decode", "filters", "faults")
         return same(a.rig, b.rig) and all(getattr(a, n) == getattr(b, n) for n in others)
     return a.T_cam_proj.tobytes() == b.T_cam_proj.tobytes() and all(
         getattr(a, name) == getattr(b, name) for name in a.__dataclass_fields__ if name[0] != "T"

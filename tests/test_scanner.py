@@ -203,5 +203,5 @@ def test_a_scan_lasts_as_long_as_its_frames():
 
 def test_a_preset_s_raster_is_as_many_millimetres_in_small_maps_as_in_those_of_low_resolution():
     small, low = (preset("phoxi-m", resolution) for resolution in ("small", "low"))
-    place = [s.filters.raster_px / s.rig.camera.fx_px for s in (small, low)]
+    place = [s.faults.raster_px / s.rig.camera.fx_px for s in (small, low)]
     assert place[0] == pytest.approx(place[1], rel=1e-3)

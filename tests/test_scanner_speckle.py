@@ -7,6 +7,7 @@ import pytest
 from stage import in_camera, lambert, leaning_wall
 
 from graycast import scanner as scanner_module
+from graycast.faults import FaultSpec
 from graycast.optics import Optics
 from graycast.render import Quality, Radiance
 from graycast.render.reference import ReferenceRenderer
@@ -162,7 +163,7 @@ def test_the_raster_s_noise_falls_as_speckle_does_from_black_to_white(scanner, l
     for reflectance, rendering in light.items():
         depth_m = {}
         for raster_px in (0.0, 0.5):
-            own = replace(scanner, rig=rig, filters=replace(scanner.filters, raster_px=raster_px))
+            own = replace(scanner, rig=rig, faults=FaultSpec(raster_px=raster_px))
             depth_m[raster_px] = scan(own, rendering.radiance, seed=1).depth.depth_m
         noise_m[reflectance] = np.nanstd((depth_m[0.5] - depth_m[0.0])[2:-2, 2:-2])
     law = material_contrast(np.array([0.7, 0.03]) * cosine, 5.0)

@@ -11,6 +11,7 @@ from pydantic import Field, ValidationError
 
 from graycast.config import load_config
 from graycast.decode import DecodeSpec, FilterSpec
+from graycast.faults import FaultSpec
 from graycast.pattern import CodeSpec
 from graycast.rig_file.own import OpticsModel, RigModel
 from graycast.rig_file.sections import ScannerSections
@@ -27,6 +28,7 @@ SPECS = {
     "sensor": SensorSpec,
     "decode": DecodeSpec,
     "filters": FilterSpec,
+    "faults": FaultSpec,
 }
 
 

@@ -47,7 +47,8 @@ What is simulated:
     photon_transfer  properties of a sensor, measured from flat fields
     decode           from pictures to projector positions and depth: Capture -> DepthMap
     line_noise       uneven projector lines, and their effect on decoded positions
-    scanner          a rig with its code, sensor, exposure, decoder and filters
+    faults           faults of a device's depth, for simulated scans
+    scanner          a rig with its code, sensor, exposure, decoder, filters and faults
     picture          the colour picture and the grey picture of the measuring camera
     rig_file         scanners in files, and imported calibrations
     stack            pictures of real scanners: description, decoding, results
@@ -109,6 +110,7 @@ if TYPE_CHECKING:  # for type checkers and editors; `_MODULE` says the same to P
     from .decode import Reason as Reason
     from .decode import triangulate as triangulate
     from .errors import GraycastError as GraycastError
+    from .faults import FaultSpec as FaultSpec
     from .generate import Workers as Workers
     from .generate import save_scene as save_scene
     from .parts import Material as Material
@@ -160,6 +162,7 @@ _MODULE = {
             "triangulate",
         ),
         "errors": ("GraycastError",),
+        "faults": ("FaultSpec",),
         "generate": ("Workers", "save_scene"),
         "parts": ("Material", "Mesh", "Part", "builtin_part", "load_part"),
         "pattern": ("Code", "CodeSpec", "Frame"),

@@ -307,7 +307,7 @@ def _takers(cell: Cell) -> tuple[Taker, ...]:
 
 def described_scanner(scanner: Scanner) -> dict[str, Any]:
     """What a preset or a rig file says beside its rig, which the store keeps itself."""
-    names = ("code", "sensor", "exposure", "decode", "filters")
+    names = ("code", "sensor", "exposure", "decode", "filters", "faults")
     return {name: described_values(getattr(scanner, name)) for name in names}
 
 

@@ -1,4 +1,4 @@
-"""A scanner: a rig with its code, sensor, exposure and what it does to its depth; presets of them.
+"""A scanner: a rig with its code, sensor, exposure, filters and faults; presets of them.
 
 The whole way from light to depth is two functions: `take` and `measure`.
 """
@@ -25,6 +25,7 @@ from .decode import (
     triangulation_axis,
     with_displacement,
 )
+from .faults import FaultSpec, with_faults
 from .finish import PATCH_M, uneven
 from .frames import pixel_grid
 from .line_noise import lines_seen, place_sigma_px, with_line_noise
@@ -73,6 +74,7 @@ class Scanner:
     exposure: ExposureSpec = field(default_factory=ExposureSpec)
     decode: DecodeSpec = field(default_factory=DecodeSpec)
     filters: FilterSpec = field(default_factory=FilterSpec)
+    faults: FaultSpec = field(default_factory=FaultSpec)
 
     def __post_init__(self) -> None:
         camera = self.rig.camera
@@ -177,7 +179,10 @@ def scan_seconds(scanner: Scanner, capture: Capture, *, readout_s: float) -> flo
 
 
 def measure(scanner: Scanner, capture: Capture) -> tuple[CodeMap, DepthMap]:
-    """Pictures to projector positions to depth, filtered as the scanner does."""
+    """Simulated pictures to projector positions to depth, with the scanner's filters and faults.
+
+    `stack.decode_stack` is the function for real pictures.
+    """
     codes = decode(capture.frames, scanner.light_code(), scanner.decode, levels_of(scanner.sensor))
     depth = triangulate(codes, scanner.rig, max_epipolar_px=scanner.decode.max_epipolar_px)
     rig = scanner.rig
@@ -195,7 +200,14 @@ def measure(scanner: Scanner, capture: Capture) -> tuple[CodeMap, DepthMap]:
             np.float32(off_px) * light_contrast,
             place_px=place_sigma_px(scanner.light_code(), triangulation_axis(rig), rig.line_noise),
         )
-    return codes, filter_depth(depth, scanner.filters, rig, light_contrast=light_contrast)
+    depth = with_faults(
+        filter_depth(depth, scanner.filters, rig),
+        scanner.faults,
+        rig.camera,
+        step_angle_deg=scanner.filters.step_angle_deg,
+        light_contrast=light_contrast,
+    )
+    return codes, depth
 
 
 def _of_black(scanner: Scanner) -> float:
@@ -239,7 +251,8 @@ def preset(name: str, resolution: str = "low") -> Scanner:
     """A scanner known by name.
 
     `paper` is the paper's: plain Gray code, no filter. The PhoXi family shows a phase code, whose
-    laser's line is blurred a little, filters its depth and smooths it.
+    laser's line is blurred a little, filters its depth, smooths it and has the faults of a real
+    device.
 
     Args:
         name: one of `rig.PRESETS`.
@@ -279,8 +292,8 @@ def preset(name: str, resolution: str = "low") -> Scanner:
             hidden_sigmas=3.0,
             island_px=30,
             smoothing_px=0.55,
-            raster_px=_PHOXI_RASTER_PX[resolution],
         ),
+        faults=FaultSpec(raster_px=_PHOXI_RASTER_PX[resolution]),
     )
 
 

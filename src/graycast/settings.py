@@ -266,15 +266,23 @@ def _first_problem(error: ValidationError, model: type[Settings]) -> str:
     key = ".".join(_place(model, first["loc"])[0]) or "the file"
     more = f" (and {len(problems) - 1} more)" if len(problems) > 1 else ""
     if first["type"] in _UNKNOWN:
-        known = _place(model, first["loc"][:-1])[1]
-        near = difflib.get_close_matches(str(first["loc"][-1]), known, n=1)
-        hint = f"did you mean {near[0]}?" if near else f"the keys are {', '.join(known)}"
-        return f"unknown key {key}: {hint}{more}"
+        return f"unknown key {key}: {_hint(model, first['loc'])}{more}"
     if first["type"] == "missing":
         return f"{key} is missing: add it{more}"
     if isinstance(first["input"], Mapping):
         return f"{key}: {first['msg'].removeprefix('Value error, ')}{more}"
     return f"{key} is {first['input']!r}: {_reason(first['msg'])}{more}"
+
+
+def _hint(model: type[Settings], location: tuple[int | str, ...]) -> str:
+    """Where a key belongs that stands in the wrong section, or which key is meant."""
+    *above, key = location
+    known = _place(model, tuple(above))[1]
+    for section in _place(model, tuple(above[:-1]))[1] if above else ():
+        if key in _place(model, (*above[:-1], section))[1]:
+            return f"it belongs to the section {section}, so move it there"
+    near = difflib.get_close_matches(str(key), known, n=1)
+    return f"did you mean {near[0]}?" if near else f"the keys are {', '.join(known)}"
 
 
 # What pydantic calls a key that a section, or a dataclass in its place, does not know.

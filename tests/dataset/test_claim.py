@@ -76,14 +76,7 @@ def test_settings_that_came_later_are_told_where_they_are_on_and_only_there():
         (DecodeSpec(), DecodeSpec(min_sigmas=5.0, settling_votes=14, min_visibility=0.5)),
         (
             FilterSpec(),
-            FilterSpec(
-                outlier_repair=True,
-                hidden_sigmas=3.0,
-                raster_px=0.3,
-                raster_window_px=0.7,
-                raster_limit_m=2e-4,
-                raster_unevenness=0.2,
-            ),
+            FilterSpec(outlier_repair=True, hidden_sigmas=3.0),
         ),
         (
             make_rig(),
@@ -96,12 +89,10 @@ def test_settings_that_came_later_are_told_where_they_are_on_and_only_there():
             ),
         ),
     ):
-        older = {"min_sigmas", "outlier_repair", "hidden_sigmas", "raster_px", "raster_unevenness"}
+        older = {"min_sigmas", "outlier_repair", "hidden_sigmas"}
         older |= {
             "settling_votes",
             "min_visibility",
-            "raster_window_px",
-            "raster_limit_m",
             "speckle_volume",
             "speckle_unevenness",
             "line_noise",
@@ -114,4 +105,4 @@ def test_settings_that_came_later_are_told_where_they_are_on_and_only_there():
     assert rig_of(told).speckle_volume == 2.0
     said = FilterSection(flying_angle_deg=70.0).model_dump(mode="json")
     assert "outlier_repair" not in said and said["flying_angle_deg"] == 70.0
-    assert FilterSection(raster_px=0.0).model_dump()["raster_px"] == 0.0
+    assert FilterSection(hidden_sigmas=0.0).model_dump()["hidden_sigmas"] == 0.0

@@ -90,7 +90,6 @@ def test_maps_that_do_not_fit_are_refused():
         ("island_px", -3),
         ("smoothing_px", 11.0),
         ("hidden_sigmas", -1.0),
-        ("raster_px", 1.5),
         ("step_angle_deg", 90.0),
     ],
 )
@@ -265,44 +264,6 @@ def test_an_outlier_that_no_whole_surface_surrounds_goes_in_spite_of_repair():
     lone[98:100] = np.nan
     lone[100, 120] += 0.02
     assert removed(lone, OUTLIER)[100, 120] and removed(lone, spec)[100, 120]
-
-
-# --- edges -------------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize("azimuth_deg", [0, 90])
-@pytest.mark.parametrize("edge_px", [(0.2, 0.6), (0.6, 0.0), (0.0, 0.4)])
-def test_beside_a_step_the_share_of_lost_pixels_is_the_width(edge_px, azimuth_deg):
-    """Points lie evenly in their pixels, so that share of them is nearer to the step, on either
-    side and independently. What is one pixel farther away stays, and so does a hole's rim.
-    """
-    z_m = plane(20, azimuth_deg)
-    z_m[:, 80:] += 0.05
-    z_m[100:, :] += 0.12  # steps along rows and along columns
-    z_m[20:30, 20:30] = np.nan
-    gone = removed(z_m, FilterSpec(edge_x_px=edge_px[0], edge_y_px=edge_px[1]))
-    beside = np.zeros(SHAPE, dtype=bool)
-    beside[:, 79:81] = beside[99:101] = True
-    assert not gone[~beside].any()
-    along_x = np.delete(gone[:, 79:81], np.s_[97:103], axis=0)
-    along_y = np.delete(gone[99:101], np.s_[77:83], axis=1).T
-    for lost, share in zip((along_x, along_y), edge_px, strict=True):
-        assert lost.mean() == pytest.approx(share, abs=4 * _standard_error(share, lost.size))
-        both = lost.all(axis=1).mean()
-        assert both == pytest.approx(share**2, abs=4 * _standard_error(share**2, len(lost)))
-
-
-def _standard_error(share: float, count: int) -> float:
-    return math.sqrt(share * (1 - share) / count)
-
-
-def test_lost_edges_are_the_same_in_every_shot_and_steep_surfaces_have_none():
-    z_m = plane()
-    z_m[:, 80:] += 0.05
-    once, again = (removed(z_m, FilterSpec(edge_x_px=0.4), seed=seed) for seed in (1, 2))
-    assert once.any()
-    assert np.array_equal(once, again)
-    assert not removed(plane(75, 30), FilterSpec(edge_x_px=1.0, edge_y_px=1.0), seed=1).any()
 
 
 # --- islands -----------------------------------------------------------------------------------

@@ -35,10 +35,6 @@ _LATER = {
     "min_visibility": 0.0,
     "outlier_repair": False,
     "hidden_sigmas": None,
-    "raster_px": None,
-    "raster_window_px": None,
-    "raster_limit_m": None,
-    "raster_unevenness": None,
 }
 _BESIDE = ("fingerprint", "sources", "versions", SUMS)  # what the fingerprint does not cover
 _CLAIMED = (

@@ -1,7 +1,7 @@
 """From a stack of pictures to projector positions to depth, with a reason where there is none."""
 
 from .displaced import with_displacement
-from .filters import FilterSpec, filter_depth
+from .filters import FilterSpec, depth_steps, filter_depth
 from .maps import (
     REASON_COLOR,
     CodeMap,
@@ -29,6 +29,7 @@ __all__ = [
     "Reason",
     "decode",
     "decode_plain",
+    "depth_steps",
     "epipolar_residual_px",
     "filter_depth",
     "levels_of",

@@ -1,4 +1,4 @@
-"""Filters of a depth map: flying pixels, outliers, edges, islands, smoothing, raster, order.
+"""Filters of a depth map: flying pixels, outliers, islands, smoothing, order.
 
 They run in that order; each sees what the ones before it left. None makes depth where there was
 none. Smoothing and the outlier test work on inverse depth, which is linear along a line of pixels
@@ -13,7 +13,7 @@ from typing import Annotated, no_type_check
 
 import numba
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 from pydantic import Field
 
 from ..optics import Optics
@@ -21,7 +21,6 @@ from ..rig import Rig
 from ..settings import check_fields, unsaid
 from .maps import DepthMap, Reason
 from .outliers import find_outliers
-from .raster import on_raster, places
 from .visibility import without_hidden
 
 STEP_SIGMAS = 3.0  # noise up to here neither tears a surface nor makes it steep
@@ -41,17 +40,9 @@ class FilterSpec:
     with `outlier_repair` those within a whole surface get its depth instead.
     `hidden_sigmas`: pixels go that a nearer surface hides from the projector, where positions are
     out of order by more than so many standard deviations (`visibility`).
-    `edge_x_px`, `edge_y_px`: pixels go whose measured point lies nearer than this to a depth step
-    between neighbours in a row, or in a column.
     `island_px`: connected surfaces of fewer pixels go.
     `smoothing_px`: standard deviation of a Gaussian kernel; 0.55 lets 0.56 of white noise pass and
     correlates neighbours by 0.36.
-    `raster_px`: standard deviation of the place in its pixel that a depth is of (see `raster`);
-    `raster_window_px`: standard deviation of the window whose light decides on that place;
-    `raster_window_share`: the share of the place's variance that it decides on;
-    `raster_limit_m`: the standard deviation of depth that this place adds on the steepest surface;
-    `raster_unevenness`: how much `raster_px` differs between patches of a surface (`finish`);
-    `raster_line_unevenness`: how much it differs from pixel to pixel across the projector's lines.
     `step_angle_deg`: neighbours are connected up to this angle of incidence.
     """
 
@@ -97,90 +88,10 @@ class FilterSpec:
             exclude_if=unsaid,
         ),
     ] = None
-    edge_x_px: Annotated[
-        float | None,
-        Field(
-            ge=0,
-            le=1,
-            description="Pixels are removed whose measured point is nearer than this to a depth "
-            "step between neighbours in a row, in pixels; it is the share of pixels beside such "
-            "steps that is removed.",
-            exclude_if=unsaid,
-        ),
-    ] = None
-    edge_y_px: Annotated[
-        float | None,
-        Field(
-            ge=0,
-            le=1,
-            description="Pixels are removed whose measured point is nearer than this to a depth "
-            "step between neighbours in a column, in pixels; it is the share of pixels beside such "
-            "steps that is removed.",
-            exclude_if=unsaid,
-        ),
-    ] = None
     island_px: Annotated[int | None, Field(ge=0, description="surfaces of fewer pixels go")] = None
     smoothing_px: Annotated[
         float | None,
         Field(ge=0, le=10, description="Standard deviation of the smoothing kernel in pixels."),
-    ] = None
-    raster_px: Annotated[
-        float | None,
-        Field(
-            ge=0,
-            le=1,
-            description="standard deviation of the place in its pixel that a depth is of",
-            exclude_if=unsaid,
-        ),
-    ] = None
-    raster_window_px: Annotated[
-        float | None,
-        Field(
-            ge=0.4,
-            le=4,
-            description="Standard deviation of the window whose light decides on the place of a "
-            "depth; without it, the places of neighbouring pixels are independent.",
-            exclude_if=unsaid,
-        ),
-    ] = None
-    raster_window_share: Annotated[
-        float,
-        Field(
-            ge=0,
-            le=1,
-            description="The share of the variance of a place that the window's light decides on; "
-            "the rest is independent from pixel to pixel.",
-            exclude_if=unsaid,
-        ),
-    ] = 1.0
-    raster_limit_m: Annotated[
-        float | None,
-        Field(
-            gt=0,
-            description="The standard deviation of depth that raster_px adds at most, however "
-            "steep a surface is, in metres.",
-            exclude_if=unsaid,
-        ),
-    ] = None
-    raster_unevenness: Annotated[
-        float | None,
-        Field(
-            ge=0,
-            le=1,
-            description="Standard deviation of the natural logarithm of raster_px between "
-            "patches of a surface.",
-            exclude_if=unsaid,
-        ),
-    ] = None
-    raster_line_unevenness: Annotated[
-        float | None,
-        Field(
-            ge=0,
-            le=1,
-            description="Standard deviation of the natural logarithm of raster_px from pixel to "
-            "pixel; pixels of one column that touch have nearly the same.",
-            exclude_if=unsaid,
-        ),
     ] = None
     step_angle_deg: Annotated[
         float,
@@ -200,16 +111,12 @@ def filter_depth(
     depth: DepthMap,
     spec: FilterSpec,
     rig: Rig,
-    *,
-    light_contrast: Float[np.ndarray, "h w"] | float = 1.0,
 ) -> DepthMap:
     """Remove unreliable pixels, and smooth the others.
 
     Args:
         depth: z and its standard deviation [m]; the noise of pixels is taken as independent.
         rig: the camera whose pixels these are, and the projector that may not light all of them.
-        light_contrast: how uneven the light in each pixel is, as a share of a black surface's; it
-            scales the places of `raster_px`.
 
     Returns:
         A depth map in which filtered pixels are NaN with `Reason.OUTLIER`, and `sigma_m` is that
@@ -220,21 +127,21 @@ def filter_depth(
             deviation.
     """
     filtered = _filter_surfaces(depth, spec, rig.camera)
-    if spec.raster_px:
-        filtered = on_raster(
-            filtered,
-            spec.raster_px,
-            window_px=spec.raster_window_px or 0.0,
-            window_share=spec.raster_window_share,
-            light_contrast=light_contrast,
-            limit_m=spec.raster_limit_m or math.inf,
-            unevenness=spec.raster_unevenness or 0.0,
-            line_unevenness=spec.raster_line_unevenness or 0.0,
-            focal_px=rig.camera.fx_px,
-        )
     if spec.hidden_sigmas:
         filtered = without_hidden(filtered, rig, sigmas=spec.hidden_sigmas)
     return filtered
+
+
+def depth_steps(depth: DepthMap, camera: Optics, *, angle_deg: float) -> Bool[np.ndarray, "2 h w"]:
+    """Whether each pixel's right neighbour, and its lower one, belongs to another surface.
+
+    Args:
+        angle_deg: the surface through both would be seen at more than this angle of incidence.
+    """
+    z_m, sigma_m = _framed(depth.depth_m, 1), _framed(depth.sigma_m, 1)
+    fall = np.zeros((2, *z_m.shape), dtype=np.int8)
+    _falls(z_m, sigma_m, _rays(camera, 1), math.tan(math.radians(angle_deg)), fall)
+    return fall[:, 1:-1, 1:-1] != 0
 
 
 def _filter_surfaces(depth: DepthMap, spec: FilterSpec, camera: Optics) -> DepthMap:
@@ -261,10 +168,6 @@ def _filter_surfaces(depth: DepthMap, spec: FilterSpec, camera: Optics) -> Depth
             *_inverse(z_m, sigma_m), *limits, margin_px, spec.outlier_repair, removed
         )
         _repair(z_m, sigma_m, level, spread, margin_px)
-        _erase(z_m, removed, margin_px)
-    if spec.edge_x_px or spec.edge_y_px:
-        edge_px = spec.edge_x_px or 0.0, spec.edge_y_px or 0.0
-        _edges(z_m, sigma_m, rays, step_tan, edge_px, margin_px, removed)
         _erase(z_m, removed, margin_px)
     if spec.island_px:
         _islands(z_m, sigma_m, rays, step_tan, spec.island_px, margin_px, removed)
@@ -434,30 +337,6 @@ def _within_step(z, fall, y, x, down, right, first, last):
     outer_end = z[y + (last + 1) * down, x + (last + 1) * right]
     # What is empty is NaN, which is not steep.
     return not (abs(start - outer_start) > flat or abs(end - outer_end) > flat)
-
-
-# --- edges -------------------------------------------------------------------------------------
-
-
-def _edges(
-    z_m, sigma_m, rays, step_tan, edge_px: tuple[float, float], margin_px: int, removed
-) -> None:
-    """Remove points beside steps along rows and along columns, on either side.
-
-    A step lies half way between two pixels, and a pixel's point anywhere in its square, as on a
-    raster without a window: a map that has one of several measured points in each pixel lacks those
-    whose own neighbours, which the map does not have, are across the step.
-    """
-    h, w = removed.shape
-    fall = np.zeros((2, *z_m.shape), dtype=np.int8)
-    _falls(z_m, sigma_m, rays, step_tan, fall)
-    aside_px = places((h, w), 0.0) / (2 * math.sqrt(3))  # evenly from -1/2 to 1/2
-    for axis, toward in ((0, 1), (1, 0)):  # of `fall`: rightwards, downwards
-        to_next = 0.5 - aside_px[axis] < edge_px[axis]
-        to_last = 0.5 + aside_px[axis] < edge_px[axis]
-        steps = np.roll(fall[axis], 1, toward) != 0, fall[axis] != 0
-        after, here = (one[margin_px : margin_px + h, margin_px : margin_px + w] for one in steps)
-        removed |= here & to_next | after & to_last
 
 
 # --- islands -----------------------------------------------------------------------------------

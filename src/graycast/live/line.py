@@ -32,7 +32,7 @@ from ..simulate import cell_seeds, varied
 from .asking import Answer, Ask
 from .showing import Shown, picture_answer, world_answer, world_key
 
-FREE_SECTIONS = ("exposure", "sensor", "decode", "filters", "store", "scenes")
+FREE_SECTIONS = ("exposure", "sensor", "decode", "filters", "faults", "store", "scenes")
 ROUGH = (1, 4)  # samples of the pictures before the configured ones
 
 Emit = Callable[[Answer], None]

@@ -1,10 +1,12 @@
 """What a certificate states without a scan: the rig, its fields, its blur, the conditions."""
 
 import platform
+from dataclasses import asdict
 from typing import Any
 
 import numpy as np
 
+from ..faults import FaultSpec
 from ..frames import transform_points
 from ..optics import Optics, blur_radius_px
 from ..rig import Rig
@@ -69,7 +71,6 @@ def conditions(lab: Lab, seed: int) -> dict[str, Any]:
         "frames": len(lab.code.frames),
         "subpixel": lab.code.subpixel,
     }
-    filters = {name: getattr(scanner.filters, name) for name in scanner.filters.__slots__}
     return {
         "albedo": scope.albedo,
         "ambient_w_sr_m2": scope.ambient_w_sr_m2,
@@ -78,7 +79,8 @@ def conditions(lab: Lab, seed: int) -> dict[str, Any]:
         "captures": scope.captures,
         "exposures": list(scanner.exposure.factors),
         "code": kinds,
-        "filters": filters,
+        "filters": asdict(scanner.filters),
+        "faults": asdict(scanner.faults) if scanner.faults != FaultSpec() else {},
         "calibration_differs": lab.rig is not scanner.rig,
         "renderer": f"{lab.renderer.name} on {lab.renderer.device}, {platform.machine()}",
         "seed": seed,

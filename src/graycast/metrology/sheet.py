@@ -175,7 +175,11 @@ def _facts(certificate: Certificate) -> list[tuple[str, str]]:
     fields = ", ".join(
         f"{name} {1e3 * w:.0f} x {1e3 * h:.0f}" for name, (w, h) in certificate.field_m.items()
     )
-    on = [f"{name} {value:g}" for name, value in conditions["filters"].items() if value]
+
+    def on(section: str) -> str:
+        words = [f"{name} {value:g}" for name, value in conditions[section].items() if value]
+        return ", ".join(words).replace("_", " ") or "none"
+
     return [
         ("Working range", f"{1e3 * certificate.near_m:.0f} to {1e3 * certificate.far_m:.0f} mm"),
         ("Common field", f"{fields} mm"),
@@ -192,7 +196,8 @@ def _facts(certificate: Certificate) -> list[tuple[str, str]]:
             f"{1e3 * certificate.middle.exposure_s:.2f} ms a frame, "
             f"{len(conditions['exposures'])} exposure(s)",
         ),
-        ("Depth filters", ", ".join(on).replace("_", " ") or "none"),
+        ("Depth filters", on("filters")),
+        ("Simulated faults", on("faults")),
     ]
 
 

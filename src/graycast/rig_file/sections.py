@@ -8,6 +8,7 @@ from typing import Annotated, Any
 
 from ..decode import DecodeSpec, FilterSpec
 from ..errors import ConfigError
+from ..faults import FaultSpec
 from ..pattern import CodeSpec
 from ..rig import Rig
 from ..scanner import ExposureSpec, Scanner
@@ -40,6 +41,13 @@ FilterSection = changes_of(
     module=__name__,
     about="The filters of the decoded depth; 0 switches a filter off.",
 )
+FaultSection = changes_of(
+    FaultSpec,
+    "FaultSection",
+    module=__name__,
+    about="Faults of the device that are added to the depth of simulated scans and never to that "
+    "of real pictures; 0 switches a fault off.",
+)
 
 
 class ScannerSections(Settings):
@@ -50,6 +58,7 @@ class ScannerSections(Settings):
     sensor: Annotated[Settings, ReadAs(SensorSection)] = SensorSection()
     decode: Annotated[Settings, ReadAs(DecodeSection)] = DecodeSection()
     filters: Annotated[Settings, ReadAs(FilterSection)] = FilterSection()
+    faults: Annotated[Settings, ReadAs(FaultSection)] = FaultSection()
 
 
 def with_sections(scanner: Scanner, sections: ScannerSections) -> Scanner:
@@ -97,7 +106,7 @@ def _values(held: dict[str, Any], sections: ScannerSections) -> dict[str, Any]:
     return {name: _changed(value, getattr(sections, name), name) for name, value in held.items()}
 
 
-Spec = CodeSpec | ExposureSpec | SensorSpec | DecodeSpec | FilterSpec
+Spec = CodeSpec | ExposureSpec | SensorSpec | DecodeSpec | FilterSpec | FaultSpec
 
 
 def _changed(value: Spec, section: Settings, name: str) -> Spec:

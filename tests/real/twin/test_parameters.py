@@ -50,6 +50,7 @@ def test_nothing_else_changes():
     assert fitted.rig.camera == SCANNER.rig.camera
     assert fitted.code == SCANNER.code
     assert fitted.filters == SCANNER.filters
+    assert fitted.faults == SCANNER.faults
     assert fitted.decode == SCANNER.decode
     assert fitted.rig.speckle_contrast == SCANNER.rig.speckle_contrast
     assert fitted.sensor == SCANNER.sensor
@@ -60,9 +61,9 @@ def test_a_filter_goes_off_below_its_least_value_and_a_limit_above_its_greatest(
     assert low.filters.smoothing_px is None
     assert low.filters.island_px is None
     assert low.filters.hidden_sigmas is None
-    assert low.filters.raster_limit_m == 5e-5
+    assert low.faults.raster_limit_m == 5e-5
     high = with_values(SCANNER, PARAMETERS, values_at(np.ones(len(PARAMETERS)), PARAMETERS))
-    assert high.filters.raster_limit_m is None
+    assert high.faults.raster_limit_m is None
 
 
 def test_a_deeper_well_is_as_bright_when_it_is_full():
@@ -104,8 +105,8 @@ def test_a_small_step_from_the_start_switches_nothing_on_or_off():
 
     def off(shares):
         made = with_values(SCANNER, PARAMETERS, values_at(shares, PARAMETERS))
-        filters = asdict(made.filters)
-        none = {key for key, value in filters.items() if value is None or value is False}
+        settings = asdict(made.filters) | asdict(made.faults)
+        none = {key for key, value in settings.items() if value is None or value is False}
         return none - whole
 
     for step in (-0.03, 0.03):

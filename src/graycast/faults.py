@@ -1,4 +1,4 @@
-"""A depth map whose depths belong to points anywhere within their pixels, as after resampling.
+"""Faults of a device's depth that its measuring principle does not explain, for simulated scans.
 
 A scanner that outputs a smaller or rectified map selects one of several measured points for
 each pixel. The point is right, but on a steep surface its depth differs from the depth at the
@@ -6,9 +6,13 @@ centre of the pixel. If the scanner instead takes the mean of the points in a wi
 the light of each, the mean lies on the brighter side of the window. Windows of neighbouring pixels
 overlap, so their places are related: places along x are alike in neighbouring rows, and change
 their sign within a row, as the gradient of a random field does. Five real scans of a Photoneo PhoXi
-show this on slopes of both directions (docs/twin.md).
+show this on slopes of both directions (docs/twin.md). Such a scanner also lacks pixels beside depth
+steps, where it removed the selected point.
 
 The positions are fixed, because they belong to the raster and not to a shot.
+
+A real picture has its device's faults already, so `scanner.measure`, which measures simulated
+pictures, is the only function that adds them.
 
 Leaves out: lines of a projector that lies above or below the camera, which are rows; that light
 changes from shot to shot, as speckle does. In the real scans, half of this noise or more is another
@@ -16,19 +20,175 @@ one in every scan.
 """
 
 import math
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from typing import Annotated
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
+from pydantic import Field
 from scipy import ndimage
 
-from ..finish import PATCH_M, uneven
-from .maps import DepthMap
+from .decode import DepthMap, Reason, depth_steps
+from .finish import PATCH_M, uneven
+from .optics import Optics
+from .settings import check_fields
 
 # as a share of its depth, that a surface may rise from one pixel to the next but one
 STEEPEST = 0.02
 _SEED = 15  # of the raster; any number would do
 _FINE = 2  # spots of light within a pixel, along either axis
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class FaultSpec:
+    """The faults of a device; None or 0 switches a fault off, and all are off by default.
+
+    `edge_x_px`, `edge_y_px`: see `_beside_steps`; the others: see `on_raster`.
+    """
+
+    edge_x_px: Annotated[
+        float | None,
+        Field(
+            ge=0,
+            le=1,
+            description="The share of the pixels beside a depth step that have no depth, for steps "
+            "between two neighbours in a row. A pixel has none if its measured point is nearer to "
+            "the step than this number of pixels.",
+        ),
+    ] = None
+    edge_y_px: Annotated[
+        float | None,
+        Field(
+            ge=0,
+            le=1,
+            description="The share of the pixels beside a depth step that have no depth, for steps "
+            "between two neighbours in a column. A pixel has none if its measured point is nearer "
+            "to the step than this number of pixels.",
+        ),
+    ] = None
+    raster_px: Annotated[
+        float | None,
+        Field(
+            ge=0,
+            le=1,
+            description="The depth of a pixel is measured at a point beside the pixel's centre. "
+            "This is the standard deviation of the distance between both along each axis, in "
+            "pixels.",
+        ),
+    ] = None
+    raster_window_px: Annotated[
+        float | None,
+        Field(
+            ge=0.4,
+            le=4,
+            description="The measured point of a pixel is the mean of the points in a window "
+            "around it, weighted by their light. This is the standard deviation of the window in "
+            "pixels. Without it, the measured points of neighbouring pixels are independent.",
+        ),
+    ] = None
+    raster_window_share: Annotated[
+        float,
+        Field(
+            ge=0,
+            le=1,
+            description="The share of the variance of raster_px that the light in the window "
+            "causes. The rest is independent from pixel to pixel.",
+        ),
+    ] = 1.0
+    raster_limit_m: Annotated[
+        float | None,
+        Field(
+            gt=0,
+            description="The largest standard deviation of depth, in metres, that raster_px adds, "
+            "however steep a surface is.",
+        ),
+    ] = None
+    raster_unevenness: Annotated[
+        float | None,
+        Field(
+            ge=0,
+            le=1,
+            description="The value of raster_px differs between patches of a surface. This is the "
+            "standard deviation of its natural logarithm.",
+        ),
+    ] = None
+    raster_line_unevenness: Annotated[
+        float | None,
+        Field(
+            ge=0,
+            le=1,
+            description="The value of raster_px differs from column to column and hardly between "
+            "adjacent pixels of one column. This is the standard deviation of its natural "
+            "logarithm.",
+        ),
+    ] = None
+
+    def __post_init__(self) -> None:
+        check_fields(self)
+
+
+def with_faults(
+    depth: DepthMap,
+    spec: FaultSpec,
+    camera: Optics,
+    *,
+    step_angle_deg: float,
+    light_contrast: Float[np.ndarray, "h w"] | float = 1.0,
+) -> DepthMap:
+    """The depth that a device with these faults gives for a filtered depth map.
+
+    Args:
+        depth: z and its standard deviation [m].
+        camera: whose pixels these are.
+        step_angle_deg: neighbours belong to two surfaces above this angle of incidence.
+        light_contrast: how uneven the light in each pixel is, as a share of a black surface's; it
+            scales the places of `raster_px`.
+
+    Returns:
+        A depth map in which the pixels that are lost beside steps are NaN with `Reason.OUTLIER`,
+        and `sigma_m` holds what `raster_px` adds; the same map where no fault is on.
+    """
+    if spec.edge_x_px or spec.edge_y_px:
+        edge_px = spec.edge_x_px or 0.0, spec.edge_y_px or 0.0
+        lost = _beside_steps(depth_steps(depth, camera, angle_deg=step_angle_deg), edge_px)
+        nothing = np.float32(np.nan)
+        depth = DepthMap(
+            depth_m=np.where(lost, nothing, depth.depth_m),
+            sigma_m=np.where(lost, nothing, depth.sigma_m),
+            reason=np.where(lost, np.uint8(Reason.OUTLIER), depth.reason),
+        )
+    if spec.raster_px:
+        depth = on_raster(
+            depth,
+            spec.raster_px,
+            window_px=spec.raster_window_px or 0.0,
+            window_share=spec.raster_window_share,
+            light_contrast=light_contrast,
+            limit_m=spec.raster_limit_m or math.inf,
+            unevenness=spec.raster_unevenness or 0.0,
+            line_unevenness=spec.raster_line_unevenness or 0.0,
+            focal_px=camera.fx_px,
+        )
+    return depth
+
+
+def _beside_steps(
+    step: Bool[np.ndarray, "2 h w"], edge_px: tuple[float, float]
+) -> Bool[np.ndarray, "h w"]:
+    """Points beside steps along rows and along columns, on either side.
+
+    A step lies half way between two pixels, and a pixel's point anywhere in its square, as on a
+    raster without a window: a map that has one of several measured points in each pixel lacks those
+    whose own neighbours, which the map does not have, are across the step.
+    """
+    aside_px = places(step.shape[1:], 0.0) / (2 * math.sqrt(3))  # evenly from -1/2 to 1/2
+    lost = np.zeros(step.shape[1:], dtype=np.bool_)
+    for axis, toward in ((0, 1), (1, 0)):  # of `step`: rightwards, downwards
+        to_next = 0.5 - aside_px[axis] < edge_px[axis]
+        to_last = 0.5 + aside_px[axis] < edge_px[axis]
+        here, after = step[axis], np.roll(step[axis], 1, toward)
+        lost |= here & to_next | after & to_last
+    return lost
 
 
 def on_raster(

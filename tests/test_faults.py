@@ -1,14 +1,19 @@
-"""Depth of places beside pixels' middles: a slope times how far they lie aside."""
+"""A device's faults: depth of points beside pixels' centres, and pixels lost beside steps."""
 
 import math
+from dataclasses import fields
+from typing import get_type_hints
 
 import numpy as np
 import pytest
 
-from graycast.decode.maps import DepthMap, Reason
-from graycast.decode.raster import line_amplitude, on_raster, places
+from graycast.decode import DepthMap, FilterSpec, Reason
+from graycast.faults import FaultSpec, line_amplitude, on_raster, places, with_faults
+from graycast.optics import Optics
+from graycast.stack import decode_stack
 
 F_PX, SHAPE = 500.0, (300, 320)
+CAMERA = Optics(width_px=320, height_px=300, fx_px=F_PX, fy_px=F_PX, cx_px=159.5, cy_px=149.5)
 
 
 def tilted(tilt_deg, azimuth_deg):
@@ -141,3 +146,67 @@ def test_a_facing_surface_a_step_and_a_hole_stay_as_they_are():
     z_m[100:110, 100:110] = np.nan
     placed = on_raster(depth_map(z_m), 0.3, focal_px=F_PX)
     assert np.allclose(placed.depth_m, z_m, rtol=1e-6, equal_nan=True)
+
+
+def with_lost(z_m, **edge_px):
+    return with_faults(
+        depth_map(z_m, sigma_m=1e-4), FaultSpec(**edge_px), CAMERA, step_angle_deg=80.0
+    )
+
+
+@pytest.mark.parametrize("azimuth_deg", [0, 90])
+@pytest.mark.parametrize("edge_px", [(0.2, 0.6), (0.6, 0.0), (0.0, 0.4)])
+def test_beside_a_step_the_share_of_lost_pixels_is_the_width(edge_px, azimuth_deg):
+    """Points lie evenly in their pixels, so that share of them is nearer to the step, on either
+    side and independently. What is one pixel farther away stays, and so does a hole's rim.
+    """
+    z_m = tilted(20, azimuth_deg)
+    z_m[:, 80:] += 0.05
+    z_m[100:, :] += 0.12  # steps along rows and along columns
+    z_m[20:30, 20:30] = np.nan
+    left = with_lost(z_m, edge_x_px=edge_px[0], edge_y_px=edge_px[1])
+    gone = left.reason == Reason.OUTLIER
+    assert np.array_equal(np.isnan(left.depth_m), gone | np.isnan(z_m))
+    assert np.array_equal(np.isnan(left.sigma_m), gone)
+    beside = np.zeros(SHAPE, dtype=bool)
+    beside[:, 79:81] = beside[99:101] = True
+    assert not gone[~beside].any()
+    along_x = np.delete(gone[:, 79:81], np.s_[97:103], axis=0)
+    along_y = np.delete(gone[99:101], np.s_[77:83], axis=1).T
+    for lost, share in zip((along_x, along_y), edge_px, strict=True):
+        assert lost.mean() == pytest.approx(share, abs=4 * _standard_error(share, lost.size))
+        both = lost.all(axis=1).mean()
+        assert both == pytest.approx(share**2, abs=4 * _standard_error(share**2, len(lost)))
+
+
+def _standard_error(share: float, count: int) -> float:
+    return math.sqrt(share * (1 - share) / count)
+
+
+def test_lost_edges_are_the_same_in_every_shot_and_steep_surfaces_have_none():
+    z_m = np.full(SHAPE, 0.8)
+    z_m[:, 80:] += 0.05
+    noise_m = 1e-4 * np.random.default_rng(1).standard_normal(SHAPE)
+    once, again = (with_lost(shot, edge_x_px=0.4).reason for shot in (z_m, z_m + noise_m))
+    assert (once == Reason.OUTLIER).any()
+    assert np.array_equal(once, again)
+    steep = with_lost(tilted(60, 30), edge_x_px=1.0, edge_y_px=1.0)
+    assert (steep.reason == Reason.DECODED).all()
+
+
+def test_without_a_fault_the_map_is_the_same():
+    depth = depth_map(tilted(45, 0))
+    for off in (FaultSpec(), FaultSpec(edge_x_px=0.0, edge_y_px=0.0, raster_px=0.0)):
+        assert with_faults(depth, off, CAMERA, step_angle_deg=80.0) is depth
+
+
+@pytest.mark.parametrize(("name", "value"), [("raster_px", 1.5), ("edge_x_px", -0.1)])
+def test_impossible_faults_are_refused_by_name(name, value):
+    with pytest.raises(ValueError, match=name):
+        FaultSpec(**{name: value})
+
+
+def test_no_setting_of_a_filter_is_a_fault_and_decode_stack_takes_filters_alone():
+    assert not {f.name for f in fields(FaultSpec)} & {f.name for f in fields(FilterSpec)}
+    assert get_type_hints(decode_stack)["filters"] == FilterSpec | None
+    assert set(get_type_hints(decode_stack)) == {"path", "rig", "average", "filters", "return"}

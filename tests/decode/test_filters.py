@@ -266,6 +266,22 @@ def test_an_outlier_that_no_whole_surface_surrounds_goes_in_spite_of_repair():
     assert removed(lone, OUTLIER)[100, 120] and removed(lone, spec)[100, 120]
 
 
+# --- edges -------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("edge_px", [1.0, 1.5, 3.0])
+def test_edges_go_as_far_as_their_distance_and_the_picture_s_border_stays(edge_px):
+    """Against a distance transform of each surface: a wavy step of 3 cm, and a hole."""
+    row, column = np.indices(SHAPE)
+    near = column < 120 + 10 * np.sin(row / 9)
+    hole = np.hypot(row - 60, column - 60) < 5
+    z_m = np.where(hole, np.nan, np.where(near, 0.8, 0.83))
+    kept = np.isfinite(filter_depth(depth_map(z_m), FilterSpec(edge_px=edge_px), RIG).depth_m)
+    for surface in (near & ~hole, ~near):
+        inner = ndimage.distance_transform_edt(surface) > edge_px
+        assert np.array_equal(kept[surface], inner[surface])
+
+
 # --- islands -----------------------------------------------------------------------------------
 
 

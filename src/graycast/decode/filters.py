@@ -1,4 +1,4 @@
-"""Filters of a depth map: flying pixels, outliers, islands, smoothing, order.
+"""Filters of a depth map: flying pixels, outliers, edges, islands, smoothing, order.
 
 They run in that order; each sees what the ones before it left. None makes depth where there was
 none. Smoothing and the outlier test work on inverse depth, which is linear along a line of pixels
@@ -13,7 +13,7 @@ from typing import Annotated, no_type_check
 
 import numba
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
 from pydantic import Field
 
 from ..optics import Optics
@@ -40,6 +40,8 @@ class FilterSpec:
     with `outlier_repair` those within a whole surface get its depth instead.
     `hidden_sigmas`: pixels go that a nearer surface hides from the projector, where positions are
     out of order by more than so many standard deviations (`visibility`).
+    `edge_px`: pixels go that lie as near as this, centre to centre, to a pixel without depth or to
+    one beyond a depth step: they may see two surfaces. 1 takes the four sides, 1.5 the corners too.
     `island_px`: connected surfaces of fewer pixels go.
     `smoothing_px`: standard deviation of a Gaussian kernel; 0.55 lets 0.56 of white noise pass and
     correlates neighbours by 0.36.
@@ -88,7 +90,21 @@ class FilterSpec:
             exclude_if=unsaid,
         ),
     ] = None
-    island_px: Annotated[int | None, Field(ge=0, description="surfaces of fewer pixels go")] = None
+    edge_px: Annotated[
+        float | None,
+        Field(
+            ge=0,
+            le=5,
+            description="Pixels are removed whose distance to a depth step or to a pixel without "
+            "depth is at most this number of pixels. 1 removes the pixels on the border of each "
+            "surface.",
+            exclude_if=unsaid,
+        ),
+    ] = None
+    island_px: Annotated[
+        int | None,
+        Field(ge=0, description="Connected surfaces of fewer pixels than this are removed."),
+    ] = None
     smoothing_px: Annotated[
         float | None,
         Field(ge=0, le=10, description="Standard deviation of the smoothing kernel in pixels."),
@@ -153,7 +169,8 @@ def _filter_surfaces(depth: DepthMap, spec: FilterSpec, camera: Optics) -> Depth
     if np.isnan(depth.sigma_m[np.isfinite(depth.depth_m)]).any():
         raise ValueError("sigma_m is NaN at pixels that have depth; give every depth its sigma_m")
     kernel = _half_kernel(spec.smoothing_px or 0.0)
-    margin_px = max(FLYING_REACH_PX + 2, int(kernel[:, :2].max(initial=0)))
+    widest_px = max(kernel[:, :2].max(initial=0), spec.edge_px or 0)
+    margin_px = max(FLYING_REACH_PX + 2, int(widest_px))
     z_m, sigma_m = _framed(depth.depth_m, margin_px), _framed(depth.sigma_m, margin_px)
     rays = _rays(camera, margin_px)
     step_tan = math.tan(math.radians(spec.step_angle_deg))
@@ -168,6 +185,10 @@ def _filter_surfaces(depth: DepthMap, spec: FilterSpec, camera: Optics) -> Depth
             *_inverse(z_m, sigma_m), *limits, margin_px, spec.outlier_repair, removed
         )
         _repair(z_m, sigma_m, level, spread, margin_px)
+        _erase(z_m, removed, margin_px)
+    if spec.edge_px:
+        around = _half_disc(spec.edge_px)
+        _edges(z_m, sigma_m, rays, step_tan, around, margin_px, removed)
         _erase(z_m, removed, margin_px)
     if spec.island_px:
         _islands(z_m, sigma_m, rays, step_tan, spec.island_px, margin_px, removed)
@@ -337,6 +358,41 @@ def _within_step(z, fall, y, x, down, right, first, last):
     outer_end = z[y + (last + 1) * down, x + (last + 1) * right]
     # What is empty is NaN, which is not steep.
     return not (abs(start - outer_start) > flat or abs(end - outer_end) > flat)
+
+
+# --- edges -------------------------------------------------------------------------------------
+
+
+def _half_disc(radius_px: float) -> Int[np.ndarray, "n 2"]:
+    """(dy, dx) of one of each two opposite neighbours within a distance."""
+    side = range(-int(radius_px), int(radius_px) + 1)
+    return np.array(
+        [
+            (dy, dx)
+            for dy in side
+            for dx in side
+            if (dy, dx) > (0, 0) and dy**2 + dx**2 <= radius_px**2
+        ]
+    )
+
+
+@numba.njit(parallel=True, cache=True)
+@no_type_check  # the tests' type checker wraps functions, which numba cannot compile
+def _edges(z, sigma, rays, step_tan, around, margin, removed):
+    """Mark pixels beside a step or a pixel without depth; the picture's own border is none."""
+    h, w = removed.shape
+    for row in numba.prange(h):
+        for column in range(w):
+            y, x = row + margin, column + margin
+            if np.isnan(z[y, x]):
+                continue
+            for k in range(len(around)):
+                for way in (-1, 1):
+                    v, u = y + way * around[k, 0], x + way * around[k, 1]
+                    if margin <= v < h + margin and margin <= u < w + margin:
+                        edge = np.isnan(z[v, u])
+                        edge |= _steepness(z, sigma, rays, y, x, v, u, step_tan) != 0
+                        removed[row, column] |= edge
 
 
 # --- islands -----------------------------------------------------------------------------------

@@ -146,13 +146,21 @@ def gray_phase(
     axes: tuple[Axis, ...] = ("column",),
     inverses: bool = False,
     period_px: float = 16.0,
+    fine_period_px: float | None = None,
     steps: int = 8,
 ) -> Code:
     """Gray code that counts periods, a complementary bit, and a cosine in `steps` steps.
 
     The complementary bit tells the halves of a period apart, so that a Gray edge misread by a
-    quarter of a period does no harm: no jumps by 2 pi.
+    quarter of a period does no harm: no jumps by 2 pi. A second cosine of `fine_period_px` makes
+    positions finer; light that comes by way of another surface shifts the two by different
+    distances, which tells it from direct light.
     """
+    if fine_period_px is not None and not fine_period_px < period_px:
+        raise ValueError(
+            f"fine_period_px is {fine_period_px:g} and period_px {period_px:g}; the fine period "
+            "must be the smaller one"
+        )
     sizes = _sizes(axes, width_px, height_px)
     frames: list[Frame] = []
     for axis in axes:
@@ -161,7 +169,8 @@ def gray_phase(
             frames.append(
                 Frame(kind="complementary", axis=axis, period_px=period_px, inverse=inverse)
             )
-        frames += _steps("phase", axis, period_px, steps)
+        for period in (period_px, fine_period_px):
+            frames += _steps("phase", axis, period, steps) if period else []
     return Code(
         width_px=width_px,
         height_px=height_px,

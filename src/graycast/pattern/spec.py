@@ -7,7 +7,7 @@ from typing import Annotated, Literal, get_args
 
 from pydantic import Field
 
-from ..settings import check_fields
+from ..settings import check_fields, unsaid
 from .code import (
     Code,
     gray,
@@ -55,6 +55,15 @@ class CodeSpec:
         float | None,
         Field(gt=0, description="The period of phase patterns and lines in projector pixels."),
     ] = None
+    fine_period_px: Annotated[
+        float | None,
+        Field(
+            ge=2,
+            description="The period of a second, finer phase of the code gray_phase, in projector "
+            "pixels. Where the two phases disagree, light came by way of another surface.",
+            exclude_if=unsaid,
+        ),
+    ] = None
     steps: Annotated[
         int | None, Field(ge=3, description="The number of phase shifts of each period.")
     ] = None
@@ -84,5 +93,5 @@ class CodeSpec:
         return _MAKERS[self.codec](width_px, height_px, axes=self.axes, **self._given())
 
     def _given(self) -> dict[str, float | int | bool]:
-        names = ("inverses", "period_px", "steps", "base_bit")
+        names = ("inverses", "period_px", "fine_period_px", "steps", "base_bit")
         return {name: getattr(self, name) for name in names if getattr(self, name) is not None}

@@ -4,10 +4,32 @@ import numpy as np
 from scipy.signal import fftconvolve
 
 from graycast.decode import Levels
-from graycast.pattern import AXES, level_share
+from graycast.pattern import AXES, Code, Frame, level_share
 
 LEVELS = Levels(offset_dn=64.0, saturation_dn=4000.0, floor_dn2=1.2**2 + 1 / 12, slope_dn=0.39)
 FINE = 32  # samples per projector pixel
+
+
+def two_phases(width_px, height_px, *, gray_cell_px, periods_px, steps=3, bits=None):
+    """Columns by the phases of some periods and Gray bits with inverses, in wide cells."""
+    if bits is None:
+        bits = int(np.ceil(np.log2(width_px / gray_cell_px)))
+    phases = [
+        Frame(kind="phase", axis="column", period_px=period_px, step=step, steps=steps)
+        for period_px in periods_px
+        for step in range(steps)
+    ]
+    gray = [
+        Frame(kind="gray", axis="column", bit=bit, inverse=inverse)
+        for bit in reversed(range(bits))
+        for inverse in (False, True)
+    ]
+    return Code(
+        width_px=width_px,
+        height_px=height_px,
+        frames=(*phases, *gray),
+        stride_px=(gray_cell_px, gray_cell_px),
+    )
 
 
 def share_of_white(code, column, row=None, *, camera_px=1.5, disc_px=1.0):

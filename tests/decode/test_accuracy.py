@@ -4,13 +4,14 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from projected import LEVELS, crisp, frames_of, share_of_white
+from projected import LEVELS, crisp, frames_of, share_of_white, two_phases
 from scipy.special import j1
 
 from graycast.decode import DecodeSpec, Reason, decode, levels_of
 from graycast.errors import DecodeError
 from graycast.pattern import (
     Code,
+    Frame,
     gray,
     gray_line_shift,
     gray_phase,
@@ -238,6 +239,52 @@ def test_a_full_gray_code_counts_periods_without_a_complementary_bit():
     z, decoded = deviations(u, codes)
     assert decoded > 0.99
     assert 0.9 < np.sqrt(np.mean(z**2)) < 1.1
+
+
+TWO_PHASES = two_phases(1000, 96, gray_cell_px=100.0, periods_px=(200 / 3, 100.0))
+
+
+def as_complementary(code):
+    """The same pictures, with the finest bit stated as a complementary bit of twice its cells."""
+    frames = []
+    for f in code.frames:
+        if f.kind == "gray" and f.bit > 0:
+            f = replace(f, bit=f.bit - 1)
+        elif f.kind == "gray":
+            f = Frame(kind="complementary", axis=f.axis, period_px=200.0, inverse=f.inverse)
+        frames.append(f)
+    return replace(code, frames=tuple(frames), stride_px=(200.0, 200.0))
+
+
+@pytest.mark.parametrize("power", [1.0, 2.2])
+@pytest.mark.parametrize("state", [lambda code: code, as_complementary])
+def test_wide_gray_cells_and_two_phases_together_say_the_place(power, state):
+    """Places with equal phases are 200 px apart, and the cells of 100 px are wider than the shorter
+    period. If light is a power p of the grey level, the cosine's second harmonic is (p - 1) /
+    (p + 2) of the first, and by that sine it moves the phase of three steps.
+    """
+    u = np.linspace(1, 998, 2000)[None].repeat(20, axis=0)
+    light = 60 + 1500 * share_of_white(TWO_PHASES, u) ** power
+    frames = frames_of(light, np.random.default_rng(3))
+    codes = decode(frames, state(TWO_PHASES), USUAL, LEVELS)
+    known = codes.reason == Reason.DECODED
+    assert known.mean() > 0.99
+    off_px = np.abs(codes.column - u)[known]
+    assert off_px.max() < 100 / (2 * np.pi) * np.arcsin((power - 1) / (power + 2)) + 1.0
+    if power == 1:
+        z, _ = deviations(u, codes)
+        assert 0.9 < np.sqrt(np.mean(z**2)) < 1.1
+
+
+@pytest.mark.parametrize("steps", [3, 4])
+def test_one_period_as_wide_as_the_projector_counts_itself(steps):
+    """Only where noise may move the first column to the last is there a doubt."""
+    code = two_phases(512, 96, gray_cell_px=1.0, periods_px=(512.0,), steps=steps, bits=0)
+    u, codes = noisy(code, white_dn=1500.0)
+    known = codes.reason == Reason.DECODED
+    assert known.mean() > 0.995
+    z, _ = deviations(u, codes)
+    assert np.abs(z).max() < 6
 
 
 def test_a_stack_of_another_length_is_refused():

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from projected import LEVELS
+from projected import LEVELS, two_phases
 
 from graycast.decode import DecodeSpec, Levels, bits, decode, decode_plain, phases, reading
 from graycast.pattern import (
@@ -26,6 +26,7 @@ GRAY = {
 }
 PHASE = {
     "phase": gray_phase(70, 50, axes=BOTH),
+    "two phases": two_phases(150, 90, gray_cell_px=25.0, periods_px=(50 / 3, 25.0)),
     "three steps": gray_phase(70, 50, steps=3, period_px=20.0, inverses=True),
     "lines": gray_line_shift(70, 50, axes=("row",)),
     "three frequencies": multi_frequency(90, 70, axes=BOTH, period_px=10.0),

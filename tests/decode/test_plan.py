@@ -48,7 +48,8 @@ def is_complementary(f):
         ),
         (
             without(PHASE, is_complementary),
-            "Gray values 16 px wide cannot count periods of 16 px without a complementary bit",
+            "Gray values 16 px wide cannot count the phases of period 16 px, which repeat every 16 "
+            "px: add a complementary bit",
         ),
         (
             without(PHASE, lambda f: is_complementary(f) and not f.inverse),
@@ -59,6 +60,16 @@ def is_complementary(f):
             "the code has a complementary bit but no Gray bits: add the Gray bits",
         ),
         (replace(PHASE, stride_px=(32.0, 32.0)), "stride_px must be the period"),
+        (
+            replace(
+                PHASE,
+                frames=tuple(
+                    replace(f, period_px=30.0) if is_complementary(f) else f for f in PHASE.frames
+                ),
+                stride_px=(30.0, 30.0),
+            ),
+            "Gray values 15 px wide cannot count the phases of period 16 px",
+        ),
         (
             replace(
                 PHASE,
@@ -79,7 +90,7 @@ def is_complementary(f):
         ),
         (
             without(PHASE, lambda f: f.kind in ("gray", "complementary")),
-            "one period of 16 px repeats within the projector's 128 px",
+            "the phases of period 16 px repeat within the projector's 128 px",
         ),
     ],
 )

@@ -7,15 +7,15 @@ import numba
 import numpy as np
 
 from .maps import Reason
+from .plan import MODEL_RAD, OFF_CELL
 from .settling import CLEAR, OPEN, REFUSED
 
-MODEL_RAD = 0.05  # by which phases of one place may differ beyond their noise
 MAX_MISFIT = 9.0  # mean square of residuals in their own standard deviations
 # Sum of squares by which the best place must lead the next, 4 sigma of noise: else it is open.
 MIN_LEAD = 16.0
-OFF_CELL_PERIODS = 0.125  # by which a phase may lie outside of the Gray code's cell, in periods
-SLACK_PERIODS = 0.25  # by which a place may lie outside of the picture while periods are counted
-NOWHERE = 1e30  # the cost of a place outside of the picture
+APART_SIGMAS = 4.0  # by which a phase that is averaged with the finest may differ from it
+SLACK_SIGMAS = 4.0  # of the phase's noise, by which a place may lie beside where it must be
+NOWHERE = 1e30  # the cost of a place that is out of bounds
 
 
 @numba.njit(parallel=True, cache=True, error_model="numpy")
@@ -29,7 +29,7 @@ def read_phases(stack, periods, index, waves, law, strength, turn, noise2):
             start, count = int(periods[g, 1]), int(periods[g, 2])
             if count < 3:
                 frame = stack[index[start], y]
-                _lone_frame(frame, first, turn[y, g], noise2[y, g])
+                _lone_frame(frame, first, periods[g, 3], turn[y, g], noise2[y, g])
                 continue
             sums = np.zeros((5, w), dtype=np.float32)
             for j in range(start, start + count):
@@ -92,9 +92,9 @@ def _amplitude(sums, count, law, first, strength):
 
 @numba.njit(cache=True, error_model="numpy")
 @no_type_check  # the tests' type checker wraps functions, which numba cannot compile
-def _lone_frame(frame, first, cosine, noise2):
+def _lone_frame(frame, first, model2, cosine, noise2):
     mean, amplitude, variance = first[0], first[1], first[2]
-    model2, two = np.float32(MODEL_RAD**2), np.float32(2)
+    model2, two = np.float32(model2), np.float32(2)
     for x in range(len(frame)):
         cosine[x] = (np.float32(frame[x]) - mean[x]) / amplitude[x]
         # Twice a frame's variance: mean, amplitude and phase of the three steps have as much.
@@ -124,7 +124,7 @@ def count_by_gray(periods, cell_px, turn, place, variance, rival, why):
     An uncertain bit has no effect if the period is the same with either value.
     """
     period, half, two = np.float32(periods[0, 0]), np.float32(0.5), np.float32(2)
-    slack = half * cell_px + np.float32(OFF_CELL_PERIODS) * period
+    slack = half * cell_px + np.float32(OFF_CELL) * period
     for y in numba.prange(len(place)):
         for x in range(place.shape[1]):
             k = np.floor(place[y, x] / period - turn[y, 0, x] + half)
@@ -138,18 +138,30 @@ def count_by_gray(periods, cell_px, turn, place, variance, rival, why):
 
 @numba.njit(parallel=True, cache=True, error_model="numpy")
 @no_type_check  # the tests' type checker wraps functions, which numba cannot compile
-def count_by_phases(periods, delta, size_px, turn, noise2, place, state):
-    """The period of the first group with which all others agree, by a search over all periods.
+def bound(periods, middle, half_px, noise2, bounds):
+    """Lowest and highest place of each pixel: `half_px` from the middle, and its phase's noise."""
+    per_rad = np.float32(SLACK_SIGMAS * periods[0, 0] / (2 * math.pi))
+    for y in numba.prange(len(middle)):
+        for x in range(middle.shape[1]):
+            reach = half_px + per_rad * math.sqrt(noise2[y, 0, x])
+            bounds[y, 0, x] = middle[y, x] - reach
+            bounds[y, 1, x] = middle[y, x] + reach
+
+
+@numba.njit(parallel=True, cache=True, error_model="numpy")
+@no_type_check  # the tests' type checker wraps functions, which numba cannot compile
+def count_by_phases(periods, delta, size_px, bounds, turn, noise2, place, state):
+    """The period of the first group with which all others agree, by a search within the bounds.
 
     The count is refused if no period agrees, and open if two agree.
     """
     for y in numba.prange(len(place)):
-        _search_row(periods, delta, size_px, turn[y], noise2[y], place[y], state[y])
+        _search_row(periods, delta, size_px, bounds[y], turn[y], noise2[y], place[y], state[y])
 
 
 @numba.njit(cache=True, error_model="numpy")
 @no_type_check  # the tests' type checker wraps functions, which numba cannot compile
-def _search_row(periods, delta, size_px, turn, noise2, place, state):
+def _search_row(periods, delta, size_px, bounds, turn, noise2, place, state):
     groups, w = turn.shape
     period, first = np.float32(periods[0, 0]), turn[0]
     costs = np.empty(w, dtype=np.float32)
@@ -158,8 +170,9 @@ def _search_row(periods, delta, size_px, turn, noise2, place, state):
     seen = np.empty((groups, 3, w), dtype=np.float32)
     for g in range(1, groups):
         _expect(periods, delta, g, turn, noise2, seen[g])
+    inside = bounds[0].max(), bounds[1].min()
     for k in range(math.ceil(size_px / periods[0, 0]) + 1):
-        _cost(k, periods, size_px, turn, seen, costs)
+        _cost(k, periods, bounds, inside, turn, seen, costs)
         at = np.float32(k)
         for x in range(w):
             better = costs[x] < best[x]
@@ -174,7 +187,7 @@ def _search_row(periods, delta, size_px, turn, noise2, place, state):
 
 @numba.njit(parallel=True, cache=True, error_model="numpy")
 @no_type_check  # the tests' type checker wraps functions, which numba cannot compile
-def open_choices(periods, delta, size_px, turn, noise2, state, choice, cost):
+def open_choices(periods, delta, size_px, bounds, turn, noise2, state, choice, cost):
     """The best periods of open counts with their costs; best first."""
     for y in numba.prange(len(state)):
         where = np.nonzero(state[y] == OPEN)[0]
@@ -183,7 +196,8 @@ def open_choices(periods, delta, size_px, turn, noise2, state, choice, cost):
         count = choice.shape[1]
         chosen = np.full((count, len(where)), -1, dtype=np.int32)
         costs = np.full((count, len(where)), np.float32(NOWHERE))
-        _search_all(periods, delta, size_px, turn[y][:, where], noise2[y][:, where], chosen, costs)
+        of_row = bounds[y][:, where], turn[y][:, where], noise2[y][:, where]
+        _search_all(periods, delta, size_px, *of_row, chosen, costs)
         for n in range(count):
             for i in range(len(where)):
                 choice[y, n, where[i]] = chosen[n, i]
@@ -192,7 +206,7 @@ def open_choices(periods, delta, size_px, turn, noise2, state, choice, cost):
 
 @numba.njit(cache=True, error_model="numpy")
 @no_type_check  # the tests' type checker wraps functions, which numba cannot compile
-def _search_all(periods, delta, size_px, turn, noise2, choice, cost):
+def _search_all(periods, delta, size_px, bounds, turn, noise2, choice, cost):
     """The cheapest periods of each pixel in order, as many as `choice` has rows."""
     groups, w = turn.shape
     costs = np.empty(w, dtype=np.float32)
@@ -200,8 +214,9 @@ def _search_all(periods, delta, size_px, turn, noise2, choice, cost):
     seen = np.empty((groups, 3, w), dtype=np.float32)
     for g in range(1, groups):
         _expect(periods, delta, g, turn, noise2, seen[g])
+    inside = bounds[0].max(), bounds[1].min()
     for k in range(math.ceil(size_px / periods[0, 0]) + 1):
-        _cost(k, periods, size_px, turn, seen, costs)
+        _cost(k, periods, bounds, inside, turn, seen, costs)
         number[:] = k
         for n in range(len(choice)):  # what it displaces goes on to the next row
             kept, price = choice[n], cost[n]
@@ -216,14 +231,21 @@ def _search_all(periods, delta, size_px, turn, noise2, choice, cost):
 
 @numba.njit(cache=True, error_model="numpy")
 @no_type_check  # the tests' type checker wraps functions, which numba cannot compile
-def _cost(k, periods, size_px, turn, seen, costs):
-    """The cost of the position in period `k`; positions outside of the picture are excluded."""
+def _cost(k, periods, bounds, inside, turn, seen, costs):
+    """The cost of the position in period `k`; positions out of bounds are excluded.
+
+    `inside` is within the bounds of all pixels: there no place is compared with them.
+    """
     period, first, at = np.float32(periods[0, 0]), turn[0], np.float32(k)
-    slack = np.float32(0.5) + np.float32(SLACK_PERIODS) * period
-    end = np.float32(size_px - 1) + slack
-    for x in range(len(costs)):
-        u = (at + first[x]) * period
-        costs[x] = np.float32(NOWHERE) if (u < -slack) | (u > end) else np.float32(0)
+    lowest, highest = bounds[0], bounds[1]
+    half = np.float32(0.5)
+    if (at - half) * period >= inside[0] and (at + half) * period <= inside[1]:
+        costs[:] = 0
+    else:
+        for x in range(len(costs)):
+            u = (at + first[x]) * period
+            out = (u < lowest[x]) | (u > highest[x])
+            costs[x] = np.float32(NOWHERE) if out else np.float32(0)
     for g in range(1, len(periods)):
         turns = k * periods[0, 0] / periods[g, 0]
         if periods[g, 2] < 3:
@@ -248,7 +270,7 @@ def _expect(periods, delta, g, turn, noise2, seen):
             aside[x] = math.sin(angle)
             weight[x] = np.float32(1) / noise2[g, x]
     else:
-        tau2, model2 = np.float32(4 * math.pi**2), np.float32(MODEL_RAD**2)
+        tau2, model2 = np.float32(4 * math.pi**2), np.float32(periods[g, 3])
         for x in range(len(first)):
             here[x] = np.float32(ratio) * first[x] - its_turn[x]
             weight[x] = tau2 / (noise2[g, x] + noise2[0, x] + model2)
@@ -276,28 +298,39 @@ def _add_cosine_cost(cosine, c, s, seen, costs):
 @numba.njit(parallel=True, cache=True, error_model="numpy")
 @no_type_check  # the tests' type checker wraps functions, which numba cannot compile
 def fuse(periods, turn, noise2, place, sigma):
-    """The mean of all full periods' places, each next to that of the first, by their variance."""
+    """The mean of all full periods' places, each next to that of the first, by their variance.
+
+    Light that is not linear in the grey level moves a place by a share of its period. A period that
+    is off by more than noise is left out, and its distance widens `sigma`, as if the errors of both
+    were in proportion to their lengths.
+    """
     w = place.shape[1]
-    half, one = np.float32(0.5), np.float32(1)
+    half, one, zero = np.float32(0.5), np.float32(1), np.float32(0)
+    limit, model2 = np.float32(APART_SIGMAS**2), np.float32(MODEL_RAD**2)
     for y in numba.prange(len(place)):
         u, error = place[y], sigma[y]
         weight = np.zeros(w, dtype=np.float32)
         summed = np.zeros(w, dtype=np.float32)
+        beyond = np.zeros(w, dtype=np.float32)  # [px^2]
         for g in range(len(periods)):
             if periods[g, 2] < 3:
                 continue
             length = np.float32(periods[g, 0])
             per_px2 = np.float32((2 * math.pi / periods[g, 0]) ** 2)
-            its_turn, its_noise2 = turn[y, g], noise2[y, g]
+            its_turn, its_noise2, first_noise2 = turn[y, g], noise2[y, g], noise2[y, 0]
+            error_share = np.float32(1 / (1 + (periods[g, 0] / periods[0, 0]) ** 2))
             for x in range(w):
                 apart = u[x] / length - its_turn[x]
                 apart = (np.floor(apart + half) - apart) * length
-                share = per_px2 / its_noise2[x]
+                noise = its_noise2[x] + first_noise2[x] + model2
+                agrees = apart * apart * per_px2 <= limit * noise
+                share = per_px2 / its_noise2[x] if agrees else zero
                 weight[x] += share
                 summed[x] += share * apart
+                beyond[x] = max(beyond[x], zero if agrees else error_share * (apart * apart))
         for x in range(w):
             u[x] += summed[x] / weight[x]
-            error[x] = math.sqrt(one / weight[x])
+            error[x] = math.sqrt(one / weight[x] + beyond[x])
 
 
 @numba.njit(cache=True, error_model="numpy")

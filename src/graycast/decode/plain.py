@@ -8,8 +8,8 @@ from jaxtyping import UInt8, UInt16
 from ..pattern import AXES, Code
 from .bits import BLURRED, FINE_ERROR, SHARP, XOR_SIGMAS
 from .maps import CodeMap, DecodeSpec, Levels, Mark, Reason
-from .phases import MAX_MISFIT, MIN_LEAD, MODEL_RAD, OFF_CELL_PERIODS, SLACK_PERIODS
-from .plan import AxisPlan, Period, plan_axes, read_frames
+from .phases import APART_SIGMAS, MAX_MISFIT, MIN_LEAD, SLACK_SIGMAS
+from .plan import MODEL_RAD, OFF_CELL, AxisPlan, Period, plan_axes, read_frames
 from .reading import SHADOW_SIGMAS
 from .settling import (
     AGAINST_SHARE,
@@ -70,7 +70,7 @@ def decode_plain(
             strength = np.minimum(strength, 2 * amplitude)
             mark[by_others] |= Mark.SETTLED
             why[by_others] = Reason.DECODED
-            _say(why, wrong, Reason.CONTRADICTORY if coarse is None else Reason.INTERREFLECTION)
+            _say(why, wrong, Reason.INTERREFLECTION if plan.gray_counts else Reason.CONTRADICTORY)
         _say(why, (place < -0.5) | (place > plan.size_px - 0.5), Reason.OUTSIDE_PROJECTOR)
         found[axis] = place, sigma
     reason = _judge(why, high, low, strength, top, spec, levels)
@@ -185,12 +185,9 @@ def _phase(stack, plan: AxisPlan, levels: Levels, coarse, variance, rival, judge
     mean, amplitude, turn, noise2, light = _first_phase(stack, plan.periods[0], levels)
     first, settled = plan.periods[0].period_px, np.zeros(turn.shape, dtype=bool)
     others = [_first_phase(stack, p, levels) if p.full else None for p in plan.periods[1:]]
-    if coarse is None:
-        choice, cost, state = _count(stack, plan, turn, noise2, others, mean, amplitude, light)
-        k, settled, wrong = _settle(turn, choice, cost, state, judged(amplitude) == Reason.DECODED)
-    else:
+    if plan.gray_counts:
         k = np.floor(coarse / first - turn + 0.5)
-        far = 0.5 * plan.cell_px + OFF_CELL_PERIODS * first + 2 * np.sqrt(variance)
+        far = 0.5 * plan.cell_px + OFF_CELL * first + 2 * np.sqrt(variance)
         wrong = np.abs((k + turn) * first - coarse) > far
         wrong |= np.floor((coarse + rival) / first - turn + 0.5) != k
         if votes:
@@ -198,17 +195,30 @@ def _phase(stack, plan: AxisPlan, levels: Levels, coarse, variance, rival, judge
             refused = free & np.isin(said, [Reason.CONTRADICTORY, Reason.INTERREFLECTION])
             k, settled = _vote(turn, k, refused, said == Reason.DECODED, votes)
             wrong &= ~settled
+    else:
+        slack = SLACK_SIGMAS * np.sqrt(noise2) * first / (2 * np.pi)
+        middle = coarse if plan.bits else 0.5 * (plan.size_px - 1)
+        bounds = middle - plan.half_px - slack, middle + plan.half_px + slack
+        choice, cost, state = _count(
+            stack, plan, turn, noise2, others, mean, amplitude, light, bounds
+        )
+        k, settled, wrong = _settle(turn, choice, cost, state, judged(amplitude) == Reason.DECODED)
     u = (k + turn) * first
     weight = (2 * np.pi / first) ** 2 / noise2
-    summed = weight * u
+    summed, beyond = weight * u, np.zeros(u.shape)
     for period, other in zip(plan.periods[1:], others, strict=True):
         if other is None:
             continue
         apart = u / period.period_px - other[2]
-        w = (2 * np.pi / period.period_px) ** 2 / other[3]
+        apart -= np.floor(apart + 0.5)
+        noise2_of_both = other[3] + noise2 + MODEL_RAD**2
+        agrees = (2 * np.pi * apart) ** 2 <= APART_SIGMAS**2 * noise2_of_both
+        w = np.where(agrees, (2 * np.pi / period.period_px) ** 2 / other[3], 0)
         weight = weight + w
-        summed = summed + w * (u - (apart - np.floor(apart + 0.5)) * period.period_px)
-    return summed / weight, np.sqrt(1 / weight), amplitude, wrong, settled
+        summed = summed + w * (u - apart * period.period_px)
+        off_px2 = (apart * period.period_px) ** 2 / (1 + (period.period_px / first) ** 2)
+        beyond = np.where(agrees, beyond, np.maximum(beyond, off_px2))
+    return summed / weight, np.sqrt(1 / weight + beyond), amplitude, wrong, settled
 
 
 @np.errstate(divide="ignore", invalid="ignore")
@@ -226,7 +236,7 @@ def _first_phase(stack, period: Period, levels: Levels):
 
 
 @np.errstate(divide="ignore", invalid="ignore")
-def _count(stack, plan: AxisPlan, turn, noise2, others, mean, amplitude, light):
+def _count(stack, plan: AxisPlan, turn, noise2, others, mean, amplitude, light, bounds):
     first = plan.periods[0].period_px
     costs = []
     for k in range(int(np.ceil(plan.size_px / first)) + 1):
@@ -236,13 +246,12 @@ def _count(stack, plan: AxisPlan, turn, noise2, others, mean, amplitude, light):
             if other is None:
                 level = (stack[period.frames[0]] - mean) / amplitude
                 wave = np.cos(2 * np.pi * u / period.period_px - period.delta_rad[0])
-                cost += (level - wave) ** 2 / (2 * light / amplitude**2 + MODEL_RAD**2)
+                cost += (level - wave) ** 2 / (2 * light / amplitude**2 + plan.model_rad**2)
             else:
                 apart = u / period.period_px - other[2]
                 apart = 2 * np.pi * (apart - np.floor(apart + 0.5))
-                cost += apart**2 / (other[3] + noise2 + MODEL_RAD**2)
-        slack = SLACK_PERIODS * first
-        cost[(u < -0.5 - slack) | (u > plan.size_px - 0.5 + slack)] = np.inf
+                cost += apart**2 / (other[3] + noise2 + plan.model_rad**2)
+        cost[(u < bounds[0]) | (u > bounds[1])] = np.inf
         costs.append(cost)
     every = np.array(costs)
     ordered = np.sort(every, axis=0)

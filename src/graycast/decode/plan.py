@@ -7,12 +7,25 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Bool
+from jaxtyping import Bool, Float
 
 from ..errors import DecodeError
 from ..pattern import AXES, Axis, Code, Frame
 
 NO_FRAME = -1
+# Widest cell of a Gray code, as a share of the length over which phases are unique: an edge may be
+# misread by half of what is left.
+MAX_CELL = 0.75
+# By how much a place may lie outside of the Gray code's cell, as a share of the length over which
+# its phases are unique.
+OFF_CELL = 0.125
+SAME_PERIODS = 0.002  # by which rounded lengths of periods move their common repetition
+# Errors of phases beyond noise: three steps of a projector whose light is not linear in the grey
+# level are off by some tenths of a radian, which matters where places differ as little.
+MODEL_RAD = 0.05
+# Where Gray bits leave few places, a share of what these differ by: three times this error is
+# halfway to where the next place would fit better.
+MODEL_SHARE = 1 / 12
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -56,6 +69,13 @@ class AxisPlan:
     cell_px: float
     reach: int
     periods: tuple[Period, ...]  # the shortest full one first
+    half_px: float  # about the middle of its cell, or of the projector, a place lies within
+    model_rad: float  # by which phases of one place may differ beyond their noise
+
+    @property
+    def gray_counts(self) -> bool:
+        """Whether the Gray code alone counts the first period."""
+        return bool(self.bits) and self.cell_px <= MAX_CELL * self.periods[0].period_px
 
 
 def read_frames(plans: dict[Axis, AxisPlan], count: int) -> Bool[np.ndarray, " n"]:
@@ -89,7 +109,7 @@ def _plan_axis(code: Code, axis: Axis, fine_bits: int) -> AxisPlan:
     if periods:  # of the bits only those narrower than half a period do not count periods
         fine_bits = max(0, math.floor(math.log2(0.5 * periods[0].period_px / cell_px) + 1e-9))
     bits = _gray_bits(axis, indexed, fine_bits)
-    bits, cell_px = _with_complementary(axis, indexed, bits, cell_px, periods)
+    bits, cell_px = _with_complementary(axis, indexed, bits, cell_px)
     reach_px = cell_px * 2 ** len(bits) + code.offset_px[i]
     # A code that begins inside the picture was meant for a part of it.
     if bits and code.offset_px[i] <= 0 and reach_px < code.size_px(axis) - 0.5:
@@ -97,11 +117,7 @@ def _plan_axis(code: Code, axis: Axis, fine_bits: int) -> AxisPlan:
             f"{axis}: {len(bits)} Gray bits of {cell_px:g} px reach {reach_px:g} px, the "
             f"projector has {code.size_px(axis)}: add the coarsest bit, or state stride_px"
         )
-    if not bits and len(periods) < 2 and periods[0].period_px < code.size_px(axis):
-        raise DecodeError(
-            f"{axis}: one period of {periods[0].period_px:g} px repeats within the projector's "
-            f"{code.size_px(axis)} px; add Gray bits or other periods to count it"
-        )
+    half_px, model_rad = _search(code, axis, cell_px if bits else 0.0, periods)
     return AxisPlan(
         size_px=code.size_px(axis),
         bits=bits,
@@ -109,7 +125,38 @@ def _plan_axis(code: Code, axis: Axis, fine_bits: int) -> AxisPlan:
         cell_px=cell_px,
         reach=2**fine_bits,
         periods=periods,
+        half_px=half_px,
+        model_rad=model_rad,
     )
+
+
+def _search(
+    code: Code, axis: Axis, cell_px: float, periods: tuple[Period, ...]
+) -> tuple[float, float]:
+    """How far from the middle of its cell a place may lie, and the errors of its phases.
+
+    Gray code, of cells of 0 px if there is none, and phases together must leave one place.
+    """
+    size_px = float(code.size_px(axis))
+    if not periods:
+        return 0.0, 0.0
+    full_px = np.array([p.period_px for p in periods if p.full], dtype=np.float64)
+    phases = f"the phases of period {' and '.join(f'{p:g}' for p in full_px)} px"
+    unique_px = _unique_px(full_px, size_px)
+    if cell_px > MAX_CELL * unique_px:
+        raise DecodeError(
+            f"{axis}: Gray values {cell_px:g} px wide cannot count {phases}, which repeat every "
+            f"{unique_px:g} px: add a complementary bit, a finer Gray bit or another period"
+        )
+    if cell_px:
+        half_px = 0.5 * cell_px + OFF_CELL * unique_px
+        return half_px, _model_rad(full_px, 2 * half_px)
+    if len(periods) == 1 and unique_px < size_px:
+        raise DecodeError(
+            f"{axis}: {phases} repeat within the projector's {size_px:g} px; add Gray bits or "
+            "other periods to count them"
+        )
+    return 0.5 * size_px, MODEL_RAD
 
 
 def _gray_bits(axis: Axis, indexed: list[tuple[int, Frame]], fine_bits: int) -> tuple[Bit, ...]:
@@ -146,7 +193,6 @@ def _with_complementary(
     indexed: list[tuple[int, Frame]],
     bits: tuple[Bit, ...],
     cell_px: float,
-    periods: tuple[Period, ...],
 ) -> tuple[tuple[Bit, ...], float]:
     """The bits followed by the complementary bit, if the Gray code counts periods.
 
@@ -156,11 +202,6 @@ def _with_complementary(
     if len([1 for _, f in indexed if f.kind == "complementary"]) > len(found):
         raise DecodeError(f"{axis}: the code has more than one complementary bit: give one")
     if not found:
-        if bits and periods and cell_px > 0.75 * periods[0].period_px:
-            raise DecodeError(
-                f"{axis}: Gray values {cell_px:g} px wide cannot count periods of "
-                f"{periods[0].period_px:g} px without a complementary bit"
-            )
         return bits, cell_px
     if False not in found:
         raise DecodeError(
@@ -207,3 +248,24 @@ def _periods(axis: Axis, indexed: list[tuple[int, Frame]]) -> tuple[Period, ...]
             f"{axis}: no period has all its steps; give at least one period with all its steps"
         )
     return tuple(periods)
+
+
+def _unique_px(full_px: Float[np.ndarray, " n"], size_px: float) -> float:
+    """The shortest distance at which phases of all periods repeat, at most the projector's size."""
+    apart_px, turns = _same_first_phase(full_px, size_px)
+    repeats = (np.abs(turns) <= SAME_PERIODS).all(axis=1)
+    return float(apart_px[repeats].min(initial=size_px))
+
+
+def _model_rad(full_px: Float[np.ndarray, " n"], span_px: float) -> float:
+    """Errors of phases that leave all places within the span distinct, at least `MODEL_RAD`."""
+    _, turns = _same_first_phase(full_px, span_px)
+    nearest = float(np.linalg.norm(turns, axis=1).min(initial=0.5))
+    return max(MODEL_RAD, MODEL_SHARE * 2 * math.pi * nearest)
+
+
+def _same_first_phase(full_px: Float[np.ndarray, " n"], span_px: float):
+    """Distances with equal phases of the first period, and the other phases' differences there."""
+    apart_px = full_px[0] * np.arange(1, math.floor(span_px / full_px[0]) + 1)
+    turns = apart_px[:, None] / full_px
+    return apart_px, turns - np.rint(turns)

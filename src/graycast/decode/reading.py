@@ -19,6 +19,7 @@ from .bits import FINE_ERROR, lose_bits, read_gray
 from .maps import CodeMap, DecodeSpec, Levels, Mark, Reason
 from .phases import (
     MIN_LEAD,
+    bound,
     count_by_gray,
     count_by_phases,
     fuse,
@@ -172,7 +173,8 @@ def _read_phases(seen: _Seen, plan: AxisPlan, clipped: bool, free, place, sigma,
     counts = [len(p.frames) for p in plan.periods]
     starts = np.cumsum([0, *counts[:-1]])
     lengths = [p.period_px for p in plan.periods]
-    periods = np.column_stack([lengths, starts, counts]).astype(np.float64)
+    model2 = np.full(len(counts), plan.model_rad**2)
+    periods = np.column_stack([lengths, starts, counts, model2]).astype(np.float64)
     index = np.array([k for p in plan.periods for k in p.frames])
     delta = np.array([d for p in plan.periods for d in p.delta_rad])
     waves = np.array([f(m * delta) for m in (1, 2) for f in (np.cos, np.sin)], np.float32).T
@@ -181,18 +183,22 @@ def _read_phases(seen: _Seen, plan: AxisPlan, clipped: bool, free, place, sigma,
     if clipped:
         lose_phases(seen.frames, index, seen.top, seen.saturation_dn, seen.why)
     read_phases(seen.frames, periods, index, waves, seen.law, seen.strength, turn, noise2)
-    if plan.bits:
+    if plan.gray_counts:
         count_by_gray(periods, np.float32(plan.cell_px), turn, place, sigma, rival, seen.why)
         if seen.votes:
             _settle_refused(seen, periods[0, 0], turn[:, 0], free, place)
     else:
-        _count(seen, (periods, delta, plan.size_px, turn, noise2), place)
+        if not plan.bits:
+            place[:] = 0.5 * (plan.size_px - 1)
+        bounds = np.empty((h, 2, w), dtype=np.float32)
+        bound(periods, place, np.float32(plan.half_px), noise2, bounds)
+        _count(seen, (periods, delta, plan.size_px, bounds, turn, noise2), place)
     fuse(periods, turn, noise2, place, sigma)
 
 
 def _count(seen: _Seen, measured: tuple, place) -> None:
     """Count periods by the phases themselves; what they leave open is the neighbours' to settle."""
-    periods, _, _, turn, _ = measured
+    periods, turn = measured[0], measured[-2]
     state = np.empty(place.shape, dtype=np.uint8)
     count_by_phases(*measured, place, state)
     lit = _judged(seen) == Reason.DECODED

@@ -48,6 +48,10 @@ def assert_untouched(out: Path):
         ({"zebra": 3}, ["unknown key zebra", "the keys are code, exposure"]),
         ({"render": {"sample": 4}}, ["unknown key render.sample", "did you mean samples?"]),
         (
+            {"filters": {"raster_px": 0.3}},
+            ["unknown key filters.raster_px: it belongs to the section faults, so move it there\n"],
+        ),
+        (
             {"light": {"lamps": [{"cener_m": [0, 0, 1]}]}},
             ["unknown key light.lamps.0.cener_m", "did you mean center_m?"],
         ),

@@ -27,6 +27,7 @@ from stack import simulated
 from graycast.cli import main, measuring
 from graycast.decode import REASON_COLOR, FilterSpec, Reason
 from graycast.errors import GraycastError
+from graycast.faults import FaultSpec
 from graycast.folder import whole_folder
 from graycast.pattern import AXES, CODECS, CodeSpec, gray, gray_phase, level_share
 from graycast.real.realism import plots
@@ -134,6 +135,16 @@ def test_decode_averages_to_one_point_per_projector_pixel(decoded, capsys, tmp_p
     known = codes["reason"] == Reason.DECODED
     pixels = np.stack([np.rint(codes[axis][known]) for axis in AXES], axis=1)
     assert 0.8 * len(np.unique(pixels, axis=0)) < averaged <= len(np.unique(pixels, axis=0))
+
+
+def test_decode_adds_no_fault_of_the_rig(decoded, capsys, tmp_path):
+    rig, folder, out, _ = decoded
+    faulty = Scanner(rig=rig, faults=FaultSpec(raster_px=1.0, edge_x_px=1.0, edge_y_px=1.0))
+    save_scanner(faulty, tmp_path / "rig.yaml")
+    run(capsys, "decode", folder / "STACK.yaml", "--rig", tmp_path / "rig.yaml",
+        "--out", tmp_path / "out")  # fmt: skip
+    for name in ("depth.npy", "sigma_depth.npy", "cloud.ply"):
+        assert (out / name).read_bytes() == (tmp_path / "out" / name).read_bytes()
 
 
 @pytest.mark.slow

@@ -190,7 +190,7 @@ def test_lost_edges_are_the_same_in_every_shot_and_steep_surfaces_have_none():
     once, again = (with_lost(shot, edge_x_px=0.4).reason for shot in (z_m, z_m + noise_m))
     assert (once == Reason.OUTLIER).any()
     assert np.array_equal(once, again)
-    steep = with_lost(tilted(60, 30), edge_x_px=1.0, edge_y_px=1.0)
+    steep = with_lost(tilted(50, 30), edge_x_px=1.0, edge_y_px=1.0)
     assert (steep.reason == Reason.DECODED).all()
 
 

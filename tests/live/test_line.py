@@ -88,6 +88,7 @@ def test_the_first_pictures_are_rough_and_the_last_is_preview_s(watched):
         {"exposure": {"target": 0.3, "factors": [1.0, 0.25]}},
         {"sensor": {"read_noise_e": 12.0, "bit_depth": 10}},
         {"decode": {"min_contrast": 0.1}, "filters": {"island_px": 20, "smoothing_px": 0.5}},
+        {"faults": {"raster_px": 0.3, "edge_x_px": 0.2}},
     ],
 )
 def test_a_free_change_is_measured_again_without_rendering(watched, sections):

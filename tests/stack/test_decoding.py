@@ -17,6 +17,7 @@ from graycast.pattern import gray, gray_line_shift, gray_phase, micro_phase, xor
 from graycast.stack import decode_stack, describe_result, meet_rays, read_description, write_result
 from graycast.stack.decoding import _epipolar_limit_px, _less_outliers
 
+from .filtered import PRESET_FILTERS, check_depth_of_no_filters
 from .simulated import BALL_M, RADIUS_M, WALL_M, describe, save, seen, shoot, small_rig
 
 BOTH = ("column", "row")
@@ -162,6 +163,15 @@ def test_depth_is_the_wall_and_the_ball_to_half_a_projector_pixel(vertical, tmp_
     assert known.mean() > 0.9 * result.figures.lit_share
     assert np.quantile(error_m, 0.98) < 1.3 * half_pixel_m  # toe-in stretches it
     assert result.figures.epipolar_median_px < 0.5
+
+
+@pytest.mark.parametrize("filters", PRESET_FILTERS)
+def test_filters_of_a_preset_add_nothing_to_the_depth_of_a_stack(filters, tmp_path):
+    """The ball's slopes showed it: a preset's raster scattered the depth of real pictures."""
+    rig, code = small_rig(), CODES["gray and phase"]
+    path = save(tmp_path, describe(code), shoot(rig, code))
+    plain = decode_stack(path, rig).depth
+    check_depth_of_no_filters(path, rig, plain, filters)
 
 
 def test_a_stack_s_noise_takes_no_point_off_its_epipolar_line_and_a_wrong_row_does():

@@ -11,6 +11,8 @@ from scipy.spatial import cKDTree
 from graycast.rig_file import import_opencv
 from graycast.stack import decode_stack
 
+from .filtered import PRESET_FILTERS, check_depth_of_no_filters
+
 pytestmark = pytest.mark.slow
 
 
@@ -44,8 +46,8 @@ def stack_file(scan, tmp_path_factory):
 
 
 @pytest.fixture(scope="module")
-def result(scan, stack_file):
-    rig = import_opencv(
+def rig(scan):
+    return import_opencv(
         scan / "calibration.yaml",
         unit=None,
         near_m=0.2,
@@ -53,6 +55,10 @@ def result(scan, stack_file):
         camera_size_px=None,
         projector_size_px=(1280, 720),
     )
+
+
+@pytest.fixture(scope="module")
+def result(stack_file, rig):
     return decode_stack(stack_file, rig, average=True)
 
 
@@ -87,6 +93,11 @@ def test_its_modulation_per_bit_is_the_known_one(result):
 def test_its_epipolar_residual_is_the_known_one(result):
     """0.34 px of the pixels whose bits are in no doubt; beyond the shell the calibration ends."""
     assert result.figures.epipolar_sure_px == pytest.approx(0.34, abs=0.04)
+
+
+@pytest.mark.parametrize("filters", PRESET_FILTERS)
+def test_filters_of_a_preset_add_nothing_to_its_depth(result, stack_file, rig, filters):
+    check_depth_of_no_filters(stack_file, rig, result.depth, filters)
 
 
 def off_the_plane_around_px(place, known, *, window_px=25):

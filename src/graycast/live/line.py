@@ -1,9 +1,9 @@
 """The whole line kept open: what is asked for is made from what is there as far as that goes.
 
 Every product stays with what it was made from. A change of what comes after the light alone
-(exposure, sensor, decoder, filters) is measured again from the kept radiance, which is linear: so
-are the projector's power and the ambient light, whose factors scale it. Another light is rendered,
-roughly first, then as configured. Only what falls otherwise is dropped again.
+(exposure, sensor, decoder, filters, faults) is measured again from the kept radiance, which is
+linear: so are the projector's power and the ambient light, whose factors scale it. Another light is
+rendered, roughly first, then as configured. Only what falls otherwise is dropped again.
 
 What is finished is what `make_scene` makes of the same configuration, bit for bit: the stages and
 their seeds are the same. A scaled radiance differs in its last bits, so it is shown at once, and

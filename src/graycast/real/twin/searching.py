@@ -1,12 +1,12 @@
 """The search: which values make a cell's simulated scans have the real scans' statistics.
 
-Light is rendered once for each code, so a trial is exposure, noise, decoding and filters alone.
-The noise is the same in every trial, so that the same search takes the same way. It has two starts:
-the configured scanner, whose noise is mostly that of the light and of which each parameter is first
-tried alone, to find what is far off; and the same with noise of the surface, as a real laser
-scanner has it. A code is no number, and neither is a kind of noise: each pair of them has a few
-damped Gauss-Newton steps, as the loss is a sum of squares. The better pair of each code goes on by
-more such steps, the best of these by all that are left, and when they end, by a walk about their
+Light is rendered once for each code, so a trial is exposure, noise, decoding, filters and faults
+alone. The noise is the same in every trial, so that the same search takes the same way. It has two
+starts: the configured scanner, whose noise is mostly that of the light and of which each parameter
+is first tried alone, to find what is far off; and the same with noise of the surface, as a real
+laser scanner has it. A code is no number, and neither is a kind of noise: each pair of them has a
+few damped Gauss-Newton steps, as the loss is a sum of squares. The better pair of each code goes on
+by more such steps, the best of these by all that are left, and when they end, by a walk about their
 end (covariance matrix adaptation). What is far worse than the best of its kind is given up: a start
 at once, a code after its first steps.
 

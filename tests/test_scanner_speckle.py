@@ -24,7 +24,7 @@ def scanner():
     whole = preset("phoxi-m", "small")
     camera = replace(_sharp(whole.rig.camera), width_px=90, height_px=70, cx_px=44.5, cy_px=34.5)
     rig = replace(whole.rig, camera=camera, projector=_sharp(whole.rig.projector))
-    code = replace(whole.code, period_px=16.0)
+    code = replace(whole.code, axes=("column",), period_px=16.0, fine_period_px=None)
     return Scanner(rig=rig, code=code, sensor=whole.sensor, exposure=ExposureSpec(target=0.5))
 
 

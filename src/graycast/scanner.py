@@ -252,7 +252,10 @@ def preset(name: str, resolution: str = "low") -> Scanner:
 
     `paper` is the paper's: plain Gray code, no filter. The PhoXi family shows a phase code, whose
     laser's line is blurred a little, filters its depth, smooths it and has the faults of a real
-    device.
+    device. It knows most light that came by way of another surface: by two periods that disagree,
+    by a point off its epipolar line (which takes the code of both axes), and by stripes without
+    contrast; pixels beside edges, which may see two surfaces, have no depth. docs/materials.md
+    has the shares of wrong depth on eight materials, with and without that.
 
     Args:
         name: one of `rig.PRESETS`.
@@ -281,15 +284,18 @@ def preset(name: str, resolution: str = "low") -> Scanner:
             speckle_contrast=_PHOXI_SPECKLE,
             speckle_volume=_PHOXI_VOLUME,
         ),
-        code=CodeSpec(codec="gray_phase", axes=("column",), period_px=48.0, steps=4),
+        code=CodeSpec(codec="gray_phase", period_px=48.0, fine_period_px=16.0, steps=4),
         exposure=ExposureSpec(factors=(1.0, 4.0)),
         sensor=SensorSpec(pixel_pitch_m=pitch_m, f_number=_PHOXI_F_NUMBER, wavelength_m=637e-9),
-        decode=DecodeSpec(min_contrast=0.002, min_sigmas=30.0),
+        decode=DecodeSpec(
+            min_contrast=0.002, min_sigmas=30.0, min_visibility=0.3, max_epipolar_px=1.0
+        ),
         filters=FilterSpec(
             flying_angle_deg=75.0,
             outlier_sigmas=4.0,
             outlier_repair=True,
             hidden_sigmas=3.0,
+            edge_px=1.0,
             island_px=30,
             smoothing_px=0.55,
         ),

@@ -100,7 +100,7 @@ def _judge(why, high, low, strength, top, spec: DecodeSpec, levels: Levels):
     noise_dn2 = levels.floor_dn2 + levels.slope_dn * np.maximum(low - levels.offset_dn, 0)
     least = np.float32(spec.min_visibility) * (high - low).astype(np.float32)
     mixed = (why == Reason.DECODED) & (strength.astype(np.float32) < least)
-    why = np.where(mixed, Reason.CONTRADICTORY, why)
+    why = np.where(mixed, Reason.INTERREFLECTION, why)
     reason = np.select(
         [
             high - low < SHADOW_SIGMAS * np.sqrt(noise_dn2),

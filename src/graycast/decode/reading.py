@@ -293,7 +293,7 @@ def _judge_row(high, low, strength, top, why, law, dark):
     said = why.astype(np.int32)
     for x in range(len(why) if visibility > zero else 0):
         mixed = (said[x] == Reason.DECODED) & (strength[x] < visibility * (high[x] - low[x]))
-        said[x] = np.int32(Reason.CONTRADICTORY) if mixed else said[x]
+        said[x] = np.int32(Reason.INTERREFLECTION) if mixed else said[x]
     for x in range(len(why)):
         said[x] = said[x] if strength[x] >= dark_dn else np.int32(Reason.LOW_MODULATION)
     for x in range(len(why)):

@@ -396,6 +396,30 @@ def test_a_stripe_combined_by_exclusive_or_is_believed_from_three_deviations_on(
     assert one_pixel(code, at=at, change=weaken) is Reason[reason]
 
 
+@pytest.mark.parametrize("inverses", [False, True])
+@pytest.mark.parametrize("turned", [False, True])
+def test_a_doubtful_base_bit_makes_its_pixel_doubtful(inverses, turned):
+    """Misread, it inverts all bits combined with it: the place is far off, and nothing contradicts.
+
+    Its frames are 16 of 180 DN apart, which is more than three deviations of the noise of a pair.
+    """
+    code = xor_gray(64, 48, inverses=inverses)
+    first = frame_index(code, "column", 1)
+
+    def weaken(stack):
+        half = 8 if (stack[first] > 110) != turned else -8
+        stack[first] = 110 + half
+        if inverses:
+            stack[frame_index(code, "column", 1, True)] = 110 - half
+
+    assert one_pixel(code, at=20) is Reason.DECODED
+    assert one_pixel(code, at=20, change=weaken) is Reason.CONTRADICTORY
+    careless = replace(USUAL, doubt=0.0)
+    noisy = inverses is False  # then 16 DN from the middle, whose own noise counts too
+    expected = Reason.CONTRADICTORY if noisy else Reason.DECODED
+    assert one_pixel(code, at=20, change=weaken, spec=careless) is expected
+
+
 def test_light_from_elsewhere_stronger_than_the_direct_one_turns_gray_bits_over_but_not_xor():
     """Theory (Gupta et al. 2011): a point whose global light exceeds its direct light reads every
     wide stripe as the other point does; narrow stripes reach it half lit, in all patterns alike.
@@ -479,7 +503,8 @@ def test_a_pixel_at_the_picture_s_border_is_never_taken_for_one_at_the_other_end
     off_px = np.abs(codes.column - u)
     assert np.nanmax(off_px) < 3
     inside = (u > 0.75) & (u < last - 0.75)
-    assert (codes.reason[inside] == Reason.DECODED).mean() > 0.9
+    least = 0.9 if name != "combined" else 0.85  # next to an edge of the base bit there is doubt
+    assert (codes.reason[inside] == Reason.DECODED).mean() > least
     beyond = (u < -1.8) | (u > last + 1.8)
     assert not (codes.reason[beyond] == Reason.DECODED).any()
 

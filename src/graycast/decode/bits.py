@@ -65,7 +65,7 @@ def lose_bits(stack, bits, high, low, top, saturation_dn, why):
                 lost[x] |= full & (second >= saturation_dn)
                 glare[x] |= full & (inverse < 0)
         for b in range(len(bits)):
-            if bits[b, 1] >= 0 or (bits[b, 3] > 0 and bits[b, 2] < 0):
+            if bits[b, 1] >= 0 or (bits[b, 3] == 1 and bits[b, 2] < 0):
                 continue
             first = stack[bits[b, 0], y]
             for x in range(w):
@@ -125,7 +125,7 @@ def _weigh_doubts(bits, grid, law, high, low, margin, value, variance, rival, wh
         noise[x] = math.sqrt(two * floor_dn2 + slope_dn * light)
         third[x] = np.float32(1 / 3) / noise[x]
         contrast[x] = high[x] - low[x]
-    counted = bits[:, 3].sum()
+    counted = (bits[:, 3] == 1).sum()
     doubts = np.zeros((2, w), dtype=np.int32)
     seen = 0
     sure = np.empty((2, w), dtype=np.float32)
@@ -150,16 +150,20 @@ def _weigh_doubts(bits, grid, law, high, low, margin, value, variance, rival, wh
                 variance[x] += half * (wrong * wrong * wrong) * (apart_px * apart_px)
             continue
         of_half = doubts[0 if 2 * seen < counted else 1]
-        seen += 1
-        limit, share = contrast, doubt
+        seen += bits[b, 3] == 1
+        limit, share, counts = contrast, doubt, np.int32(bits[b, 3])
+        noisy = np.float32(XOR_SIGMAS) / scale
         if bits[b, 2] >= 0:
-            limit, share = noise, np.float32(XOR_SIGMAS) / scale
+            limit, share = noise, noisy
+        if counts > 1:
+            for x in range(w):
+                of_half[x] += counts if abs(np.float32(of_bit[x])) < noisy * noise[x] else 0
         for x in range(w):
             size = abs(np.float32(of_bit[x]))
             apart = np.float32(np.int32(value[x] ^ flip)) - np.float32(value[x])
             wrong = max(one - size * (third[x] * scale), zero)
             variance[x] += half * (wrong * wrong * wrong) * ((cell_px * apart) * (cell_px * apart))
-            grave = np.int32(1) + np.int32(abs(apart) > reach)
+            grave = max(counts, np.int32(1) + np.int32(abs(apart) > reach))
             of_half[x] += grave if size < share * limit[x] else np.int32(0)
             rival[x] = cell_px * apart if size < share * limit[x] else rival[x]
     coarse, fine = doubts[0], doubts[1]

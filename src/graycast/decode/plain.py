@@ -124,7 +124,7 @@ def _lost(stack, full, plan: AxisPlan, twice_threshold, levels: Levels):
             lost |= full[bit.frame] & full[bit.inverse]
         else:
             lost |= full[bit.frame] & (twice_threshold >= 2 * levels.saturation_dn)
-            narrow = not bit.counts or bit.xor >= 0
+            narrow = bit.counts != 1 or bit.xor >= 0
             lost |= narrow & glare & (2 * stack[bit.frame] > twice_threshold)
     for period in plan.periods:
         lost |= full[list(period.frames)].any(axis=0)
@@ -155,7 +155,7 @@ def _gray(stack, plan: AxisPlan, spec: DecodeSpec, levels: Levels, high, low, fi
 
     variance, rival = np.zeros(high.shape), np.zeros(high.shape)
     doubts = np.zeros((2, *high.shape), dtype=int)
-    counted = [b for b, bit in enumerate(plan.bits) if bit.counts]
+    counted = [b for b, bit in enumerate(plan.bits) if bit.counts == 1]
     for b, bit in enumerate(plan.bits):
         flipped = value ^ (2 ** (len(bits) - b) - 1)
         error, square = noises[b], (flipped - value) ** 2
@@ -173,8 +173,13 @@ def _gray(stack, plan: AxisPlan, spec: DecodeSpec, levels: Levels, high, low, fi
             # In float32, as the fast decoder says it: a signal may lie on the limit itself.
             share, of = (XOR_SIGMAS, noises[b]) if bit.xor >= 0 else (spec.doubt, high - low)
             doubtful = np.abs(margins[b]) < np.float32(share) * of.astype(np.float32)
-            half = 0 if 2 * counted.index(b) < len(counted) else 1
-            doubts[half] += doubtful * (1 + (np.abs(flipped - value) > plan.reach))
+            if bit.counts > 1:
+                doubtful |= np.abs(margins[b]) < np.float32(XOR_SIGMAS) * noises[b].astype(
+                    np.float32
+                )
+            half = 0 if 2 * sum(c < b for c in counted) < len(counted) else 1
+            grave = 1 + (np.abs(flipped - value) > plan.reach)
+            doubts[half] += doubtful * np.maximum(grave, bit.counts)
             rival = np.where(doubtful, plan.cell_px * (flipped - value), rival)
     coarse = plan.first_px + plan.cell_px * (value + 0.5)
     return coarse, plan.cell_px**2 * variance, rival, doubts

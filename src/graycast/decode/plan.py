@@ -35,7 +35,7 @@ class Bit:
     frame: int
     inverse: int = NO_FRAME
     xor: int = NO_FRAME
-    counts: bool = True  # whether doubt in it is a contradiction
+    counts: int = 1  # how much doubt in it counts; two make a contradiction
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -172,6 +172,7 @@ def _gray_bits(axis: Axis, indexed: list[tuple[int, Frame]], fine_bits: int) -> 
     gaps = sorted(set(range(numbers[-1], numbers[0])) - set(numbers))
     if gaps:
         raise DecodeError(f"{axis}: Gray bit {gaps[0]} is missing between finer and coarser bits")
+    bases = {frame.xor_bit for _, frame in shown.values()}
     bits = []
     for number in numbers:
         k, frame = shown[number]
@@ -183,7 +184,9 @@ def _gray_bits(axis: Axis, indexed: list[tuple[int, Frame]], fine_bits: int) -> 
                     "must also have uncombined"
                 )
             base = numbers.index(frame.xor_bit)
-        counts = number - numbers[-1] >= fine_bits or frame.xor_bit >= 0
+        counts = int(number - numbers[-1] >= fine_bits or frame.xor_bit >= 0)
+        if number in bases:  # misread, it inverts all bits that are combined with it
+            counts = 2
         bits.append(Bit(frame=k, inverse=inverse.get(number, NO_FRAME), xor=base, counts=counts))
     return tuple(bits)
 

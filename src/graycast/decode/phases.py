@@ -138,41 +138,53 @@ def count_by_gray(periods, cell_px, turn, place, variance, rival, why):
 
 @numba.njit(parallel=True, cache=True, error_model="numpy")
 @no_type_check  # the tests' type checker wraps functions, which numba cannot compile
-def bound(periods, middle, half_px, noise2, bounds):
-    """Lowest and highest place of each pixel: `half_px` from the middle, and its phase's noise."""
-    per_rad = np.float32(SLACK_SIGMAS * periods[0, 0] / (2 * math.pi))
+def bound(periods, middle, half_px, turn, noise2, bounds):
+    """Of each pixel's places the lowest [periods] and a limit of the highest [px].
+
+    A place lies within `half_px` of the middle, but for its phase's noise.
+    """
+    period, most = np.float32(periods[0, 0]), np.float32(math.pi)  # no phase is farther off
+    per_rad, sigmas = period / np.float32(2 * math.pi), np.float32(SLACK_SIGMAS)
     for y in numba.prange(len(middle)):
         for x in range(middle.shape[1]):
-            reach = half_px + per_rad * math.sqrt(noise2[y, 0, x])
-            bounds[y, 0, x] = middle[y, x] - reach
+            off = sigmas * math.sqrt(noise2[y, 0, x])
+            reach = half_px + per_rad * (off if off < most else most)
+            first = np.ceil((middle[y, x] - reach) / period - turn[y, 0, x])
+            bounds[y, 0, x] = max(first, np.float32(0)) + turn[y, 0, x]
             bounds[y, 1, x] = middle[y, x] + reach
 
 
 @numba.njit(parallel=True, cache=True, error_model="numpy")
 @no_type_check  # the tests' type checker wraps functions, which numba cannot compile
-def count_by_phases(periods, delta, size_px, bounds, turn, noise2, place, state):
+def count_by_phases(periods, delta, half_px, bounds, turn, noise2, place, state):
     """The period of the first group with which all others agree, by a search within the bounds.
 
     The count is refused if no period agrees, and open if two agree.
     """
     for y in numba.prange(len(place)):
-        _search_row(periods, delta, size_px, bounds[y], turn[y], noise2[y], place[y], state[y])
+        _search_row(periods, delta, half_px, bounds[y], turn[y], noise2[y], place[y], state[y])
 
 
 @numba.njit(cache=True, error_model="numpy")
 @no_type_check  # the tests' type checker wraps functions, which numba cannot compile
-def _search_row(periods, delta, size_px, bounds, turn, noise2, place, state):
+def _most_places(periods, half_px):
+    """How many periods may fit between a pixel's bounds."""
+    return math.floor(2 * half_px / periods[0, 0] + 1) + 1
+
+
+@numba.njit(cache=True, error_model="numpy")
+@no_type_check  # the tests' type checker wraps functions, which numba cannot compile
+def _search_row(periods, delta, half_px, bounds, turn, noise2, place, state):
     groups, w = turn.shape
-    period, first = np.float32(periods[0, 0]), turn[0]
+    period, first = np.float32(periods[0, 0]), bounds[0]
     costs = np.empty(w, dtype=np.float32)
     best = np.full(w, np.float32(NOWHERE))
     second = np.full(w, np.float32(NOWHERE))
     seen = np.empty((groups, 3, w), dtype=np.float32)
     for g in range(1, groups):
-        _expect(periods, delta, g, turn, noise2, seen[g])
-    inside = bounds[0].max(), bounds[1].min()
-    for k in range(math.ceil(size_px / periods[0, 0]) + 1):
-        _cost(k, periods, bounds, inside, turn, seen, costs)
+        _expect(periods, delta, g, first, turn[g], noise2, seen[g])
+    for k in range(_most_places(periods, half_px)):
+        _cost(k, periods, bounds, turn, seen, costs)
         at = np.float32(k)
         for x in range(w):
             better = costs[x] < best[x]
@@ -187,7 +199,7 @@ def _search_row(periods, delta, size_px, bounds, turn, noise2, place, state):
 
 @numba.njit(parallel=True, cache=True, error_model="numpy")
 @no_type_check  # the tests' type checker wraps functions, which numba cannot compile
-def open_choices(periods, delta, size_px, bounds, turn, noise2, state, choice, cost):
+def open_choices(periods, delta, half_px, bounds, turn, noise2, state, choice, cost):
     """The best periods of open counts with their costs; best first."""
     for y in numba.prange(len(state)):
         where = np.nonzero(state[y] == OPEN)[0]
@@ -197,7 +209,7 @@ def open_choices(periods, delta, size_px, bounds, turn, noise2, state, choice, c
         chosen = np.full((count, len(where)), -1, dtype=np.int32)
         costs = np.full((count, len(where)), np.float32(NOWHERE))
         of_row = bounds[y][:, where], turn[y][:, where], noise2[y][:, where]
-        _search_all(periods, delta, size_px, *of_row, chosen, costs)
+        _search_all(periods, delta, half_px, *of_row, chosen, costs)
         for n in range(count):
             for i in range(len(where)):
                 choice[y, n, where[i]] = chosen[n, i]
@@ -206,18 +218,18 @@ def open_choices(periods, delta, size_px, bounds, turn, noise2, state, choice, c
 
 @numba.njit(cache=True, error_model="numpy")
 @no_type_check  # the tests' type checker wraps functions, which numba cannot compile
-def _search_all(periods, delta, size_px, bounds, turn, noise2, choice, cost):
+def _search_all(periods, delta, half_px, bounds, turn, noise2, choice, cost):
     """The cheapest periods of each pixel in order, as many as `choice` has rows."""
     groups, w = turn.shape
     costs = np.empty(w, dtype=np.float32)
     number = np.empty(w, dtype=np.int32)
     seen = np.empty((groups, 3, w), dtype=np.float32)
     for g in range(1, groups):
-        _expect(periods, delta, g, turn, noise2, seen[g])
-    inside = bounds[0].max(), bounds[1].min()
-    for k in range(math.ceil(size_px / periods[0, 0]) + 1):
-        _cost(k, periods, bounds, inside, turn, seen, costs)
-        number[:] = k
+        _expect(periods, delta, g, bounds[0], turn[g], noise2, seen[g])
+    for k in range(_most_places(periods, half_px)):
+        _cost(k, periods, bounds, turn, seen, costs)
+        for x in range(w):
+            number[x] = k + np.int32(np.rint(bounds[0, x] - turn[0, x]))
         for n in range(len(choice)):  # what it displaces goes on to the next row
             kept, price = choice[n], cost[n]
             for x in range(w):
@@ -231,21 +243,12 @@ def _search_all(periods, delta, size_px, bounds, turn, noise2, choice, cost):
 
 @numba.njit(cache=True, error_model="numpy")
 @no_type_check  # the tests' type checker wraps functions, which numba cannot compile
-def _cost(k, periods, bounds, inside, turn, seen, costs):
-    """The cost of the position in period `k`; positions out of bounds are excluded.
-
-    `inside` is within the bounds of all pixels: there no place is compared with them.
-    """
-    period, first, at = np.float32(periods[0, 0]), turn[0], np.float32(k)
-    lowest, highest = bounds[0], bounds[1]
-    half = np.float32(0.5)
-    if (at - half) * period >= inside[0] and (at + half) * period <= inside[1]:
-        costs[:] = 0
-    else:
-        for x in range(len(costs)):
-            u = (at + first[x]) * period
-            out = (u < lowest[x]) | (u > highest[x])
-            costs[x] = np.float32(NOWHERE) if out else np.float32(0)
+def _cost(k, periods, bounds, turn, seen, costs):
+    """The cost of the place `k` periods above the lowest; what is out of bounds is excluded."""
+    period, at, lowest, highest = np.float32(periods[0, 0]), np.float32(k), bounds[0], bounds[1]
+    for x in range(len(costs)):
+        out = (at + lowest[x]) * period > highest[x]
+        costs[x] = np.float32(NOWHERE) if out else np.float32(0)
     for g in range(1, len(periods)):
         turns = k * periods[0, 0] / periods[g, 0]
         if periods[g, 2] < 3:
@@ -257,10 +260,10 @@ def _cost(k, periods, bounds, inside, turn, seen, costs):
 
 @numba.njit(cache=True, error_model="numpy")
 @no_type_check  # the tests' type checker wraps functions, which numba cannot compile
-def _expect(periods, delta, g, turn, noise2, seen):
-    """What a group shows in period 0 (phase difference; of a lone frame cos, sin), and a weight."""
+def _expect(periods, delta, g, first, its_turn, noise2, seen):
+    """What a group shows at the lowest place `first` [periods]: how far its own phase is off that
+    place's, of a lone frame the place's cosine and sine; and a weight."""
     ratio = periods[0, 0] / periods[g, 0]
-    first, its_turn = turn[0], turn[g]
     here, aside, weight = seen[0], seen[1], seen[2]
     if periods[g, 2] < 3:
         lag = delta[int(periods[g, 1])]

@@ -70,7 +70,7 @@ def decode_plain(
             strength = np.minimum(strength, 2 * amplitude)
             mark[by_others] |= Mark.SETTLED
             why[by_others] = Reason.DECODED
-            _say(why, wrong, Reason.INTERREFLECTION if plan.gray_counts else Reason.CONTRADICTORY)
+            _say(why, wrong, Reason.INTERREFLECTION if plan.bits else Reason.CONTRADICTORY)
         _say(why, (place < -0.5) | (place > plan.size_px - 0.5), Reason.OUTSIDE_PROJECTOR)
         found[axis] = place, sigma
     reason = _judge(why, high, low, strength, top, spec, levels)
@@ -201,7 +201,7 @@ def _phase(stack, plan: AxisPlan, levels: Levels, coarse, variance, rival, judge
             k, settled = _vote(turn, k, refused, said == Reason.DECODED, votes)
             wrong &= ~settled
     else:
-        slack = SLACK_SIGMAS * np.sqrt(noise2) * first / (2 * np.pi)
+        slack = np.minimum(SLACK_SIGMAS * np.sqrt(noise2), np.pi) * first / (2 * np.pi)
         middle = coarse if plan.bits else 0.5 * (plan.size_px - 1)
         bounds = middle - plan.half_px - slack, middle + plan.half_px + slack
         choice, cost, state = _count(
@@ -244,7 +244,7 @@ def _first_phase(stack, period: Period, levels: Levels):
 def _count(stack, plan: AxisPlan, turn, noise2, others, mean, amplitude, light, bounds):
     first = plan.periods[0].period_px
     costs = []
-    for k in range(int(np.ceil(plan.size_px / first)) + 1):
+    for k in range(int(np.nanmax(bounds[1]) / first) + 2):
         u = (k + turn) * first
         cost = np.zeros(u.shape)
         for period, other in zip(plan.periods[1:], others, strict=True):

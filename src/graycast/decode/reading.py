@@ -191,13 +191,17 @@ def _read_phases(seen: _Seen, plan: AxisPlan, clipped: bool, free, place, sigma,
         if not plan.bits:
             place[:] = 0.5 * (plan.size_px - 1)
         bounds = np.empty((h, 2, w), dtype=np.float32)
-        bound(periods, place, np.float32(plan.half_px), noise2, bounds)
-        _count(seen, (periods, delta, plan.size_px, bounds, turn, noise2), place)
+        bound(periods, place, np.float32(plan.half_px), turn, noise2, bounds)
+        _count(seen, (periods, delta, plan.half_px, bounds, turn, noise2), place, bool(plan.bits))
     fuse(periods, turn, noise2, place, sigma)
 
 
-def _count(seen: _Seen, measured: tuple, place) -> None:
-    """Count periods by the phases themselves; what they leave open is the neighbours' to settle."""
+def _count(seen: _Seen, measured: tuple, place, by_gray: bool) -> None:
+    """Count periods by the phases themselves; what they leave open is the neighbours' to settle.
+
+    `by_gray`: a Gray code says about where, so a pixel whose phases do not agree there has light
+    from elsewhere.
+    """
     periods, turn = measured[0], measured[-2]
     state = np.empty(place.shape, dtype=np.uint8)
     count_by_phases(*measured, place, state)
@@ -209,7 +213,8 @@ def _count(seen: _Seen, measured: tuple, place) -> None:
         open_choices(*measured, state, choice, cost)
         settled = settle(periods, turn, choice, cost, place, state, lit, min_lead=MIN_LEAD)
         seen.mark[settled] |= np.uint8(Mark.SETTLED)
-    seen.why[(state != CLEAR) & (seen.why == Reason.DECODED)] = Reason.CONTRADICTORY
+    wrong = Reason.INTERREFLECTION if by_gray else Reason.CONTRADICTORY
+    seen.why[(state != CLEAR) & (seen.why == Reason.DECODED)] = wrong
 
 
 def _judged(seen: _Seen) -> UInt8[np.ndarray, "h w"]:

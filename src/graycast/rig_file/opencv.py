@@ -33,8 +33,8 @@ _SPELLINGS = {
     "distCoeffs distCoeffs1 distCoeff1 distortionCoefficients1 distortionCoefficients "
     "camDistCoeffs",
     "projector matrix": "proK projK prjK projectorK Kproj Kprojector K2 M2 M4 Kp cameraMatrix2 "
-    "projInt projIntrinsics projectorIntrinsics mtx2 projMtx projectorMtx projMatrix projectorMatrix "
-    "intrinsicMtx2 intrinsic2",
+    "projInt projIntrinsics projectorIntrinsics mtx2 projMtx projectorMtx projMatrix "
+    "projectorMatrix intrinsicMtx2 intrinsic2",
     "projector distortion": "proKc projKc prjKc projD projDist projectorDist projectorDistortion "
     "D2 D4 d2 kp dp Dp dist2 distCoeffs2 distCoeff2 distortionCoefficients2 projDistCoeffs",
     "R": "R Rp Rlp rotation rotationMatrix",

@@ -75,7 +75,8 @@ def _decoded(codes: CodeMap) -> tuple[Int[np.ndarray, " n"], Int[np.ndarray, " n
     """Row and column of an even choice of the decoded pixels."""
     index = np.flatnonzero(codes.reason == Reason.DECODED)
     index = index[:: max(1, len(index) // SAMPLES)]
-    return np.unravel_index(index, codes.reason.shape)
+    y, x = np.unravel_index(index, codes.reason.shape)
+    return y, x
 
 
 def _edge(codes: CodeMap, by_rows: bool) -> tuple[Int[np.ndarray, " n"], Int[np.ndarray, " n"]]:

@@ -106,13 +106,23 @@ def calibrate_rig(
     if radial_terms not in range(4):
         raise ValueError(f"radial_terms is {radial_terms}; give 0 to 3")
     camera_size_px = check_views(views)
-    sizes = {"camera_size_px": camera_size_px, "projector_size_px": projector_size_px}
-    observed = observe(views, board, **sizes)
-    terms = {"radial_terms": radial_terms, "tangential": tangential}
-    fit = adjust(observed.corners, **sizes, **terms)
+    observed = observe(
+        views, board, camera_size_px=camera_size_px, projector_size_px=projector_size_px
+    )
+
+    def fitted(good: Observed) -> Adjustment:
+        return adjust(
+            good.corners,
+            camera_size_px,
+            projector_size_px,
+            radial_terms=radial_terms,
+            tangential=tangential,
+        )
+
+    fit = fitted(observed)
     while spoiling := _spoiling(observed, fit):
         observed = observed.less(spoiling)
-        fit = adjust(observed.corners, **sizes, **terms)
+        fit = fitted(observed)
     _refuse_impossible(fit)
     seen = observed.corners
     epipolar_px = epipolar_distance_px(

@@ -4,6 +4,7 @@ import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
+import cv2
 import numpy as np
 from jaxtyping import Float, Shaped
 
@@ -16,6 +17,7 @@ from .projector_corners import projector_corners
 MIN_VIEWS = 3  # of a plane in different directions, below which the intrinsics are not determined
 GOOD_VIEWS = 8
 SAME_POSE = 0.005  # of the board's radius in the picture, by which its corners differ
+GROSS, GROSS_PX = 6.0, 2.0  # corners off from their view's others, in medians and pixels
 MOST_RMS = 0.005  # of a device, in widths of its picture
 GOOD_RMS_PX, SPOILING = 0.5, 3.0  # of a device alone; by which one view may worsen it
 # A view that puts the projector elsewhere: by so many times what is usual, and at least by so much.
@@ -207,11 +209,25 @@ def _refuse_same_pose(view: ViewCorners, others: Sequence[ViewCorners]) -> None:
             )
 
 
+def _less_gross(corners: Observations) -> Observations:
+    """The corners but for a few wrong ones, of whose views the rest may be good."""
+    keep = np.ones(len(corners.view), dtype=bool)
+    for k in np.unique(corners.view):
+        mine = corners.view == k
+        camera_px, projector_px = corners.camera_px[mine], corners.projector_px[mine]
+        H, _ = cv2.findHomography(camera_px, projector_px, cv2.LMEDS)
+        if H is not None:  # a lens bends it by a few pixels
+            at = np.column_stack([camera_px, np.ones(len(camera_px))]) @ H.T
+            off_px = np.linalg.norm(at[:, :2] / at[:, 2:] - projector_px, axis=1)
+            keep[mine] = off_px <= max(GROSS * float(np.median(off_px)), GROSS_PX)
+    return corners.taken(keep)
+
+
 def _misfit(
     observed: Observed, camera_size_px: tuple[int, int], projector_size_px: tuple[int, int]
 ) -> dict[str, str]:
     """The view without which the others' corners fit one lens far better, and by how much."""
-    corners = observed.corners
+    corners = _less_gross(observed.corners)
     for device, position_px, size_px in (
         ("camera", corners.camera_px, camera_size_px),
         ("projector", corners.projector_px, projector_size_px),
@@ -221,7 +237,7 @@ def _misfit(
             continue
         without_px = []
         for view in observed.views:
-            rest = _joined([v for v in observed.views if v is not view])
+            rest = _less_gross(_joined([v for v in observed.views if v is not view]))
             kept_px = rest.camera_px if device == "camera" else rest.projector_px
             without_px.append(rms_alone_px(rest, kept_px, size_px))
         worst = int(np.argmin(without_px))
@@ -243,7 +259,7 @@ def _elsewhere(
     found: Observed, camera_size_px: tuple[int, int], projector_size_px: tuple[int, int]
 ) -> dict[str, str]:
     """Views whose boards put the projector elsewhere before the camera than the others' do."""
-    T = poses_between(found.corners, camera_size_px, projector_size_px)
+    T = poses_between(_less_gross(found.corners), camera_size_px, projector_size_px)
     between = np.einsum("aji,bjk->abik", T[:, :3, :3], T[:, :3, :3])
     cosine = (np.trace(between, axis1=2, axis2=3) - 1) / 2
     turn_deg = np.degrees(np.arccos(np.clip(cosine, -1, 1)))

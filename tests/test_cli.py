@@ -20,6 +20,7 @@ from graycast import __version__, bench
 from graycast.cli import command, machine, main
 from graycast.config import config_schema
 from graycast.drop import Decomposition
+from graycast.real.depth_file import DEPTH_FILES
 from graycast.report import rig as drawing
 from graycast.rig import PRESETS
 from graycast.rig_file import load_scanner, rig_schema
@@ -119,6 +120,21 @@ def test_the_commands_are_these_with_these_options():
         for name, parser in commands(command._parser()).items()
     }
     assert found == {name: options.split() for name, options in OPTIONS.items()}
+
+
+@pytest.mark.parametrize("name", ["fit-bin", "realism", "twin"])
+def test_help_names_every_kind_of_depth_file(capsys, name):
+    with pytest.raises(SystemExit):
+        main([name, "--help"])
+    text = capsys.readouterr().out
+    kinds = {suffix.removeprefix(".").upper()[:3] for suffix in DEPTH_FILES}
+    assert {kind for kind in kinds if kind not in text} == set()
+
+
+def test_help_names_the_older_layout_of_charuco_boards(capsys):
+    with pytest.raises(SystemExit):
+        main(["rig", "calibrate", "--help"])
+    assert ":legacy" in capsys.readouterr().out
 
 
 @pytest.mark.parametrize("name", OPTIONS)

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from graycast.frames import axis_rotation, inverse, is_rigid, rigid, transform_points
-from graycast.optics import Optics, rays
+from graycast.optics import Optics, project, rays
 from graycast.rig import (
     PRESETS,
     RESOLUTIONS,
@@ -271,6 +271,24 @@ def test_a_rig_of_its_own_baseline_and_distance_stays_as_it_is(name):
     rig = preset_rig(name, "small")
     same = aimed(rig, baseline_m=rig.baseline_m, distance_m=standoff_m(rig))
     np.testing.assert_allclose(same.T_cam_proj, rig.T_cam_proj, atol=1e-9)
+
+
+def test_a_projector_with_lens_shift_is_aimed_by_the_middle_of_its_picture():
+    """Symptom: half of the bin dark. Its optical axis goes through the lowest row of its picture.
+
+    Oracle: what both devices look at lies in the middle of both pictures.
+    """
+    plain = parallel_rig("x")
+    shifted = replace(plain, projector=replace(plain.projector, cy_px=600.0))
+    rig = aimed(shifted, baseline_m=0.3, distance_m=0.9)
+    assert standoff_m(rig) == pytest.approx(0.9)
+    target = np.array([0.1, -0.2, 0.05])
+    T = place(rig, target_m=target, distance_m=standoff_m(rig), tilt_rad=0.3, azimuth_rad=0.7)
+    for optics, T_world in ((rig.camera, T), (rig.projector, T @ rig.T_cam_proj)):
+        pixel = project(optics, transform_points(inverse(T_world), target))
+        np.testing.assert_allclose(pixel, [400.0, 300.0], atol=1e-6)
+    middle = transform_points(T, rig.T_cam_proj[:3, 3] / 2)
+    assert np.linalg.norm(middle - target) == pytest.approx(0.9)
 
 
 def test_the_roll_of_a_devices_picture_stays():

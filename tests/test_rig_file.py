@@ -41,8 +41,8 @@ CALIBRATION = {
     "T": [[-183.0], [-23.0], [-60.0]],
 }
 OTHER_SPELLINGS = {
-    "cam_K": ["K1", "M1", "cameraMatrix1", "camera_matrix", "cam_int", "Kc", "Kc", "M1"],
-    "pro_K": ["K2", "M2", "cameraMatrix2", "proj_K", "proj_int", "Kp", "Kp", "M4"],
+    "cam_K": ["K1", "M1", "cameraMatrix1", "camera_matrix", "cam_int", "Kc", "Kc", "M1", "camK"],
+    "pro_K": ["K2", "M2", "cameraMatrix2", "proj_K", "proj_int", "Kp", "Kp", "M4", "prjK"],
     "cam_kc": [
         "D1",
         "dist1",
@@ -52,11 +52,12 @@ OTHER_SPELLINGS = {
         "kc",
         "dc",
         "D1",
+        "camKc",
     ],
-    "pro_kc": ["D2", "dist2", "distCoeffs2", "proj_kc", "proj_dist", "kp", "dp", "D4"],
-    "R": ["R", "rotation", "R", "R", "rotation", "Rp", "R", "Rlp"],
-    "T": ["T", "translation", "t", "T", "translation", "Tp", "T", "Tlp"],
-    "cam_size": ["cam_size", "image_size", *["cam_size"] * 5, "S"],
+    "pro_kc": ["D2", "dist2", "distCoeffs2", "proj_kc", "proj_dist", "kp", "dp", "D4", "prjKc"],
+    "R": ["R", "rotation", "R", "R", "rotation", "Rp", "R", "Rlp", "R"],
+    "T": ["T", "translation", "t", "T", "translation", "Tp", "T", "Tlp", "T"],
+    "cam_size": ["cam_size", "image_size", *["cam_size"] * 5, "S", "cam_size"],
 }
 
 
@@ -162,7 +163,7 @@ def test_a_calibration_means_what_opencv_means_by_it(tmp_path, name):
     assert (rig.near_m, rig.far_m) == (0.3, 0.8)
 
 
-@pytest.mark.parametrize("which", range(8))
+@pytest.mark.parametrize("which", range(9))
 def test_the_usual_spellings_mean_the_same(tmp_path, which):
     names = {key: words[which] for key, words in OTHER_SPELLINGS.items()}
     other = {names.get(key, key): value for key, value in CALIBRATION.items()}

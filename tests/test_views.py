@@ -185,6 +185,15 @@ BAD = {
     ),
     "a camera in the bin": ({"views": [{}, inside(0, 0, 0.1)]}, "image 1: the camera is at (0.000"),
     "a camera under the floor": ({"views": [inside(0.5, 0, -0.1)]}, "inside the bin or under"),
+    "a camera that looks up": (
+        {"view": {"T_world_cam": [1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0.9, 0, 0, 0, 1]}},
+        "image 0: no part of the bin is in the camera's picture, because the camera looks along "
+        "(0.00, 0.00, 1.00)",
+    ),
+    "a camera that looks past the bin": (
+        {"views": [{}, inside(2.5, 0, 0.9)]},
+        "image 1: no part of the bin is in the camera's picture",
+    ),
     "a dome in the bin": (
         {"views": {"kind": "dome", "count": 3, "distance_m": [0.05, 0.06]}},
         "bring it above the rim",

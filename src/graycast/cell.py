@@ -35,6 +35,7 @@ from .views import (
     is_drawn,
     places,
     refuse_inside,
+    refuse_unseen,
 )
 
 
@@ -146,6 +147,9 @@ def eyes(cell: Cell, seed: int) -> tuple[Eye, ...]:
     first: tuple[Pose, ...] = ()
     for station, (name, scanner) in enumerate(cell.scanners):
         poses = _places(cell, station, first, seed)
+        for image, T_world_cam in enumerate(poses):
+            where = " ".join(filter(None, (name, f"image {image}")))
+            refuse_unseen(T_world_cam, scanner.rig, bin_of(cell.scene), where)
         first = first or poses
         found += [
             Eye(
@@ -224,8 +228,6 @@ def resolve_cell(config: Config, folder: Path, *, on_stage: OnStage = lambda sta
         domain=domain,
         named=() if config.scanners is None else scanners,
     )
-    if config.views is None and config.scanners is None:
-        return cell
     return replace(cell, scene=replace(scene, T_world_cam=eyes(cell, 0)[0].T_world_cam))
 
 

@@ -365,9 +365,10 @@ def place(
 ) -> Float[np.ndarray, "4 4"]:
     """`T_world_cam` of a rig that looks at a target from above, as its housing would hang there.
 
-    The middle of the baseline is `distance_m` from the target; the bisector of the two optical
-    axes points at it, `tilt_rad` from the vertical. At azimuth 0 the baseline is along world x
-    and a tilted rig stands towards -y; the azimuth turns all of it about the world's z.
+    The middle of the baseline is `distance_m` from the target; the bisector of the rays in the
+    middle of the two pictures points at it, `tilt_rad` from the vertical. At azimuth 0 the baseline
+    is along world x and a tilted rig stands towards -y; the azimuth turns all of it about the
+    world's z.
     """
     turn = axis_rotation("z", azimuth_rad)
     away = turn @ np.array([0.0, -np.sin(tilt_rad), np.cos(tilt_rad)])
@@ -379,10 +380,10 @@ def place(
 def frame_in_camera(rig: Rig) -> Float[np.ndarray, "4 4"]:
     """`T_cam_rig` of the rig's own frame.
 
-    Its origin is mid-baseline, z the bisector of the optical axes, y the camera's as near as may
-    be.
+    Its origin is mid-baseline, z the bisector of the two devices' middle rays, which are the
+    optical axes of lenses without shift, and y the camera's as near as may be.
     """
-    bisector = np.array([0.0, 0.0, 1.0]) + rig.T_cam_proj[:3, 2]
+    bisector = _middle_ray(rig.camera) + rig.T_cam_proj[:3, :3] @ _middle_ray(rig.projector)
     middle = rig.T_cam_proj[:3, 3] / 2
     return look_at(middle, middle + bisector, np.array([0.0, 1.0, 0.0]))
 
@@ -390,15 +391,16 @@ def frame_in_camera(rig: Rig) -> Float[np.ndarray, "4 4"]:
 def aimed(rig: Rig, *, baseline_m: float, distance_m: float) -> Rig:
     """The same camera and projector another distance apart, and both turned to one target.
 
-    Their axes then cross `distance_m` before the middle of the baseline, on what was the bisector
-    of the axes. The working range, which lenses and focus set, stays as it was.
+    The middle rays of their pictures then cross `distance_m` before the middle of the baseline, on
+    what was their bisector. The working range, which lenses and focus set, stays as it was.
     """
     T_rig_cam = inverse(frame_in_camera(rig))
     target = np.array([0.0, 0.0, distance_m])
     turned = []
-    for T in (T_rig_cam, T_rig_cam @ rig.T_cam_proj):
+    for optics, T in ((rig.camera, T_rig_cam), (rig.projector, T_rig_cam @ rig.T_cam_proj)):
         eye = baseline_m / rig.baseline_m * T[:3, 3]
-        turned.append(rigid(_least_turn(T[:3, 2], target - eye) @ T[:3, :3], eye))
+        start = T[:3, :3] @ _middle_ray(optics)
+        turned.append(rigid(_least_turn(start, target - eye) @ T[:3, :3], eye))
     return replace(rig, T_cam_proj=inverse(turned[0]) @ turned[1])
 
 
@@ -416,21 +418,33 @@ def _least_turn(
     return np.eye(3) + K + K @ K / (1 + a @ b)
 
 
+def _middle_ray(optics: Optics) -> Float[np.ndarray, "3"]:
+    """Unit direction of the middle of a device's picture: what it is aimed by.
+
+    A projector with lens shift has its optical axis at the edge of its picture or beside it.
+    """
+    middle = np.array([[(optics.width_px - 1) / 2, (optics.height_px - 1) / 2]])
+    ray = rays(optics, middle)[0]
+    return ray / np.linalg.norm(ray)
+
+
 def best_depth_m(rig: Rig) -> float:
-    """Depth at which the two optical axes come closest, kept within the working range."""
-    origin, axis = rig.T_cam_proj[:3, 3], rig.T_cam_proj[:3, 2]
-    # Closest point of the lines s * e_z and origin + t * axis.
-    c = axis[2]
+    """Depth at which the middle rays of both pictures come closest, within the working range."""
+    camera, projector = _middle_ray(rig.camera), rig.T_cam_proj[:3, :3] @ _middle_ray(rig.projector)
+    origin = rig.T_cam_proj[:3, 3]
+    # Closest point of the lines s * camera and origin + t * projector.
+    c = camera @ projector
     if 1 - c * c < 1e-12:
         return 0.5 * (rig.near_m + rig.far_m)
-    s = (origin[2] - c * (origin @ axis)) / (1 - c * c)
-    return float(np.clip(s, rig.near_m, rig.far_m))
+    s = (origin @ camera - c * (origin @ projector)) / (1 - c * c)
+    return float(np.clip(s * camera[2], rig.near_m, rig.far_m))
 
 
 def standoff_m(rig: Rig) -> float:
-    """Distance from the middle of the baseline to the point at `best_depth_m` on the camera's axis.
+    """Distance from the middle of the baseline to the camera's middle ray at `best_depth_m`.
 
-    For a rig whose axes cross in its range that is where they cross.
+    For a rig whose middle rays cross in its range that is where they cross.
     """
-    point = np.array([0.0, 0.0, best_depth_m(rig)])
+    ray = _middle_ray(rig.camera)
+    point = best_depth_m(rig) / ray[2] * ray
     return float(np.linalg.norm(point - rig.T_cam_proj[:3, 3] / 2))

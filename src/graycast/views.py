@@ -12,7 +12,8 @@ from pydantic import BeforeValidator, Discriminator, Field, Tag, field_validator
 from scipy.spatial.transform import Rotation, Slerp
 
 from .errors import ConfigError
-from .frames import axis_rotation, is_rigid, rigid
+from .frames import axis_rotation, inverse, is_rigid, rigid, transform_points
+from .optics import Optics, rays
 from .rig import Rig, place, standoff_m
 from .rig_file import ScannerSections
 from .scene import Bin
@@ -21,6 +22,7 @@ from .settings import Level, Positive, PositiveSpan, Settings, SpanOf, Vector, u
 Pose = Float[np.ndarray, "4 4"]
 MOST_VIEWS = 1000
 FARTHEST_SIGMAS = 3.0  # of a jitter: what lies beyond is drawn again
+_BEYOND = 0.05  # rad beyond a picture's edge, whose middle a lens may bend out
 _TURN = 13  # azimuths at which a dome's depth is asked for
 
 Tilt = SpanOf[Annotated[float, Field(ge=0, le=80)]]
@@ -34,7 +36,7 @@ class ViewSection(Settings):
     distance_m: Positive | None = Field(
         None,
         description="The distance from the middle of the baseline to the target in metres. "
-        "Without this key, the optical axes of camera and projector meet at the "
+        "Without this key, the lines of sight of camera and projector meet at the "
         "target.",
     )
     tilt_deg: float = Field(0.0, ge=0, le=80)
@@ -359,3 +361,34 @@ def refuse_inside(T_world_cam: Pose, rig: Rig, box: Bin, where: str) -> None:
                 f"{where}: the {device} is at ({x:.3f}, {y:.3f}, {z:.3f}) m, inside the bin or "
                 f"under its floor: bring it above the rim at z = {box.inner_m[2]:.3f} m"
             )
+
+
+def refuse_unseen(T_world_cam: Pose, rig: Rig, box: Bin, where: str) -> None:
+    """A camera that looks past the bin has no picture of it, however long it exposes.
+
+    Raises:
+        ConfigError: no part of the bin is in the picture of the camera, or of the projector.
+    """
+    end_m = np.array([*(np.array(box.inner_m[:2]) / 2), box.inner_m[2]])
+    corner = np.array([*itertools.product((-1, 1), (-1, 1), (0, 1))]) * end_m
+    for device, optics, T in (
+        ("camera", rig.camera, T_world_cam),
+        ("projector", rig.projector, T_world_cam @ rig.T_cam_proj),
+    ):
+        if _is_beside(optics, transform_points(inverse(T), corner)):
+            x, y, z = T[:3, 2].tolist()
+            raise ConfigError(
+                f"{where}: no part of the bin is in the {device}'s picture, because the {device} "
+                f"looks along ({x:.2f}, {y:.2f}, {z:.2f}): turn the z axis of T_world_cam, its "
+                "line of sight, towards the bin"
+            )
+
+
+def _is_beside(optics: Optics, point_m: Float[np.ndarray, "n 3"]) -> bool:
+    """Whether all points, given in the device's frame, are behind it or beyond one picture edge."""
+    x, y = optics.width_px - 1.0, optics.height_px - 1.0
+    ray = rays(optics, np.array([[0.0, 0.0], [x, 0.0], [x, y], [0.0, y]]))
+    inwards = np.cross(ray, np.roll(ray, -1, axis=0))
+    inwards /= np.linalg.norm(inwards, axis=1, keepdims=True)
+    away = point_m @ inwards.T < -_BEYOND * np.linalg.norm(point_m, axis=1, keepdims=True)
+    return bool((point_m[:, 2] <= 0).all() or away.all(axis=0).any())

@@ -147,7 +147,7 @@ def test_a_bad_study_is_refused_in_one_line(tmp_path, capsys, changes, words):
         ({"parts": [{"mesh": "gone.stl", "unit": "mm"}]}, ["cell.yaml", "gone.stl"]),
         ({"domain": "randomized"}, ["cell.yaml", "domain varies the scenes", "remove it"]),
         (
-            {"view": {"T_world_cam": np.diag([1.0, -1, -1, 1]).ravel().tolist()}},
+            {"view": {"T_world_cam": [1, 0, 0, 0, 0, -1, 0, 0, 0, 0, -1, 0.8, 0, 0, 0, 1]}},
             ["the setting 0.6m_tilt0", "view.T_world_cam is the whole pose", "distance_m"],
         ),
     ],

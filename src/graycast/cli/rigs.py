@@ -102,7 +102,8 @@ def _add_calibrate(rigs) -> None:
         required=True,
         help="The board: chessboard:9x6:0.025 states the numbers of squares and their side "
         "in metres; charuco:8x5:0.03:0.022:DICT_5X5_100 adds the side of the markers "
-        "and their dictionary.",
+        "and their dictionary. Add :legacy at the end for a ChArUco board in the layout of OpenCV "
+        "before 4.6.",
     )
     calibrate.add_argument("--out", type=Path, required=True, help="The YAML file to write.")
     calibrate.add_argument(

@@ -16,7 +16,13 @@ from .maps import (
 from .plain import decode_plain
 from .reading import decode
 from .separation import separate
-from .triangulation import epipolar_residual_px, off_the_line, triangulate, triangulation_axis
+from .triangulation import (
+    epipolar_residual_px,
+    meet_planes,
+    off_the_line,
+    triangulate,
+    triangulation_axis,
+)
 
 __all__ = [
     "REASON_COLOR",
@@ -33,6 +39,7 @@ __all__ = [
     "epipolar_residual_px",
     "filter_depth",
     "levels_of",
+    "meet_planes",
     "off_the_line",
     "reason_shares",
     "separate",

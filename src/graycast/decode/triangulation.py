@@ -68,6 +68,27 @@ def triangulate(codes: CodeMap, rig: Rig, *, max_epipolar_px: float = 0.0) -> De
     )
 
 
+def meet_planes(
+    pixel: Float[np.ndarray, "n 2"],
+    column: Float[np.ndarray, " n"],
+    row: Float[np.ndarray, " n"],
+    rig: Rig,
+) -> Float[np.ndarray, "n 3"]:
+    """Where the rays of camera pixels (x, y) meet their projector planes, in the camera frame [m].
+
+    The equations are those of `triangulate`. NaN where ray and plane do not meet before the camera.
+
+    Args:
+        column: projector column of each pixel; NaN throughout if it is not coded.
+        row: likewise the row. One of the two, that along the baseline, is needed.
+    """
+    axis = triangulation_axis(rig)
+    across, along = (column, row) if axis == "column" else (row, column)
+    ray = rays(rig.camera, pixel)
+    depth_m = _meet(ray, across, along, rig, axis)[0]
+    return ray * np.where(depth_m > 0, depth_m, np.nan)[:, None]
+
+
 def epipolar_residual_px(codes: CodeMap, depth: DepthMap, rig: Rig) -> Float[np.ndarray, "h w"]:
     """How far the other coordinate lies from where the depth puts it [px]; NaN where unknown.
 

@@ -32,17 +32,17 @@ _SPELLINGS = {
     "camera distortion": "camKc dc Dc camD camDist cameraDist cameraDistortion D1 d1 kc dist1 "
     "distCoeffs distCoeffs1 distCoeff1 distortionCoefficients1 distortionCoefficients "
     "camDistCoeffs",
-    "projector matrix": "proK projK projectorK Kproj Kprojector K2 M2 M4 Kp cameraMatrix2 projInt "
-    "projIntrinsics projectorIntrinsics mtx2 projMtx projectorMtx projMatrix projectorMatrix "
-    "intrinsicMtx2 intrinsic2",
-    "projector distortion": "proKc projKc projD projDist projectorDist projectorDistortion D2 D4 "
-    "d2 kp dp Dp dist2 distCoeffs2 distCoeff2 distortionCoefficients2 projDistCoeffs",
+    "projector matrix": "proK projK prjK projectorK Kproj Kprojector K2 M2 M4 Kp cameraMatrix2 "
+    "projInt projIntrinsics projectorIntrinsics mtx2 projMtx projectorMtx projMatrix "
+    "projectorMatrix intrinsicMtx2 intrinsic2",
+    "projector distortion": "proKc projKc prjKc projD projDist projectorDist projectorDistortion "
+    "D2 D4 d2 kp dp Dp dist2 distCoeffs2 distCoeff2 distortionCoefficients2 projDistCoeffs",
     "R": "R Rp Rlp rotation rotationMatrix",
     "T": "T t Tp Tlp translation translationVector",
     "camera size": "camSize cameraSize camImageSize cameraImageSize imageSize imageSize1 "
     "cameraResolution S",
-    "projector size": "proSize projSize projectorSize projectorImageSize projImageSize imageSize2 "
-    "projectorResolution",
+    "projector size": "proSize projSize prjSize projectorSize projectorImageSize projImageSize "
+    "imageSize2 projectorResolution",
 }
 # SLStudio writes sizes as two numbers.
 _SIDES = {

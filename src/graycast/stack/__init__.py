@@ -11,6 +11,7 @@ from .description import (
     read_description,
     stack_schema,
 )
+from .diagnosis import mirror_symptom
 from .levels import MeasuredLevels, measure_levels
 from .products import CODE, describe_result, write_ply, write_result
 
@@ -30,6 +31,7 @@ __all__ = [
     "join_pixels",
     "measure_levels",
     "meet_rays",
+    "mirror_symptom",
     "read_description",
     "stack_schema",
     "write_ply",

@@ -35,6 +35,7 @@ from .diagnosis import symptoms
 from .figures import Figures, figures_of
 from .levels import MeasuredLevels, measure_levels
 from .pictures import Pictures, read_color, read_pictures
+from .rig_fit import better_reading
 
 # Left to itself, the epipolar test takes what lies this many times the median off, at least 2 px:
 # a calibration is off by more than its residual here and there.
@@ -123,6 +124,7 @@ def decode_stack(
     depth = cloud = residual_px = None
     by_noise = codes
     if rig is not None:
+        _refuse_turned(codes, rig, path)
         warnings += _rig_size(code, rig)
         first = triangulate(codes, rig)
         if len(code.axes) == 2:
@@ -135,7 +137,7 @@ def decode_stack(
             depth = triangulate(codes, rig, max_epipolar_px=stated_px)
         if filters is not None:
             depth = filter_depth(depth, filters, rig)
-        warnings += _rig_symptoms(first, residual_px)
+        warnings += _rig_symptoms(codes, rig, first, residual_px)
         clock.lap("triangulate")
         if average:
             cloud = _joined_cloud(by_noise, code, rig, picture, spec.fine_bits, limit_px)
@@ -214,15 +216,29 @@ def _check_axes(code: Code, rig: Rig | None, average: bool, path: Path) -> None:
 
 
 def _check_camera(pictures: Pictures, rig: Rig | None, path: Path) -> None:
-    if rig is None:
+    """Refuse pictures of another camera's size, which no turn by 90 degrees explains."""
+    if rig is not None and sorted(pictures.frames.shape[1:]) != sorted(_camera_shape(rig)):
+        raise DecodeError(_other_size(pictures.frames.shape[1:], rig, path))
+
+
+def _refuse_turned(codes: CodeMap, rig: Rig, path: Path) -> None:
+    """Refuse pictures that lie on their side, and name the turn that sets them up."""
+    if codes.column.shape == _camera_shape(rig):
         return
-    h, w = pictures.frames.shape[1:]
-    if (w, h) != (rig.camera.width_px, rig.camera.height_px):
-        size = f"{rig.camera.width_px} x {rig.camera.height_px} px"
-        raise DecodeError(
-            f"{path}: pictures are {w} x {h} px, the camera of rig {rig.name} {size}: give the "
-            "rig of this stack, and pictures that were not rotated or scaled"
-        )
+    turn = better_reading(codes, rig)
+    raise DecodeError(_other_size(codes.column.shape, rig, path) + (f" ({turn})" if turn else ""))
+
+
+def _camera_shape(rig: Rig) -> tuple[int, int]:
+    return rig.camera.height_px, rig.camera.width_px
+
+
+def _other_size(shape: tuple[int, ...], rig: Rig, path: Path) -> str:
+    h, w = _camera_shape(rig)
+    return (
+        f"{path}: pictures are {shape[1]} x {shape[0]} px, the camera of rig {rig.name} {w} x {h} "
+        "px: give the rig of this stack, and pictures that were not rotated or scaled"
+    )
 
 
 def _check_light(pictures: Pictures, codes: CodeMap, found: list[str], path: Path) -> None:
@@ -320,7 +336,12 @@ def _less_outliers(
     return replace(depth, depth_m=depth_m, sigma_m=sigma_m, reason=reason)
 
 
-def _rig_symptoms(depth: DepthMap, residual_px: Float[np.ndarray, "h w"] | None) -> list[str]:
+def _rig_symptoms(
+    codes: CodeMap, rig: Rig, depth: DepthMap, residual_px: Float[np.ndarray, "h w"] | None
+) -> list[str]:
+    remedy = better_reading(codes, rig)
+    if remedy is not None:
+        return [f"the rig does not fit the stack: {remedy}"]
     found = []
     away = int((depth.reason == Reason.OUT_OF_RANGE).sum())
     placed = away + int((depth.reason == Reason.DECODED).sum())

@@ -23,6 +23,7 @@ CONFLICT = 0.2  # as a share of what is well lit
 CLEAR_OF_NOISE = 20.0  # contrast over noise, below which noise alone can make frames contradict
 SATURATED = 0.2
 UNLIT = 0.01
+MIRRORED = 0.7
 ROUGH = 0.15  # of neighbours more than FAR_PX apart
 FAR_PX = 8.0
 MENDED_OF = 30_000  # pairs on which changes of the order are tried
@@ -190,13 +191,35 @@ def _course(code: Code, codes: CodeMap, well: Bool[np.ndarray, "h w"]) -> Iterat
                 "the frames, the axes or the period may be wrong"
             )
     if len(code.axes) == 2:
-        mirrored = _mirrored_share(codes, step=2 if code.subpixel else 8)
-        if mirrored > 0.7:
-            yield (
-                f"the code is a mirror image in {100 * mirrored:.0f} % of the picture: column and "
-                "row may be exchanged, a coarse bit may be swapped with its inverse, or the "
-                "projector may be set to rear projection"
-            )
+        mirrored = mirror_symptom(codes.column, codes.row, step=2 if code.subpixel else 8)
+        if mirrored is not None:
+            yield mirrored
+
+
+def mirror_symptom(
+    column: Float[np.ndarray, "h w"], row: Float[np.ndarray, "h w"], *, step: int = 8
+) -> str | None:
+    """A sentence if columns and rows turn the other way round than the picture's x and y.
+
+    No camera sees that, since it looks at the side of a surface that the projector lights.
+
+    Args:
+        step: camera pixels between the places that are compared: over single ones the whole columns
+            and rows of a Gray code seldom change.
+    """
+    column, row = column[::step, ::step], row[::step, ::step]
+    cx, cy = np.diff(column, axis=1)[:-1], np.diff(column, axis=0)[:, :-1]
+    rx, ry = np.diff(row, axis=1)[:-1], np.diff(row, axis=0)[:, :-1]
+    turn = cx * ry - cy * rx
+    turn = turn[np.isfinite(turn) & (turn != 0)]
+    share = float((turn < 0).mean()) if len(turn) >= 20 else 0.0
+    if share <= MIRRORED:
+        return None
+    return (
+        f"the code is a mirror image in {100 * share:.0f} % of the picture: column and row may be "
+        "exchanged, a coarse bit may be swapped with its inverse, or the projector may be set to "
+        "rear projection"
+    )
 
 
 def _neighbours(position: Float[np.ndarray, "h w"]) -> Float[np.ndarray, "n 2"]:
@@ -258,16 +281,3 @@ def _binary(gray):
     for shift in (16, 8, 4, 2, 1):
         gray = gray ^ (gray >> shift)
     return gray
-
-
-def _mirrored_share(codes: CodeMap, *, step: int) -> float:
-    """Share of the picture in which columns and rows turn the other way round than x and y.
-
-    `step` is in camera pixels: over single ones whole columns and rows seldom change.
-    """
-    column, row = codes.column[::step, ::step], codes.row[::step, ::step]
-    cx, cy = np.diff(column, axis=1)[:-1], np.diff(column, axis=0)[:, :-1]
-    rx, ry = np.diff(row, axis=1)[:-1], np.diff(row, axis=0)[:, :-1]
-    turn = cx * ry - cy * rx
-    turn = turn[np.isfinite(turn) & (turn != 0)]
-    return float((turn < 0).mean()) if len(turn) >= 20 else 0.0

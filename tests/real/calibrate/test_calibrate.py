@@ -6,6 +6,7 @@ the last test.
 """
 
 import math
+import re
 from dataclasses import replace
 
 import cv2
@@ -414,8 +415,33 @@ def test_a_view_whose_board_moved_is_named(camera_rays, truth_poses, gray_views)
     views = list(gray_views)
     views[4] = replace(views[4], column=code[..., 0], row=code[..., 1])
     calibration = calibrate_rig(views, CHESSBOARD, projector_size_px=SIZE)
-    named = [w for w in calibration.warnings if w.startswith("view ")]
+    named = [w for w in calibration.warnings if "view pose" in w]
     assert named and all("pose4" in warning for warning in named)
+    assert_acceptable(calibration)
+
+
+@pytest.mark.parametrize(
+    ("turn", "says"),
+    [
+        (np.s_[:, ::-1], "leaves out view pose4: the code is a mirror image"),
+        (np.s_[::-1, ::-1], "leaves out view pose4: .* its pictures may be turned"),
+    ],
+)
+def test_a_mirrored_or_turned_view_is_left_out_by_name(gray_views, turn, says):
+    """Symptom: a projector with fx 5 million and fy 0.4 px, and no error."""
+    view = gray_views[4]
+    views = list(gray_views)
+    views[4] = replace(view, white=view.white[turn], column=view.column[turn], row=view.row[turn])
+    calibration = calibrate_rig(views, CHESSBOARD, projector_size_px=SIZE)
+    assert_acceptable(calibration)
+    assert re.search(says, " | ".join(calibration.warnings))
+
+
+def test_one_pose_five_times_is_refused(gray_views):
+    """Symptom: no end."""
+    views = [replace(gray_views[0], name=f"pose{i}") for i in range(5)]
+    with pytest.raises(CalibrationError, match=r"of 5 views .* 1 can be used.* same pose as view"):
+        calibrate_rig(views, CHESSBOARD, projector_size_px=SIZE)
 
 
 def test_few_parallel_boards_are_warned_of(camera_rays):

@@ -1,8 +1,9 @@
 """A rig from pictures of a board in several poses, the projector as an inverse camera."""
 
 from .board import Board, CalibrationError, parse_board
-from .calibration import BoardView, Calibration, ViewResidual, calibrate_rig, epipolar_distance_px
+from .calibration import Calibration, ViewResidual, calibrate_rig, epipolar_distance_px
 from .corners import Corners, find_corners
+from .observing import BoardView
 from .projector_corners import ProjectorCorners, projector_corners
 from .reading import describe_calibration, read_view
 

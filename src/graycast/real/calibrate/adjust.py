@@ -11,10 +11,16 @@ from scipy.spatial.transform import Rotation
 
 from ...frames import inverse, rigid
 from ...optics import Optics, distort
+from .board import CalibrationError
 
 DEVICE = ("fx_px", "fy_px", "cx_px", "cy_px", "k1", "k2", "p1", "p2", "k3")
 POSE = ("rotation_x_rad", "rotation_y_rad", "rotation_z_rad", "x_m", "y_m", "z_m")
 REWEIGHTINGS = 4
+MOST_STEPS = 100  # of one fit, where good views take some ten
+NO_FIT = (
+    "no camera and projector fit these views: decode each stack with graycast decode to see "
+    "whether its code is right, and show the board in more different directions"
+)
 OUTLIER = 6.0  # times the median residual: a corner found wrong, not one found badly
 RADIAL = ("k1", "k2", "k3")
 DETERMINED = 5.0  # standard deviations that a device's last radial term must differ from 0 by
@@ -183,13 +189,17 @@ def _fit(start, free, seen: Observations):
         return _independent(_residuals(trial, seen), seen) / sigma_px[:, None]
 
     for _ in range(REWEIGHTINGS):
-        outcome = least_squares(
-            lambda values: errors(values).ravel(),
-            unknown[free],
-            jac=lambda values: _jacobian(errors, values, seen.view),
-            method="lm",
-            x_scale="jac",
-        )
+        try:
+            outcome = least_squares(
+                lambda values: errors(values).ravel(),
+                unknown[free],
+                jac=lambda values: _jacobian(errors, values, seen.view),
+                method="lm",
+                x_scale="jac",
+                max_nfev=MOST_STEPS,
+            )
+        except (ValueError, np.linalg.LinAlgError) as error:  # numbers that are not finite
+            raise CalibrationError(NO_FIT) from error
         unknown = unknown.copy()
         unknown[free] = outcome.x
         sigma_before = sigma_px
@@ -198,7 +208,10 @@ def _fit(start, free, seen: Observations):
         sigma_px = np.maximum(np.sqrt(squares / lost), 1e-6)
         if np.abs(sigma_px / sigma_before - 1).max() < 0.02:
             break
-    return unknown, _jacobian(errors, outcome.x, seen.view)
+    jacobian = _jacobian(errors, outcome.x, seen.view)
+    if not (outcome.success and np.isfinite(jacobian).all()):
+        raise CalibrationError(NO_FIT)
+    return unknown, jacobian
 
 
 def _jacobian(errors, values, view) -> Float[np.ndarray, "rows unknowns"]:
@@ -250,10 +263,25 @@ def _optics(device, size_px: tuple[int, int]) -> Optics:
     )
 
 
+def poses_between(
+    seen: Observations, camera_size_px: tuple[int, int], projector_size_px: tuple[int, int]
+) -> Float[np.ndarray, "views 4 4"]:
+    """`T_proj_cam` as each view has it, by a calibration of each device alone."""
+    T_cam_board = _alone(seen, seen.camera_px, camera_size_px)[1]
+    return _alone(seen, seen.projector_px, projector_size_px)[1] @ inverse(T_cam_board)
+
+
+def rms_alone_px(
+    seen: Observations, position_px: Float[np.ndarray, "n 2"], size_px: tuple[int, int]
+) -> float:
+    """Residual (RMS) of the corners of one device in a calibration of it alone."""
+    return _alone(seen, position_px, size_px)[2]
+
+
 def _start(seen: Observations, camera_size_px, projector_size_px) -> Float[np.ndarray, " unknowns"]:
-    camera, T_cam_board = _alone(seen, seen.camera_px, camera_size_px)
-    projector, T_proj_board = _alone(seen, seen.projector_px, projector_size_px)
-    T_proj_cam = T_proj_board @ inverse(T_cam_board)  # one guess per view
+    camera, T_cam_board, _ = _alone(seen, seen.camera_px, camera_size_px)
+    projector, T_proj_board, _ = _alone(seen, seen.projector_px, projector_size_px)
+    T_proj_cam = T_proj_board @ inverse(T_cam_board)
     rotation = Rotation.from_matrix(T_proj_cam[:, :3, :3]).mean()
     mean = rigid(rotation.as_matrix(), np.median(T_proj_cam[:, :3, 3], axis=0))
     poses = np.concatenate([mean[None], T_cam_board])
@@ -262,17 +290,20 @@ def _start(seen: Observations, camera_size_px, projector_size_px) -> Float[np.nd
 
 
 def _alone(seen: Observations, position_px, size_px):
-    """One device by OpenCV, with two radial terms, and the boards' poses before it."""
+    """One device by OpenCV, with two radial terms, the boards' poses before it, and the RMS."""
     views = range(int(seen.view.max()) + 1)
     point = [seen.point_m[seen.view == v].astype(np.float32) for v in views]
     position = [position_px[seen.view == v].astype(np.float32) for v in views]
     flags = cv2.CALIB_FIX_K3 | cv2.CALIB_ZERO_TANGENT_DIST
-    _, K, terms, turns, shifts = cv2.calibrateCamera(
-        point, position, size_px, None, None, flags=flags
-    )
+    try:
+        rms_px, K, terms, turns, shifts = cv2.calibrateCamera(
+            point, position, size_px, None, None, flags=flags
+        )
+    except cv2.error as error:
+        raise CalibrationError(NO_FIT) from error
     device = np.concatenate([[K[0, 0], K[1, 1], K[0, 2], K[1, 2]], terms.ravel()[:5]])
     poses = [
         rigid(cv2.Rodrigues(turn)[0], shift.ravel())
         for turn, shift in zip(turns, shifts, strict=True)
     ]
-    return device, np.array(poses)
+    return device, np.array(poses), float(rms_px)

@@ -6,39 +6,28 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
-from jaxtyping import Float, Shaped
+from jaxtyping import Float
 
 from ...frames import inverse
-from ...optics import Optics, rays
+from ...optics import Optics, distort, rays
 from ...rig import Rig
-from .adjust import Adjustment, Observations, adjust, joined
+from .adjust import NO_FIT, Adjustment, Observations, adjust
 from .board import Board, CalibrationError
-from .corners import MIN_CORNERS, find_corners
-from .projector_corners import projector_corners
+from .observing import GOOD_VIEWS, MOST_RMS, BoardView, Observed, check_views, grouped, observe
 
-MIN_VIEWS = 3  # of a plane in different directions, below which the intrinsics are not determined
-GOOD_VIEWS = 8
 GOOD_SPREAD_RAD = math.radians(20)  # between the two boards that differ most in direction
 GOOD_COVERAGE = 0.4  # as a share of the picture, within the hull of all corners
 OUTLYING = 2.5  # times the median view's residual
 OUTLYING_FLOOR_PX = 0.05  # below it a view is good, whatever the others are
+SPOILING, SPOILING_FLOOR_PX = 6.0, 0.5  # likewise of a view that spoils the fit of the others
+MOST_LOST = 0.4  # of a view's corners that disagree with the fit
+# What no device has: bounds of fx / fy or its inverse, of the focal length and of the principal
+# point in widths of the picture, of distortion as a share of the distance from the middle, and of a
+# standard deviation as a share of its number.
+MOST_ASPECT, MOST_SHIFT, MOST_DISTORTION, MOST_DEVIATION = 3.0, 2.0, 0.7, 0.3
+FOCAL = (0.2, 50.0)
 GOOD_DEVIATION = 0.001  # of the focal length and the baseline
 RANGE_MARGIN = 0.1  # beyond the nearest and the farthest corner, as a share of their depth
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class BoardView:
-    """One pose of the board: its picture under white light and the decoded projector pixels.
-
-    `column` and `row` are in projector pixels, NaN where unknown.
-    """
-
-    name: str
-    white: Shaped[np.ndarray, "h w"]
-    column: Float[np.ndarray, "h w"]
-    row: Float[np.ndarray, "h w"]
-    sigma_column: Float[np.ndarray, "h w"] | None = None
-    sigma_row: Float[np.ndarray, "h w"] | None = None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -105,31 +94,43 @@ def calibrate_rig(
             last terms that the corners do not determine.
         tangential: whether p1 and p2 are fitted.
 
+    Views without a board, with too few decoded corners, of a mirrored code, of a pose that another
+    view has, or that spoil the fit of the others are left out; a warning names each.
+
     Raises:
-        CalibrationError: too few views, no board in one, too few decoded corners, or a distortion
-            that folds over inside the picture; the text names the views and the remedy.
+        CalibrationError: too few views are left, or the result is one that no device can have; the
+            text names the views and the remedy.
 
     Leaves out: skew; a board that is bent; defocus, whose blur is taken to leave edges in place.
     """
     if radial_terms not in range(4):
         raise ValueError(f"radial_terms is {radial_terms}; give 0 to 3")
-    camera_size_px = _check(views)
-    seen, undecoded = _observe(views, board, projector_size_px)
-    fit = adjust(
-        seen,
-        camera_size_px,
-        projector_size_px,
-        radial_terms=radial_terms,
-        tangential=tangential,
+    camera_size_px = check_views(views)
+    observed = observe(
+        views, board, camera_size_px=camera_size_px, projector_size_px=projector_size_px
     )
-    _check_fold("camera", fit.camera)
-    _check_fold("projector", fit.projector)
+
+    def fitted(good: Observed) -> Adjustment:
+        return adjust(
+            good.corners,
+            camera_size_px,
+            projector_size_px,
+            radial_terms=radial_terms,
+            tangential=tangential,
+        )
+
+    fit = fitted(observed)
+    while spoiling := _spoiling(observed, fit):
+        observed = observed.less(spoiling)
+        fit = fitted(observed)
+    _refuse_impossible(fit)
+    seen = observed.corners
     epipolar_px = epipolar_distance_px(
         fit.camera, fit.projector, fit.T_cam_proj, seen.camera_px, seen.projector_px
     )
     each = tuple(
-        _view_residual(index, view.name, seen, fit, epipolar_px, undecoded[index])
-        for index, view in enumerate(views)
+        _view_residual(index, view.name, seen, fit, epipolar_px, view.undecoded)
+        for index, view in enumerate(observed.views)
     )
     T = fit.T_cam_board[seen.view]
     depth_m = (np.einsum("nj,nj->n", T[:, 2, :3], seen.point_m) + T[:, 2, 3])[fit.kept]
@@ -154,7 +155,11 @@ def calibrate_rig(
         deviation=fit.deviation,
         undetermined=fit.undetermined,
         coverage=coverage,
-        warnings=tuple(_warnings(rig, each, fit, coverage)),
+        warnings=(
+            *(f"the fit leaves out {each}: {why}" for each, why in grouped(observed.left_out)),
+            *_symptoms(views, observed),
+            *_warnings(rig, each, fit, coverage),
+        ),
     )
 
 
@@ -176,79 +181,67 @@ def epipolar_distance_px(
     return focal_px * np.einsum("ni,ni->n", normal, rays(projector, projector_px))
 
 
-def _check(views: Sequence[BoardView]) -> tuple[int, int]:
-    """The camera's (width, height), after seeing that there are enough views of one size."""
-    if len(views) < MIN_VIEWS:
-        raise CalibrationError(
-            f"{len(views)} views of the board; at least {MIN_VIEWS} in different directions are "
-            f"needed, {GOOD_VIEWS} or more are good"
-        )
-    names = [view.name for view in views]
-    twice = sorted({name for name in names if names.count(name) > 1})
-    if twice:
-        raise CalibrationError(f"two views are named {', '.join(twice)}: rename one of them")
-    size = views[0].white.shape
-    for view in views:
-        for part in (view.white, view.column, view.row):
-            if part.shape != size:
-                raise CalibrationError(
-                    f"view {view.name} is {part.shape[1]} x {part.shape[0]} px, view "
-                    f"{views[0].name} {size[1]} x {size[0]}: give pictures of one camera with one "
-                    "size"
-                )
-    return size[1], size[0]
+def _spoiling(observed: Observed, fit: Adjustment) -> dict[str, str]:
+    """The view that fits worst, if it fits far worse than the others, and by how much."""
+    index = range(len(observed.views))
+    lost = [1 - fit.kept[observed.corners.view == k].mean() for k in index]
+    if max(lost) > MOST_LOST:
+        worst = int(np.argmax(lost))
+        share = f"{100 * lost[worst]:.0f} % of its corners disagree with the other views"
+        return {observed.views[worst].name: f"{share}: its code may be wrong"}
+    found = {}
+    for device in ("camera", "projector"):
+        size_px = np.linalg.norm(getattr(fit, f"{device}_residual_px"), axis=1)
+        rms_px = [float(np.median(size_px[observed.corners.view == k])) for k in index]
+        worst = int(np.argmax(rms_px))
+        others_px = float(np.median(np.delete(rms_px, worst)))
+        if rms_px[worst] > max(SPOILING * others_px, SPOILING_FLOOR_PX):
+            found[rms_px[worst] / max(others_px, OUTLYING_FLOOR_PX)] = {
+                observed.views[worst].name: f"its {device} residual is {rms_px[worst]:.2f} px, "
+                f"others have {others_px:.2f} px (medians): the board or a device may have moved"
+            }
+    return found[max(found)] if found else {}
 
 
-def _observe(
-    views: Sequence[BoardView], board: Board, projector_size_px: tuple[int, int]
-) -> tuple[Observations, list[int]]:
-    """Every corner that both devices see, and the count of undecoded ones in each view."""
-    parts, undecoded, faults = [], [], []
-    for index, view in enumerate(views):
-        try:
-            part, missing = _observe_one(index, view, board, projector_size_px)
-        except CalibrationError as error:  # tell of every bad view at once
-            faults.append(f"view {view.name}: {error}")
-        else:
-            parts.append(part)
-            undecoded.append(missing)
-    if faults:
-        raise CalibrationError("; ".join(faults))
-    return joined(parts), undecoded
+def _refuse_impossible(fit: Adjustment) -> None:
+    """Refuse a result that no camera or projector has, or that the views do not determine."""
+    for device, optics, residual_px in (
+        ("camera", fit.camera, fit.camera_residual_px),
+        ("projector", fit.projector, fit.projector_residual_px),
+    ):
+        for wrong in _impossible(optics, _rms(residual_px[fit.kept])):
+            raise CalibrationError(f"the {device} has {wrong}, which is not possible: {NO_FIT}")
+        _check_fold(device, optics)
+    T_m = float(np.linalg.norm(fit.T_cam_proj[:3, 3]))
+    for name, value in (
+        ("camera.fx_px", fit.camera.fx_px),
+        ("projector.fx_px", fit.projector.fx_px),
+        ("baseline_m", T_m),
+    ):
+        if not fit.deviation[name] < MOST_DEVIATION * value:
+            raise CalibrationError(
+                f"{name} is {value:.4g} +- {fit.deviation[name]:.2g}, so the views do not "
+                "determine it: tilt the board by 20 to 45 degrees in several directions"
+            )
 
 
-def _observe_one(index: int, view: BoardView, board: Board, projector_size_px: tuple[int, int]):
-    corners = find_corners(view.white, board)
-    lit = projector_corners(
-        corners,
-        view.column,
-        view.row,
-        sigma_column=view.sigma_column,
-        sigma_row=view.sigma_row,
-    )
-    decoded = np.isfinite(lit.position_px).all(axis=1)
-    if decoded.sum() < MIN_CORNERS:
-        raise CalibrationError(
-            f"{decoded.sum()} of {len(decoded)} corners have decoded columns and rows around "
-            f"them, {MIN_CORNERS} are needed: light the board with the projector, and code both "
-            "axes"
-        )
-    position_px = lit.position_px[decoded]
-    # A corner may lie a little outside, where the fit reads beyond the last lit pixel.
-    if position_px.min() < -2 or (position_px > np.array(projector_size_px) + 1).any():
-        span = f"({position_px[:, 0].max():.0f}, {position_px[:, 1].max():.0f})"
-        size = f"{projector_size_px[0]} x {projector_size_px[1]}"
-        raise CalibrationError(
-            f"code reaches {span}, the projector has {size} px: give the right projector size"
-        )
-    part = Observations(
-        view=np.full(decoded.sum(), index),
-        point_m=board.corners_m[corners.id[decoded]],
-        camera_px=corners.position_px[decoded],
-        projector_px=position_px,
-        per_camera_px=lit.per_camera_px[decoded],
-    )
-    return part, int((~decoded).sum())
+def _impossible(optics: Optics, rms_px: float):
+    """What no device has, with its value."""
+    width_px, height_px = optics.width_px, optics.height_px
+    aspect = optics.fx_px / optics.fy_px
+    if not 1 / MOST_ASPECT < aspect < MOST_ASPECT:
+        yield f"focal lengths of {optics.fx_px:.4g} and {optics.fy_px:.4g} px"
+    if not FOCAL[0] * width_px < optics.fx_px < FOCAL[1] * width_px:
+        yield f"a focal length of {optics.fx_px:.4g} px for a picture {width_px} px wide"
+    shift = max(abs(optics.cx_px / width_px - 0.5), abs(optics.cy_px / height_px - 0.5))
+    if not shift < MOST_SHIFT:
+        yield f"its principal point at ({optics.cx_px:.4g}, {optics.cy_px:.4g}) px"
+    corner = np.array([width_px / optics.fx_px, height_px / optics.fy_px]) / 2
+    moved = np.linalg.norm(distort(corner, optics.distortion) - corner) / np.linalg.norm(corner)
+    if not moved < MOST_DISTORTION:
+        yield f"the distortion {tuple(float(f'{k:.3g}') for k in optics.distortion)}"
+    if not rms_px < MOST_RMS * width_px:
+        yield f"a residual of {rms_px:.3g} px (RMS)"
 
 
 def _check_fold(device: str, optics: Optics) -> None:
@@ -294,6 +287,15 @@ def _rms(residual: Float[np.ndarray, "n d"]) -> float:
 def _coverage(position_px: Float[np.ndarray, "n 2"], size_px: tuple[int, int]) -> float:
     hull = cv2.convexHull(position_px.astype(np.float32))
     return float(cv2.contourArea(hull)) / (size_px[0] * size_px[1])
+
+
+def _symptoms(views: Sequence[BoardView], observed: Observed):
+    """The warnings of the stacks of the views that are used."""
+    used = {view.name for view in observed.views}
+    most = max((len(view.symptoms) for view in views), default=0)
+    for k in range(most):
+        own = {v.name: v.symptoms[k] for v in views if v.name in used and k < len(v.symptoms)}
+        yield from (f"{each}: {symptom}" for each, symptom in grouped(own))
 
 
 def _warnings(rig: Rig, views: Sequence[ViewResidual], fit: Adjustment, coverage):

@@ -5,7 +5,8 @@ from pathlib import Path
 import numpy as np
 
 from ...stack import decode_stack
-from .calibration import BoardView, Calibration
+from .calibration import Calibration
+from .observing import BoardView
 
 
 def read_view(path: Path) -> tuple[BoardView, tuple[int, int]]:
@@ -25,6 +26,7 @@ def read_view(path: Path) -> tuple[BoardView, tuple[int, int]]:
         row=codes.row,
         sigma_column=codes.sigma_column,
         sigma_row=codes.sigma_row,
+        symptoms=result.warnings,
     )
     return view, (result.code.width_px, result.code.height_px)
 

@@ -1,0 +1,281 @@
+"""The corners that both devices see in each view, and the views that no rig can be fitted to."""
+
+import re
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import cv2
+import numpy as np
+from jaxtyping import Float, Shaped
+
+from ...stack import mirror_symptom
+from .adjust import NO_FIT, Observations, joined, poses_between, rms_alone_px
+from .board import Board, CalibrationError
+from .corners import MIN_CORNERS, find_corners
+from .projector_corners import projector_corners
+
+MIN_VIEWS = 3  # of a plane in different directions, below which the intrinsics are not determined
+GOOD_VIEWS = 8
+SAME_POSE = 0.005  # of the board's radius in the picture, by which its corners differ
+GROSS, GROSS_PX = 6.0, 2.0  # corners off from their view's others, in medians and pixels
+MOST_RMS = 0.005  # of a device, in widths of its picture
+GOOD_RMS_PX, SPOILING = 0.5, 3.0  # of a device alone; by which one view may worsen it
+# A view that puts the projector elsewhere: by so many times what is usual, and at least by so much.
+ELSEWHERE, TURN_DEG, SHIFT = 4.0, 0.25, 0.02  # the shift is a share of the baseline
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class BoardView:
+    """One pose of the board: its picture under white light and the decoded projector pixels.
+
+    `column` and `row` are in projector pixels, NaN where unknown. `symptoms` are the warnings of
+    the stack that they were decoded from.
+    """
+
+    name: str
+    white: Shaped[np.ndarray, "h w"]
+    column: Float[np.ndarray, "h w"]
+    row: Float[np.ndarray, "h w"]
+    sigma_column: Float[np.ndarray, "h w"] | None = None
+    sigma_row: Float[np.ndarray, "h w"] | None = None
+    symptoms: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ViewCorners:
+    """The corners of one view, and how many more of them are not decoded."""
+
+    name: str
+    corners: Observations
+    undecoded: int
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Observed:
+    """The views that can belong to one rig, and why the others are left out."""
+
+    views: tuple[ViewCorners, ...]
+    left_out: Mapping[str, str]
+
+    @property
+    def corners(self) -> Observations:
+        """The corners of all views, numbered in order."""
+        return _joined(self.views)
+
+    def less(self, faults: Mapping[str, str]) -> "Observed":
+        """The same without more views.
+
+        Raises:
+            CalibrationError: too few views are left; the text names all that were left out.
+        """
+        good = tuple(view for view in self.views if view.name not in faults)
+        left_out = {**self.left_out, **faults}
+        if len(good) < MIN_VIEWS:
+            reasons = "; ".join(f"{views}: {why}" for views, why in grouped(left_out))
+            raise CalibrationError(
+                f"of {len(good) + len(left_out)} views of the board {len(good)} can be used, and "
+                f"at least {MIN_VIEWS} in different directions are needed: {reasons}"
+            )
+        return Observed(views=good, left_out=left_out)
+
+
+def _joined(views: Sequence[ViewCorners]) -> Observations:
+    parts = [view.corners for view in views]
+    return joined([replace(part, view=np.full(len(part.view), k)) for k, part in enumerate(parts)])
+
+
+def check_views(views: Sequence[BoardView]) -> tuple[int, int]:
+    """The camera's (width, height), after seeing that there are enough views of one size."""
+    if len(views) < MIN_VIEWS:
+        raise CalibrationError(
+            f"{len(views)} views of the board; at least {MIN_VIEWS} in different directions are "
+            f"needed, {GOOD_VIEWS} or more are good"
+        )
+    names = [view.name for view in views]
+    twice = sorted({name for name in names if names.count(name) > 1})
+    if twice:
+        raise CalibrationError(f"two views are named {', '.join(twice)}: rename one of them")
+    size = views[0].white.shape
+    for view in views:
+        for part in (view.white, view.column, view.row):
+            if part.shape != size:
+                raise CalibrationError(
+                    f"view {view.name} is {part.shape[1]} x {part.shape[0]} px, view "
+                    f"{views[0].name} {size[1]} x {size[0]}: give pictures of one camera with one "
+                    "size"
+                )
+    return size[1], size[0]
+
+
+def observe(
+    views: Sequence[BoardView],
+    board: Board,
+    *,
+    camera_size_px: tuple[int, int],
+    projector_size_px: tuple[int, int],
+) -> Observed:
+    """Every corner that both devices see in the views that can belong to one rig.
+
+    Raises:
+        CalibrationError: too few such views.
+    """
+    found: list[ViewCorners] = []
+    faults = {}
+    for view in views:
+        try:
+            one = _observe_one(view, board, projector_size_px)
+            _refuse_same_pose(one, found)
+        except CalibrationError as error:  # tell of every bad view at once
+            faults[view.name] = str(error)
+        else:
+            found.append(one)
+    observed = Observed(views=tuple(found), left_out={}).less(faults)
+    return agreeing(observed, camera_size_px, projector_size_px)
+
+
+def agreeing(
+    observed: Observed, camera_size_px: tuple[int, int], projector_size_px: tuple[int, int]
+) -> Observed:
+    """The views that agree on both lenses and on where the devices stand.
+
+    Each device is calibrated alone: views of a faulty one fit one lens badly. Then every view says
+    where the projector stands before the camera, and must say what most of the others do.
+
+    Raises:
+        CalibrationError: too few views agree.
+    """
+    while misfit := _misfit(observed, camera_size_px, projector_size_px):
+        observed = observed.less(misfit)
+    return observed.less(_elsewhere(observed, camera_size_px, projector_size_px))
+
+
+def grouped(sentences: Mapping[str, str]) -> Iterator[tuple[str, str]]:
+    """Each sentence once, after the views it is true of; numbers may differ from view to view."""
+    views: dict[str, list[str]] = {}
+    for name, sentence in sentences.items():
+        views.setdefault(re.sub(r"\d+", "", sentence), []).append(name)
+    for names in views.values():
+        yield f"view{'s' * (len(names) > 1)} {', '.join(names)}", sentences[names[0]]
+
+
+def _observe_one(view: BoardView, board: Board, projector_size_px: tuple[int, int]) -> ViewCorners:
+    mirrored = mirror_symptom(view.column, view.row)
+    if mirrored is not None:
+        raise CalibrationError(mirrored)
+    corners = find_corners(view.white, board)
+    lit = projector_corners(
+        corners,
+        view.column,
+        view.row,
+        sigma_column=view.sigma_column,
+        sigma_row=view.sigma_row,
+    )
+    decoded = np.isfinite(lit.position_px).all(axis=1)
+    if decoded.sum() < MIN_CORNERS:
+        raise CalibrationError(
+            f"{decoded.sum()} of {len(decoded)} corners have decoded columns and rows around "
+            f"them, {MIN_CORNERS} are needed: light the board with the projector, and code both "
+            f"axes{''.join(f' ({symptom})' for symptom in view.symptoms)}"
+        )
+    position_px = lit.position_px[decoded]
+    # A corner may lie a little outside, where the fit reads beyond the last lit pixel.
+    if position_px.min() < -2 or (position_px > np.array(projector_size_px) + 1).any():
+        span = f"({position_px[:, 0].max():.0f}, {position_px[:, 1].max():.0f})"
+        size = f"{projector_size_px[0]} x {projector_size_px[1]}"
+        raise CalibrationError(
+            f"code reaches {span}, the projector has {size} px: give the right projector size"
+        )
+    part = Observations(
+        view=np.zeros(decoded.sum(), dtype=np.intp),
+        point_m=board.corners_m[corners.id[decoded]],
+        camera_px=corners.position_px[decoded],
+        projector_px=position_px,
+        per_camera_px=lit.per_camera_px[decoded],
+    )
+    return ViewCorners(name=view.name, corners=part, undecoded=int((~decoded).sum()))
+
+
+def _refuse_same_pose(view: ViewCorners, others: Sequence[ViewCorners]) -> None:
+    own = view.corners
+    radius_px = own.camera_px.std(axis=0).max()
+    for other in others:
+        its = other.corners
+        mine, same = np.nonzero((own.point_m[:, None] == its.point_m).all(axis=2))
+        apart_px = np.linalg.norm(own.camera_px[mine] - its.camera_px[same], axis=1)
+        if len(mine) and np.median(apart_px) < SAME_POSE * radius_px:
+            raise CalibrationError(
+                f"it shows the board in the same pose as view {other.name}: move the board between "
+                "two views"
+            )
+
+
+def _less_gross(corners: Observations) -> Observations:
+    """The corners but for a few wrong ones, of whose views the rest may be good."""
+    keep = np.ones(len(corners.view), dtype=bool)
+    for k in np.unique(corners.view):
+        mine = corners.view == k
+        camera_px, projector_px = corners.camera_px[mine], corners.projector_px[mine]
+        H, _ = cv2.findHomography(camera_px, projector_px, cv2.LMEDS)
+        if H is not None:  # a lens bends it by a few pixels
+            at = np.column_stack([camera_px, np.ones(len(camera_px))]) @ H.T
+            off_px = np.linalg.norm(at[:, :2] / at[:, 2:] - projector_px, axis=1)
+            keep[mine] = off_px <= max(GROSS * float(np.median(off_px)), GROSS_PX)
+    return corners.taken(keep)
+
+
+def _misfit(
+    observed: Observed, camera_size_px: tuple[int, int], projector_size_px: tuple[int, int]
+) -> dict[str, str]:
+    """The view without which the others' corners fit one lens far better, and by how much."""
+    corners = _less_gross(observed.corners)
+    for device, position_px, size_px in (
+        ("camera", corners.camera_px, camera_size_px),
+        ("projector", corners.projector_px, projector_size_px),
+    ):
+        whole_px = rms_alone_px(corners, position_px, size_px)
+        if whole_px < GOOD_RMS_PX:
+            continue
+        without_px = []
+        for view in observed.views:
+            rest = _less_gross(_joined([v for v in observed.views if v is not view]))
+            kept_px = rest.camera_px if device == "camera" else rest.projector_px
+            without_px.append(rms_alone_px(rest, kept_px, size_px))
+        worst = int(np.argmin(without_px))
+        if len(observed.views) > MIN_VIEWS and without_px[worst] < whole_px / SPOILING:
+            return {
+                observed.views[worst].name: f"the {device}'s corners fit one lens within "
+                f"{without_px[worst]:.2f} px without it and {whole_px:.2f} px with it (RMS): the "
+                "board or a device may have moved, or its code may be wrong"
+            }
+        if whole_px > MOST_RMS * size_px[0]:
+            raise CalibrationError(
+                f"the {device}'s corners fit no lens: the residual is {whole_px:.3g} px (RMS). "
+                f"{NO_FIT[0].upper()}{NO_FIT[1:]}"
+            )
+    return {}
+
+
+def _elsewhere(
+    found: Observed, camera_size_px: tuple[int, int], projector_size_px: tuple[int, int]
+) -> dict[str, str]:
+    """Views whose boards put the projector elsewhere before the camera than the others' do."""
+    T = poses_between(_less_gross(found.corners), camera_size_px, projector_size_px)
+    between = np.einsum("aji,bjk->abik", T[:, :3, :3], T[:, :3, :3])
+    cosine = (np.trace(between, axis1=2, axis2=3) - 1) / 2
+    turn_deg = np.degrees(np.arccos(np.clip(cosine, -1, 1)))
+    usual = int(np.median(turn_deg, axis=1).argmin())
+    shift_m = np.linalg.norm(T[:, :3, 3] - T[usual, :3, 3], axis=1)
+    least_m = SHIFT * np.linalg.norm(T[usual, :3, 3])
+    away = turn_deg[usual] > _far(np.delete(turn_deg[usual], usual), TURN_DEG)
+    away |= shift_m > _far(np.delete(shift_m, usual), float(least_m))
+    return {
+        view.name: f"its board puts the projector {1e3 * shift_m[k]:.0f} mm and "
+        f"{turn_deg[usual, k]:.1f} degrees from where view {found.views[usual].name} has it: its "
+        "pictures may be turned, or a device may have moved"
+        for k, view in enumerate(found.views)
+        if away[k]
+    }
+
+
+def _far(usual: Float[np.ndarray, " n"], least: float) -> float:
+    return max(ELSEWHERE * float(np.median(usual)), least)

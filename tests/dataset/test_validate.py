@@ -3,17 +3,13 @@
 import json
 import re
 import shutil
-from dataclasses import replace
 
 import numpy as np
 import pytest
 from backends import slow
 from PIL import Image
-from prisms import CONFIG, SCALE_MM, SEED, box_part, build_sample, make_rig, wedge_part
 
 from graycast.dataset import Problem, validate
-from graycast.dataset.store import open_store
-from graycast.decode import Reason, reason_shares
 from graycast.errors import DatasetError
 
 
@@ -342,23 +338,3 @@ def test_an_empty_dataset_says_so(opened, tmp_path):
 def test_a_problem_prints_its_scene():
     assert str(Problem(scene=12, what="it broke")) == "scene 000012: it broke"
     assert str(Problem(scene=None, what="it broke")) == "it broke"
-
-
-def test_a_dark_pixel_may_be_beside_the_projector_s_picture(tmp_path):
-    """Its modulation is that of a shadow; only the true depth tells the two from each other."""
-    sample = build_sample(0, parts=(box_part(), wedge_part()), rig=make_rig())
-    was = sample.scanner.reason
-    reason = np.where(was == Reason.SHADOW, np.uint8(Reason.OUTSIDE_PROJECTOR), was)
-    changed = replace(
-        sample,
-        scanner=replace(sample.scanner, reason=reason),
-        manifest=sample.manifest | {"reasons": reason_shares(reason)},
-    )
-    with open_store(
-        tmp_path / "out", config=CONFIG, seed=SEED, parts=sample.scene.parts,
-        rig=sample.scene.rig, depth_scale_mm=SCALE_MM,
-    ) as store:  # fmt: skip
-        store.write(0, [changed])
-        store.finish({0})
-    assert (reason == Reason.OUTSIDE_PROJECTOR).sum() > 400
-    assert validate(tmp_path / "out") == ()

@@ -15,6 +15,7 @@ from PIL import Image, ImageFile
 from simulated_dataset import write_dataset
 
 from graycast.cli import main
+from graycast.config import EnvironmentSection, resolve_environment
 from graycast.dataset.reading import Unreadable, read_png
 from graycast.errors import ConfigError, DatasetError, DecodeError, GraycastError
 from graycast.file_limits import MOST_PX, check_runs, load_array, parse_json, refuse_large_picture
@@ -185,6 +186,7 @@ def no_decoder(monkeypatch):
         (read_png, Unreadable),
         (read_image, DatasetError),
         (read_texture, ConfigError),
+        (lambda path: resolve_environment(EnvironmentSection(map=path), Path()), ConfigError),
         (lambda path: read_pictures([path]), DecodeError),
         (
             lambda path: read_shot(
@@ -194,7 +196,7 @@ def no_decoder(monkeypatch):
             DatasetError,
         ),
     ],
-    ids=["dataset", "depth", "texture", "stack", "real picture"],
+    ids=["dataset", "depth", "texture", "map", "stack", "real picture"],
 )  # fmt: skip
 def test_no_reader_decodes_a_picture_that_is_too_large(read, error, tmp_path, no_decoder):
     (tmp_path / "a.png").write_bytes(bomb())
@@ -220,7 +222,7 @@ def test_an_array_whose_header_states_more_than_its_file_has_is_no_array(tmp_pat
 
 
 def test_a_calibration_that_unpacks_to_gigabytes_is_refused(tmp_path):
-    with zipfile.ZipFile(tmp_path / "c.npz", "w", zipfile.ZIP_DEFLATED) as archive:
+    with zipfile.ZipFile(tmp_path / "c.npz", "w", zipfile.ZIP_DEFLATED, compresslevel=1) as archive:
         with archive.open("K1.npy", "w") as file:
             np.lib.format.write_array_header_1_0(
                 file, {"descr": "<f8", "fortran_order": False, "shape": (4000, 4000)}

@@ -253,15 +253,22 @@ def test_generate_says_what_it_made_and_the_next_time_that_all_was_there(capsys,
     )
     assert f"{tmp_path / 'out'}: 1 scenes made, 0 were there" in first
     manifest = json.loads((tmp_path / "out/train/000000/manifest.json").read_text())
-    shares = {
-        line.split()[0]: float(line.split()[1].rstrip("%"))
-        for line in first.splitlines()
-        if line.endswith("of the pixels")
-    }
-    assert shares == pytest.approx(
-        {name: 100 * share for name, share in manifest["reasons"].items()}, abs=0.006
-    )
-    assert sum(shares.values()) == pytest.approx(100, abs=0.04)
+    lines = [line.split() for line in first.splitlines() if line.endswith("of all pixels")]
+    for place, key in ((1, "part_reasons"), (-4, "reasons")):  # the parts' share first
+        shares = {words[0]: float(words[place].rstrip("%")) for words in lines}
+        assert shares == pytest.approx(
+            {name: 100 * share for name, share in manifest[key].items()}, abs=0.006
+        )
+        assert sum(shares.values()) == pytest.approx(100, abs=0.04)
+
+
+@pytest.mark.parametrize("command", ["realism", "twin", "fit-bin"])
+def test_the_help_names_every_kind_of_depth_file_that_is_read(capsys, command):
+    with pytest.raises(SystemExit):
+        main([command, "--help"])
+    printed = capsys.readouterr().out
+    for ending in DEPTH_FILES:
+        assert ending.lstrip(".").upper() in printed
 
 
 @pytest.mark.slow
@@ -283,7 +290,8 @@ def test_preview_draws_the_scene_and_counts_its_pixels_as_the_dataset_does(capsy
         capsys, "preview", path, "--out", tmp_path / "p.png", "--scene", 1, "--device", "cpu"
     )
     manifest = json.loads((out / "train/000001/manifest.json").read_text())
-    assert f"{manifest['reasons']['decoded']:7.2%} of the pixels" in printed
+    of_parts, of_all = (manifest[key]["decoded"] for key in ("part_reasons", "reasons"))
+    assert f"{of_parts:7.2%} of the parts' pixels, {of_all:7.2%} of all pixels" in printed
     with Image.open(tmp_path / "p.png") as picture:
         assert min(picture.size) > 400
         assert np.std(np.array(picture.convert("L"))) > 10

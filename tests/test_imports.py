@@ -11,6 +11,7 @@ SOURCE = Path(__file__).resolve().parents[1] / "src" / "graycast"
 ORDER = (
     "errors",
     "array_types",
+    "file_limits",
     "folder",
     "plotting",
     "settings",

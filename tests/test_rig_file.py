@@ -361,7 +361,7 @@ def test_metres_taken_for_millimetres_are_noticed(tmp_path):
         ("c.yaml", "just words", "holds no keys"),
         ("c.yaml", "%YAML:1.0\n---\ncam_K: !!opencv-matrix\n   rows: 3\n", "OpenCV cannot|matrix"),
         ("c.xml", "<?xml version='1.0'?>\n<opencv_storage><a>", "OpenCV cannot parse it"),
-        ("c.json", '{"K1": [1, 2', "is not JSON in line 1"),
+        ("c.json", '{"K1": [1, 2', r"is not JSON \(EOF .* at line 1"),
         ("c.json", "[1, 2]", "holds no keys"),
         ("c.npz", "no zip", "is not an NPZ file"),
     ],

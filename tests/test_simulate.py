@@ -9,14 +9,16 @@ import numpy as np
 import pytest
 import yaml
 from small_cell import write_cell
+from stage import centred, make_rig
 
 from graycast import simulate
 from graycast.cell import open_cell_renderer, resolve_cell
 from graycast.config import RenderSection, load_config
+from graycast.decode import CodeMap, DepthMap, Reason
 from graycast.picture import color_picture
-from graycast.render import Renderer
+from graycast.render import GroundTruth, Renderer
 from graycast.scanner import take
-from graycast.simulate import make_scene
+from graycast.simulate import make_scene, with_field
 
 
 @pytest.fixture(scope="module")
@@ -47,6 +49,46 @@ def test_noise_and_colour_picture_come_from_the_seeds_that_bear_their_names(made
     assert np.array_equal(again.frames, shot.capture.frames)
     picture = color_picture(cell.scanner, shot.rendering, denoiser=None, seed=seeds["picture"])
     assert np.array_equal(picture, shot.sample.rgb)
+
+
+def test_a_dark_pixel_beside_the_projector_s_picture_is_no_shadow():
+    """Oracle: similar triangles. On a wall at z a camera's column u lies at x = (u - c) z / f, and
+    the projector lights half of its width times z / f' to either side of its own axis."""
+    rig = make_rig(centred(64, 48, 70.0), centred(40, 30, 80.0), baseline_m=(0.06, 0.02, 0.0))
+    z_m = np.full((48, 64), 0.8, np.float32)
+    z_m[:, 5] = np.nan  # nothing is there
+    x_m = (np.arange(64) - 31.5) * 0.8 / 70.0 - 0.06
+    y_m = (np.arange(48) - 23.5) * 0.8 / 70.0 - 0.02
+    lit = (np.abs(x_m) <= 20 * 0.8 / 80)[None] & (np.abs(y_m) <= 15 * 0.8 / 80)[:, None]
+    reason = np.full(z_m.shape, Reason.SHADOW, np.uint8)
+    reason[:, 50:] = Reason.LOW_MODULATION
+    reason[:8], reason[8:12] = Reason.DECODED, Reason.OUTLIER
+    coded = np.isin(reason, (Reason.DECODED, Reason.OUTLIER))
+    names = ("column", "row", "sigma_column", "sigma_row", "modulation")
+    codes = CodeMap(
+        **{name: np.full(z_m.shape, np.nan, np.float32) for name in names},
+        reason=np.where(coded, np.uint8(0), reason),
+    )
+    truth = GroundTruth(
+        depth_m=z_m,
+        normal=np.zeros((48, 64, 3), np.float32),
+        instance=np.full((48, 64), -1, np.int32),
+        amodal=(),
+    )
+    depth = DepthMap(depth_m=z_m.copy(), sigma_m=z_m.copy(), reason=reason)
+    found = with_field(rig, truth, codes, depth).reason
+    beside = ~lit & ~np.isnan(z_m) & ~coded
+    assert 0.2 < beside.mean() < 0.7
+    assert np.array_equal(found, np.where(beside, Reason.OUTSIDE_PROJECTOR, reason))
+
+
+def test_the_shares_of_a_manifest_are_those_of_the_map_of_reasons(made):
+    _, shot = made
+    reason, on_part = shot.sample.scanner.reason, shot.rendering.truth.instance >= 0
+    assert on_part.any()
+    for key, within in (("reasons", np.ones_like(on_part)), ("part_reasons", on_part)):
+        for name, share in shot.sample.manifest[key].items():
+            assert share == pytest.approx((reason[within] == Reason[name.upper()]).mean())
 
 
 class Held(Renderer):

@@ -18,6 +18,7 @@ What all packages use:
 
     errors           the errors that a caller may want to handle
     array_types      annotations of arrays with their axes
+    file_limits      JSON and pictures of users, refused before they fill the memory
     folder           files and folders that are written completely or not at all
     plotting         the style of plots, and how they are written
     settings         YAML files: reading, checking, and errors of one clear line

@@ -266,7 +266,7 @@ def _figures(s: Statistics, census: Census, stored: StoredDataset) -> str:
         rows.append(("perfect depth (1 to 99 %)", f"{depth['p01']:.0f} to {depth['p99']:.0f} mm"))
     if "decoded" in s.reason:
         shares = (
-            f"{s.reason['decoded']:.1%} of all pixels, {s.part_reason['decoded']:.1%} of parts'"
+            f"{s.part_reason['decoded']:.1%} of the parts' pixels, {s.reason['decoded']:.1%} of all"
         )
         rows.append(("with a scanner depth", shares))
     missing = {n: v for n, v in s.part_reason.items() if n != "decoded" and v >= 5e-4}

@@ -21,6 +21,7 @@ from .decode import triangulation_axis
 from .domain import DomainSection, domain_files
 from .drop import DropLimits, OnStage
 from .errors import ConfigError
+from .file_limits import refuse_large_picture
 from .parts import Material, Part
 from .parts.sections import (
     MaterialSection,
@@ -328,6 +329,7 @@ def resolve_environment(section: EnvironmentSection, folder: Path) -> Environmen
     path = folder / section.map
     if not path.is_file():
         raise ConfigError(f"light.environment.map: no file {path}")
+    refuse_large_picture(path, f"light.environment.map {path}", ConfigError)
     return Environment(radiance=section.radiance, map_file=path)
 
 

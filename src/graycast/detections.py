@@ -12,6 +12,7 @@ from jaxtyping import Float, Int
 from pycocotools import mask as coco_mask
 
 from .errors import GraycastError
+from .file_limits import check_runs, parse_json
 
 # What `graycast detect` leaves in a folder: the results, and what was looked at by what.
 RESULTS, LOOKED = "results.json", "detect.json"
@@ -92,7 +93,7 @@ def read_results(
             masks for only some of its detections.
     """
     try:
-        entries = json.loads(path.read_bytes())
+        entries = parse_json(path.read_bytes())
     except OSError as error:
         raise GraycastError(f"{path}: cannot be read ({error.strerror})") from error
     except ValueError as error:
@@ -144,56 +145,11 @@ def _check(entry: Any, where: str) -> None:
                 "negative: give x, y, width, height and not x0, y0, x1, y1"
             )
     if "segmentation" in entry:
-        _check_runs(entry["segmentation"], f"{where}: segmentation")
+        check_runs(entry["segmentation"], f"{where}: segmentation", GraycastError)
 
 
 def _finite(value: Any) -> bool:
     return type(value) in (int, float) and math.isfinite(value)
-
-
-def _check_runs(runs: Any, where: str) -> None:
-    """Check that run lengths fill their picture, because pycocotools does not check it."""
-    if not isinstance(runs, dict) or not isinstance(runs.get("counts"), str | list):
-        raise GraycastError(
-            f"{where} is not a run-length encoding (size, counts): give masks as in COCO results"
-        )
-    size, counts = runs.get("size"), runs["counts"]
-    if not (isinstance(size, list) and len(size) == 2 and all(type(edge) is int for edge in size)):
-        raise GraycastError(f"{where}: size is {size!r}; it must be rows and columns")
-    lengths = _lengths(counts) if isinstance(counts, str) else counts
-    if (
-        lengths is None
-        or not all(type(n) is int and n >= 0 for n in lengths)
-        or sum(lengths) != size[0] * size[1]
-    ):
-        raise GraycastError(
-            f"{where}: its run lengths do not fill {size[1]} x {size[0]} pixels: the file is "
-            "damaged, or size is wrong"
-        )
-
-
-def _lengths(counts: str) -> list[int] | None:
-    """Decode COCO's compressed run lengths; None if they are damaged.
-
-    Each number is stored in characters that start at '0' and hold six bits, low bits first:
-    five bits of the number and one bit that tells whether more follow. From the third number
-    on, the stored value is the difference from the number two places before.
-    """
-    code = np.frombuffer(counts.encode("utf-8", "replace"), np.uint8).astype(np.int64) - 48
-    more = (code & 32) > 0
-    if not len(code) or more[-1] or code.min() < 0 or code.max() > 63:
-        return None
-    start = np.append(0, np.flatnonzero(~more)[:-1] + 1)
-    place = np.arange(len(code)) - np.repeat(start, np.diff(np.append(start, len(code))))
-    if place.max() > 6:
-        return None
-    value = np.add.reduceat((code & 31) << (5 * place), start)
-    end = np.flatnonzero(~more)
-    value -= np.where(code[end] & 16, 1 << (5 * (place[end] + 1)), 0)
-    value[1::2] = np.cumsum(value[1::2])
-    if len(value) > 2:
-        value[2::2] = np.cumsum(value[2::2])
-    return value.tolist()
 
 
 def _detections(scene_id: int, entries: list[dict[str, Any]], masked: bool) -> Detections:

@@ -13,7 +13,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 from pydantic import ValidationError
 
 from .cell import Cell, reach_m
@@ -30,6 +29,7 @@ from .dataset import (
 from .dataset.claim import BESIDE_CONFIG, Taker
 from .dataset.reading import Unreadable, read_json
 from .dataset.records import Claim
+from .decode import mean_shares
 from .drop import OnStage, hull_notes, prepare
 from .engine import Failed, Made, Pool, SceneMaker, SceneTask, make_all, open_pool
 from .errors import ConfigError, DatasetError, GraycastError
@@ -67,6 +67,7 @@ class Summary:
     set_aside: tuple[SetAside, ...]
     seconds: float
     reasons: dict[str, float]
+    part_reasons: dict[str, float]  # of the pixels that see parts
 
 
 def generate(
@@ -140,10 +141,8 @@ def generate(
         found=scenes - len(todo),
         set_aside=tuple(run.set_aside),
         seconds=time.perf_counter() - start,
-        reasons={
-            name: float(np.mean([reasons[name] for reasons in run.reasons]))
-            for name in (run.reasons[0] if run.reasons else ())
-        },
+        reasons=mean_shares(run.reasons),
+        part_reasons=mean_shares(run.part_reasons),
     )
 
 
@@ -340,6 +339,7 @@ class _Run:
         on_failed: Callable[[Failed], None],
     ) -> None:
         self.reasons: list[dict[str, float]] = []
+        self.part_reasons: list[dict[str, float]] = []
         self.set_aside: list[SetAside] = []
         self._store, self._found = store, found
         self._on_made, self._on_failed = on_made, on_failed
@@ -349,6 +349,7 @@ class _Run:
         if isinstance(outcome, Made):
             self._store.write_files(outcome.scene_id, outcome.files)
             self.reasons.append(outcome.reasons)
+            self.part_reasons.append(outcome.part_reasons)
             self._on_made(outcome)
             return
         if outcome.final:

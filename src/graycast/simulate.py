@@ -12,18 +12,22 @@ from importlib.metadata import version
 from typing import Any
 
 import numpy as np
+from jaxtyping import Bool
 
 from . import __version__
 from .cell import Cell, Eye, eyes, patterns_of
 from .config import resolve_quality
 from .dataset import Raw, Sample
 from .dataset.seeds import image_seeds, scene_seeds
-from .decode import CodeMap, reason_shares
+from .decode import CodeMap, DepthMap, Reason, reason_shares
 from .domain import Variation, draw, moved_place, vary
 from .drop import OnStage as OnStage
 from .drop import drop
+from .frames import pixel_grid, transform_points
+from .optics import project, rays
 from .picture import color_picture, developed, gray_picture
-from .render import Radiance, Renderer, Rendering
+from .render import GroundTruth, Radiance, Renderer, Rendering
+from .rig import Rig
 from .scanner import measure, take
 from .scene import Layout, Scene, bin_of
 from .sensor import Capture
@@ -136,12 +140,14 @@ def _taken(
         )
     with _timed(timings, "decode"):
         codes, depth = measure(scanner, capture)
+        depth = with_field(scene.rig, rendering.truth, codes, depth)
     manifest = told | {
         "backend": renderer.name,
         "device": renderer.device,
         "versions": _versions(renderer),
         "exposure_s": float(np.max(capture.exposure_s)),
         "reasons": reason_shares(depth.reason),
+        "part_reasons": reason_shares(depth.reason[_on_part(scene, layout, rendering.truth)]),
         "config": config.model_dump(mode="json", exclude={"scenes", "seed"}),
         "timings": timings,
     }
@@ -163,6 +169,27 @@ def _taken(
         image=eye.image,
     )
     return Shot(sample=sample, rendering=rendering, capture=capture, codes=codes)
+
+
+def with_field(rig: Rig, truth: GroundTruth, codes: CodeMap, depth: DepthMap) -> DepthMap:
+    """A scanner's depth map that names the pixels whose surface is beside the projector's picture.
+
+    To a decoder they are as dark as a shadow; where the true depth is known, so is the difference.
+    Pixels with a code keep their reason: their light came by way of another surface.
+    """
+    lit = rig.projector
+    ray = rays(rig.camera, pixel_grid(*truth.depth_m.shape))
+    point = transform_points(rig.T_proj_cam, ray * truth.depth_m[..., None])
+    place = project(lit, point)
+    inside = ((place >= -0.5) & (place <= [lit.width_px - 0.5, lit.height_px - 0.5])).all(axis=-1)
+    beside = np.isfinite(truth.depth_m) & ~inside & (codes.reason != Reason.DECODED)
+    return replace(depth, reason=np.where(beside, np.uint8(Reason.OUTSIDE_PROJECTOR), depth.reason))
+
+
+def _on_part(scene: Scene, layout: Layout, truth: GroundTruth) -> Bool[np.ndarray, "h w"]:
+    """The pixels that see a part which is labelled."""
+    labelled = [scene.parts[kind].labelled for kind in layout.part_index]
+    return np.array([*labelled, False])[truth.instance]  # -1 is no part
 
 
 def compile_kernels(cell: Cell) -> None:

@@ -414,6 +414,9 @@ SUMS_ALONE = {
     "contradictions called outliers, with their share": picture(  # both have light and a code
         "reason_sl", rewritten(Reason.CONTRADICTORY, Reason.OUTLIER), shares
     ),
+    "shadows called outside the projector, with their share": picture(  # both are dark
+        "reason_sl", rewritten(Reason.SHADOW, Reason.OUTSIDE_PROJECTOR), shares
+    ),
     "another exposure time": manifest(lambda m: m.update(exposure_s=2 * m["exposure_s"])),
     "parts that never came to rest": manifest(lambda m: m["physics"].update(at_rest=False)),
     "another version of a library": manifest(lambda m: m["versions"].update(numpy="1.0")),

@@ -40,6 +40,18 @@ def asked(server, method, path, body=None, **headers):
     return reply.status, text
 
 
+def test_json_that_is_nested_too_deeply_gets_an_answer(server):
+    connection = HTTPConnection("127.0.0.1", server.port, timeout=10)
+    for depth in (190, 100_000):
+        text = "[" * depth + "]" * depth
+        for body in (text, f'{{"do": "set", "key": "exposure", "value": {text[3:-3]}}}'):
+            connection.request("POST", "/do", body, {"Content-Type": "application/json"})
+            reply = connection.getresponse()
+            assert reply.status == 200
+            assert "error" in json.loads(reply.read())
+    connection.close()
+
+
 def do(server, **command):
     status, text = asked(server, "POST", "/do", command)
     assert status == 200

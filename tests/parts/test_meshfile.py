@@ -183,7 +183,7 @@ def test_nothing_is_printed_or_logged(tmp_path, capfd, caplog):
     (tmp_path / "material.mtl").unlink()
     caplog.clear()
     part, findings = load(tmp_path / "block.obj", unit="m")
-    assert "The mesh has texture coordinates, but no picture was found with it." in findings
+    assert any("no picture was read with it" in finding for finding in findings)
     assert part.material.texture is None
     assert caplog.records == [] and capfd.readouterr() == ("", "")
     assert not trimesh.util.log.disabled

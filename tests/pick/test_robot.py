@@ -101,6 +101,14 @@ def test_an_arm_folded_into_itself_is_told(tmp_path):
     assert ur.touches(folded, []) == "itself"
 
 
+def test_a_robot_without_a_joint_that_moves_is_refused(tmp_path):
+    joint = '<joint name="j" type="fixed"><parent link="base"/><child link="flange"/></joint>'
+    text = f'<robot name="a"><link name="base"/><link name="flange"/>{joint}</robot>'
+    (tmp_path / "fixed.urdf").write_text(text)
+    with pytest.raises(ConfigError, match=r"fixed\.urdf: no joint can move"):
+        open_robot("fixed.urdf", folder=tmp_path)
+
+
 def test_a_urdf_file_is_the_robot_that_it_says(tmp_path):
     (tmp_path / "arm.urdf").write_text(urdf(ARMS["ur5e"]))
     mine = open_robot("arm.urdf", folder=tmp_path, home=ARMS["ur5e"].home)

@@ -5,6 +5,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from ..errors import GraycastError
+from ..file_limits import parse_json
 from ..folder import write_whole
 from .figures import Figures
 
@@ -23,7 +24,7 @@ def kept_rows(file: Path, study: str, settings: Figures) -> list[Figures]:
     if not file.exists():
         return []
     try:
-        before = json.loads(file.read_text(encoding="utf-8"))
+        before = parse_json(file.read_bytes())
     except (ValueError, OSError) as error:
         raise GraycastError(f"{file}: cannot be read as JSON ({error}): {_OTHER}") from None
     rows = before.get(study) if isinstance(before, dict) else None

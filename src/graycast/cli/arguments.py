@@ -2,7 +2,7 @@
 
 import argparse
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -287,6 +287,13 @@ def stage_line() -> Iterator[Callable[[str], None]]:
     with Progress(*columns, transient=True) as bar:
         task = bar.add_task("", total=None, visible=False)
         yield lambda stage: bar.reset(task, description=escape(stage), total=None, visible=True)
+
+
+def print_shares(of_parts: Mapping[str, float], of_all: Mapping[str, float]) -> None:
+    """A line for each reason, the parts' pixels first."""
+    for name, share in of_all.items():
+        first = f"{of_parts[name]:7.2%} of the parts' pixels, " if of_parts else ""
+        print(f"  {name:18} {first}{share:7.2%} of all pixels")
 
 
 def progress_bar():

@@ -12,6 +12,7 @@ from .arguments import (
     add_device,
     add_seed,
     load_cell,
+    print_shares,
     progress_bar,
     seed,
     stage_line,
@@ -115,8 +116,7 @@ def _preview(options: argparse.Namespace) -> int:
     scanner = dict(cell.scanners)[cell.images[options.image][0]]
     draw_preview(shot, scanner.light_code(), options.out)
     _tell_coarse(shot)
-    for name, share in shot.sample.manifest["reasons"].items():
-        print(f"  {name:18} {share:7.2%} of the pixels")
+    print_shares(shot.sample.manifest["part_reasons"], shot.sample.manifest["reasons"])
     print(options.out)
     return 0
 

@@ -15,6 +15,7 @@ from .arguments import (
     add_workers,
     load_cell,
     positive,
+    print_shares,
     progress_bar,
     resolve_cell_option,
     seed,
@@ -142,10 +143,10 @@ class _Shown:
         words = "scenes" if share is None else f"scenes (GPU busy {share:.0%} of the time)"
         self._bar.update(self._scenes, advance=1, description=words)
         self._bar.reset(self._frames, total=None, visible=False)
-        decoded = made.reasons["decoded"]
-        self._bar.console.print(
-            f"scene {made.scene_id:06d}  {made.seconds:6.1f} s  {decoded:.1%} decoded"
-        )
+        decoded = f"{made.reasons['decoded']:.1%} of all pixels decoded"
+        if made.part_reasons:
+            decoded = f"{made.part_reasons['decoded']:.1%} of the parts' pixels, {decoded}"
+        self._bar.console.print(f"scene {made.scene_id:06d}  {made.seconds:6.1f} s  {decoded}")
 
     def failed(self, failed) -> None:
         told = " ".join(str(failed.error).split()) or type(failed.error).__name__
@@ -165,8 +166,7 @@ class _Shown:
 def _tell(summary, out: Path) -> None:
     print(f"{out}: {summary.written} scenes made, {summary.found} were there", end="")
     print(f", {summary.seconds:.1f} s")
-    for name, share in summary.reasons.items():
-        print(f"  {name:18} {share:7.2%} of the pixels")
+    print_shares(summary.part_reasons, summary.reasons)
     for scene in summary.set_aside:
         print(f"  scene {scene.scene_id:06d} is missing after {scene.tries} tries: {scene.reason}")
     if summary.set_aside:

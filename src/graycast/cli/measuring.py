@@ -77,8 +77,8 @@ def add_commands(commands) -> None:
         "depth",
         type=Path,
         nargs="*",
-        help="The depth maps: NPY, PNG, TIFF or PLY files, folders of such files, or datasets "
-        "of Graycast.",
+        help="The depth maps: NPY, PNG, TIFF or PLY files, folders of such files, or datasets of "
+        "Graycast.",
     )
     add_scanner_files(realism)
     realism.add_argument(

@@ -28,8 +28,8 @@ def add_commands(commands: argparse._SubParsersAction) -> None:
         "scans",
         nargs="+",
         type=Path,
-        help="Three or more real depth maps of the cell: NPY, PNG, TIFF or PLY files, folders "
-        "of such files, or datasets of real scans.",
+        help="Three or more real depth maps of the cell: NPY, PNG, TIFF or PLY files, folders of "
+        "such files, or datasets of real scans.",
     )
     twin.add_argument(
         "--config",

@@ -1,6 +1,5 @@
 """Checks a dataset by its files only, without the renderer and the configuration."""
 
-import json
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -10,6 +9,7 @@ import trimesh
 from pycocotools import mask as coco_mask
 
 from ..errors import DatasetError
+from ..file_limits import parse_json
 from ..frames import is_rigid
 from ..ply import split
 from . import records
@@ -164,7 +164,7 @@ def _sum_problems(out: Path, version: int, finished: Iterable[int]) -> list[Prob
 
 def _claim_problems(out: Path, claim: records.Claim) -> Iterator[str]:
     """What `graycast.json` says of itself, of the models and of the camera."""
-    held = json.loads((out / CLAIM).read_bytes())
+    held = parse_json((out / CLAIM).read_bytes())
     if fingerprint(held) != claim.fingerprint:
         yield f"{CLAIM} was changed after it was written: its fingerprint differs"
     if claim.format_version >= SEALED_SINCE:

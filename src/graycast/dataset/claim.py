@@ -14,6 +14,7 @@ import numpy as np
 from .. import __version__
 from ..decode import DecodeSpec
 from ..errors import DatasetError
+from ..file_limits import parse_json
 from ..optics import Optics
 from ..parts import Part
 from ..rig import Rig
@@ -196,7 +197,7 @@ def refuse_other(path: Path, claim: Mapping[str, Any]) -> None:
         DatasetError: it is damaged, or of another configuration; says where that differs.
     """
     try:
-        held = json.loads(path.read_bytes())
+        held = parse_json(path.read_bytes())
         known = held["fingerprint"]
     except (ValueError, KeyError, TypeError) as error:
         raise DatasetError(f"{path} cannot be read ({error}): choose another folder") from error

@@ -1,11 +1,11 @@
 """Comparison of a stored scene with the same scene made again."""
 
-import json
 from collections.abc import Iterable
 from pathlib import Path
 
 import numpy as np
 
+from ..file_limits import parse_json
 from .reading import png_pixels
 from .seal import FURTHER_TIMINGS, OWN, SUMS
 
@@ -30,7 +30,7 @@ def differing_files(scene: Path, files: Iterable[tuple[str, bytes]]) -> dict[str
 
 def _difference(name: str, stored: bytes, new: bytes) -> str | None:
     if name == "manifest.json":
-        one, other = json.loads(stored), json.loads(new)
+        one, other = parse_json(stored), parse_json(new)
         keys = [k for k in sorted({*one, *other} - _NOT_COMPARED) if one.get(k) != other.get(k)]
         return f"differs in {', '.join(keys)}" if keys else None
     if not name.endswith(".png"):

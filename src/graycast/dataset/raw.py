@@ -19,6 +19,7 @@ from jaxtyping import Float32, UInt8, UInt16
 from PIL import Image, UnidentifiedImageError
 
 from ..errors import ConfigError
+from ..file_limits import refuse_large_picture
 from ..pattern import AXES
 from ..rig_file import load_scanner, scanner_text
 from ..sensor import Capture
@@ -170,6 +171,7 @@ def told_of(scene: Path, *, sensor: str = "", number: int = 0) -> records.RawFac
 def _read_tiff(path: Path) -> Float32[np.ndarray, "h w"]:
     name = f"{path.parent.name}/{path.name}"
     try:
+        refuse_large_picture(path, name, Unreadable)
         with warnings.catch_warnings():
             warnings.simplefilter("error")  # of a table that is cut off Pillow only warns
             with Image.open(path) as image:

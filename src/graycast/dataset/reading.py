@@ -8,6 +8,8 @@ import cv2
 import numpy as np
 import pydantic
 
+from ..file_limits import refuse_large_picture
+
 R = TypeVar("R", bound=pydantic.BaseModel)
 _PNG = b"\x89PNG\r\n\x1a\n"
 
@@ -112,6 +114,7 @@ def pixels(data: bytes, name: str) -> np.ndarray:
 
 
 def _decoded(data: bytes, name: str) -> np.ndarray:
+    refuse_large_picture(data, name, Unreadable)
     held = np.frombuffer(data, dtype=np.uint8)
     image = cv2.imdecode(held, cv2.IMREAD_UNCHANGED) if data else None
     if image is None:

@@ -6,7 +6,6 @@ a simulated dataset has it, so that one reader serves both. Visible masks may ov
 annotators drew.
 """
 
-import json
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -16,6 +15,7 @@ from pycocotools import mask as coco_mask
 from pydantic import Field
 
 from ..errors import DatasetError
+from ..file_limits import parse_json
 from ..mask_box import mask_box
 from .places import finished_scenes
 from .reading import Unreadable, read_json
@@ -109,7 +109,7 @@ class RealSplitCoco(Record):
 def is_real(out: Path) -> bool:
     """Whether a folder's `graycast.json` says that its pictures are real."""
     try:
-        return json.loads((out / "graycast.json").read_bytes()).get("kind") == "real"
+        return parse_json((out / "graycast.json").read_bytes()).get("kind") == "real"
     except (OSError, ValueError, AttributeError):
         return False
 

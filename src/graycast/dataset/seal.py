@@ -16,7 +16,7 @@ MANIFEST = "manifest.json"
 SUMS, OWN = "sha256", "manifest_sha256"  # keys of a manifest; the first also of `graycast.json`
 # Of a scene's images but the first one, whose facts are the manifest's own.
 FURTHER, FURTHER_TIMINGS = "further_images", "further_timings"
-OWN_FACTS = ("exposure_s", "reasons", "frames", "code_maps")
+OWN_FACTS = ("exposure_s", "reasons", "part_reasons", "frames", "code_maps")
 _UNSEALED = ("timings", FURTHER_TIMINGS, OWN)
 
 

@@ -11,6 +11,7 @@ from .maps import (
     Mark,
     Reason,
     levels_of,
+    mean_shares,
     reason_shares,
 )
 from .plain import decode_plain
@@ -39,6 +40,7 @@ __all__ = [
     "epipolar_residual_px",
     "filter_depth",
     "levels_of",
+    "mean_shares",
     "meet_planes",
     "off_the_line",
     "reason_shares",

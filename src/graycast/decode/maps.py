@@ -1,5 +1,6 @@
 """Inputs and results of decoding: sensor levels, thresholds, maps and reasons."""
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from enum import IntEnum, IntFlag
 from typing import Annotated
@@ -68,9 +69,20 @@ _TOLD = {
 REASON_COLOR = {reason.label: reason.color for reason in Reason}
 
 
-def reason_shares(reason: UInt8[np.ndarray, "h w"]) -> dict[str, float]:
-    """The share of the pixels that has each reason."""
+def reason_shares(reason: UInt8[np.ndarray, "*pixels"]) -> dict[str, float]:
+    """The share of the pixels that has each reason; empty without pixels."""
+    if not reason.size:
+        return {}
     return {known.label: float((reason == known).mean()) for known in Reason}
+
+
+def mean_shares(shares: Sequence[Mapping[str, float]]) -> dict[str, float]:
+    """The mean of each share over pictures; those whose shares are empty do not count."""
+    counted = [each for each in shares if each]
+    return {
+        name: float(np.mean([each[name] for each in counted]))
+        for name in (counted[0] if counted else ())
+    }
 
 
 class Mark(IntFlag):

@@ -9,7 +9,6 @@ settings/NAME/
     picture.png       what became of the surface of the first heap
 """
 
-import json
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -19,6 +18,7 @@ from typing import Any, final
 from ..dataset.claim import difference
 from ..dataset.json_text import json_bytes, plain
 from ..errors import DatasetError, GraycastError
+from ..file_limits import parse_json
 from ..folder import claimed_folder, refuse_foreign, write_whole
 from .setting import Placed
 from .study import DesignSpec
@@ -72,7 +72,7 @@ class DesignFolder:
             write_whole(path, json_bytes(described))
             return
         try:
-            held = json.loads(path.read_bytes())
+            held = parse_json(path.read_bytes())
         except ValueError as error:
             raise DatasetError(f"{path} cannot be read ({error}): remove its folder") from error
         told = plain(described)
@@ -113,7 +113,7 @@ def read_heaps(out: Path, name: str, spec: DesignSpec) -> list[dict[str, Any] | 
     for layout in range(spec.layouts):
         path = out / SETTINGS / name / heap_file(layout)
         try:
-            found.append(json.loads(path.read_bytes()) if path.exists() else None)
+            found.append(parse_json(path.read_bytes()) if path.exists() else None)
         except ValueError as error:
             raise GraycastError(f"{path}: cannot be read ({error}): remove this file") from error
     return found

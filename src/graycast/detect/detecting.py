@@ -1,6 +1,5 @@
 """Detection in a dataset or in pictures: COCO results, drawings and times."""
 
-import json
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -20,6 +19,7 @@ from ..detections import LOOKED, RESULTS, Detections, results_bytes
 from ..errors import GraycastError
 from ..export.record import RECORD, read_record
 from ..export.split import Split
+from ..file_limits import parse_json
 from ..folder import refuse_foreign, whole_folder
 from ..real.pictures import RealPicture, find_shots, read_shot
 from ..training import Examples, open_examples
@@ -114,7 +114,7 @@ def looked_at(folder: Path) -> dict[str, Any]:
         GraycastError: its file is damaged.
     """
     try:
-        return dict(json.loads((folder / LOOKED).read_bytes()))
+        return dict(parse_json((folder / LOOKED).read_bytes()))
     except FileNotFoundError:
         return {}
     except (OSError, TypeError, ValueError) as error:

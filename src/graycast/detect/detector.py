@@ -18,6 +18,7 @@ from .. import __version__
 from ..dataset.example import Example
 from ..detections import WEIGHTS, Detections
 from ..errors import GraycastError
+from ..file_limits import parse_json
 from ..folder import fill_whole
 from .encoding import Encoding, encoding_from
 from .network import Found, Network
@@ -232,7 +233,7 @@ def load_detector(path: Path, *, device: str = "auto") -> Detector:
         raise GraycastError(f"{file}: does not exist: give a folder that graycast train wrote")
     try:
         held = torch.load(file, map_location="cpu", weights_only=True)
-        said = json.loads(held["about"])
+        said = parse_json(held["about"])
         about = About(
             model=said["model"],
             backbone=said["backbone"],

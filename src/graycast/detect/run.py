@@ -14,6 +14,7 @@ import torch
 
 from ..dataset.json_text import json_bytes
 from ..errors import GraycastError
+from ..file_limits import parse_json
 from ..folder import ASIDE, fill_whole, remove_left, take_lock, write_whole
 from ..plotting import ACCENT, INK, SECOND, SOFT, caption, plain_figure, save_png
 
@@ -66,7 +67,7 @@ class RunFolder:
         with self._locked():
             remove_left(self.path)
             if file.is_file() and (self.path / CHECKPOINT).is_file():
-                self._compare(_json(file), json.loads(json_bytes(content)))
+                self._compare(_json(file), parse_json(json_bytes(content)))
             else:
                 write_whole(file, json_bytes(content))
             yield
@@ -133,7 +134,7 @@ class RunFolder:
             held = torch.load(file, map_location="cpu", weights_only=True)
             network.load_state_dict(held["network"])
             optimizer.load_state_dict(held["optimizer"])
-            return Progress(**json.loads(held["progress"]))
+            return Progress(**parse_json(held["progress"]))
         except Exception as error:  # unpickling raises whatever the bytes lead it to
             raise GraycastError(
                 f"{file}: is damaged: remove it, and the training starts again"
@@ -153,7 +154,7 @@ class RunFolder:
 
 def _json(file: Path) -> Any:
     try:
-        return json.loads(file.read_bytes())
+        return parse_json(file.read_bytes())
     except (OSError, ValueError) as error:
         raise GraycastError(f"{file}: is damaged: choose another --out") from error
 

@@ -4,6 +4,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from ..errors import ConfigError
+from ..file_limits import refuse_large_picture
 from ..parts import Part, builtin_part
 from ..parts.sections import resolve_part
 from ..scene import Scene, bin_of
@@ -86,6 +87,8 @@ def _listed(folder: Path, path: Path, endings: tuple[str, ...], key: str) -> tup
         raise ConfigError(
             f"domain.{key}: {folder / path} has no {' or '.join(endings)} file: add at least one"
         )
+    for file in found:
+        refuse_large_picture(folder / file, f"domain.{key}: {folder / file}", ConfigError)
     return found
 
 

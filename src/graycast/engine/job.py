@@ -1,7 +1,7 @@
 """The tasks of workers, and their results."""
 
 from abc import ABC, abstractmethod
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Protocol, TypeVar, runtime_checkable
 
 import numba
@@ -18,7 +18,8 @@ J = TypeVar("J", bound="Job")
 class Made:
     """A scene: its files as (path inside its folder, content), seconds, share of pixels per reason.
 
-    Of a bin that a robot emptied: attempts per outcome. `rss_bytes` is the memory of the process
+    `part_reasons` are the shares of the pixels that see parts, empty where none does. Of a bin that
+    a robot emptied `reasons` are attempts per outcome. `rss_bytes` is the memory of the process
     that made it, afterwards.
     """
 
@@ -27,6 +28,7 @@ class Made:
     seconds: float
     reasons: dict[str, float]
     rss_bytes: int
+    part_reasons: dict[str, float] = field(default_factory=dict)
 
 
 def keep_to_threads(threads: int | None) -> None:

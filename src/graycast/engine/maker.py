@@ -4,10 +4,12 @@ import time
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from types import TracebackType
+from typing import Any
 
 from ..cell import Cell
 from ..dataset import scene_files
 from ..dataset.sample import LEAST_DECODED, Sample
+from ..decode import mean_shares
 from ..errors import DecodeError
 from ..render import OnFrame
 from ..simulate import OnStage, Shot, make_images
@@ -59,7 +61,7 @@ class SceneMaker:
         """
         start = time.perf_counter()
         task = self.task
-        shares: list[Mapping[str, float]] = []
+        told: list[Mapping[str, Any]] = []
         with self._kept.of(task.cell) as renderer:
             shots = make_images(
                 task.cell,
@@ -68,12 +70,13 @@ class SceneMaker:
                 renderer=renderer,
                 on_stage=self._on_stage,
             )
-            files = tuple(scene_files(_decoded(shots, shares), task.depth_scale_mm))
+            files = tuple(scene_files(_decoded(shots, told), task.depth_scale_mm))
         return Made(
             scene_id=scene_id,
             files=files,
             seconds=time.perf_counter() - start,
-            reasons={name: sum(own[name] for own in shares) / len(shares) for name in shares[0]},
+            reasons=mean_shares([manifest["reasons"] for manifest in told]),
+            part_reasons=mean_shares([manifest["part_reasons"] for manifest in told]),
             rss_bytes=rss_bytes(),
         )
 
@@ -92,8 +95,8 @@ class SceneMaker:
         self.close()
 
 
-def _decoded(shots: Iterable[Shot], shares: list[Mapping[str, float]]) -> Iterator[Sample]:
-    """The sample of each image, its share of pixels per reason noted.
+def _decoded(shots: Iterable[Shot], told: list[Mapping[str, Any]]) -> Iterator[Sample]:
+    """The sample of each image, its manifest kept in `told`.
 
     Raises:
         DecodeError: as of `_refuse_undecoded`.
@@ -102,7 +105,7 @@ def _decoded(shots: Iterable[Shot], shares: list[Mapping[str, float]]) -> Iterat
         sample = shot.sample
         image = " ".join(filter(None, ("image", str(sample.image), sample.sensor)))
         _refuse_undecoded(sample.manifest["reasons"], image)
-        shares.append(sample.manifest["reasons"])
+        told.append(sample.manifest)
         yield sample
 
 

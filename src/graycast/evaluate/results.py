@@ -1,6 +1,5 @@
 """Results to judge: a file of COCO results, or a folder that `graycast detect` wrote."""
 
-import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -11,6 +10,7 @@ import numpy as np
 from ..detections import LOOKED, RESULTS, Detections, read_results
 from ..errors import GraycastError
 from ..export.split import Split
+from ..file_limits import parse_json
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -85,7 +85,7 @@ def read_found(
 
 def _run(results: Path, said: Path) -> Run:
     try:
-        told = json.loads(said.read_bytes())
+        told = parse_json(said.read_bytes())
         division = told["division"]
         return Run(
             path=results,

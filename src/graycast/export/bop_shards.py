@@ -22,6 +22,7 @@ from ..dataset.coco import run_lengths
 from ..dataset.json_text import json_bytes
 from ..dataset.places import camera_file
 from ..dataset.stored import StoredDataset, StoredScene
+from ..file_limits import parse_json
 from ..render.radiance import Silhouette
 from .options import Options, settled
 from .placing import bop_key, place
@@ -57,7 +58,7 @@ def write_rest(
 ) -> None:
     """What belongs to the dataset as a whole: each scanner's camera, and the models."""
     for name in (camera_file(sensor) for sensor in stored.sizes_px):
-        camera = json.loads((stored.folder / name).read_bytes())
+        camera = parse_json((stored.folder / name).read_bytes())
         camera |= {key: camera[key] + options.shift_px for key in ("cx", "cy")}
         (folder / name).write_bytes(json_bytes(camera))
     for source in sorted((stored.folder / "models").glob("*")):

@@ -28,7 +28,7 @@ from ..render import Quality, Radiance, Renderer, Rendering
 from ..scanner import measure, take
 from ..scene import Layout, Scene
 from ..sensor import Capture
-from ..simulate import cell_seeds, varied
+from ..simulate import cell_seeds, varied, with_field
 from .asking import Answer, Ask
 from .showing import Shown, picture_answer, world_answer, world_key
 
@@ -199,6 +199,7 @@ class Line:
             capture = take(scanner, rendering.radiance, seed=run.seeds["noise"])
             self._taken = key, capture
         codes, depth = measure(scanner, self._taken[1])
+        depth = with_field(run.scene.rig, rendering.truth, codes, depth)
         look = (light, exact, scanner.sensor, run.seeds["picture"])
         rgb = self._rgb[1] if self._rgb is not None and self._rgb[0] == look else None
         self.shown = Shown(

@@ -20,6 +20,7 @@ from queue import Empty, SimpleQueue
 from typing import Any, ClassVar
 
 from ..errors import GraycastError, told
+from ..file_limits import parse_json
 from .page import about
 from .session import Held, Message, Session
 
@@ -120,7 +121,7 @@ class Server:
 
     # --- what a page asks ---------------------------------------------------------------------
 
-    def do(self, command: Mapping[str, Any]) -> dict[str, Any]:
+    def do(self, command: Any) -> dict[str, Any]:
         """One thing that a user did; what it gives back goes to his page.
 
         Raises:
@@ -213,7 +214,7 @@ class _Handler(BaseHTTPRequestHandler):
             self._refuse(HTTPStatus.NOT_FOUND, "send JSON to /do")
             return
         try:
-            answer = self.live.do(json.loads(body))
+            answer = self.live.do(_command(body))
         except (GraycastError, ValueError, OSError) as error:
             answer = {"error": told(error)}
         self._send(json.dumps(answer).encode(), "application/json")
@@ -260,6 +261,13 @@ class _Handler(BaseHTTPRequestHandler):
 
     def log_message(self, format: str, *args: Any) -> None:
         """Nothing is printed for a request."""
+
+
+def _command(body: bytes) -> Any:
+    try:
+        return parse_json(body)
+    except ValueError as error:
+        raise GraycastError(f"what the page sent is not JSON ({error}): reload it") from error
 
 
 def _kindless(content: Mapping[str, Any]) -> dict[str, Any]:

@@ -16,6 +16,7 @@ import numpy as np
 from jaxtyping import Float, UInt8
 
 from ..errors import MeshError
+from ..file_limits import refuse_large_size
 from .builtin import CREASE_RAD
 from .normals import crease_normals
 from .part import Material, Mesh, Part, Symmetry
@@ -222,7 +223,10 @@ def _surface(pieces: Sequence, *, shares_vertices: bool) -> Surface:
         if not np.isfinite(corner_uv).all():
             raise Refusal("texture coordinates are NaN or infinite; export the mesh again")
         if not distinct:
-            findings.append("The mesh has texture coordinates, but no picture was found with it.")
+            findings.append(
+                "The mesh has texture coordinates, but no picture was read with it: it is "
+                "missing, damaged or too large."
+            )
     return Surface(
         vertices=np.concatenate([np.asarray(p.vertices, dtype=np.float64) for p in pieces]),
         faces=np.concatenate(faces),
@@ -247,6 +251,7 @@ def _picture(piece) -> UInt8[np.ndarray, "h w 3"] | None:
     picture = getattr(material, "baseColorTexture", None) or getattr(material, "image", None)
     if picture is None:
         return None
+    refuse_large_size(picture.width, picture.height, "its texture", Refusal)
     try:
         pixels = np.array(picture.convert("RGB"))
         # Where a file has uv and no material, trimesh 5 stands in four pixels of this grey.

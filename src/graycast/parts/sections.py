@@ -10,6 +10,7 @@ from PIL import Image, UnidentifiedImageError
 from pydantic import Field, field_validator, model_validator
 
 from ..errors import ConfigError
+from ..file_limits import refuse_large_picture
 from ..frames import is_rigid
 from ..settings import Positive, Settings, Share, Vector
 from .builtin import BUILTIN, builtin_part
@@ -172,7 +173,8 @@ def resolve_material(section: MaterialSection, folder: Path) -> Material:
 
 def read_texture(path: Path) -> UInt8[np.ndarray, "h w 3"]:
     try:
+        refuse_large_picture(path, f"texture {path}", ConfigError)
         with Image.open(path) as image:
             return np.array(image.convert("RGB"))
-    except (OSError, UnidentifiedImageError, Image.DecompressionBombError) as error:
+    except (OSError, UnidentifiedImageError) as error:
         raise ConfigError(f"texture {path}: {error}; give a PNG or JPEG picture") from error

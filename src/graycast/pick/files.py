@@ -9,7 +9,6 @@ bins/000000/
     depth/000.png     what the robot acted on, 16 bit, in steps of `DEPTH_STEP_M`; 0 is missing
 """
 
-import json
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
@@ -23,6 +22,7 @@ from jaxtyping import Float
 from ..dataset.claim import BESIDE_CONFIG, make_claim, refuse_other
 from ..dataset.json_text import json_bytes
 from ..errors import DatasetError, GraycastError
+from ..file_limits import parse_json
 from ..folder import claimed_folder, new_folder, write_whole
 from ..generate import described_scanner
 from .cell import PickCell
@@ -171,8 +171,8 @@ def read_episodes(out: Path) -> tuple[StoredEpisode, ...]:
 
 def _read(folder: Path) -> StoredEpisode:
     try:
-        told = json.loads((folder / EPISODE).read_bytes())
-        work = json.loads((folder / WORK).read_bytes())
+        told = parse_json((folder / EPISODE).read_bytes())
+        work = parse_json((folder / WORK).read_bytes())
         return StoredEpisode(
             attempts=tuple(told["attempts"]),
             work_s=tuple(work["attempts"]),

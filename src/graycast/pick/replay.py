@@ -4,7 +4,6 @@ Everything comes from the folder and from the configuration in it. A cell that n
 own (a URDF, meshes) needs them where its paths lead.
 """
 
-import json
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -16,6 +15,7 @@ from pydantic import ValidationError
 
 from ..dataset.claim import BESIDE_CONFIG
 from ..errors import GraycastError
+from ..file_limits import parse_json
 from ..frames import inverse, rigid
 from ..grasp import CLEARANCE_M
 from ..parts import Mesh
@@ -111,7 +111,7 @@ def open_replay(out: Path, *, folder: Path) -> Replay:
     if not (out / CLAIM).is_file():
         raise GraycastError(f"{out}: holds no picks: give a folder that graycast pick wrote")
     try:
-        claim = json.loads((out / CLAIM).read_bytes())
+        claim = parse_json((out / CLAIM).read_bytes())
         told = dict(claim["config"])
         digests = told["files"]
         config = PickConfig.model_validate(
@@ -149,7 +149,7 @@ def read_motions(replay: Replay, episode: StoredEpisode) -> tuple[Motion | None,
     """
     path = replay.folder / BINS / f"{episode.bin_id:06d}" / MOTION
     try:
-        told = json.loads(path.read_bytes())["attempts"]
+        told = parse_json(path.read_bytes())["attempts"]
         return tuple(
             None if one is None else _motion(replay, attempt, one)
             for attempt, one in zip(episode.attempts, told, strict=True)

@@ -276,11 +276,15 @@ def open_robot(text: str, *, folder: Path, home: Sequence[float | int] | None = 
 
 
 def _check_joints(text: str, model: Any) -> None:
-    """Check that each joint has one variable, limits and a speed.
+    """Check that there are joints, and that each has one variable, limits and a speed.
 
     Raises:
-        ConfigError: one has not.
+        ConfigError: there is none, or one lacks these.
     """
+    if not model.nq:
+        raise ConfigError(
+            f"robot {text}: no joint can move: give at least one the type revolute or prismatic"
+        )
     for name, joint in list(zip(model.names, model.joints, strict=True))[1:]:
         if joint.nq != 1:
             raise ConfigError(

@@ -1,6 +1,5 @@
 """Depth maps, pictures and camera matrices of any scanner, from files: NPY, PNG, TIFF, PLY."""
 
-import json
 from pathlib import Path
 from typing import Any
 
@@ -9,6 +8,7 @@ import numpy as np
 from jaxtyping import Float
 
 from ..errors import DatasetError
+from ..file_limits import load_array, parse_json, refuse_large_picture
 from .organised import camera_of, read_ply
 
 DEPTH_FILES = (".npy", ".png", ".ply", ".tif", ".tiff")
@@ -26,16 +26,17 @@ def read_intrinsics(text: str) -> Float[np.ndarray, "3 3"]:
     path = Path(text)
     try:
         if path.suffix == ".npy":
-            K = np.load(path).astype(np.float64)
+            K = load_array(path).astype(np.float64)
         elif path.suffix == ".json":
-            K = _json_K(json.loads(path.read_text(encoding="utf-8")))
+            K = _json_K(parse_json(path.read_bytes()))
         elif path.is_file():
             K = np.loadtxt(path, ndmin=2)
         else:
             fx, fy, cx, cy = (float(word) for word in text.split(","))
             K = np.array([[fx, 0.0, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]])
     except (OSError, ValueError, KeyError, TypeError, AttributeError, StopIteration) as error:
-        raise DatasetError(f"intrinsics {text}: cannot be read: {wanted}") from error
+        why = f" ({error})" if type(error) is ValueError else ""
+        raise DatasetError(f"intrinsics {text}: cannot be read{why}: {wanted}") from error
     if K.shape != (3, 3):
         shape = " x ".join(str(length) for length in K.shape)
         raise DatasetError(f"intrinsics {text}: holds {shape} numbers: {wanted}")
@@ -124,6 +125,7 @@ def depth_files(folder: Path) -> list[Path]:
 def read_image(path: Path) -> np.ndarray:
     if not path.is_file():
         raise DatasetError(f"{path}: no such file: check the path")
+    refuse_large_picture(path, str(path), DatasetError)
     image = cv2.imread(str(path), cv2.IMREAD_UNCHANGED)
     if image is None:
         raise DatasetError(f"{path}: is not an image, or is damaged: use PNG, TIFF, NPY or PLY")
@@ -134,14 +136,14 @@ def load_npy(path: Path) -> np.ndarray:
     if not path.is_file():
         raise DatasetError(f"{path}: no such file: check the path")
     try:
-        return np.load(path)
+        return load_array(path)
     except (OSError, ValueError, EOFError) as error:
         raise DatasetError(f"{path}: cannot be read as NPY ({error}): check the file") from error
 
 
 def load_json(path: Path) -> dict[str, Any]:
     try:
-        content = json.loads(path.read_text(encoding="utf-8"))
+        content = parse_json(path.read_bytes())
     except (OSError, ValueError) as error:
         raise DatasetError(f"{path}: cannot be read as JSON ({error}): check the file") from error
     if not isinstance(content, dict):

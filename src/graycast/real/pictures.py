@@ -13,6 +13,7 @@ from ..dataset.bop import DEPTH_MAX, depth_scale_mm
 from ..dataset.reading import Unreadable, read_png
 from ..dataset.scene_folder import PICTURES
 from ..errors import DatasetError
+from ..file_limits import refuse_large_picture
 from .depth_file import (
     DEPTH_FILES,
     load_npy,
@@ -209,6 +210,7 @@ def _refuse_damaged(path: Path) -> None:
     """Refuse incomplete pictures, which OpenCV's decoders accept."""
     if path.suffix.lower() not in PICTURES:
         return
+    refuse_large_picture(path, str(path), DatasetError)
     try:
         if path.suffix.lower() == ".png":
             read_png(path)

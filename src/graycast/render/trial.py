@@ -19,6 +19,7 @@ from importlib.metadata import version
 
 from .. import __version__
 from ..errors import GraycastError
+from ..file_limits import parse_json
 from ..folder import cache_folder, write_whole
 from ..optics import Optics
 
@@ -53,7 +54,7 @@ def try_device(device: str, *, program: Sequence[str] = ("-m", __spec__.name)) -
         return Trial(device=device, seconds=time.perf_counter() - start, problem=problem)
     seconds = time.perf_counter() - start
     if child.returncode == 0:
-        denoiser = json.loads(child.stdout.splitlines()[-1])["denoiser"]
+        denoiser = parse_json(child.stdout.splitlines()[-1])["denoiser"]
         return Trial(device=device, seconds=seconds, denoiser=denoiser)
     return Trial(device=device, seconds=seconds, problem=_obituary(child))
 
@@ -69,7 +70,7 @@ def tried_before(device: str, machine: object) -> Trial:
     key = hashlib.sha256(stated.encode()).hexdigest()[:32]
     file = cache_folder("devices") / f"{key}.json"
     try:
-        return Trial(**json.loads(file.read_text(encoding="utf-8")))
+        return Trial(**parse_json(file.read_bytes()))
     except (OSError, ValueError, TypeError):  # it was not tried yet, or the file is damaged
         trial = try_device(device)
     if trial.problem is None:

@@ -72,7 +72,7 @@ def draw_preview(shot: Shot, code: Code, path: Path) -> None:
     _draw_codes(sheet, shot, code)
     _draw_depths(sheet, shot)
     _draw_error(sheet, shot)
-    _draw_reasons(sheet, shot.sample.scanner.reason)
+    _draw_reasons(sheet, shot)
     _draw_instances(sheet, shot)
     save_png(sheet.figure, path, dpi=DPI)
 
@@ -283,13 +283,18 @@ def error_limit_m(scene: Scene, truth: GroundTruth) -> float:
     return limit_m if math.isfinite(limit_m) else _ERROR_FALLBACK_M
 
 
-def _draw_reasons(sheet: _Sheet, reason: UInt8[np.ndarray, "h w"]) -> None:
+def _draw_reasons(sheet: _Sheet, shot: Shot) -> None:
+    reason = shot.sample.scanner.reason
+    on_part = reason[labelled(shot.sample).truth.instance >= 0]
     palette = np.array([to_rgb(r.color) for r in Reason])
     ax = sheet.picture("reasons", np.round(255 * palette[reason]).astype(np.uint8))
     for r in Reason:
-        words = f"{r.words} {100 * (reason == r).mean():.1f} %"
+        of_parts = f"{100 * (on_part == r).mean():.1f} | " if on_part.size else ""
+        words = f"{r.words} {of_parts}{100 * (reason == r).mean():.1f} %"
         ax.plot([], [], "s", color=r.color, mec="0.4", mew=0.5, ms=9, label=words)
-    ax.legend(loc="upper left", bbox_to_anchor=(-0.01, -0.005), ncols=3, fontsize=9, frameon=False,
+    ax.legend(title="shares of the parts' pixels | of all pixels", title_fontsize=9,
+              alignment="left", loc="upper left", bbox_to_anchor=(-0.01, -0.005), ncols=3,
+              fontsize=9, frameon=False,
               borderpad=0.3, handletextpad=0.2, columnspacing=1.2,
               borderaxespad=0.1)  # fmt: skip
 

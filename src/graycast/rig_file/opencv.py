@@ -4,7 +4,6 @@ OpenCV's convention `X_proj = R X_cam + T` is turned into `T_cam_proj` here and 
 else.
 """
 
-import json
 import zipfile
 from collections.abc import Mapping
 from pathlib import Path
@@ -15,6 +14,7 @@ import numpy as np
 from jaxtyping import Float
 
 from ..errors import ConfigError
+from ..file_limits import parse_json
 from ..frames import inverse, rigid
 from ..optics import Optics
 from ..rig import Rig, common_depths_m
@@ -23,6 +23,7 @@ from .reading import build_optics, build_rig, check_rotation, is_file_storage
 
 MAX_SKEW = 1e-6  # as a share of the focal length; `Optics` has none
 MIN_BASELINE_M = 0.001  # below it a unit is wrong: no rig is that small
+_MOST_BYTES = 100_000_000
 
 # Spellings met in OpenCV's samples and in public camera-projector calibration programs, without
 # '_', '-' and spaces; in names of one or two letters case counts (Kc is a matrix, kc a distortion).
@@ -272,10 +273,9 @@ def _read_calibration(path: Path) -> Mapping[str, Any]:
     if path.suffix.lower() != ".json":
         return parse_yaml(text, path)
     try:
-        content = json.loads(text)
-    except json.JSONDecodeError as error:
-        why = f"in line {error.lineno} ({error.msg})"
-        raise ConfigError(f"{path}: is not JSON {why}: correct that line") from error
+        content = parse_json(text)
+    except ValueError as error:
+        raise ConfigError(f"{path}: is not JSON ({error}): correct that line") from error
     if not isinstance(content, Mapping):
         raise ConfigError(f"{path}: holds no keys: give K, D, R and T as a JSON object")
     return content
@@ -286,6 +286,12 @@ def _read_npz(path: Path) -> Mapping[str, Any]:
         raise ConfigError(f"{path}: no such file: check the path")
     try:
         with np.load(path, allow_pickle=False) as arrays:
+            unpacked = sum(entry.file_size for entry in arrays.zip.infolist())
+            if unpacked > _MOST_BYTES:
+                raise ConfigError(
+                    f"{path}: unpacks to {unpacked / 1e6:.0f} MB, and a calibration has less than "
+                    f"{_MOST_BYTES / 1e6:.0f} MB: save K, D, R and T alone"
+                )
             return {key: arrays[key] for key in arrays.files}
     except (OSError, ValueError, zipfile.BadZipFile, AttributeError) as error:
         raise ConfigError(f"{path}: is not an NPZ file of plain arrays: save it again") from error

@@ -14,6 +14,7 @@ from jaxtyping import UInt8, UInt16
 from PIL import Image, UnidentifiedImageError
 
 from ..errors import DecodeError
+from ..file_limits import refuse_large_picture
 
 Picture = UInt8[np.ndarray, "h w"] | UInt16[np.ndarray, "h w"]
 THREADS = 4  # decoding a JPEG or PNG lets other threads run
@@ -106,6 +107,7 @@ def _read(file: Path) -> _Read:
         raise DecodeError(f"{file}: cannot be read ({error.strerror}): give a picture") from error
     if not content:
         raise DecodeError(f"{file}: is empty: take or copy the picture again")
+    refuse_large_picture(content, str(file), DecodeError)
     try:
         with Image.open(io.BytesIO(content)) as picture:
             is_jpeg = picture.format == "JPEG"
@@ -116,8 +118,6 @@ def _read(file: Path) -> _Read:
             grey = _grey(picture, content, file)
     except UnidentifiedImageError as error:
         raise DecodeError(f"{file}: is not a picture: give PNG, TIFF or JPEG") from error
-    except Image.DecompressionBombError as error:
-        raise DecodeError(f"{file}: is too large a picture ({error})") from error
     except (OSError, SyntaxError, ValueError) as error:  # what Pillow raises for damaged files
         raise DecodeError(
             f"{file}: is damaged or cut short ({error}): copy or take it again"

@@ -80,14 +80,14 @@ def _depth(ax: Axes, s: Statistics) -> None:
 
 
 def _reasons(ax: Axes, s: Statistics) -> None:
-    for row, shares in enumerate((s.part_reason, s.reason)):
+    for row, shares in enumerate((s.reason, s.part_reason)):
         left = 0.0
         for name, share in shares.items():
             color = REASON_COLOR.get(name, SOFT)
-            label = name.replace("_", " ") if row and share >= 5e-4 else None
+            label = name.replace("_", " ") if not row and share >= 5e-4 else None
             ax.barh(row, 100 * share, left=left, color=color, height=0.5, label=label)
             left += 100 * share
-    ax.set_yticks([0, 1], ["parts", "all"])
+    ax.set_yticks([0, 1], ["all", "parts"])
     ax.set_ylim(-0.5, 3.2)
     ax.legend(fontsize=6.5, frameon=False, ncols=2, loc="upper left")
     caption(ax, "Why there is no depth", "pixels [%]")

@@ -70,7 +70,9 @@ def statistics_table(statistics: Statistics) -> Table:
     if s.pictures > sum(s.scenes.values()):
         table.add_row("pictures", f"{s.pictures}, all figures below are of these")
         for name, held in s.of_picture.items():
-            told = f"{held.decoded:.2%} decoded, {held.part_decoded:.2%} of the parts' pixels"
+            told = (
+                f"{held.part_decoded:.2%} of the parts' pixels decoded, {held.decoded:.2%} of all"
+            )
             table.add_row(f"  {name}", told)
     what = "scenes" if s.pictures == sum(s.scenes.values()) else "pictures"
     for one in s.classes:
@@ -83,9 +85,10 @@ def statistics_table(statistics: Statistics) -> Table:
         table.add_row("depth", f"{low:.0f} to {high:.0f} mm (1 to 99 %), median {middle:.0f} mm")
     for name, share in s.reason.items():
         if share or s.part_reason.get(name):
-            told = f"{share:7.2%} of all pixels, {s.part_reason.get(name, 0):7.2%} of the parts'"
+            of_parts = s.part_reason.get(name, 0)
+            told = f"{of_parts:7.2%} of the parts' pixels, {share:7.2%} of all pixels"
             table.add_row(name.replace("_", " "), told)
-    for name, error in (("scanner error", s.error), ("  on parts", s.part_error)):
+    for name, error in (("scanner error on parts", s.part_error), ("  everywhere", s.error)):
         if error.pixels:
             table.add_row(name, _error_line(error))
     for name, counts in (("white frame", s.gray), ("colour", s.luma)):

@@ -1,6 +1,5 @@
 """Runs of a study: each trained once, scored in every world, and kept on disk."""
 
-import json
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import chain, product
@@ -20,6 +19,7 @@ from ..evaluate.intervals import Drawn, drawn, mean
 from ..evaluate.judging import KINDS
 from ..evaluate.matching import Kind
 from ..evaluate.task import as_one_class
+from ..file_limits import parse_json
 from ..study_file import EncodingSection, ModelSection, StudySpec, TestSection
 
 FIGURE = "ap50"  # the paper's
@@ -159,7 +159,7 @@ def _found(detector: Detector, dataset: Path, world: TestSection, folder: Path) 
     chosen = pictures_of(
         dataset, detector.about, split=world.split, scale_m=None, as_real=world.as_real
     )
-    asked = json.loads(json_bytes({"scene_ids": chosen.scene_ids, **chosen.said}))
+    asked = parse_json(json_bytes({"scene_ids": chosen.scene_ids, **chosen.said}))
     if not asked.items() <= looked_at(folder).items():  # none, or of other scenes than now
         detect(
             detector, chosen.examples, folder, class_ids=chosen.class_ids, said=chosen.said,

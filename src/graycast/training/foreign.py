@@ -23,6 +23,7 @@ from ..dataset.reading import Unreadable
 from ..dataset.records import Images, Positive
 from ..dataset.scene_folder import AnyInfo, AnyPose, AnyView, SceneFolder
 from ..errors import DatasetError
+from ..file_limits import check_runs, parse_json
 from .decoding import boxes, masks, picture
 
 
@@ -169,6 +170,7 @@ def _run(drawn: Any, size: tuple[int, int], name: str) -> dict[str, Any]:
     try:
         if isinstance(drawn, list):
             return coco_mask.merge(coco_mask.frPyObjects(drawn, *size))
+        check_runs(drawn, f"{name}: a segmentation", DatasetError)
         if isinstance(drawn["counts"], list):
             return coco_mask.frPyObjects(drawn, *size)
         return {"size": list(drawn["size"]), "counts": drawn["counts"]}
@@ -275,7 +277,7 @@ def _bop_example(place: tuple[tuple[SceneFolder, int], ...], number: int) -> Exa
 
 def _json(path: Path) -> Any:
     try:
-        return json.loads(_bytes(path))
+        return parse_json(_bytes(path))
     except ValueError as error:
         raise DatasetError(f"{path}: is not JSON, or is cut off") from error
 

@@ -1,6 +1,5 @@
 """Examples from COCO and YOLO exports: folders of pictures with text beside them."""
 
-import json
 from collections import defaultdict
 from collections.abc import Callable, Sequence
 from functools import partial
@@ -14,6 +13,7 @@ from ..dataset.example import Example, pose_m
 from ..dataset.reading import Unreadable, read_png
 from ..errors import DatasetError
 from ..export.record import ExportRecord
+from ..file_limits import parse_json
 from .decoding import boxes, depth_m, image_fields, masks
 
 _DEPTH_FIELDS = {"depth": "depth_m", "depth_sl": "scanner_depth_m"}
@@ -25,7 +25,7 @@ def open_coco(
     """Reads the annotations once; pictures when they are asked for."""
     path = folder / "annotations" / f"instances_{split}.json"
     try:
-        content = json.loads(path.read_bytes())
+        content = parse_json(path.read_bytes())
         image = {entry["id"]: entry for entry in content["images"]}
         entries: dict[int, list[dict[str, Any]]] = defaultdict(list)
         for entry in content["annotations"]:

@@ -1,7 +1,6 @@
 """Examples from BOP's image-wise layout, its shards, and WebDataset shards."""
 
 import io
-import json
 import tarfile
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
@@ -14,6 +13,7 @@ from ..dataset.example import Example, metres, pose_m
 from ..errors import DatasetError
 from ..export.placing import bop_key
 from ..export.record import ExportRecord
+from ..file_limits import parse_json
 from .decoding import boxes, depth_m, image_fields, masks
 
 Files = Mapping[str, bytes]
@@ -75,7 +75,7 @@ def _checked(
 
 
 def _bop_example(files: Files, record: ExportRecord, scene_id: int, name: str) -> Example:
-    camera = json.loads(files["camera.json"])
+    camera = parse_json(files["camera.json"])
     fields: dict[str, Any] = {}
     for kind, ending in (("rgb", "rgb.png"), ("gray", "gray.tiff")):
         if ending in files:
@@ -96,8 +96,8 @@ def _bop_example(files: Files, record: ExportRecord, scene_id: int, name: str) -
 
 
 def _bop_labels(files: Files, record: ExportRecord, scene_id: int, name: str) -> dict[str, Any]:
-    gt, info = json.loads(files["gt.json"]), json.loads(files["gt_info.json"])
-    runs = json.loads(files["mask_visib.json"])
+    gt, info = parse_json(files["gt.json"]), parse_json(files["gt_info.json"])
+    runs = parse_json(files["mask_visib.json"])
     seen = [i for i, entry in enumerate(info) if entry["px_count_visib"] > 0]
     mask = masks([runs[str(i)] for i in seen], record.size_of(scene_id), name)
     pose = [pose_m(gt[i]["cam_R_m2c"], gt[i]["cam_t_m2c"]) for i in seen if "cam_R_m2c" in gt[i]]
@@ -113,7 +113,7 @@ def _bop_labels(files: Files, record: ExportRecord, scene_id: int, name: str) ->
 
 
 def _own_example(files: Files, record: ExportRecord, scene_id: int, name: str) -> Example:
-    info = json.loads(files["info.json"])
+    info = parse_json(files["info.json"])
     fields: dict[str, Any] = {}
     for kind in ("rgb", "gray"):
         if f"{kind}.png" in files:
@@ -126,7 +126,7 @@ def _own_example(files: Files, record: ExportRecord, scene_id: int, name: str) -
         if f"{ending}.npy" in files:
             fields[field] = _npy(files[f"{ending}.npy"])
     if "masks.json" in files:
-        fields["mask"] = masks(json.loads(files["masks.json"]), tuple(info["size"]), name)
+        fields["mask"] = masks(parse_json(files["masks.json"]), tuple(info["size"]), name)
         fields["instance"] = np.array(info["gt_id"], np.int64)
     return Example(
         scene_id=scene_id,

@@ -61,7 +61,7 @@ def _rules(
 ) -> Iterator[tuple[str, Bool[np.ndarray, "h w"]]]:
     reason, modulation, levels = scene.reason, scene.modulation, levels_of(sensor)
     least, half = spec.min_contrast, scene.scanner.modulation_scale / 2
-    unlit = (reason == Reason.SHADOW) | (reason == Reason.LOW_MODULATION)
+    unlit = np.isin(reason, (Reason.SHADOW, Reason.LOW_MODULATION, Reason.OUTSIDE_PROJECTOR))
     judged = ~unlit & (reason != Reason.SATURATED)
     weak = "modulation_sl is under the decoder's min_contrast where reason_sl says that it suffices"
     yield weak, judged & (modulation < least - half)

@@ -4,7 +4,6 @@ Coordinates of both count from the corner of the image, half a pixel before this
 pixel (0, 0) covers [0, 1] x [0, 1]. Polygons become masks as pycocotools rasterises them.
 """
 
-import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -15,6 +14,7 @@ from jaxtyping import Bool, Float
 from pycocotools import mask as coco_mask
 
 from ...errors import DatasetError
+from ...file_limits import check_runs, parse_json
 
 _RECTANGLE = [[0, 0], [1, 0], [1, 1], [0, 1]]  # corners as picks of (x0, x1) and (y0, y1)
 
@@ -124,9 +124,8 @@ def _coco_image(
 def _run_lengths(shape: Mapping[str, Any], size: tuple[int, int], name: str) -> dict[str, Any]:
     if list(shape["size"]) != list(size):
         raise DatasetError(f"{name}: its mask is {shape['size']}, the picture {list(size)}")
+    check_runs(shape, name, DatasetError)
     if isinstance(shape["counts"], list):
-        if sum(shape["counts"]) != size[0] * size[1]:
-            raise DatasetError(f"{name}: its run lengths do not fill the picture")
         runs = coco_mask.frPyObjects(dict(shape), *size)
     else:
         runs = {"size": list(size), "counts": shape["counts"]}
@@ -194,7 +193,7 @@ def _not_empty(runs: dict[str, Any], name: str) -> dict[str, Any]:
 
 def _load(path: Path) -> dict[str, Any]:
     try:
-        content = json.loads(path.read_text(encoding="utf-8"))
+        content = parse_json(path.read_bytes())
     except FileNotFoundError as error:
         raise DatasetError(f"{path}: no such file: give a COCO file or LabelMe files") from error
     except (OSError, ValueError) as error:

@@ -21,6 +21,7 @@ from ...dataset.places import CLAIM
 from ...dataset.records import split_annotation
 from ...dataset.seal import sealed
 from ...errors import DatasetError
+from ...file_limits import parse_json
 from ...folder import new_folder
 from ...mask_box import mask_box
 from ...render.radiance import Silhouette
@@ -208,7 +209,7 @@ class _Writer:
         entries: list[dict[str, Any]] = []
         for scene_id in range(scenes):
             path = out / "train" / f"{scene_id:06d}" / "scene_gt_coco.json"
-            for annotation in json.loads(path.read_bytes())["annotations"]:
+            for annotation in parse_json(path.read_bytes())["annotations"]:
                 entries.append({"id": len(entries) + 1} | split_annotation(annotation, scene_id))
         size = {"width": size_px[1], "height": size_px[0]}
         content = {

@@ -100,7 +100,15 @@ def _content(scene: SceneContent, kept: Kept, *, stride: int) -> dict[str, Any]:
     }
 
 
-_LEFT_OUT = ("config", "reasons", "frames", "code_maps", "sha256", "manifest_sha256")
+_LEFT_OUT = (
+    "config",
+    "reasons",
+    "part_reasons",
+    "frames",
+    "code_maps",
+    "sha256",
+    "manifest_sha256",
+)
 
 # Where a camera stands is not known of real pictures: as if it looked straight down.
 _DOWNWARDS = {"cam_R_w2c": [1, 0, 0, 0, -1, 0, 0, 0, -1], "cam_t_w2c": [0, 0, 0]}

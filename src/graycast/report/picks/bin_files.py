@@ -9,6 +9,7 @@ import cv2
 import numpy as np
 
 from ...errors import GraycastError
+from ...file_limits import refuse_large_picture
 from ...pick.files import BINS, DEPTH_STEP_M, EPISODE, MOTION, WORK, StoredEpisode
 from ...pick.replay import Motion, open_replay, read_motions
 from ..page.packing import jpeg_url, pack_words, shrunk
@@ -82,6 +83,8 @@ def bin_key(bin_id: int) -> str:
 
 def read_image(path: Path) -> np.ndarray:
     """Raises GraycastError: it is missing or damaged."""
+    if path.is_file():
+        refuse_large_picture(path, str(path), GraycastError)
     image = cv2.imread(str(path), cv2.IMREAD_UNCHANGED)
     if image is None:
         raise GraycastError(

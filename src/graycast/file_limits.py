@@ -1,0 +1,186 @@
+"""JSON and pictures of users, refused before they fill the memory."""
+
+import os
+import re
+import struct
+from codecs import BOM_UTF8
+from io import BufferedReader, BytesIO
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from pydantic import TypeAdapter, ValidationError
+
+MOST_PX = 100_000_000
+_HEAD_BYTES = 1 << 16
+_File = BufferedReader | BytesIO
+_ANYTHING: TypeAdapter[Any] = TypeAdapter(Any)
+
+
+def parse_json(content: bytes | str) -> Any:
+    """What a JSON text says. This is the one reader of JSON that comes from files or from outside.
+
+    It follows lists and objects for 200 levels, so that no reader of the result meets the limit
+    of Python's recursion.
+
+    Raises:
+        ValueError: it is not JSON, or nested too deeply.
+    """
+    data = content.encode("utf-8", "surrogatepass") if isinstance(content, str) else content
+    try:
+        return _ANYTHING.validate_json(data.removeprefix(BOM_UTF8))
+    except ValidationError as error:
+        why = error.errors()[0]["ctx"]["error"]
+        why = why.replace("recursion limit exceeded", "nested too deeply")
+        raise ValueError(why) from error
+
+
+def refuse_large_size(width_px: int, height_px: int, name: str, error: type[Exception]) -> None:
+    """Raise an error of the given class if a picture of this size would take too much memory."""
+    if width_px * height_px > MOST_PX:
+        raise error(
+            f"{name}: has {width_px} x {height_px} pixels, and at most {MOST_PX // 10**6} million "
+            "are allowed: give a smaller picture"
+        )
+
+
+def refuse_large_picture(source: Path | bytes, name: str, error: type[Exception]) -> None:
+    """Raise an error of the given class if a picture's header states too many pixels.
+
+    Only the header is read. A picture without a known header passes: its decoder knows better
+    what is wrong with it.
+
+    Args:
+        source: the file, which exists, or its content.
+        name: the picture's name in the error.
+    """
+    with open(source, "rb") if isinstance(source, Path) else BytesIO(source) as file:
+        try:
+            size = _stated_size(file)
+        except (OSError, SyntaxError, LookupError, ValueError, TypeError, struct.error):
+            return
+    refuse_large_size(*size, name, error)
+
+
+def load_array(path: Path) -> np.ndarray:
+    """The array of an NPY file, whose header must not state more than the file holds.
+
+    Raises:
+        ValueError: it is no NPY file, holds Python objects, or ends early.
+        OSError: it cannot be read.
+    """
+    mapped = np.load(path, mmap_mode="r")
+    if not isinstance(mapped, np.ndarray):
+        raise ValueError("it is an archive of several arrays")
+    return np.array(mapped)
+
+
+def check_runs(runs: Any, where: str, error: type[Exception]) -> None:
+    """Raise an error of the given class if run lengths do not fill a picture of allowed size.
+
+    pycocotools does not check it.
+    """
+    if not isinstance(runs, dict) or not isinstance(runs.get("counts"), str | list):
+        raise error(
+            f"{where} is not a run-length encoding (size, counts): give masks as in COCO results"
+        )
+    size, counts = runs.get("size"), runs["counts"]
+    if not (
+        isinstance(size, list)
+        and len(size) == 2
+        and all(type(edge) is int and edge > 0 for edge in size)
+    ):
+        raise error(f"{where}: size is {size!r}; it must be rows and columns")
+    refuse_large_size(size[1], size[0], where, error)
+    lengths = _lengths(counts) if isinstance(counts, str) else counts
+    if (
+        lengths is None
+        or not all(type(n) is int and n >= 0 for n in lengths)
+        or sum(lengths) != size[0] * size[1]
+    ):
+        raise error(
+            f"{where}: its run lengths do not fill {size[1]} x {size[0]} pixels: the file is "
+            "damaged, or size is wrong"
+        )
+
+
+def _lengths(counts: str) -> list[int] | None:
+    """Decode COCO's compressed run lengths; None if they are damaged.
+
+    Each number is stored in characters that start at '0' and hold six bits, low bits first:
+    five bits of the number and one bit that tells whether more follow. From the third number
+    on, the stored value is the difference from the number two places before.
+    """
+    code = np.frombuffer(counts.encode("utf-8", "replace"), np.uint8).astype(np.int64) - 48
+    more = (code & 32) > 0
+    if not len(code) or more[-1] or code.min() < 0 or code.max() > 63:
+        return None
+    start = np.append(0, np.flatnonzero(~more)[:-1] + 1)
+    place = np.arange(len(code)) - np.repeat(start, np.diff(np.append(start, len(code))))
+    if place.max() > 6:
+        return None
+    value = np.add.reduceat((code & 31) << (5 * place), start)
+    end = np.flatnonzero(~more)
+    value -= np.where(code[end] & 16, 1 << (5 * (place[end] + 1)), 0)
+    value[1::2] = np.cumsum(value[1::2])
+    if len(value) > 2:
+        value[2::2] = np.cumsum(value[2::2])
+    return value.tolist()
+
+
+def _stated_size(file: _File) -> tuple[int, int]:
+    """Columns and rows of a picture; some of its file is read, and none of its pixels."""
+    head = file.read(_HEAD_BYTES)
+    file.seek(0)
+    if head.startswith(b"\x89PNG"):
+        return int.from_bytes(head[16:20], "big"), int.from_bytes(head[20:24], "big")
+    if head[:4] in (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+"):
+        return _tiff_size(file)
+    if head.startswith(b"\xff\xd8\xff"):
+        return _jpeg_size(file)
+    if head.startswith(b"\x76\x2f\x31\x01"):  # OpenEXR: first and last column and row
+        at = head.index(b"dataWindow\0box2i\0") + 21
+        left, top, right, bottom = np.frombuffer(head, "<i4", 4, at).tolist()
+        return right - left + 1, bottom - top + 1
+    if head.startswith(b"#?"):  # Radiance: -Y rows +X columns
+        found = re.search(rb"\n[-+][XY] (\d{1,9}) [-+][XY] (\d{1,9})\n", head)
+        if found is None:
+            raise ValueError("no size")
+        return int(found[2]), int(found[1])
+    from PIL import Image  # only here: training reads PNGs where Pillow is not installed
+
+    Image.init()
+    for factory, accepts in Image.OPEN.values():  # `Image.open` would warn of large sizes
+        if accepts is not None and accepts(head[:16]) is True:
+            return factory(file, "").size
+    raise ValueError("no known format")
+
+
+def _jpeg_size(file: _File) -> tuple[int, int]:
+    """Of the first frame header, marker by marker."""
+    file.seek(2)
+    while True:
+        mark, kind, high, low = file.read(4)
+        if mark != 0xFF:
+            raise ValueError("no marker")
+        if 0xC0 <= kind <= 0xCF and kind not in (0xC4, 0xC8, 0xCC):
+            _, rows, columns = struct.unpack(">BHH", file.read(5))
+            return columns, rows
+        file.seek(-3 if kind == 0xFF else 256 * high + low - 2, os.SEEK_CUR)
+
+
+def _tiff_size(file: _File) -> tuple[int, int]:
+    """Of the first picture, by tags 256 and 257, whose values stand among the tags."""
+    head = file.read(16)
+    order, is_big = "<" if head.startswith(b"II") else ">", 43 in head[2:4]
+    (at,) = struct.unpack_from(order + ("Q" if is_big else "I"), head, 8 if is_big else 4)
+    file.seek(at)
+    (count,) = struct.unpack(order + ("Q" if is_big else "H"), file.read(8 if is_big else 2))
+    size: dict[int, int] = {}
+    for _ in range(count):
+        entry = file.read(20 if is_big else 12)
+        tag, kind = struct.unpack_from(order + "HH", entry)
+        if tag in (256, 257):
+            form = order + {3: "H", 4: "I", 16: "Q"}[kind]
+            (size[tag],) = struct.unpack_from(form, entry, 12 if is_big else 8)
+    return size[256], size[257]

@@ -7,8 +7,7 @@ from ..errors import DatasetError
 
 BEYOND = 1.5  # times the far end, or its inverse times the near end: no other place of the camera
 FILLED = 0.05  # of the known pixels that have exactly the farthest depth
-_BELOW = 0.01  # of that depth: a surface has pixels there too
-_FEWER = 5  # times fewer pixels there than a fill has
+_FEWER = 5  # times fewer pixels at each of the next depths below: measured depth thins out there
 
 AnyDepth = Float[np.ndarray, "h w"] | Float32[np.ndarray, "h w"]
 
@@ -41,10 +40,9 @@ def filled_holes(depth_m: AnyDepth, name: str) -> str | None:
     known = depth_m[np.isfinite(depth_m)]
     if not known.size:
         return None
-    farthest_m = known.max()
-    filled = int((known == farthest_m).sum())
-    below = int(((known < farthest_m) & (known >= (1 - _BELOW) * farthest_m)).sum())
-    if filled < FILLED * known.size or filled < _FEWER * below:
+    value, count = np.unique(known, return_counts=True)
+    farthest_m, filled = value[-1], int(count[-1])
+    if filled < FILLED * known.size or filled < _FEWER * count[-4:-1].max(initial=0):
         return None
     return (
         f"{name}: {filled / known.size:.0%} of the pixels with depth have exactly the farthest "

@@ -69,7 +69,7 @@ def pose_doubts(views: Sequence[MeasuredView], points: Sequence[Points]) -> tupl
     if len(lonely) < len(views):
         return tuple(_differs(i, views, points, pairs) for i in lonely)
     if len(views) == 2 and pairs[0, 1].meets:
-        return (f"{_displaced(*views, pairs[0, 1])}: one of the two poses is off",)
+        return (f"{_displaced(views[0], views[1], pairs[0, 1])}: one of the two poses is off",)
     return (_all_differ(views, points),)
 
 

@@ -83,3 +83,17 @@ def test_without_a_driver_nothing_is_watched(monkeypatch):
     with GpuWatch(period_s=0.001) as gpu:
         time.sleep(0.01)
     assert gpu.share is None
+
+
+def test_a_benchmark_s_peak_is_that_of_the_process_that_did_the_work():
+    """A process of 600 MB has ended: its memory was left out, and a small parent's was told."""
+    words = "x = bytearray(600_000_000); x[::4096] = x[::4096]"
+    script = (
+        "import subprocess, sys; from graycast.bench.figures import stamped;"
+        f"subprocess.run([sys.executable, '-c', {words!r}], check=True);"
+        "print(stamped('x', {})['peak_rss_bytes'])"
+    )
+    told = subprocess.run(
+        [sys.executable, "-c", script], capture_output=True, text=True, check=True
+    )
+    assert 600e6 < int(told.stdout) < 700e6

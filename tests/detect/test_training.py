@@ -10,6 +10,7 @@ import time
 from dataclasses import replace
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 
@@ -392,6 +393,34 @@ def test_what_cannot_be_looked_at_is_said_in_one_line(dataset, run, tmp_path, ca
             "--device", "cuda"
         )
     assert not (tmp_path / "found").exists()
+
+
+def test_depth_of_another_unit_is_refused_and_filled_holes_are_noted(
+    dataset, run, tmp_path, capsys
+):
+    """The scale is known from the dataset: no camera stands ten times as far away."""
+    shots = tmp_path / "shots"
+    (shots / "depth").mkdir(parents=True)
+    scene = dataset / "train" / "000000"
+    scale_m = json.loads((scene / "scene_camera_sl.json").read_bytes())["0"]["depth_scale"] / 1e3
+    steps = cv2.imread(str(scene / "depth_sl" / "000000.png"), cv2.IMREAD_UNCHANGED)
+    noise = np.random.default_rng(0).normal(0.0, 1e-3 / scale_m, steps.shape)  # it is drawn flat
+    steps = np.where(steps > 0, steps + noise, 0).astype(np.uint16)
+
+    def found(scale_m):
+        cv2.imwrite(str(shots / "depth" / "a.png"), steps)
+        arguments = ("detect", run, shots, "--scale", scale_m, "--out", tmp_path / "found")
+        return main([str(word) for word in arguments]), capsys.readouterr()
+
+    for factor in (10, 0.1):
+        code, told = found(factor * scale_m)
+        assert code == 1 and told.err.count("\n") == 1
+        assert "and the detector learnt" in told.err and "another unit" in told.err
+    code, told = found(scale_m)
+    assert code == 0 and "note:" not in told.out
+    steps[::2, ::2] = steps.max()
+    code, told = found(scale_m)
+    assert code == 0 and "note: scene 0: " in told.out and "holes that were filled" in told.out
 
 
 def test_a_dataset_of_other_parts_is_refused(run, tmp_path, capsys):

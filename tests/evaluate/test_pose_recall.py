@@ -150,6 +150,21 @@ def test_results_of_another_dataset_are_refused(master, tmp_path, change, told):
         evaluate_poses(results, master, protocol=Protocol(draws=50))
 
 
+@pytest.mark.parametrize(("factor", "unit"), [(1e-3, "in metres"), (1 / 25.4, "another unit")])
+def test_poses_of_another_unit_are_refused_with_the_right_one(master, tmp_path, factor, unit):
+    scaled = [
+        PoseEstimate(
+            scene_id=one.scene_id, im_id=0, obj_id=one.obj_id, score=0.9,
+            T_cam_part=rigid(one.T_cam_part[:3, :3], factor * one.T_cam_part[:3, 3]),
+        )
+        for one in whole(master)
+    ]  # fmt: skip
+    results = tmp_path / "poses.csv"
+    results.write_text(pose_results_text(scaled))
+    with pytest.raises(GraycastError, match=f"{unit}.*write it in millimetres"):
+        evaluate_poses(results, master, protocol=Protocol(draws=50))
+
+
 def test_options_of_detections_are_refused(master, tmp_path, capsys):
     results = tmp_path / "poses.csv"
     results.write_text(pose_results_text(whole(master)))

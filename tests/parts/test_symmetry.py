@@ -2,10 +2,12 @@
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
+from graycast.frames import rigid
 from graycast.parts import Mesh, Symmetry, builtin_part
 from graycast.parts.sampling import surface_points
-from graycast.parts.symmetry import axis_rotations, joined, motions, shape_symmetry
+from graycast.parts.symmetry import axis_rotations, joined, motions, nearest_member, shape_symmetry
 
 
 def box(x, y, z):
@@ -71,3 +73,51 @@ def test_surface_points_lie_on_the_surface_a_step_apart():
     apart = np.linalg.norm(point[:, None] - point[None], axis=-1) + np.eye(len(point))
     assert apart.min() >= 0.008
     assert apart.min(axis=1).max() < 0.018  # and none is alone
+
+
+HALF_TURNS = tuple(np.diag([*sign, 1.0]) for sign in ((1, -1, -1), (-1, 1, -1), (-1, -1, 1)))
+AXIS, ASIDE = (0.6, 0.0, 0.8), (0.01, 0.02, -0.03)
+ACROSS = rigid(np.diag([-1.0, 1.0, -1.0]), 2 * np.array([ASIDE[0], 0.0, ASIDE[2]]))  # a half turn
+SYMMETRIES = [
+    Symmetry(discrete=HALF_TURNS),
+    Symmetry(continuous=((AXIS, ASIDE),)),
+    Symmetry(discrete=(ACROSS,), continuous=((AXIS, ASIDE),)),
+]
+
+
+def angle(R):
+    return Rotation.from_matrix(R).magnitude()
+
+
+@pytest.mark.parametrize("symmetry", SYMMETRIES)
+@pytest.mark.parametrize("referred", [False, True])
+def test_all_poses_that_look_the_same_have_one_member(symmetry, referred):
+    """Oracle: the motions of the symmetry one by one, with a reference also their least angle."""
+    rng = np.random.default_rng(3)
+    for _ in range(5):
+        T, near = (rigid(Rotation.random(rng=rng).as_matrix(), rng.normal(size=3)) for _ in "ab")
+        near = near if referred else None
+        one, group = nearest_member(T, symmetry, near=near), motions(symmetry)
+        for S in group[:: max(len(group) // 7, 1)]:
+            again = nearest_member(T @ S, symmetry, near=near)
+            np.testing.assert_allclose(again, one, atol=1e-9)
+        apart = [angle((T @ S)[:3, :3].T @ one[:3, :3]) for S in group]
+        assert min(apart) <= np.pi / 315 + 1e-9  # it is a member, at most half a turn's step aside
+        closest = (T @ group[int(np.argmin(apart))])[:3, 3]
+        np.testing.assert_allclose(one[:3, 3], closest, atol=5e-3)
+        if referred:
+            least = min(angle((T @ S)[:3, :3].T @ near[:3, :3]) for S in group)
+            assert angle(one[:3, :3].T @ near[:3, :3]) <= least + 1e-9
+
+
+@pytest.mark.parametrize("symmetry", [Symmetry(discrete=(s,)) for s in HALF_TURNS])
+@pytest.mark.parametrize("side", [(1, 1, 1), (1, -1, -1), (-1, 1, -1), (-1, -1, 1)])
+def test_noise_does_not_choose_for_a_part_that_lies_on_any_side(symmetry, side):
+    """On each side of a box, turned by a drawn angle: a tilt by a degree moves it by a degree."""
+    rng = np.random.default_rng(5)
+    lying = Rotation.from_euler("z", rng.uniform(10, 80), degrees=True).as_matrix() @ np.diag(side)
+    first = nearest_member(rigid(lying, np.zeros(3)), symmetry)
+    for _ in range(20):
+        tilt = Rotation.from_rotvec(np.radians(1) * rng.normal(size=3)).as_matrix()
+        T = rigid(tilt @ lying, np.zeros(3)) @ motions(symmetry)[rng.integers(2)]
+        assert angle(nearest_member(T, symmetry)[:3, :3].T @ first[:3, :3]) < np.radians(6)

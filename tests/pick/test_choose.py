@@ -89,3 +89,27 @@ def test_no_more_ways_are_sought_than_stated(chosen):
 def test_where_a_grip_failed_none_is_tried(chosen):
     found, sought = chosen({}, tabu=(FIRST, BESIDE, ELSEWHERE))
     assert found.outcome is Outcome.GIVEN_UP and not sought and not found.places_m
+
+
+@pytest.mark.parametrize(
+    ("found", "depth_m", "posed", "scores", "told"),
+    [
+        ([], 0.5, True, (), "no detection"),
+        ([TARGET], np.nan, True, (), "no depth"),
+        ([TARGET], 0.5, False, (), "no pose"),
+        ([TARGET], 0.5, True, (), "no grip: the tool fits nowhere"),
+        ([TARGET], 0.5, True, (0.1, 0.2), "no grip: all have less than the least score"),
+    ],
+)
+def test_nothing_found_says_what_was_not_found(monkeypatch, found, depth_m, posed, scores, told):
+    def aims(ready, targets, view, seed, of_those):
+        of_those += targets if posed else []
+        return [Aim(T_world_tool=np.eye(4), score=score, target=TARGET) for score in scores]
+
+    monkeypatch.setattr(choose, "_aims", aims)
+    monkeypatch.setattr(choose, "_Heaps", lambda *_: None)
+    picking = SimpleNamespace(targets=3, least_score=0.25, grips=12)
+    ready = bare(Ready, cell=SimpleNamespace(config=SimpleNamespace(picking=picking)))
+    view = Sight(depth_m=np.full((6, 8), depth_m), camera=CAMERA, T_world_cam=T_WORLD_CAM)
+    got = choose.choose(ready, view, found, np.zeros(6), (), (), seed=0, clock=Clock())
+    assert got.outcome is Outcome.NOTHING_FOUND and got.detail.startswith(told)

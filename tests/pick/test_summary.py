@@ -45,6 +45,15 @@ def test_what_never_moved_is_no_grip():
     assert told.picks_per_hour == pytest.approx(3600 * 3 / (7 * 5.5))
 
 
+def test_what_was_not_found_is_counted():
+    one = episode(0, "nothing found", "nothing found", "picked")
+    for attempt, detail in zip(
+        one.attempts, ("no pose: none fits", "no detection", ""), strict=True
+    ):
+        attempt["detail"] = detail
+    assert summarize([one]).missing == {"no pose: none fits": 1, "no detection": 1}
+
+
 def test_pairs_are_attempts_of_the_same_bin_in_their_order():
     first = [episode(0, "picked", "lost seal", "picked"), episode(2, "picked")]
     second = [

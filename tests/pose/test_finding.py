@@ -122,6 +122,22 @@ def test_too_little_depth_finds_nothing(bracket, model):
     assert find_pose_in_box(model, depth, CAMERA, column).T_cam_part is not None
 
 
+def test_a_symmetric_part_does_not_flip_from_noise_to_noise(bracket, model):
+    """The bracket looks the same after a half turn; the member nearest to `near` comes back."""
+    T = pose(6)
+    scans = [scan(bracket.mesh, T, seed=seed) for seed in (0, 1)]
+    first, second = (find_pose(model, *_of(one)).T_cam_part for one in scans)
+    assert np.trace(first[:3, :3].T @ second[:3, :3]) > 2.99  # within 6 degrees
+    for near in (T, T @ bracket.symmetry.discrete[0]):
+        found = find_pose(model, *_of(scans[0]), near=near).T_cam_part
+        assert np.trace(found[:3, :3].T @ near[:3, :3]) > 2.99
+
+
+def _of(one):
+    depth, mask = one
+    return depth, CAMERA, mask
+
+
 def test_another_cameras_picture_is_refused(bracket, model):
     depth, mask = scan(bracket.mesh, pose(0))
     with pytest.raises(ValueError, match="give depth, mask and camera of one picture"):

@@ -184,3 +184,20 @@ def test_a_picture_or_a_mask_that_is_missing_is_named(made, tmp_path):
         match=r"mask_visib/000000_00000\d\.png is missing: training",
     ):
         open_examples(tmp_path / "ours" / "train")[0]
+
+
+@pytest.mark.parametrize(
+    ("change", "told"),
+    [
+        (lambda mask: mask // 2, "values other than 0 and 255"),
+        (lambda mask: mask.astype(np.uint16) * 257, "one channel of uint8"),
+        (lambda mask: 0 * mask, "mask 0 is empty, and px_count_visib is"),
+    ],
+)
+def test_masks_that_validate_refuses_are_not_trained_on(made, tmp_path, change, told):
+    """Nonzero values were taken for inside, and an empty mask for a box of no size."""
+    shutil.copytree(made / "ours" / "train", tmp_path / "train")
+    path = tmp_path / "train" / "000000" / "mask_visib" / "000000_000000.png"
+    cv2.imwrite(str(path), change(cv2.imread(str(path), cv2.IMREAD_UNCHANGED)))
+    with pytest.raises(DatasetError, match=f"{told}.*: training needs"):
+        open_examples(tmp_path / "train")[0]

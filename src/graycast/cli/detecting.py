@@ -11,6 +11,7 @@ from .arguments import above_zero, add_command, positive, progress_bar, seed, sh
 MODELS = ("mask-rcnn", "yolov3", "solov2", "yolov7", "rf-detr")
 INPUTS = ("rgb", "depth", "depth_sl", "depth_noisy", "rgbd")
 HOLES = ("channel", "zero", "far")
+_NOTES = 5  # that are printed
 
 TRAIN = """\
 Train a detector on datasets of Graycast, on their exports, or on datasets of real pictures. The
@@ -381,6 +382,10 @@ def _detect(options: argparse.Namespace) -> None:
         f"{options.out}: {count} detections in {len(looked.found)} pictures, "
         f"{median(looked.ms_per_picture):.0f} ms a picture"
     )
+    for note in looked.notes[:_NOTES]:
+        print(f"note: {note}")
+    if len(looked.notes) > _NOTES:
+        print(f"note: there are {len(looked.notes) - _NOTES} more notes of this kind")
 
 
 def _export(detector, options: argparse.Namespace) -> None:

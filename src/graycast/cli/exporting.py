@@ -157,7 +157,8 @@ def add_commands(commands) -> None:
         "--like",
         type=Path,
         metavar="DATASET",
-        help="A dataset whose names and numbers of objects are used.",
+        help="A dataset whose names and numbers of objects are used. Depth far outside the range "
+        "of its scanner is refused.",
     )
 
 
@@ -186,9 +187,12 @@ def _import_real(options: argparse.Namespace) -> int:
     from ..dataset.stored import open_dataset
     from ..real.import_real import import_real
 
-    names = None
+    names = range_m = None
     if options.like is not None:
-        names = list(open_dataset(options.like).categories.values())
+        like = open_dataset(options.like)
+        names = list(like.categories.values())
+        if rig := like.claim.get("rig"):  # a dataset of real pictures states none
+            range_m = (float(rig["near_m"]), float(rig["far_m"]))
     with progress_bar() as bar:
         task = bar.add_task("pictures", total=None)
         done = import_real(
@@ -201,9 +205,12 @@ def _import_real(options: argparse.Namespace) -> int:
             annotations=options.annotations,
             labelled=not options.unlabelled,
             names=names,
+            range_m=range_m,
             on_progress=lambda done, total: bar.update(task, completed=done, total=total),
         )
     objects = ", ".join(f"{i} {name}" for i, name in enumerate(done.categories, start=1))
     print(f"{options.out}: {len(done.stems)} pictures, {done.instances} instances of {objects}")
     print(f"  not known: {', '.join(absent(options.out))}")
+    for note in done.notes:
+        print(f"  note: {note}")
     return 0

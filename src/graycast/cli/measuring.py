@@ -208,12 +208,25 @@ def _realism(options: argparse.Namespace) -> int:
             size_px=options.size,
         )
         name = options.out.name or str(options.out)
-        record = pool(measure_all(scans), name=name)
+        notes: list[str] = []
+        record = pool(measure_all(_noted(scans, notes)), name=name)
         _write_table([record], folder)
         write_record(record, folder / RECORD_FILE)
     print(table(record))
+    for note in notes:
+        print(f"note: {note}")
     print(options.out)
     return 0
+
+
+def _noted(scans, notes: list[str]):
+    """The scans themselves; notes about their depth are added to the list."""
+    from ..real.depth_sense import filled_holes
+
+    for scan in scans:
+        if note := filled_holes(scan.depth_m, scan.name):
+            notes.append(note)
+        yield scan
 
 
 def _compare(options: argparse.Namespace) -> int:

@@ -39,4 +39,6 @@ def _merge(options: argparse.Namespace) -> int:
     print(f"{options.out}: clouds of {len(record['scenes'])} scene(s)")
     for surface in record["surfaces"]:
         print("\n".join(described(surface)))
+    for doubt in record["doubts"]:
+        print(f"warning: {doubt}")
     return 0

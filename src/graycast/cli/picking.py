@@ -257,6 +257,9 @@ def _tell(summary) -> None:
     )
     for name, count in summary.outcomes.items():
         print(f"  {name:18} {count:6d}")
+        if name == "nothing found":
+            for detail, times in summary.missing.items():
+                print(f"    {times} times {detail}")
     attempts = sum(summary.outcomes.values())
     print(
         f"an attempt takes {summary.seconds['scan'] / attempts:.2f} s to scan, "

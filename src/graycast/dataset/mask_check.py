@@ -11,7 +11,7 @@ from ..mask_box import mask_box
 from ..raster import Raster, rasterize
 from . import records
 from .plain_scene import Model, Plain, transform_of
-from .reading import Unreadable, read_png
+from .reading import Unreadable, read_mask
 from .scene_folder import of_sensor
 
 # A pixel whose centre lies very near an edge may fall to either side in a renderer of single
@@ -47,7 +47,7 @@ def mask_problems(
     taken = np.zeros(size, dtype=bool)
     seen: list[tuple[int, dict[str, object]]] = []
     for i, (name, pose) in enumerate(zip(names, scene.poses, strict=True)):
-        mask, visible = (_read_mask(place[kind] / name, size) for kind in ("mask", "mask_visib"))
+        mask, visible = (_sized_mask(place[kind] / name, size) for kind in ("mask", "mask_visib"))
         if any(
             (place[kind] / name).read_bytes() != (place[f"{kind}_sl"] / name).read_bytes()
             for kind in ("mask", "mask_visib")
@@ -84,14 +84,10 @@ def _of_no_image(path: Path, scene: Plain) -> list[str]:
     return sorted(entry.name for entry in path.glob("*") if entry.name[:6] not in has)
 
 
-def _read_mask(path: Path, size: tuple[int, int]) -> Bool[np.ndarray, "h w"]:
-    image = read_png(path)
-    name = f"{path.parent.name}/{path.name}"
-    if image.shape != size or image.dtype != np.uint8:
-        raise Unreadable(f"{name} is {image.shape} {image.dtype}, it must be {size} uint8")
-    mask = image == 255
-    if (image[~mask] != 0).any():
-        raise Unreadable(f"{name} has values other than 0 and 255")
+def _sized_mask(path: Path, size: tuple[int, int]) -> Bool[np.ndarray, "h w"]:
+    mask = read_mask(path)
+    if mask.shape != size:
+        raise Unreadable(f"{path.parent.name}/{path.name} is {mask.shape}, it must be {size}")
     return mask
 
 

@@ -7,6 +7,7 @@ from typing import Any, TypeVar
 import cv2
 import numpy as np
 import pydantic
+from jaxtyping import Bool
 
 from ..file_limits import refuse_large_picture
 
@@ -50,6 +51,22 @@ def _first_mistake(where: str, error: pydantic.ValidationError) -> str:
     first = error.errors()[0]
     key = ".".join(str(key) for key in first["loc"])
     return ": ".join(filter(None, (where, key, first["msg"])))
+
+
+def read_mask(path: Path) -> Bool[np.ndarray, "h w"]:
+    """A mask as BOP stores it: one channel of 8 bits, 255 inside and 0 outside.
+
+    Raises:
+        Unreadable: it is not there, damaged or of another form.
+    """
+    image = read_png(path)
+    name = f"{path.parent.name}/{path.name}"
+    if image.ndim != 2 or image.dtype != np.uint8:
+        raise Unreadable(f"{name} is {image.shape} {image.dtype}, it must be one channel of uint8")
+    mask = image == 255
+    if (image[~mask] != 0).any():
+        raise Unreadable(f"{name} has values other than 0 and 255")
+    return mask
 
 
 def read_png(path: Path) -> np.ndarray:

@@ -14,7 +14,7 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
 
 from ..array_types import Bool
-from .reading import Unreadable, held, read_json, read_picture, read_png
+from .reading import Unreadable, held, read_json, read_mask, read_picture, read_png
 from .records import Count, Distortion, Images, Matrix3, Positive, Vector
 
 PICTURES = (".png", ".jpg", ".jpeg", ".tif", ".tiff")
@@ -88,7 +88,7 @@ class SceneFolder:
         return self._of(kind) / f"{number:06d}_{instance:06d}.png"
 
     def mask(self, kind: str, instance: int, number: int = 0) -> Bool[np.ndarray, "h w"]:
-        return read_png(self.mask_path(kind, instance, number)) > 0
+        return read_mask(self.mask_path(kind, instance, number))
 
     def _entry(self, name: str, number: int) -> Any:
         entries = self.record(name, Images[Any]).root

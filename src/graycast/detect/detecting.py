@@ -21,23 +21,27 @@ from ..export.record import RECORD, read_record
 from ..export.split import Split
 from ..file_limits import parse_json
 from ..folder import refuse_foreign, whole_folder
+from ..real.depth_sense import filled_holes
 from ..real.pictures import RealPicture, find_shots, read_shot
 from ..training import Examples, open_examples
 from ..training.foreign import is_foreign
 from .detector import About, Detector
+from .encoding import Encoding
 
 DRAWINGS = "drawings"
 _INKS = ((233, 110, 11), (45, 98, 196), (63, 158, 47), (149, 81, 122), (20, 20, 20))  # BGR
 _DRAWN_SCORE = 0.5
+LEAST_INSIDE = 0.5  # of a picture's depth, in the range that the detector learnt
 
 
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Looked:
-    """What a detector found in some pictures, and how long it took for each [ms]."""
+    """What a detector found in pictures, how long it took for each [ms], and notes on depth."""
 
     found: tuple[Detections, ...]
     ms_per_picture: tuple[float, ...]
+    notes: tuple[str, ...]
 
 
 def detect(
@@ -64,7 +68,7 @@ def detect(
             something else or cannot be written.
     """
     refuse_foreign(out, LOOKED)
-    found, times_ms = [], []
+    found, times_ms, notes = [], [], list[str]()
     with whole_folder(out) as folder:
         (folder / DRAWINGS).mkdir()
         for example in pictures:
@@ -73,6 +77,7 @@ def detect(
                 detector.detect(example, obj_ids=class_ids, most=most, least_score=least_score)
             )
             times_ms.append(1e3 * (time.perf_counter() - begun))
+            notes += _notes(example, detector.about.encoding)
             if len(found) <= drawings:
                 path = folder / DRAWINGS / f"{example.scene_id:06d}.jpg"
                 path.write_bytes(cv2.imencode(".jpg", drawn(example, found[-1]))[1].tobytes())
@@ -91,7 +96,23 @@ def detect(
         }
         (folder / LOOKED).write_bytes(json_bytes(content))
         (folder / RESULTS).write_bytes(results_bytes(found))
-    return Looked(found=tuple(found), ms_per_picture=tuple(times_ms))
+    return Looked(found=tuple(found), ms_per_picture=tuple(times_ms), notes=tuple(notes))
+
+
+def _notes(example: Example, encoding: Encoding) -> Iterator[str]:
+    """What in a picture's depth the detector cannot take for what it is."""
+    if encoding.near_m is None or encoding.far_m is None:
+        return
+    name, depth_m = f"scene {example.scene_id}", encoding.depth_m(example)
+    if note := filled_holes(depth_m, name):
+        yield note
+    known = depth_m[np.isfinite(depth_m)]
+    inside = np.mean((known >= encoding.near_m) & (known <= encoding.far_m)) if known.size else 1.0
+    if inside < LEAST_INSIDE:
+        yield (
+            f"{name}: only {inside:.0%} of the depth lies in the range that the detector learnt, "
+            f"{encoding.near_m:.4g} to {encoding.far_m:.4g} m, and the rest is cut off there"
+        )
 
 
 def shots(found: Sequence[RealPicture], *, scale_m: float | None) -> Iterator[Example]:

@@ -20,6 +20,7 @@ from ..detections import WEIGHTS, Detections
 from ..errors import GraycastError
 from ..file_limits import parse_json
 from ..folder import fill_whole
+from ..real.depth_sense import refuse_beyond
 from .encoding import Encoding, encoding_from
 from .network import Found, Network
 from .networks import open_network
@@ -122,9 +123,18 @@ class Detector:
             least_score: of a detection.
 
         Raises:
-            GraycastError: the example has no picture of the kind that the detector sees.
+            GraycastError: the example has no picture of the kind that the detector sees, or its
+                depth lies far outside the range that the detector learnt.
         """
         encoding = self.about.encoding
+        if encoding.near_m is not None and encoding.far_m is not None:
+            refuse_beyond(
+                encoding.depth_m(example),
+                near_m=encoding.near_m,
+                far_m=encoding.far_m,
+                name=f"scene {example.scene_id}",
+                whose="the detector learnt",
+            )
         encoded = encoding.encode(example, seed=example.scene_id)
         return self.look(
             encoded,

@@ -33,6 +33,7 @@ FIGURES = (
     "translation_mm",
 )
 _SHARES = FIGURES[:5]
+_UNIT = 10.0  # by which the distances of estimates and parts differ at most, in the same unit
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -82,8 +83,12 @@ def evaluate_poses(
     examples = open_examples(dataset, split=split, division=division)
     of_picture = _by_picture(results, estimates, _of_first_scanner(examples), solids)
     counts: list[Counts] = []
+    checked = False
     for done, picture in enumerate(of_picture, start=1):
         truth = _truth(dataset, examples.read(picture), protocol.min_visibility)
+        if not checked and len(truth.T_cam_part):
+            _check_unit(results, estimates, truth)
+            checked = True
         counts += count_picture(truth, of_picture[picture], solids)
         if on_scene is not None:
             on_scene(done, len(of_picture))
@@ -200,6 +205,22 @@ def _by_picture(
             )
         of_picture[pictures[one.scene_id, one.im_id]].append(one)
     return of_picture
+
+
+def _check_unit(results: Path, estimates: Sequence[PoseEstimate], truth: Truth) -> None:
+    """Refuse poses whose distances from the camera are of another unit than the parts'."""
+    if not estimates:
+        return
+    estimated_m = np.median([np.linalg.norm(one.T_cam_part[:3, 3]) for one in estimates])
+    true_m = np.median(np.linalg.norm(truth.T_cam_part[:, :3, 3], axis=1))
+    if true_m / _UNIT <= estimated_m <= true_m * _UNIT:
+        return
+    unit = "metres" if true_m / 2000 < estimated_m < true_m / 500 else "another unit or frame"
+    raise GraycastError(
+        f"{results}: the poses have a median distance of {1000 * estimated_m:.4g} mm from the "
+        f"camera, and the parts {1000 * true_m:.4g} mm: t seems to be in {unit}; write it in "
+        "millimetres, in the camera's frame"
+    )
 
 
 def _truth(dataset: Path, example: Example, min_visibility: float) -> Truth:

@@ -16,6 +16,7 @@ from .intervals import Interval
 from .judging import Judgement, Protocol
 from .matching import THRESHOLDS
 from .mistakes import AT_HALF
+from .notes import notes
 from .plots import draw_groups, draw_precision_recall
 from .results import Run
 from .scores import FIGURES
@@ -82,6 +83,7 @@ def evaluation_json(evaluation: Evaluation) -> dict[str, Any]:
                 "draws": protocol.draws,
                 "seed": protocol.seed,
             },
+            "notes": list(notes(evaluation.judgements)),
             "kinds": {one.kind: _judgement_json(one) for one in evaluation.judgements},
         }
     )
@@ -102,12 +104,14 @@ def summary(evaluation: Evaluation) -> str:
             told = ", ".join(f"{_TITLES[n]} {_told(f, '+')}" for n, f in one.against.items())
             lines.append(f"      difference: {told}")
         lines.append(f"      {_point(one)}")
+    lines += [f"note: {note}" for note in notes(evaluation.judgements)]
     return "\n".join(lines)
 
 
 def _paragraphs(evaluation: Evaluation) -> Iterator[str]:
     yield "# " + evaluation.run.name
     yield _what(evaluation)
+    yield from notes(evaluation.judgements)
     for one in evaluation.judgements:
         yield f"## {one.kind.capitalize()}"
         yield _point(one)

@@ -7,7 +7,7 @@ weighed by its inverse variance: of N equal views sigma falls to sigma / sqrt(N)
 the equations.
 
 Leaves out: errors that views share (of a calibration, of light between parts) do not average out,
-so the stated sigma is that of noise alone; poses of the views are taken as exact.
+so the stated sigma is that of noise alone; poses of the views are taken as exact, and only checked.
 """
 
 from collections.abc import Mapping, Sequence
@@ -18,6 +18,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int, UInt8
 
 from .looking import Looked, Measured, at, look
+from .poses import pose_doubts
 from .view import MeasuredView, points_of
 
 # Beside a dataset's reasons, why the first view has no such point: it measured something behind
@@ -60,9 +61,13 @@ class FusedCloud:
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Fused:
-    """The cloud, and what became of each view's measured pixels."""
+    """The cloud, and what became of each view's measured pixels.
+
+    `doubts` are sentences about views that do not agree with the others: see `pose_doubts`.
+    """
 
     cloud: FusedCloud
+    doubts: tuple[str, ...]
     measured_px: tuple[int, ...]
     confirmed_px: tuple[int, ...]  # by another view
     rejected_px: tuple[int, ...]  # more views saw through them than confirmed them
@@ -96,6 +101,7 @@ def fuse(views: Sequence[MeasuredView]) -> Fused:
         cloud=FusedCloud(
             **{name: np.concatenate([piece[name] for piece in pieces]) for name in pieces[0]}
         ),
+        doubts=pose_doubts(views, points),
         measured_px=tuple(len(one.pixel) for one in own),
         confirmed_px=tuple(int(each.sum()) for each in confirmed),
         rejected_px=tuple(int(bad.sum()) for bad in rejected),

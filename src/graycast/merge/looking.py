@@ -76,12 +76,24 @@ def at(points: Points, pixel: Int[np.ndarray, "n 2"]) -> Measured:
     return Measured(pixel=pixel, **held)
 
 
-def look(own: Measured, view: MeasuredView, points: Points) -> Looked:
-    """Ask a view about another's points.
+@final
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Met:
+    """The pixel of a view at which each point would be seen; the names are those of `Looked`.
 
-    A view sees through a point where all nine pixels about the place have measured something
-    behind it, and the middle one a plane that the point lies before.
+    `depth_m` is the point's own z in the view's camera.
     """
+
+    inside: Bool[np.ndarray, " n"]
+    there: Measured
+    agrees: Bool[np.ndarray, " n"]
+    offset_m: Float[np.ndarray, " n"]
+    variance_m2: Float[np.ndarray, " n"]
+    depth_m: Float[np.ndarray, " n"]
+
+
+def meet(own: Measured, view: MeasuredView, points: Points) -> Met:
+    """What a view measured where it would see another's points."""
     camera = view.camera
     place = transform_points(inverse(view.T_world_cam), own.point_m)
     column, row = np.rint(np.nan_to_num(project(camera, place), nan=-1.0)).T
@@ -92,10 +104,28 @@ def look(own: Measured, view: MeasuredView, points: Points) -> Looked:
     across = _mean_normal(own, there)
     offset_m = (apart * across).sum(axis=-1)
     aside_m = np.linalg.norm(apart - offset_m[:, None] * across, axis=-1)
-    agrees = inside & _on_one_surface(own, there, across, offset_m, aside_m)
-    behind_m = _nearest_m(view.depth_m)[pixel[:, 0], pixel[:, 1]] - place[:, 2]
+    return Met(
+        inside=inside,
+        there=there,
+        agrees=inside & _on_one_surface(own, there, across, offset_m, aside_m),
+        offset_m=offset_m,
+        variance_m2=there.variance_along(across),
+        depth_m=place[:, 2],
+    )
+
+
+def look(own: Measured, view: MeasuredView, points: Points) -> Looked:
+    """Ask a view about another's points.
+
+    A view sees through a point where all nine pixels about the place have measured something
+    behind it, and the middle one a plane that the point lies before.
+    """
+    met = meet(own, view, points)
+    inside, there, agrees = met.inside, met.there, met.agrees
+    behind_m = _nearest_m(view.depth_m)[tuple(there.pixel.T)] - met.depth_m
     beyond = behind_m > SIGMAS * np.hypot(own.sigma_m, there.sigma_m)
     through = inside & there.plane & ~agrees & beyond & _over_plane(own, there)
+    apart = there.point_m - own.point_m
     before = inside & ~agrees & ((apart * there.toward).sum(axis=-1) > 0)
     return Looked(
         inside=inside,
@@ -103,8 +133,8 @@ def look(own: Measured, view: MeasuredView, points: Points) -> Looked:
         agrees=agrees,
         through=through,
         before=before,
-        offset_m=offset_m,
-        variance_m2=there.variance_along(across),
+        offset_m=met.offset_m,
+        variance_m2=met.variance_m2,
     )
 
 

@@ -30,7 +30,8 @@ def merge(
         on_scene: called with the scenes done and their number.
 
     Returns:
-        What `merge.json` in `out` says: the surface's figures over all scenes.
+        What `merge.json` in `out` says: the surface's figures over all scenes, and doubts about the
+        poses of views.
 
     Raises:
         GraycastError: `out` cannot be written; the dataset holds real pictures, or is damaged.
@@ -41,6 +42,7 @@ def merge(
     models = read_models(stored.folder)
     seen: dict[tuple[str, ...], list[SurfaceSeen]] = {}
     told: dict[int, str] = {}
+    doubts: list[str] = []
     with new_folder(out) as folder:
         for done, shots in enumerate(scenes, start=1):
             names = tuple(shot.image_name for shot in shots)
@@ -52,7 +54,9 @@ def merge(
                 "scene": shots[0].scene_key,
                 "surface": surface_figures(surface, names, told),
                 "cloud": cloud_figures(fused, views, told),
+                "doubts": fused.doubts,
             }
+            doubts += [f"scene {shots[0].scene_key}: {doubt}" for doubt in fused.doubts]
             (folder / f"{shots[0].scene_key}.json").write_bytes(json_bytes(figures))
             (folder / f"{shots[0].scene_key}.ply").write_bytes(merged_ply(fused.cloud))
             seen.setdefault(names, []).append(surface)
@@ -61,6 +65,7 @@ def merge(
             "dataset": str(stored.folder),
             "fingerprint": stored.claim.get("fingerprint", ""),
             "scenes": [shots[0].scene_key for shots in scenes],
+            "doubts": doubts,
             "reasons": {str(k): name for k, name in sorted(told.items())},
             "surfaces": [
                 {"scenes": len(held)} | surface_figures(joined(held), names, told)

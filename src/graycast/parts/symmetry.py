@@ -16,6 +16,10 @@ SHAPE_TOLERANCE = 0.01  # a motion that moves the surface by less, as a share, l
 LEFT = 0.98  # as a share of the points that have to be left on the surface
 FOLDS = (2, 3, 4, 5, 6, 8)  # turns by a full circle over these are tried
 MANY = 36  # turns that a body of revolution has to bear
+# What each axis counts for in the choice of one pose of a symmetric part without a reference. With
+# equal weights the two poses of a part that a half turn maps to itself would be equally near to the
+# camera's axes whenever it lies upside down, and noise would choose.
+AXIS_WEIGHT = (3.0, 2.0, 1.0)
 
 
 def motions(symmetry: Symmetry, *, step: float = STEP) -> Float[np.ndarray, "n 4 4"]:
@@ -36,6 +40,49 @@ def motions(symmetry: Symmetry, *, step: float = STEP) -> Float[np.ndarray, "n 4
         for k in range(turns)
     ] or [np.eye(4)]
     return np.stack([turn @ motion for motion in discrete for turn in continuous])
+
+
+def nearest_member(
+    T: Float[np.ndarray, "4 4"], symmetry: Symmetry, *, near: Float[np.ndarray, "4 4"] | None = None
+) -> Float[np.ndarray, "4 4"]:
+    """Of all poses that look the same, the one whose orientation is nearest to a reference.
+
+    With the motions S of the symmetry it is the T S that makes `trace(W.T R)` greatest, where R is
+    its rotation. For W = the reference's rotation this is the least angle between both. Without a
+    reference W is `diag(AXIS_WEIGHT)`: the part's axes are to point along the frame's.
+
+    Leaves out: continuous axes after the first, which only a ball has. Where two members are
+    equally near, noise chooses; without a reference such poses are rare ones between two sides.
+
+    Args:
+        near: a pose of the same part in the same frame, such as the previous one.
+    """
+    wanted = np.diag(AXIS_WEIGHT) if near is None else near[:3, :3]
+    M = wanted.T @ T[:3, :3]
+    best, most = T, -np.inf
+    for flip in (np.eye(4), *symmetry.discrete):
+        member = flip
+        for axis, offset in symmetry.continuous[:1]:
+            member = _turn(np.array(axis), np.array(offset), _best_turn(axis, flip, M)) @ flip
+        gain = float(np.trace(M @ member[:3, :3]))
+        if gain > most:  # the first of equals
+            best, most = T @ member, gain
+    return best
+
+
+def _best_turn(
+    axis: tuple[float, float, float],
+    flip: Float[np.ndarray, "4 4"],
+    M: Float[np.ndarray, "3 3"],
+) -> float:
+    """The angle t of the turn about the axis that makes `trace(M turn(t) flip)` greatest.
+
+    With N = flip M and the unit vector a, Rodrigues' formula gives the trace as a constant and
+    `cos t (tr N - a N a) + sin t tr([a]x N)`.
+    """
+    a = np.array(axis) / np.linalg.norm(axis)
+    N = flip[:3, :3] @ M
+    return float(np.arctan2(np.trace(_cross(a) @ N), np.trace(N) - a @ N @ a))
 
 
 def shape_symmetry(mesh: Mesh) -> Symmetry:
@@ -114,10 +161,14 @@ def _turn(
     axis: Float[np.ndarray, "3"], offset: Float[np.ndarray, "3"], angle_rad: float
 ) -> Float[np.ndarray, "4 4"]:
     """A turn about an axis through a point, by Rodrigues' formula."""
-    x, y, z = axis / np.linalg.norm(axis)
-    K = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
+    K = _cross(axis / np.linalg.norm(axis))
     R = np.eye(3) + np.sin(angle_rad) * K + (1 - np.cos(angle_rad)) * K @ K
     return _about(R, offset)
+
+
+def _cross(a: Float[np.ndarray, "3"]) -> Float[np.ndarray, "3 3"]:
+    """The matrix of the vector product with a."""
+    return np.array([[0, -a[2], a[1]], [a[2], 0, -a[0]], [-a[1], a[0], 0]])
 
 
 def _about(R: Float[np.ndarray, "3 3"], point: Float[np.ndarray, "3"]) -> Float[np.ndarray, "4 4"]:

@@ -148,8 +148,12 @@ def aims_by_pose(
     known: Mapping[int, KnownPart],
     *,
     most_lean_rad: float,
+    posed: list[Target],
 ) -> list[Aim]:
-    """Grips of the models, carried to where the parts lie by their poses."""
+    """Grips of the models, carried to where the parts lie by their poses.
+
+    Targets whose pose is found are added to `posed`.
+    """
     aims = []
     for target in targets:
         part = known[0 if target.kind is None else target.kind]
@@ -158,6 +162,7 @@ def aims_by_pose(
             T_cam_part = _pose(part.model, target, view)
         if T_cam_part is None:
             continue
+        posed.append(target)
         T_world_part = view.T_world_cam @ T_cam_part
         for grip in part.grips:
             T = T_world_part @ grip.T_part_tool

@@ -36,6 +36,14 @@ LEAST_UP_M = 0.02
 UNKNOWN_CENTER_M = 0.01
 # What was measured so far off the part's surface under so large a share of a cup is another.
 UNLIKE_M, UNLIKE_SHARE = 4e-3, 0.02
+# What was not found, by how far the search came.
+_MISSING = (
+    "no detection",
+    "no depth: too little was measured on every detection",
+    "no pose: none fits the depth of its detection",
+    "no grip: the tool fits nowhere on the parts",
+    "no grip: all have less than the least score",
+)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -70,16 +78,17 @@ def choose(
     """
     picking = ready.cell.config.picking
     why, sought = Blocked(outcome=Outcome.NOTHING_FOUND), list[Float[np.ndarray, "3"]]()
-    heaps = _Heaps(ready, view)
+    heaps, posed, reached = _Heaps(ready, view), list[Target](), int(bool(found))
 
     def aims() -> Iterator[Aim]:
         """In the order in which they are tried; the places that are sought decide it, too."""
-        nonlocal why
+        nonlocal why, reached
         later = []
         for together in _together(ranked(found, view, (*tabu, *blocked)), picking.targets):
             with clock("grips"):
-                all_of_them = _aims(ready, together, view, seed)
+                all_of_them = _aims(ready, together, view, seed, posed)
                 held = [aim for aim in all_of_them if aim.score >= picking.least_score]
+            reached = max(reached, 4 if all_of_them else 3 if posed else 2)
             fresh = [aim for aim in held if not _near(aim.place_m, tabu, TABU_M)]
             if held and not fresh and why.outcome is Outcome.NOTHING_FOUND:
                 why = Blocked(outcome=Outcome.GIVEN_UP)
@@ -102,6 +111,8 @@ def choose(
             sought.append(aim.place_m)
         if len(sought) == picking.grips:
             break
+    if why.outcome is Outcome.NOTHING_FOUND and not why.detail:
+        why = replace(why, detail=_MISSING[reached])
     return replace(why, places_m=tuple(sought))
 
 
@@ -118,11 +129,15 @@ def _near(
     return any(np.linalg.norm(place_m - other_m) < within_m for other_m in others_m)
 
 
-def _aims(ready: Ready, found: Sequence[Target], view: Sight, seed: int) -> list[Aim]:
+def _aims(
+    ready: Ready, found: Sequence[Target], view: Sight, seed: int, posed: list[Target]
+) -> list[Aim]:
+    """Grips on some targets; those on which grips were looked for are added to `posed`."""
     picking = ready.cell.config.picking
     lean_rad = float(np.radians(picking.most_lean_deg))
     if not isinstance(ready.tool, SuctionTool) or picking.knows == "part":
-        return aims_by_pose(found, view, ready.known, most_lean_rad=lean_rad)
+        return aims_by_pose(found, view, ready.known, most_lean_rad=lean_rad, posed=posed)
+    posed += found
     return aims_in_depth(
         found,
         view,

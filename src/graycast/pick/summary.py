@@ -24,6 +24,7 @@ class Summary:
         picked: of these, those that took it out of the bin.
         rate: `picked` over `grips`, with its 95 % interval (Wilson).
         outcomes: all attempts by how they ended, most frequent first.
+        missing: attempts that found nothing, by what was not found.
         cleared: bins that ended with nothing in them.
         filled, taken, left, spilled: parts of all bins.
         seconds: simulated, of all attempts: `scan`, `motion`.
@@ -35,6 +36,7 @@ class Summary:
     picked: int
     rate: tuple[float, float, float]
     outcomes: dict[str, int]
+    missing: dict[str, int]
     cleared: int
     filled: int
     taken: int
@@ -63,6 +65,11 @@ def summarize(episodes: Sequence[StoredEpisode]) -> Summary:
     attempts = [attempt for episode in episodes for attempt in episode.attempts]
     work = [stages for episode in episodes for stages in episode.work_s]
     outcomes = Counter(attempt["outcome"] for attempt in attempts)
+    missing = Counter(
+        attempt.get("detail", "")
+        for attempt in attempts
+        if attempt["outcome"] == Outcome.NOTHING_FOUND
+    )
     grips = sum(outcomes[name] for name in _MOVED)
     picked = sum(outcomes[name] for name in _TAKEN)
     low, high = wilson(picked, grips) if grips else (0.0, 1.0)
@@ -73,6 +80,7 @@ def summarize(episodes: Sequence[StoredEpisode]) -> Summary:
         picked=picked,
         rate=(picked / grips if grips else 0.0, low, high),
         outcomes=dict(outcomes.most_common()),
+        missing={detail: count for detail, count in missing.most_common() if detail},
         cleared=sum(episode.left == 0 for episode in episodes),
         filled=sum(episode.filled for episode in episodes),
         taken=sum(episode.taken for episode in episodes),

@@ -8,6 +8,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Float32
 
 from ..optics import Optics
+from ..parts.symmetry import nearest_member
 from . import checking
 from .closest import settle
 from .cloud import Crop, crop
@@ -68,17 +69,23 @@ def find_pose(
     depth_m: Float[np.ndarray, "h w"] | Float32[np.ndarray, "h w"],
     camera: Optics,
     mask: Bool[np.ndarray, "h w"],
+    *,
+    near: Float[np.ndarray, "4 4"] | None = None,
 ) -> PoseFound:
     """The pose of the part whose visible outline is known.
+
+    Of the poses that the symmetry of `pose_model` makes alike, the result is the one nearest to
+    `near`, or the standard one without it: `graycast.parts.symmetry.nearest_member`.
 
     Args:
         depth_m: z [m], NaN where the scanner has none.
         mask: the part's visible pixels, those without depth too.
+        near: a pose, such as that of the previous picture; only its orientation matters.
 
     Raises:
         ValueError: depth, camera and mask are not of one size.
     """
-    return _found(model, depth_m, camera, mask, tight=True)
+    return _found(model, depth_m, camera, mask, tight=True, near=near)
 
 
 def find_pose_in_box(
@@ -86,13 +93,18 @@ def find_pose_in_box(
     depth_m: Float[np.ndarray, "h w"] | Float32[np.ndarray, "h w"],
     camera: Optics,
     box_px: Float[np.ndarray, "4"],
+    *,
+    near: Float[np.ndarray, "4 4"] | None = None,
 ) -> PoseFound:
-    """The pose of the part that a box is around: [x, y, columns, rows] as in `Detections`."""
+    """The pose of the part that a box is around: [x, y, columns, rows] as in `Detections`.
+
+    `near` is that of `find_pose`.
+    """
     inside = np.zeros(depth_m.shape, dtype=bool)
     left, top = np.maximum(np.rint(box_px[:2]).astype(int), 0)
     right, bottom = np.maximum(np.rint(box_px[:2] + box_px[2:]).astype(int), 0)
     inside[top:bottom, left:right] = True
-    return _found(model, depth_m, camera, inside, tight=False)
+    return _found(model, depth_m, camera, inside, tight=False, near=near)
 
 
 def find_poses(
@@ -119,6 +131,7 @@ def _found(
     inside: Bool[np.ndarray, "h w"],
     *,
     tight: bool,
+    near: Float[np.ndarray, "4 4"] | None,
 ) -> PoseFound:
     if depth_m.shape != (camera.height_px, camera.width_px) or inside.shape != depth_m.shape:
         raise ValueError(
@@ -145,7 +158,8 @@ def _found(
         guesses, point, normal, surface.point, surface.normal, surface.low_m, surface.cell_m,
         surface.nearest, np.array(GATES) * model.diameter_m, ROUNDS,
     )  # fmt: skip
-    return _best(model, seen, guesses)
+    best = _best(model, seen, guesses)
+    return _told(best, nearest_member(best.T, model.symmetry, near=near))
 
 
 def _scene_points(seen: Crop) -> tuple[np.ndarray, np.ndarray]:
@@ -204,7 +218,7 @@ def _bundled(model: PoseModel, T: np.ndarray, weight: np.ndarray) -> np.ndarray:
     return np.ascontiguousarray(T[best])
 
 
-def _best(model: PoseModel, seen: Crop, guesses: Float[np.ndarray, "n 4 4"]) -> PoseFound:
+def _best(model: PoseModel, seen: Crop, guesses: Float[np.ndarray, "n 4 4"]) -> Judged:
     """Compare the guesses with the depth, align the best, and try equivalent alternatives."""
     trials = Trials(model, seen)
     first = np.array([trials.judge(T).worth for T in guesses])
@@ -222,13 +236,13 @@ def _best(model: PoseModel, seen: Crop, guesses: Float[np.ndarray, "n 4 4"]) -> 
                 best = trials.judge(trials.align(T)).better_of(best)
         if best is before or best.worth > SURE:
             break
-    return _told(best)
+    return best
 
 
-def _told(best: Judged) -> PoseFound:
+def _told(best: Judged, T_cam_part: Float[np.ndarray, "4 4"]) -> PoseFound:
     number = best.number
     return PoseFound(
-        T_cam_part=best.T,
+        T_cam_part=T_cam_part,
         score=float(np.clip(best.worth, 0, 1)),
         visible=int(number[checking.VISIBLE]),
         touching=int(number[checking.TOUCHING]),

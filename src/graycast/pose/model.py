@@ -29,6 +29,7 @@ class PoseModel:
         surface: the nearest place for any point near.
         key_m: points that a motion moves unless it leaves the part as it is.
         alike: the discrete motions that leave it, the identity first.
+        symmetry: all motions that leave it.
     """
 
     vertices_m: Float[np.ndarray, "v 3"]
@@ -41,6 +42,7 @@ class PoseModel:
     surface: Closest
     key_m: Float[np.ndarray, "k 3"]
     alike: Float[np.ndarray, "s 4 4"]
+    symmetry: Symmetry
     turns: Float[np.ndarray, "t 4 4"]
 
     def __post_init__(self) -> None:
@@ -67,6 +69,7 @@ def pose_model(mesh: Mesh, symmetry: Symmetry) -> PoseModel:
         surface=closest(dense, dense_normal, diameter_m),
         key_m=_keys(symmetry, middle, diameter_m),
         alike=motions(Symmetry(discrete=symmetry.discrete)),
+        symmetry=symmetry,
         turns=np.stack([rigid(R, middle - R @ middle) for R in axis_rotations()]),
     )
 

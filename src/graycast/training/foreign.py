@@ -247,6 +247,9 @@ def _bop_example(place: tuple[tuple[SceneFolder, int], ...], number: int) -> Exa
             visible = scene.mask("mask_visib", i, image)
             if visible.shape != size:
                 raise Unreadable(f"image {image}: mask {i} is {visible.shape}, the picture {size}")
+            if not visible.any():
+                count = infos[i].px_count_visib
+                raise Unreadable(f"image {image}: mask {i} is empty, and px_count_visib is {count}")
             mask[k] = visible
     except Unreadable as error:
         raise DatasetError(

@@ -425,3 +425,23 @@ def test_a_picture_that_was_changed_after_the_import_is_found(real, samples):
         (problem,) = validate(out, fast=fast)
         assert problem.scene == 0
         assert "rgb/000000.png is not as it was written" in problem.what
+
+
+def test_depth_outside_the_range_of_a_scanner_like_it_is_refused(made, real, samples, capsys):
+    out, like = real.parent / "out", made[0] / "master"
+    said = ["--intrinsics", "212,214,78.3,61.7", "--like", like, "--out", out]
+    for factor in (10, 0.1):
+        with pytest.raises(GraycastError, match=r"of --like measures .*: probably .* another unit"):
+            run("import-real", real, "--scale", factor * SCALE_M, *said)
+    assert not out.exists()
+    assert run("import-real", real, "--scale", SCALE_M, *said) == 0
+    assert "note:" not in capsys.readouterr().out
+
+
+def test_holes_that_were_filled_with_the_farthest_depth_are_named(real, samples):
+    path = real / "depth" / "000003.png"
+    steps = cv2.imread(str(path), cv2.IMREAD_UNCHANGED)
+    steps[::2, ::2] = steps.max() + 1
+    cv2.imwrite(str(path), steps)
+    (note,) = imported(real, samples)[1].notes
+    assert note.startswith(f"{path}: ") and "holes that were filled" in note

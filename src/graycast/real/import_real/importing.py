@@ -25,6 +25,7 @@ from ...file_limits import parse_json
 from ...folder import new_folder
 from ...mask_box import mask_box
 from ...render.radiance import Silhouette
+from ..depth_sense import filled_holes, refuse_beyond
 from ..pictures import RealPicture, Seen, depth_step_mm, depth_steps, find_shots, read_shot
 from .annotations import Drawn, read_annotations
 
@@ -40,6 +41,7 @@ class Import:
     instances: int
     holds: tuple[str, ...]
     depth_scale_mm: float
+    notes: tuple[str, ...]  # what looks wrong in the depth, one sentence for a picture
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -65,6 +67,7 @@ def import_real(
     annotations: Path | None = None,
     labelled: bool = True,
     names: Sequence[str] | None = None,
+    range_m: tuple[float, float] | None = None,
     on_progress: Callable[[int, int], None] = lambda done, total: None,
 ) -> Import:
     """Write real pictures as a dataset; a picture is a scene, in the order of their names.
@@ -79,6 +82,8 @@ def import_real(
         annotations: a COCO file or a folder of LabelMe's; `folder/annotations` where it is None.
         labelled: False takes pictures without annotations; the dataset then has no masks.
         names: of the objects in the order of their ids, such as those of a simulated dataset.
+        range_m: near and far end of the range of a scanner like this one; depth far outside of it
+            is refused.
         on_progress: called with the pictures written and their number.
 
     Raises:
@@ -88,7 +93,7 @@ def import_real(
     shots, camera = find_shots(folder), _Camera(K=K, scale_m=scale_m, size_px=size_px)
     drawn, found = _labels(folder, annotations, labelled, [shot.stem for shot in shots])
     known = _object_names(found, names)
-    first, deepest_m = _survey(shots, camera)
+    first, deepest_m, notes = _survey(shots, camera, range_m)
     step_mm = depth_step_mm(shots, deepest_m, scale_m)
     holds = (*first.holds, *(("masks",) if labelled else ()))
     writer = _Writer(names=known, step_mm=step_mm, distortion=distortion, holds=holds)
@@ -109,6 +114,7 @@ def import_real(
         instances=sum(len(each.names) for each in drawn.values()),
         holds=holds,
         depth_scale_mm=step_mm,
+        notes=tuple(notes),
     )
 
 
@@ -141,10 +147,12 @@ def _object_names(found: Sequence[str], given: Sequence[str] | None) -> list[str
     return list(given)
 
 
-def _survey(shots: Sequence[RealPicture], camera: _Camera) -> tuple[Seen, float]:
+def _survey(
+    shots: Sequence[RealPicture], camera: _Camera, range_m: tuple[float, float] | None
+) -> tuple[Seen, float, list[str]]:
     """Reads all once, so that what cannot be used is told before anything is written."""
     pictures = map(camera.read, shots)
-    first, deepest_m = next(pictures), 0.0
+    first, deepest_m, notes = next(pictures), 0.0, []
     for shot, seen in zip(shots, chain([first], pictures), strict=True):
         if seen.size_px != first.size_px or seen.holds != first.holds:
             is_, was = (
@@ -156,7 +164,15 @@ def _survey(shots: Sequence[RealPicture], camera: _Camera) -> tuple[Seen, float]
             )
         if seen.depth_m is not None:
             deepest_m = max(deepest_m, float(np.nanmax(seen.depth_m)))
-    return first, deepest_m
+            if range_m is not None:
+                near_m, far_m = range_m
+                whose = "the scanner of the dataset of --like measures"
+                refuse_beyond(
+                    seen.depth_m, near_m=near_m, far_m=far_m, name=str(shot.depth), whose=whose
+                )
+            if note := filled_holes(seen.depth_m, str(shot.depth)):
+                notes.append(note)
+    return first, deepest_m, notes
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

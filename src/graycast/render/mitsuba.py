@@ -37,7 +37,8 @@ from .denoise import denoised, open_denoiser
 from .mitsuba_paths import Tracer
 from .mitsuba_patterns import aligned
 from .mitsuba_scene import PartShape, build
-from .mitsuba_truth import truth
+from .mitsuba_truth import centre_places, truth
+from .path_noise import path_noise
 from .radiance import Denoiser, OnPass, Quality, Radiance, Renderer, Rendering, refuse_other_size
 from .wavelength import at_projector_wavelength
 
@@ -144,9 +145,15 @@ def light(
     stack = dr.ravel(mi.ArrayXf([channel * share for channel in paths.pattern]), "C")
     gray = dr.sum(white), dr.dot(ambient, passed)
     color = dr.ravel(white), dr.ravel(ambient), dr.ravel(paths.albedo / quality.samples)
-    dr.eval(stack, gray, color)
+    places = dr.ravel(paths.placed / paths.straight), dr.ravel(centre_places(world, scene))
+    stray2 = {
+        axis: _variance(paths.stray[axis], paths.stray2[axis], quality.samples)
+        for axis in paths.stray
+    }
+    dr.eval(stack, gray, color, places, paths.straight, stray2)
 
     white_rgb, ambient_rgb, albedo = (channels.numpy().reshape(h, w, 3) for channels in color)
+    mean_px, centre_px = (place.numpy().reshape(h, w, 2) for place in places)
     return Radiance(
         pattern=stack.numpy().reshape(len(pattern), h, w),
         white=gray[0].numpy().reshape(h, w),
@@ -154,4 +161,18 @@ def light(
         white_rgb=white_rgb,
         ambient_rgb=ambient_rgb,
         albedo=albedo,
+        path_noise=path_noise(
+            mean_px,
+            centre_px,
+            paths.straight.numpy().reshape(h, w),
+            {axis: share2.numpy().reshape(h, w) for axis, share2 in stray2.items()},
+            samples=quality.samples,
+        ),
     )
+
+
+def _variance(total: mi.Float, squares: mi.Float, samples: int) -> mi.Float:
+    """Of a sum of independent samples; of a single one, its square."""
+    if samples == 1:
+        return squares
+    return dr.maximum(squares - dr.square(total) / samples, 0) * (samples / (samples - 1))

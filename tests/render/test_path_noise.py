@@ -103,7 +103,8 @@ def test_edges_and_shadows_leave_the_place_alone():
     mean[:, 61:64] = np.nan
     straight = np.isfinite(mean[..., 0]).astype(np.float32)
     stray2 = {"column": np.full(straight.shape, 1e-4, dtype=np.float32)}
-    found = path_noise(mean, centre, straight, stray2, samples=16)
+    places = {axis: (mean[..., i], centre[..., i]) for i, axis in enumerate(("column", "row"))}
+    found = path_noise(places, straight, stray2, samples=16)
     lit = straight > 0
     np.testing.assert_allclose(np.median(found.place_px[:, lit], axis=1), 0.05, rtol=0.1)
     assert found.place_px[0, lit].max() < 0.08

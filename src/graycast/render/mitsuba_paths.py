@@ -120,7 +120,8 @@ class Tracer:
         self.ambient = len(world.emitters()) > 0
         self.pattern_count = len(pattern)
         self.words, self.bits_each = packed(pattern, rig)
-        self.finest = finest_patterns(pattern, rig) if quality.depth > 1 else {}
+        self.finest = finest_patterns(pattern, rig)
+        self.strays = self.finest if quality.depth > 1 else {}
         self.footprint = quality.footprint and quality.depth > 1
         self.sharp = rig.projector.is_pinhole
         # Where a lookup can miss all pixels, white is no longer 1 at each.
@@ -150,8 +151,8 @@ class Tracer:
             albedo=dr.zeros(mi.Color3f, pixels),
             straight=dr.zeros(mi.Float, pixels),
             placed=dr.zeros(mi.Point2f, pixels),
-            stray={axis: dr.zeros(mi.Float, pixels) for axis in self.finest},
-            stray2={axis: dr.zeros(mi.Float, pixels) for axis in self.finest},
+            stray={axis: dr.zeros(mi.Float, pixels) for axis in self.strays},
+            stray2={axis: dr.zeros(mi.Float, pixels) for axis in self.strays},
         )
         samples = self.quality.samples
         if on_pass is None:
@@ -269,9 +270,9 @@ class Tracer:
         middle = sum(dr.select(one, place, 0) for place, one in zip(beam.places, lit, strict=True))
         p.placed += dr.select(fresh, mono, 0) * middle
         pixels = [pixel_index(self.projector, place) for place in beam.places]
-        before = {axis: mi.Float(p.pattern[fine.number]) for axis, fine in self.finest.items()}
+        before = {axis: mi.Float(p.pattern[fine.number]) for axis, fine in self.strays.items()}
         self._add_levels(p, mono, pixels, lit)
-        for axis, fine in self.finest.items():
+        for axis, fine in self.strays.items():
             off = (p.pattern[fine.number] - before[axis] - fine.mean * light) / fine.deviation
             off = dr.select(fresh, 0, off)
             p.stray[axis] += off

@@ -31,32 +31,34 @@ MOST_BEND = 1.0  # of places along three pixels, in standard deviations of one p
 
 
 def path_noise(
-    mean_px: Float[np.ndarray, "h w 2"],
-    centre_px: Float[np.ndarray, "h w 2"],
+    places_px: Mapping[Axis, tuple[Float[np.ndarray, "h w"], Float[np.ndarray, "h w"]]],
     straight: Float[np.ndarray, "h w"],
     stray2: Mapping[Axis, Float[np.ndarray, "h w"]],
     *,
     samples: int,
 ) -> PathNoise:
-    """Standard deviations from sums over the paths of each pixel.
+    """Standard deviations from sums over the paths of each pixel; 0 along an axis without stripes.
 
     Args:
-        mean_px: mean projector place of a pixel's straight light; not finite without any.
-        centre_px: the place that its centre sees; NaN where there is no surface.
+        places_px: along each axis with stripes, the mean projector place of a pixel's straight
+            light, not finite without any, and the place that its centre sees, NaN if it sees none.
         straight: a pixel's straight light.
-        stray2: of a pattern along an axis, if there is one: the variance of its interreflected
+        stray2: of a pattern along an axis, if there is any: the variance of its interreflected
             light, in units of the straight light squared and of the pattern's own variance.
         samples: paths of a pixel.
     """
-    lit = np.isfinite(mean_px).all(axis=-1) & np.isfinite(centre_px).all(axis=-1)
-    none = np.zeros(lit.shape, dtype=np.float32)
-    place = [_place_sigma(mean_px[..., i], centre_px[..., i], lit) for i in (0, 1)]
+    place, stray = np.zeros((2, 2, *straight.shape), dtype=np.float32)
     side_px = math.ceil(WINDOW_PX / math.sqrt(samples)) | 1  # so that 81 paths or more count
-    stray = [
-        np.sqrt(_near_mean(stray2[axis], lit, side_px)) if axis in stray2 else none for axis in AXES
-    ]
-    share = np.divide(stray, straight, out=np.zeros_like(stray), where=lit)
-    return PathNoise(place_px=np.array(place), stray=share)
+    for i, axis in enumerate(AXES):
+        if axis not in places_px:
+            continue
+        mean_px, centre_px = places_px[axis]
+        lit = np.isfinite(mean_px) & np.isfinite(centre_px)
+        place[i] = _place_sigma(mean_px, centre_px, lit)
+        if axis in stray2:
+            off = np.sqrt(_near_mean(stray2[axis], lit, side_px))
+            np.divide(off, straight, out=stray[i], where=lit)
+    return PathNoise(place_px=place, stray=stray)
 
 
 def _place_sigma(

@@ -39,8 +39,8 @@ SIGMA = """\
 Print the error of depth in its own sigmas (the 68 % quantile) for four codes and 1 to 64 light
 paths a pixel: first as the code alone states sigma, then with the renderer's share, and the share
 of pixels that are off by more than five sigmas, if there are any. The leaning wall is compared with
-its true depth; of the two facing walls, two renderings are compared with each other. It takes
-about 3 minutes on two processors."""
+its true depth; of the two facing walls, two renderings are compared with each other, except under
+plain Gray code. It takes about 3 minutes on two processors."""
 
 
 def parsed(words: list[str] | None) -> argparse.Namespace:

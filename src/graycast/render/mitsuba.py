@@ -155,7 +155,8 @@ def light(
     stack = dr.ravel(mi.ArrayXf([channel * share for channel in paths.pattern]), "C")
     gray = dr.sum(white), dr.dot(ambient, passed)
     color = dr.ravel(white), dr.ravel(ambient), dr.ravel(paths.albedo / quality.samples)
-    dr.eval(stack, gray, color)
+    # All that the paths gave at once: what is asked for later would trace them again.
+    dr.eval(stack, gray, color, paths.placed, paths.straight, paths.stray, paths.stray2)
 
     white_rgb, ambient_rgb, albedo = (channels.numpy().reshape(h, w, 3) for channels in color)
     return Radiance(

@@ -262,15 +262,6 @@ def test_generate_says_what_it_made_and_the_next_time_that_all_was_there(capsys,
         assert sum(shares.values()) == pytest.approx(100, abs=0.04)
 
 
-@pytest.mark.parametrize("command", ["realism", "twin", "fit-bin"])
-def test_the_help_names_every_kind_of_depth_file_that_is_read(capsys, command):
-    with pytest.raises(SystemExit):
-        main([command, "--help"])
-    printed = capsys.readouterr().out
-    for ending in DEPTH_FILES:
-        assert ending.lstrip(".").upper() in printed
-
-
 @pytest.mark.slow
 def test_the_options_go_before_the_configuration(made, tmp_path, capsys):
     same = write_cell(tmp_path, scenes=7, seed=5)

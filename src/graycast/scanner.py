@@ -4,6 +4,7 @@ The whole way from light to depth is two functions: `take` and `measure`.
 """
 
 import math
+from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from typing import Annotated
@@ -24,14 +25,15 @@ from .decode import (
     triangulate,
     triangulation_axis,
     with_displacement,
+    with_place_sigma,
 )
 from .faults import FaultSpec, with_faults
 from .finish import PATCH_M, uneven
 from .frames import pixel_grid
 from .line_noise import lines_seen, place_sigma_px, with_line_noise
 from .optics import rays
-from .pattern import Code, CodeSpec
-from .render import Radiance
+from .pattern import AXES, Code, CodeSpec
+from .render import PathNoise, Radiance
 from .rig import BINNING, PRESETS, Rig, preset_rig
 from .sensor import Capture, SensorSpec, auto_exposure_s, expose, merge_exposures
 from .settings import Positive, check_fields
@@ -139,7 +141,7 @@ def take(scanner: Scanner, radiance: Radiance, *, seed: int) -> Capture:
         )
     seeds = np.random.SeedSequence(seed).generate_state(len(exposure.factors), np.uint64)
     shown = _shown(scanner, stack)
-    return merge_exposures(
+    capture = merge_exposures(
         [
             expose(
                 shown(int(own)),
@@ -151,6 +153,36 @@ def take(scanner: Scanner, radiance: Radiance, *, seed: int) -> Capture:
             for factor, own in zip(exposure.factors, seeds, strict=True)
         ]
     )
+    if radiance.path_noise is None:
+        return capture
+    return replace(capture, place_sigma_px=_place_sigma(scanner.light_code(), radiance.path_noise))
+
+
+def _place_sigma(code: Code, noise: PathNoise) -> Float[np.ndarray, "2 h w"]:
+    """What a finite number of paths makes of decoded positions (column, row), one sigma.
+
+    A phase has the error of the mean place of straight light. Stray stripes of a share s turn it by
+    up to s, at random, which is `s / sqrt(2) * period / (2 pi)` of place. Several periods share
+    the stray light of near places and not that of distant ones: half of its variance is taken as
+    common to them, and of the other half their mean has what independent ones leave. A Gray code's
+    own sigma has the width of a cell, which the mean place has, too.
+    """
+    sigmas = []
+    for axis, stride_px, place_px, stray in zip(
+        AXES, code.stride_px, noise.place_px, noise.stray, strict=True
+    ):
+        frames = [frame for frame in code.frames if frame.axis == axis]
+        counts = Counter(f.period_px for f in frames if f.kind in ("phase", "line"))
+        periods = [period_px for period_px, count in counts.items() if count >= 3]
+        if periods:
+            weight = sum(1 / period_px**2 for period_px in periods)
+            per_share2 = (min(periods) ** 2 + 1 / weight) / 2 / (8 * math.pi**2)
+            variance = place_px**2 + np.float32(per_share2) * stray**2
+        else:
+            cell_px = stride_px * 2 ** min((f.bit for f in frames if f.kind == "gray"), default=0)
+            variance = np.maximum(place_px**2 - np.float32(cell_px**2 / 12), 0)
+        sigmas.append(np.sqrt(variance))
+    return np.array(sigmas)
 
 
 def _shown(
@@ -184,6 +216,8 @@ def measure(scanner: Scanner, capture: Capture) -> tuple[CodeMap, DepthMap]:
     `stack.decode_stack` is the function for real pictures.
     """
     codes = decode(capture.frames, scanner.light_code(), scanner.decode, levels_of(scanner.sensor))
+    if capture.place_sigma_px is not None:
+        codes = with_place_sigma(codes, capture.place_sigma_px)
     depth = triangulate(codes, scanner.rig, max_epipolar_px=scanner.decode.max_epipolar_px)
     rig = scanner.rig
     light_contrast = np.ones(depth.depth_m.shape, dtype=np.float32)

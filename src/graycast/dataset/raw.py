@@ -2,8 +2,9 @@
 
 The pictures lie in a scene's `frames/` as the sensor stored them, with what `graycast decode` wants
 to know: `stack.yaml` says what each shows and how it is to be read, `rig.yaml` is the scanner. The
-way from there to `depth_sl` is the scanner's own, so it gives the same numbers; but for a rig with
-speckle, whose sigma asks for the exposure, which `graycast decode` is not told.
+way from there to `depth_sl` is the scanner's own, so it gives the same numbers, except where a test
+asks for sigma: of speckle, for which `graycast decode` would need the exposure, and of the
+renderer's light paths, whose share in sigma is not kept beside the pictures.
 """
 
 import io

@@ -1,6 +1,6 @@
 """From a stack of pictures to projector positions to depth, with a reason where there is none."""
 
-from .displaced import with_displacement
+from .displaced import with_displacement, with_place_sigma
 from .filters import FilterSpec, depth_steps, filter_depth
 from .maps import (
     REASON_COLOR,
@@ -48,4 +48,5 @@ __all__ = [
     "triangulate",
     "triangulation_axis",
     "with_displacement",
+    "with_place_sigma",
 ]

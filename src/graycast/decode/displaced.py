@@ -15,6 +15,15 @@ from .triangulation import triangulation_axis
 STEP_RATIO = 4.0  # a position that rises this much faster than on a facing surface is a step
 
 
+def with_place_sigma(codes: CodeMap, sigma_px: Float[np.ndarray, "2 h w"]) -> CodeMap:
+    """The same positions, with an error of the pictures' light (column, row) added to sigma."""
+    return replace(
+        codes,
+        sigma_column=np.hypot(codes.sigma_column, sigma_px[0]),
+        sigma_row=np.hypot(codes.sigma_row, sigma_px[1]),
+    )
+
+
 def with_displacement(
     depth: DepthMap,
     codes: CodeMap,

@@ -24,7 +24,7 @@ from ..cell import Cell, open_cell_renderer, resolve_cell
 from ..config import Config, resolve_quality, resolve_scanner
 from ..drop import DropLimits, drop
 from ..picture import color_light, developed
-from ..render import Quality, Radiance, Renderer, Rendering
+from ..render import Quality, Renderer, Rendering
 from ..scanner import measure, take
 from ..scene import Layout, Scene
 from ..sensor import Capture
@@ -285,13 +285,13 @@ def _scaled(kept: Lit, ask: Ask) -> Rendering:
     if power == ambient == 1:
         return kept.rendering
     light = kept.rendering.radiance
-    radiance = Radiance(
+    radiance = replace(
+        light,
         pattern=_times(light.pattern, power),
         white=_times(light.white, power),
         ambient=_times(light.ambient, ambient),
         white_rgb=_times(light.white_rgb, power),
         ambient_rgb=_times(light.ambient_rgb, ambient),
-        albedo=light.albedo,
     )
     return replace(kept.rendering, radiance=radiance)
 

@@ -89,7 +89,9 @@ def shoot(lab: Lab, surfaces: tuple[Quad | Sphere, ...], *, captures: int, seed:
     rendering = _render(lab, surfaces, seeds[0])
     where = _in_volume(lab, rendering)
     metered, exposure_s = _metered(lab, rendering, where)
-    scans = [measure(metered, take(metered, rendering.radiance, seed=own))[1] for own in seeds[1:]]
+    # All shots share the error of the light's paths, so it is no part of the noise they show.
+    light = replace(rendering.radiance, path_noise=None)
+    scans = [measure(metered, take(metered, light, seed=own))[1] for own in seeds[1:]]
     _check_decoded(scans[0], where, exposure_s)
     return Shots(
         truth_m=rendering.truth.depth_m,

@@ -7,6 +7,7 @@ it ends the whole process.
 
 import logging
 import math
+from dataclasses import replace
 from typing import Any, Literal, final
 
 import numpy as np
@@ -43,7 +44,8 @@ def denoised(radiance: Radiance, normal: Float[np.ndarray, "h w 3"], by: Denoise
         result = denoise(rgb, radiance.albedo, normal, by)
         return result.mean(axis=-1) if grey else result
 
-    return Radiance(
+    return replace(
+        radiance,
         pattern=np.array([clean(one) for one in radiance.pattern], dtype=np.float32).reshape(
             radiance.pattern.shape
         ),
@@ -51,7 +53,6 @@ def denoised(radiance: Radiance, normal: Float[np.ndarray, "h w 3"], by: Denoise
         ambient=clean(radiance.ambient),
         white_rgb=clean(radiance.white_rgb),
         ambient_rgb=clean(radiance.ambient_rgb),
-        albedo=radiance.albedo,
     )
 
 

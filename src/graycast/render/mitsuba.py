@@ -34,11 +34,21 @@ import numpy as np
 from ..optics import relative_illumination
 from ..scene import Layout, Scene
 from .denoise import denoised, open_denoiser
-from .mitsuba_paths import Tracer
+from .mitsuba_paths import Paths, Tracer
 from .mitsuba_patterns import aligned
 from .mitsuba_scene import PartShape, build
-from .mitsuba_truth import truth
-from .radiance import Denoiser, OnPass, Quality, Radiance, Renderer, Rendering, refuse_other_size
+from .mitsuba_truth import centre_places, truth
+from .path_noise import path_noise
+from .radiance import (
+    Denoiser,
+    OnPass,
+    PathNoise,
+    Quality,
+    Radiance,
+    Renderer,
+    Rendering,
+    refuse_other_size,
+)
 from .wavelength import at_projector_wavelength
 
 
@@ -134,7 +144,8 @@ def light(
 ) -> Radiance:
     camera = scene.rig.camera
     h, w = camera.height_px, camera.width_px
-    paths = Tracer(world, scene, pattern, quality).trace(seed, on_pass)
+    tracer = Tracer(world, scene, pattern, quality)
+    paths = tracer.trace(seed, on_pass)
 
     # The kernel of the paths also scales the sums and lays them out, with all of its threads.
     falloff = relative_illumination(camera) / quality.samples
@@ -144,7 +155,8 @@ def light(
     stack = dr.ravel(mi.ArrayXf([channel * share for channel in paths.pattern]), "C")
     gray = dr.sum(white), dr.dot(ambient, passed)
     color = dr.ravel(white), dr.ravel(ambient), dr.ravel(paths.albedo / quality.samples)
-    dr.eval(stack, gray, color)
+    # All that the paths gave at once: what is asked for later would trace them again.
+    dr.eval(stack, gray, color, paths.placed, paths.straight, paths.stray, paths.stray2)
 
     white_rgb, ambient_rgb, albedo = (channels.numpy().reshape(h, w, 3) for channels in color)
     return Radiance(
@@ -154,4 +166,32 @@ def light(
         white_rgb=white_rgb,
         ambient_rgb=ambient_rgb,
         albedo=albedo,
+        path_noise=_path_noise(tracer, paths, world, scene) if tracer.finest else None,
     )
+
+
+def _path_noise(tracer: Tracer, paths: Paths, world: mi.Scene, scene: Scene) -> PathNoise:
+    size = scene.rig.camera.height_px, scene.rig.camera.width_px
+    mean, centre = paths.placed / paths.straight, centre_places(world, scene)
+    samples = tracer.quality.samples
+    stray2 = {
+        axis: _variance(paths.stray[axis], paths.stray2[axis], samples) for axis in paths.stray
+    }
+    dr.eval(mean, centre, stray2)
+    places = {"column": (mean.x, centre.x), "row": (mean.y, centre.y)}
+    return path_noise(
+        {
+            axis: (places[axis][0].numpy().reshape(size), places[axis][1].numpy().reshape(size))
+            for axis in tracer.finest
+        },
+        paths.straight.numpy().reshape(size),
+        {axis: variance.numpy().reshape(size) for axis, variance in stray2.items()},
+        samples=samples,
+    )
+
+
+def _variance(total: mi.Float, squares: mi.Float, samples: int) -> mi.Float:
+    """Of a sum of independent samples; of a single one, its square."""
+    if samples == 1:
+        return squares
+    return dr.maximum(squares - dr.square(total) / samples, 0) * (samples / (samples - 1))

@@ -95,8 +95,12 @@ def shines(projector: Optics, place: mi.Point2f) -> mi.Bool:
     return inside
 
 
-def pixel_index(projector: Optics, place: mi.Point2f) -> mi.UInt32:
-    """The pixel at a place; a pixel is a square around its centre, so the nearest centre is it."""
+def on_pixel(projector: Optics, place: mi.Point2f) -> mi.Point2f:
+    """The middle of the pixel at a place: a square around its centre, so the nearest centre."""
     u = dr.clip(dr.floor(place.x + 0.5), 0, projector.width_px - 1)
-    v = dr.clip(dr.floor(place.y + 0.5), 0, projector.height_px - 1)
-    return mi.UInt32(v * projector.width_px + u)  # exact below 2^24 pixels
+    return mi.Point2f(u, dr.clip(dr.floor(place.y + 0.5), 0, projector.height_px - 1))
+
+
+def pixel_index(projector: Optics, middle: mi.Point2f) -> mi.UInt32:
+    """The pixel whose middle is given (`on_pixel`); exact below 2^24 pixels."""
+    return mi.UInt32(middle.y * projector.width_px + middle.x)

@@ -11,18 +11,20 @@ import mitsuba as mi
 import numpy as np
 
 from ..frames import inverse
+from ..pattern import Axis
 from ..scene import Scene
 from .mitsuba_lens import (
     blur_radius2,
     camera_ray,
     corner_share,
     in_field,
+    on_pixel,
     pixel_index,
     seen_by_projector,
     shines,
     through_focus,
 )
-from .mitsuba_patterns import bit_counts, packed
+from .mitsuba_patterns import bit_counts, finest_patterns, packed
 from .radiance import OnPass, Quality
 
 PASS_SAMPLES = 2_500_000  # of all pixels together, between two calls of `on_pass`
@@ -64,6 +66,11 @@ class Paths:
     white: mi.Color3f
     ambient: mi.Color3f
     albedo: mi.Color3f
+    straight: mi.Float  # light straight from the projector
+    placed: mi.Point2f  # that light times its places in the projector's picture
+    # By axis: what interreflected light adds to the finest pattern beyond its mean; its squares.
+    stray: dict[Axis, mi.Float]
+    stray2: dict[Axis, mi.Float]
 
 
 @dataclass
@@ -74,7 +81,7 @@ class _Beam:
     lit: mi.Bool  # in the field, on the right side, and not in shadow
     strength: mi.Float  # irradiance on a surface that faces it, of one lookup [W m^-2]
     count: mi.Float  # lookups that fall on projector pixels
-    pixels: list[mi.UInt32]  # of the lookups
+    places: list[mi.Point2f]  # of the lookups, on the projector's grid of pixels
     shining: list[mi.Bool]
 
 
@@ -113,6 +120,8 @@ class Tracer:
         self.ambient = len(world.emitters()) > 0
         self.pattern_count = len(pattern)
         self.words, self.bits_each = packed(pattern, rig)
+        self.finest = finest_patterns(pattern, rig)
+        self.strays = self.finest if quality.depth > 1 else {}
         self.footprint = quality.footprint and quality.depth > 1
         self.sharp = rig.projector.is_pinhole
         # Where a lookup can miss all pixels, white is no longer 1 at each.
@@ -140,6 +149,10 @@ class Tracer:
             white=dr.zeros(mi.Color3f, pixels),
             ambient=dr.zeros(mi.Color3f, pixels),
             albedo=dr.zeros(mi.Color3f, pixels),
+            straight=dr.zeros(mi.Float, pixels),
+            placed=dr.zeros(mi.Point2f, pixels),
+            stray={axis: dr.zeros(mi.Float, pixels) for axis in self.strays},
+            stray2={axis: dr.zeros(mi.Float, pixels) for axis in self.strays},
         )
         samples = self.quality.samples
         if on_pass is None:
@@ -244,14 +257,26 @@ class Tracer:
             strength *= q.z * dr.rsqrt(dr.squared_norm(q))
         if self.projector.falloff:
             strength *= 1 - self.projector.falloff * corner_share(self.projector, place)
-        pixels = [pixel_index(self.projector, one) for one in places]
-        return _Beam(wo, lit, strength, count, pixels, shining)
+        places = [on_pixel(self.projector, one) for one in places]
+        return _Beam(wo, lit, strength, count, places, shining)
 
     def _add_projector(self, p: Paths, beam: _Beam, value: mi.Color3f) -> None:
         """Add the beam to each pattern, weighted by the pattern's level."""
         seen = dr.select(beam.lit, p.throughput * value * beam.strength, 0) * self.weights
         p.white += seen * beam.count
-        self._add_levels(p, dr.sum(seen), beam.pixels, [beam.lit & one for one in beam.shining])
+        mono, lit = dr.sum(seen), [beam.lit & one for one in beam.shining]
+        light, fresh = mono * beam.count, p.vertex == 0
+        p.straight += dr.select(fresh, light, 0)
+        middle = sum(dr.select(one, place, 0) for place, one in zip(beam.places, lit, strict=True))
+        p.placed += dr.select(fresh, mono, 0) * middle
+        pixels = [pixel_index(self.projector, place) for place in beam.places]
+        before = {axis: mi.Float(p.pattern[fine.number]) for axis, fine in self.strays.items()}
+        self._add_levels(p, mono, pixels, lit)
+        for axis, fine in self.strays.items():
+            off = (p.pattern[fine.number] - before[axis] - fine.mean * light) / fine.deviation
+            off = dr.select(fresh, 0, off)
+            p.stray[axis] += off
+            p.stray2[axis] += dr.square(off)
 
     def _projector_pupil(self, p: Paths) -> mi.Point3f:
         """Where the shadow ray ends: a place of the projector's lens."""

@@ -3,10 +3,13 @@
 Imported only by `mitsuba.py`, after a variant was set.
 """
 
+from dataclasses import dataclass
+
 import drjit as dr
 import mitsuba as mi
 import numpy as np
 
+from ..pattern import AXES, Axis
 from ..rig import Rig, emission
 
 
@@ -31,6 +34,29 @@ def packed(pattern: np.ndarray, rig: Rig) -> tuple[list[mi.UInt32], int]:
         words.append(word)
     dr.eval(words)
     return words, bits_each
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class FinePattern:
+    """A pattern's number, and the mean and the standard deviation of what it emits."""
+
+    number: int
+    mean: float
+    deviation: float
+
+
+def finest_patterns(pattern: np.ndarray, rig: Rig) -> dict[Axis, FinePattern]:
+    """The pattern that changes most along an axis of the projector's picture, where one does."""
+    finest: dict[Axis, FinePattern] = {}
+    middle = pattern[:, pattern.shape[1] // 2, :], pattern[:, :, pattern.shape[2] // 2]
+    for axis, line in zip(AXES, middle, strict=True):
+        light = emission(rig, line)
+        change = np.abs(np.diff(light, axis=1)).sum(axis=1)
+        if change.max(initial=0) > 0:
+            number = int(change.argmax())
+            mean, deviation = float(light[number].mean()), float(light[number].std())
+            finest[axis] = FinePattern(number=number, mean=mean, deviation=deviation)
+    return finest
 
 
 def aligned(values: np.ndarray) -> np.ndarray:

@@ -11,7 +11,7 @@ from ..frames import inverse, transform_points
 from ..mask_box import mask_box
 from ..optics import fold_radius2, project
 from ..scene import Layout, Scene
-from .mitsuba_lens import camera_ray, distorted
+from .mitsuba_lens import camera_ray, distorted, seen_by_projector
 from .mitsuba_scene import PartShape
 from .radiance import GroundTruth, Silhouette
 
@@ -42,6 +42,19 @@ def truth(
         instance=np.array(instance).reshape(h, w),
         amodal=tuple(_silhouette(bits, left, top, i, box) for i, box in enumerate(boxes)),
     )
+
+
+def centre_places(world: mi.Scene, scene: Scene) -> mi.Point2f:
+    """Where the projector sees the surface at each pixel's centre [px]; NaN where none is."""
+    camera = scene.rig.camera
+    ray = _centre_rays(scene, left=0, top=0, width=camera.width_px, height=camera.height_px)
+    si = world.ray_intersect(ray, mi.RayFlags.Minimal, coherent=True)
+    point = si.t * ray.d + ray.o
+    q = mi.Matrix4f(inverse(scene.T_world_cam @ scene.rig.T_cam_proj)) @ mi.Vector4f(
+        point.x, point.y, point.z, 1
+    )
+    place, _, ahead = seen_by_projector(scene.rig.projector, mi.Point3f(q.x, q.y, q.z))
+    return dr.select(si.is_valid() & ahead, place, dr.nan)
 
 
 def _centre_rays(scene: Scene, *, left: int, top: int, width: int, height: int) -> mi.Ray3f:

@@ -51,6 +51,24 @@ class Quality:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class PathNoise:
+    """The error that a finite number of light paths leaves in all patterns of a stack alike.
+
+    Standard deviations for the projector's columns and rows, in this order: `place_px` of the mean
+    place in the projector's picture that a pixel's straight light comes from, `stray` of the
+    stripes in the light that other surfaces sent on, as a share of those in the straight light.
+    Both are 0 where no light comes straight.
+    """
+
+    place_px: Float[np.ndarray, "2 h w"]
+    stray: Float[np.ndarray, "2 h w"]
+
+    def __post_init__(self) -> None:
+        for array in (self.place_px, self.stray):
+            array.flags.writeable = False
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Radiance:
     """Linear images of one scene before any sensor [W sr^-1 m^-2].
 
@@ -60,7 +78,8 @@ class Radiance:
     per band. Light adds, so any picture is a sum of these.
 
     `white` is `white_rgb` summed over the bands, and `ambient` is `ambient_rgb` over those that the
-    filter passes, unless a material has a `projector_reflectance`.
+    filter passes, unless a material has a `projector_reflectance`. `path_noise` is None where the
+    renderer does not know it.
     """
 
     pattern: Float[np.ndarray, "n h w"]
@@ -69,9 +88,10 @@ class Radiance:
     white_rgb: Float[np.ndarray, "h w 3"]
     ambient_rgb: Float[np.ndarray, "h w 3"]
     albedo: Float[np.ndarray, "h w 3"]  # first surface's base reflectance, for denoisers
+    path_noise: PathNoise | None = None
 
     def __post_init__(self) -> None:
-        for name in self.__dataclass_fields__:
+        for name in ("pattern", "white", "ambient", "white_rgb", "ambient_rgb", "albedo"):
             getattr(self, name).flags.writeable = False
 
 

@@ -183,17 +183,20 @@ def scan_lit(
     radiance = lit.radiance[scanner.code]
     if look != BinLook():
         coats = {more: light[scanner.code] for more, light in lit.coats.items()}
+        seen = {
+            name: _with_look(
+                getattr(radiance, name),
+                {more: getattr(light, name) for more, light in coats.items()},
+                lit.is_bin,
+                look,
+            )
+            for name in ("pattern", "white", "ambient")
+        }
         radiance = replace(
             radiance,
-            **{
-                name: _with_look(
-                    getattr(radiance, name),
-                    {more: getattr(light, name) for more, light in coats.items()},
-                    lit.is_bin,
-                    look,
-                )
-                for name in ("pattern", "white", "ambient")
-            },
+            pattern=seen["pattern"],
+            white=seen["white"],
+            ambient=seen["ambient"],
             albedo=np.where(
                 lit.is_bin[..., None], np.float32(look.color) * radiance.albedo, radiance.albedo
             ),

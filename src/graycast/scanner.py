@@ -317,6 +317,8 @@ def preset(name: str, resolution: str = "low") -> Scanner:
             projector=projector,
             speckle_contrast=_PHOXI_SPECKLE,
             speckle_volume=_PHOXI_VOLUME,
+            line_noise=_PHOXI_LINE_NOISE,
+            line_noise_length_m=_PHOXI_LINE_M,
         ),
         code=CodeSpec(codec="gray_phase", period_px=48.0, fine_period_px=16.0, steps=4),
         exposure=ExposureSpec(factors=(1.0, 4.0)),
@@ -341,6 +343,9 @@ _PHOXI_PITCH_M = 3.45e-6  # 2064 x 1544 pixels of this pitch: Sony's IMX252 and 
 _PHOXI_F_NUMBER = 4.0
 # Of five real scans (docs/rigs.md): what their noise is on black and on white, and on slopes.
 _PHOXI_SPECKLE, _PHOXI_VOLUME = 0.5, 5.0
+# What gives phoxi-l the temporal noise that its maker states (docs/measuring.md), and the length over
+# which errors along a line are alike in the same scans (docs/twin.md).
+_PHOXI_LINE_NOISE, _PHOXI_LINE_M = 0.034, 0.004
 # 0.2 mm, as small maps of a real device have; nothing is known of full ones.
 _PHOXI_RASTER_PX = {"small": 0.15, "low": 0.3, "full": 0.3}
 

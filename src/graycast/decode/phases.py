@@ -14,6 +14,7 @@ MAX_MISFIT = 9.0  # mean square of residuals in their own standard deviations
 # Sum of squares by which the best place must lead the next, 4 sigma of noise: else it is open.
 MIN_LEAD = 16.0
 APART_SIGMAS = 4.0  # by which a phase that is averaged with the finest may differ from it
+USUAL_SIGMAS = 2.0  # of noise, by which phases may differ without a wider sigma
 SLACK_SIGMAS = 4.0  # of the phase's noise, by which a place may lie beside where it must be
 NOWHERE = 1e30  # the cost of a place that is out of bounds
 
@@ -303,13 +304,15 @@ def _add_cosine_cost(cosine, c, s, seen, costs):
 def fuse(periods, turn, noise2, place, sigma):
     """The mean of all full periods' places, each next to that of the first, by their variance.
 
-    Light that is not linear in the grey level moves a place by a share of its period. A period that
-    is off by more than noise is left out, and its distance widens `sigma`, as if the errors of both
-    were in proportion to their lengths.
+    Light that is not linear in the grey level moves a place by a share of its period, and so does
+    light that came by way of another surface. What a period is off by beyond its noise widens
+    `sigma`, as if the errors of both were in proportion to their lengths; one that is far off is
+    left out.
     """
     w = place.shape[1]
     half, one, zero = np.float32(0.5), np.float32(1), np.float32(0)
     limit, model2 = np.float32(APART_SIGMAS**2), np.float32(MODEL_RAD**2)
+    usual2 = np.float32(USUAL_SIGMAS**2)
     for y in numba.prange(len(place)):
         u, error = place[y], sigma[y]
         weight = np.zeros(w, dtype=np.float32)
@@ -322,6 +325,7 @@ def fuse(periods, turn, noise2, place, sigma):
             per_px2 = np.float32((2 * math.pi / periods[g, 0]) ** 2)
             its_turn, its_noise2, first_noise2 = turn[y, g], noise2[y, g], noise2[y, 0]
             error_share = np.float32(1 / (1 + (periods[g, 0] / periods[0, 0]) ** 2))
+            shorter2 = np.float32((periods[0, 0] / periods[g, 0]) ** 2)
             for x in range(w):
                 apart = u[x] / length - its_turn[x]
                 apart = (np.floor(apart + half) - apart) * length
@@ -330,7 +334,8 @@ def fuse(periods, turn, noise2, place, sigma):
                 share = per_px2 / its_noise2[x] if agrees else zero
                 weight[x] += share
                 summed[x] += share * apart
-                beyond[x] = max(beyond[x], zero if agrees else error_share * (apart * apart))
+                usual = usual2 * (its_noise2[x] + shorter2 * first_noise2[x]) / per_px2
+                beyond[x] = max(beyond[x], error_share * (apart * apart - usual))
         for x in range(w):
             u[x] += summed[x] / weight[x]
             error[x] = math.sqrt(one / weight[x] + beyond[x])

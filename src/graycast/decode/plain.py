@@ -8,7 +8,7 @@ from jaxtyping import UInt8, UInt16
 from ..pattern import AXES, Code
 from .bits import BLURRED, FINE_ERROR, SHARP, XOR_SIGMAS
 from .maps import CodeMap, DecodeSpec, Levels, Mark, Reason
-from .phases import APART_SIGMAS, MAX_MISFIT, MIN_LEAD, SLACK_SIGMAS
+from .phases import APART_SIGMAS, MAX_MISFIT, MIN_LEAD, SLACK_SIGMAS, USUAL_SIGMAS
 from .plan import MODEL_RAD, OFF_CELL, AxisPlan, Period, plan_axes, read_frames
 from .reading import SHADOW_SIGMAS
 from .settling import (
@@ -221,8 +221,9 @@ def _phase(stack, plan: AxisPlan, levels: Levels, coarse, variance, rival, judge
         w = np.where(agrees, (2 * np.pi / period.period_px) ** 2 / other[3], 0)
         weight = weight + w
         summed = summed + w * (u - apart * period.period_px)
-        off_px2 = (apart * period.period_px) ** 2 / (1 + (period.period_px / first) ** 2)
-        beyond = np.where(agrees, beyond, np.maximum(beyond, off_px2))
+        noise_px2 = (other[3] * period.period_px**2 + noise2 * first**2) / (2 * np.pi) ** 2
+        off_px2 = (apart * period.period_px) ** 2 - USUAL_SIGMAS**2 * noise_px2
+        beyond = np.maximum(beyond, off_px2 / (1 + (period.period_px / first) ** 2))
     return summed / weight, np.sqrt(1 / weight + beyond), amplitude, wrong, settled
 
 

@@ -86,7 +86,7 @@ def test_without_a_driver_nothing_is_watched(monkeypatch):
 
 
 def test_a_benchmark_s_peak_is_that_of_the_process_that_did_the_work():
-    """A process of 600 MB has ended: its memory was left out, and a small parent's was told."""
+    """A process of 600 MB has ended: its memory was left out, and a small parent's was stated."""
     words = "x = bytearray(600_000_000); x[::4096] = x[::4096]"
     script = (
         "import subprocess, sys; from graycast.bench.figures import stamped;"

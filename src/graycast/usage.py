@@ -30,12 +30,20 @@ def cpu_s() -> float:
 
 def children_peak_rss_bytes() -> int:
     """The largest memory that a living child has had; 0 without one."""
-    peaks = [0]
-    for pid in children():
-        words = Path(f"/proc/{pid}/status").read_text().split()
-        if "VmHWM:" in words:  # a child that has just ended has none
-            peaks.append(1024 * int(words[words.index("VmHWM:") + 1]))
-    return max(peaks)
+    return max((_peak_rss_bytes(str(pid)) for pid in children()), default=0)
+
+
+def peak_rss_bytes() -> int:
+    """The largest memory that this process has had, or one that it started and that has ended."""
+    ended = 1024 * resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss
+    return max(_peak_rss_bytes("self"), ended)
+
+
+def _peak_rss_bytes(pid: str) -> int:
+    """Of the program that runs: the kernel's `ru_maxrss` of a child includes its parent's."""
+    words = Path(f"/proc/{pid}/status").read_text().split()
+    # A child that has just ended has none.
+    return 1024 * int(words[words.index("VmHWM:") + 1]) if "VmHWM:" in words else 0
 
 
 def _cpu_s(pid: int) -> float:

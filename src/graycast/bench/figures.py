@@ -2,8 +2,9 @@
 
 import os
 import platform
-import resource
 from typing import Any
+
+from ..usage import peak_rss_bytes
 
 Figures = dict[str, Any]
 
@@ -15,10 +16,8 @@ def stamped(what: str, figures: Figures) -> Figures:
 
     It is that of this process or of one that it started and that has ended, whichever had more.
     """
-    own, started = resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN
-    peak = 1024 * max(resource.getrusage(who).ru_maxrss for who in (own, started))
     machine = {"benchmark": what, "machine": platform.machine(), "cores": os.cpu_count()}
-    return machine | figures | {"peak_rss_bytes": peak}
+    return machine | figures | {"peak_rss_bytes": peak_rss_bytes()}
 
 
 def describe(figures: Figures) -> str:

@@ -7,7 +7,6 @@ from typing import Any, TypeVar
 import cv2
 import numpy as np
 import pydantic
-from jaxtyping import Bool
 
 from ..file_limits import refuse_large_picture
 
@@ -53,8 +52,8 @@ def _first_mistake(where: str, error: pydantic.ValidationError) -> str:
     return ": ".join(filter(None, (where, key, first["msg"])))
 
 
-def read_mask(path: Path) -> Bool[np.ndarray, "h w"]:
-    """A mask as BOP stores it: one channel of 8 bits, 255 inside and 0 outside.
+def read_mask(path: Path) -> np.ndarray:
+    """A mask (h, w) of bool as BOP stores it: one channel of 8 bits, 255 inside and 0 outside.
 
     Raises:
         Unreadable: it is not there, damaged or of another form.

@@ -60,9 +60,13 @@ _TOLD = {
     ),
     Reason.INTERREFLECTION: (
         "#e07b39",
-        "the coarse code contradicts the fine code, usually because of indirect light",
+        "coarse and fine code contradict each other, or stripes lack contrast: "
+        "usually indirect light",
     ),
-    Reason.OUTSIDE_PROJECTOR: ("#3b8ea5", "the code is outside of the projector's pixels"),
+    Reason.OUTSIDE_PROJECTOR: (
+        "#3b8ea5",
+        "the surface or the code is outside of the projector's picture",
+    ),
     Reason.OUT_OF_RANGE: ("#7d5ba6", "the depth is outside of the rig's working range"),
     Reason.OUTLIER: ("#4f9d69", "the point is off its epipolar line, or a filter removed it"),
 }
@@ -142,8 +146,8 @@ class DecodeSpec:
     half a period, and `fine_bits` is not used. The phase of a pixel whose bits contradict is known
     all the same: its period is taken from its neighbours where `settling_votes` of them agree.
     Under a phase code, a pixel that sees two surfaces, or one by way of another, has stripes of
-    less contrast than its brightest and darkest frame: below `min_visibility` of it, its light
-    contradicts itself.
+    less contrast than its brightest and darkest frame: below `min_visibility` of it, the pixel has
+    the reason INTERREFLECTION.
     Where both axes are coded, a point farther from its epipolar line than `max_epipolar_px` and
     three standard deviations is an outlier; 0 lets all pass.
     """

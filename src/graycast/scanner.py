@@ -324,7 +324,7 @@ def preset(name: str, resolution: str = "low") -> Scanner:
         exposure=ExposureSpec(factors=(1.0, 4.0)),
         sensor=SensorSpec(pixel_pitch_m=pitch_m, f_number=_PHOXI_F_NUMBER, wavelength_m=637e-9),
         decode=DecodeSpec(
-            min_contrast=0.002, min_sigmas=30.0, min_visibility=0.3, max_epipolar_px=1.0
+            min_contrast=0.002, min_sigmas=30.0, min_visibility=0.3, max_epipolar_px=0.5
         ),
         filters=FilterSpec(
             flying_angle_deg=75.0,
@@ -343,8 +343,8 @@ _PHOXI_PITCH_M = 3.45e-6  # 2064 x 1544 pixels of this pitch: Sony's IMX252 and 
 _PHOXI_F_NUMBER = 4.0
 # Of five real scans (docs/rigs.md): what their noise is on black and on white, and on slopes.
 _PHOXI_SPECKLE, _PHOXI_VOLUME = 0.5, 5.0
-# What gives phoxi-l the temporal noise that its maker states (docs/measuring.md), and the length over
-# which errors along a line are alike in the same scans (docs/twin.md).
+# It gives phoxi-l the temporal noise that its maker states (docs/measuring.md). Errors along a line
+# are alike over this length in the same scans (docs/twin.md).
 _PHOXI_LINE_NOISE, _PHOXI_LINE_M = 0.034, 0.004
 # 0.2 mm, as small maps of a real device have; nothing is known of full ones.
 _PHOXI_RASTER_PX = {"small": 0.15, "low": 0.3, "full": 0.3}

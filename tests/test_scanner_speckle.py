@@ -23,7 +23,7 @@ def scanner():
     """A window of the PhoXi M at its lowest resolution: sharp, since the reference renderer is."""
     whole = preset("phoxi-m", "small")
     camera = replace(_sharp(whole.rig.camera), width_px=90, height_px=70, cx_px=44.5, cy_px=34.5)
-    rig = replace(whole.rig, camera=camera, projector=_sharp(whole.rig.projector))
+    rig = replace(whole.rig, camera=camera, projector=_sharp(whole.rig.projector), line_noise=0.0)
     code = replace(whole.code, axes=("column",), period_px=16.0, fine_period_px=None)
     return Scanner(rig=rig, code=code, sensor=whole.sensor, exposure=ExposureSpec(target=0.5))
 

@@ -1,0 +1,47 @@
+"""The table of materials: what counts as wrong, and that each picture is rendered once."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from benchmarks.materials import MATERIALS, Worth, _patterns, _scanners, page, worth
+from graycast.scanner import preset
+
+
+def test_a_depth_is_wrong_that_is_off_by_more_than_1_mm_and_5_sigmas():
+    off_m = np.array([[0.0, 0.5e-3, 2e-3, 2e-3, 9.0, 9.0]])  # the last one is no part
+    sigma_m = np.array([[1e-4, 5e-5, 5e-4, 3e-4, np.nan, 1e-4]])
+    parts = np.array([[True] * 5 + [False]])
+    depth = SimpleNamespace(depth_m=0.8 + off_m, sigma_m=sigma_m)
+    depth.depth_m[0, 4] = np.nan
+    figures = worth(depth, np.full((1, 6), 0.8), parts)
+    assert figures["decoded"] == pytest.approx(4 / 5)
+    assert figures["right"] == pytest.approx(3 / 5)
+    assert figures["wrong"] == pytest.approx(1 / 4)
+    ratios = [0, 10, 4, 2e-3 / 3e-4]
+    assert figures["error_over_sigma"] == pytest.approx(np.median(ratios) / 0.6745)
+
+
+def test_every_picture_of_every_code_is_rendered_once():
+    """The preset's pictures have those of the scanner without guards among them."""
+    scanners = _scanners("phoxi-m", preset("phoxi-m", "small"))
+    keys, patterns = _patterns(scanners)
+    assert len(set(keys)) == len(keys) == len(patterns)
+    codes = [scanner.light_code() for scanner in scanners.values()]
+    assert len(keys) < sum(len(code.frames) for code in codes)
+
+
+def test_the_page_has_a_row_for_every_material():
+    own = {"scanner": "phoxi-m", "decoded": 0.5, "right": 0.49, "error_over_sigma": 1.0}
+    rows = [
+        Worth(code=code, material=material, wrong=wrong, **own)
+        for material in MATERIALS
+        for code, wrong in (("preset", 0.004), ("without guards", 0.3))
+    ]
+    about = {"date": "2026-01-02", "commit": "abc", "resolution": "low"}
+    (_, words), (heading, table) = page(rows, **about)
+    assert "2026-01-02 at commit `abc`" in words.replace("\n", " ")
+    assert heading == "The preset `phoxi-m`"
+    assert len(table.splitlines()) == 2 + len(MATERIALS)
+    assert "| matt | 50 %; 0.4 %; 1.00 | 50 %; 30.0 %; 1.00 |" in table

@@ -82,7 +82,11 @@ def test_a_switch_is_on_from_the_middle_of_its_range():
 
 
 def test_finer_codes_are_tried_and_a_plain_one_is_left():
-    assert [c.period_px for c in candidate_codes(SCANNER.code)] == [48.0, 24.0, 12.0]
+    codes = candidate_codes(SCANNER.code)
+    assert [code.period_px for code in codes] == [48.0, 24.0, 12.0]
+    projector = SCANNER.rig.projector
+    for code in codes:  # each is one that a projector can show
+        assert code.code(projector.width_px, projector.height_px).frames
     plain = CodeSpec(codec="gray")
     assert candidate_codes(plain) == (plain,)
 

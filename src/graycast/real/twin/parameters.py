@@ -138,8 +138,8 @@ def candidate_codes(code: CodeSpec) -> tuple[CodeSpec, ...]:
     if code.codec != "gray_phase":
         return (code,)
     own = code.period_px or math.inf
-    periods = [code.period_px, *(p for p in (24.0, 12.0) if p < own)]
-    return tuple(replace(code, period_px=period) for period in periods)
+    finer = [p for p in (24.0, 12.0) if p < own]
+    return (code, *(replace(code, period_px=p, fine_period_px=None) for p in finer))
 
 
 def with_values(

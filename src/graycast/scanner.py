@@ -343,9 +343,9 @@ _PHOXI_PITCH_M = 3.45e-6  # 2064 x 1544 pixels of this pitch: Sony's IMX252 and 
 _PHOXI_F_NUMBER = 4.0
 # Of five real scans (docs/rigs.md): what their noise is on black and on white, and on slopes.
 _PHOXI_SPECKLE, _PHOXI_VOLUME = 0.5, 5.0
-# It gives phoxi-l the temporal noise that its maker states (docs/measuring.md). Errors along a line
-# are alike over this length in the same scans (docs/twin.md).
-_PHOXI_LINE_NOISE, _PHOXI_LINE_M = 0.034, 0.004
+# It gives phoxi-l the temporal noise that its maker states (docs/measuring.md). Over this length it
+# is independent from pixel to pixel, as most noise of those scans is (docs/rigs.md).
+_PHOXI_LINE_NOISE, _PHOXI_LINE_M = 0.041, 0.001
 # 0.2 mm, as small maps of a real device have; nothing is known of full ones.
 _PHOXI_RASTER_PX = {"small": 0.15, "low": 0.3, "full": 0.3}
 

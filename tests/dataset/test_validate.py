@@ -175,7 +175,7 @@ SCENE_DAMAGE = {
     ),
     "a mask of another size": (
         lambda s: repaint(s / "mask" / "000000_000001.png", lambda m: m[1:]),
-        r"must be \(120, 160\) uint8",
+        r"must be \(120, 160\)",
     ),
     "a missing mask": (lambda s: (s / "mask" / "000000_000002.png").unlink(), "7 files for 8"),
     "one mask too many": (

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from stage import centred, in_camera, lambert, make_rig, wall
 
-from graycast.line_noise import lines_seen, with_line_noise
+from graycast.line_noise import lines_seen, place_sigma_px, with_line_noise
 from graycast.pattern import CodeSpec
 from graycast.render import Quality
 from graycast.render.reference import ReferenceRenderer
@@ -31,6 +31,10 @@ def scanner():
 
 @pytest.fixture(scope="module")
 def radiance(scanner):
+    return light_of(scanner)
+
+
+def light_of(scanner):
     made = ReferenceRenderer().render(
         in_camera(scanner.rig, wall(1.0, lambert(0.6))),
         EMPTY_LAYOUT,
@@ -105,6 +109,16 @@ def test_lines_along_rows_have_a_length_as_well(scanner, radiance):
         radiance.pattern.swapaxes(1, 2), line.T, 0.1, axis="row", length_px=2.0, seed=1
     )
     np.testing.assert_array_equal(upright, lying.swapaxes(1, 2))
+
+
+@pytest.mark.parametrize(
+    "words", [{"period_px": 48.0, "fine_period_px": 16.0}, {"codec": "multi_frequency"}]
+)
+def test_several_periods_scatter_less_by_their_mean(scanner, words):
+    scanner = replace(scanner, code=replace(scanner.code, **words))
+    u, _ = places(scanner, light_of(scanner), range(12))
+    stated_px = place_sigma_px(scanner.light_code(), "column", SHARE)
+    assert np.sqrt(u.var(axis=0, ddof=1).mean()) == pytest.approx(stated_px, rel=0.08)
 
 
 def test_sigma_tells_the_error(scanner, radiance):

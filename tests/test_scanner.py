@@ -31,8 +31,9 @@ def rig():
     """A window of the PhoXi M's camera, its lenses real: f/4, and a projector a pixel unsharp."""
     rig = preset("phoxi-m").rig
     camera = replace(rig.camera, width_px=200, height_px=160, cx_px=99.5, cy_px=79.5)
-    # Speckle has tests of its own (test_scanner_speckle.py).
-    return replace(rig, camera=replace(camera, focus_m=DISTANCE_M), speckle_contrast=0.0)
+    # Speckle and line noise have tests of their own (test_scanner_speckle.py, test_line_noise.py).
+    quiet = {"speckle_contrast": 0.0, "line_noise": 0.0}
+    return replace(rig, camera=replace(camera, focus_m=DISTANCE_M), **quiet)
 
 
 @pytest.fixture(scope="module")

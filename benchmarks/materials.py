@@ -32,8 +32,9 @@ MATERIALS: Mapping[str, dict[str, Any]] = {
 
 INTRODUCTION = """\
 A scanner that decodes every pixel believes light that came by way of another surface. On metal
-this light is often brighter than the direct light. `python -m benchmarks materials` measures how
-much of the depth is wrong, and writes this page. It was written on {date:.10} at commit `{commit}`.
+this light is often brighter than the direct light. `python -m benchmarks materials --resolution
+{resolution}` measures how much of the depth is wrong, and writes this page. It was written on
+{date:.10} at commit `{commit}`.
 
 Twenty brackets lie in a wooden bin at the default distance of each scanner. They are rendered with
 64 paths a pixel at `{resolution}` resolution. Only pixels of the parts count, edges included. A
@@ -47,8 +48,8 @@ a least visibility and without line noise. The guards are a second phase of a fi
 disagrees with the first one where light came by way of another surface; the code of the other axis,
 whose position must lie on the epipolar line; a least contrast of the stripes; and an edge filter,
 since a pixel at an edge may see two surfaces. Their settings were chosen with another heap of the
-same part under `phoxi-m`. `paper` is plain, as in the paper: it decodes Gray code without any
-filter."""
+same part under `phoxi-m` at low resolution. `paper` is plain, as in the paper: it
+decodes Gray code without any filter."""
 
 CODES = """\
 The same heap under the rig of `{scanner}`, with each code on both axes, the default settings of

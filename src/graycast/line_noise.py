@@ -12,7 +12,6 @@ afar, and that lines may be inclined in the camera's picture.
 """
 
 import math
-from collections import Counter
 from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
@@ -20,6 +19,7 @@ from jaxtyping import Float
 from scipy import fft
 
 from .decode import DecodeSpec, Levels, decode
+from .decode.plan import plan_axes
 from .pattern import Axis, Code
 
 _STREAM = (3,)  # beside those of the sensor's noise and of speckle
@@ -104,7 +104,10 @@ def place_sigma_px(code: Code, axis: Axis, share: float) -> float:
 
     Leaves out: combs of lines, which lose a little, too.
     """
-    phases = [f for f in code.frames if f.kind == "phase" and f.axis == axis]
-    shown = Counter((frame.period_px, frame.steps) for frame in phases)
-    precision = sum(steps / period**2 for (period, steps), count in shown.items() if count >= 3)
+    plan = plan_axes(code, fine_bits=0).get(axis)
+    precision = sum(
+        len(period.frames) / period.period_px**2
+        for period in (plan.periods if plan else ())
+        if period.full and code.frames[period.frames[0]].kind == "phase"
+    )
     return share / (2 * math.pi) * math.sqrt(5 / (2 * precision)) if precision else 0.0

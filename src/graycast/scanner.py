@@ -4,7 +4,6 @@ The whole way from light to depth is two functions: `take` and `measure`.
 """
 
 import math
-from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from typing import Annotated
@@ -27,6 +26,7 @@ from .decode import (
     with_displacement,
     with_place_sigma,
 )
+from .decode.plan import plan_axes
 from .faults import FaultSpec, with_faults
 from .finish import PATCH_M, uneven
 from .frames import pixel_grid
@@ -167,22 +167,18 @@ def _place_sigma(code: Code, noise: PathNoise) -> Float[np.ndarray, "2 h w"]:
     common to them, and of the other half their mean has what independent ones leave. A Gray code's
     own sigma has the width of a cell, which the mean place has, too.
     """
-    sigmas = []
-    for axis, stride_px, place_px, stray in zip(
-        AXES, code.stride_px, noise.place_px, noise.stray, strict=True
-    ):
-        frames = [frame for frame in code.frames if frame.axis == axis]
-        counts = Counter(f.period_px for f in frames if f.kind in ("phase", "line"))
-        periods = [period_px for period_px, count in counts.items() if count >= 3]
-        if periods:
-            weight = sum(1 / period_px**2 for period_px in periods)
-            per_share2 = (min(periods) ** 2 + 1 / weight) / 2 / (8 * math.pi**2)
-            variance = place_px**2 + np.float32(per_share2) * stray**2
+    sigma_px = np.zeros_like(noise.place_px)
+    for axis, plan in plan_axes(code, fine_bits=0).items():
+        i = AXES.index(axis)
+        if plan.periods:
+            lengths_px = [period.period_px for period in plan.periods if period.full]
+            weight = sum(1 / length_px**2 for length_px in lengths_px)
+            per_share2 = (min(lengths_px) ** 2 + 1 / weight) / 2 / (8 * math.pi**2)
+            variance = noise.place_px[i] ** 2 + np.float32(per_share2) * noise.stray[i] ** 2
         else:
-            cell_px = stride_px * 2 ** min((f.bit for f in frames if f.kind == "gray"), default=0)
-            variance = np.maximum(place_px**2 - np.float32(cell_px**2 / 12), 0)
-        sigmas.append(np.sqrt(variance))
-    return np.array(sigmas)
+            variance = np.maximum(noise.place_px[i] ** 2 - np.float32(plan.cell_px**2 / 12), 0)
+        sigma_px[i] = np.sqrt(variance)
+    return sigma_px
 
 
 def _shown(

@@ -18,6 +18,7 @@ from ..training import Examples, open_examples
 from .judging import Protocol, judge, kinds_of
 from .labels import Labels, labels_of
 from .matching import Kind
+from .notes import notes
 from .results import Run, open_run, read_found
 from .sheets import Picture
 from .writing import Evaluation
@@ -87,6 +88,7 @@ def evaluate(
         categories=categories,
         protocol=task.protocol,
         judgements=judgements,
+        notes=tuple(notes(judgements)),
     )
     return evaluation, _pictures(held)
 

@@ -16,7 +16,6 @@ from .intervals import Interval
 from .judging import Judgement, Protocol
 from .matching import THRESHOLDS
 from .mistakes import AT_HALF
-from .notes import notes
 from .plots import draw_groups, draw_precision_recall
 from .results import Run
 from .scores import FIGURES
@@ -37,6 +36,7 @@ class Evaluation:
     categories: Mapping[int, str]
     protocol: Protocol
     judgements: tuple[Judgement, ...]
+    notes: tuple[str, ...]  # what a reader of the figures must know of the results
 
 
 def write_evaluation(evaluation: Evaluation, picture: Picture, folder: Path) -> None:
@@ -83,7 +83,7 @@ def evaluation_json(evaluation: Evaluation) -> dict[str, Any]:
                 "draws": protocol.draws,
                 "seed": protocol.seed,
             },
-            "notes": list(notes(evaluation.judgements)),
+            "notes": list(evaluation.notes),
             "kinds": {one.kind: _judgement_json(one) for one in evaluation.judgements},
         }
     )
@@ -104,14 +104,14 @@ def summary(evaluation: Evaluation) -> str:
             told = ", ".join(f"{_TITLES[n]} {_told(f, '+')}" for n, f in one.against.items())
             lines.append(f"      difference: {told}")
         lines.append(f"      {_point(one)}")
-    lines += [f"note: {note}" for note in notes(evaluation.judgements)]
+    lines += [f"note: {note}" for note in evaluation.notes]
     return "\n".join(lines)
 
 
 def _paragraphs(evaluation: Evaluation) -> Iterator[str]:
     yield "# " + evaluation.run.name
     yield _what(evaluation)
-    yield from notes(evaluation.judgements)
+    yield from evaluation.notes
     for one in evaluation.judgements:
         yield f"## {one.kind.capitalize()}"
         yield _point(one)

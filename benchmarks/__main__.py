@@ -87,13 +87,7 @@ def parsed(words: list[str] | None) -> argparse.Namespace:
         "page", help="Measure every figure of docs/benchmarks.md.", description=PAGE
     )
     other.set_defaults(run=run_page)
-    other.add_argument(
-        "--out",
-        type=Path,
-        default=ROOT / "docs" / "benchmarks.md",
-        metavar="FILE",
-        help="The file to which the page is written (default: docs/benchmarks.md).",
-    )
+    add_out(other, "docs/benchmarks.md")
     third = commands.add_parser(
         "sigma",
         help="Compare the depth errors of simulated scans with the stated sigma.",
@@ -112,14 +106,13 @@ def parsed(words: list[str] | None) -> argparse.Namespace:
         default="low",
         help="The resolution of the scanners (default: low).",
     )
-    fourth.add_argument(
-        "--out",
-        type=Path,
-        default=ROOT / "docs" / "materials.md",
-        metavar="FILE",
-        help="The file to which the page is written (default: docs/materials.md).",
-    )
+    add_out(fourth, "docs/materials.md")
     return parser.parse_args(words)
+
+
+def add_out(parser: argparse.ArgumentParser, page: str) -> None:
+    words = f"The file to which the page is written (default: {page})."
+    parser.add_argument("--out", type=Path, default=ROOT / page, metavar="FILE", help=words)
 
 
 def stages(text: str) -> list[str]:

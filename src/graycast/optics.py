@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from typing import Annotated
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 from pydantic import AfterValidator, Field
 
 from .frames import pixel_grid
@@ -199,6 +199,12 @@ def undistort(
             "order (k1, k2, p1, p2, k3) that were fitted to it"
         )
     return ideal
+
+
+def in_picture(optics: Optics, pixel: Float[np.ndarray, "*n 2"]) -> Bool[np.ndarray, "*n"]:
+    """Whether positions lie on the picture, whose pixels are squares; NaN does not."""
+    end = np.array([optics.width_px, optics.height_px]) - 0.5
+    return np.all((pixel >= -0.5) & (pixel <= end), axis=-1)
 
 
 def project(optics: Optics, point: Float[np.ndarray, "*n 3"]) -> Float[np.ndarray, "*n 2"]:

@@ -19,7 +19,7 @@ from .frames import (
     rigid,
     transform_points,
 )
-from .optics import Optics, project, rays
+from .optics import Optics, in_picture, project, rays
 from .settings import check_fields
 
 
@@ -347,11 +347,10 @@ def common_depths_m(
     """
     grid = pixel_grid(33, 33) / 32 * [camera.width_px - 1, camera.height_px - 1]
     ray = rays(camera, grid)
-    end = [projector.width_px - 0.5, projector.height_px - 0.5]
     seen = []
     for z_m in depth_m:
         place_px = project(projector, transform_points(inverse(T_cam_proj), z_m * ray))
-        seen.append(((place_px > -0.5) & (place_px < end)).all(axis=-1).any())
+        seen.append(in_picture(projector, place_px).any())
     return depth_m[np.array(seen, dtype=bool)]
 
 

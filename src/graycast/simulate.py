@@ -24,7 +24,7 @@ from .domain import Variation, draw, moved_place, vary
 from .drop import OnStage as OnStage
 from .drop import drop
 from .frames import pixel_grid, transform_points
-from .optics import project, rays
+from .optics import in_picture, project, rays
 from .picture import color_picture, developed, gray_picture
 from .render import GroundTruth, Radiance, Renderer, Rendering
 from .rig import Rig
@@ -177,12 +177,10 @@ def with_field(rig: Rig, truth: GroundTruth, codes: CodeMap, depth: DepthMap) ->
     To a decoder they are as dark as a shadow; where the true depth is known, so is the difference.
     Pixels with a code keep their reason: their light came by way of another surface.
     """
-    lit = rig.projector
     ray = rays(rig.camera, pixel_grid(*truth.depth_m.shape))
     point = transform_points(rig.T_proj_cam, ray * truth.depth_m[..., None])
-    place = project(lit, point)
-    inside = ((place >= -0.5) & (place <= [lit.width_px - 0.5, lit.height_px - 0.5])).all(axis=-1)
-    beside = np.isfinite(truth.depth_m) & ~inside & (codes.reason != Reason.DECODED)
+    lit = in_picture(rig.projector, project(rig.projector, point))
+    beside = np.isfinite(truth.depth_m) & ~lit & (codes.reason != Reason.DECODED)
     return replace(depth, reason=np.where(beside, np.uint8(Reason.OUTSIDE_PROJECTOR), depth.reason))
 
 

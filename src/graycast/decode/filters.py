@@ -123,11 +123,7 @@ class FilterSpec:
         check_fields(self)
 
 
-def filter_depth(
-    depth: DepthMap,
-    spec: FilterSpec,
-    rig: Rig,
-) -> DepthMap:
+def filter_depth(depth: DepthMap, spec: FilterSpec, rig: Rig) -> DepthMap:
     """Remove unreliable pixels, and smooth the others.
 
     Args:

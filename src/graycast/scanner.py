@@ -23,6 +23,7 @@ from .decode import (
     levels_of,
     triangulate,
     triangulation_axis,
+    with_bends,
     with_displacement,
     with_place_sigma,
 )
@@ -237,7 +238,7 @@ def measure(scanner: Scanner, capture: Capture) -> tuple[CodeMap, DepthMap]:
         step_angle_deg=scanner.filters.step_angle_deg,
         light_contrast=light_contrast,
     )
-    return codes, depth
+    return codes, with_bends(depth)
 
 
 def _of_black(scanner: Scanner) -> float:

@@ -1,6 +1,6 @@
 """From a stack of pictures to projector positions to depth, with a reason where there is none."""
 
-from .displaced import with_displacement, with_place_sigma
+from .displaced import with_bends, with_displacement, with_place_sigma
 from .filters import FilterSpec, depth_steps, filter_depth
 from .maps import (
     REASON_COLOR,
@@ -47,6 +47,7 @@ __all__ = [
     "separate",
     "triangulate",
     "triangulation_axis",
+    "with_bends",
     "with_displacement",
     "with_place_sigma",
 ]

@@ -22,6 +22,7 @@ from ..decode import (
     separate,
     triangulate,
     triangulation_axis,
+    with_bends,
 )
 from ..decode.plan import plan_axes
 from ..errors import DecodeError
@@ -137,6 +138,7 @@ def decode_stack(
             depth = triangulate(codes, rig, max_epipolar_px=stated_px)
         if filters is not None:
             depth = filter_depth(depth, filters, rig)
+        depth = with_bends(depth)
         warnings += _rig_symptoms(codes, rig, first, residual_px)
         clock.lap("triangulate")
         if average:

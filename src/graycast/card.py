@@ -242,8 +242,9 @@ def _told_of_sample(s: Statistics, census: Census, of: int) -> str:
         return ""
     what = "scenes" if of == 1 else "pictures"
     return (
-        f"Scenes and instances are counted; all else, plots too, is from {s.pictures} {what} drawn "
-        f"of the {pictures:,}. `graycast stats --card` reads all."
+        f"The numbers of scenes and instances are of the whole dataset. All other figures and the "
+        f"plots are of {s.pictures} {what}, drawn at random of {pictures:,}. "
+        "`graycast stats --card` reads all."
     )
 
 

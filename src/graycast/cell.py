@@ -118,7 +118,7 @@ class Cell:
 
 
 def refuse_several(cell: Cell, who: str) -> None:
-    """For what looks at a scene once.
+    """Refuse a cell of several images in a stage that takes one image of a scene.
 
     Raises:
         ConfigError: the configuration asks for several images.

@@ -245,7 +245,8 @@ class Config(ScannerSections):
             raise ValueError(f"two scanners are called {twice[0]}: give one another name")
         if self.scanners[0].T_first_cam is not None:
             raise ValueError(
-                f"scanner {self.scanners[0].name} is the first: T_first_cam is of the others"
+                f"scanner {self.scanners[0].name} is the first one, to which T_first_cam of the "
+                "others refers: remove its own T_first_cam"
             )
         return self
 

@@ -177,9 +177,9 @@ def _beside_steps(
 ) -> Bool[np.ndarray, "h w"]:
     """Points beside steps along rows and along columns, on either side.
 
-    A step lies half way between two pixels, and a pixel's point anywhere in its square, as on a
-    raster without a window: a map that has one of several measured points in each pixel lacks those
-    whose own neighbours, which the map does not have, are across the step.
+    A step lies half way between two pixels, and the measured point of a pixel lies anywhere in its
+    square, as on a raster without a window. A device that measures more points than its map shows
+    loses a point whose own neighbour, which the map does not show, lies across the step.
     """
     aside_px = places(step.shape[1:], 0.0) / (2 * math.sqrt(3))  # evenly from -1/2 to 1/2
     lost = np.zeros(step.shape[1:], dtype=np.bool_)

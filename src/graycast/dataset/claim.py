@@ -54,7 +54,7 @@ _CLAIMED = (
 class Taker:
     """One of a dataset's scanners: its name, how many images it takes of a scene, what it is.
 
-    `scanning` is what `config.scanner` says of a single one.
+    `scanning` has the settings that a dataset of one scanner has as `config.scanner`.
     """
 
     name: str

@@ -42,7 +42,7 @@ class FilterSpec:
     out of order by more than so many standard deviations (`visibility`).
     `edge_px`: pixels go that lie as near as this, centre to centre, to a pixel without depth or to
     one beyond a depth step: they may see two surfaces. 1 takes the four sides, 1.5 the corners too.
-    `island_px`: connected surfaces of fewer pixels go.
+    `island_px`: connected surfaces of fewer pixels than this are removed.
     `smoothing_px`: standard deviation of a Gaussian kernel; 0.55 lets 0.56 of white noise pass and
     correlates neighbours by 0.36.
     `step_angle_deg`: neighbours are connected up to this angle of incidence.

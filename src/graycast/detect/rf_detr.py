@@ -61,8 +61,8 @@ class RfDetr(nn.Module):
             case other:
                 choices = ", ".join(SIZES)
                 raise GraycastError(f"model rf-detr has no backbone {other!r}: choose {choices}")
-        # One class more than it is told is what the library builds; a name of weights, of which
-        # it reads none here, keeps it from fetching others.
+        # The library adds a class to the number that it gets. A name of weights, which it does not
+        # read here, keeps it from downloading its own.
         described = size(
             num_classes=classes - 1,
             num_queries=_queries(size, size_px),

@@ -10,7 +10,8 @@ from ..errors import ConfigError, DeviceError, GraycastError
 from .job import Made, is_the_scenes_own
 
 TRIES = 3
-_IN_VAIN = 10  # scenes lost one after another, beside those at work: then the machine is not well
+# A machine that loses this many scenes one after another, besides those at work, is not well.
+_IN_VAIN = 10
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -37,7 +37,7 @@ class Stock:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class World:
-    """The same with bodies, and with every place that was tried on each kind of part."""
+    """A `Stock` with the bodies of its parts, and with every grip that was tried on each kind."""
 
     stock: Stock
     tool: Tool

@@ -18,11 +18,14 @@ from scipy.spatial.transform import Rotation
 from ..frames import rigid
 from .robot import ACCELERATION_RAD_S2, Joints, Obstacle, Robot
 
-CHECKED_RAD = 0.04  # apart at most are the poses of a path that are checked: 30 mm at 0.8 m
-MOST_CALLS = 20_000  # of the planner's end condition, before a way counts as not found
+# Poses of a path that are checked for collisions lie this far apart at most: 30 mm at 0.8 m.
+CHECKED_RAD = 0.04
+# A joint that turns by more than this between two poses of a straight line has jumped.
+JUMP_RAD = 0.3
+MOST_CALLS = 20_000  # the planner asks its end condition this often before it gives up
 SHORTCUTS = 60
-RISE_S = 0.12  # in which an acceleration is reached
-SPACED_RAD = 0.1  # between points of the spline that is driven
+RISE_S = 0.12  # an acceleration rises from 0 within this time
+SPACED_RAD = 0.1  # the points of the spline that the robot drives lie this far apart
 
 Free = Callable[[Joints], bool]
 
@@ -205,7 +208,7 @@ def straight(
     for i in range(1, count + 1):
         turned = Rotation.from_rotvec(turn_rad * i / count).as_matrix() @ here[:3, :3]
         q = robot.follow(rigid(turned, here[:3, 3] + away_m * i / count), corners[-1])
-        if q is None or np.abs(q - corners[-1]).max() > 0.3:
+        if q is None or np.abs(q - corners[-1]).max() > JUMP_RAD:
             return None
         if robot.touches(q, obstacles) is not None:
             return None

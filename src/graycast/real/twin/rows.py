@@ -247,7 +247,7 @@ def _from_place_to_place(mixed: Float[np.ndarray, "h w"]) -> float:
 def _texture(scan: DepthScan) -> list[float]:
     """By how much noise along rows and columns is above the fine noise [%]; what lines share.
 
-    Medians over squares of smooth surfaces, as a classifier of squares hears them.
+    They are medians over squares of smooth surfaces, as a classifier judges squares.
     """
     z_m = _squares(scan.depth_m).reshape(-1, SQUARE_PX, SQUARE_PX)
     mixed = second_difference(z_m)

@@ -229,6 +229,20 @@ def rays(optics: Optics, pixel: Float[np.ndarray, "*n 2"]) -> Float[np.ndarray, 
     return np.concatenate([xy, np.ones_like(xy[..., :1])], axis=-1)
 
 
+def picture_rays(optics: Optics) -> Float[np.ndarray, "h w 3"]:
+    """`rays` of all pixels of a picture."""
+    return rays(optics, pixel_grid(optics.height_px, optics.width_px))
+
+
+def points(optics: Optics, depth_m: Float[np.ndarray, "h w"]) -> Float[np.ndarray, "h w 3"]:
+    """The point [m] that each pixel of a depth map sees, camera frame; NaN where it has no depth.
+
+    Args:
+        depth_m: z of the whole picture, which has the size of the optics.
+    """
+    return picture_rays(optics) * depth_m[..., None]
+
+
 def fold_radius2(distortion: tuple[float, float, float, float, float]) -> float:
     """Squared ideal radius at which radial distortion stops growing outwards; inf if it never does.
 

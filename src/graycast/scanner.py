@@ -30,9 +30,8 @@ from .decode import (
 from .decode.plan import plan_axes
 from .faults import FaultSpec, with_faults
 from .finish import PATCH_M, uneven
-from .frames import pixel_grid
 from .line_noise import lines_seen, place_sigma_px, with_line_noise
-from .optics import rays
+from .optics import points
 from .pattern import AXES, Code, CodeSpec
 from .render import PathNoise, Radiance
 from .rig import BINNING, PRESETS, Rig, preset_rig
@@ -270,7 +269,7 @@ def _seen_reflectance(
     seen_dn = capture.frames.max(axis=0).astype(np.float32) - capture.frames.min(axis=0)
     electrons = seen_dn / sensor.gain_dn_per_e
     light = electrons / (sensor.responsivity * capture.exposure_s)
-    point = rays(rig.camera, pixel_grid(*light.shape)) * depth.depth_m[..., None]
+    point = points(rig.camera, depth.depth_m)
     distance2_m2 = np.square(point - rig.T_cam_proj[:3, 3]).sum(axis=-1)
     return np.nan_to_num(np.pi * distance2_m2 * light / rig.intensity_w_sr)
 

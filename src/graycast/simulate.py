@@ -23,8 +23,8 @@ from .decode import CodeMap, DepthMap, Reason, reason_shares
 from .domain import Variation, draw, moved_place, vary
 from .drop import OnStage as OnStage
 from .drop import drop
-from .frames import pixel_grid, transform_points
-from .optics import in_picture, project, rays
+from .frames import transform_points
+from .optics import in_picture, points, project
 from .picture import color_picture, developed, gray_picture
 from .render import GroundTruth, Radiance, Renderer, Rendering
 from .rig import Rig
@@ -177,8 +177,7 @@ def with_field(rig: Rig, truth: GroundTruth, codes: CodeMap, depth: DepthMap) ->
     To a decoder they are as dark as a shadow; where the true depth is known, so is the difference.
     Pixels with a code keep their reason: their light came by way of another surface.
     """
-    ray = rays(rig.camera, pixel_grid(*truth.depth_m.shape))
-    point = transform_points(rig.T_proj_cam, ray * truth.depth_m[..., None])
+    point = transform_points(rig.T_proj_cam, points(rig.camera, truth.depth_m))
     lit = in_picture(rig.projector, project(rig.projector, point))
     beside = np.isfinite(truth.depth_m) & ~lit & (codes.reason != Reason.DECODED)
     return replace(depth, reason=np.where(beside, np.uint8(Reason.OUTSIDE_PROJECTOR), depth.reason))

@@ -3,8 +3,8 @@
 import numpy as np
 from jaxtyping import Bool, Float
 
-from ..frames import pixel_grid, transform_points
-from ..optics import project, rays, undistort
+from ..frames import transform_points
+from ..optics import picture_rays, project, rays, undistort
 from ..pattern import Axis
 from ..rig import Rig
 from .maps import CodeMap, DepthMap, Reason
@@ -48,7 +48,7 @@ def triangulate(codes: CodeMap, rig: Rig, *, max_epipolar_px: float = 0.0) -> De
     decoded = codes.reason == Reason.DECODED
     if decoded.any() and np.isnan(across[decoded]).all():
         raise ValueError(f"the baseline needs the {axis} code; the stack has none")
-    ray = rays(camera, pixel_grid(camera.height_px, camera.width_px)[decoded])
+    ray = picture_rays(camera)[decoded]
     depth_m, slope_m = (np.full(decoded.shape, np.nan) for _ in range(2))
     depth_m[decoded], slope_m[decoded] = _meet(ray, across[decoded], along[decoded], rig, axis)
     reason = codes.reason.copy()
@@ -98,7 +98,7 @@ def epipolar_residual_px(codes: CodeMap, depth: DepthMap, rig: Rig) -> Float[np.
     axis = triangulation_axis(rig)
     along = _by_axis(codes, axis)[1]
     known = np.isfinite(depth.depth_m) & np.isfinite(along)
-    ray = rays(camera, pixel_grid(camera.height_px, camera.width_px)[known])
+    ray = picture_rays(camera)[known]
     off_px = np.full(known.shape, np.nan)
     point = ray * depth.depth_m[known][:, None]
     off_px[known] = _off_the_line_px(point, along[known], rig, axis)

@@ -20,8 +20,8 @@ import numba
 import numpy as np
 from jaxtyping import Float
 
-from ..frames import pixel_grid, transform_points
-from ..optics import project, rays
+from ..frames import transform_points
+from ..optics import picture_rays, project
 from ..rig import Rig
 from .maps import DepthMap, Reason
 from .triangulation import triangulation_axis
@@ -38,7 +38,7 @@ def without_hidden(depth: DepthMap, rig: Rig, *, sigmas: float) -> DepthMap:
     """
     column = triangulation_axis(rig) == "column"
     known = np.isfinite(depth.depth_m)
-    ray = rays(rig.camera, pixel_grid(*depth.depth_m.shape)[known])
+    ray = picture_rays(rig.camera)[known]
     z_m, sigma_m = (m[known].astype(np.float64) for m in (depth.depth_m, depth.sigma_m))
     i = 0 if column else 1
 

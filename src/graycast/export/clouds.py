@@ -8,11 +8,10 @@ from collections.abc import Iterable
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import Bool, Float, Float32, UInt8
+from jaxtyping import Bool, Float, UInt8
 
 from ..dataset.stored import StoredDataset, StoredScene
-from ..frames import pixel_grid
-from ..optics import Optics, optics_of, rays
+from ..optics import optics_of, points
 from ..ply import cloud_bytes
 from .options import Options, settled
 
@@ -31,18 +30,12 @@ def write_split(
             depth_m = scene.depth_m(depth)
             view = scene.view()
             camera = optics_of(view.cam_K, scene.size_px, view.distortion)
-            point_m = points(depth_m, camera)
+            point_m = points(camera, depth_m)
             name = f"{scene.image_id:06d}_{_NAMES[depth]}.{options.cloud}"
             kept = np.ones_like(depth_m, dtype=bool) if options.organised else depth_m > 0
             width_px = depth_m.shape[1] if options.organised else None
             content = form(*_kept(point_m, color, kept), width_px=width_px)
             (folder / split / name).write_bytes(content)
-
-
-def points(depth_m: Float32[np.ndarray, "h w"], camera: Optics) -> Float[np.ndarray, "h w 3"]:
-    """The point of each pixel [m], camera frame; NaN where there is no depth."""
-    ray = rays(camera, pixel_grid(camera.height_px, camera.width_px))
-    return ray * depth_m[..., None]
 
 
 def pcd_bytes(

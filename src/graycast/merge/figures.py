@@ -7,8 +7,8 @@ from typing import Any, final
 import numpy as np
 from jaxtyping import Bool, Float, UInt8
 
-from ..frames import pixel_grid, transform_points
-from ..optics import rays
+from ..frames import transform_points
+from ..optics import points
 from .adding import WRONG, WRONG_M, Surface, best_order, why_not
 from .fuse import HIDDEN, OUTSIDE, THROUGH, Fused, FusedCloud
 from .reading import StoredView
@@ -117,8 +117,7 @@ def cloud_errors_m(cloud: FusedCloud, views: Sequence[StoredView]) -> Float[np.n
     error_m = np.full(len(cloud.view), np.nan)
     for i, one in enumerate(views):
         own, camera = cloud.view == i, one.view.camera
-        ray = rays(camera, pixel_grid(camera.height_px, camera.width_px))
-        true_m = transform_points(one.view.T_world_cam, ray * one.truth.depth_m[..., None])
+        true_m = transform_points(one.view.T_world_cam, points(camera, one.truth.depth_m))
         apart = cloud.point_m[own] - true_m[tuple(cloud.pixel[own].T)]
         error_m[own] = (apart * cloud.normal[own]).sum(axis=-1)
     return error_m

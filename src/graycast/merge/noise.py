@@ -13,8 +13,8 @@ import numpy as np
 from jaxtyping import Bool, Float, Num
 
 from ..decode import triangulation_axis
-from ..frames import pixel_grid, transform_points
-from ..optics import project, rays
+from ..frames import transform_points
+from ..optics import points, project
 from ..rig import Rig
 from .view import planes_of
 
@@ -27,11 +27,10 @@ _NUDGE = 1e-4  # of the depth, over which its slope is taken
 
 def depth_slope_m(depth_m: Float[np.ndarray, "h w"], rig: Rig) -> Float[np.ndarray, "h w"]:
     """How depth changes with the projector's coordinate [m/px]; NaN where there is none."""
-    camera = rig.camera
-    ray = rays(camera, pixel_grid(camera.height_px, camera.width_px))
+    point_m = points(rig.camera, depth_m)
     axis = 0 if triangulation_axis(rig) == "column" else 1
     place = [
-        project(rig.projector, transform_points(rig.T_proj_cam, ray * (at * depth_m)[..., None]))
+        project(rig.projector, transform_points(rig.T_proj_cam, at * point_m))
         for at in (1 - _NUDGE, 1 + _NUDGE)
     ]
     with np.errstate(divide="ignore"):

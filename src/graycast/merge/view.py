@@ -7,8 +7,8 @@ from typing import final
 import numpy as np
 from jaxtyping import Bool, Float, UInt8
 
-from ..frames import pixel_grid, transform_points
-from ..optics import Optics, rays
+from ..frames import transform_points
+from ..optics import Optics, picture_rays
 from ..pose.cloud import crop
 
 _WINDOW_PX = 2  # half the width of the windows in which planes are laid
@@ -79,7 +79,7 @@ class Points:
 def points_of(view: MeasuredView) -> Points:
     """Each pixel's place on its true ray, with the normal of the plane through its neighbours."""
     camera, T = view.camera, view.T_world_cam
-    ray = rays(camera, pixel_grid(camera.height_px, camera.width_px))
+    ray = picture_rays(camera)
     length = np.linalg.norm(ray, axis=-1)
     depth_m = view.depth_m.astype(np.float64)
     toward = -(ray / length[..., None]) @ T[:3, :3].T

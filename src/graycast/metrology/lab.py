@@ -8,8 +8,8 @@ from scipy.ndimage import binary_erosion
 
 from ..camera_light import camera_light
 from ..decode import DepthMap, Reason
-from ..frames import pixel_grid, transform_points
-from ..optics import rays
+from ..frames import transform_points
+from ..optics import picture_rays
 from ..parts import Material
 from ..pattern import Code
 from ..render import Quality, Renderer, Rendering
@@ -64,7 +64,6 @@ class Shots:
 def open_lab(scanner: Scanner, rig: Rig, scope: Scope, renderer: Renderer) -> Lab:
     """Raises ValueError where camera and projector share no field."""
     code = scanner.light_code()
-    grid = pixel_grid(rig.camera.height_px, rig.camera.width_px)
     return Lab(
         scanner=scanner,
         rig=rig,
@@ -74,8 +73,8 @@ def open_lab(scanner: Scanner, rig: Rig, scope: Scope, renderer: Renderer) -> La
         code=code,
         pattern=code.render(lambda share: grey_levels(scanner.rig, share)),
         material=Material(base_color=(scope.albedo,) * 3, specular=0.0),
-        ray=rays(rig.camera, grid),
-        scanner_ray=rays(scanner.rig.camera, grid),
+        ray=picture_rays(rig.camera),
+        scanner_ray=picture_rays(scanner.rig.camera),
     )
 
 

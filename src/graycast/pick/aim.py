@@ -7,9 +7,9 @@ import numpy as np
 from jaxtyping import Bool, Float
 from scipy import ndimage
 
-from ..frames import inverse, pixel_grid, transform_points
+from ..frames import inverse, transform_points
 from ..grasp import Doubt, Grip, suction_in_depth
-from ..optics import Optics, project, rays
+from ..optics import Optics, points, project
 from ..pose import PoseModel, find_pose, find_pose_in_box
 from ..scene import Bin
 from .heap import FLOOR_M, WALL_M
@@ -91,12 +91,12 @@ def ranked(
     First those that lie free, then those that another part covers, then those on which a grip has
     failed, because what held the part may hold it still; in each group the highest first.
     """
-    ray = rays(view.camera, pixel_grid(view.camera.height_px, view.camera.width_px))
+    point_m = points(view.camera, view.depth_m)
     area, height = [], []
     for target in targets:
         seen = target.inside(view.depth_m.shape) & np.isfinite(view.depth_m)
         area.append(int(seen.sum()))
-        point = transform_points(view.T_world_cam, ray[seen] * view.depth_m[seen][:, None])
+        point = transform_points(view.T_world_cam, point_m[seen])
         height.append(float(np.median(point[:, 2])) if len(point) else -np.inf)
     least = LEAST_AREA * max(area, default=0)
     order = sorted(range(len(targets)), key=lambda i: -height[i])
@@ -135,8 +135,8 @@ def _holds_any(target: Target, view: Sight, place_m: Sequence[Float[np.ndarray, 
 
 def whole_bin(view: Sight, box: Bin) -> Bool[np.ndarray, "h w"]:
     """Pixels that were measured inside the bin, above its floor: all that may be parts."""
-    ray = rays(view.camera, pixel_grid(view.camera.height_px, view.camera.width_px))
-    point = transform_points(view.T_world_cam, ray * np.nan_to_num(view.depth_m)[..., None])
+    depth_m = np.nan_to_num(view.depth_m)
+    point = transform_points(view.T_world_cam, points(view.camera, depth_m))
     half = np.array(box.inner_m[:2]) / 2 - WALL_M
     inside = (np.abs(point[..., :2]) < half).all(axis=-1) & (point[..., 2] > FLOOR_M)
     return inside & np.isfinite(view.depth_m)

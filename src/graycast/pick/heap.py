@@ -17,8 +17,8 @@ import numpy as np
 from jaxtyping import Bool, Float
 from scipy import ndimage
 
-from ..frames import inverse, pixel_grid, transform_points
-from ..optics import Optics, rays
+from ..frames import inverse, transform_points
+from ..optics import Optics, picture_rays, points
 from ..raster import seen_from
 from ..scene import Bin, bin_mesh
 
@@ -68,8 +68,7 @@ def measured_points(
         depth_m: z of each pixel, NaN where it is missing.
     """
     pixel = _supported(depth_m) & ~_of_wall(depth_m, camera, T_world_cam, box)
-    ray = rays(camera, pixel_grid(camera.height_px, camera.width_px)[pixel])
-    point_m = transform_points(T_world_cam, ray * depth_m[pixel][:, None])
+    point_m = transform_points(T_world_cam, points(camera, depth_m)[pixel])
     return MeasuredPoints(point_m=point_m, pixel=pixel, box=box)
 
 
@@ -103,7 +102,7 @@ def _of_wall(
     """Pixels whose point lies on a wall of the bin, or on its rim."""
     mesh = bin_mesh(box)
     face, z = seen_from(T_world_cam, mesh.vertices_m, mesh.faces, camera)
-    ray = rays(camera, pixel_grid(camera.height_px, camera.width_px))
+    ray = picture_rays(camera)
     height_m = transform_points(T_world_cam, (ray * z[..., None]).reshape(-1, 3))[:, 2]
     normal = mesh.face_normal @ inverse(T_world_cam)[:3, :3].T
     off_m = np.abs((depth_m - z) * (ray * normal[face]).sum(axis=-1))

@@ -26,8 +26,7 @@ from ..decode import (
 )
 from ..decode.plan import plan_axes
 from ..errors import DecodeError
-from ..frames import pixel_grid
-from ..optics import rays
+from ..optics import points
 from ..pattern import Code
 from ..rig import Rig
 from .averaging import join_pixels, meet_rays
@@ -366,8 +365,7 @@ def _rig_symptoms(
 
 def _pixel_cloud(depth: DepthMap, rig: Rig, picture: UInt8[np.ndarray, "h w 3"]) -> Cloud:
     known = np.isfinite(depth.depth_m)
-    pixel = pixel_grid(*known.shape)[known]
-    point_m = rays(rig.camera, pixel) * depth.depth_m[known][:, None].astype(np.float64)
+    point_m = points(rig.camera, depth.depth_m)[known]
     return Cloud(point_m=point_m, color=picture[known], sigma_m=depth.sigma_m[known])
 
 

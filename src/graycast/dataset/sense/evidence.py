@@ -10,8 +10,8 @@ import numpy as np
 from jaxtyping import Bool, Float, Int, UInt8, UInt16
 
 from ...decode import DecodeSpec
-from ...frames import inverse, pixel_grid, rigid
-from ...optics import Optics, rays
+from ...frames import inverse, rigid
+from ...optics import Optics, picture_rays
 from ...rig import Rig
 from ...sensor import SensorSpec
 from .. import records
@@ -95,7 +95,7 @@ class Evidence:
 
     @cached_property
     def ray(self) -> Float[np.ndarray, "h w 3"]:
-        return rays(self.lens, pixel_grid(*self.depth.shape))
+        return picture_rays(self.lens)
 
     @cached_property
     def T_world_cam(self) -> Float[np.ndarray, "4 4"]:

@@ -12,8 +12,7 @@ from ...dataset.reading import Unreadable
 from ...dataset.records import Images
 from ...dataset.scene_folder import AnyView, SceneFolder
 from ...errors import DatasetError
-from ...frames import pixel_grid
-from ...optics import Optics, optics_of, rays
+from ...optics import Optics, optics_of, picture_rays, points
 from ..depth_file import DEPTH_FILES
 from ..pictures import RealPicture, Seen, find_shots, read_shot
 
@@ -42,7 +41,7 @@ class Grid:
     @cached_property
     def ray(self) -> Float[np.ndarray, "rows columns 3"]:
         """Camera frame, unit z."""
-        return rays(self.camera, pixel_grid(*self.depth_m.shape))
+        return picture_rays(self.camera)
 
     @cached_property
     def point_m(self) -> Float[np.ndarray, "rows columns 3"]:
@@ -93,7 +92,7 @@ class BinView:
         known = np.isfinite(self.depth_m).mean()
         step = max(1, round(float(np.sqrt(known * height_px * width_px / count))))
         reach = max(1, round(width_px / _NORMALS_ACROSS))
-        point = rays(self.camera, pixel_grid(height_px, width_px)) * self.depth_m[..., None]
+        point = points(self.camera, self.depth_m)
         normal = np.full_like(point, np.nan)
         across = point[reach:-reach, 2 * reach :] - point[reach:-reach, : -2 * reach]
         down = point[2 * reach :, reach:-reach] - point[: -2 * reach, reach:-reach]

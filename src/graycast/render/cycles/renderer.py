@@ -16,8 +16,8 @@ import numpy as np
 from jaxtyping import Float, UInt8
 
 from ...errors import DeviceError, GraycastError
-from ...frames import inverse, pixel_grid, transform_points
-from ...optics import project, rays, relative_illumination
+from ...frames import inverse, transform_points
+from ...optics import picture_rays, project, relative_illumination
 from ...raster import rasterize
 from ...rig import Rig
 from ...scene import Layout, Scene
@@ -252,7 +252,7 @@ def _truth(scene: Scene, layout: Layout, pictures: Pictures) -> GroundTruth:
         :3, :3
     ].T
     normal /= np.linalg.norm(normal, axis=-1, keepdims=True)
-    ray = rays(camera, pixel_grid(camera.height_px, camera.width_px))
+    ray = picture_rays(camera)
     normal *= -np.sign((normal * ray).sum(axis=-1, keepdims=True))
     instance = np.where(hit, np.rint(pictures["instance"][..., 0]).astype(np.int32) - 1, -1)
     return GroundTruth(

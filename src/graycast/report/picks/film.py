@@ -17,8 +17,8 @@ from PIL import Image, ImageDraw, ImageFont
 
 from ...errors import GraycastError
 from ...folder import write_whole
-from ...frames import inverse, look_at, pixel_grid, transform_points
-from ...optics import Optics, project, rays
+from ...frames import inverse, look_at, transform_points
+from ...optics import Optics, picture_rays, points, project
 from ...parts import Mesh
 from ...pick import StoredEpisode, read_episodes
 from ...pick.files import BINS, DEPTH_STEP_M
@@ -218,7 +218,7 @@ def _drawn(eye: _Eye, mesh: Mesh, tint: Float[np.ndarray, "3"]) -> _Layer:
     corner = seen[mesh.faces]
     normal = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
     camera = eye.camera
-    shade = _shade(normal[face], rays(camera, pixel_grid(camera.height_px, camera.width_px)))
+    shade = _shade(normal[face], picture_rays(camera))
     return _Layer(color=shade[..., None] * tint, z=np.where(face >= 0, z, np.inf))
 
 
@@ -237,8 +237,7 @@ def _points(
     path = replay.folder / BINS / f"{episode.bin_id:06d}" / "depth" / f"{number:03d}.png"
     step = read_image(path)
     scene = replay.cell.cell.scene
-    ray = rays(scene.rig.camera, pixel_grid(*step.shape))
-    world = transform_points(scene.T_world_cam, ray * (step * DEPTH_STEP_M)[..., None])
+    world = transform_points(scene.T_world_cam, points(scene.rig.camera, step * DEPTH_STEP_M))
     point = transform_points(inverse(eye.T_world_eye), world)
     known = step > 0
     for axis in (0, 1):  # a slope over a gap is none

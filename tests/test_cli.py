@@ -7,7 +7,6 @@ import re
 import shutil
 import subprocess
 import sys
-from contextlib import contextmanager
 from importlib.metadata import entry_points
 
 import numpy as np
@@ -16,7 +15,7 @@ from drawn import axes_of, drawn_by
 from PIL import Image
 from small_cell import GRAYCAST, content, write_cell
 
-from graycast import __version__, bench
+from graycast import __version__
 from graycast.cli import command, machine, main
 from graycast.config import config_schema
 from graycast.drop import Decomposition
@@ -74,19 +73,6 @@ OPTIONS = {
     "doctor": "",
     "schema": "kind",
     "completion": "shell",
-    "bench render": "--json --count --device",
-    "bench decode": "--json",
-    "bench detectors": "--json detectors --on",
-    "bench drop": "--json --count",
-    "bench live": "--json config --rounds --device",
-    "bench hulls": "--json",
-    "bench pose": "--json datasets --instances --min-visibility --detector --out --seed",
-    "bench scene": "--json --scenes --count --device",
-    "bench engine": "--json --scenes --count",
-    "bench zoo": "--json --families --counts --seeds",
-    "bench agree": "--json --plot --device --scenes --samples --size",
-    "bench denoise": "--json --plot --device --samples --size --count",
-    "bench renderers": "--json --plot --device --samples --size --count --whole",
 }
 
 
@@ -395,77 +381,6 @@ def test_schema_prints_json(capsys, kind, schema):
 
 def test_doctor_ends_with_its_verdict(capsys):
     assert run(capsys, "doctor").splitlines()[-1].startswith(("ready", "not ready"))
-
-
-def test_bench_hands_its_options_on_and_writes_json(capsys, monkeypatch, tmp_path):
-    asked = []
-
-    def measure(*given):
-        asked.append(given)
-        return {"drop_s": 1.25, "stages": {"drop": 0.5}}
-
-    monkeypatch.setattr(bench, "measure_drop", measure)
-    monkeypatch.setattr(bench, "measure_scene", measure)
-    path = tmp_path / "bench.json"
-    printed = run(capsys, "bench", "drop", "--count", 7, "--json", path)
-    run(capsys, "bench", "scene", "--count", 7, "--scenes", 2, "--device", "cpu")
-    assert asked == [(7,), ("cpu", 7, 2)]
-    assert json.loads(path.read_text())["drop_s"] == 1.25
-    assert json.loads(path.read_text())["benchmark"] == "drop"
-    assert "1.25" in printed and str(path) in printed
-
-
-@pytest.mark.parametrize(
-    ("words", "opens", "asks"),
-    [
-        ("agree --scenes 2 --samples 8", (1,), {"scenes": 2, "samples": 8, "size_px": (258, 194)}),
-        ("denoise --count 4", (1, 3), {"count": 4, "most": 256, "size_px": (206, 154)}),
-        (
-            "renderers --size 99x88 --whole",
-            (1, 3),
-            {"count": 30, "samples": 16, "size_px": (99, 88), "whole": True},
-        ),
-    ],
-)
-def test_a_study_gets_open_renderers_and_draws_what_it_found(
-    capsys, monkeypatch, tmp_path, words, opens, asks
-):
-    asked, drawn = {}, []
-
-    @contextmanager
-    def opened(device, *patterns_per_render):
-        yield (device, *patterns_per_render)
-
-    def study(*renderers, on_work, **options):
-        on_work(0.5, "half")
-        asked.update(options, renderers=renderers)
-        return {"rows": [{"samples": 4, "share": 0.125}, {"samples": 8, "share": 0.0625}]}
-
-    monkeypatch.setattr(bench, "opened", opened)
-    for name in ("study_agreement", "study_denoisers", "study_renderers"):
-        monkeypatch.setattr(bench, name, study)
-    monkeypatch.setattr(bench, "draw", lambda figures, path: drawn.append((figures, path)))
-    path = tmp_path / "study.png"
-    printed = run(capsys, "bench", *words.split(), "--device", "cpu", "--plot", path)
-    assert asked == asks | {"renderers": ("cpu", *opens)}
-    assert drawn[0][1] == path and drawn[0][0]["benchmark"] == words.split()[0]
-    table = printed[printed.index("rows:") :].splitlines()
-    assert [line.split() for line in table[1:4]] == [
-        ["samples", "share"],
-        ["4", "0.125"],
-        ["8", "0.0625"],
-    ]
-
-
-@pytest.mark.slow
-def test_bench_of_a_scene_splits_its_time_and_memory(tmp_path):
-    command = [*GRAYCAST, "bench", "scene", "--count", "1", "--scenes", "1", "--json"]
-    subprocess.run([*command, str(tmp_path / "b.json")], check=True, capture_output=True)
-    figures = json.loads((tmp_path / "b.json").read_text())
-    assert set(figures["stages"]) == {"drop", "render", "sensor", "picture", "decode", "write"}
-    assert sum(figures["stages"].values()) == pytest.approx(figures["seconds_per_scene"], rel=0.1)
-    assert 0 < figures["render_share"] < 1
-    assert figures["peak_rss_bytes"] >= max(figures["rss_bytes_after_each_scene"])
 
 
 @pytest.fixture

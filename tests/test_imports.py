@@ -71,7 +71,6 @@ ORDER = (
     "report",
     "live",
     "doctor",
-    "bench",
     "cli",
 )
 FORBIDDEN = {
@@ -85,7 +84,7 @@ FORBIDDEN = {
     "pose": {"drop", "render", "sensor", "decode", "dataset", "simulate", "generate", "evaluate"},
     "doctor": {"drop", "dataset", "decode", "sensor", "simulate", "generate", "report"},
 }
-WHOLE_LINE = {"simulate", "generate", "report", "live", "bench", "cli"}
+WHOLE_LINE = {"simulate", "generate", "report", "live", "cli"}
 # The truth is the renderer's, so the dataset takes its values, but no back end.
 ONLY_VALUES = {"dataset": {"render": {"render", "render.radiance"}}}
 
@@ -211,7 +210,7 @@ def test_the_table_notices_a_wrong_arrow(tmp_path):
 def test_mitsuba_and_drjit_are_imported_inside_render_alone():
     """Elsewhere they would be loaded before a device was chosen."""
     for name, file, _ in modules():
-        if name and name[0] in ("render", "doctor", "bench"):
+        if name and name[0] in ("render", "doctor"):
             continue
         for node in import_nodes(file):
             names = [a.name for a in node.names] if isinstance(node, ast.Import) else []

@@ -87,7 +87,6 @@ What is measured, trained and scored:
     report           pictures of inputs and results, and the web page
     live             a cell in the browser, whose settings can be changed
     doctor           what is installed, and what each missing piece is for
-    bench            speed and memory; studies of renderers, drops and poses
     cli              the command `graycast`: files in, files out
 """
 

@@ -137,7 +137,7 @@ def _devices() -> Iterator[Finding]:
         name="Blender Cycles",
         found=cycles.problem or f"bpy {cycles.version} ({cycles.python})",
         ok=cycles.usable,
-        gives="a second renderer: --backend cycles, bench agree, denoise and renderers",
+        gives="a second renderer: --backend cycles",
         needed=False,
     )
     cuda = examine_cuda()

@@ -63,7 +63,7 @@ def test_a_stage_that_cannot_be_set_up_is_the_reason_of_all_its_rows():
     rows = summarise([*ran, failed, *records("decode", here=[2.0], there=[2.0], stage="decode")])
     assert [row["row"] for row in rows] == ["a", "b", "decode"]
     assert [row["note"] for row in rows] == ["there: no | drop"] * 2 + [""]
-    assert "| a | 1 |  | | | there: no \\| drop |" in table(rows)
+    assert "| a | 1 |  |  |  | there: no \\| drop |" in table(rows)
 
 
 def test_a_row_that_fails_does_not_speak_for_its_neighbours():

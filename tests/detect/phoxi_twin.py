@@ -23,7 +23,7 @@ import trimesh
 import yaml
 from pycocotools import mask as coco_mask
 
-from graycast.bench.zoo_parts import zoo_part
+from benchmarks.zoo_parts import zoo_part
 from graycast.config import BinSection, resolve_bin
 from graycast.frames import axis_rotation, inverse, rigid
 from graycast.optics import Optics

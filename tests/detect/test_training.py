@@ -16,8 +16,8 @@ import pytest
 
 torch = pytest.importorskip("torch", reason="needs torch: pip install 'graycast[detect]'")
 
+from benchmarks import detectors as bench_detectors
 from detect.drawn import write_drawn
-from graycast.bench import detectors as bench_detectors
 from graycast.cli import main
 from graycast.detect import TrainSpec, detect, load_detector, pictures_of, train
 from graycast.detect.detector import without_denormals

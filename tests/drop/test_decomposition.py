@@ -11,8 +11,7 @@ import pytest
 import trimesh
 from scipy.spatial import ConvexHull
 
-from graycast.bench.hulls import wavy_ring
-from graycast.bench.zoo_parts import ZOO, zoo_part
+from benchmarks.zoo_parts import ZOO, wavy_ring, zoo_part
 from graycast.drop import cache_folder, convex_hulls, decomposition, hull_notes, prepare
 from graycast.drop.decomposition import decompose, hull_error, making, ready, tolerance_m
 from graycast.drop.decomposition.cache import read_decomposition

@@ -27,7 +27,8 @@ pytestmark = [
     pytest.mark.gpu,
     pytest.mark.skipif(not examine_cuda().usable, reason="needs an NVIDIA GPU with OptiX"),
 ]
-DEMO = Path(__file__).resolve().parents[2] / "configs" / "demo.yaml"
+ROOT = Path(__file__).resolve().parents[2]
+DEMO = ROOT / "configs" / "demo.yaml"
 SCENES = 2
 
 
@@ -177,7 +178,8 @@ def test_a_scene_of_the_gpu_comes_out_the_same_again(on_gpu):
 
 
 def test_live_shows_a_cell_on_the_gpu(tmp_path):
-    graycast("bench", "live", write_cell(tmp_path), "--rounds", 2, "--device", "cuda")
+    words = [sys.executable, "-m", "benchmarks", "live", write_cell(tmp_path), "--rounds", "2"]
+    subprocess.run(words, cwd=ROOT, check=True)
 
 
 def test_a_design_is_scanned_on_the_gpu(tmp_path):

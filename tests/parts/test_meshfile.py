@@ -11,7 +11,7 @@ import pytest
 import trimesh
 from PIL import Image
 
-from graycast.bench.hulls import wavy_ring
+from benchmarks.zoo_parts import wavy_ring
 from graycast.errors import MeshError
 from graycast.parts import Material, Symmetry, load_part, surface
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from stage import centred, in_camera, lambert, leaning_wall, make_rig
 
-from graycast.bench.cells import QUIET_SENSOR
+from benchmarks.cells import QUIET_SENSOR
 from graycast.pattern import CodeSpec
 from graycast.render import Quality
 from graycast.render.path_noise import path_noise

@@ -129,10 +129,6 @@ def positive(text: str) -> int:
     return int(text)
 
 
-def counts(text: str) -> tuple[int, ...]:
-    return tuple(positive(number) for number in text.split(","))
-
-
 def above_zero(text: str) -> float:
     try:
         value = float(text)

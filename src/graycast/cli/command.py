@@ -11,7 +11,6 @@ from functools import cache
 from .. import __version__
 from ..errors import GraycastError, told
 from . import (
-    benching,
     completing,
     datasets,
     designing,
@@ -118,6 +117,5 @@ def _parser() -> argparse.ArgumentParser:
     rigs.add_commands(commands)
     measuring.add_commands(commands)
     machine.add_commands(commands)
-    benching.add_commands(commands)
     completing.add_commands(commands, parser)
     return parser

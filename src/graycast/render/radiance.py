@@ -199,13 +199,6 @@ class Renderer(Protocol):
         self.close()
 
 
-class FrameByFrame(Renderer, Protocol):
-    """A renderer that renders each pattern by itself, or three at a time, and tells of each."""
-
-    patterns_per_render: int
-    on_frame: OnFrame
-
-
 def refuse_other_size(pattern: UInt8[np.ndarray, "n ph pw"], projector: Optics) -> None:
     """Refuse patterns that do not have the projector's size.
 

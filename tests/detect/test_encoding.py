@@ -5,8 +5,6 @@ import math
 import numpy as np
 import pytest
 
-pytest.importorskip("torch", reason="needs torch: pip install 'graycast[detect]'")
-
 from graycast.dataset.example import Example
 from graycast.detect.encoding import Encoding, encoding_from, fitting_size, noisy
 from graycast.errors import GraycastError

@@ -8,7 +8,8 @@ import trimesh
 from scipy.optimize import brentq
 
 from graycast.frames import axis_rotation, rigid
-from graycast.grasp import Cup, load_factor, patch_of_depth, patch_of_mesh, seal
+from graycast.grasp import Cup, Patch, load_factor, patch_of_depth, patch_of_mesh, seal
+from graycast.grasp.suction import seals
 from graycast.optics import Optics, rays
 from graycast.parts import Mesh
 
@@ -68,6 +69,35 @@ def test_an_edge_opens_a_seal_where_it_is_nearer_than_the_lip(away_m, holds):
     assert lies.holds == holds
     if away_m == 0:
         assert lies.open_share == pytest.approx(0.5, abs=0.02)
+
+
+@pytest.mark.parametrize(
+    ("gap", "open_share"),
+    [
+        ((3, -2), 1 / 1257),  # nodes within 20 steps, as Gauss counted them
+        ((0, 20), 1 / 32),  # one of the lip's 32 points stands on it
+        ((21, 0), 1 / 32),  # beside one of them nothing is known
+        ((22, 0), 0),
+    ],
+)
+def test_a_node_of_unknown_ground_under_a_cup_opens_its_seal(gap, open_share):
+    height_m = np.zeros((51, 51))
+    height_m[25 + gap[1], 25 + gap[0]] = np.nan
+    lies = seal(CUP, Patch(height_m=height_m, step_m=0.5e-3))
+    assert lies.open_share == open_share
+    assert lies.strain == 0 and lies.holds == (open_share == 0)
+
+
+@pytest.mark.parametrize("slope", [(0.1, 0.0), (0.0, -0.08), (0.06, 0.06)])
+def test_a_cup_that_leans_with_the_surface_is_not_strained(slope):
+    """Leaning the other way, it is as strained as on twice the slope: by the lip's lowest point."""
+    y, x = np.mgrid[-25:26, -25:26] * 0.5e-3
+    patch = Patch(height_m=slope[0] * x + slope[1] * y, step_m=0.5e-3)
+    lean = np.array([slope, (0.0, 0.0), (-slope[0], -slope[1])])
+    strain, _ = seals(CUP, patch, aside_m=np.zeros((3, 2)), lean=lean)
+    low_m = CUP.radius_m * math.hypot(*slope) * np.array([0, 1, 2])
+    side_m = np.hypot(CUP.radius_m, CUP.height_m + low_m)
+    np.testing.assert_allclose(strain, side_m / side_m[0] - 1, atol=1e-9)
 
 
 def sphere_strain(radius_m):

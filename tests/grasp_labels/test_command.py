@@ -8,8 +8,6 @@ import pytest
 import yaml
 from small_cell import content, write_cell
 
-pytest.importorskip("coal", reason="needs coal: pip install 'graycast[pick]'")
-
 from graycast.cli import main
 from graycast.errors import ConfigError
 from graycast.grasp_labels import rank, read_tool
@@ -18,7 +16,7 @@ CUP = {"kind": "suction", "cup": {"radius_m": 0.008}, "length_m": 0.2, "tube_m":
 
 
 @pytest.fixture(scope="module")
-def made(tmp_path_factory, mitsuba_renderer):
+def made(robots, tmp_path_factory, mitsuba_renderer):
     """A dataset of two scenes of a user's mesh, beside its configuration; and a tool's file."""
     folder = tmp_path_factory.mktemp("labels")
     assert main(["generate", str(write_cell(folder)), "--out", str(folder / "ds")]) == 0

@@ -6,8 +6,6 @@ import numpy as np
 import pytest
 import trimesh
 
-pytest.importorskip("coal", reason="needs coal: pip install 'graycast[pick]'")
-
 from graycast.drop.lift import STEP_S
 from graycast.drop.rapier import GRAVITY_M_S2, SKIN_M
 from graycast.frames import axis_rotation, inverse, rigid
@@ -44,7 +42,7 @@ def world_of(tool, **options):
 
 
 @pytest.fixture(scope="module")
-def suction():
+def suction(robots):
     return world_of(SUCTION)
 
 
@@ -102,7 +100,7 @@ def test_a_cup_over_the_edge_or_over_a_neighbour_s_does_not_seal(suction):
 
 
 @pytest.mark.parametrize(("stroke_m", "told"), [(0.015, "other part"), (0.005, None)])
-def test_a_place_under_another_part_is_no_success(stroke_m, told):
+def test_a_place_under_another_part_is_no_success(robots, stroke_m, told):
     """A plate of 10 mm on a plate: met where the cup springs back so far, else in the way."""
     world = world_of(SUCTION.model_copy(update={"stroke_m": stroke_m}))
     two = heap_of(lying(), lying(z=1.5 * SIDES_M[2] + 2 * SKIN_M))
@@ -113,7 +111,7 @@ def test_a_place_under_another_part_is_no_success(stroke_m, told):
         assert label.reach == "free" and carry_out(world, two, label).ended == told
 
 
-def test_a_weight_upon_the_part_that_the_score_does_not_know_tears_it_off():
+def test_a_weight_upon_the_part_that_the_score_does_not_know_tears_it_off(robots):
     """25 mm beside the centre 0.18 Nm hang on a cup that holds 0.26 Nm; a second plate adds 0.5."""
     world = world_of(SUCTION.model_copy(update={"cup": Cup(radius_m=0.015, height_m=0.015)}))
     beside = on_top(-0.025)
@@ -137,7 +135,7 @@ def test_what_is_in_the_tool_s_way_is_named(suction, T, reach):
 
 
 @pytest.mark.slow
-def test_jaws_hold_a_plate_that_stands_on_its_edge():
+def test_jaws_hold_a_plate_that_stands_on_its_edge(robots):
     world = world_of(JAWS)
     lean = axis_rotation("x", np.pi / 2)  # on its long edge
     heap = heap_of(rigid(lean, np.array([0.0, 0.0, SIDES_M[1] / 2 + SKIN_M])))

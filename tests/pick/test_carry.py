@@ -1,9 +1,6 @@
 """What is remembered of failed grips between two attempts."""
 
 import numpy as np
-import pytest
-
-pytest.importorskip("pinocchio", reason="needs pinocchio: pip install 'graycast[pick]'")
 
 from graycast.pick.carry import FREED_M, World
 from graycast.scene import Layout

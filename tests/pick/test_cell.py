@@ -1,12 +1,10 @@
 """Robots' cells that cannot work: each is refused in one line that names the thing."""
 
+import sys
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
-
-pytest.importorskip("pinocchio", reason="needs pinocchio: pip install 'graycast[pick]'")
-
 from small_cell import write_cell
 
 from graycast.detections import Detections
@@ -31,9 +29,37 @@ def ready(folder, **changes):
     return make_ready(resolve_pick_cell(load_pick_config(path), folder))
 
 
-def test_the_small_cell_itself_is_fine(tmp_path):
+def test_the_small_cell_itself_is_fine(robots, tmp_path):
     made = ready(tmp_path)
     assert made.known[0].grips and made.robot.touches(made.here.q_place, made.here.standing) is None
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({"robot": {"arms": "ur5e"}}, "robot.arms: did you mean arm?"),
+        ({"tool": {"kind": "magnet"}}, "tool"),
+        ({"tool": {"kind": "suction", "cup": {"radius": 0.01}}}, "did you mean radius_m"),
+        ({"tool": {"kind": "suction", "cup": {"radius_m": -1.0}}}, "radius_m is -1"),
+        ({"tool": {"kind": "suction", "cup": {"radius_m": 15.0}}}, "give metres"),
+        ({"tool": {"kind": "suction", "cup": {"vacuum_pa": 2.0e5}}}, "101325"),
+        ({"tool": {"kind": "jaws"}, "picking": {"knows": "depth"}}, "jaws need a known model"),
+        ({"picking": {"knows": "part", "detector": "none"}}, "needs a detector"),
+        ({"picking": {"detector": "nowhere"}}, "nowhere"),
+        (
+            {"picking": {"depth": "noisy"}},
+            "depth: noisy and depth_noise_m are used only together: give both or",
+        ),
+        (
+            {"picking": {"place_m": [0.0, 0.0, 0.3]}},
+            "which is over the bin: give a place beside the bin",
+        ),
+        ({"picking": {"most_lean_deg": 95}}, "most_lean_deg"),
+        ({"domain": {"kind": "adapted"}}, "remove domain"),
+    ],
+)
+def test_what_the_file_says_wrong_is_refused_by_name(tmp_path, changes, words):
+    refuses(tmp_path, changes, words)
 
 
 @pytest.mark.parametrize(
@@ -47,37 +73,22 @@ def test_the_small_cell_itself_is_fine(tmp_path):
         ({"robot": {"home_rad": [9, 0, 0, 0, 0, 0]}}, "home of joint 1"),
         ({"robot": {"home_rad": [0, 0.6, 0, 0, 0, 0]}}, "the arm collides with"),
         ({"robot": {"base_m": [-2.5, 0, 0]}}, "does not reach"),
-        ({"robot": {"arms": "ur5e"}}, "robot.arms: did you mean arm?"),
-        ({"tool": {"kind": "magnet"}}, "tool"),
-        ({"tool": {"kind": "suction", "cup": {"radius": 0.01}}}, "did you mean radius_m"),
-        ({"tool": {"kind": "suction", "cup": {"radius_m": -1.0}}}, "radius_m is -1"),
-        ({"tool": {"kind": "suction", "cup": {"radius_m": 15.0}}}, "give metres"),
-        ({"tool": {"kind": "suction", "cup": {"vacuum_pa": 2.0e5}}}, "101325"),
         ({"tool": {"kind": "suction", "cup": {"vacuum_pa": 50.0}}}, "holds part box"),
         ({"tool": {"kind": "jaws", "jaws": {"opening_m": 0.02}}}, "holds part box"),
-        ({"tool": {"kind": "jaws"}, "picking": {"knows": "depth"}}, "jaws need a known model"),
-        ({"picking": {"knows": "part", "detector": "none"}}, "needs a detector"),
-        ({"picking": {"detector": "nowhere"}}, "nowhere"),
-        (
-            {"picking": {"depth": "noisy"}},
-            "depth: noisy and depth_noise_m are used only together: give both or",
-        ),
-        (
-            {"picking": {"place_m": [0.0, 0.0, 0.3]}},
-            "which is over the bin: give a place beside the bin",
-        ),
         ({"picking": {"place_m": [0.0, -0.4, 0.02]}}, "the arm with a part of up to"),
-        ({"picking": {"most_lean_deg": 95}}, "most_lean_deg"),
-        ({"domain": {"kind": "adapted"}}, "remove domain"),
     ],
 )
-def test_what_cannot_work_is_refused_by_name(tmp_path, changes, words):
+def test_what_robot_and_tool_cannot_do_is_refused_by_name(robots, tmp_path, changes, words):
     (tmp_path / "broken.urdf").write_text("<robot", encoding="utf-8")
     (tmp_path / "headless.urdf").write_text(URDF.format(last="hand", more=""), encoding="utf-8")
     text = URDF.format(last="flange", more=MESH)
     (tmp_path / "meshless.urdf").write_text(text, encoding="utf-8")
+    refuses(tmp_path, changes, words)
+
+
+def refuses(folder, changes, words):
     with pytest.raises(GraycastError, match=words) as refused:
-        ready(tmp_path, **changes)
+        ready(folder, **changes)
     assert "\n" not in str(refused.value).strip()
 
 
@@ -94,10 +105,12 @@ class OneClass:
 
 
 @pytest.mark.parametrize("parts", [1, 2])
-def test_a_detector_of_one_class_serves_where_grips_need_no_model(tmp_path, monkeypatch, parts):
+def test_a_detector_of_one_class_serves_where_grips_need_no_model(
+    robots, tmp_path, monkeypatch, parts
+):
     """With one part its class is that part; with two it is none of them, which needs `depth`."""
-    pytest.importorskip("torch", reason="needs torch: pip install 'graycast[detect]'")
-    monkeypatch.setattr("graycast.detect.load_detector", lambda path: OneClass())
+    detect = SimpleNamespace(load_detector=lambda path: OneClass())  # without PyTorch
+    monkeypatch.setitem(sys.modules, "graycast.detect", detect)
     (tmp_path / "run").mkdir()
     mix = [{"mesh": "box.stl", "unit": "mm", "name": name} for name in ("box", "crate")[:parts]]
     changes = {"parts": mix, "tool": {"kind": "suction"}}

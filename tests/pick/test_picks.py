@@ -7,9 +7,6 @@ import time
 from dataclasses import replace
 
 import pytest
-
-pytest.importorskip("pinocchio", reason="needs pinocchio: pip install 'graycast[pick]'")
-
 from small_cell import shrunk, start, write_cell
 
 from graycast.cli import main
@@ -55,7 +52,7 @@ def content(out):
 
 
 @pytest.fixture(scope="module")
-def picks(tmp_path_factory):
+def picks(robots, tmp_path_factory):
     folder = tmp_path_factory.mktemp("picks")
     path = cell_of(folder)
     assert run(path, folder / "out", "--bins", 2) == 0
@@ -103,7 +100,7 @@ def test_the_same_command_finds_all_and_another_cell_is_refused(picks, tmp_path,
 
 
 @pytest.mark.slow
-def test_a_wrong_calibration_makes_grips_fail(tmp_path):
+def test_a_wrong_calibration_makes_grips_fail(robots, tmp_path):
     """40 mm off the tool meets nothing, or another part than it was sent to."""
     path = cell_of(tmp_path, hand_eye_m=0.04, failures=2)
     assert run(path, tmp_path / "out", "--bins", 1) == 0

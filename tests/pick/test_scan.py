@@ -4,9 +4,6 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-
-pytest.importorskip("pinocchio", reason="needs pinocchio: pip install 'graycast[pick]'")
-
 from small_cell import write_cell
 
 from graycast.pick import load_pick_config, resolve_pick_cell

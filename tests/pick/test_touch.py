@@ -4,8 +4,6 @@ import numpy as np
 import pytest
 import trimesh
 
-pytest.importorskip("coal", reason="needs coal: pip install 'graycast[pick]'")
-
 from graycast.drop import make_bodies
 from graycast.frames import axis_rotation, rigid
 from graycast.grasp import Cup, Jaws, closing
@@ -27,7 +25,7 @@ def part_of(mesh):
 
 
 @pytest.fixture(scope="module")
-def plate(tmp_path_factory):
+def plate(robots, tmp_path_factory):
     part = part_of(trimesh.creation.box(PLATE_M))
     folder = tmp_path_factory.mktemp("hulls")
     return Kind.of(part, make_bodies([part], hull_folder=folder)[0])
@@ -86,7 +84,7 @@ def test_a_neighbour_stands_in_the_tube_s_way(plate):
     assert isinstance(down_on(plate, at(0, 0, 0.01), [at(-0.025, 0, 0), away]), Held)
 
 
-def test_jaws_close_on_a_bar_and_draw_it_to_their_middle():
+def test_jaws_close_on_a_bar_and_draw_it_to_their_middle(robots):
     bar = part_of(trimesh.creation.box((0.03, 0.06, 0.02)))
     kind = Kind.of(bar, make_bodies([bar])[0])
     met = down_on(kind, at(0.003, 0, 0), [at(0, 0, 0)], JAWS)

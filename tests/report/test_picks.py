@@ -9,9 +9,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import trimesh
-
-pytest.importorskip("pinocchio", reason="needs pinocchio: pip install 'graycast[pick]'")
-
 from PIL import Image
 from scipy.spatial.transform import Rotation
 
@@ -30,7 +27,7 @@ from .picked import FROM_GRIP_TO_PART, GRIP, LOST_S, STEP_S, STEPS, write_picks
 
 
 @pytest.fixture(scope="module")
-def picks(tmp_path_factory):
+def picks(robots, tmp_path_factory):
     folder = tmp_path_factory.mktemp("picks")
     return write_picks(folder)[0]
 

@@ -4,8 +4,6 @@ import cv2
 import numpy as np
 import pytest
 
-pytest.importorskip("pinocchio", reason="needs pinocchio: pip install 'graycast[pick]'")
-
 from graycast.pick import read_episodes
 from graycast.pick.replay import open_replay, read_motions
 from graycast.report.picks import write_pick_report
@@ -17,7 +15,7 @@ pytestmark = pytest.mark.slow
 
 
 @pytest.fixture(scope="module")
-def picks(tmp_path_factory):
+def picks(robots, tmp_path_factory):
     folder = tmp_path_factory.mktemp("picks")
     return write_picks(folder)[0]
 

@@ -14,7 +14,9 @@ test: setup-test
 	.venv/bin/mypy
 	.venv/bin/pytest -n 2 --dist loadfile
 
+# The quick tests once more, with the axes and types of all arrays checked at each call; then the slow ones.
 test-slow: setup-test
+	.venv/bin/pytest -n 2 --dist loadfile --jaxtyping-packages=graycast,beartype.beartype
 	.venv/bin/pytest -n 2 --dist loadfile -m 'slow and not gpu' --durations=20
 
 # What needs an NVIDIA GPU: tests/gpu/README.md.

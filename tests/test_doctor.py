@@ -10,12 +10,7 @@ import pytest
 from graycast import doctor
 from graycast.doctor import Diagnosis, Finding, describe, examine
 from graycast.render.device import CudaState
-
-
-@pytest.fixture(scope="module")
-def findings():
-    return {finding.name: finding for finding in examine().findings}
-
+from graycast.render.trial import Trial
 
 PROGRAM = """
 import json, sys
@@ -30,22 +25,33 @@ print(json.dumps([found, stated, heavy, llvm]))
 """
 
 
-def test_versions_are_those_that_the_modules_state_yet_none_is_loaded_for_it():
-    said = subprocess.check_output([sys.executable, "-c", PROGRAM], text=True)
-    found, stated, heavy, llvm = json.loads(said)
+@pytest.fixture(scope="module")
+def examined():
+    return json.loads(subprocess.check_output([sys.executable, "-c", PROGRAM], text=True))
+
+
+@pytest.fixture
+def no_trial(monkeypatch):
+    """A picture rendered in a child process takes seconds; `examined` has one."""
+    trial = Trial(device="llvm", seconds=0.0, denoiser="cpu")
+    monkeypatch.setattr(doctor, "try_device", lambda device: trial)
+
+
+def test_versions_are_those_that_the_modules_state_yet_none_is_loaded_for_it(examined):
+    found, stated, heavy, llvm = examined
     assert {name: found[name] for name in stated} == stated
     assert heavy == []
     assert not llvm
 
 
-def test_memory_and_cores_agree_with_the_system(findings):
+def test_memory_and_cores_agree_with_the_system(examined):
+    found = examined[0]
     total_gib = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES") / 2**30
-    stated_gib = float(findings["memory"].found.split()[0])
-    assert stated_gib == pytest.approx(total_gib, abs=0.06)
-    assert findings["CPU"].found.startswith(f"{len(os.sched_getaffinity(0))} cores")
+    assert float(found["memory"].split()[0]) == pytest.approx(total_gib, abs=0.06)
+    assert found["CPU"].startswith(f"{len(os.sched_getaffinity(0))} cores")
 
 
-def test_a_missing_package_is_found_and_said_with_its_remedy_and_use(monkeypatch):
+def test_a_missing_package_is_found_and_said_with_its_remedy_and_use(monkeypatch, no_trial):
     monkeypatch.setattr(doctor, "_PACKAGES", {"no-such-package-here": "flying"})
     diagnosis = examine()
     assert not diagnosis.ready
@@ -56,7 +62,7 @@ def test_a_missing_package_is_found_and_said_with_its_remedy_and_use(monkeypatch
     assert text.endswith("This machine is not ready: install what is marked MISSING above.")
 
 
-def test_a_bad_library_named_by_the_user_is_a_finding_and_not_an_error(monkeypatch):
+def test_a_bad_library_named_by_the_user_is_a_finding_and_not_an_error(monkeypatch, no_trial):
     monkeypatch.setenv("DRJIT_LIBLLVM_PATH", "/gone/libLLVM-19.so")
     findings = {finding.name: finding for finding in examine().findings}
     assert not findings["LLVM used"].ok
@@ -75,7 +81,7 @@ def test_what_is_not_needed_does_not_make_the_program_unready():
     ]
 
 
-def test_a_gpu_is_named_with_its_driver(monkeypatch):
+def test_a_gpu_is_named_with_its_driver(monkeypatch, no_trial):
     state = CudaState(devices=("NVIDIA A", "NVIDIA B"), driver_cuda="12.8", has_optix=True)
     monkeypatch.setattr(doctor, "examine_cuda", lambda: state)
     findings = {finding.name: finding for finding in examine().findings}

@@ -16,11 +16,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Float, Int
 
-from graycast.cell import Cell
-from graycast.errors import GraycastError
+from graycast.base.errors import GraycastError
+from graycast.camera.scanner import Scanner
+from graycast.cell.resolve import Cell
 from graycast.render import Quality, Renderer, Rendering
-from graycast.scanner import Scanner
-from graycast.scene import Layout
+from graycast.world.scene import Layout
 
 from .cells import dropped, exposed_alike, materials_cell, opened
 from .decoded import Decoded as DecodedStack

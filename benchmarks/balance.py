@@ -13,9 +13,9 @@ import numpy as np
 from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 
-from graycast.drop.body import Body, motion_m
-from graycast.drop.rapier import GRAVITY_M_S2, SKIN_M
-from graycast.scene import Bin, Layout
+from graycast.world.drop.body import Body, motion_m
+from graycast.world.drop.rapier import GRAVITY_M_S2, SKIN_M
+from graycast.world.scene import Bin, Layout
 
 STEP_S = 0.0005
 WALL_M = 0.15

@@ -4,17 +4,17 @@ from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from dataclasses import replace
 
-from graycast.cell import Cell
-from graycast.decode import DecodeSpec
-from graycast.drop import DropLimits, drop
-from graycast.optics import Optics
-from graycast.parts import Material
-from graycast.pattern import CodeSpec
+from graycast.camera.decode import DecodeSpec
+from graycast.camera.scanner import Scanner
+from graycast.camera.sensor import SensorSpec, auto_exposure_s
+from graycast.cell.resolve import Cell
 from graycast.render import Radiance, Renderer, open_renderer
-from graycast.rig import preset_rig
-from graycast.scanner import Scanner
-from graycast.scene import Layout
-from graycast.sensor import SensorSpec, auto_exposure_s
+from graycast.rig.optics import Optics
+from graycast.rig.pair import preset_rig
+from graycast.rig.pattern import CodeSpec
+from graycast.world.drop import DropLimits, drop
+from graycast.world.parts import Material
+from graycast.world.scene import Layout
 
 from .stages import cell_of
 

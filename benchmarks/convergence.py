@@ -9,11 +9,11 @@ from itertools import pairwise
 import numpy as np
 from jaxtyping import Bool
 
-from graycast.cell import Cell
+from graycast.camera.scanner import Scanner
+from graycast.camera.sensor import SensorSpec
+from graycast.cell.resolve import Cell
 from graycast.render import DenoiserName, Quality, Radiance, Renderer
-from graycast.scanner import Scanner
-from graycast.scene import Layout
-from graycast.sensor import SensorSpec
+from graycast.world.scene import Layout
 
 from .cells import exposed_alike
 from .decoded import (

@@ -5,10 +5,10 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Float
 
-from graycast.decode import CodeMap, DepthMap, Reason
-from graycast.pattern import Code
+from graycast.camera.decode import CodeMap, DepthMap, Reason
+from graycast.camera.scanner import Scanner, scan
 from graycast.render import Radiance
-from graycast.scanner import Scanner, scan
+from graycast.rig.pattern import Code
 
 WRONG_COLUMNS = 1.0  # a column that lies further off than this is wrong
 WIDE_PX = 8  # stripes of so many projector pixels or more have edges that can be located

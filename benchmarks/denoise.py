@@ -7,10 +7,10 @@ so. Rig and code are the paper's: white light, and Gray code along the baseline.
 the same rig in the light of one band, where Cycles' denoisers get pictures of pure red.
 """
 
-from graycast.cell import Cell
+from graycast.camera.sensor import SensorSpec
+from graycast.cell.resolve import Cell
 from graycast.render import DenoiserName, Renderer
-from graycast.scene import Layout
-from graycast.sensor import SensorSpec
+from graycast.world.scene import Layout
 
 from .cells import GRAY, bracket_cell, dropped, opened
 from .convergence import converge, error_row

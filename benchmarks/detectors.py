@@ -9,11 +9,11 @@ from statistics import median
 import numpy as np
 import torch
 
-from graycast.detect import Augmentation, Detector, load_detector
-from graycast.detect.detector import autocast, without_denormals
-from graycast.detect.pictures import Pictures, collate
-from graycast.errors import GraycastError
-from graycast.training import open_examples
+from graycast.base.errors import GraycastError
+from graycast.dataset.training import open_examples
+from graycast.learn.detect import Augmentation, Detector, load_detector
+from graycast.learn.detect.detector import autocast, without_denormals
+from graycast.learn.detect.training_pictures import Pictures, collate
 
 from .figures import Figures, Show, in_turn
 

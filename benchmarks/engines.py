@@ -8,8 +8,8 @@ from dataclasses import dataclass, field
 from importlib.util import find_spec
 from statistics import median
 
-from graycast.engine import Failed, Made, Pool, SceneMaker, SceneTask, make_all, open_pool
-from graycast.generate import depth_step_mm
+from graycast.cell.engine import Failed, Made, Pool, SceneMaker, SceneTask, make_all, open_pool
+from graycast.cell.generate import depth_step_mm
 
 from .figures import Figures, Show
 from .stages import PARTS, cell_of

@@ -7,9 +7,9 @@ from queue import SimpleQueue
 
 import numpy as np
 
-from graycast.config import load_config
-from graycast.errors import GraycastError
-from graycast.live import Message, Session
+from graycast.base.errors import GraycastError
+from graycast.cell.config import load_config
+from graycast.show.live import Message, Session
 
 from .figures import Figures, Show
 

@@ -12,13 +12,13 @@ from typing import Any
 import numpy as np
 from jaxtyping import Bool, Float
 
-from graycast.cell import patterns_of
-from graycast.decode import DecodeSpec, DepthMap, FilterSpec
-from graycast.drop import DropLimits, drop
-from graycast.parts import Material
-from graycast.pattern import CODECS, CodeSpec
+from graycast.camera.decode import DecodeSpec, DepthMap, FilterSpec
+from graycast.camera.scanner import Scanner, measure, take
+from graycast.cell.resolve import patterns_of
 from graycast.render import Quality, Renderer, open_renderer
-from graycast.scanner import Scanner, measure, take
+from graycast.rig.pattern import CODECS, CodeSpec
+from graycast.world.drop import DropLimits, drop
+from graycast.world.parts import Material
 
 from .figures import table
 from .stages import cell_of

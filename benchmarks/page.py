@@ -15,16 +15,16 @@ from typing import Any
 import numpy as np
 from jaxtyping import UInt8
 
-from graycast.cell import open_cell_renderer, resolve_cell
-from graycast.config import load_config, resolve_quality
+from graycast.camera.decode import DecodeSpec, Levels, decode
+from graycast.cell.config import load_config, resolve_quality
+from graycast.cell.generate import depth_step_mm
+from graycast.cell.resolve import open_cell_renderer, resolve_cell
+from graycast.cell.simulate import make_scene
 from graycast.dataset import open_store
-from graycast.decode import DecodeSpec, Levels, decode
-from graycast.drop import DropLimits, drop
-from graycast.drop.decomposition import decompose, hull_error, tolerance_m
-from graycast.generate import depth_step_mm
-from graycast.pattern import Code, gray, gray_phase, multi_frequency
 from graycast.render import open_renderer
-from graycast.simulate import make_scene
+from graycast.rig.pattern import Code, gray, gray_phase, multi_frequency
+from graycast.world.drop import DropLimits, drop
+from graycast.world.drop.decomposition import decompose, hull_error, tolerance_m
 
 from .figures import in_turn, table
 from .processes import peak_rss_bytes

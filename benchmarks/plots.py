@@ -9,7 +9,7 @@ from matplotlib.axis import Axis
 from matplotlib.figure import Figure
 from matplotlib.ticker import FixedLocator, Locator, LogLocator, NullFormatter
 
-from graycast.plotting import ACCENT, INK, PALE, SECOND, SOFT, caption, plain_figure, save_png
+from graycast.base.plotting import ACCENT, INK, PALE, SECOND, SOFT, caption, plain_figure, save_png
 
 from .agree import MEDIAN_COLUMNS, MEDIAN_RATIO
 from .figures import Figures

@@ -13,19 +13,19 @@ import numpy as np
 from jaxtyping import Float, UInt8
 from pycocotools import mask as coco_mask
 
+from graycast.base.errors import GraycastError
+from graycast.base.folder import new_folder
+from graycast.base.frames import transform_points
+from graycast.dataset.detections import Detections
+from graycast.dataset.export.split import Split
 from graycast.dataset.models_read import StoredModel, read_models
-from graycast.detections import Detections
-from graycast.errors import GraycastError
-from graycast.evaluate import camera_of, rotation_translation, wilson
-from graycast.export.split import Split
-from graycast.folder import new_folder
-from graycast.frames import transform_points
-from graycast.parts import Mesh
-from graycast.parts.symmetry import joined, motions, shape_symmetry
-from graycast.pose import PoseFound, PoseModel, find_pose, find_pose_in_box, pose_model
-from graycast.pose_results import PoseEstimate, pose_results_text
-from graycast.raster import rasterize
-from graycast.training import Example, Examples, open_examples
+from graycast.dataset.pose_results import PoseEstimate, pose_results_text
+from graycast.dataset.training import Example, Examples, open_examples
+from graycast.rig.meshdepth import rasterize
+from graycast.robot.pose import PoseFound, PoseModel, find_pose, find_pose_in_box, pose_model
+from graycast.score.evaluate import camera_of, rotation_translation, wilson
+from graycast.world.parts import Mesh
+from graycast.world.parts.symmetry import joined, motions, shape_symmetry
 
 from .figures import Figures, Show
 
@@ -152,7 +152,7 @@ def _subject(folder: Path, detector: Any | None) -> _Subject:
 
 
 def _opened(run: Path) -> Any:
-    from graycast.detect import load_detector  # which needs torch
+    from graycast.learn.detect import load_detector  # which needs torch
 
     return load_detector(run)
 

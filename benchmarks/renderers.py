@@ -17,10 +17,10 @@ from typing import Any
 import numpy as np
 from jaxtyping import UInt8
 
-from graycast.cell import Cell
+from graycast.cell.resolve import Cell
 from graycast.render import Quality, Renderer
 from graycast.render.cycles.job import need_renders
-from graycast.scene import Layout
+from graycast.world.scene import Layout
 
 from .cells import PHASE, PHASE_BOTH, bracket_cell, dropped, opened
 from .convergence import converge, error_row, samples_for

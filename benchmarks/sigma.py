@@ -4,13 +4,13 @@ from dataclasses import replace
 
 import numpy as np
 
-from graycast.decode import FilterSpec
-from graycast.parts import Material
-from graycast.pattern import CodeSpec
-from graycast.pattern.spec import Codec
+from graycast.camera.decode import FilterSpec
+from graycast.camera.scanner import Scanner, preset, scan
 from graycast.render import Quality, Radiance, Renderer, Rendering, open_renderer
-from graycast.scanner import Scanner, preset, scan
-from graycast.scene import EMPTY_LAYOUT, Environment, Quad, Scene
+from graycast.rig.pattern import CodeSpec
+from graycast.rig.pattern.spec import Codec
+from graycast.world.parts import Material
+from graycast.world.scene import EMPTY_LAYOUT, Environment, Quad, Scene
 
 from .cells import cropped
 from .figures import Show, table

@@ -13,12 +13,12 @@ from statistics import median
 
 import numpy as np
 
-from graycast.drop import DropLimits, convex_hulls, drop
-from graycast.drop.body import Body, body_of
-from graycast.errors import DropError
-from graycast.parts import Part
-from graycast.rig import preset_rig
-from graycast.scene import Bin, Scene
+from graycast.base.errors import DropError
+from graycast.rig.pair import preset_rig
+from graycast.world.drop import DropLimits, convex_hulls, drop
+from graycast.world.drop.body import Body, body_of
+from graycast.world.parts import Part
+from graycast.world.scene import Bin, Scene
 
 from .balance import unbalanced_m
 from .figures import Figures, Show

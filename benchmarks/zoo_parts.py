@@ -15,10 +15,10 @@ import numpy as np
 from jaxtyping import Float
 from manifold3d import CrossSection, Manifold
 
-from graycast.parts import BUILTIN, Material, Mesh, Part, builtin_part
-from graycast.parts.builtin import CREASE_RAD
-from graycast.parts.normals import crease_normals
-from graycast.parts.shapes import loft, revolve, solid
+from graycast.world.parts import BUILTIN, Material, Mesh, Part, builtin_part
+from graycast.world.parts.builtin import CREASE_RAD
+from graycast.world.parts.normals import crease_normals
+from graycast.world.parts.shapes import loft, revolve, solid
 
 SEGMENTS = 48  # of a full turn: the facets of an 8 mm shank lie 9 um inside its circle
 WIRE_SEGMENTS = 24  # round the cross-section of a wire or a cord

@@ -7,11 +7,11 @@ import pytest
 import trimesh
 
 from benchmarks import agree, cells, convergence, denoise, renderers
-from graycast.cell import resolve_cell
-from graycast.config import Config
+from graycast.camera.scanner import Scanner
+from graycast.cell.config import Config
+from graycast.cell.resolve import resolve_cell
 from graycast.render import GroundTruth, Radiance, Rendering
-from graycast.scanner import Scanner
-from graycast.scene import Layout
+from graycast.world.scene import Layout
 
 SIZE_PX = (48, 20)
 

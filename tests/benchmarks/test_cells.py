@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from benchmarks import cells
-from graycast.frames import pixel_grid
-from graycast.optics import rays
-from graycast.rig import preset_rig
+from graycast.base.frames import pixel_grid
+from graycast.rig.optics import rays
+from graycast.rig.pair import preset_rig
 
 
 def test_a_crop_has_the_rays_of_the_picture_it_is_cut_from():

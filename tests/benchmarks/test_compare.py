@@ -81,7 +81,7 @@ def test_a_stage_that_a_tree_cannot_run_gives_its_reason(tmp_path):
     reasons = {record["row"]: record.get("error", "") for record in found}
     assert reasons["import graycast"] == ""
     assert reasons["graycast --help"].startswith("CalledProcessError")
-    assert reasons["drop"] == "ModuleNotFoundError: No module named 'graycast.drop'"
+    assert reasons["drop"] == "ModuleNotFoundError: No module named 'graycast.world'"
     assert found[-1]["row"] == "peak memory [MB]"
 
 

@@ -10,9 +10,9 @@ from benchmarks.decoded import (
     fine_contrast,
     one_surface,
 )
-from graycast.decode import CodeMap, DepthMap, Reason
-from graycast.pattern import gray
+from graycast.camera.decode import CodeMap, DepthMap, Reason
 from graycast.render import Radiance
+from graycast.rig.pattern import gray
 
 CODE = gray(64, 8, axes=("column",))
 

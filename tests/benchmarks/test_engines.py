@@ -5,8 +5,8 @@ from small_cell import write_cell
 
 from benchmarks import engines
 from benchmarks.engines import _Contender, _figures
-from graycast.cell import resolve_cell
-from graycast.config import load_config
+from graycast.cell.config import load_config
+from graycast.cell.resolve import resolve_cell
 
 
 def test_ratios_are_medians_over_rounds_of_the_same_round():

@@ -5,7 +5,7 @@ import pytest
 from simulated_dataset import made, master, samples  # noqa: F401
 
 from benchmarks.poses import CASES, measure, scaled
-from graycast.pose_results import read_pose_results
+from graycast.dataset.pose_results import read_pose_results
 
 
 def test_a_box_grows_about_its_middle():

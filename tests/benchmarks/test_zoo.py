@@ -7,12 +7,12 @@ import trimesh
 from benchmarks import zoo
 from benchmarks.balance import unbalanced_m
 from benchmarks.zoo_parts import ZOO
-from graycast.drop.body import body_of
-from graycast.drop.decomposition import hull_of
-from graycast.drop.rapier import SKIN_M
-from graycast.frames import axis_rotation, rigid
-from graycast.parts import Material, Mesh, Part
-from graycast.scene import Bin, Layout
+from graycast.base.frames import axis_rotation, rigid
+from graycast.world.drop.body import body_of
+from graycast.world.drop.decomposition import hull_of
+from graycast.world.drop.rapier import SKIN_M
+from graycast.world.parts import Material, Mesh, Part
+from graycast.world.scene import Bin, Layout
 
 BIN = Bin(inner_m=(0.4, 0.3, 0.1), friction=0.3)
 

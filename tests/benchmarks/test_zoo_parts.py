@@ -6,7 +6,7 @@ import trimesh
 from scipy.integrate import quad
 
 from benchmarks.zoo_parts import SEGMENTS, WIRE_SEGMENTS, ZOO, zoo_part
-from graycast.parts import BUILTIN
+from graycast.world.parts import BUILTIN
 
 # What a chord polygon of n corners encloses of its circle.
 ROUND, WIRE, SPRING_WIRE = (np.sinc(2 / n) for n in (SEGMENTS, WIRE_SEGMENTS, 16))

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from prisms import box_part, make_rig
 
+from graycast.camera.decode import DecodeSpec, FilterSpec
+from graycast.camera.rig_file.scanner_sections import FilterSection
 from graycast.dataset.claim import described_values, fingerprint, make_claim, rig_of
-from graycast.decode import DecodeSpec, FilterSpec
-from graycast.parts import Material, Mesh, Part, Symmetry
-from graycast.rig_file.sections import FilterSection
+from graycast.world.parts import Material, Mesh, Part, Symmetry
 
 BOX = box_part()
 MESH, MATERIAL, MOTIONS = BOX.mesh, BOX.material, BOX.symmetry

@@ -14,14 +14,14 @@ from backends import slow
 from corruptions import OF_SUMS, SENSED, SUMS_ALONE, claim, manifest, reseal
 from small_cell import shrunk, write_cell
 
-from graycast.cell import resolve_cell
+from graycast.camera.rig_file import save_scanner
+from graycast.camera.scanner import Scanner
+from graycast.cell.config import load_config
+from graycast.cell.generate import generate
+from graycast.cell.resolve import resolve_cell
 from graycast.cli import main
-from graycast.config import load_config
 from graycast.dataset import validate
-from graycast.generate import generate
-from graycast.rig import preset_rig
-from graycast.rig_file import save_scanner
-from graycast.scanner import Scanner
+from graycast.rig.pair import preset_rig
 
 
 @pytest.fixture(scope="module")

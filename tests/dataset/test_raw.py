@@ -12,19 +12,19 @@ from captured import scanned, toed_in
 from prisms import SCALE_MM, build_sample
 from small_cell import content, write_cell
 
+from graycast.camera.decode import CodeMap, DecodeSpec, FilterSpec, Reason, triangulate
+from graycast.camera.rig_file import load_scanner
+from graycast.camera.scanner import ExposureSpec, Scanner
+from graycast.camera.sensor import SensorSpec
+from graycast.camera.stack import decode_stack
+from graycast.cell.config import Config
 from graycast.cli import main
-from graycast.config import Config
 from graycast.dataset import Raw, read_capture, read_code_maps, records, validate
 from graycast.dataset.bop import scene_files
 from graycast.dataset.raw_check import raw_problems
-from graycast.dataset.reading import read_json
+from graycast.dataset.safe_reading import read_json
 from graycast.dataset.scene_folder import SceneFolder
-from graycast.decode import CodeMap, DecodeSpec, FilterSpec, Reason, triangulate
-from graycast.pattern import CodeSpec
-from graycast.rig_file import load_scanner
-from graycast.scanner import ExposureSpec, Scanner
-from graycast.sensor import SensorSpec
-from graycast.stack import decode_stack
+from graycast.rig.pattern import CodeSpec
 
 LENS = (-0.12, 0.05, 0.001, -0.0007, 0.0)
 PHASES = CodeSpec(codec="gray_phase", axes=("column",), period_px=16.0, steps=4)

@@ -10,15 +10,15 @@ import pytest
 from prisms import CONFIG, SCALE_MM, SEED, box_part, build_sample, make_rig, wedge_part
 from pycocotools.coco import COCO
 
+from graycast.base.errors import GraycastError
+from graycast.base.frames import axis_rotation, rigid
 from graycast.dataset import validate
 from graycast.dataset.claim import Taker
+from graycast.dataset.pose_results import PoseEstimate, pose_results_text
 from graycast.dataset.store import open_store
 from graycast.dataset.stored import open_dataset
-from graycast.errors import GraycastError
-from graycast.evaluate import Protocol, evaluate_poses
-from graycast.frames import axis_rotation, rigid
-from graycast.pose_results import PoseEstimate, pose_results_text
-from graycast.training import open_examples
+from graycast.dataset.training import open_examples
+from graycast.score.evaluate import Protocol, evaluate_poses
 
 # Where each image is taken from, in the first one's camera.
 PLACES = {

@@ -14,14 +14,14 @@ import numpy as np
 import pytest
 from small_cell import GRAYCAST, write_cell
 
-from graycast.cell import resolve_cell
-from graycast.config import load_config, resolve_quality
-from graycast.frames import rigid
-from graycast.picture import color_picture
+from graycast.base.frames import rigid
+from graycast.camera.picture import color_picture
+from graycast.camera.scanner import measure, take
+from graycast.cell.config import load_config, resolve_quality
+from graycast.cell.resolve import resolve_cell
 from graycast.render import Rendering, open_renderer
 from graycast.render.device import choose_device, examine_cuda, find_llvm
-from graycast.scanner import measure, take
-from graycast.scene import Layout
+from graycast.world.scene import Layout
 
 pytestmark = [
     pytest.mark.gpu,
@@ -77,7 +77,7 @@ def test_automatic_choice_takes_the_gpu():
 
 def test_the_renderers_contract_holds_on_the_gpu():
     """Every test of the contract that a process with this device can run."""
-    folder = Path(__file__).resolve().parents[1] / "contract"
+    folder = Path(__file__).resolve().parents[1] / "render/contract"
     command = [
         sys.executable,
         "-m",

@@ -27,7 +27,7 @@ def add_commands(commands) -> None:
 
 
 def _merge(options: argparse.Namespace) -> int:
-    from ..merge import described, merge
+    from ..score.merge import described, merge
 
     with progress_bar() as bar:
         task = bar.add_task("scenes", total=None)

@@ -8,10 +8,10 @@ import numpy as np
 import trimesh
 from pycocotools import mask as coco_mask
 
-from ..errors import DatasetError
-from ..file_limits import parse_json
-from ..frames import is_rigid
-from ..ply import split
+from ..base.errors import DatasetError
+from ..base.file_limits import parse_json
+from ..base.frames import is_rigid
+from ..base.ply import split
 from . import records
 from .bop import camera_json
 from .claim import FORMAT_VERSION, SEALED_SINCE, fingerprint, rig_of
@@ -19,8 +19,8 @@ from .grasp_files import grasp_problems
 from .models import TEXTURE, diameter
 from .places import CLAIM, camera_file, finished_scenes
 from .plain_scene import Model
-from .reading import Unreadable, read_json
 from .real import is_real, real_problems
+from .safe_reading import Unreadable, read_json
 from .scene_check import scene_problems
 from .scene_folder import SceneFolder, picture_name
 from .seal import MANIFEST, seal_problems, sum_problems

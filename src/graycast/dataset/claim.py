@@ -12,13 +12,13 @@ from typing import Any
 import numpy as np
 
 from .. import __version__
-from ..decode import DecodeSpec
-from ..errors import DatasetError
-from ..file_limits import parse_json
-from ..optics import Optics
-from ..parts import Part
-from ..rig import Rig
-from ..sensor import SensorSpec
+from ..base.errors import DatasetError
+from ..base.file_limits import parse_json
+from ..camera.decode import DecodeSpec
+from ..camera.sensor import SensorSpec
+from ..rig.optics import Optics
+from ..rig.pair import Rig
+from ..world.parts import Part
 from .json_text import plain
 from .seal import SUMS
 

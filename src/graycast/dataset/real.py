@@ -14,11 +14,10 @@ import numpy as np
 from pycocotools import mask as coco_mask
 from pydantic import Field
 
-from ..errors import DatasetError
-from ..file_limits import parse_json
-from ..mask_box import mask_box
+from ..base.errors import DatasetError
+from ..base.file_limits import parse_json
+from ..base.mask_box import mask_box
 from .places import finished_scenes
-from .reading import Unreadable, read_json
 from .records import (
     Box,
     Camera,
@@ -35,6 +34,7 @@ from .records import (
     SceneCoco,
     split_annotation,
 )
+from .safe_reading import Unreadable, read_json
 from .scene_folder import SceneFolder
 
 IMAGES = {"rgb": np.uint8, "gray_sl": np.uint8, "depth_sl": np.uint16}

@@ -14,13 +14,13 @@ import numpy as np
 from pycocotools import mask as coco_mask
 from pydantic import RootModel
 
-from ..array_types import Bool, Float32, Int, UInt8, UInt16
-from ..errors import DatasetError
+from ..base.array_types import Bool, Float32, Int, UInt8, UInt16
+from ..base.errors import DatasetError
 from . import records
 from .example import Example, Label, label_arrays, metres
 from .places import CLAIM, SPLITS, camera_file, finished_scenes
-from .reading import Unreadable, read_json
 from .real import RealClaim, RealInfo, RealPose, RealView, is_real
+from .safe_reading import Unreadable, read_json
 from .scene_folder import SceneFolder
 from .seal import facts_of
 

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 import yaml
 
-from graycast.cell import resolve_cell
-from graycast.config import Config, load_config
-from graycast.errors import ConfigError, GraycastError
-from graycast.frames import axis_rotation, rigid
+from graycast.base.errors import ConfigError, GraycastError
+from graycast.base.frames import axis_rotation, rigid
+from graycast.cell.config import Config, load_config
+from graycast.cell.resolve import resolve_cell
 from graycast.real.fit_bin import (
     BinFit,
     fitted_text,

@@ -8,7 +8,8 @@ import pytest
 from small_cell import shrunk
 from stage import in_camera, lambert, wall
 
-from graycast.pattern import CodeSpec
+from graycast.camera.scanner import Scanner
+from graycast.camera.sensor import SensorSpec
 from graycast.real.realism import DepthScan
 from graycast.real.realism.patches import find_floor
 from graycast.real.twin import searching
@@ -24,10 +25,9 @@ from graycast.real.twin.searching import scans_of, search
 from graycast.real.twin.stage import BinLook, Lit, in_projector_corner, scan_lit
 from graycast.render import Quality
 from graycast.render.reference import ReferenceRenderer
-from graycast.rig import preset_rig
-from graycast.scanner import Scanner
-from graycast.scene import EMPTY_LAYOUT, Sphere
-from graycast.sensor import SensorSpec
+from graycast.rig.pair import preset_rig
+from graycast.rig.pattern import CodeSpec
+from graycast.world.scene import EMPTY_LAYOUT, Sphere
 
 needs_cma = pytest.mark.skipif(
     importlib.util.find_spec("cma") is None, reason="needs cma: pip install 'graycast[twin]'"

@@ -20,11 +20,11 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from scipy.spatial.transform import Rotation
 
-from ...errors import GraycastError
-from ...frames import axis_rotation, inverse, rigid, transform_points
+from ...base.errors import GraycastError
+from ...base.frames import axis_rotation, inverse, rigid, transform_points
+from .bin_views import BinView, Grid
 from .box import OpenBox, stand_in
 from .edges import hold_by_edges
-from .reading import BinView, Grid
 from .shape import NO_FACE, BinShape, height_over
 from .start import start_poses
 

@@ -20,7 +20,7 @@ from jaxtyping import Float
 from scipy.stats import binom, chi2
 
 from .patches import robust_sigma, second_difference
-from .record import BinRecord, Fine, Pairs
+from .realism_record import BinRecord, Fine, Pairs
 from .scan import DepthScan
 
 TILE_PX = 8

@@ -17,7 +17,7 @@ from itertools import combinations
 import numpy as np
 from jaxtyping import Float
 
-from ...errors import GraycastError
+from ...base.errors import GraycastError
 from .patches import GROUPS, Squares, cut_squares, robust_sigma, second_difference
 from .scan import DepthScan
 

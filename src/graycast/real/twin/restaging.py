@@ -17,13 +17,13 @@ import numpy as np
 from jaxtyping import Bool, Float, Int, UInt8
 from scipy import ndimage
 
-from ...color import linear, srgb
-from ...errors import GraycastError
-from ...frames import transform_points
-from ...optics import Optics, rays
-from ...parts import Material, Mesh, Part
-from ...raster import seen_from
-from ...scene import EMPTY_LAYOUT, Layout, Scene, bin_mesh, bin_of
+from ...base.color import linear, srgb
+from ...base.errors import GraycastError
+from ...base.frames import transform_points
+from ...rig.meshdepth import seen_from
+from ...rig.optics import Optics, rays
+from ...world.parts import Material, Mesh, Part
+from ...world.scene import EMPTY_LAYOUT, Layout, Scene, bin_mesh, bin_of
 from ..realism import DepthScan
 
 _THIN_M = 1.5e-3  # above the bin: its mesh and the noise are off by less

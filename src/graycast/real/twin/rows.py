@@ -12,6 +12,7 @@ from jaxtyping import Bool, Float
 from scipy import ndimage
 
 from ..realism import DepthScan
+from ..realism.depth_steps import count_steps
 from ..realism.fine import measure_fine, median_over_mean
 from ..realism.missing import count_missing
 from ..realism.patches import (
@@ -21,7 +22,6 @@ from ..realism.patches import (
     second_difference,
     third_difference,
 )
-from ..realism.steps import count_steps
 
 Places = Mapping[str, Bool[np.ndarray, "h w"]]  # where missing depth is counted, by `PLACES`
 _SIGMAS = 2.0  # within so many standard deviations of the real scans' mean a row is met

@@ -22,9 +22,9 @@ from typing import TypeVar
 import numpy as np
 from jaxtyping import Bool, Float
 
-from ...errors import GraycastError
-from ...pattern import CodeSpec
-from ...scanner import Scanner
+from ...base.errors import GraycastError
+from ...camera.scanner import Scanner
+from ...rig.pattern import CodeSpec
 from ..realism import DepthScan
 from ..realism.patches import find_floor
 from .parameters import (

@@ -7,15 +7,15 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from jaxtyping import Bool, Float
 
-from ...cell import Cell
-from ...frames import inverse, transform_points
-from ...optics import corner_share, points, project
-from ...pattern import CodeSpec
+from ...base.frames import inverse, transform_points
+from ...camera.scanner import Scanner
+from ...camera.scanner import scan as shoot
+from ...cell.resolve import Cell
 from ...render import GroundTruth, Quality, Radiance, Renderer
-from ...rig import Rig, grey_levels
-from ...scanner import Scanner
-from ...scanner import scan as shoot
-from ...scene import Scene, bin_of
+from ...rig.optics import corner_share, points, project
+from ...rig.pair import Rig, grey_levels
+from ...rig.pattern import CodeSpec
+from ...world.scene import Scene, bin_of
 from ..realism import DepthScan
 from .restaging import layout_of
 

@@ -5,7 +5,7 @@ own, so noise differs from pattern to pattern as it does in the paper. A white p
 picture, a black one is black; the ambient picture is rendered once and is in every frame.
 
 Limits: no constant blur (`psf_px`) of the projector; silhouettes are those of the meshes' outlines,
-by `raster`, and with a distorted lens end at the image.
+by `rig.meshdepth`, and with a distorted lens end at the image.
 """
 
 import tempfile
@@ -15,12 +15,12 @@ from typing import final
 import numpy as np
 from jaxtyping import Float, UInt8
 
-from ...errors import DeviceError, GraycastError
-from ...frames import inverse, transform_points
-from ...optics import picture_rays, project, relative_illumination
-from ...raster import rasterize
-from ...rig import Rig
-from ...scene import Layout, Scene
+from ...base.errors import DeviceError, GraycastError
+from ...base.frames import inverse, transform_points
+from ...rig.meshdepth import rasterize
+from ...rig.optics import picture_rays, project, relative_illumination
+from ...rig.pair import Rig
+from ...world.scene import Layout, Scene
 from ..denoise import open_denoiser
 from ..device import examine_cuda
 from ..radiance import (

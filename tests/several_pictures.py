@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from graycast.world.seeds import scene_seeds
 
 from graycast.base.frames import axis_rotation, inverse, look_at, pixel_grid, rigid
 from graycast.camera.decode import DepthMap, Reason
@@ -20,7 +21,6 @@ from graycast.render.radiance import GroundTruth, Silhouette
 from graycast.rig.optics import Optics, rays
 from graycast.rig.pair import Rig
 from graycast.world.scene import Layout, Scene
-from graycast.world.seeds import scene_seeds
 
 sys.path.append(str(Path(__file__).parent / "dataset"))
 from prisms import CONFIG, SCALE_MM, SEED, box_part, hit_depth, pictures, wedge_part

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 import yaml
+from graycast.world.seeds import OF_IMAGE, image_seeds, scene_seeds
 
 from graycast.base.errors import ConfigError, GraycastError
 from graycast.base.frames import axis_rotation, inverse, is_rigid, rigid
@@ -10,7 +11,6 @@ from graycast.cell.config import load_config
 from graycast.cell.resolve import eyes, reach_m, refuse_several, resolve_cell
 from graycast.rig.pair import frame_in_camera
 from graycast.world.scene import bin_of
-from graycast.world.seeds import OF_IMAGE, image_seeds, scene_seeds
 
 PARTS = {"parts": [{"builtin": "metal_workpiece_1"}], "resolution": "small"}
 ASIDE = [1, 0, 0, 0.1, 0, 1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1]

@@ -3,6 +3,7 @@
 from collections import Counter
 
 import numpy as np
+from graycast.world.seeds import image_seeds, scene_seeds
 
 from graycast.base.frames import random_quaternions, rigid, rotation_from_quaternion
 from graycast.camera.decode import DepthMap, Reason
@@ -12,7 +13,6 @@ from graycast.rig.optics import Optics
 from graycast.rig.pair import Rig
 from graycast.world.parts import Material, Mesh, Part, Symmetry
 from graycast.world.scene import Layout, Scene
-from graycast.world.seeds import image_seeds, scene_seeds
 
 WIDTH, HEIGHT = 160, 120
 SEED, CONFIG = 7, {"rig": "test", "bin": {"size_m": [0.4, 0.3]}}  # of the dataset

@@ -9,6 +9,8 @@ Each imports only from those above it:
     plotting         the style of plots, and how they are written
     settings         YAML files: reading, checking, and errors of one clear line
     usage            time and memory that processes have used
+    streams          independent streams of random numbers, by the seed that they are of
+    robust           standard deviations that outliers do not spoil
     color            the colour encoding of all pictures on disk
     frames           rigid transforms, rotations and the pixel grid
     mask_box         the box about a mask's pixels

@@ -9,6 +9,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Float32
 
 from ..base.mask_box import mask_box
+from ..base.robust import robust_sigma
 from ..rig.optics import Optics, rays
 
 OUTLIER_SIGMAS = 2.5  # neighbours farther off a first plane are no part of the second
@@ -81,7 +82,7 @@ def crop(
     inside = inside[top:bottom, left:right].copy()
     smooth, normal, off = _planes(z, ray, radius_px, STEEP * spacing_m * radius_px)
     off = off[inside & np.isfinite(off)]
-    noise_m = 1.4826 * float(np.median(off)) if len(off) else float("nan")
+    noise_m = float(robust_sigma(off))
     return Crop(
         left_px=int(left),
         top_px=int(top),

@@ -13,10 +13,11 @@ import numpy as np
 from jaxtyping import Float
 from scipy import ndimage
 
+from ..base.streams import Light, stream
+
 # Distance on a surface at which the finish of two places has a correlation of 1/e. Measured on five
 # scans of one bin of plastic, the parts in it included.
 PATCH_M = 0.010
-_STREAM = (4,)  # beside those of the sensor's noise, of speckle and of lines
 
 
 def uneven(
@@ -32,7 +33,7 @@ def uneven(
         patch_px: `PATCH_M` in the picture.
         seed: of the field.
     """
-    rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=_STREAM))
+    rng = stream(seed, Light.FINISH)
     field = rng.standard_normal(amplitude.shape, dtype=np.float32)
     field = ndimage.gaussian_filter(field, patch_px / 2, mode="wrap")
     field *= unevenness / max(float(field.std()), 1e-9)

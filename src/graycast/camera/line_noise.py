@@ -18,11 +18,11 @@ import numpy as np
 from jaxtyping import Float
 from scipy import fft
 
+from ..base.streams import Light, stream
 from ..rig.pattern import Axis, Code
 from .decode import DecodeSpec, Levels, decode
 from .decode.plan import plan_axes
 
-_STREAM = (3,)  # beside those of the sensor's noise and of speckle
 _LEAST_WEIGHT = 1e-4  # of a frequency, as a share of the greatest; finer ones are not drawn
 _TOP_DN = 60_000  # as which light is decoded without noise
 
@@ -65,7 +65,7 @@ def with_line_noise(
         lines, places = len(seen), int(place.max()) + 1
 
     def with_error(k: int) -> Float[np.ndarray, "h w"]:
-        rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(*_STREAM, k)))
+        rng = stream(seed, Light.LINES, k)
         error = _correlated(rng, places, lines, length_px)
         gain = np.maximum(1 + np.float32(share) * error[place, number], 0)
         return stack[k] * np.where(known, gain, np.float32(1))

@@ -22,6 +22,7 @@ from jaxtyping import Float, Num, UInt8, UInt16
 from pydantic import Field
 
 from ..base.settings import Level, Positive, check_fields
+from ..base.streams import Light
 
 PLANCK_J_S = 6.62607015e-34
 LIGHT_SPEED_M_S = 299_792_458.0
@@ -221,7 +222,7 @@ def expose(
         sensor.prnu,
         sensor.dsnu_e,
         _key(seed),
-        _key(sensor.fpn_seed, _PATTERN),
+        _key(sensor.fpn_seed, Light.FIXED_PATTERN),
     )
     return Capture(frames=frames, sensor=sensor, exposure_s=exposure_s)
 
@@ -288,10 +289,7 @@ def _take_unsaturated(stack, saturation_dn, stack_exposure_s, frames, exposure_s
                 exposure_s[y, x] = stack_exposure_s
 
 
-_PATTERN = (1,)  # its stream is another than a shot's of the same seed
-
-
-def _key(seed: int, stream: tuple[int, ...] = ()) -> np.uint64:
+def _key(seed: int, *stream: int) -> np.uint64:
     """A seed hashed by numpy, so that near seeds and other streams are unrelated."""
     return np.random.SeedSequence(seed, spawn_key=stream).generate_state(1, np.uint64)[0]
 

@@ -16,6 +16,7 @@ from jaxtyping import Bool
 
 from .. import __version__
 from ..base.frames import transform_points
+from ..base.streams import image_seeds, scene_seeds
 from ..camera.decode import CodeMap, DepthMap, Reason, reason_shares
 from ..camera.picture import color_picture, developed, gray_picture
 from ..camera.scanner import measure, take
@@ -27,7 +28,6 @@ from ..rig.pair import Rig
 from ..world.drop import OnStage as OnStage
 from ..world.drop import drop
 from ..world.scene import Layout, Scene, bin_of
-from ..world.seeds import image_seeds, scene_seeds
 from .config import resolve_quality
 from .domain import Variation, draw, moved_place, vary
 from .resolve import Cell, Eye, eyes, patterns_of

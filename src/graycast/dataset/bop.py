@@ -24,10 +24,10 @@ from scipy import ndimage
 from ..base.errors import DatasetError
 from ..base.frames import inverse
 from ..base.mask_box import mask_box
+from ..base.streams import OF_IMAGE
 from ..camera.decode import Reason
 from ..render.radiance import Silhouette
 from ..rig.optics import Optics
-from ..world.seeds import OF_IMAGE
 from .coco import run_lengths, scene_annotation, scene_coco, scene_image
 from .json_text import json_bytes
 from .raw import raw_facts, raw_files

@@ -2,7 +2,6 @@
 
 Each imports only from those above it:
 
-    seeds            the seeds of a scene's stages
     parts            meshes with materials, built in or from the user's files
     bins             a bin from a mesh file
     scene            the world before physics and light, and where the parts lie

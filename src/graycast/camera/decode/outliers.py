@@ -6,6 +6,7 @@ import numba
 import numpy as np
 from jaxtyping import Bool, Float
 
+from ...base.robust import MAD_SIGMA
 from .median import median
 
 LEAST = 4  # values that make a median
@@ -87,7 +88,7 @@ def _outlies(inverse, noise, y, x, sigmas, share):
     level = window.ravel()
     usual = median(level, LEAST)
     deviation = abs(middle - usual)
-    local = 1.4826 * median(np.abs(level - usual), LEAST)
+    local = MAD_SIGMA * median(np.abs(level - usual), LEAST)
     limit = max(sigmas * max(noise[y, x], local), share * middle)
     if not deviation > limit or (np.abs(level - middle) < 0.5 * deviation).sum() >= SUPPORT_PX:
         return False, 0.0, 0.0

@@ -13,6 +13,7 @@ import numpy as np
 from jaxtyping import Float
 
 from ...base.errors import ConfigError
+from ...base.streams import DOMAIN
 from ...rig.optics import Optics, rays
 from ...world.scene import Lamp, Scene, bin_of
 from .domain_sections import (
@@ -31,8 +32,6 @@ from .vary import lamp_of, shared_out, with_rig_and_bin
 
 PARTS_MAX = 255  # a drop has no more
 LAMP_TRIES = 1000
-# New ones go last: a stream is known by its place.
-_STREAMS = ("camera", "bin", "lamps", "environment", "table", "parts", "counts", "distractors")
 
 Streams = Mapping[str, np.random.Generator]
 
@@ -50,7 +49,7 @@ def draw(
     Raises:
         ConfigError: no lamp of these ranges leaves the view free, or the rig is not above the bin.
     """
-    streams = dict(zip(_STREAMS, rng.spawn(len(_STREAMS)), strict=True))
+    streams = dict(zip(DOMAIN, rng.spawn(len(DOMAIN)), strict=True))
     if isinstance(domain.section, AdaptedSection):
         return _draw_adapted(domain.section, scene, streams)
     return _draw_randomized(domain, domain.section, scene, counts, streams)

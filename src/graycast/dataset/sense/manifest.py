@@ -5,8 +5,8 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from ...base.streams import image_seeds, scene_seeds
 from ...camera.decode import reason_shares
-from ...world.seeds import image_seeds, scene_seeds
 from ..claim import BESIDE_CONFIG
 from .evidence import Evidence
 

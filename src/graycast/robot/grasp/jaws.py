@@ -9,6 +9,7 @@ from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 
 from ...base.frames import inverse, rigid, transform_points
+from ...base.streams import stream
 from ...world.parts import Mesh
 from ...world.parts.sampling import spread_points
 from .grip import Grip, downs
@@ -137,7 +138,7 @@ def jaw_places(
 
 def _displaced(doubt: Doubt, count: int, seed: int) -> Float[np.ndarray, "k 4 4"]:
     """Where a tool may be instead, in its planned frame; at most three deviations off."""
-    rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(1,)))
+    rng = stream(seed, 1)
     off = np.clip(rng.normal(size=(count, 6)), -3, 3)
     off[0] = 0
     turned = Rotation.from_rotvec(doubt.angle_rad * off[:, :3]).as_matrix()

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
+from ...base.streams import stream
 from .patch import Patch
 from .suction import MOST_STRAIN, Cup, load_factor, seals
 
@@ -45,7 +46,7 @@ def robustness(
     three, so that the patch need not be larger than that.
     """
     # Another stream than that of the places, which callers draw from the same seed.
-    rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(1,)))
+    rng = stream(seed, 1)
     off = np.clip(rng.normal(size=(chances, 8)), -3, 3)
     off[0] = 0
     aside_m = doubt.position_m * off[:, :2]

@@ -7,6 +7,7 @@ import numpy as np
 from jaxtyping import Float
 
 from ...base.frames import inverse
+from ...base.streams import stream
 from ...world.drop import lift
 from ...world.drop.lift import STEP_S
 from ..grasp import CARRIED_M_S2, CLEARANCE_M, Grip
@@ -59,7 +60,7 @@ def label_scene(
     half such as it should not, as far as there are as many; so are those that physics carries out,
     among what the tool reaches.
     """
-    rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(scene_id,)))
+    rng = stream(seed, scene_id)
     still = around(world, heap)
     labels = [
         _label(world, heap, still, number, grip)

@@ -12,6 +12,7 @@ from jaxtyping import Float, UInt8
 from scipy.spatial.transform import Rotation
 
 from ...base.frames import rigid
+from ...base.streams import EMPTIED_BIN
 from ...render import Renderer
 from ...world.drop import OnStage, drop
 from .attempt_picture import picture
@@ -24,8 +25,6 @@ from .pick_sections import PickingSection
 from .ready import Ready
 from .ways import Blocked, Ways
 
-# One independent stream per stage, known by their places, so new ones go last.
-STREAMS = ("counts", "drop", "calibration", "attempts")
 SHOWN_S = 0.05  # between the arm's poses that are kept
 
 
@@ -67,8 +66,8 @@ def empty_bin(
         ValueError: a picture is dark, or a value is out of its range.
     """
     config = ready.cell.config
-    own = np.random.SeedSequence(seed, spawn_key=(bin_id,)).spawn(len(STREAMS))
-    streams = dict(zip(STREAMS, own, strict=True))
+    own = np.random.SeedSequence(seed, spawn_key=(bin_id,)).spawn(len(EMPTIED_BIN))
+    streams = dict(zip(EMPTIED_BIN, own, strict=True))
     counts = _counts(ready, np.random.default_rng(streams["counts"]))
     layout = drop(
         ready.cell.cell.scene,

@@ -5,11 +5,11 @@ from typing import final
 
 import numpy as np
 
+from ...base.streams import scene_seeds
 from ...cell.resolve import Cell
 from ...cell.simulate import counts_of
 from ...world.drop import OnStage, drop
 from ...world.scene import Layout
-from ...world.seeds import scene_seeds
 from .heap_surface import Surface, spread_surface
 from .study import DesignSpec
 

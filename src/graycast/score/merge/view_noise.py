@@ -13,6 +13,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Num
 
 from ...base.frames import transform_points
+from ...base.robust import MAD_SIGMA
 from ...camera.decode import triangulation_axis
 from ...rig.optics import points, project
 from ...rig.pair import Rig
@@ -20,7 +21,6 @@ from .view import planes_of
 
 _GROUPS, _LEAST = 8, 400  # of pixels of like light, and pixels in one
 _NO_PLANES_PX = 12**-0.5  # of a place known to a projector pixel, where no plane shows its noise
-_MAD = 1.4826  # standard deviations of a normal distribution in its median absolute deviation
 _CENTRE = 24 / 25  # what a plane through 25 pixels leaves of the middle one's variance
 _NUDGE = 1e-4  # of the depth, over which its slope is taken
 
@@ -67,4 +67,4 @@ def _by_light(
     groups = np.array_split(order, np.clip(len(order) // _LEAST, 1, _GROUPS))
     strength = [float(np.median(light[on_plane][group])) for group in groups]
     off = [float(np.median(off_px[on_plane][group])) for group in groups]
-    return strength, [_MAD * each / np.sqrt(_CENTRE) for each in off]
+    return strength, [MAD_SIGMA * each / np.sqrt(_CENTRE) for each in off]

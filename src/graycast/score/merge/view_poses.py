@@ -20,6 +20,7 @@ from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 
 from ...base.frames import axis_rotation, inverse, rigid, transform_points
+from ...base.robust import robust_sigma
 from .looking import SIGMAS, Measured, at, meet
 from .view import MeasuredView, Points, points_of
 
@@ -223,7 +224,7 @@ def _least_squares(
     The kernel is wide at first: what leans shows a shift aside, and would be an outlier beside a
     floor that shows none.
     """
-    spread_m = 1.4826 * float(np.median(np.abs(offset_m - np.median(offset_m))))
+    spread_m = float(robust_sigma(offset_m - np.median(offset_m)))
     noise_m2 = np.maximum(variance_m2, spread_m**2)
     value, vector = np.linalg.eigh(row.T @ (row / noise_m2[:, None]))
     along = row @ vector[:, value > held_m**-2]

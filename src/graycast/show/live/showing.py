@@ -10,6 +10,7 @@ import numpy as np
 from jaxtyping import Float, Num, UInt8, UInt16
 
 from ...base.frames import inverse, transform_points
+from ...base.robust import robust_sigma
 from ...camera.decode import CodeMap, DepthMap, Reason, triangulation_axis
 from ...camera.sensor import Capture
 from ...cell.generate import depth_step_mm
@@ -194,9 +195,7 @@ def _figures(shown: Shown) -> dict[str, Any]:
         "reasons": {r.name.lower(): float((depth.reason == r).mean()) for r in Reason},
         "part_decoded": _mean(depth.reason[on_part] == Reason.DECODED),
         "bias_mm": float(np.median(known)) if known.size else None,
-        "sigma_mm": float(1.4826 * np.median(np.abs(known - np.median(known))))
-        if known.size
-        else None,
+        "sigma_mm": float(robust_sigma(known - np.median(known))) if known.size else None,
         "exposure_ms": 1e3 * float(np.max(shown.capture.exposure_s)),
         "saturated": _mean(shown.capture.frames[0] >= shown.capture.sensor.saturation_dn),
     }

@@ -10,6 +10,7 @@ from pydantic import Field
 
 from ...base.errors import DropError
 from ...base.settings import check_fields
+from ...base.streams import stream
 from ..parts import Part
 from ..scene import Bin, Layout, Scene
 from .body import Body, body_of
@@ -96,7 +97,7 @@ def drop(
 ) -> Layout:
     """Drops `counts[i]` of `scene.parts[i]` into the bin until they lie within the limits.
 
-    Attempt k starts from `SeedSequence(seed, spawn_key=(k,))`; the first layout without `flaws`
+    Attempt k starts from `stream(seed, k)`; the first layout without `flaws`
     is returned, with its attempt number. One seed gives one layout, bit for bit.
 
     Args:
@@ -131,7 +132,7 @@ def drop(
     tried = []
     for attempt in range(limits.attempts):
         on_stage(f"parts fall, attempt {attempt + 1} of {limits.attempts}")
-        rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(attempt,)))
+        rng = stream(seed, attempt)
         start, index = start_poses(
             scene.bin, corners_m, number, rng, opening_share=limits.opening_share
         )

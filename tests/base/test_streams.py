@@ -2,7 +2,7 @@
 
 from itertools import product
 
-from graycast.world.seeds import STREAMS, scene_seeds
+from graycast.base.streams import SCENE, scene_seeds
 
 
 def test_a_dataset_that_was_begun_goes_on_with_its_seeds():
@@ -23,7 +23,7 @@ def test_no_two_stages_scenes_or_datasets_share_a_seed():
         for seed, scene_id in product(range(20), range(20))
         for value in scene_seeds(seed, scene_id, domain=True, views=True).values()
     ]
-    assert len(set(every)) == len(every) == 400 * len(STREAMS)
+    assert len(set(every)) == len(every) == 400 * len(SCENE)
 
 
 def test_without_a_domain_the_other_seeds_stay():

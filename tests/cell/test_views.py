@@ -241,14 +241,6 @@ def test_a_mistake_is_one_line_that_names_it(tmp_path, name):
     assert "\n" not in text
 
 
-def test_left_out_a_configuration_says_nothing_of_views(tmp_path):
-    """So that its fingerprint and manifests are what they were."""
-    path = tmp_path / "cell.yaml"
-    path.write_text(yaml.safe_dump(PARTS))
-    told = load_config(path).model_dump(mode="json")
-    assert not {"views", "scanners"} & told.keys()
-
-
 def test_what_looks_once_refuses_a_cell_of_several_images(tmp_path):
     one, two = resolved(tmp_path), resolved(tmp_path, views=[{}, {"tilt_deg": 10}])
     refuse_several(one, "graycast design")

@@ -132,18 +132,12 @@ class ReadAs:
         return handler(self._section)
 
 
-def unsaid(value: object) -> bool:
-    """For `exclude_if` of a field that came later: where a file does not say it, neither does a
-    dataset's claim, so that older datasets can go on."""
-    return value is None
-
-
 def _may_miss(hint: Any, info: FieldInfo) -> tuple[Any, Any]:
     return hint | None, _field(None, info)
 
 
 def _field(default: Any, info: FieldInfo) -> Any:
-    return Field(default, description=info.description, exclude_if=info.exclude_if)
+    return Field(default, description=info.description)
 
 
 def _declared(dataclass: Any) -> list[tuple[str, Any, FieldInfo, Any]]:

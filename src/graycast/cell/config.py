@@ -18,7 +18,7 @@ from pydantic import (
 
 from ..base.errors import ConfigError
 from ..base.file_limits import refuse_large_picture
-from ..base.settings import Level, Settings, read_settings, unsaid
+from ..base.settings import Level, Settings, read_settings
 from ..camera.decode import triangulation_axis
 from ..camera.rig_file import ScannerSections, named_scanner, with_sections
 from ..camera.scanner import Scanner
@@ -48,18 +48,15 @@ class BinSection(Settings):
     mesh: Path | None = Field(
         None,
         description="An OBJ, PLY, STL or GLB file of the bin, which replaces inner_m and wall_m.",
-        exclude_if=lambda mesh: mesh is None,  # so that older datasets can go on
     )
     unit: Unit | None = Field(
         None,
         description="The unit of the mesh file. It must be stated if the sizes are not "
         "plausible in metres.",
-        exclude_if=lambda unit: unit is None,
     )
     up_axis: Up = Field(
         "z",
         description="The axis of the mesh file that points out of the bin's opening.",
-        exclude_if=lambda up: up == "z",
     )
     material: MaterialSection | None = Field(
         None,
@@ -70,7 +67,6 @@ class BinSection(Settings):
         None,
         description="The material of the inner floor. Without this key, it is the material "
         "of the walls.",
-        exclude_if=lambda floor: floor is None,  # so that older datasets can go on
     )
     friction: Level = 0.5
 
@@ -176,7 +172,6 @@ class Config(ScannerSections):
         None,
         description="The material of the table on which the bin stands. Without this key, it "
         "is matt grey.",
-        exclude_if=lambda table: table is None,  # so that older datasets can go on
     )
     rig: str = Field("paper", description="The name of a preset, or a rig file.")
     resolution: Literal["small", "low", "full"] = Field(
@@ -187,26 +182,22 @@ class Config(ScannerSections):
     views: Views | None = Field(
         None,
         description="Several images of each scene: a list of places, or dome, path or jitter.",
-        exclude_if=unsaid,
     )
     scanners: tuple[ScannerEntry, ...] | None = Field(
         None,
         min_length=1,
         description="Several scanners in the cell, each with a name. They replace rig.",
-        exclude_if=unsaid,
     )
     light: LightSection = LightSection()
     domain: DomainSection | None = Field(
         None,
         description="How the scenes differ in light, views and materials, in addition to the "
         "poses of their parts.",
-        exclude_if=lambda domain: domain is None,  # so that older datasets can go on
     )
     render: RenderSection = RenderSection()
     drop: DropLimits = DropLimits()
     store: StoreSection = Field(
         StoreSection(),
-        exclude_if=lambda store: not (store.frames or store.columns),  # as of older datasets
     )
 
     @field_validator("count", mode="wrap")

@@ -228,7 +228,7 @@ def read_origin(out: Path) -> Origin:
     try:
         claim = read_json(out / "graycast.json", Claim)
         held = {key: claim.config[key] for key in claim.config if key not in BESIDE_CONFIG}
-        stored = held.get("store", {}) | {"depth_step_mm": claim.depth_scale_mm}
+        stored = held["store"] | {"depth_step_mm": claim.depth_scale_mm}
         config = Config.model_validate(held | {"store": stored})
         named = [entry.rig for entry in config.scanners or (config,)]
         rigs = [rig for rig in named if rig not in PRESETS]

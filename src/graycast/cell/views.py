@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation, Slerp
 
 from ..base.errors import ConfigError
 from ..base.frames import axis_rotation, inverse, is_rigid, rigid, transform_points
-from ..base.settings import Level, Positive, PositiveSpan, Settings, SpanOf, Vector, unsaid
+from ..base.settings import Level, Positive, PositiveSpan, Settings, SpanOf, Vector
 from ..camera.rig_file import ScannerSections
 from ..rig.optics import Optics, rays
 from ..rig.pair import Rig, place, standoff_m
@@ -50,7 +50,6 @@ class ViewSection(Settings):
         None,
         description="The camera's pose, which replaces all other keys: the 16 numbers of a "
         "4x4 matrix by rows, in metres.",
-        exclude_if=lambda pose: pose is None,  # so that older datasets can go on
     )
 
     @model_validator(mode="after")
@@ -166,13 +165,11 @@ class ScannerEntry(ScannerSections):
         None,
         description="The pose of its camera in the frame of the first scanner's camera, with which "
         "it moves: the 16 numbers of a 4x4 matrix by rows, in metres.",
-        exclude_if=unsaid,
     )
     views: Views | None = Field(
         None,
         description="The camera poses of this scanner. Without this key, they are those of the key "
         "views of the configuration.",
-        exclude_if=unsaid,
     )
 
     @field_validator("name")

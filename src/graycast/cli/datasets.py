@@ -141,7 +141,7 @@ def _tell_coarse(shot) -> None:
 
 
 def _validate(options: argparse.Namespace) -> int:
-    from ..dataset import has_sums, validate
+    from ..dataset import validate
     from ..dataset.real import absent
 
     problems = validate(options.dataset, fast=options.fast)
@@ -152,11 +152,6 @@ def _validate(options: argparse.Namespace) -> int:
     if not problems:
         for lacking in absent(options.dataset):
             print(f"  not known: {lacking}")
-        if not has_sums(options.dataset):
-            print(
-                "  not known: whether a file was changed, because format_version 1 stores no "
-                "SHA-256 digests"
-            )
     return 1 if problems else 0
 
 

@@ -17,8 +17,8 @@ TRAIN = """\
 Train a detector on datasets of Graycast, on their exports, or on datasets of real pictures. The
 detector learns from the scenes of the train set, and the command keeps the weights that score
 best on the val set. It writes detector.pt (the weights and the encoding of pictures),
-history.csv, curves.png and files for TensorBoard to the folder of the training. If a training
-is stopped or killed, the same command continues it."""
+history.csv and curves.png to the folder of the training. If a training is stopped or killed, the
+same command continues it."""
 
 
 def add_commands(commands) -> None:

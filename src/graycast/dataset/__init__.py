@@ -20,7 +20,6 @@ if TYPE_CHECKING:  # for type checkers and editors; `_MODULE` says the same to P
     from .bop import depth_scale_mm as depth_scale_mm
     from .bop import scene_files as scene_files
     from .checking import Problem as Problem
-    from .checking import has_sums as has_sums
     from .checking import validate as validate
     from .claim import described_values as described_values
     from .compare import differing_files as differing_files
@@ -43,7 +42,6 @@ _MODULE = {
     "depth_scale_mm": "bop",
     "described_values": "claim",
     "differing_files": "compare",
-    "has_sums": "checking",
     "labelled": "sample",
     "open_store": "store",
     "read_capture": "raw",

@@ -49,7 +49,7 @@ def held(content: Any, form: type[R], where: str) -> R:
 def _first_mistake(where: str, error: pydantic.ValidationError) -> str:
     first = error.errors()[0]
     key = ".".join(str(key) for key in first["loc"])
-    return ": ".join(filter(None, (where, key, first["msg"])))
+    return ": ".join(filter(None, (where, key, first["msg"].removeprefix("Value error, "))))
 
 
 def read_mask(path: Path) -> np.ndarray:

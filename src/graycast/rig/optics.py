@@ -13,7 +13,7 @@ from jaxtyping import Bool, Float
 from pydantic import AfterValidator, Field
 
 from ..base.frames import pixel_grid
-from ..base.settings import Finite, check_fields, unsaid
+from ..base.settings import Finite, check_fields
 
 MAX_SIDE_PX = 32_768  # twice the longest sensors; beyond it a number is no size in pixels
 
@@ -101,7 +101,6 @@ class Optics:
             lt=1,
             description="Share of the light that is missing in the corners of the picture beyond "
             "natural vignetting; it grows with the square of the distance from the middle.",
-            exclude_if=unsaid,
         ),
     ] = None
     fill_factor: Annotated[

@@ -2,9 +2,10 @@
 
 import numpy as np
 import pytest
+from plain_decoder import decode_plain
 from projected import LEVELS, two_phases
 
-from graycast.camera.decode import DecodeSpec, Levels, bits, decode, decode_plain, phases, positions
+from graycast.camera.decode import DecodeSpec, Levels, bits, decode, phases, positions
 from graycast.rig.pattern import (
     gray,
     gray_line_shift,

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from matplotlib.colors import to_rgb
+from plain_decoder import decode_plain
 from projected import LEVELS, crisp, frames_of, share_of_white
 
 from graycast.camera.decode import (
@@ -15,7 +16,6 @@ from graycast.camera.decode import (
     Mark,
     Reason,
     decode,
-    decode_plain,
     levels_of,
     reason_shares,
 )

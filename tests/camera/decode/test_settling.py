@@ -6,9 +6,10 @@ import numba
 import numpy as np
 import pytest
 from limits import SHAPE, WEAK_CODES, stack, surface
+from plain_decoder import decode_plain
 from projected import LEVELS, share_of_white
 
-from graycast.camera.decode import DecodeSpec, Mark, Reason, decode, decode_plain
+from graycast.camera.decode import DecodeSpec, Mark, Reason, decode
 from graycast.rig.pattern import gray_phase
 
 SPEC = DecodeSpec(min_contrast=0.005)

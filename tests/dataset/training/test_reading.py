@@ -37,7 +37,7 @@ EXPORTS = {
 ABSENT = {
     "PIL", "beartype", "coacd", "drjit", "jaxtyping", "lxml", "manifold3d", "mapbox_earcut",
     "matplotlib", "mitsuba", "mujoco", "networkx", "numba", "packaging", "pyoidn", "rapier3d",
-    "rich", "scipy", "shapely", "trimesh", "yaml",
+    "rich", "scipy", "trimesh", "yaml",
 }  # fmt: skip
 READ = f"""
 import importlib.abc, pickle, sys

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 import trimesh
+from manifold3d import CrossSection
 
 from graycast.base.frames import axis_rotation, rigid
 from graycast.robot.grasp import Cup, Jaws, closing
@@ -99,15 +100,18 @@ def test_jaws_close_on_a_bar_and_draw_it_to_their_middle(robots):
     assert two.outcome is Outcome.NOT_HELD and "two parts" in two.detail
 
 
+def extruded(outline_m):
+    """A prism over an outline, 40 mm high along z."""
+    solid = CrossSection([outline_m]).extrude(0.04).to_mesh64()
+    return trimesh.Trimesh(solid.vert_properties[:, :3], solid.tri_verts)
+
+
 @pytest.mark.parametrize("slope", [0.1, 0.25])
 def test_the_slope_under_the_pads_is_that_of_a_wedge(slope):
     """A wedge whose one side is upright and whose other leans by the slope."""
     low, high = 0.02, 0.02 + slope * 0.04
     outline = np.array([[0, -0.02], [low, -0.02], [high, 0.02], [0, 0.02]])
-    from shapely.geometry import Polygon
-
-    wedge = trimesh.creation.extrude_polygon(Polygon(outline), 0.04)  # along z
-    part = part_of(wedge)
+    part = part_of(extruded(outline))
     aside_m, seen = closing(part.mesh, Jaws(opening_m=0.06), at(0.01, 0.0, 0.02))
     assert seen == pytest.approx(slope, rel=1e-6)
     # The pad meets the wedge where it is thickest under it, 0.95 of its radius up.
@@ -118,9 +122,7 @@ def test_the_slope_under_the_pads_is_that_of_a_wedge(slope):
 def test_what_lies_behind_the_face_that_a_pad_meets_does_not_lean_it():
     """A block 20 mm thick whose corner is cut at 45 degrees under the half of one pad."""
     outline = [[0, -0.02], [0.02, -0.02], [0.02, 0.8e-3], [5e-3, 15.8e-3], [0, 15.8e-3]]
-    from shapely.geometry import Polygon
-
-    part = part_of(trimesh.creation.extrude_polygon(Polygon(outline), 0.04))
+    part = part_of(extruded(outline))
     aside_m, slope = closing(part.mesh, Jaws(opening_m=0.06), at(0.01, 0.0, 0.02))
     assert slope == pytest.approx(0, abs=1e-6) and aside_m == pytest.approx(0, abs=1e-9)
     # 3 mm farther along, the pad meets the cut alone, and slips.

@@ -14,7 +14,6 @@ from .maps import (
     mean_shares,
     reason_shares,
 )
-from .plain import decode_plain
 from .positions import decode
 from .separation import separate
 from .triangulation import (
@@ -35,7 +34,6 @@ __all__ = [
     "Mark",
     "Reason",
     "decode",
-    "decode_plain",
     "depth_steps",
     "epipolar_residual_px",
     "filter_depth",

@@ -16,7 +16,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from pydantic import Field
 
-from ...base.settings import check_fields, unsaid
+from ...base.settings import check_fields
 from ...rig.optics import Optics
 from ...rig.pair import Rig
 from .maps import DepthMap, Reason
@@ -78,7 +78,6 @@ class FilterSpec:
         Field(
             description="Whether an outlier within a surface gets the depth of that surface "
             "instead of being removed.",
-            exclude_if=unsaid,
         ),
     ] = False
     hidden_sigmas: Annotated[
@@ -87,7 +86,6 @@ class FilterSpec:
             ge=0,
             description="Pixels are removed that a nearer surface hides from the projector "
             "by more than this number of standard deviations.",
-            exclude_if=unsaid,
         ),
     ] = None
     edge_px: Annotated[
@@ -98,7 +96,6 @@ class FilterSpec:
             description="Pixels are removed whose distance to a depth step or to a pixel without "
             "depth is at most this number of pixels. 1 removes the pixels on the border of each "
             "surface.",
-            exclude_if=unsaid,
         ),
     ] = None
     island_px: Annotated[

@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Float, UInt8
 from pydantic import Field
 
-from ...base.settings import check_fields, unsaid
+from ...base.settings import check_fields
 from ..sensor import SensorSpec, stored_saturation_dn
 
 
@@ -159,7 +159,6 @@ class DecodeSpec:
             ge=0,
             description="Lowest contrast of a decoded pixel, in standard deviations of the "
             "noise of the darkest frame.",
-            exclude_if=unsaid,
         ),
     ] = 0.0
     doubt: Annotated[float, Field(ge=0, lt=1)] = 0.15
@@ -171,7 +170,6 @@ class DecodeSpec:
             le=24,
             description="A pixel with a phase whose Gray bits contradict each other takes the "
             "period that at least so many of its 24 neighbours lead to. 0 switches this off.",
-            exclude_if=unsaid,
         ),
     ] = 0
     min_visibility: Annotated[
@@ -182,7 +180,6 @@ class DecodeSpec:
             description="Lowest contrast of a phase code's stripes, as a share of the contrast "
             "between the brightest and the darkest frame of the same pixel. Pixels that see two "
             "surfaces at once have less. 0 switches this off.",
-            exclude_if=unsaid,
         ),
     ] = 0.0
     max_epipolar_px: Annotated[

@@ -37,7 +37,7 @@ def open_parquet(
         try:
             file = pq.ParquetFile(path)
             if not file.schema_arrow.equals(schema()):
-                raise DatasetError(f"{path}: is of an older Graycast's form: export again")
+                raise DatasetError(f"{path}: has other columns than an export has: export again")
             for group in range(file.num_row_groups):
                 rows = file.read_row_group(group, columns=["scene_id"])["scene_id"].to_pylist()
                 place |= {scene_id: (path, group, row) for row, scene_id in enumerate(rows)}

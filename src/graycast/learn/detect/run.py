@@ -22,7 +22,7 @@ RUN = "run.json"
 CHECKPOINT = "checkpoint.pt"
 CACHE = "cache"
 _LOCK = ".lock"
-_HISTORY, _CURVES, _EVENTS = "history.csv", "curves.png", "tensorboard"
+_HISTORY, _CURVES = "history.csv", "curves.png"
 
 Row = dict[str, float | int]
 
@@ -141,7 +141,7 @@ class RunFolder:
             ) from error
 
     def tell(self, rows: Sequence[Row]) -> None:
-        """Write the history as CSV, as a picture and for TensorBoard, from the rows."""
+        """Write the history as CSV and as a picture, from the rows."""
         text = io.StringIO()
         names = list(dict.fromkeys(name for row in rows for name in row))
         table = csv.DictWriter(text, names, lineterminator="\n")
@@ -149,7 +149,6 @@ class RunFolder:
         table.writerows([{k: f"{v:.6g}" for k, v in row.items()} for row in rows])
         write_whole(self.path / _HISTORY, text.getvalue().encode())
         _draw(rows, self.path / _CURVES)
-        _tell_tensorboard(rows, self.path / _EVENTS)
 
 
 def _json(file: Path) -> Any:
@@ -198,15 +197,3 @@ def _draw(rows: Sequence[Row], path: Path) -> None:
     if right.get_lines():
         right.legend(fontsize=7, frameon=False)
     save_png(figure, path, dpi=110)
-
-
-def _tell_tensorboard(rows: Sequence[Row], folder: Path) -> None:
-    from torch.utils.tensorboard import SummaryWriter
-
-    for file in folder.glob("events.out.*"):
-        file.unlink()
-    with SummaryWriter(str(folder)) as writer:
-        for row in rows:
-            for name, value in row.items():
-                if name not in ("epoch", "step"):
-                    writer.add_scalar(name, value, int(row["step"]))

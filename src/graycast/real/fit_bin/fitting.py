@@ -185,7 +185,7 @@ def sections(fit: BinFit, cell: Cell, mesh: Path | None = None) -> dict[str, Map
 
     `mesh` is the file of a bent bin, beside the configuration.
     """
-    box = cell.config.bin.model_dump(mode="json", exclude_none=True)
+    box = cell.config.bin.model_dump(mode="json", exclude_none=True, exclude_defaults=True)
     if fit.bent is not None and mesh is not None:
         box = _bent_words(box, cell, mesh)
     elif bin_of(cell.scene).mesh is None:

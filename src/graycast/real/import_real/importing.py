@@ -18,11 +18,10 @@ from ...base.errors import DatasetError
 from ...base.file_limits import parse_json
 from ...base.folder import new_folder
 from ...base.mask_box import mask_box
-from ...dataset.claim import ONE_IMAGE
 from ...dataset.coco import run_lengths, scene_annotation, scene_coco, scene_image
 from ...dataset.json_text import json_bytes
 from ...dataset.places import CLAIM
-from ...dataset.records import split_annotation
+from ...dataset.records import FORMAT_VERSION, split_annotation
 from ...dataset.seal import sealed
 from ...render.radiance import Silhouette
 from ..depth_sense import filled_holes, refuse_beyond
@@ -186,7 +185,7 @@ class _Writer:
 
     def claim(self, folder: Path) -> dict[str, Any]:
         return {
-            "format_version": ONE_IMAGE,
+            "format_version": FORMAT_VERSION,
             "kind": "real",
             "depth_scale_mm": self.step_mm,
             "parts": [{"obj_id": i, "name": name} for i, name in enumerate(self.names, start=1)],

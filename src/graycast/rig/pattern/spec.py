@@ -7,7 +7,7 @@ from typing import Annotated, Literal, get_args
 
 from pydantic import Field
 
-from ...base.settings import check_fields, unsaid
+from ...base.settings import check_fields
 from .code import (
     Code,
     gray,
@@ -61,7 +61,6 @@ class CodeSpec:
             ge=2,
             description="The period of a second, finer phase of the code gray_phase, in projector "
             "pixels. Where the two phases disagree, light came by way of another surface.",
-            exclude_if=unsaid,
         ),
     ] = None
     steps: Annotated[

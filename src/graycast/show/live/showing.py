@@ -244,7 +244,7 @@ def _field(
 
 
 def _common(rig: Rig, z_m: float) -> Float[np.ndarray, "n 3"]:
-    outline = np.array(common_field(rig, z_m).exterior.coords).reshape(-1, 2)[:-1]
+    outline = common_field(rig, z_m)
     return np.column_stack([outline, np.full(len(outline), z_m)])
 
 

@@ -9,10 +9,10 @@ from pathlib import Path
 
 import numpy as np
 from jaxtyping import Float
+from manifold3d import CrossSection, FillRule
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
-from shapely import Polygon
 
 from ...base.plotting import save_png
 from ...camera.decode import triangulation_axis
@@ -45,14 +45,20 @@ def footprint_m(
     return origin[:2] + reach[:, None] * direction[:, :2]
 
 
-def common_field(rig: Rig, z_m: float) -> Polygon:
-    """What the camera sees and the projector lights on the plane at depth `z_m`; may be empty.
+def common_field(rig: Rig, z_m: float) -> Float[np.ndarray, "n 2"]:
+    """Outline (x, y) of what the camera sees and the projector lights at depth `z_m`, camera frame.
 
-    Where distorted outlines meet in several pieces, the largest.
+    Where distorted outlines meet in several pieces, the largest; no corner where they do not meet.
     """
-    field = _outline(rig.camera, np.eye(4), z_m) & _outline(rig.projector, rig.T_cam_proj, z_m)
-    pieces = [piece for piece in getattr(field, "geoms", [field]) if isinstance(piece, Polygon)]
-    return max(pieces, key=lambda piece: piece.area, default=Polygon())
+    outlines = (
+        footprint_m(rig.camera, np.eye(4), z_m),
+        footprint_m(rig.projector, rig.T_cam_proj, z_m),
+    )
+    camera, projector = (CrossSection([one], FillRule.NonZero) for one in outlines)
+    common = camera ^ projector
+    if common.is_empty():
+        return np.zeros((0, 2))
+    return max(common.decompose(), key=lambda piece: piece.area()).to_polygons()[0]
 
 
 def describe_rig(rig: Rig) -> str:
@@ -113,7 +119,7 @@ def _draw_view(ax: Axes, rig: Rig, *, across: int) -> None:
     )
     for name, optics, T_cam_device, color in devices:
         origin = T_cam_device[:3, 3]
-        edges = _edges(_outline(optics, T_cam_device, bottom_m), across)
+        edges = _edges(footprint_m(optics, T_cam_device, bottom_m), across)
         triangle = np.array([[origin[across], origin[2]], *([edge, bottom_m] for edge in edges)])
         ax.fill(*(1e3 * triangle.T), color=color, alpha=0.12, lw=0, label=f"{name}'s field")
         ax.plot(*(1e3 * triangle[[1, 0, 2]].T), color=color, lw=1)
@@ -165,11 +171,11 @@ def _draw_depth_per_line(ax: Axes, rig: Rig) -> None:
 
 
 def _draw_fields(ax: Axes, rig: Rig, name: str, z_m: float) -> None:
-    camera = _outline(rig.camera, np.eye(4), z_m)
-    projector = _outline(rig.projector, rig.T_cam_proj, z_m)
+    camera = footprint_m(rig.camera, np.eye(4), z_m)
+    projector = footprint_m(rig.projector, rig.T_cam_proj, z_m)
     for outline, color in ((camera, _CAMERA), (projector, _PROJECTOR)):
-        ax.fill(*(1e3 * _corners(outline).T), fc="none", ec=color)
-    ax.fill(*(1e3 * _corners(common_field(rig, z_m)).T), color=_COMMON, alpha=0.35, lw=0)
+        ax.fill(*(1e3 * outline.T), fc="none", ec=color)
+    ax.fill(*(1e3 * common_field(rig, z_m).T), color=_COMMON, alpha=0.35, lw=0)
     ax.set_aspect("equal")
     ax.invert_yaxis()
     ax.set(
@@ -203,25 +209,17 @@ def _optics_words(optics: Optics) -> str:
 def _field_words(rig: Rig, z_m: float) -> str:
     """Width and height of the common field's enclosing rectangle, or that there is none."""
     field = common_field(rig, z_m)
-    if field.is_empty:
+    if not len(field):
         return "none"
-    left, top, right, bottom = field.bounds
-    return f"{1e3 * (right - left):.0f} x {1e3 * (bottom - top):.0f} mm"
+    width_mm, height_mm = 1e3 * np.ptp(field, axis=0)
+    return f"{width_mm:.0f} x {height_mm:.0f} mm"
 
 
-def _outline(optics: Optics, T_cam_device: Float[np.ndarray, "4 4"], z_m: float) -> Polygon:
-    return Polygon(footprint_m(optics, T_cam_device, z_m))
-
-
-def _edges(outline: Polygon, across: int) -> tuple[float, float]:
+def _edges(outline: Float[np.ndarray, "n 2"], across: int) -> tuple[float, float]:
     """Lowest and highest coordinate along an axis; NaN where the outline is empty."""
-    if outline.is_empty:
+    if not len(outline):
         return math.nan, math.nan
-    return outline.bounds[across], outline.bounds[across + 2]
-
-
-def _corners(outline: Polygon) -> Float[np.ndarray, "n 2"]:
-    return np.array(outline.exterior.coords).reshape(-1, 2)
+    return outline[:, across].min(), outline[:, across].max()
 
 
 def _border_px(optics: Optics) -> Float[np.ndarray, "n 2"]:

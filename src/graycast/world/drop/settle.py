@@ -50,7 +50,6 @@ class DropLimits:
             le=600,
             description="The simulated time in which the parts of one attempt must come to "
             "rest, in seconds.",
-            exclude_if=lambda seconds: seconds == 20.0,  # so that older datasets can go on
         ),
     ] = 20.0
     opening_share: Annotated[
@@ -60,7 +59,6 @@ class DropLimits:
             le=1,
             description="The share of the bin's inner length and width, about its middle, over "
             "which the parts fall.",
-            exclude_if=lambda share: share == 1.0,  # so that older datasets can go on
         ),
     ] = 1.0
 

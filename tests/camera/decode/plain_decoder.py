@@ -5,13 +5,25 @@ from itertools import product
 import numpy as np
 from jaxtyping import UInt8, UInt16
 
-from ...rig.pattern import AXES, Code
-from .bits import BLURRED, FINE_ERROR, INVERTED, SHARP, UPRIGHT, XOR_SIGMAS
-from .maps import CodeMap, DecodeSpec, Levels, Mark, Reason
-from .phases import APART_SIGMAS, MAX_MISFIT, MIN_LEAD, SLACK_SIGMAS, USUAL_SIGMAS
-from .plan import MODEL_RAD, OFF_CELL, AxisPlan, Period, plan_axes, read_frames
-from .positions import SHADOW_SIGMAS
-from .settling import (
+from graycast.camera.decode.bits import BLURRED, FINE_ERROR, INVERTED, SHARP, UPRIGHT, XOR_SIGMAS
+from graycast.camera.decode.maps import CodeMap, DecodeSpec, Levels, Mark, Reason
+from graycast.camera.decode.phases import (
+    APART_SIGMAS,
+    MAX_MISFIT,
+    MIN_LEAD,
+    SLACK_SIGMAS,
+    USUAL_SIGMAS,
+)
+from graycast.camera.decode.plan import (
+    MODEL_RAD,
+    OFF_CELL,
+    AxisPlan,
+    Period,
+    plan_axes,
+    read_frames,
+)
+from graycast.camera.decode.positions import SHADOW_SIGMAS
+from graycast.camera.decode.settling import (
     AGAINST_SHARE,
     CHOICES,
     CLEAR,
@@ -24,6 +36,7 @@ from .settling import (
     REFUSED,
     STEP_PERIODS,
 )
+from graycast.rig.pattern import AXES, Code
 
 
 def decode_plain(
@@ -34,7 +47,7 @@ def decode_plain(
     *,
     fine_error: float = FINE_ERROR,
 ) -> CodeMap:
-    """See `decode`."""
+    """As `decode`."""
     stack = frames.astype(np.float64)
     high, low = stack.max(axis=0), stack.min(axis=0)
     strength = high - low

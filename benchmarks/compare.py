@@ -20,6 +20,8 @@ from statistics import median
 from tempfile import TemporaryDirectory, TemporaryFile
 from typing import Any
 
+from .figures import table as markdown
+
 SLOWER = 1.05  # above this ratio a stage is marked
 LEAST_ROUNDS = 2
 SIDES = ("here", "there")
@@ -170,10 +172,11 @@ def _row(records: Sequence[Record], stage: str, row: str) -> Record:
 
 def table(rows: Sequence[Record]) -> str:
     """The rows as Markdown."""
-    lines = ["| Stage | here | there | ratio | spread | |", "|---|---:|---:|---:|---:|---|"]
+    lines = []
     for row in rows:
         here, there = ("" if row[side] is None else f"{row[side]:.3g}" for side in SIDES)
-        ratio = "{ratio:.2f} | {lowest:.2f}..{highest:.2f}".format(**row) if "ratio" in row else "|"
+        found = "ratio" in row
+        ratio = ["{ratio:.2f}", "{lowest:.2f}..{highest:.2f}"] if found else ["", ""]
         note = row["note"].replace("|", "\\|")
-        lines.append(f"| {row['row']} | {here} | {there} | {ratio} | {note} |")
-    return "\n".join(lines)
+        lines.append([row["row"], here, there, *(one.format(**row) for one in ratio), note])
+    return markdown(["Stage", *SIDES, "ratio", "spread", ""], lines)

@@ -112,6 +112,13 @@ def cycles_renderer():
 
 
 @pytest.fixture(scope="session")
+def robots():
+    """The libraries of robots, for tests that plan, move or collide; others run without them."""
+    for name in ("pinocchio", "coal", "ompl", "toppra"):
+        pytest.importorskip(name, reason=f"needs {name}: pip install 'graycast[pick]'")
+
+
+@pytest.fixture(scope="session")
 def shared() -> Path:
     """The folder of test data beside the repository; tests that need it skip where it is not."""
     folder = Path(__file__).resolve().parents[2] / "shared" / "data"

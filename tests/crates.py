@@ -6,8 +6,8 @@ from pathlib import Path
 import numpy as np
 import trimesh
 
-from graycast.bins import MeshBin, load_bin
-from graycast.scene import Bin
+from graycast.world.bins import MeshBin, load_bin
+from graycast.world.scene import Bin
 
 
 @dataclass(frozen=True)

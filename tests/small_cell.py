@@ -10,10 +10,10 @@ from pathlib import Path
 import trimesh
 import yaml
 
-from graycast.optics import Optics
-from graycast.rig import preset_rig
-from graycast.rig_file import save_scanner
-from graycast.scanner import Scanner
+from graycast.camera.rig_file import save_scanner
+from graycast.camera.scanner import Scanner
+from graycast.rig.optics import Optics
+from graycast.rig.pair import preset_rig
 
 GRAYCAST = [sys.executable, "-m", "graycast.cli"]
 

@@ -433,7 +433,7 @@ def test_what_is_no_dataset_is_not_validated(capsys, tmp_path):
     (tmp_path / "note.txt").write_text("x")
     for path in (tmp_path, tmp_path / "none", tmp_path / "note.txt"):
         text = refusal(capsys, "validate", path)
-        assert f"{path} is not a Graycast dataset: graycast.json" in text
+        assert f"{path} is not a Graycast dataset that can be read: graycast.json" in text
 
 
 def test_a_cut_picture_is_found_and_its_scene_named(capsys, tmp_path, dataset):

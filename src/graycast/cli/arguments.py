@@ -10,11 +10,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 from jaxtyping import Float
 
-from ..errors import GraycastError
-from ..rig import PRESETS, RESOLUTIONS
+from ..base.errors import GraycastError
+from ..rig.pair import PRESETS, RESOLUTIONS
 
 if TYPE_CHECKING:
-    from ..generate import Workers
+    from ..cell.generate import Workers
 
 Run = Callable[[argparse.Namespace], int | None]
 
@@ -89,7 +89,7 @@ def add_resolution(parser: argparse.ArgumentParser) -> None:
 
 def resolve_rig_option(options: argparse.Namespace):
     """Return the scanner that the arguments `rig` and `--resolution` name."""
-    from ..rig_file import named_scanner
+    from ..camera.rig_file import named_scanner
 
     if options.resolution is not None and options.rig not in PRESETS:
         raise GraycastError(
@@ -101,14 +101,14 @@ def resolve_rig_option(options: argparse.Namespace):
 
 def load_cell(options: argparse.Namespace):
     """Load the cell of `config` with the renderer of `--backend`; print its notes."""
-    from ..config import load_config
+    from ..cell.config import load_config
 
     return resolve_cell_option(load_config(options.config), options)
 
 
 def resolve_cell_option(config, options: argparse.Namespace):
     """Build a cell; relative paths start in the folder of `options.config`."""
-    from ..cell import resolve_cell
+    from ..cell.resolve import resolve_cell
 
     if getattr(options, "backend", None) is not None:
         render = config.render.model_copy(update={"backend": options.backend})
@@ -127,10 +127,6 @@ def positive(text: str) -> int:
     if not text.isdecimal() or int(text) < 1:
         raise argparse.ArgumentTypeError(f"{text!r} is not a whole number of at least 1")
     return int(text)
-
-
-def counts(text: str) -> tuple[int, ...]:
-    return tuple(positive(number) for number in text.split(","))
 
 
 def above_zero(text: str) -> float:
@@ -263,7 +259,7 @@ def workers_of(options: argparse.Namespace) -> "Workers":
     Raises:
         GraycastError: `--address` is given without `--engine ray`.
     """
-    from ..generate import Workers
+    from ..cell.generate import Workers
 
     if options.address is not None and options.engine != "ray":
         raise GraycastError(

@@ -78,10 +78,10 @@ def add_commands(commands) -> None:
 
 
 def _preview(options: argparse.Namespace) -> int:
-    from ..cell import open_cell_renderer
-    from ..errors import GraycastError
-    from ..report import draw_preview
-    from ..simulate import make_images
+    from ..base.errors import GraycastError
+    from ..cell.resolve import open_cell_renderer
+    from ..cell.simulate import make_images
+    from ..show.report import draw_preview
 
     cell = load_cell(options)
     if options.image >= len(cell.images):
@@ -132,7 +132,7 @@ def _which(cell, number: int) -> str:
 
 def _tell_coarse(shot) -> None:
     """Print which of the dropped parts have coarse collision hulls."""
-    from ..drop import hull_notes, prepare
+    from ..world.drop import hull_notes, prepare
 
     sample = shot.sample
     parts = [sample.scene.parts[kind] for kind in sorted({*sample.layout.part_index})]
@@ -141,7 +141,7 @@ def _tell_coarse(shot) -> None:
 
 
 def _validate(options: argparse.Namespace) -> int:
-    from ..dataset import has_sums, validate
+    from ..dataset import validate
     from ..dataset.real import absent
 
     problems = validate(options.dataset, fast=options.fast)
@@ -152,17 +152,12 @@ def _validate(options: argparse.Namespace) -> int:
     if not problems:
         for lacking in absent(options.dataset):
             print(f"  not known: {lacking}")
-        if not has_sums(options.dataset):
-            print(
-                "  not known: whether a file was changed, because format_version 1 stores no "
-                "SHA-256 digests"
-            )
     return 1 if problems else 0
 
 
 def _parts(options: argparse.Namespace) -> int:
-    from ..parts import BUILTIN, builtin_part
-    from ..report import describe_parts, draw_parts
+    from ..show.report import describe_parts, draw_parts
+    from ..world.parts import BUILTIN, builtin_part
 
     if options.config is None:
         shown = tuple(builtin_part(name) for name in BUILTIN)
@@ -182,7 +177,7 @@ def _parts(options: argparse.Namespace) -> int:
 
 def _describe_hulls(parts) -> None:
     """Describe the collision hulls of the parts; hulls that are not in the cache are made now."""
-    from ..drop import hull_notes, prepare
+    from ..world.drop import hull_notes, prepare
 
     with stage_line() as on_stage:
         prepared = prepare(parts, on_stage=on_stage)

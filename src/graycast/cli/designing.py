@@ -40,7 +40,7 @@ def add_commands(commands) -> None:
 
 
 def _design(options: argparse.Namespace) -> int:
-    from ..design import read_design, run_design, settings_of, write_design
+    from ..score.design import read_design, run_design, settings_of, write_design
 
     workers = workers_of(options)
     spec = read_design(options.study)

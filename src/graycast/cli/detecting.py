@@ -3,7 +3,7 @@
 import argparse
 from pathlib import Path
 
-from ..errors import GraycastError
+from ..base.errors import GraycastError
 from .arguments import above_zero, add_command, positive, progress_bar, seed, share
 
 # torch takes seconds to import and may be missing, so its names are repeated here. A test compares
@@ -17,8 +17,8 @@ TRAIN = """\
 Train a detector on datasets of Graycast, on their exports, or on datasets of real pictures. The
 detector learns from the scenes of the train set, and the command keeps the weights that score
 best on the val set. It writes detector.pt (the weights and the encoding of pictures),
-history.csv, curves.png and files for TensorBoard to the folder of the training. If a training
-is stopped or killed, the same command continues it."""
+history.csv and curves.png to the folder of the training. If a training is stopped or killed, the
+same command continues it."""
 
 
 def add_commands(commands) -> None:
@@ -295,8 +295,8 @@ def _torch(options: argparse.Namespace) -> None:
 
 def _train(options: argparse.Namespace) -> None:
     _torch(options)
-    from ..detect import Augmentation, TrainSpec, train
-    from ..export.split import Split, parse_shares
+    from ..dataset.export.split import Split, parse_shares
+    from ..learn.detect import Augmentation, TrainSpec, train
 
     spec = TrainSpec(
         model=options.model,
@@ -349,7 +349,7 @@ def _detect(options: argparse.Namespace) -> None:
     _torch(options)
     from statistics import median
 
-    from ..detect import detect, load_detector, pictures_of
+    from ..learn.detect import detect, load_detector, pictures_of
 
     detector = load_detector(options.detector, device=options.device)
     if options.export is not None:
@@ -389,7 +389,7 @@ def _detect(options: argparse.Namespace) -> None:
 
 
 def _export(detector, options: argparse.Namespace) -> None:
-    from ..detect.onnx_file import write_onnx
+    from ..learn.detect.onnx_file import write_onnx
 
     if options.pictures is not None:
         raise GraycastError(
@@ -401,7 +401,7 @@ def _export(detector, options: argparse.Namespace) -> None:
 
 def _study(options: argparse.Namespace) -> None:
     _torch(options)
-    from ..study import read_study, run_study, runs_of, write_study
+    from ..learn.study import read_study, run_study, runs_of, write_study
 
     spec = read_study(options.study)
     runs = list(runs_of(spec))

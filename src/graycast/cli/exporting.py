@@ -163,7 +163,7 @@ def add_commands(commands) -> None:
 
 
 def _export(options: argparse.Namespace) -> int:
-    from ..export import Options, Split, export, parse_shares
+    from ..dataset.export import Options, Split, export, parse_shares
 
     split = Split(shares=parse_shares(options.split), seed=options.split_seed)
     said = {name: getattr(options, name) for name in _OPTIONS}

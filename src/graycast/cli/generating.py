@@ -5,7 +5,7 @@ from pathlib import Path
 
 from rich.markup import escape
 
-from ..errors import DatasetError
+from ..base.errors import DatasetError
 from .arguments import (
     add_backend,
     add_command,
@@ -68,9 +68,9 @@ def add_commands(commands) -> None:
 
 
 def _generate(options: argparse.Namespace) -> int:
-    from ..card import CARD, write_card
-    from ..generate import generate
-    from ..usage import GpuWatch
+    from ..base.usage import GpuWatch
+    from ..cell.generate import generate
+    from ..dataset.card import CARD, write_card
 
     workers = workers_of(options)
     cell = load_cell(options)
@@ -177,8 +177,8 @@ def _tell(summary, out: Path) -> None:
 
 
 def _rerender(options: argparse.Namespace) -> int:
-    from ..config import load_config
-    from ..generate import read_origin, rerender
+    from ..cell.config import load_config
+    from ..cell.generate import read_origin, rerender
 
     origin = read_origin(options.dataset)
     config = origin.config

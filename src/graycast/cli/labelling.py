@@ -3,7 +3,7 @@
 import argparse
 from pathlib import Path
 
-from ..errors import GraycastError
+from ..base.errors import GraycastError
 from .arguments import add_command, add_seed, positive, progress_bar
 from .arguments import seed as whole
 
@@ -81,7 +81,7 @@ def _grasps(options: argparse.Namespace) -> int:
             "the collision check of the tool needs a library that is not installed: run pip "
             "install 'graycast[pick]'"
         ) from error
-    from ..grasp_labels import Labelling, label_dataset, rank, read_tool
+    from ..robot.grasp_labels import Labelling, label_dataset, rank, read_tool
 
     tool = read_tool(options.tool)
     labelling = Labelling(

@@ -70,14 +70,14 @@ def _add_dataset(parser: argparse.ArgumentParser, told: str) -> None:
 def _stats(options: argparse.Namespace) -> int:
     from rich.console import Console
 
+    from ..base.errors import GraycastError
+    from ..dataset.stats import dataset_statistics, statistics_table, write_statistics
     from ..dataset.stored import open_dataset
-    from ..errors import GraycastError
-    from ..stats import dataset_statistics, statistics_table, write_statistics
 
     if options.licence is not None and not options.card:
         raise GraycastError("--licence applies only with --card: add --card, or remove --licence")
     if options.licence is not None:
-        from ..card import spdx
+        from ..dataset.card import spdx
 
         spdx(options.licence)  # before the dataset is read
     with progress_bar() as bar:
@@ -92,15 +92,15 @@ def _stats(options: argparse.Namespace) -> int:
         write_statistics(statistics, options.out)
         print(options.out)
     if options.card:
-        from ..card import write_card
+        from ..dataset.card import write_card
 
         print(write_card(options.dataset, statistics, licence=options.licence))
     return 0
 
 
 def _report(options: argparse.Namespace) -> int:
-    from ..errors import GraycastError
-    from ..report.page import WIDTH_PX, write_report
+    from ..base.errors import GraycastError
+    from ..show.report.page import WIDTH_PX, write_report
 
     if (options.dataset / "picks.json").exists():
         return _report_picks(options)
@@ -124,9 +124,9 @@ def _report(options: argparse.Namespace) -> int:
 
 
 def _report_picks(options: argparse.Namespace) -> int:
-    from ..errors import GraycastError
-    from ..report.page import WIDTH_PX
-    from ..report.picks import write_pick_report
+    from ..base.errors import GraycastError
+    from ..show.report.page import WIDTH_PX
+    from ..show.report.picks import write_pick_report
 
     if options.detections is not None:
         raise GraycastError(

@@ -4,8 +4,8 @@ import argparse
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
-from ..errors import GraycastError
-from ..folder import refuse_foreign, whole_folder
+from ..base.errors import GraycastError
+from ..base.folder import refuse_foreign, whole_folder
 from .arguments import (
     add_backend,
     add_command,
@@ -126,8 +126,8 @@ def add_commands(commands) -> None:
 
 
 def _decode(options: argparse.Namespace) -> int:
-    from ..rig_file import load_scanner
-    from ..stack import CODE, decode_stack, describe_result, read_description, write_result
+    from ..camera.rig_file import load_scanner
+    from ..camera.stack import CODE, decode_stack, describe_result, read_description, write_result
 
     refuse_foreign(options.out, CODE)
     stack = options.stack / "stack.yaml" if options.stack.is_dir() else options.stack
@@ -148,8 +148,8 @@ def _decode(options: argparse.Namespace) -> int:
 
 
 def _certify(options: argparse.Namespace) -> int:
-    from ..metrology import CERTIFICATE, certify, describe, write_certificate
     from ..render import open_renderer
+    from ..score.metrology import CERTIFICATE, certify, describe, write_certificate
 
     scanner = resolve_rig_option(options)
     refuse_foreign(options.out, CERTIFICATE)
@@ -173,7 +173,7 @@ def _certify(options: argparse.Namespace) -> int:
 
 
 def _realism(options: argparse.Namespace) -> int:
-    from ..decode import Reason
+    from ..camera.decode import Reason
     from ..real.realism import RECORD_FILE, measure_all, pool, read_scans, table, write_record
 
     if (options.compare is None) == (not options.depth):

@@ -3,7 +3,7 @@
 import argparse
 from pathlib import Path
 
-from ..errors import GraycastError
+from ..base.errors import GraycastError
 from .arguments import (
     above_zero,
     add_command,
@@ -132,7 +132,13 @@ def need_robot() -> None:
 
 def _pick(options: argparse.Namespace) -> int:
     need_robot()
-    from ..pick import load_pick_config, pick_bins, read_episodes, resolve_pick_cell, summarize
+    from ..robot.pick import (
+        load_pick_config,
+        pick_bins,
+        read_episodes,
+        resolve_pick_cell,
+        summarize,
+    )
 
     workers = workers_of(options)
     config = _with_options(load_pick_config(options.config), options)
@@ -179,7 +185,7 @@ def _pick(options: argparse.Namespace) -> int:
 
 def _with_options(config, options: argparse.Namespace):
     """The configuration with the options of the command line, checked like a file."""
-    from ..pick.sections import PickConfig
+    from ..robot.pick.pick_sections import PickConfig
 
     changed = {}
     if options.detector is not None:
@@ -211,7 +217,7 @@ def _bins(count: int) -> str:
 
 
 def _picks(options: argparse.Namespace) -> int:
-    from ..pick import compared, plot_runs, read_episodes, summarize
+    from ..robot.pick import compared, plot_runs, read_episodes, summarize
 
     runs = {str(folder): read_episodes(folder) for folder in options.folders}
     _tell(summarize(next(iter(runs.values()))))
@@ -226,7 +232,7 @@ def _picks(options: argparse.Namespace) -> int:
 
 def _replay(options: argparse.Namespace) -> int:
     need_robot()
-    from ..report.picks.film import WIDTH_PX, write_film
+    from ..show.report.picks.film import WIDTH_PX, write_film
 
     with progress_bar() as bar:
         task = bar.add_task("attempts", total=None)

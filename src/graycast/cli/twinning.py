@@ -3,7 +3,7 @@
 import argparse
 from pathlib import Path
 
-from ..errors import GraycastError
+from ..base.errors import GraycastError
 from .arguments import (
     above_zero,
     add_command,
@@ -95,11 +95,11 @@ def add_commands(commands: argparse._SubParsersAction) -> None:
 
 
 def _twin(options: argparse.Namespace) -> int:
-    from ..cell import refuse_several
-    from ..config import load_config
+    from ..cell.config import load_config
+    from ..cell.resolve import refuse_several
     from ..real.depth_file import read_intrinsics
     from ..real.fitted_config import refuse_existing, refuse_there
-    from ..real.pictures import read_rgb
+    from ..real.picture_pairs import read_rgb
     from ..real.realism import read_scans
     from ..real.twin import check_scans, files_of, make_twin, summary, write_twin
 

@@ -2,11 +2,11 @@
 
 import numpy as np
 
-from graycast.frames import axis_rotation, inverse, look_at, rigid, transform_points
-from graycast.optics import Optics
-from graycast.raster import rasterize
+from graycast.base.frames import axis_rotation, inverse, look_at, rigid, transform_points
 from graycast.real.fit_bin import BinView
-from graycast.scene import Bin, bin_mesh
+from graycast.rig.meshdepth import rasterize
+from graycast.rig.optics import Optics
+from graycast.world.scene import Bin, bin_mesh
 
 CAMERA = Optics(width_px=160, height_px=120, fx_px=176.0, fy_px=176.0, cx_px=79.5, cy_px=59.5)
 BOX = Bin(inner_m=(0.40, 0.30, 0.15), wall_m=0.012)

@@ -13,12 +13,12 @@ import numpy as np
 from crates import Crate
 from small_cell import shrunk
 
-from graycast.cell import Cell, resolve_cell
-from graycast.config import Config
+from graycast.cell.config import Config
+from graycast.cell.resolve import Cell, resolve_cell
+from graycast.cell.simulate import make_scene
 from graycast.real.fit_bin import BinView, fit_pose, shape_of
 from graycast.render import Quality, open_renderer
-from graycast.scene import EMPTY_LAYOUT
-from graycast.simulate import make_scene
+from graycast.world.scene import EMPTY_LAYOUT
 
 from .empty_bins import wrong_by
 

@@ -10,19 +10,19 @@ import trimesh
 import yaml
 from small_cell import shrunk, write_cell
 
-from graycast.cell import resolve_cell
+from graycast.base.errors import GraycastError
+from graycast.base.frames import inverse, transform_points
+from graycast.camera.rig_file import save_scanner
+from graycast.camera.scanner import Scanner
+from graycast.cell.config import load_config
+from graycast.cell.resolve import resolve_cell
 from graycast.cli.fitting import add_commands
-from graycast.config import load_config
-from graycast.errors import GraycastError
-from graycast.frames import inverse, transform_points
-from graycast.optics import Optics
-from graycast.parts import Mesh
-from graycast.raster import rasterize
 from graycast.real.fit_bin import bend_bin, fitting
-from graycast.rig import preset_rig
-from graycast.rig_file import save_scanner
-from graycast.scanner import Scanner
-from graycast.scene import Bin, bin_mesh
+from graycast.rig.meshdepth import rasterize
+from graycast.rig.optics import Optics
+from graycast.rig.pair import preset_rig
+from graycast.world.parts import Mesh
+from graycast.world.scene import Bin, bin_mesh
 
 from .empty_bins import noisy, perfect_depth, pose
 

@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 from crates import Crate
 
-from graycast.errors import GraycastError
-from graycast.frames import axis_rotation, rigid
+from graycast.base.errors import GraycastError
+from graycast.base.frames import axis_rotation, rigid
 from graycast.real.fit_bin import fit_pose, register, settle, shape_of
 from graycast.real.fit_bin.shape import NO_FACE, height_over
-from graycast.scene import Bin, bin_mesh
+from graycast.world.scene import Bin, bin_mesh
 
 from .empty_bins import BOX, CAMERA, noisy, perfect_depth, pose, view, wrong_by
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from backends import slow
 
-from graycast.errors import GraycastError
+from graycast.base.errors import GraycastError
 from graycast.real.realism import patches, sensor_auc, two_sample, two_sample_test
 from graycast.real.realism.patches import GROUPS, cut_squares, find_floor
 from graycast.real.realism.two_sample import depth_step_m

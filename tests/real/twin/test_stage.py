@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from small_cell import write_cell
 
-from graycast.cell import resolve_cell
-from graycast.config import load_config
+from graycast.cell.config import load_config
+from graycast.cell.resolve import resolve_cell
 from graycast.real.realism import DepthScan
 from graycast.real.twin.stage import BinLook, Lit, light_scenes, missing_places, scan_lit
 from graycast.render import Quality

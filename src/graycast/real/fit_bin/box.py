@@ -10,7 +10,7 @@ import numba
 import numpy as np
 from jaxtyping import Float, Int
 
-from .reading import Grid
+from .bin_views import Grid
 from .shape import COS_ALIKE, NO_FACE, BinShape
 
 _RAISED_M, _AROUND_M = 0.015, 0.025  # of content: above the floor; walls, and what places are off

@@ -14,19 +14,18 @@ import numpy as np
 from jaxtyping import Float
 
 from ... import __version__
-from ...dataset.claim import ONE_IMAGE
+from ...base.errors import DatasetError
+from ...base.file_limits import parse_json
+from ...base.folder import new_folder
+from ...base.mask_box import mask_box
 from ...dataset.coco import run_lengths, scene_annotation, scene_coco, scene_image
 from ...dataset.json_text import json_bytes
 from ...dataset.places import CLAIM
-from ...dataset.records import split_annotation
+from ...dataset.records import FORMAT_VERSION, split_annotation
 from ...dataset.seal import sealed
-from ...errors import DatasetError
-from ...file_limits import parse_json
-from ...folder import new_folder
-from ...mask_box import mask_box
 from ...render.radiance import Silhouette
 from ..depth_sense import filled_holes, refuse_beyond
-from ..pictures import RealPicture, Seen, depth_step_mm, depth_steps, find_shots, read_shot
+from ..picture_pairs import RealPicture, Seen, depth_step_mm, depth_steps, find_shots, read_shot
 from .annotations import Drawn, read_annotations
 
 NO_DISTORTION = (0.0, 0.0, 0.0, 0.0, 0.0)
@@ -186,7 +185,7 @@ class _Writer:
 
     def claim(self, folder: Path) -> dict[str, Any]:
         return {
-            "format_version": ONE_IMAGE,
+            "format_version": FORMAT_VERSION,
             "kind": "real",
             "depth_scale_mm": self.step_mm,
             "parts": [{"obj_id": i, "name": name} for i, name in enumerate(self.names, start=1)],

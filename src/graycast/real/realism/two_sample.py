@@ -17,8 +17,9 @@ from itertools import combinations
 import numpy as np
 from jaxtyping import Float
 
-from ...errors import GraycastError
-from .patches import GROUPS, Squares, cut_squares, robust_sigma, second_difference
+from ...base.errors import GraycastError
+from ...base.robust import robust_sigma
+from .patches import GROUPS, Squares, cut_squares, second_difference
 from .scan import DepthScan
 
 PLACES = ("smooth", "floor")

@@ -6,12 +6,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import UInt8
 
-from ...cell import Cell, open_cell_renderer
-from ...config import resolve_quality
-from ...errors import GraycastError
-from ...parts import Material
-from ...pattern import CodeSpec
-from ...scene import bin_of
+from ...base.errors import GraycastError
+from ...cell.config import resolve_quality
+from ...cell.resolve import Cell, open_cell_renderer
+from ...rig.pattern import CodeSpec
+from ...world.parts import Material
+from ...world.scene import bin_of
 from ..realism import DepthScan, TwoSample, two_sample_test
 from ..realism.patches import find_floor
 from ..realism.two_sample import require_sklearn

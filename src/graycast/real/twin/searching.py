@@ -22,9 +22,9 @@ from typing import TypeVar
 import numpy as np
 from jaxtyping import Bool, Float
 
-from ...errors import GraycastError
-from ...pattern import CodeSpec
-from ...scanner import Scanner
+from ...base.errors import GraycastError
+from ...camera.scanner import Scanner
+from ...rig.pattern import CodeSpec
 from ..realism import DepthScan
 from ..realism.patches import find_floor
 from .parameters import (
@@ -60,11 +60,11 @@ OnTrial = Callable[[int, int, str], None]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Held:
-    """How well the data hold a parameter: between what it may lie.
+    """The interval in which a parameter may lie, according to the data.
 
-    Between `low` and `high` are the values that fit as well as two draws of noise are alike: those
-    that were tried, and those for which the other parameters can make up (`joint_reach`,
-    `made_up`, and a search where the interval would decide).
+    A value between `low` and `high` fits no worse than a second draw of noise would. The interval
+    holds the values that were tried, and those whose misfit the other parameters can compensate
+    (`joint_reach`, `made_up`, and a search where the interval would decide).
     """
 
     parameter: Parameter
@@ -366,7 +366,8 @@ def joint_reach(slopes: Float[np.ndarray, "rows n"], room: float) -> Float[np.nd
 def own_loss(real: Figures, scenes: int) -> float:
     """The loss that the real scanner itself would have: the means of so few scans differ.
 
-    It is that of scans of other scenes. Scans of the same scenes differ less, so this is generous.
+    It holds for scans of other scenes. Scans of the same scenes differ less, so the true value is
+    lower.
     """
     return 1 / real.scans + 1 / scenes
 

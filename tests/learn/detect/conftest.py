@@ -1,0 +1,18 @@
+"""What tests of networks share: one thread, which beside other processes is the fastest."""
+
+import sys
+
+import pytest
+
+
+@pytest.fixture(autouse=True)
+def one_thread_of_torch():
+    """Denormals are flushed in these tests alone: SciPy's k-d tree does not end without them."""
+    torch = sys.modules.get("torch")  # tests of encodings do without
+    if torch is None:
+        yield
+        return
+    torch.set_num_threads(1)
+    torch.set_flush_denormal(True)
+    yield
+    torch.set_flush_denormal(False)

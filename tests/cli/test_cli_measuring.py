@@ -30,7 +30,7 @@ from graycast.camera.decode import REASON_COLOR, FilterSpec, Reason
 from graycast.camera.faults import FaultSpec
 from graycast.camera.rig_file import load_scanner, save_scanner
 from graycast.camera.scanner import Scanner
-from graycast.camera.stack import products
+from graycast.camera.stack import stack_sheet
 from graycast.cli import main, measuring
 from graycast.real.realism import depth_curves
 from graycast.rig.pattern import AXES, CODECS, CodeSpec, gray, gray_phase, level_share
@@ -53,7 +53,7 @@ def decoded(tmp_path_factory):
     stack = simulated.save(folder, simulated.describe(code), simulated.shoot(rig, code))
     save_scanner(Scanner(rig=rig), folder / "rig.yaml")
     out = folder / "out"
-    with drawn_by(products) as figures:
+    with drawn_by(stack_sheet) as figures:
         words = ["decode", str(stack), "--rig", str(folder / "rig.yaml"), "--out", str(out)]
         assert main(words) == 0
     return rig, folder, out, *figures

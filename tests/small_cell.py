@@ -31,7 +31,7 @@ def write_cell(folder: Path, *without: str, **changes) -> Path:
         "scenes": 2,
         "rig": "rig.yaml",
         "bin": {"inner_m": [0.25, 0.2, 0.1], "material": {"base_color": [0.4, 0.3, 0.2]}},
-        "render": {"samples": 4},
+        "render": {"samples": 4, "denoise": False},
     }
     kept = {key: value for key, value in (content | changes).items() if key not in without}
     path = folder / "cell.yaml"

@@ -354,7 +354,11 @@ def test_an_output_that_is_something_else_is_left_alone(capsys, tmp_path, kind, 
     [
         (["--seed", "1"], {}, "differs in seed (0 there, 1 here)"),
         ([], {"count": 4}, "differs in config.count (3 there, 4 here)"),
-        ([], {"render": {"samples": 5}}, "differs in config.render.samples (4 there, 5 here)"),
+        (
+            [],
+            {"render": {"samples": 5, "denoise": False}},
+            "differs in config.render.samples (4 there, 5 here)",
+        ),
     ],
 )
 def test_a_dataset_of_another_configuration_is_left_alone(

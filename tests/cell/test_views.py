@@ -44,7 +44,7 @@ def test_a_list_hangs_each_image_as_the_same_view_alone_would(tmp_path):
 
 def test_a_dome_is_uniform_over_its_solid_angle_and_looks_at_the_target(tmp_path):
     """Oracle: on a sphere equal heights have equal areas (Archimedes), so cos(tilt) is uniform."""
-    said = {"kind": "dome", "count": 1000, "distance_m": [0.8, 1.1], "tilt_deg": [10, 50]}
+    said = {"kind": "dome", "count": 400, "distance_m": [0.8, 1.1], "tilt_deg": [10, 50]}
     cell = resolved(tmp_path, views=said, view={"target_m": [0.01, 0.02, 0.03]})
     assert cell.draws_views
     middle, axis = middles(cell, poses(cell, seed=3))
@@ -83,7 +83,7 @@ def test_a_path_goes_from_the_first_waypoint_to_the_last_at_an_even_pace(tmp_pat
 
 def test_a_jitter_has_its_sigma_about_the_view_and_ends_at_three(tmp_path):
     """A normal distribution cut at 3 sigma has 0.9866 of its standard deviation left."""
-    said = {"kind": "jitter", "count": 1000, "position_m": 0.02, "rotation_deg": 1.5}
+    said = {"kind": "jitter", "count": 400, "position_m": 0.02, "rotation_deg": 1.5}
     cell = resolved(tmp_path, views=said, view={"tilt_deg": 10})
     nominal = resolved(tmp_path, view={"tilt_deg": 10}).scene.T_world_cam
     T = poses(cell, seed=5)

@@ -206,7 +206,7 @@ def expose(
     n, h, w = radiance.shape
     frames = np.empty((n, h, w), dtype=np.uint8 if sensor.bit_depth <= 8 else np.uint16)
     dark = np.zeros(h * w, dtype=np.float32) if background is None else background.reshape(h * w)
-    light = radiance.reshape(n, h * w).view(), dark.view()
+    light = np.ascontiguousarray(radiance.reshape(n, h * w)).view(), dark.view()
     for values in light:
         values.flags.writeable = False  # the kernel is compiled for each kind of array: one here
     _expose(

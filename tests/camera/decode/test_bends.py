@@ -35,7 +35,7 @@ def test_a_fold_widens_sigma_by_a_quarter_of_its_bend(turn):
     x, _ = grid()
     change = 4e-3  # of inverse depth per pixel [1/m]
     inverse = 0.7 + change * np.abs(x - 20)
-    fold = map_of(inverse.T if turn else inverse)
+    fold = map_of(np.ascontiguousarray(inverse.T) if turn else inverse)
     sigma_m = with_bends(fold).sigma_m
     sigma_m, depth_m = (sigma_m.T, fold.depth_m.T) if turn else (sigma_m, fold.depth_m)
     noise2 = np.square(SIGMA_M * inverse[:, 19:22] ** 2) @ [1, 4, 1]

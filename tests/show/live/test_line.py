@@ -80,6 +80,8 @@ def test_the_first_pictures_are_rough_and_the_last_is_preview_s(watched):
     assert [one.header["exact"] for one in pictures] == [False] * 5 + [True]
     assert set(kinds) == {"physics"} and [one.kind for one in watched.told].count("world") == 1
     watched.assert_finished()
+    # The denoiser took half of the time of all tests below, and has nothing to do with them.
+    watched.show(render={"samples": 6, "denoise": False})
 
 
 @pytest.mark.parametrize(

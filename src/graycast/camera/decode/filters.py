@@ -282,7 +282,8 @@ def _flying(z_m, sigma_m, rays, flying_tan, margin_px: int, removed) -> None:
 @no_type_check  # the tests' type checker wraps functions, which numba cannot compile
 def _falls(z, sigma, rays, limit_tan, fall):
     """Steepness from each pixel of the frame to the next one, rightwards and downwards."""
-    for y in numba.prange(z.shape[0] - 1):
+    for row in numba.prange(z.shape[0] - 1):
+        y = np.int64(row)  # parallel loops count without a sign: more versions would be compiled
         for x in range(z.shape[1] - 1):
             fall[0, y, x] = _steepness(z, sigma, rays, y, x, y, x + 1, limit_tan)
             fall[1, y, x] = _steepness(z, sigma, rays, y, x, y + 1, x, limit_tan)

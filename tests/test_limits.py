@@ -21,7 +21,7 @@ FILE_LINES, FUNCTION_LINES, ARGUMENTS = 400, 80, 8
 # What is larger than that, with its size. A kernel of Numba has its arrays as arguments.
 LONG_FILES = {
     "camera/decode/filters.py": 460,
-    "cli/detecting.py": 435,
+    "cli/detecting.py": 450,
     "dataset/bop.py": 401,
     "dataset/stored.py": 470,
     "learn/detect/training.py": 452,
@@ -32,11 +32,9 @@ LONG_FILES = {
     "rig/pair.py": 449,
 }
 LONG_FUNCTIONS = {
-    "cli/detecting.py add_commands": 223,
     "cli/evaluating.py add_commands": 96,
-    "cli/exporting.py add_commands": 123,
+    "cli/exporting.py _add_export": 95,
     "cli/fitting.py add_commands": 87,
-    "cli/measuring.py add_commands": 99,
     "real/calibrate/calibration.py calibrate_rig": 90,
     "real/twin/making.py make_twin": 87,
 }

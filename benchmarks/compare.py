@@ -103,9 +103,13 @@ def worktree(root: Path, rev: str) -> Iterator[Path]:
 def child(
     stages: Sequence[str], number: str, work: str, side: str, python_path: str
 ) -> Iterator[Record]:
-    """The lines of one process; if it dies, every stage has a line with the reason."""
-    program = str(Path(__file__).with_name("stages.py"))
-    command = [sys.executable, "-P", program, ",".join(stages), number, work]
+    """The lines of one process; if it dies, every stage has a line with the reason.
+
+    A tree that has stages of its own runs those, since its modules may have other names.
+    """
+    own_stages = Path(python_path.split(os.pathsep)[0]).parent / "benchmarks" / "stages.py"
+    program = own_stages if own_stages.is_file() else Path(__file__).with_name("stages.py")
+    command = [sys.executable, "-P", str(program), ",".join(stages), number, work]
     # Hulls of its own: the cache's key might not distinguish two commits.
     own = {"PYTHONPATH": python_path, "XDG_CACHE_HOME": f"{work}/{side}", "TMPDIR": work}
     with TemporaryFile("w+") as log:

@@ -10,9 +10,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from graycast.world.seeds import scene_seeds
 
 from graycast.base.frames import axis_rotation, inverse, look_at, pixel_grid, rigid
+from graycast.base.streams import scene_seeds
 from graycast.camera.decode import DepthMap, Reason
 from graycast.dataset.claim import Taker
 from graycast.dataset.sample import Sample

@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 import yaml
-from graycast.world.seeds import OF_IMAGE, image_seeds, scene_seeds
 
 from graycast.base.errors import ConfigError, GraycastError
 from graycast.base.frames import axis_rotation, inverse, is_rigid, rigid
+from graycast.base.streams import OF_IMAGE, image_seeds, scene_seeds
 from graycast.cell.config import load_config
 from graycast.cell.resolve import eyes, reach_m, refuse_several, resolve_cell
 from graycast.rig.pair import frame_in_camera

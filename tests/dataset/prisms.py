@@ -3,9 +3,9 @@
 from collections import Counter
 
 import numpy as np
-from graycast.world.seeds import image_seeds, scene_seeds
 
 from graycast.base.frames import random_quaternions, rigid, rotation_from_quaternion
+from graycast.base.streams import image_seeds, scene_seeds
 from graycast.camera.decode import DepthMap, Reason
 from graycast.dataset.sample import Sample
 from graycast.render.radiance import GroundTruth, Silhouette

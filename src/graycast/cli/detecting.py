@@ -22,6 +22,12 @@ same command continues it."""
 
 
 def add_commands(commands) -> None:
+    _add_train(commands)
+    _add_detect(commands)
+    _add_study(commands)
+
+
+def _add_train(commands) -> None:
     train = add_command(commands, "train", _train, "Train a detector on datasets.")
     train.description = TRAIN
     train.set_defaults(when_stopped="run the same command again to continue from here")
@@ -76,6 +82,18 @@ def add_commands(commands) -> None:
         metavar="PX",
         help="The longer side of the network's input picture in pixels (default: 384).",
     )
+    _add_training(train)
+    _add_device(train)
+    train.add_argument(
+        "--workers",
+        type=seed,
+        default=0,
+        help="The number of additional processes that read pictures (default: 0).",
+    )
+
+
+def _add_training(train: argparse.ArgumentParser) -> None:
+    """How the network learns, from which scenes, and how it sees them."""
     train.add_argument(
         "--epochs",
         type=positive,
@@ -149,14 +167,9 @@ def add_commands(commands) -> None:
         help="The seed of the weights, of the order of the pictures and of the augmentation "
         "(default: 0).",
     )
-    _add_device(train)
-    train.add_argument(
-        "--workers",
-        type=seed,
-        default=0,
-        help="The number of additional processes that read pictures (default: 0).",
-    )
 
+
+def _add_detect(commands) -> None:
     detect = add_command(
         commands,
         "detect",
@@ -227,6 +240,8 @@ def add_commands(commands) -> None:
     )
     _add_device(detect)
 
+
+def _add_study(commands) -> None:
     study = add_command(
         commands,
         "study",

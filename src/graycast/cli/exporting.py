@@ -38,6 +38,11 @@ _OPTIONS = (
 
 
 def add_commands(commands) -> None:
+    _add_export(commands)
+    _add_real(commands)
+
+
+def _add_export(commands) -> None:
     export = add_command(commands, "export", _export, "Write a dataset in another format.")
     export.add_argument("dataset", type=Path, help="The folder of the dataset.")
     export.add_argument(
@@ -133,6 +138,8 @@ def add_commands(commands) -> None:
         "not exported (default: 0).",
     )
 
+
+def _add_real(commands) -> None:
     real = add_command(
         commands, "import-real", _import_real, "Make a dataset from real pictures and their labels."
     )

@@ -25,6 +25,12 @@ TABLE = "table.txt"  # `graycast realism` writes this file to every folder
 
 
 def add_commands(commands) -> None:
+    _add_decode(commands)
+    _add_certify(commands)
+    _add_realism(commands)
+
+
+def _add_decode(commands) -> None:
     decode = add_command(
         commands,
         "decode",
@@ -52,6 +58,8 @@ def add_commands(commands) -> None:
         "--out", type=Path, required=True, help="The folder to which the results are written."
     )
 
+
+def _add_certify(commands) -> None:
     certify = add_command(
         commands,
         "certify",
@@ -67,6 +75,8 @@ def add_commands(commands) -> None:
     add_backend(certify, default="mitsuba")
     add_device(certify)
 
+
+def _add_realism(commands) -> None:
     realism = add_command(
         commands,
         "realism",

@@ -1,11 +1,13 @@
 """Which detections are looked at first: what lies free, what is covered, what failed."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
-from graycast.base.frames import rigid
+from graycast.base.frames import axis_rotation, rigid
 from graycast.rig.optics import Optics
-from graycast.robot.pick.aim import Sight, Target, covered_share, ranked
+from graycast.robot.pick.aim import Aim, Sight, Target, best_first, covered_share, ranked, spread
 
 CAMERA = Optics(width_px=80, height_px=60, fx_px=100.0, fy_px=100.0, cx_px=39.5, cy_px=29.5)
 LOOKING_DOWN = rigid(np.diag([1.0, -1.0, -1.0]), np.array([0.0, 0.0, 1.0]))
@@ -59,3 +61,32 @@ def test_where_a_grip_failed_is_tried_last():
     assert ranked([left, right], view, [beside])[0] == [left, right]
     outside = failed - np.array([10.0, 0.0, 0.0])
     assert ranked([left, right], view, [outside])[0] == [left, right]
+
+
+def aim(x, z=0.0, *, score=1.0, opening_m=None, turn=("x", 0.0)):
+    T = rigid(axis_rotation(*turn), np.array([x, 0.0, z]))
+    target = Target(kind=0, score=1.0, mask=square(0, 0))
+    return Aim(T_world_tool=T, score=score, target=target, opening_m=opening_m)
+
+
+def test_of_grips_that_are_about_as_sure_the_highest_comes_first():
+    low, high, doubtful = aim(0, 0.1, score=0.92), aim(0, 0.2, score=0.88), aim(0, 0.9, score=0.5)
+    assert best_first([doubtful, low, high]) == [high, low, doubtful]
+
+
+@pytest.mark.parametrize(
+    ("other", "opening_m", "alike"),
+    [
+        (aim(0.007), None, True),
+        (aim(0.009), None, False),
+        (aim(0.0, turn=("x", 0.2)), None, True),
+        (aim(0.0, turn=("x", 0.3)), None, False),
+        (aim(0.0, turn=("z", 1.5)), None, True),  # a round cup
+        (aim(0.0, turn=("z", 1.5)), 0.02, False),
+        (aim(0.0, turn=("z", 3.1)), 0.02, True),  # jaws have no front
+    ],
+)
+def test_grips_that_hardly_differ_are_tried_once(other, opening_m, alike):
+    first = replace(aim(0.0), opening_m=opening_m)
+    found = list(spread([first, replace(other, opening_m=opening_m)], 0.008))
+    assert len(found) == (1 if alike else 2) and found[0] is first

@@ -7,9 +7,11 @@ from manifold3d import CrossSection
 
 from graycast.base.frames import axis_rotation, rigid
 from graycast.robot.grasp import Cup, Jaws, closing
+from graycast.robot.pick.contact import Held
+from graycast.robot.pick.jaw_tool import JawTool
 from graycast.robot.pick.outcome import Outcome
-from graycast.robot.pick.tools import JawTool, SuctionTool
-from graycast.robot.pick.touch import Held, Kind, touch
+from graycast.robot.pick.suction_tool import SuctionTool
+from graycast.robot.pick.touch import Kind, touch
 from graycast.world.drop import make_bodies
 from graycast.world.parts import Material, Mesh, Part
 

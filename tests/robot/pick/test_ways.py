@@ -13,7 +13,8 @@ from graycast.base.frames import axis_rotation, inverse, rigid
 from graycast.robot.grasp import CARRIED_M_S2
 from graycast.robot.pick.outcome import Outcome
 from graycast.robot.pick.robot import Obstacle, open_robot
-from graycast.robot.pick.tools import SuctionTool, T_flange_tip, pieces
+from graycast.robot.pick.suction_tool import SuctionTool
+from graycast.robot.pick.tools import T_flange_tip
 from graycast.robot.pick.ways import Load, Surroundings, Ways, ways
 
 TOOL = SuctionTool(length_m=0.2)
@@ -25,7 +26,7 @@ NOWHERE = Obstacle(
 
 @pytest.fixture(scope="module")
 def arm(tmp_path_factory):
-    return open_robot("ur5e", folder=tmp_path_factory.mktemp("none")).mount(pieces(TOOL))
+    return open_robot("ur5e", folder=tmp_path_factory.mktemp("none")).mount(TOOL.pieces())
 
 
 @pytest.fixture(scope="module")

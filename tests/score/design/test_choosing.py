@@ -73,7 +73,8 @@ def test_nobody_on_the_front_is_beaten_and_all_others_are():
     assert 0 < sum(front) < 60
 
 
-def test_a_setting_without_figures_is_on_no_front():
+def test_a_setting_without_figures_is_on_no_front_and_equal_ones_are_on_it_together():
+    assert on_front(np.array([[0.5, 1.0, 1.0], [0.5, 1.0, 1.0]])) == [True, True]
     assert on_front(np.array([[math.nan, 0.0, 0.0], [0.5, 1.0, 1.0]])) == [False, True]
 
 
@@ -111,6 +112,8 @@ def test_the_best_is_the_one_that_measures_most_within_the_needs():
     needs = spec(needs=NeedsSection(sigma_m=0.0003, seconds=1.0))
     assert [meets(needs, one) for one in rows] == [False, False, True, False]
     assert choose(needs, rows) is rows[2]
+    just = spec(needs=NeedsSection(sigma_m=0.0002, seconds=0.5, feature_m=0.003))
+    assert meets(just, rows[2])  # at most
 
 
 def test_the_sentence_says_what_to_buy_and_where_to_put_it():

@@ -85,6 +85,8 @@ def test_every_key_of_a_setting_reaches_its_cell(tmp_path):
     cell = placed.cell
     assert cell.scanner.rig is cell.scene.rig
     assert cell.scene.rig.baseline_m == pytest.approx(0.2)
+    # Both axes meet at the target, 0.7 m from the middle of the baseline.
+    assert cell.scene.rig.axes_angle_rad == pytest.approx(2 * np.arctan(0.1 / 0.7))
     assert cell.scene.rig.camera.width_px == 516
     assert cell.scanner.code.codec == "gray"
     assert cell.scanner.exposure.factors == (1, 4)

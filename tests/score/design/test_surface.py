@@ -10,8 +10,16 @@ from graycast.base.frames import look_at, rigid
 from graycast.camera.decode import DepthMap, Reason
 from graycast.render import GroundTruth
 from graycast.rig.pair import Rig
-from graycast.score.design.heap_surface import LEAST_PX, Sight, spread_surface
-from graycast.score.design.point_fates import FATES, Fate, figures, judge, view_of
+from graycast.score.design.heap_surface import LEAST_PX, Sight, Surface, spread_surface
+from graycast.score.design.point_fates import (
+    FATES,
+    Fate,
+    Judged,
+    SurfaceView,
+    figures,
+    judge,
+    view_of,
+)
 from graycast.world.parts import Mesh, Part
 from graycast.world.scene import Bin, Layout, Scene
 
@@ -160,9 +168,12 @@ def test_small_pictures_are_enlarged_about_the_same_field():
 # --- what became of it -------------------------------------------------------------------------
 
 
-def judged_plate(error_m: float = 0.0, reason=Reason.DECODED, *, noise_m: float = 0.0):
+def judged_plate(
+    error_m: float = 0.0, reason=Reason.DECODED, *, noise_m: float = 0.0, projector_px: int = 400
+):
     """A plate seen whole and flat, its depth off by so much: the figures' words for it."""
-    rig = make_rig(centred(120, 100, 200), centred(300, 250, 400), baseline_m=(0.05, 0, 0))
+    projector = centred(300, 250, projector_px)
+    rig = make_rig(centred(120, 100, 200), projector, baseline_m=(0.05, 0, 0))
     scene = plate_in_bin(rig, (0.0, 0.0, THICK_M + 0.7), rim_m=0.0065)
     surface = spread_surface(scene, ON_THE_FLOOR, points=POINTS, cone_deg=0.0)
     view = view_of(scene, ON_THE_FLOOR, surface)
@@ -220,3 +231,70 @@ def test_sigma_bias_and_feature_are_those_of_the_errors():
     assert told["bias_m"] == pytest.approx(0.0003, abs=2e-5)
     assert told["pixel_m"] == pytest.approx(0.7 / 200)  # the camera's, coarser than 0.7 / 400
     assert told["feature_m"] == pytest.approx(3 * 0.7 / 200)
+    assert judged_plate(projector_px=100)["pixel_m"] == pytest.approx(0.7 / 100)
+
+
+SEEN, OUTSIDE, BY_PARTS, BY_BIN = Sight.SEEN, Sight.OUTSIDE, Sight.BY_PARTS, Sight.BY_BIN
+
+
+@pytest.mark.parametrize(
+    ("camera", "projector", "own", "reason", "fate"),
+    [
+        (OUTSIDE, SEEN, True, Reason.DECODED, Fate.OUTSIDE_PICTURE),
+        (BY_BIN, SEEN, True, Reason.DECODED, Fate.HIDDEN_BY_WALL),
+        (BY_PARTS, BY_BIN, False, Reason.DECODED, Fate.HIDDEN_BY_PARTS),
+        (SEEN, BY_PARTS, True, Reason.DECODED, Fate.MEASURED),
+        (SEEN, OUTSIDE, True, Reason.SHADOW, Fate.OUTSIDE_PROJECTOR),
+        (SEEN, BY_BIN, True, Reason.LOW_MODULATION, Fate.WALL_SHADOW),
+        (SEEN, BY_PARTS, False, Reason.DECODED, Fate.PART_SHADOW),
+        (SEEN, SEEN, False, Reason.DECODED, Fate.EDGE),
+        (SEEN, SEEN, False, Reason.SATURATED, Fate.EDGE),
+    ],
+)
+def test_geometry_comes_before_the_decoder_s_reason(camera, projector, own, reason, fate):
+    surface, view = one_point(camera, projector)
+    decoded = reason is Reason.DECODED
+    truth = GroundTruth(
+        depth_m=np.ones((1, 1)), normal=np.zeros((1, 1, 3)),
+        instance=np.array([[0 if own else 1]]), amodal=(),
+    )  # fmt: skip
+    depth = DepthMap(
+        depth_m=np.where(decoded, 1.0, np.full((1, 1), np.nan)), sigma_m=np.ones((1, 1)),
+        reason=np.array([[int(reason)]], np.uint8),
+    )  # fmt: skip
+    judged = judge(view, surface, truth, depth, wrong_m=0.005)
+    assert FATES[judged.fate[0]] is fate
+
+
+def one_point(camera, projector, *, weight=(1.0,)):
+    """As many points as weights, all at one pixel."""
+    many = np.ones(len(weight))
+    surface = Surface(
+        point_m=np.zeros((len(weight), 3)), normal=np.zeros((len(weight), 3)),
+        instance=np.zeros(len(weight), int), weight=np.array(weight),
+    )  # fmt: skip
+    view = SurfaceView(
+        camera=many.astype(int) * camera, projector=many.astype(int) * projector,
+        row=np.zeros(len(weight), int), column=np.zeros(len(weight), int),
+        z_m=many.copy(), z_projector_m=many.copy(),
+    )  # fmt: skip
+    return surface, view
+
+
+def test_places_count_by_what_they_show_from_above():
+    """By hand: of the weight 0.7 is seen and 0.5 measured, 0.4 of it 0.2 mm too far."""
+    surface, view = one_point(SEEN, SEEN, weight=(4.0, 1.0, 2.0, 3.0, 0.0))
+    fates = (Fate.MEASURED, Fate.MEASURED, Fate.DARK, Fate.HIDDEN_BY_PARTS, Fate.MEASURED)
+    judged = Judged(
+        fate=np.array([FATES.index(fate) for fate in fates]),
+        error_m=np.array([2e-4, 9e-4, np.nan, np.nan, 1.0]),
+    )
+    scene = plate_in_bin(
+        make_rig(centred(120, 100, 200), centred(300, 250, 400)), (0.0, 0.0, 0.7), rim_m=0.01
+    )
+    told = figures(scene, view, surface, judged, seconds=1.0)
+    assert told["points"] == 4
+    assert told["measured"] == pytest.approx(0.5)
+    assert told["of_seen"] == pytest.approx(0.5 / 0.7)
+    assert told["share"][Fate.DARK] == pytest.approx(0.2)
+    assert told["bias_m"] == 2e-4 and told["sigma_m"] == pytest.approx(0.7e-3 / 2)

@@ -5,15 +5,18 @@ import json
 
 import numpy as np
 import pytest
+from stage import BOX_CORNERS, box_part, centred, lambert
 
 from graycast.base.errors import GraycastError
-from graycast.base.frames import rigid
+from graycast.base.frames import axis_rotation, rigid, transform_points
 from graycast.cli import main
 from graycast.dataset.models_read import read_models
 from graycast.dataset.pose_results import PoseEstimate, pose_results_text
 from graycast.dataset.training import open_examples
+from graycast.rig.meshdepth import rasterize
 from graycast.score.evaluate import Protocol, camera_of, evaluate_poses
 from graycast.score.evaluate.pose_recall import Truth, count_picture, matched, solid_of
+from graycast.world.parts import Mesh, Symmetry
 
 # pycocotools 2.0.11 has an array type from before NumPy 2, which NumPy asks it to mend.
 pytestmark = pytest.mark.filterwarnings("ignore:__array__ implementation:DeprecationWarning")
@@ -85,6 +88,49 @@ def test_only_as_many_estimates_count_as_there_are_instances(scene):
     ]  # fmt: skip
     for one in count_picture(truth, estimates(truth) + wrong, solids):
         assert one.mssd.sum() == 0 and one.vsd.sum() == 0
+
+
+def cube(side_m, middle_m, camera, T):
+    """A picture of one cube, whose middle is not its origin, with perfect depth; its solid."""
+    mesh = Mesh(
+        vertices_m=BOX_CORNERS * side_m / 2 + middle_m,
+        faces=box_part(1.0, lambert(0.5)).mesh.faces,
+    )
+    solid = solid_of(mesh, Symmetry(), np.sqrt(3) * side_m)
+    drawn = rasterize(transform_points(T, mesh.vertices_m), mesh.faces, camera)
+    truth = Truth(
+        scene_id=0, camera=camera, measured_m=drawn.over(camera)[1].copy(), obj_id=np.array([1]),
+        T_cam_part=T[None], to_find=np.array([True]),
+    )  # fmt: skip
+    return truth, {1: solid}
+
+
+def counted(truth, solids, T):
+    estimate = PoseEstimate(scene_id=0, im_id=0, obj_id=1, score=1.0, T_cam_part=T)
+    return count_picture(truth, [estimate], solids)[0]
+
+
+def test_a_distance_is_that_of_the_part_s_middle():
+    """Turned by 4 degrees about its middle, the origin, 100 mm aside, moves by 7 mm."""
+    middle = np.array([0.1, 0.0, 0.0])
+    T = rigid(np.eye(3), np.array([-0.1, 0.0, 1.0]))
+    truth, solids = cube(0.04, middle, centred(80, 60, 200), T)
+    R = axis_rotation("y", np.radians(4))
+    about_middle = counted(truth, solids, T @ rigid(R, middle - R @ middle))
+    assert about_middle.near == 1 and about_middle.shift_m[0] < 1e-9
+    about_origin = counted(truth, solids, T @ rigid(R, np.zeros(3)))
+    assert about_origin.near == 0
+    np.testing.assert_allclose(about_origin.shift_m, 0.2 * np.sin(np.radians(2)))
+
+
+def test_vsd_compares_distances_and_not_depths():
+    """At 45 degrees to the axis a shift along the ray by 5.8 % of the diameter is one of 4.1 % in
+    z: more than the first tolerance, 5 %, and less than the second."""
+    T = rigid(np.eye(3), np.array([1.0, 0.0, 1.0]))
+    truth, solids = cube(0.2, np.zeros(3), centred(480, 200, 200), T)
+    along = 0.058 * solids[1].diameter_m * np.array([1.0, 0.0, 1.0]) / np.sqrt(2)
+    one = counted(truth, solids, rigid(np.eye(3), T[:3, 3] + along))
+    assert not one.vsd[0].any() and one.vsd[1, -1] == 1
 
 
 # --- the command ----------------------------------------------------------------------------------

@@ -10,6 +10,7 @@ from seen import FINE, from_above, plane_depth, view, world_rays
 from graycast.score.merge.adding import WRONG, Truth, best_order, surface_of, why_not
 from graycast.score.merge.fuse import HIDDEN, OUTSIDE
 from graycast.score.merge.view import points_of
+from graycast.score.merge.view_figures import SurfaceSeen, surface_figures
 from graycast.world.parts import Mesh
 
 UP = np.array([0.0, 0.0, 1.0])
@@ -98,3 +99,18 @@ def test_each_step_of_the_order_adds_as_much_as_any_view_could(seed):
 
 def test_of_equal_views_the_first_comes_first():
     assert best_order(np.ones((3, 4), dtype=bool)) == ((0, 1, 2), (4, 0, 0))
+
+
+def test_shares_of_the_surface_are_counted_view_by_view():
+    """By hand: five places of eight are seen, and one of these nobody measured."""
+    why = np.array([[0, 0, 0, 2, 2], [0, 2, HIDDEN, 0, WRONG]], dtype=np.uint8)
+    told = surface_figures(SurfaceSeen(why=why, of=8), ["left", "right"], {2: "saturated"})
+    assert told["visible"] == 5 / 8 and told["measured"] == 4 / 5
+    left, right = told["views"]
+    assert (left["measured"], left["only_this_view"]) == (3 / 5, 2 / 5)
+    assert (right["measured"], right["only_this_view"]) == (2 / 5, 1 / 5)
+    assert left["filled_by_others"] == {"saturated": 1 / 5}
+    assert left["missing"] == {"saturated": 2 / 5}
+    assert right["filled_by_others"] == {"saturated": 1 / 5, "hidden": 1 / 5}
+    assert right["missing"] == {"saturated": 1 / 5, "wrong": 1 / 5, "hidden": 1 / 5}
+    assert [one["together"] for one in told["best_order"]] == [3 / 5, 4 / 5]

@@ -67,6 +67,15 @@ def test_a_place_stands_in_the_cloud_once():
     assert (cloud.first_reason == 0).all()
 
 
+def test_of_two_views_the_one_with_smaller_pixels_on_the_surface_has_its_places():
+    """The near one leans by 60 degrees: its pixel covers 0.9^2 / cos 60 = 1.6 of the other's."""
+    upright, leaning = from_above(0.0), from_above(0.9 * np.sin(np.pi / 3), z_m=0.45)
+    views = [view(plane_depth(T, UP, 0.0), T, SIGMA_M) for T in (leaning, upright)]
+    cloud = fuse(views).cloud
+    near = np.linalg.norm(cloud.point_m, axis=1) < 0.1
+    assert (cloud.views[near] == 2).all() and (cloud.view[near] == 1).all()
+
+
 def test_a_flying_point_that_another_view_sees_through_is_rejected():
     rng = np.random.default_rng(3)
     left, right = from_above(-0.4), from_above(0.4)

@@ -6,19 +6,19 @@ from typing import Any
 from pydantic import Field, model_validator
 
 from ...base.settings import Settings, check_settings, parse_yaml, read_text
-from ..pick.tools import JawTool, SuctionTool, Tool
+from ..pick.tools import AnyTool
 
 
 class _ToolFile(Settings):
     """A file with the key `tool` alone."""
 
-    tool: SuctionTool | JawTool = Field(discriminator="kind")
+    tool: AnyTool
 
 
 class Labelling(Settings):
     """Which labels a dataset gets; another one is another set of labels."""
 
-    tool: SuctionTool | JawTool = Field(discriminator="kind")
+    tool: AnyTool
     places: int = Field(
         400, ge=1, description="The number of candidate grasps on each kind of part."
     )
@@ -42,7 +42,7 @@ class Labelling(Settings):
         return self
 
 
-def read_tool(path: Path) -> Tool:
+def read_tool(path: Path) -> AnyTool:
     """The tool of a file: a robot's cell, of which only `tool` is read, or that section alone.
 
     Raises:

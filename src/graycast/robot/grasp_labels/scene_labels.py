@@ -10,11 +10,12 @@ from ...base.frames import inverse
 from ...base.streams import stream
 from ...world.drop import lift
 from ...world.drop.lift import STEP_S
-from ..grasp import CARRIED_M_S2, CLEARANCE_M, Grip
+from ..grasp import CARRIED_M_S2, Grip
+from ..pick.contact import Held, NotHeld
 from ..pick.outcome import Outcome
 from ..pick.robot import Obstacle, tool_touches
-from ..pick.tools import SuctionTool, T_flange_tip, pieces
-from ..pick.touch import Held, NotHeld, touch
+from ..pick.tools import T_flange_tip
+from ..pick.touch import touch
 from .label_options import Labelling
 from .stored_world import Heap, World, around
 
@@ -101,9 +102,8 @@ def _half_and_half(scores: Sequence[float], count: int, rng: np.random.Generator
 
 def _label(world: World, heap: Heap, still: Sequence[Obstacle], number: int, grip: Grip) -> Label:
     T_world_tool = heap.T_world_part[number] @ grip.T_part_tool
-    opening_m = None if grip.opening_m is None else grip.opening_m + 2 * CLEARANCE_M
     T_world_flange = T_world_tool @ inverse(T_flange_tip(world.tool))
-    hit = tool_touches(pieces(world.tool, opening_m=opening_m), T_world_flange, still)
+    hit = tool_touches(world.tool.pieces(grip.opening_m), T_world_flange, still)
     met = None
     if hit is None:
         met = touch(
@@ -112,7 +112,7 @@ def _label(world: World, heap: Heap, still: Sequence[Obstacle], number: int, gri
             world.kinds,
             heap.T_world_part,
             heap.part_index,
-            opening_m=opening_m,
+            opening_m=grip.opening_m,
         )
     pushed = isinstance(met, NotHeld) and met.outcome is Outcome.COLLISION_UNSEEN
     reach = "part" if pushed else "free" if hit is None else hit.removeprefix("the ")
@@ -139,10 +139,9 @@ def carry_out(world: World, heap: Heap, label: Label) -> Ending:
         met.hold,
         straight_up(met.T_world_tool, world.stock.bin.inner_m[2] + CLEAR_M),
     )
-    lost = "lost seal" if isinstance(world.tool, SuctionTool) else "slipped"
     least = lifted.least_factor
     return Ending(
-        ended="held" if lifted.lost_s is None else lost,
+        ended="held" if lifted.lost_s is None else str(world.tool.lost),
         least_factor=float(least) if np.isfinite(least) else None,
     )
 

@@ -21,7 +21,7 @@ from ...world.scene import Bin, Scene
 from ..grasp import Grip
 from ..pick.obstacles import standing
 from ..pick.robot import Obstacle
-from ..pick.tools import Tool, tool_places
+from ..pick.tools import Tool
 from ..pick.touch import Kind
 from .label_options import Labelling
 
@@ -107,7 +107,7 @@ def make_world(
     places = []
     for part, body in zip(stock.parts, bodies, strict=True):
         on_stage(f"{part.name}: searching for grasps")
-        places.append(tuple(tool_places(labelling.tool, part, body, count=labelling.places)))
+        places.append(tuple(labelling.tool.places(part, body, count=labelling.places)))
     if not any(places):
         raise ConfigError(
             f"tool: its jaws fit around none of {_named(stock.parts)}: increase opening_m"

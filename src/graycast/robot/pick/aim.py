@@ -1,6 +1,6 @@
 """From a scan to grips: the choice of parts, and the candidate places of the tool on them."""
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -10,17 +10,16 @@ from scipy import ndimage
 from ...base.frames import inverse, transform_points
 from ...rig.optics import Optics, points, project
 from ...world.scene import Bin
-from ..grasp import Doubt, Grip, suction_in_depth
+from ..grasp import Doubt, Grip, SeenGrip
 from ..pose import PoseModel, find_pose, find_pose_in_box
 from .heap_obstacle import FLOOR_M, WALL_M
-from .tools import SuctionTool
 
 LEAST_AREA = 0.3  # as a share of the largest detection's pixels, which a detection must have
 LEAST_POSE = 0.3  # a pose's score below which no grip is taken from it
 BESIDE_PX = 2  # so near an outline, what covers a part is looked for
 COVERED_M = 8e-3  # what is nearer to the camera by more than this lies on the part
 COVERED_SHARE = 0.08  # as a share of an outline, by which a part counts as covered
-PLACES = 40  # in each round of the search for suction places, for each detection
+PLACES = 40  # in each round of the search for grips without a model, for each detection
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -194,7 +193,7 @@ def _pose(model: PoseModel, target: Target, view: Sight) -> Float[np.ndarray, "4
 def aims_in_depth(
     targets: Sequence[Target],
     view: Sight,
-    tool: SuctionTool,
+    search: Callable[..., list[SeenGrip]],
     *,
     weight_n: float,
     doubt: Doubt,
@@ -203,15 +202,14 @@ def aims_in_depth(
     one_part: bool,
     seed: int,
 ) -> list[Aim]:
-    """Suction grips on the measured surface, without a model; see `suction_in_depth`."""
+    """Grips on the measured surface, without a model; `search` is the tool's `in_depth`."""
     down = view.T_world_cam[:3, :3].T @ np.array([0.0, 0.0, -1.0])
     aims = []
     for number, target in enumerate(targets):
-        grips = suction_in_depth(
+        grips = search(
             view.depth_m,
             view.camera,
             target.inside(view.depth_m.shape),
-            tool.cup,
             down=down,
             weight_n=weight_n,
             doubt=doubt,
@@ -232,15 +230,15 @@ def best_first(aims: Sequence[Aim]) -> list[Aim]:
     return sorted(aims, key=lambda aim: (-round(aim.score, 1), -float(aim.place_m[2])))
 
 
-def spread(aims: Sequence[Aim], apart_m: float) -> Iterator[Aim]:
-    """Remove grips that nearly repeat another: a near tip with a similar axis."""
+def spread(aims: Sequence[Aim], apart_m: float, *, round_tool: bool) -> Iterator[Aim]:
+    """Remove grips that nearly repeat another: a near tip with a similar axis, and turned alike."""
     taken: list[Aim] = []
     for aim in aims:
         axis = aim.T_world_tool[:3, 2]
         alike = any(
             np.linalg.norm(aim.place_m - other.place_m) < apart_m
             and axis @ other.T_world_tool[:3, 2] > 0.97
-            and (aim.opening_m is None or _same_turn(aim, other))
+            and (round_tool or _same_turn(aim, other))
             for other in taken
         )
         if not alike:

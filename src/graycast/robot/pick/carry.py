@@ -11,14 +11,13 @@ from ...score.evaluate.pose_errors import rotation_translation
 from ...world.drop import Lift, lift, parts_outside, simulate
 from ...world.drop.lift import STEP_S
 from ...world.scene import Layout
-from ..grasp import CLEARANCE_M
 from .aim import Aim
 from .choose import Choice
+from .contact import Held, NotHeld
 from .outcome import TAKEN, WRONG_M, WRONG_RAD, Outcome
 from .ready import Ready
 from .robot import Joints
-from .tools import SuctionTool
-from .touch import Held, NotHeld, touch
+from .touch import touch
 from .ways import Ways
 
 FREED_M = 0.1  # about a part that was taken, where failed grips may be tried again
@@ -76,7 +75,7 @@ def carry_out(ready: Ready, world: World, choice: Choice) -> tuple[Carried, Worl
         ready.kinds,
         layout.T_world_part,
         layout.part_index,
-        opening_m=None if aim.opening_m is None else aim.opening_m + 2 * CLEARANCE_M,
+        opening_m=aim.opening_m,
     )
     error = _pose_error(ready, layout, aim)
     world = replace(world, q=choice.ways.away.q[-1])
@@ -111,8 +110,7 @@ def _told(
 ) -> Carried:
     others = int(outside.sum()) - int(outside[met.part])
     if lifted.lost_s is not None:
-        is_cup = isinstance(ready.tool, SuctionTool)
-        outcome = _blamed(Outcome.LOST_SEAL if is_cup else Outcome.SLIPPED, error)
+        outcome = _blamed(ready.tool.lost, error)
         pull, turn = np.linalg.norm(lifted.force_n), np.linalg.norm(lifted.moment_nm)
         detail = f"after {lifted.lost_s:.2f} s, by {pull:.1f} N and {turn:.2f} Nm"
     else:

@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Float
 
 from ...base.frames import inverse, transform_points
-from ..grasp import CLEARANCE_M, Doubt, patch_of_depth
+from ..grasp import Doubt, patch_of_depth
 from .aim import (
     PLACES,
     Aim,
@@ -24,8 +24,7 @@ from .heap_obstacle import measured_heap, measured_points
 from .obstacles import heap_obstacle
 from .outcome import Outcome
 from .ready import Ready
-from .robot import Joints, Mounted, Obstacle, tool_touches
-from .tools import SuctionTool, pieces
+from .robot import Joints, Obstacle, tool_touches
 from .ways import Blocked, Load, Ways, ways
 
 TABU_M = 0.015  # about a grip that failed, where none is tried before something near was picked
@@ -34,7 +33,7 @@ ALIKE_M = 0.008  # grips nearer than this are one, as far as planning goes
 LEAST_UP_M = 0.02
 # How far the middle of what is seen of an unknown part may be from its centre of mass, each way.
 UNKNOWN_CENTER_M = 0.01
-# What was measured so far off the part's surface under so large a share of a cup is another.
+# What is so far off the part's surface over so large a share of the tool's ground is another.
 UNLIKE_M, UNLIKE_SHARE = 4e-3, 0.02
 # What was not found, by how far the search came.
 _MISSING = (
@@ -92,7 +91,7 @@ def choose(
             fresh = [aim for aim in held if not _near(aim.place_m, tabu, TABU_M)]
             if held and not fresh and why.outcome is Outcome.NOTHING_FOUND:
                 why = Blocked(outcome=Outcome.GIVEN_UP)
-            for aim in spread(best_first(fresh), ALIKE_M):
+            for aim in spread(best_first(fresh), ALIKE_M, round_tool=ready.tool.is_round):
                 if _near(aim.place_m, (*blocked, *sought), BLOCKED_M):
                     later.append(aim)
                 else:
@@ -135,13 +134,14 @@ def _aims(
     """Grips on some targets; those on which grips were looked for are added to `posed`."""
     picking = ready.cell.config.picking
     lean_rad = float(np.radians(picking.most_lean_deg))
-    if not isinstance(ready.tool, SuctionTool) or picking.knows == "part":
+    search = ready.tool.in_depth
+    if search is None or picking.knows == "part":
         return aims_by_pose(found, view, ready.known, most_lean_rad=lean_rad, posed=posed)
     posed += found
     return aims_in_depth(
         found,
         view,
-        ready.tool,
+        search,
         weight_n=ready.weight_n,
         doubt=Doubt(center_m=UNKNOWN_CENTER_M),
         most_lean_rad=lean_rad,
@@ -158,7 +158,7 @@ class _Heap:
 
 
 class _Heaps:
-    """The measured heap; for fingers, without the part that they grip."""
+    """The measured heap; for a tool that reaches round a part, without the part."""
 
     def __init__(self, ready: Ready, view: Sight) -> None:
         self._ready, self._shape = ready, view.depth_m.shape
@@ -166,13 +166,15 @@ class _Heaps:
         self._made: dict[int, _Heap] = {}
 
     def of(self, aim: Aim) -> _Heap:
-        key = -1 if aim.opening_m is None else id(aim.target)  # targets outlive the choice
+        # Targets outlive the choice.
+        key = id(aim.target) if self._ready.tool.reaches_round else -1
         if key not in self._made:
             self._made[key] = self._make(aim)
         return self._made[key]
 
     def _make(self, aim: Aim) -> _Heap:
-        without = None if aim.opening_m is None else aim.target.inside(self._shape)
+        own = self._ready.tool.reaches_round
+        without = aim.target.inside(self._shape) if own else None
         heap = measured_heap(self._points, without=without)
         return _Heap(
             obstacle=heap_obstacle(heap, self._ready.here.T_base_world),
@@ -180,28 +182,22 @@ class _Heaps:
         )
 
 
-def _pieces(ready: Ready, aim: Aim) -> tuple[Mounted, ...]:
-    """The tool; jaws are open as wide as this grip needs."""
-    opening_m = None if aim.opening_m is None else aim.opening_m + 2 * CLEARANCE_M
-    return pieces(ready.tool, opening_m=opening_m)
-
-
 def _unlike(ready: Ready, view: Sight, aim: Aim) -> Blocked | None:
-    """Whether the measured surface under a cup differs from the part at its pose.
+    """Whether the measured surface under a tool differs from the part at its pose.
 
     Another part lies on it, or the pose is wrong.
     """
-    if not isinstance(ready.tool, SuctionTool) or aim.T_cam_part is None:
+    ground_m = ready.tool.ground_m
+    if ground_m is None or aim.T_cam_part is None:
         return None
-    cup = ready.tool.cup
     patch = patch_of_depth(
         view.depth_m,
         view.camera,
         inverse(view.T_world_cam) @ aim.T_world_tool,
-        radius_m=cup.radius_m,
-        step_m=cup.radius_m / 10,
+        radius_m=ground_m,
+        step_m=ground_m / 10,
     )
-    under = np.linalg.norm(patch.node_m, axis=-1) <= cup.radius_m
+    under = np.linalg.norm(patch.node_m, axis=-1) <= ground_m
     height_m = patch.height_m[under]  # NaN is neither above nor below
     if np.mean(height_m > UNLIKE_M) > UNLIKE_SHARE:
         detail = "an object is at the place of the cup"
@@ -215,7 +211,8 @@ def _unlike(ready: Ready, view: Sight, aim: Aim) -> Blocked | None:
 def _blocked_tool(ready: Ready, aim: Aim, heap: _Heap) -> Blocked | None:
     """Whether the tool alone would collide at the grip, which is fast to check."""
     obstacles = (*ready.here.standing, heap.obstacle)
-    hit = tool_touches(_pieces(ready, aim), ready.here.flange(aim.T_world_tool), obstacles)
+    tool = ready.tool.pieces(aim.opening_m)
+    hit = tool_touches(tool, ready.here.flange(aim.T_world_tool), obstacles)
     if hit is None:
         return None
     return Blocked(outcome=Outcome.COLLISION_SEEN, detail=f"the tool would collide with {hit}")
@@ -225,16 +222,16 @@ def _ways(ready: Ready, q: Joints, aim: Aim, heap: _Heap, seed: int) -> Ways | B
     load = _load(ready, aim)
     highest_m = max(ready.cell.box.inner_m[2], heap.highest_m)
     clear_m = highest_m + load.below_m + ready.cell.config.picking.clear_m
-    jaws = aim.opening_m is not None
+    tool = ready.tool
     return ways(
-        ready.bare.mount(_pieces(ready, aim)) if jaws else ready.robot,
+        ready.bare.mount(tool.pieces(aim.opening_m)) if tool.reaches_round else ready.robot,
         ready.here,
         q,
         aim.T_world_tool,
         heap.obstacle,
         up_m=max(clear_m - float(aim.place_m[2]), LEAST_UP_M),
         load=load,
-        round_tool=not jaws,
+        round_tool=tool.is_round,
         seed=seed,
     )
 

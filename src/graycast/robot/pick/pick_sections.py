@@ -8,7 +8,8 @@ from pydantic import Field, model_validator
 from ...base.settings import Level, Positive, Settings, Share, Vector, read_settings
 from ...cell.config import Config
 from .arms import ARMS
-from .tools import JawTool, SuctionTool
+from .suction_tool import SuctionTool
+from .tools import AnyTool
 
 
 class RobotSection(Settings):
@@ -125,15 +126,17 @@ class PickConfig(Config):
     """A robot's cell: the keys of a dataset's configuration, and these."""
 
     robot: RobotSection = RobotSection()
-    tool: SuctionTool | JawTool = Field(SuctionTool(), discriminator="kind")
+    tool: AnyTool = SuctionTool()
     picking: PickingSection = PickingSection()
 
     @model_validator(mode="after")
     def _possible(self) -> "PickConfig":
         if self.domain is not None:
             raise ValueError("the cell of a robot does not vary: remove domain")
-        if self.picking.knows == "depth" and self.tool.kind == "jaws":
-            raise ValueError("jaws need a known model: give picking.knows: part, or a suction tool")
+        if self.picking.knows == "depth" and self.tool.in_depth is None:
+            raise ValueError(
+                f"{self.tool.kind} need a known model: give picking.knows: part, or a suction tool"
+            )
         return self
 
 

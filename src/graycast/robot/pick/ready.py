@@ -18,7 +18,7 @@ from .aim import KnownPart
 from .obstacles import standing
 from .robot import Robot, open_robot
 from .robot_cell import PickCell
-from .tools import T_flange_tip, Tool, pieces, tool_places
+from .tools import T_flange_tip, Tool
 from .touch import Kind
 from .ways import Load, Surroundings
 
@@ -68,7 +68,7 @@ def make_ready(cell: PickCell, *, on_stage: OnStage = lambda stage: None) -> Rea
     """
     config, parts = cell.config, cell.cell.scene.parts
     bare = open_robot(config.robot.arm, folder=cell.folder, home=config.robot.home_rad)
-    robot = bare.mount(pieces(config.tool))
+    robot = bare.mount(config.tool.pieces())
     size_m = max(float(np.linalg.norm(part.mesh.extent_m)) for part in parts)
     load = Load(below_m=size_m, aside_m=size_m / 2)
     here = _surroundings(cell, robot, load)
@@ -131,7 +131,7 @@ def _surroundings(cell: PickCell, robot: Robot, load: Load) -> Surroundings:
 
 def _known(tool: Tool, part: Part, body: Body) -> KnownPart:
     """Raise ConfigError if the tool cannot hold the part anywhere."""
-    grips = best_first(tool_places(tool, part, body, count=_PLACES))
+    grips = best_first(tool.places(part, body, count=_PLACES))
     if not grips:
         raise ConfigError(
             f"tool: it holds part {part.name} ({body.mass_kg * GRAVITY_M_S2:.2f} N) nowhere: give "

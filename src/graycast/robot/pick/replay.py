@@ -15,17 +15,16 @@ from pydantic import ValidationError
 
 from ...base.errors import GraycastError
 from ...base.file_limits import parse_json
-from ...base.frames import inverse, rigid
+from ...base.frames import inverse
 from ...dataset.claim import BESIDE_CONFIG
 from ...world.parts import Mesh
-from ..grasp import CLEARANCE_M
 from .outcome import TAKEN
 from .pick_files import BINS, CLAIM, MOTION, StoredEpisode
 from .pick_sections import PickConfig
 from .robot import Robot, open_robot
 from .robot_cell import PickCell, resolve_pick_cell
-from .solids import ROUND, joined, shape_mesh
-from .tools import SuctionTool, T_flange_tip, Tool, pieces
+from .solids import joined, shape_mesh
+from .tools import T_flange_tip, Tool
 
 AT_GRIP_M = 1e-3  # between the tip at the grip and where it was sent: files are rounded to less
 
@@ -73,13 +72,19 @@ class Replay:
         return len(self.limbs) - len(_tool_limbs(self.cell.config.tool))
 
     def T_world_limb(
-        self, q: Float[np.ndarray, " joints"], opening_m: float | None = None
+        self,
+        q: Float[np.ndarray, " joints"],
+        opening_m: float | None = None,
+        *,
+        closed: bool = False,
     ) -> Float[np.ndarray, "limbs 4 4"]:
-        """Where the limbs are at joint angles [rad], with jaws open so far."""
+        """Where the limbs are at joint angles [rad]; see `Tool.pieces`."""
         T_world_base, tool = self.cell.T_world_base, self.cell.config.tool
         arm = T_world_base @ self.robot.places(q)
         T_world_flange = T_world_base @ self.robot.flange(q)
-        return np.concatenate([arm, T_world_flange @ np.stack(_tool_places(tool, opening_m))])
+        pieces = [piece.T_flange_shape for piece in tool.pieces(opening_m, closed=closed)]
+        soft = [T_flange_tip(tool)] * (len(self.limbs) - len(arm) - len(pieces))
+        return np.concatenate([arm, T_world_flange @ np.stack([*pieces, *soft])])
 
     def kinds(self, episode: StoredEpisode) -> tuple[int, ...]:
         """Which of the cell's parts each part of a bin is.
@@ -175,8 +180,7 @@ def _motion(replay: Replay, attempt: Mapping[str, Any], told: Mapping[str, Any])
     if off_m[grip] > AT_GRIP_M:
         raise ValueError(f"the tool stays {1e3 * off_m[grip]:.1f} mm away from its grip")
     width_m = attempt["opening_m"]
-    open_m = None if width_m is None else width_m + 2 * CLEARANCE_M  # until the jaws close
-    limbs = [replay.T_world_limb(one, open_m if i < grip else width_m) for i, one in enumerate(q)]
+    limbs = [replay.T_world_limb(one, width_m, closed=i >= grip) for i, one in enumerate(q)]
     return Motion(
         time_s=time_s,
         T_world_limb=np.array(limbs),
@@ -213,24 +217,4 @@ _NOTHING = Mesh(vertices_m=np.zeros((3, 3)), faces=np.array([[0, 1, 2]]))
 
 
 def _tool_limbs(tool: Tool) -> list[Mesh]:
-    limbs = [shape_mesh(piece.shape) for piece in pieces(tool)]
-    return [*limbs, _cup(tool)] if isinstance(tool, SuctionTool) else limbs
-
-
-def _tool_places(tool: Tool, opening_m: float | None) -> list[Float[np.ndarray, "4 4"]]:
-    """`T_flange_limb` of each."""
-    places = [piece.T_flange_shape for piece in pieces(tool, opening_m=opening_m)]
-    return [*places, T_flange_tip(tool)] if isinstance(tool, SuctionTool) else places
-
-
-def _cup(tool: SuctionTool) -> Mesh:
-    """From the lip up to its holder, about the tip's z."""
-    turn = np.linspace(0, 2 * np.pi, ROUND, endpoint=False)
-    ring = np.column_stack([np.cos(turn), np.sin(turn), np.zeros(ROUND)])
-    high_m = tool.cup.height_m + tool.stroke_m
-    top = rigid(np.eye(3), np.array([0.0, 0.0, high_m]))[:3, 3]
-    vertices = np.vstack([tool.cup.radius_m * ring, tool.tube_m * ring + top])
-    i = np.arange(ROUND)
-    j = (i + 1) % ROUND
-    faces = np.vstack([np.stack([i, j, ROUND + j], 1), np.stack([i, ROUND + j, ROUND + i], 1)])
-    return Mesh(vertices_m=vertices, faces=faces)
+    return [*(shape_mesh(piece.shape) for piece in tool.pieces()), *tool.soft]

@@ -13,6 +13,7 @@ import numpy as np
 from jaxtyping import Float
 
 from ...base.errors import ConfigError
+from ...base.frames import rigid
 from .arms import ARMS, urdf
 
 Joints = Float[np.ndarray, "q"]
@@ -51,6 +52,11 @@ class Mounted:
     name: str
     shape: Any
     T_flange_shape: Float[np.ndarray, "4 4"]
+
+    @staticmethod
+    def at(name: str, shape: Any, place_m: tuple[float, float, float]) -> "Mounted":
+        """A piece that is not turned."""
+        return Mounted(name=name, shape=shape, T_flange_shape=rigid(np.eye(3), np.array(place_m)))
 
 
 @final

@@ -12,8 +12,8 @@ import yaml
 
 from graycast.camera.rig_file import save_scanner
 from graycast.camera.scanner import Scanner
-from graycast.rig.optics import Optics
 from graycast.rig.pair import preset_rig
+from studies.smaller import shrunk
 
 GRAYCAST = [sys.executable, "-m", "graycast.cli"]
 
@@ -37,18 +37,6 @@ def write_cell(folder: Path, *without: str, **changes) -> Path:
     path = folder / "cell.yaml"
     path.write_text(yaml.safe_dump(kept), encoding="utf-8")
     return path
-
-
-def shrunk(optics: Optics, width_px: int, height_px: int) -> Optics:
-    return replace(
-        optics,
-        width_px=width_px,
-        height_px=height_px,
-        fx_px=optics.fx_px * width_px / optics.width_px,
-        fy_px=optics.fy_px * height_px / optics.height_px,
-        cx_px=(width_px - 1) / 2,
-        cy_px=(height_px - 1) / 2,
-    )
 
 
 def content(out: Path) -> dict:

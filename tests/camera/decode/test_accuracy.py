@@ -4,7 +4,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from projected import LEVELS, crisp, frames_of, share_of_white, two_phases
 from scipy.special import j1
 
 from graycast.base.errors import DecodeError
@@ -20,6 +19,7 @@ from graycast.rig.pattern import (
     multi_frequency,
     xor_gray,
 )
+from studies.projected import LEVELS, crisp, frames_of, share_of_white, two_phases
 
 USUAL = DecodeSpec()
 SENSOR = levels_of(SensorSpec(offset_dn=0.0, gain_dn_per_e=0.1, full_well_e=1e6, bit_depth=8))

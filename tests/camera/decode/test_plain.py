@@ -3,7 +3,6 @@
 import numpy as np
 import pytest
 from plain_decoder import decode_plain
-from projected import LEVELS, two_phases
 
 from graycast.camera.decode import DecodeSpec, Levels, bits, decode, phases, positions
 from graycast.rig.pattern import (
@@ -14,6 +13,7 @@ from graycast.rig.pattern import (
     multi_frequency,
     xor_gray,
 )
+from studies.projected import LEVELS, two_phases
 
 BOTH = ("column", "row")
 GRAY = {

@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 from matplotlib.colors import to_rgb
 from plain_decoder import decode_plain
-from projected import LEVELS, crisp, frames_of, share_of_white
 
 from graycast.camera.decode import (
     DecodeSpec,
@@ -21,6 +20,7 @@ from graycast.camera.decode import (
 )
 from graycast.camera.sensor import SensorSpec
 from graycast.rig.pattern import gray, gray_line_shift, gray_phase, multi_frequency, xor_gray
+from studies.projected import LEVELS, crisp, frames_of, share_of_white
 
 SENSOR = SensorSpec(offset_dn=0.0, gain_dn_per_e=0.1, full_well_e=1e6, bit_depth=8)
 USUAL = DecodeSpec()

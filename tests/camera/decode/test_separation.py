@@ -4,11 +4,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from projected import LEVELS, frames_of, share_of_white
 
 from graycast.base.errors import DecodeError
 from graycast.camera.decode.separation import separate
 from graycast.rig.pattern import gray, gray_line_shift, gray_phase, multi_frequency, xor_gray
+from studies.projected import LEVELS, frames_of, share_of_white
 
 CODES = {
     "phase": gray_phase(512, 384),

@@ -5,12 +5,12 @@ from dataclasses import replace
 import numba
 import numpy as np
 import pytest
-from limits import SHAPE, WEAK_CODES, stack, surface
 from plain_decoder import decode_plain
-from projected import LEVELS, share_of_white
 
 from graycast.camera.decode import DecodeSpec, Mark, Reason, decode
 from graycast.rig.pattern import gray_phase
+from studies.decoder_limits import SHAPE, WEAK_CODES, stack, surface
+from studies.projected import LEVELS, share_of_white
 
 SPEC = DecodeSpec(min_contrast=0.005)
 

@@ -7,7 +7,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 from cells import AZIMUTH_RAD, DISTANCE_M, TARGET_M, TILT_RAD, cell, differences, domain
-from crates import Crate
 from PIL import Image
 from scipy import integrate
 
@@ -19,6 +18,7 @@ from graycast.dataset.json_text import json_bytes
 from graycast.rig.pair import frame_in_camera, place
 from graycast.world.parts import Material
 from graycast.world.scene import lamp_quad
+from studies.crates import Crate
 
 NO_TOLERANCE = {
     "kind": "adapted",

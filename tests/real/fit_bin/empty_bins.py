@@ -61,13 +61,6 @@ def without(depth_m, T_world_cam, hidden, box=BOX, camera=CAMERA):
     return np.where(hidden(point), np.nan, depth_m)
 
 
-def wrong_by(found, true):
-    """Distance [m] of the bins' origins and angle [deg] between them, in the camera's frame."""
-    T_a, T_b = inverse(found), inverse(true)
-    cosine = (np.trace(T_a[:3, :3].T @ T_b[:3, :3]) - 1) / 2
-    return np.linalg.norm(T_a[:3, 3] - T_b[:3, 3]), np.degrees(np.arccos(np.clip(cosine, -1, 1)))
-
-
 def _table(wall_m):
     x = _TABLE_M * np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]])
     return np.column_stack([x, np.full(4, -wall_m)]), np.array([[0, 1, 2], [0, 2, 3]])

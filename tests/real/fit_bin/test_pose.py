@@ -12,8 +12,9 @@ from graycast.real.fit_bin.residual_picture import residual_map
 from graycast.real.fit_bin.shape import NO_FACE, height_over
 from graycast.real.fit_bin.start import planes
 from graycast.world.scene import Bin
+from studies.simulated_bins import wrong_by
 
-from .empty_bins import BOX, noisy, perfect_depth, pose, view, without, wrong_by
+from .empty_bins import BOX, noisy, perfect_depth, pose, view, without
 
 CLUTTER = (
     ((-0.10, -0.12, 0.0), (-0.02, -0.04, 0.05)),

@@ -20,8 +20,7 @@ from graycast.real.fit_bin import BinView, fit_look, residual_picture, shape_of
 from graycast.render import Quality
 from graycast.rig.pair import preset_rig
 from graycast.world.scene import EMPTY_LAYOUT
-
-from .simulated_bins import LOST, study
+from studies.simulated_bins import LOST, study
 
 pytestmark = pytest.mark.slow
 

@@ -2,7 +2,6 @@
 
 import numpy as np
 import pytest
-from crates import Crate
 from stage import (
     SOMEWHERE,
     askew_rig,
@@ -24,6 +23,7 @@ from graycast.render import Quality
 from graycast.rig.optics import rays
 from graycast.world.parts import Material, Mesh, Part
 from graycast.world.scene import EMPTY_LAYOUT, Bin, Environment
+from studies.crates import Crate
 
 ONE = Quality(samples=1, depth=1)
 HALVES = (np.array([0.05, 0.03, 0.02]), np.array([0.02, 0.06, 0.03]))

@@ -2,7 +2,6 @@
 
 import numpy as np
 import pytest
-from crates import Crate
 
 from graycast.base.frames import axis_rotation, rigid
 from graycast.rig.pair import preset_rig
@@ -11,6 +10,7 @@ from graycast.world.drop.body import body_of
 from graycast.world.drop.decomposition import hull_of
 from graycast.world.drop.rest import simulate
 from graycast.world.scene import Bin, Scene, bin_mesh
+from studies.crates import Crate
 
 from .conftest import box_part
 

@@ -1,20 +1,20 @@
-#!/usr/bin/env python3
-"""Draws simulated scanners by seed, makes a twin of each from three scans, and compares the two.
+"""Twins of unknown scanners, for docs/twin.md: each scanner is drawn by a seed and scanned.
 
-PYTHONPATH=src .venv/bin/python scripts/twins-of-unknown-scanners [DRAWS [TRIALS [FIRST]]]
+python -m studies.unknown_scanners --draws 10 --trials 500
 
-The twin knows the rig and the scenes, as `graycast twin` stages them again, but here without an
-error of the surfaces. The hidden numbers lie anywhere in the middle four fifths of what is fitted,
-and the code is one of the candidates.
+A twin of each is made from three scans and compared with it. The twin knows the rig and the scenes,
+as `graycast twin` stages them again, but here without an error of the surfaces. The hidden numbers
+lie anywhere in the middle four fifths of what is fitted, and the code is one of the candidates.
 """
 
-import sys
+import argparse
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
-from graycast.world.parts import Material
+from graycast.camera.scanner import Scanner, preset
 from graycast.real.realism import DepthScan
 from graycast.real.realism.patches import find_floor
 from graycast.real.twin import PARAMETERS
@@ -31,8 +31,10 @@ from graycast.real.twin.stage import Lit, in_projector_corner
 from graycast.render import Quality
 from graycast.render.reference import ReferenceRenderer
 from graycast.rig.pair import grey_levels
-from graycast.camera.scanner import Scanner, preset
+from graycast.world.parts import Material
 from graycast.world.scene import EMPTY_LAYOUT, Environment, Quad, Scene, Sphere
+
+from .smaller import shrunk
 
 SCENES = 3
 FITTED = tuple(p for p in PARAMETERS if p.key not in (BIN_GLOSS, BIN_ROUGHNESS))  # nothing shines
@@ -81,17 +83,9 @@ def study(number: int, lit: Sequence[Lit], *, trials: int) -> Unknown:
 def small_scanner() -> Scanner:
     """A PhoXi-S with a quarter of the smallest preset's pixels and sharp lenses."""
     scanner = preset("phoxi-s", "small")
-    sharp = {"aperture_m": 0.0, "psf_px": 0.0, "natural_vignetting": False}
+    sharp: dict[str, Any] = {"aperture_m": 0.0, "psf_px": 0.0, "natural_vignetting": False}
     camera, projector = (replace(o, **sharp) for o in (scanner.rig.camera, scanner.rig.projector))
-    half = replace(
-        camera,
-        width_px=camera.width_px // 2,
-        height_px=camera.height_px // 2,
-        fx_px=camera.fx_px / 2,
-        fy_px=camera.fy_px / 2,
-        cx_px=(camera.cx_px - 0.5) / 2,
-        cy_px=(camera.cy_px - 0.5) / 2,
-    )
+    half = shrunk(camera, camera.width_px // 2, camera.height_px // 2)
     return replace(scanner, rig=replace(scanner.rig, camera=half, projector=projector))
 
 
@@ -113,8 +107,8 @@ def light(scanner: Scanner, rng: np.random.Generator) -> Lit:
             Sphere(center_m=place(0.42, 0.46), radius_m=radius_m, material=grey(0.1, 0.7))
         )
     for _ in range(2):
-        lean = rng.uniform(-0.8, 0.8, 2).tolist()
-        things.append(board(place(0.43, 0.45), 0.03, *lean, grey(0.1, 0.7)))
+        lean_x, lean_y = rng.uniform(-0.8, 0.8, 2).tolist()
+        things.append(board(place(0.43, 0.45), 0.03, lean_x, lean_y, grey(0.1, 0.7)))
     rig, codes = scanner.rig, candidate_codes(scanner.code)
     scene = Scene(
         rig=rig,
@@ -159,12 +153,18 @@ def board(
     )
 
 
-def main(draws: int, trials: int, first: int) -> None:
+def main() -> None:
+    parser = argparse.ArgumentParser(description="Make twins of scanners that are drawn by seeds.")
+    parser.add_argument("--draws", type=int, default=10, help="The number of scanners.")
+    parser.add_argument("--trials", type=int, default=500, help="Simulations of each search.")
+    parser.add_argument("--first", type=int, default=0, help="The seed of the first scanner.")
+    options = parser.parse_args()
+    draws = options.draws
     scanner = small_scanner()
     lit = [light(scanner, np.random.default_rng((16, k))) for k in range(SCENES)]
     told: dict[str, list[bool]] = {p.key: [] for p in FITTED}
-    for number in range(first, first + draws):
-        one = study(number, lit, trials=trials)
+    for number in range(options.first, options.first + draws):
+        one = study(number, lit, trials=options.trials)
         was = sum(row.is_met for row in one.found.before)
         right = min(one.found.by_code, key=lambda c: one.found.by_code[c]) == one.period_px
         print(
@@ -188,5 +188,4 @@ def main(draws: int, trials: int, first: int) -> None:
 
 
 if __name__ == "__main__":
-    given = [int(word) for word in sys.argv[1:]]
-    main(*(given + [10, 600, 0][len(given) :]))
+    main()

@@ -1,7 +1,6 @@
-#!/usr/bin/env python3
-"""Draw the other world: another scanner over another cell with the paper's five parts, by one seed.
+"""The other world of docs/detect.md: another scanner over another cell with the paper's five parts.
 
-.venv/bin/python scripts/draw-other-world          # writes configs/paper/other_world/ again
+python -m studies.draw_other_world     writes configs/paper/other_world/ anew
 
 Detectors that were trained in one simulated world are scored in this one, to which nothing was
 tuned. It stands for a real cell, of which the makers of the simulation know the kind but not the
@@ -29,25 +28,27 @@ scene           adapted: the product's default tolerances of a cell
 
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
 import yaml
+from jaxtyping import Float32, UInt8
 
 from graycast.base.color import linear_share
-from graycast.cell.domain.looks import light_of
 from graycast.base.frames import axis_rotation, inverse, rigid
+from graycast.camera.rig_file import save_scanner
+from graycast.camera.scanner import Scanner, preset
+from graycast.cell.domain.looks import light_of
+from graycast.rig.pattern import CodeSpec
 from graycast.world.parts import builtin_part
 from graycast.world.parts.wood import wood_texture
-from graycast.rig.pattern import CodeSpec
-from graycast.camera.rig_file import save_scanner
-from graycast.camera.scanner import preset
 
 OUT = Path(__file__).resolve().parents[1] / "configs" / "paper" / "other_world"
 SEED = 2024
 PITCH_M = 13.8e-6  # four of the paper's pixels in one
-HEAPS = {"inner_m": (0.40, 0.30, 0.15), "count": [20, 40], "distance_m": 0.81}
-PACKAGES = {"inner_m": (0.50, 0.38, 0.20), "count": [5, 10], "distance_m": 0.92}
+HEAPS: dict[str, Any] = {"inner_m": (0.40, 0.30, 0.15), "count": [20, 40], "distance_m": 0.81}
+PACKAGES: dict[str, Any] = {"inner_m": (0.50, 0.38, 0.20), "count": [5, 10], "distance_m": 0.92}
 PARTS = {
     "metal_workpiece_1": HEAPS,
     "metal_workpiece_2": HEAPS,
@@ -57,7 +58,7 @@ PARTS = {
 }
 
 
-def drawn_scanner(rng):
+def drawn_scanner(rng: np.random.Generator) -> Scanner:
     paper = preset("paper", "small")
     lens = paper.rig.camera
     fx_px, f_number = lens.fx_px * rng.uniform(0.92, 1.08), rng.uniform(3.5, 6)
@@ -124,7 +125,7 @@ def drawn_scanner(rng):
     )
 
 
-def drawn_room(rng):
+def drawn_room(rng: np.random.Generator) -> Float32[np.ndarray, "64 128 3"]:
     """A room as a latitude-longitude picture (RGB, linear): row 0 is above, a column is azimuth."""
     room = np.empty((64, 128, 3), np.float32)
     room[:32] = rng.uniform(0.3, 0.6) * rng.uniform(0.9, 1.1, 3)  # ceiling and upper walls
@@ -137,7 +138,7 @@ def drawn_room(rng):
     return cv2.GaussianBlur(room, (0, 0), 0.8)
 
 
-def drawn_lamp(rng):
+def drawn_lamp(rng: np.random.Generator) -> dict[str, Any]:
     distance_m, size_m = rng.uniform(1.2, 2.0), rng.uniform(0.15, 0.5)
     up, around = np.radians(rng.uniform(40, 75)), np.radians(rng.uniform(-180, 180))
     way = np.array([np.cos(up) * np.cos(around), np.cos(up) * np.sin(around), np.sin(up)])
@@ -150,7 +151,9 @@ def drawn_lamp(rng):
     }
 
 
-def drawn_print(texture, rng):
+def drawn_print(
+    texture: UInt8[np.ndarray, "h w 3"], rng: np.random.Generator
+) -> UInt8[np.ndarray, "h w 3"]:
     """Another batch's ink: exponent and gain of each band, and a grain of paper."""
     share = (texture / 255.0) ** rng.uniform(0.85, 1.2, 3) * rng.uniform(0.8, 1.0, 3)
     grain = cv2.GaussianBlur(rng.standard_normal(texture.shape[:2]), (0, 0), 1.5)
@@ -158,7 +161,7 @@ def drawn_print(texture, rng):
     return np.round(255 * np.clip(share, 0, 1)).astype(np.uint8)
 
 
-def drawn_material(name, rng):
+def drawn_material(name: str, rng: np.random.Generator) -> dict[str, Any]:
     own = builtin_part(name).material
     roughness = own.roughness + rng.uniform(-0.1, 0.1)
     if own.texture is not None:
@@ -172,12 +175,12 @@ def drawn_material(name, rng):
     }
 
 
-def write_picture(name, rgb):
+def write_picture(name: str, rgb: UInt8[np.ndarray, "h w 3"]) -> None:
     ok = cv2.imwrite(str(OUT / name), rgb[..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, 85])
     assert ok, name
 
 
-def drawn_cell(name, rng):
+def drawn_cell(name: str, rng: np.random.Generator) -> dict[str, Any]:
     heap = PARTS[name]
     azimuth_deg = rng.uniform(10, 30) * rng.choice([-1, 1])
     grey = float(linear_share(np.array(rng.uniform(0.15, 0.5))))
@@ -219,7 +222,7 @@ def drawn_cell(name, rng):
     }
 
 
-def main():
+def main() -> None:
     OUT.mkdir(parents=True, exist_ok=True)
     rng = np.random.default_rng(SEED)
     save_scanner(drawn_scanner(rng), OUT / "rig.yaml")
@@ -229,7 +232,7 @@ def main():
     write_picture("wood.jpg", cv2.resize(wood.astype(np.uint8), (512, 512)))
     for name in PARTS:
         text = yaml.safe_dump(drawn_cell(name, rng), sort_keys=False, default_flow_style=None)
-        head = "# Drawn by scripts/draw-other-world, which says from what; not to be edited.\n"
+        head = "# Drawn by studies/draw_other_world.py, which says from what; not to be edited.\n"
         (OUT / f"{name}.yaml").write_text(head + text, encoding="utf-8")
 
 

@@ -1,16 +1,27 @@
 """What a camera sees of a coded projector, in one dimension and in closed form; and its noise."""
 
+from collections.abc import Sequence
+
 import numpy as np
+from jaxtyping import Float, Int
 from scipy.signal import fftconvolve
 
 from graycast.camera.decode import Levels
-from graycast.rig.pattern import AXES, Code, Frame, level_share
+from graycast.rig.pattern import AXES, Axis, Code, Frame, level_share
 
 LEVELS = Levels(offset_dn=64.0, saturation_dn=4000.0, floor_dn2=1.2**2 + 1 / 12, slope_dn=0.39)
 FINE = 32  # samples per projector pixel
 
 
-def two_phases(width_px, height_px, *, gray_cell_px, periods_px, steps=3, bits=None):
+def two_phases(
+    width_px: int,
+    height_px: int,
+    *,
+    gray_cell_px: float,
+    periods_px: Sequence[float],
+    steps: int = 3,
+    bits: int | None = None,
+) -> Code:
     """Columns by the phases of some periods and Gray bits with inverses, in wide cells."""
     if bits is None:
         bits = int(np.ceil(np.log2(width_px / gray_cell_px)))
@@ -32,7 +43,14 @@ def two_phases(width_px, height_px, *, gray_cell_px, periods_px, steps=3, bits=N
     )
 
 
-def share_of_white(code, column, row=None, *, camera_px=1.5, disc_px=1.0):
+def share_of_white(
+    code: Code,
+    column: Float[np.ndarray, "h w"],
+    row: Float[np.ndarray, "h w"] | None = None,
+    *,
+    camera_px: float = 1.5,
+    disc_px: float = 1.0,
+) -> Float[np.ndarray, "n h w"]:
     """What each frame sends to projector positions (h, w), as a share of its white light.
 
     One position alone is that along the code's only axis.
@@ -42,11 +60,13 @@ def share_of_white(code, column, row=None, *, camera_px=1.5, disc_px=1.0):
     pixel it is dark.
     """
     kernel = _blur(camera_px, disc_px)
-    places = {"column": column} if row is None else {"column": column, "row": row}
+    places: dict[Axis, Float[np.ndarray, "h w"]] = {"column": column}
+    if row is not None:
+        places["row"] = row
     if row is None and code.axes == ("row",):
         places = {"row": column}
 
-    def seen(axis, share):
+    def seen(axis: Axis, share: float | Float[np.ndarray, " size"]) -> Float[np.ndarray, "h w"]:
         margin = 4 + len(kernel) // FINE
         fine = np.repeat(np.pad(np.broadcast_to(share, code.size_px(axis)), margin), FINE)
         at = (np.arange(len(fine)) + 0.5) / FINE - 0.5 - margin
@@ -66,7 +86,7 @@ def share_of_white(code, column, row=None, *, camera_px=1.5, disc_px=1.0):
     return np.clip(np.array(out), 0, 1)
 
 
-def _blur(camera_px, disc_px):
+def _blur(camera_px: float, disc_px: float) -> Float[np.ndarray, " n"]:
     reach = FINE * int(np.ceil(camera_px / 2 + disc_px + 1))
     t = np.arange(-reach, reach + 1) / FINE
     spike = (t == 0).astype(float)
@@ -76,7 +96,13 @@ def _blur(camera_px, disc_px):
     return kernel / kernel.sum()
 
 
-def frames_of(light_dn, rng=None, *, levels=LEVELS, dtype=np.uint16):
+def frames_of(
+    light_dn: Float[np.ndarray, "n h w"],
+    rng: np.random.Generator | None = None,
+    *,
+    levels: Levels = LEVELS,
+    dtype: type[np.unsignedinteger] = np.uint16,
+) -> np.ndarray:
     """Pictures of light [DN above offset], with the noise that `levels` says, rounded."""
     mean = levels.offset_dn + light_dn
     if rng is not None:
@@ -85,7 +111,15 @@ def frames_of(light_dn, rng=None, *, levels=LEVELS, dtype=np.uint16):
     return np.clip(np.round(mean), 0, np.iinfo(dtype).max).astype(dtype)
 
 
-def crisp(code, column, row=None, *, dark=20, bright=200, dtype=np.uint8):
+def crisp(
+    code: Code,
+    column: Int[np.ndarray, "h w"],
+    row: Int[np.ndarray, "h w"] | None = None,
+    *,
+    dark: float = 20,
+    bright: float = 200,
+    dtype: type[np.unsignedinteger] = np.uint8,
+) -> np.ndarray:
     """A noiseless stack of a camera whose pixels see whole projector pixels (integers)."""
     row = np.zeros(column.shape, dtype=int) if row is None else row
     share = code.render()[:, row, column] / 255

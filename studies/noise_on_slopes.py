@@ -1,7 +1,6 @@
-#!/usr/bin/env python3
-"""How does the noise of scans depend on the way that a surface slopes, and does it stand still?
+"""The noise of scans by the slope of a surface, and whether it stands still, for docs/twin.md.
 
-    scripts/noise-on-slopes rig.yaml depth_0.npy depth_1.npy ...
+python -m studies.noise_on_slopes rig.yaml depth_0.npy depth_1.npy ...
 
 The scans are of one camera that did not move, over things that did. Second differences of depth are
 taken where two scans show the same surface, and sorted by the slope of the surface along x or along
@@ -17,9 +16,9 @@ from pathlib import Path
 import numpy as np
 from scipy import ndimage
 
+from graycast.camera.rig_file import load_scanner
 from graycast.real.realism import read_scans
 from graycast.real.realism.patches import second_difference
-from graycast.camera.rig_file import load_scanner
 
 SAME_M = 2e-3
 MEAN_PX, DRIFT_PX = 3.0, 4.0  # one sigma of the means that give slopes, and that take drift away
@@ -47,25 +46,25 @@ def pair(first_m: np.ndarray, second_m: np.ndarray, focal_px: float) -> dict[str
     near = np.abs(first_m - second_m) < SAME_M
     inner = ndimage.binary_erosion(ndimage.binary_closing(near), iterations=4)
     first, second = (1e3 * np.where(inner & near, z, np.nan) for z in (first_m, second_m))
-    both = mean((first + second) / 2, MEAN_PX)
+    both = known_mean((first + second) / 2, MEAN_PX)
     down, right = np.gradient(both)
     a, b = (np.pad(second_difference(z), 1, constant_values=np.nan) for z in (first, second))
     far = (np.abs(a) > MOST_MM) | (np.abs(b) > MOST_MM)
     a[far] = b[far] = np.nan
     apart = first - second
-    apart -= mean(apart, DRIFT_PX)
+    apart -= known_mean(apart, DRIFT_PX)
     sigma = 1.4826 * np.nanmedian(np.abs(apart))
     apart[np.abs(apart) > 6 * sigma] = np.nan
     slope = {"x": right * focal_px / both, "y": down * focal_px / both}
     return {"first": a, "second": b, "apart": apart} | slope
 
 
-def mean(values: np.ndarray, sigma_px: float) -> np.ndarray:
-    """Over what is known; NaN where that is less than a third."""
+def known_mean(values: np.ndarray, sigma_px: float, *, least: float = 1 / 3) -> np.ndarray:
+    """A Gaussian mean over what is known; NaN where that is less than a share of the window."""
     known = np.isfinite(values)
     weight = ndimage.gaussian_filter(known.astype(float), sigma_px)
     total = ndimage.gaussian_filter(np.where(known, values, 0), sigma_px)
-    return np.where(weight > 1 / 3, total / np.maximum(weight, 1e-9), np.nan)
+    return np.where(weight > least, total / np.maximum(weight, 1e-9), np.nan)
 
 
 def tell(axis: str, low: float, high: float, pairs: list[dict[str, np.ndarray]]) -> None:

@@ -1,31 +1,29 @@
-"""Where the decoder's limits lie: too much light, too little, periods hardly told apart.
+"""The limits of the decoder in docs/stacks.md: too much light, too little, similar periods.
 
-cd tests && python -m camera.decode.limits saturation  pixels with a frame at the top of the range
-cd tests && python -m camera.decode.limits noise  of stacks of phases alone, measured in the stack
-cd tests && python -m camera.decode.limits periods  error rate against coverage where light is weak
-cd tests && python -m camera.decode.limits sigma  error over sigma, over modulation
+python -m studies.decoder_limits saturation    pixels with a frame at the top of the range
+python -m studies.decoder_limits noise         of stacks of phases alone, measured in the stack
+python -m studies.decoder_limits periods       error rate against coverage where light is weak
+python -m studies.decoder_limits sigma         error over sigma, over modulation
+python -m studies.decoder_limits all
 
-The figures of docs/stacks.md. The scene is a map of projector places in closed form: a leaning
+The scene is a map of projector places in closed form: a leaning
 wall, a ball, a box and bars of a few pixels before it, each a step of some periods.
 """
 
 import argparse
-import sys
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
+from jaxtyping import Float, UInt16
 from scipy.ndimage import gaussian_filter
 from scipy.special import j1
 
-sys.path.insert(0, str(Path(__file__).resolve().parent))  # as pytest does
-
-from projected import LEVELS, frames_of, share_of_white
-
-from graycast.camera.decode import DecodeSpec, Reason, decode
+from graycast.camera.decode import CodeMap, DecodeSpec, Levels, Reason, decode
 from graycast.camera.stack.description import LevelsSection
 from graycast.camera.stack.levels import measure_levels
 from graycast.rig.pattern import Code, Frame, gray, gray_phase, micro_phase, multi_frequency
+
+from .projected import LEVELS, frames_of, share_of_white
 
 SHAPE = (192, 256)
 WIDTH_PX = 512
@@ -33,7 +31,7 @@ WRONG_PX = 1.0  # a place that lies further off is wrong; half a cell of a Gray 
 USUAL = DecodeSpec(min_contrast=0.005)
 
 
-def surface():
+def surface() -> Float[np.ndarray, "h w"]:
     """Projector columns (h, w) of the scene."""
     y, x = np.mgrid[0 : SHAPE[0], 0 : SHAPE[1]].astype(float)
     wall = 60 + 1.5 * x + 0.2 * y
@@ -45,7 +43,16 @@ def surface():
     return place
 
 
-def stack(code, *, white_dn, dark_dn=60.0, disc_px=1.0, seed=1, levels=LEVELS, share=None):
+def stack(
+    code: Code,
+    *,
+    white_dn: float | Float[np.ndarray, "h w"],
+    dark_dn: float = 60.0,
+    disc_px: float = 1.0,
+    seed: int = 1,
+    levels: Levels = LEVELS,
+    share: Float[np.ndarray, "n h w"] | None = None,
+) -> UInt16[np.ndarray, "n h w"]:
     """Frames of the scene in noise, clipped at the top, as a camera would."""
     place = surface()
     if share is None:
@@ -55,7 +62,9 @@ def stack(code, *, white_dn, dark_dn=60.0, disc_px=1.0, seed=1, levels=LEVELS, s
     return np.minimum(frames, int(levels.saturation_dn)).astype(np.uint16)
 
 
-def judged(code, frames, *, levels=LEVELS):
+def judged(
+    code: Code, frames: UInt16[np.ndarray, "n h w"], *, levels: Levels = LEVELS
+) -> tuple[float, float, CodeMap]:
     """Shares of all pixels that decode, and of these that are wrong; and the codes."""
     place = surface()
     codes = decode(frames, code, USUAL, levels)
@@ -76,7 +85,7 @@ SHINY_CODES = {
 }
 
 
-def shiny(*, strength):
+def shiny(*, strength: float) -> Float[np.ndarray, "h w"]:
     """White light [DN] of brushed metal: streaks and highlights, lognormal, `strength` at 3 sigma
     times the range.
     """
@@ -88,7 +97,7 @@ def shiny(*, strength):
     return LEVELS.range_dn * 0.35 * np.exp(texture * np.log(strength / 0.35) / 3)
 
 
-def saturation(args) -> None:
+def saturation(args: argparse.Namespace) -> None:
     print("code, white light at 3 sigma / range: clipped %, decoded %, wrong % of these")
     for name, code in SHINY_CODES.items():
         for strength in (1.5, 4.0, 12.0):
@@ -106,11 +115,13 @@ def saturation(args) -> None:
 # --- noise of phases alone -----------------------------------------------------------------------
 
 
-def without(code, *kinds):
+def without(code: Code, *kinds: str) -> Code:
     return replace(code, frames=tuple(f for f in code.frames if f.kind not in kinds))
 
 
-def two_periods(steps, *, periods_px=(16.0, 17.0), width_px=256):
+def two_periods(
+    steps: int, *, periods_px: tuple[float, float] = (16.0, 17.0), width_px: int = 256
+) -> Code:
     """Two cosines whose beat is `width_px` long, at least: 272 px of 16 and 17 px."""
     frames = [
         Frame(kind="phase", axis="column", period_px=p, step=k, steps=steps)
@@ -130,7 +141,9 @@ PHASES_ALONE = {
 }
 
 
-def textured(code, *, gamma, levels=LEVELS, white_dn=1500.0):
+def textured(
+    code: Code, *, gamma: float, levels: Levels = LEVELS, white_dn: float = 1500.0
+) -> UInt16[np.ndarray, "n h w"]:
     """A stack of the scene with a printed texture, by a projector whose response is not linear."""
     rng = np.random.default_rng(8)
     albedo = 0.25 + 0.75 * gaussian_filter(rng.random(SHAPE) > 0.5, 1.0, output=float)
@@ -138,11 +151,11 @@ def textured(code, *, gamma, levels=LEVELS, white_dn=1500.0):
     return stack(code, white_dn=white_dn * albedo, share=share, levels=levels)
 
 
-def sigma_at(levels, light_dn):
+def sigma_at(levels: Levels, light_dn: float) -> float:
     return np.sqrt(levels.floor_dn2 + levels.slope_dn * light_dn)
 
 
-def noise(args) -> None:
+def noise(args: argparse.Namespace) -> None:
     print("code, response: measured over true noise at 100 and 1000 DN, where from")
     for name, code in PHASES_ALONE.items():
         for gamma in (1.0, 1.3):
@@ -163,7 +176,7 @@ WEAK_CODES = {
 WEAK_DN = (60.0, 120.0, 240.0, 480.0)
 
 
-def periods(args) -> None:
+def periods(args: argparse.Namespace) -> None:
     """A place half a period off is wrong. `--power`: of the projector's response."""
     place = surface()
     print("code, white light: modulation, decoded %, wrong % of these, settled %, wrong % of these")
@@ -194,7 +207,7 @@ SIGMA_CODES = {
 }
 
 
-def sigma(args) -> None:
+def sigma(args: argparse.Namespace) -> None:
     """Root mean square of error over sigma, of places that are no period off.
 
     Through a camera pixel that covers 1.5 projector pixels and a projector's disc; without more
@@ -216,7 +229,7 @@ def sigma(args) -> None:
             print(f"{name:18} {disc_px:3.1f}: {left:5.2f}   {words}")
 
 
-def _scatter(code, disc_px, white_dn, *, error=0.0):
+def _scatter(code: Code, disc_px: float, white_dn: float, *, error: float = 0.0) -> float:
     rng = np.random.default_rng(6)
     u = np.linspace(8, WIDTH_PX - 9, 400)[None] + rng.uniform(0, 1, (120, 1))
     share = share_of_white(code, u, disc_px=disc_px)

@@ -1,7 +1,6 @@
-#!/usr/bin/env python3
-"""Does the amplitude of noise belong to the surface, to the pixel, or to the projector's ray?
+"""Whether noise belongs to the surface, the pixel or the projector's ray, for docs/twin.md.
 
-    scripts/whose-noise rig.yaml depth_0.npy depth_1.npy ...
+python -m studies.whose_noise rig.yaml depth_0.npy depth_1.npy ...
 
 The scans are of one camera that did not move, over things that did. In each scan the amplitude of
 the fine noise is mapped, in units of its mean over a wider neighbourhood. Two scans are then
@@ -15,15 +14,17 @@ from itertools import permutations
 from pathlib import Path
 
 import numpy as np
-from scipy import ndimage
 
 from graycast.base.frames import inverse, pixel_grid, transform_points
-from graycast.rig.optics import project, rays
+from graycast.camera.rig_file import load_scanner
 from graycast.real.realism import read_scans
 from graycast.real.realism.patches import second_difference
-from graycast.camera.rig_file import load_scanner
+from graycast.rig.optics import project, rays
+
+from .noise_on_slopes import known_mean
 
 NEAR_PX, WIDE_PX, MOST = 2.0, 10.0, 3.5  # one sigma of the means; beyond the last it is an edge
+KNOWN = 2 / 3  # of the window of a mean
 SAME_M, OTHER_M = 2e-3, 15e-3
 RAY_PX = 2.0  # of the projector: a ray is as wide as that
 
@@ -58,17 +59,10 @@ def main() -> None:
 def amplitude_of(depth_m: np.ndarray) -> np.ndarray:
     """Mean square of the second differences, over that of a wider neighbourhood, less 1."""
     size = np.abs(np.pad(second_difference(depth_m), 1, constant_values=np.nan))
-    size /= mean(size, WIDE_PX)
+    size /= known_mean(size, WIDE_PX, least=KNOWN)
     square = np.minimum(size, MOST) ** 2
-    return mean(square, NEAR_PX) / mean(square, WIDE_PX) - 1
-
-
-def mean(values: np.ndarray, sigma_px: float) -> np.ndarray:
-    """Over what is known; NaN where that is less than two thirds."""
-    known = np.isfinite(values)
-    weight = ndimage.gaussian_filter(known.astype(float), sigma_px)
-    total = ndimage.gaussian_filter(np.where(known, values, 0), sigma_px)
-    return np.where(known & (weight > 2 / 3), total / np.maximum(weight, 1e-9), np.nan)
+    near, wide = (known_mean(square, px, least=KNOWN) for px in (NEAR_PX, WIDE_PX))
+    return near / wide - 1
 
 
 def on_rays(
@@ -97,4 +91,5 @@ def compare(
         told.setdefault(name, []).append((r, int(both.sum())))
 
 
-main()
+if __name__ == "__main__":
+    main()

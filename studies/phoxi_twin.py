@@ -1,14 +1,12 @@
-"""The cell of five real scans, simulated: its scanner, its bin, and parts that are other ones.
+"""The cell of five real scans, simulated, for docs/detect.md, docs/evaluate.md and docs/twin.md.
 
-cd tests && python -m learn.detect.phoxi_twin --out ../out/phoxi
-
-graycast generate ../out/phoxi/twin.yaml --out ../out/phoxi/twin
-graycast study ../out/phoxi/study.yaml --out ../out/phoxi/study
+python -m studies.phoxi_twin --out out/phoxi
+graycast generate out/phoxi/twin.yaml --out out/phoxi/twin
+graycast study out/phoxi/study.yaml --out out/phoxi/study
 
 The first command writes the twin's configuration and the scans as a dataset, and `cell.yaml` for
 `graycast twin`; the last one trains in the twin on four inputs and scores on the twin and on the
-scans. Bin, household meshes and scans are
-in ../shared/data, which is no part of the project.
+scans. Bin, household meshes and scans are in ../shared/data, which is no part of the project.
 """
 
 import argparse
@@ -37,7 +35,7 @@ from graycast.rig.optics import Optics
 from .printed_cartons import printed_carton
 from .random_shapes import random_shape
 
-DATA = Path(__file__).resolve().parents[4] / "shared" / "data"
+DATA = Path(__file__).resolve().parents[2] / "shared" / "data"
 REAL = DATA / "phoxi"
 # What was measured of the device (README.md beside the scans): projector on the camera's left.
 BASELINE_M, TOE_IN_DEG, NEAR_M, FAR_M = 0.235, 8.4, 0.6, 1.0
@@ -73,7 +71,7 @@ FAMILIES = {
 }
 
 
-def scanner():
+def scanner() -> Scanner:
     """The PhoXi's twin: its geometry as measured, all else as the preset has it but one filter.
 
     The scans have points up to the edges; which of them are lost, `faults.edge_*` says.

@@ -1,7 +1,6 @@
-#!/usr/bin/env python3
-"""How does the fine noise of scans depend on the brightness and the slope of what they show?
+"""The noise of scans by brightness and slope of what they show, for docs/twin.md.
 
-    scripts/noise-by-brightness rig.yaml depth_0.npy color_0.png depth_1.npy color_1.png ...
+python -m studies.noise_by_brightness rig.yaml depth_0.npy color_0.png depth_1.npy color_1.png ...
 
 Smooth squares of 32 px are sorted by the incidence of the camera's ray and by their median
 brightness (sRGB, 0 to 255). Within the white squares that face the camera, pixels are then sorted
@@ -17,7 +16,7 @@ import cv2
 import numpy as np
 
 from graycast.base.frames import pixel_grid
-from graycast.rig.optics import rays
+from graycast.camera.rig_file import load_scanner
 from graycast.real.realism import read_scans
 from graycast.real.realism.patches import (
     GROUPS,
@@ -26,7 +25,7 @@ from graycast.real.realism.patches import (
     robust_sigma,
     second_difference,
 )
-from graycast.camera.rig_file import load_scanner
+from graycast.rig.optics import rays
 
 WHITE = 110
 INCIDENCE_DEG = (0, 16, 32, 60)
@@ -58,17 +57,26 @@ def main() -> None:
             known = ~np.isnan(mixed_mm)
             size.append(np.abs(mixed_mm[known]) / sigma_mm)
             share.append(light[1:-1, 1:-1][known] / middle)
+    print_groups(np.array(told))
+    if size:
+        print_shares(np.concatenate(size), np.concatenate(share))
+
+
+def print_groups(told: np.ndarray) -> None:
+    """A line for each class of incidence and brightness of squares, the rows of `told`."""
     print("| degrees | brightness | squares | noise, 10 % [mm] | median | 90 % | outlying [%] |")
     print("|---|---|---|---|---|---|---|")
+    incidence_deg, light, sigma_mm, outlying = told.T
     for (flat, steep), (low, high) in product(pairwise(INCIDENCE_DEG), pairwise(BRIGHTNESS)):
-        group = np.array([x for x in told if flat <= x[0] < steep and low <= x[1] < high])
-        if len(group) > 2:
-            noise = " | ".join(f"{v:.3f}" for v in np.percentile(group[:, 2], (10, 50, 90)))
-            outlying = f"{100 * group[:, 3].mean():.2f}"
-            print(f"| {flat} to {steep} | {low} to {high} | {len(group)} | {noise} | {outlying} |")
-    if not size:
-        return
-    size, share = np.concatenate(size), np.concatenate(share)
+        at = (flat <= incidence_deg) & (incidence_deg < steep) & (low <= light) & (light < high)
+        if at.sum() > 2:
+            noise = " | ".join(f"{v:.3f}" for v in np.percentile(sigma_mm[at], (10, 50, 90)))
+            share = f"{100 * outlying[at].mean():.2f}"
+            print(f"| {flat} to {steep} | {low} to {high} | {at.sum()} | {noise} | {share} |")
+
+
+def print_shares(size: np.ndarray, share: np.ndarray) -> None:
+    """A line for each class of pixels' brightness, as a share of their square's."""
     print("\n| brightness over the square's median | pixels | noise over the square's |")
     print("|---|---|---|")
     for low, high in pairwise(SHARES):

@@ -1,31 +1,33 @@
-"""Empty bins through the whole virtual camera, with remains in them and walls lost; and a study.
+"""Bins through the whole virtual camera, with parts left and walls lost, for docs/fit-bin.md.
 
-cd tests && python -m real.fit_bin.simulated_bins --bins 20           the figures of docs/fit-bin.md
-cd tests && python -m real.fit_bin.simulated_bins --bins 20 --crates  of crates with leaning walls
+python -m studies.simulated_bins --bins 20             boxes
+python -m studies.simulated_bins --bins 20 --crates    crates with leaning walls
 """
 
 import argparse
 from dataclasses import replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
+from typing import Any
 
 import numpy as np
-from crates import Crate
-from small_cell import shrunk
+from jaxtyping import Float
 
+from graycast.base.frames import inverse
 from graycast.cell.config import Config
 from graycast.cell.resolve import Cell, resolve_cell
 from graycast.cell.simulate import make_scene
 from graycast.real.fit_bin import BinView, fit_pose, shape_of
 from graycast.render import Quality, open_renderer
-from graycast.world.scene import EMPTY_LAYOUT
+from graycast.world.scene import EMPTY_LAYOUT, bin_of
 
-from .empty_bins import wrong_by
+from .crates import Crate
+from .smaller import shrunk
 
 LOST = 0.30  # of the inner walls' pixels
 
 
-def small_cell(size_px=(344, 258), **words) -> Cell:
+def small_cell(size_px: tuple[int, int] = (344, 258), **words: Any) -> Cell:
     """A cell before the paper's rig with fewer pixels on the same field."""
     content = {"parts": [{"builtin": "metal_workpiece_1"}]} | words
     cell = resolve_cell(Config.model_validate(content), Path())
@@ -113,7 +115,7 @@ def lose_walls(
     return np.where(lost, np.nan, depth_m), float(lost.sum() / max((label > 0).sum(), 1))
 
 
-def fit_one(number: int, renderer, *, seed: int, crates: bool = False) -> dict[str, float]:
+def fit_one(number: int, renderer, *, seed: int, crates: bool = False) -> dict[str, Any]:
     """One random bin: by how much its fitted pose is wrong, and what the fit says."""
     rng = np.random.default_rng([seed, number])
     with TemporaryDirectory() as folder:
@@ -123,11 +125,11 @@ def fit_one(number: int, renderer, *, seed: int, crates: bool = False) -> dict[s
     depth_m, lost = lose_walls(view.depth_m, label, rng)
     view = replace(view, depth_m=depth_m)
     azimuth = np.radians(cell.config.view.azimuth_deg)
-    fit = fit_pose([view], shape_of(cell.scene.bin), azimuth_rad=azimuth, seed=0)
+    fit = fit_pose([view], shape_of(bin_of(cell.scene)), azimuth_rad=azimuth, seed=0)
     off_m, off_deg = wrong_by(fit.pose.T_world_cam, cell.scene.T_world_cam)
     return {
-        "off_mm": 1e3 * float(off_m),
-        "off_deg": float(off_deg),
+        "off_mm": 1e3 * off_m,
+        "off_deg": off_deg,
         "lost": lost,
         "rms_mm": 1e3 * fit.pose.rms_m,
         "inliers": fit.pose.inlier_share,
@@ -137,9 +139,19 @@ def fit_one(number: int, renderer, *, seed: int, crates: bool = False) -> dict[s
     }
 
 
+def wrong_by(
+    found: Float[np.ndarray, "4 4"], true: Float[np.ndarray, "4 4"]
+) -> tuple[float, float]:
+    """Distance [m] of the bins' origins and angle [deg] between them, in the camera's frame."""
+    T_a, T_b = inverse(found), inverse(true)
+    cosine = (np.trace(T_a[:3, :3].T @ T_b[:3, :3]) - 1) / 2
+    off_m = float(np.linalg.norm(T_a[:3, 3] - T_b[:3, 3]))
+    return off_m, float(np.degrees(np.arccos(np.clip(cosine, -1, 1))))
+
+
 def study(
     bins: int, renderer, *, seed: int, crates: bool = False, on_bin=print
-) -> list[dict[str, float]]:
+) -> list[dict[str, Any]]:
     rows = []
     for number in range(bins):
         rows.append(fit_one(number, renderer, seed=seed, crates=crates))
@@ -149,7 +161,7 @@ def study(
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__)
+    parser = argparse.ArgumentParser(description="Fit the poses of simulated bins.")
     parser.add_argument("--bins", type=int, default=20)
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--crates", action="store_true", help="meshes with leaning walls")

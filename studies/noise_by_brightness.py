@@ -16,13 +16,13 @@ import cv2
 import numpy as np
 
 from graycast.base.frames import pixel_grid
+from graycast.base.robust import robust_sigma
 from graycast.camera.rig_file import load_scanner
 from graycast.real.realism import read_scans
 from graycast.real.realism.patches import (
     GROUPS,
     SQUARE_PX,
     cut_squares,
-    robust_sigma,
     second_difference,
 )
 from graycast.rig.optics import rays

@@ -16,6 +16,7 @@ from pathlib import Path
 import numpy as np
 from scipy import ndimage
 
+from graycast.base.robust import robust_sigma
 from graycast.camera.rig_file import load_scanner
 from graycast.real.realism import read_scans
 from graycast.real.realism.patches import second_difference
@@ -53,8 +54,7 @@ def pair(first_m: np.ndarray, second_m: np.ndarray, focal_px: float) -> dict[str
     a[far] = b[far] = np.nan
     apart = first - second
     apart -= known_mean(apart, DRIFT_PX)
-    sigma = 1.4826 * np.nanmedian(np.abs(apart))
-    apart[np.abs(apart) > 6 * sigma] = np.nan
+    apart[np.abs(apart) > 6 * robust_sigma(apart)] = np.nan
     slope = {"x": right * focal_px / both, "y": down * focal_px / both}
     return {"first": a, "second": b, "apart": apart} | slope
 

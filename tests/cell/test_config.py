@@ -12,6 +12,7 @@ import yaml
 from small_cell import write_cell
 
 from graycast.base.errors import ConfigError
+from graycast.base.progress import Stages
 from graycast.camera.rig_file import load_scanner, rig_schema
 from graycast.camera.scanner import preset
 from graycast.cell import config as words
@@ -93,7 +94,7 @@ def test_every_configuration_in_the_repository_resolves(path):
 def test_it_is_told_which_mesh_is_read(name, read):
     """A mesh of half a million faces takes seconds."""
     path, told = ROOT / f"configs/{name}.yaml", []
-    resolve_cell(load_config(path), path.parent, on_stage=told.append)
+    resolve_cell(load_config(path), path.parent, progress=Stages(told.append))
     assert told == [f"reading {mesh}" for mesh in read]
 
 

@@ -11,6 +11,7 @@ from dataclasses import fields, replace
 
 import numpy as np
 import pytest
+from metered import Metered
 from PIL import Image
 from small_cell import content, finished, start, write_cell
 
@@ -31,7 +32,7 @@ from graycast.rig.pattern import CodeSpec
 
 def run(cell, out, *, scenes, seed=0, workers=1):
     """`generate`; returns its summary, the scenes found at the start and the ids made, in order."""
-    found, made = [], []
+    meter, made = Metered(), []
     summary = generate(
         cell,
         out,
@@ -39,10 +40,12 @@ def run(cell, out, *, scenes, seed=0, workers=1):
         seed=seed,
         device="cpu",
         workers=Workers(count=workers),
-        on_start=found.append,
+        progress=meter,
         on_made=lambda scene: made.append(scene.scene_id),
     )
-    return summary, *found, made
+    counts = [done for what, done, total in meter.counts if (what, total) == ("scenes", scenes)]
+    assert counts == list(range(counts[0], scenes + 1 - len(summary.set_aside)))
+    return summary, counts[0], made
 
 
 @pytest.fixture(scope="module")

@@ -15,4 +15,5 @@ Each imports only from those above it:
     frames           rigid transforms, rotations and the pixel grid
     mask_box         the box about a mask's pixels
     ply              point clouds and meshes as PLY files
+    progress         what a long task tells whoever waits for it
 """

@@ -18,6 +18,7 @@ from pydantic import (
 
 from ..base.errors import ConfigError
 from ..base.file_limits import refuse_large_picture
+from ..base.progress import UNWATCHED, ProgressMeter
 from ..base.settings import Level, Settings, read_settings
 from ..camera.decode import triangulation_axis
 from ..camera.rig_file import ScannerSections, named_scanner, with_sections
@@ -25,7 +26,7 @@ from ..camera.scanner import Scanner
 from ..render import Quality
 from ..render.radiance import PathDepth, Samples
 from ..world.bins import Up, load_bin
-from ..world.drop import DropLimits, OnStage
+from ..world.drop import DropLimits
 from ..world.parts import Material, Part
 from ..world.parts.part_sections import (
     MaterialSection,
@@ -264,7 +265,7 @@ def load_config(path: Path) -> Config:
 
 
 def resolve_parts(
-    config: Config, folder: Path, *, on_stage: OnStage = lambda stage: None
+    config: Config, folder: Path, *, progress: ProgressMeter = UNWATCHED
 ) -> tuple[tuple[Part, ...], tuple[str, ...]]:
     """The parts of a configuration, and notes on their meshes.
 
@@ -276,7 +277,7 @@ def resolve_parts(
     notes: list[str] = []
     for section in config.parts:
         if section.mesh is not None:
-            on_stage(f"reading {section.mesh}")
+            progress.stage(f"reading {section.mesh}")
         part, found = resolve_part(section, folder)
         if part.name in {other.name for other in parts}:
             raise ConfigError(f"two parts have the name {part.name}: rename one of them")

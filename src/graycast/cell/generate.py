@@ -16,6 +16,7 @@ from typing import Any
 from pydantic import ValidationError
 
 from ..base.errors import ConfigError, DatasetError, GraycastError
+from ..base.progress import UNWATCHED, ProgressMeter
 from ..camera.decode import mean_shares
 from ..camera.scanner import Scanner
 from ..dataset import (
@@ -30,9 +31,9 @@ from ..dataset import (
 from ..dataset.claim import BESIDE_CONFIG, Taker
 from ..dataset.records import Claim
 from ..dataset.safe_reading import Unreadable, read_json
-from ..render import OnFrame, choose_device
+from ..render import choose_device
 from ..rig.pair import PRESETS
-from ..world.drop import OnStage, hull_notes, prepare
+from ..world.drop import hull_notes, prepare
 from .config import Config
 from .engine import Failed, Made, Pool, SceneMaker, SceneTask, make_all, open_pool
 from .resolve import Cell, reach_m
@@ -78,12 +79,9 @@ def generate(
     seed: int,
     device: str = "auto",
     workers: Workers = Workers(),
-    on_start: Callable[[int], None] = lambda found: None,
     on_made: Callable[[Made], None] = lambda made: None,
     on_failed: Callable[[Failed], None] = lambda failed: None,
-    on_frame: OnFrame | None = None,
-    on_stage: OnStage = lambda stage: None,
-    on_note: Callable[[str], None] = lambda note: None,
+    progress: ProgressMeter = UNWATCHED,
 ) -> Summary:
     """Make the scenes 0 .. scenes-1 that are not in `out` yet, and the split's COCO file.
 
@@ -93,12 +91,10 @@ def generate(
     Args:
         out: the dataset's folder; made, or continued where the same configuration began it.
         device: 'auto', 'cpu', 'cuda' or, of Cycles, 'optix'.
-        on_start: called with the number of scenes that are there already.
-        on_made: called in this process after each scene.
-        on_failed: called after each try that did not come out.
-        on_frame: as in `open_renderer`, where this process makes all.
-        on_stage: called with what is being prepared; see also `make_scene`.
-        on_note: called with a note on each part whose collision hulls are coarse.
+        on_made: takes what is known of each scene, a result and no progress, in this process.
+        on_failed: takes the reason of each try that did not come out.
+        progress: counts scenes, hears what is being prepared, and notes each part whose collision
+            hulls are coarse. Where this process makes all, it hears what each scene does, too.
 
     Raises:
         DatasetError: the folder is another dataset's, is in use, or the disk refuses.
@@ -116,21 +112,24 @@ def generate(
         found = store.finished()
         todo = [scene_id for scene_id in range(scenes) if scene_id not in found]
         store.set_aside(())  # scenes that the last run set aside are tried again
-        on_start(scenes - len(todo))
+        progress.count("scenes", scenes - len(todo), scenes)
         run = _Run(store=store, found=len(found), on_made=on_made, on_failed=on_failed)
         try:
             if todo:
-                prepared = prepare(cell.kinds, on_stage=on_stage)  # once, not by every worker
+                prepared = prepare(cell.kinds, progress=progress)  # once, not by every worker
                 for note in hull_notes(cell.kinds, prepared):
-                    on_note(note)
+                    progress.note(note)
                 if workers.engine == "local" and min(workers.count, len(todo)) > 1:
-                    on_stage("compiling the decoder, once on this machine")
+                    progress.stage("compiling the decoder, once on this machine")
                     compile_kernels(cell)
-                with closing(_open_pool(task, workers, len(todo), on_frame, on_stage)) as pool:
+                with closing(_open_pool(task, workers, len(todo), progress)) as pool:
                     left = len(todo)
                     for outcome in make_all(pool, todo):
                         left -= isinstance(outcome, Made) or outcome.final
                         run.take(outcome, last=left == 0)
+                        if isinstance(outcome, Made):
+                            done = scenes - len(todo) + len(run.reasons)
+                            progress.count("scenes", done, scenes)
             store.finish(set(range(scenes)) - {scene.scene_id for scene in run.set_aside})
             store.set_aside(run.set_aside)
         except BaseException:
@@ -310,17 +309,14 @@ def described_scanner(scanner: Scanner) -> dict[str, Any]:
     return {name: described_values(getattr(scanner, name)) for name in names}
 
 
-def _open_pool(
-    task: SceneTask, workers: Workers, todo: int, on_frame: OnFrame | None, on_stage: OnStage
-) -> Pool:
+def _open_pool(task: SceneTask, workers: Workers, todo: int, progress: ProgressMeter) -> Pool:
     return open_pool(
         task,
         engine=workers.engine,
         workers=min(workers.count, todo),
         threads=workers.threads,
         address=workers.address,
-        on_frame=on_frame,
-        on_stage=on_stage,
+        progress=progress,
     )
 
 

@@ -8,11 +8,11 @@ import numpy as np
 from jaxtyping import UInt8
 
 from ..base.errors import ConfigError
+from ..base.progress import UNWATCHED, ProgressMeter
 from ..camera.scanner import Scanner
-from ..render import OnFrame, OnPass, Renderer, open_renderer
+from ..render import OnPass, Renderer, open_renderer
 from ..rig.pair import grey_levels
 from ..rig.pattern import Code
-from ..world.drop import OnStage
 from ..world.parts import Part
 from ..world.parts.part_sections import resolve_material
 from ..world.scene import Scene, bin_of
@@ -191,20 +191,20 @@ def _own_views(config: Config, station: int) -> tuple[ViewSection, ...] | Sample
     return config.views if own is None else own
 
 
-def resolve_cell(config: Config, folder: Path, *, on_stage: OnStage = lambda stage: None) -> Cell:
+def resolve_cell(config: Config, folder: Path, *, progress: ProgressMeter = UNWATCHED) -> Cell:
     """Read the files that a configuration names; relative paths start in `folder`.
 
-    `on_stage` is called with the name of each step that may take seconds.
+    `progress` hears of each step that may take seconds.
 
     Raises:
         GraycastError, ValueError: a file or a value cannot be used; the error names it.
     """
-    parts, notes = resolve_parts(config, folder, on_stage=on_stage)
+    parts, notes = resolve_parts(config, folder, progress=progress)
     scanners = resolve_scanners(config, folder)
     scanner = scanners[0][1]
     rig = scanner.rig
     if config.bin.mesh is not None:
-        on_stage(f"reading {config.bin.mesh}")
+        progress.stage(f"reading {config.bin.mesh}")
     box, bin_notes = resolve_bin(config.bin, folder)
     scene = Scene(
         rig=rig,
@@ -217,7 +217,7 @@ def resolve_cell(config: Config, folder: Path, *, on_stage: OnStage = lambda sta
     if config.table is not None:
         scene = replace(scene, table=resolve_material(config.table, folder))
     if config.domain is not None:
-        on_stage("reading the files of the domain section")
+        progress.stage("reading the files of the domain section")
     domain = None if config.domain is None else resolve_domain(config.domain, folder, scene=scene)
     cell = Cell(
         config=config,
@@ -264,16 +264,19 @@ def open_cell_renderer(
     *,
     device: str = "auto",
     threads: int | None = None,
-    on_frame: OnFrame | None = None,
+    progress: ProgressMeter = UNWATCHED,
     on_pass: OnPass | None = None,
 ) -> Renderer:
-    """Open the renderer that a cell's configuration names; see `open_renderer`."""
+    """Open the renderer that a cell's configuration names; see `open_renderer`.
+
+    `progress` counts the renders of a scene. `on_pass` may end a rendering, which is its use.
+    """
     render = cell.config.render
     return open_renderer(
         render.backend,
         device=device,
         threads=threads,
         patterns_per_render=render.cycles.patterns_per_render,
-        on_frame=on_frame,
+        on_frame=lambda done, total: progress.count("renders of a scene", done, total),
         on_pass=on_pass,
     )

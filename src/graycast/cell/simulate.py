@@ -16,6 +16,7 @@ from jaxtyping import Bool
 
 from .. import __version__
 from ..base.frames import transform_points
+from ..base.progress import UNWATCHED, ProgressMeter
 from ..base.streams import image_seeds, scene_seeds
 from ..camera.decode import CodeMap, DepthMap, Reason, reason_shares
 from ..camera.picture import color_picture, developed, gray_picture
@@ -25,7 +26,6 @@ from ..dataset import Raw, Sample
 from ..render import GroundTruth, Radiance, Renderer, Rendering
 from ..rig.optics import in_picture, points, project
 from ..rig.pair import Rig
-from ..world.drop import OnStage as OnStage
 from ..world.drop import drop
 from ..world.scene import Layout, Scene, bin_of
 from .config import resolve_quality
@@ -50,15 +50,15 @@ def make_scene(
     *,
     seed: int,
     renderer: Renderer,
-    on_stage: OnStage = lambda stage: None,
+    progress: ProgressMeter = UNWATCHED,
 ) -> Shot:
-    """One scene from its seeds to the sample of its first image; `on_stage` is told what begins.
+    """One scene from its seeds to the sample of its first image; `progress` hears what begins.
 
     Raises:
         DropError: the parts did not come to an acceptable rest.
         ValueError: the picture is dark, or a value is out of its range.
     """
-    return next(make_images(cell, scene_id, seed=seed, renderer=renderer, on_stage=on_stage))
+    return next(make_images(cell, scene_id, seed=seed, renderer=renderer, progress=progress))
 
 
 def make_images(
@@ -67,7 +67,7 @@ def make_images(
     *,
     seed: int,
     renderer: Renderer,
-    on_stage: OnStage = lambda stage: None,
+    progress: ProgressMeter = UNWATCHED,
     only: int | None = None,
 ) -> Iterator[Shot]:
     """All images of one scene, one after the other, so that memory holds the light of one.
@@ -83,7 +83,7 @@ def make_images(
     timings: dict[str, float] = {}
     with _timed(timings, "drop"):
         seeds = cell_seeds(cell, scene_id, seed=seed)
-        variation, layout = _laid(cell, scene_id, seeds, on_stage)
+        variation, layout = _laid(cell, scene_id, seeds, progress)
     hung = _hung(cell, variation, seeds)
     for number, (eye, scene) in enumerate(hung):
         if only is not None and number != only:
@@ -105,8 +105,8 @@ def make_images(
             },
         } | ({"domain": variation.record} if variation.record else {})
         which = f" image {number + 1} of {len(hung)}" if len(hung) > 1 else ""
-        on_stage(f"{renderer.name} renders{which}")
-        yield _taken(cell, eye, scene, layout, told, timings, renderer, on_stage)
+        progress.stage(f"{renderer.name} renders{which}")
+        yield _taken(cell, eye, scene, layout, told, timings, renderer, progress)
         timings = {}
 
 
@@ -118,7 +118,7 @@ def _taken(
     told: dict[str, Any],
     timings: dict[str, float],
     renderer: Renderer,
-    on_stage: OnStage,
+    progress: ProgressMeter,
 ) -> Shot:
     """One image: light, sensor, decoding. `told` and `timings` are what is known of the scene."""
     config, scanner, seeds = cell.config, eye.scanner, told["seeds"]
@@ -129,7 +129,7 @@ def _taken(
         )
     with _timed(timings, "sensor"):
         capture = take(scanner, rendering.radiance, seed=seeds["noise"])
-    on_stage("decoding the pictures")
+    progress.stage("decoding the pictures")
     with _timed(timings, "picture"):
         noisy = config.render.denoise and quality.denoise == "none"
         rgb = color_picture(
@@ -221,19 +221,19 @@ def cell_seeds(cell: Cell, scene_id: int, *, seed: int) -> dict[str, int]:
 
 
 def lay_out(
-    cell: Cell, scene_id: int, *, seed: int, on_stage: OnStage = lambda stage: None
+    cell: Cell, scene_id: int, *, seed: int, progress: ProgressMeter = UNWATCHED
 ) -> tuple[Scene, Layout]:
     """The scene that `make_scene` would render, and where its parts came to lie.
 
     Raises:
         DropError: the parts did not come to an acceptable rest.
     """
-    variation, layout = _laid(cell, scene_id, cell_seeds(cell, scene_id, seed=seed), on_stage)
+    variation, layout = _laid(cell, scene_id, cell_seeds(cell, scene_id, seed=seed), progress)
     return variation.scene, layout
 
 
 def _laid(
-    cell: Cell, scene_id: int, seeds: dict[str, int], on_stage: OnStage
+    cell: Cell, scene_id: int, seeds: dict[str, int], progress: ProgressMeter
 ) -> tuple[Variation, Layout]:
     variation = varied(cell, scene_id, seeds)
     layout = drop(
@@ -241,7 +241,7 @@ def _laid(
         variation.counts,
         seed=seeds["drop"],
         limits=cell.config.drop,
-        on_stage=on_stage,
+        progress=progress,
     )
     return variation, layout
 

@@ -2,8 +2,7 @@
 
 import argparse
 import math
-from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -12,6 +11,7 @@ from jaxtyping import Float
 
 from ..base.errors import GraycastError
 from ..rig.pair import PRESETS, RESOLUTIONS
+from .bars import open_stages
 
 if TYPE_CHECKING:
     from ..cell.generate import Workers
@@ -114,8 +114,8 @@ def resolve_cell_option(config, options: argparse.Namespace):
         render = config.render.model_copy(update={"backend": options.backend})
         config = config.model_copy(update={"render": render})
     try:
-        with stage_line() as on_stage:
-            cell = resolve_cell(config, options.config.parent, on_stage=on_stage)
+        with open_stages() as progress:
+            cell = resolve_cell(config, options.config.parent, progress=progress)
     except (GraycastError, ValueError, OSError) as error:
         raise GraycastError(f"{options.config}: {error}") from error
     for note in cell.notes:
@@ -273,40 +273,8 @@ def workers_of(options: argparse.Namespace) -> "Workers":
     )
 
 
-@contextmanager
-def stage_line() -> Iterator[Callable[[str], None]]:
-    """Show the present stage and its duration in one line, which disappears at the end."""
-    from rich.markup import escape
-    from rich.progress import Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
-
-    columns = SpinnerColumn(), TextColumn("{task.description}"), TimeElapsedColumn()
-    with Progress(*columns, transient=True) as bar:
-        task = bar.add_task("", total=None, visible=False)
-        yield lambda stage: bar.reset(task, description=escape(stage), total=None, visible=True)
-
-
 def print_shares(of_parts: Mapping[str, float], of_all: Mapping[str, float]) -> None:
     """A line for each reason, the parts' pixels first."""
     for name, share in of_all.items():
         first = f"{of_parts[name]:7.2%} of the parts' pixels, " if of_parts else ""
         print(f"  {name:18} {first}{share:7.2%} of all pixels")
-
-
-def progress_bar():
-    from rich.progress import (
-        BarColumn,
-        MofNCompleteColumn,
-        Progress,
-        TextColumn,
-        TimeElapsedColumn,
-        TimeRemainingColumn,
-    )
-
-    return Progress(
-        TextColumn("{task.description}"),
-        BarColumn(),
-        MofNCompleteColumn(),
-        TimeElapsedColumn(),
-        TextColumn("left"),
-        TimeRemainingColumn(),
-    )

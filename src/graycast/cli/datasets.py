@@ -3,8 +3,6 @@
 import argparse
 from pathlib import Path
 
-from rich.markup import escape
-
 from .arguments import (
     add_backend,
     add_command,
@@ -13,10 +11,9 @@ from .arguments import (
     add_seed,
     load_cell,
     print_shares,
-    progress_bar,
     seed,
-    stage_line,
 )
+from .bars import open_bars, open_stages
 
 # Heavy modules are imported by the command that needs them, so that --help answers at once.
 
@@ -89,27 +86,16 @@ def _preview(options: argparse.Namespace) -> int:
             f"--image is {options.image}: a scene of this cell has {len(cell.images)}, from 0 on"
         )
     seed = cell.config.seed if options.seed is None else options.seed
-    with progress_bar() as bar:
-        stages = bar.add_task("", total=None, visible=False)
-        frames = bar.add_task("renders", total=None, visible=False)
-
-        def on_stage(stage: str) -> None:
-            bar.reset(stages, description=escape(stage), total=None, visible=True)
-
-        def on_frame(done: int, total: int) -> None:
-            bar.update(frames, completed=done, total=total, visible=True)
-
-        with open_cell_renderer(cell, device=options.device, on_frame=on_frame) as renderer:
+    with open_bars() as bars:
+        with open_cell_renderer(cell, device=options.device, progress=bars) as renderer:
             which = _which(cell, options.image)
-            bar.console.print(
-                f"scene {options.scene}{which} by {renderer.name} on {renderer.device}"
-            )
+            bars.line(f"scene {options.scene}{which} by {renderer.name} on {renderer.device}")
             images = make_images(
                 cell,
                 options.scene,
                 seed=seed,
                 renderer=renderer,
-                on_stage=on_stage,
+                progress=bars,
                 only=options.image,
             )
             shot = next(images)
@@ -179,8 +165,8 @@ def _describe_hulls(parts) -> None:
     """Describe the collision hulls of the parts; hulls that are not in the cache are made now."""
     from ..world.drop import hull_notes, prepare
 
-    with stage_line() as on_stage:
-        prepared = prepare(parts, on_stage=on_stage)
+    with open_stages() as progress:
+        prepared = prepare(parts, progress=progress)
     print(
         "the number of collision hulls of each part, and their largest distance from its surface:"
     )

@@ -4,7 +4,8 @@ import argparse
 from pathlib import Path
 
 from ..base.errors import GraycastError
-from .arguments import above_zero, add_command, positive, progress_bar, seed, share
+from .arguments import above_zero, add_command, positive, seed, share
+from .bars import open_bars
 
 # torch takes seconds to import and may be missing, so its names are repeated here. A test compares
 # them.
@@ -334,18 +335,14 @@ def _train(options: argparse.Namespace) -> None:
         device=options.device,
         workers=options.workers,
     )
-    with progress_bar() as bar:
-        tasks = {}
-
-        def on_told(told) -> None:
-            if told.row is not None:
-                bar.console.print(_line(told.row))
-                return
-            if told.stage not in tasks:
-                tasks[told.stage] = bar.add_task(told.stage, total=told.total)
-            bar.update(tasks[told.stage], completed=told.done, total=told.total)
-
-        train(options.datasets, options.out, spec, on_told=on_told)
+    with open_bars() as bars:
+        train(
+            options.datasets,
+            options.out,
+            spec,
+            progress=bars,
+            on_row=lambda row: bars.line(_line(row)),
+        )
     print(
         f"{options.out}: the training is complete; detector.pt holds the weights of the best "
         "validation"
@@ -379,18 +376,15 @@ def _detect(options: argparse.Namespace) -> None:
         scale_m=options.scale,
         as_real=options.as_real,
     )
-    with progress_bar() as bar:
-        task = bar.add_task("pictures", total=len(pictures.scene_ids))
+    with open_bars() as bars:
         looked = detect(
             detector,
-            pictures.examples,
+            pictures,
             options.out,
-            class_ids=pictures.class_ids,
-            said=pictures.said,
             most=options.most,
             least_score=options.least_score,
             drawings=options.drawings,
-            on_picture=lambda done: bar.update(task, completed=done),
+            progress=bars,
         )
     count = sum(map(len, looked.found))
     print(
@@ -423,28 +417,17 @@ def _study(options: argparse.Namespace) -> None:
     if options.list:
         print("\n".join(run.name for run in runs))
         return
-    with progress_bar() as bar:
-        whole = bar.add_task("runs", total=len(runs))
-        stage = bar.add_task("", total=None)
-        place = {run.name: i for i, run in enumerate(runs)}
-
-        def on_told(run, what: str, done: int, total: int) -> None:
-            bar.update(whole, completed=place[run.name])
-            bar.update(
-                stage, description=f"{run.name}: {what}", completed=done, total=total or None
-            )
+    with open_bars() as bars:
 
         def on_done(result) -> None:
             figures = [
                 f"{kind} {world} {result.of(world, kind).value:.2f}"
                 for world, kind in result.figures
             ]
-            bar.console.print(
-                f"{result.run.name}: AP50 {', '.join(figures)}", markup=False, soft_wrap=True
-            )
+            bars.line(f"{result.run.name}: AP50 {', '.join(figures)}")
 
         results = run_study(
-            spec, options.out, device=options.device, on_told=on_told, on_done=on_done
+            spec, options.out, device=options.device, progress=bars, on_done=on_done
         )
     write_study(spec, results, options.out)
     print((options.out / "table.md").read_text(encoding="utf-8"))

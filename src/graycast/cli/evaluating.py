@@ -4,7 +4,8 @@ import argparse
 from pathlib import Path
 
 from ..base.errors import GraycastError
-from .arguments import add_command, positive, progress_bar, seed, share
+from .arguments import add_command, positive, seed, share
+from .bars import open_bars
 
 # Heavy modules are imported by the command that needs them, so that --help answers at once.
 
@@ -137,11 +138,8 @@ def _evaluate(options: argparse.Namespace) -> int:
             seed=options.seed,
         ),
     )
-    with whole_folder(options.out) as folder, progress_bar() as bar:
-        going = bar.add_task("scenes", total=None)
-        evaluation, picture = evaluate(
-            task, on_scene=lambda done, total: bar.update(going, completed=done, total=total)
-        )
+    with whole_folder(options.out) as folder, open_bars() as bars:
+        evaluation, picture = evaluate(task, progress=bars)
         write_evaluation(evaluation, picture, folder)
     print(summary(evaluation))
     print(options.out)
@@ -176,15 +174,14 @@ def _poses(options: argparse.Namespace) -> int:
     protocol = Protocol(
         min_visibility=options.min_visibility, draws=options.draws, seed=options.seed
     )
-    with whole_folder(options.out) as folder, progress_bar() as bar:
-        going = bar.add_task("scenes", total=None)
+    with whole_folder(options.out) as folder, open_bars() as bars:
         evaluation = evaluate_poses(
             options.results,
             options.on,
             split=options.split or "train",
             division=division,
             protocol=protocol,
-            on_scene=lambda done, total: bar.update(going, completed=done, total=total),
+            progress=bars,
         )
         write_poses(evaluation, folder)
     print(poses_markdown(evaluation), end="")
@@ -205,11 +202,10 @@ def _depth(options: argparse.Namespace) -> int:
                 "give one of the two"
             )
     refuse_foreign(options.out, DEPTH)
-    with whole_folder(options.out) as folder, progress_bar() as bar:
-        going = bar.add_task("scenes", total=None)
+    with whole_folder(options.out) as folder, open_bars() as bars:
         tables = evaluate_depth(
             options.on,
-            on_scene=lambda done, total: bar.update(going, completed=done, total=total),
+            progress=bars,
         )
         write_depth(tables, folder, colors=REASON_COLOR)
     print((options.out / "depth.md").read_text(encoding="utf-8"), end="")

@@ -16,10 +16,9 @@ from .arguments import (
     add_seed,
     intrinsics_of,
     positive,
-    progress_bar,
     resolve_rig_option,
-    stage_line,
 )
+from .bars import open_bars, open_stages
 
 TABLE = "table.txt"  # `graycast realism` writes this file to every folder
 
@@ -166,16 +165,9 @@ def _certify(options: argparse.Namespace) -> int:
     with (
         whole_folder(options.out) as folder,
         open_renderer(options.backend, device=options.device) as renderer,
-        progress_bar() as bar,
+        open_bars() as bars,
     ):
-        task = bar.add_task("scenes", total=None)
-
-        def on_progress(done: int, total: int, what: str) -> None:
-            bar.update(task, completed=done, total=total, description=what)
-
-        certificate = certify(
-            scanner, renderer=renderer, seed=options.seed, on_progress=on_progress
-        )
+        certificate = certify(scanner, renderer=renderer, seed=options.seed, progress=bars)
         page = write_certificate(certificate, folder)
     print(describe(certificate))
     print(options.out / page.name)
@@ -268,9 +260,9 @@ def _two_sample(options: argparse.Namespace) -> tuple:
     perfect = _spread(list(read_perfect(options.compare[1])), options.most)
     a, b = options.compare
     names = (a.name, b.name) if a.name != b.name else (str(a), str(b))
-    with stage_line() as on_stage:
+    with open_stages() as progress:
         test = two_sample_test(
-            first, second, perfect=perfect, names=names, seed=options.seed, on_stage=on_stage
+            first, second, perfect=perfect, names=names, seed=options.seed, progress=progress
         )
     return test, first, second
 

@@ -3,7 +3,8 @@
 import argparse
 from pathlib import Path
 
-from .arguments import add_command, progress_bar
+from .arguments import add_command
+from .bars import open_bars
 
 # Heavy modules are imported by the command that needs them, so that --help answers at once.
 
@@ -29,13 +30,8 @@ def add_commands(commands) -> None:
 def _merge(options: argparse.Namespace) -> int:
     from ..score.merge import described, merge
 
-    with progress_bar() as bar:
-        task = bar.add_task("scenes", total=None)
-        record = merge(
-            options.source,
-            options.out,
-            on_scene=lambda done, total: bar.update(task, completed=done, total=total),
-        )
+    with open_bars() as bars:
+        record = merge(options.source, options.out, progress=bars)
     print(f"{options.out}: clouds of {len(record['scenes'])} scene(s)")
     for surface in record["surfaces"]:
         print("\n".join(described(surface)))

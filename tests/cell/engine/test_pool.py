@@ -3,6 +3,7 @@
 from collections import Counter
 
 import pytest
+from metered import Metered
 
 from graycast.base.errors import ConfigError, DeviceError, DropError, GraycastError, WorkerDied
 from graycast.cell.engine import TRIES, Failed, Made, make_all, make_each, open_pool
@@ -104,11 +105,21 @@ def test_an_unknown_engine_is_refused(task):
 
 def handed(script, ids=IDS):
     """What `make_each` hands over of a pool that fails so, what it gives up, and the pool."""
-    pool, made, failed = Scripted(script), [], []
+    pool, made, failed, meter = Scripted(script), [], [], Metered()
     try:
-        lost = make_each(pool, ids, on_made=made.append, on_failed=failed.append)
+        lost = make_each(
+            pool,
+            ids,
+            what="scenes",
+            total=1 + len(ids),
+            progress=meter,
+            on_made=made.append,
+            on_failed=failed.append,
+        )
     except Exception as raised:
         lost = raised
+    whole = 1 + len(ids)  # one was there before
+    assert meter.counts == [("scenes", 2 + k, whole) for k in range(len(made))]
     return [one.scene_id for one in made], [one.scene_id for one in failed], lost, pool
 
 

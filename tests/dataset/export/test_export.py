@@ -5,6 +5,7 @@ import os
 import shutil
 
 import pytest
+from metered import Metered
 from PIL import Image
 from simulated_dataset import visible
 
@@ -25,15 +26,15 @@ def test_every_format_says_what_it_holds_and_reports_each_scene(master, samples,
     for form in FORMATS:
         if form == "parquet":
             pytest.importorskip("pyarrow", reason="pip install 'graycast[parquet]'")
-        calls = []
+        meter = Metered()
         split = Split(shares=(0.5, 0.25, 0.25), seed=SEED)
         record = export(
             master,
             tmp_path / form,
             Options(format=form, split=split),
-            on_progress=lambda done, total, calls=calls: calls.append((done, total)),
+            progress=meter,
         )
-        assert calls == [(k + 1, len(samples)) for k in range(len(samples))]
+        assert meter.counts == [("pictures", k + 1, len(samples)) for k in range(len(samples))]
         assert read_record(tmp_path / form) == record
         assert record.splits == split.assign(samples)
         assert (

@@ -102,9 +102,7 @@ def test_detections_of_a_run_come_back_from_files(dataset, tmp_path, model):
     """What lies in the files is what the detector found, in the pixels of the pictures."""
     detector = train([dataset], tmp_path / "run", replace(SMALL, model=model, epochs=1))
     chosen = pictures_of(dataset, detector.about, split="all", scale_m=None)
-    looked = detect(
-        detector, chosen.examples, tmp_path / "found", class_ids=chosen.class_ids, said=chosen.said
-    )
+    looked = detect(detector, chosen, tmp_path / "found")
     held = read_results(tmp_path / "found" / "results.json", range(10))
     assert [len(each) for each in held] == [len(each) for each in looked.found]
     assert (held[0].mask is None) == (model == "yolov3")

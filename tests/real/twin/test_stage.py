@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from small_cell import write_cell
 
+from graycast.base.progress import UNWATCHED
 from graycast.cell.config import load_config
 from graycast.cell.resolve import resolve_cell
 from graycast.real.realism import DepthScan
@@ -33,7 +34,7 @@ def lit_bin(folder, renderer, **material):
         quality=Quality(samples=256, depth=4),
         rougher=(-0.15, 0.0, 0.15),
         names=["a scan"],
-        on_stage=lambda stage: None,
+        progress=UNWATCHED,
     )
     return cell.scanner, lit
 

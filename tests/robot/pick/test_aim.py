@@ -1,7 +1,5 @@
 """Which detections are looked at first: what lies free, what is covered, what failed."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
@@ -63,10 +61,10 @@ def test_where_a_grip_failed_is_tried_last():
     assert ranked([left, right], view, [outside])[0] == [left, right]
 
 
-def aim(x, z=0.0, *, score=1.0, opening_m=None, turn=("x", 0.0)):
+def aim(x, z=0.0, *, score=1.0, turn=("x", 0.0)):
     T = rigid(axis_rotation(*turn), np.array([x, 0.0, z]))
     target = Target(kind=0, score=1.0, mask=square(0, 0))
-    return Aim(T_world_tool=T, score=score, target=target, opening_m=opening_m)
+    return Aim(T_world_tool=T, score=score, target=target)
 
 
 def test_of_grips_that_are_about_as_sure_the_highest_comes_first():
@@ -75,18 +73,18 @@ def test_of_grips_that_are_about_as_sure_the_highest_comes_first():
 
 
 @pytest.mark.parametrize(
-    ("other", "opening_m", "alike"),
+    ("other", "round_tool", "alike"),
     [
-        (aim(0.007), None, True),
-        (aim(0.009), None, False),
-        (aim(0.0, turn=("x", 0.2)), None, True),
-        (aim(0.0, turn=("x", 0.3)), None, False),
-        (aim(0.0, turn=("z", 1.5)), None, True),  # a round cup
-        (aim(0.0, turn=("z", 1.5)), 0.02, False),
-        (aim(0.0, turn=("z", 3.1)), 0.02, True),  # jaws have no front
+        (aim(0.007), True, True),
+        (aim(0.009), True, False),
+        (aim(0.0, turn=("x", 0.2)), True, True),
+        (aim(0.0, turn=("x", 0.3)), True, False),
+        (aim(0.0, turn=("z", 1.5)), True, True),  # a round cup
+        (aim(0.0, turn=("z", 1.5)), False, False),
+        (aim(0.0, turn=("z", 3.1)), False, True),  # jaws have no front
     ],
 )
-def test_grips_that_hardly_differ_are_tried_once(other, opening_m, alike):
-    first = replace(aim(0.0), opening_m=opening_m)
-    found = list(spread([first, replace(other, opening_m=opening_m)], 0.008))
+def test_grips_that_hardly_differ_are_tried_once(other, round_tool, alike):
+    first = aim(0.0)
+    found = list(spread([first, other], 0.008, round_tool=round_tool))
     assert len(found) == (1 if alike else 2) and found[0] is first

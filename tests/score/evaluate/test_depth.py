@@ -5,6 +5,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from metered import Metered
 
 from graycast.base.errors import GraycastError
 from graycast.dataset.stored import SceneContent, StoredScene
@@ -121,9 +122,9 @@ def test_scenes_in_other_depth_steps_add_up():
 
 
 def test_a_dataset_is_read_and_its_tables_written(master, tmp_path):
-    seen = []
-    tables = evaluate_depth(master, on_scene=lambda done, total: seen.append((done, total)))
-    assert seen[-1] == (8, 8)
+    meter = Metered()
+    tables = evaluate_depth(master, progress=meter)
+    assert meter.counts == [("scenes", k, 8) for k in range(1, 9)]
     write_depth(tables, tmp_path, colors={"shadow": "#123456"})
     assert {file.name for file in tmp_path.iterdir()} == {
         "depth.json", "depth.csv", "depth.md", "depth.png"

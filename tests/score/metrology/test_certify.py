@@ -6,6 +6,7 @@ from dataclasses import replace
 from html.parser import HTMLParser
 
 import pytest
+from metered import Metered
 from stage import centred, make_rig, turned
 
 from graycast.camera.scanner import Scanner
@@ -106,16 +107,17 @@ def test_an_impossible_scope_is_refused():
 
 @pytest.mark.slow
 def test_progress_counts_every_scene(mitsuba_renderer):
-    heard = []
+    meter = Metered()
     scope = replace(LITTLE, captures=2)
     made = certify(
         small_scanner(),
         renderer=mitsuba_renderer,
         seed=0,
         scope=scope,
-        on_progress=lambda done, total, what: heard.append((done, total)),
+        progress=meter,
     )
-    assert heard == [(k, made.scenes) for k in range(made.scenes + 1)]
+    assert len(meter.stages) == made.scenes
+    assert meter.counts == [("scenes", k, made.scenes) for k in range(made.scenes + 1)]
 
 
 @pytest.mark.slow

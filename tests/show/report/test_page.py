@@ -10,6 +10,7 @@ from importlib import resources
 import cv2
 import numpy as np
 import pytest
+from metered import Metered
 from pictured import forget, write_dataset
 
 from graycast.base.errors import DatasetError, GraycastError
@@ -79,9 +80,10 @@ def test_only_a_changed_scene_is_built_again_and_one_that_is_gone_leaves(dataset
     (out / "train/000000/manifest.json").write_text('{"seed": 8}')
     shutil.copytree(out / "train/000000", out / "train/000001")
     shutil.rmtree(out / "train/000003")
-    made = []
-    summary = write_report(out, tmp_path / "page", on_scene=made.append)
-    assert made == ["train-000000", "train-000001"]
+    meter = Metered()
+    summary = write_report(out, tmp_path / "page", progress=meter)
+    whole = summary.built + summary.kept
+    assert meter.counts == [("scenes", summary.kept + k, whole) for k in range(3)]
     assert (summary.built, summary.kept, summary.removed) == (2, 0, 1)
     assert not (tmp_path / "page/scenes/train-000003").exists()
 

@@ -13,6 +13,7 @@ from scipy.spatial import ConvexHull
 
 from benchmarks.zoo_parts import ZOO, wavy_ring, zoo_part
 from graycast.base.errors import GraycastError
+from graycast.base.progress import Stages
 from graycast.world.drop import cache_folder, convex_hulls, decomposition, hull_notes, prepare
 from graycast.world.drop.decomposition import (
     decompose,
@@ -212,7 +213,7 @@ def test_the_cache_lies_where_xdg_says(tmp_path, monkeypatch):
 @pytest.mark.slow
 def test_one_kind_tells_its_stages(tmp_path):
     part, stages = zoo_part("nut"), []
-    (made,) = prepare((part,), hull_folder=tmp_path, on_stage=stages.append)
+    (made,) = prepare((part,), hull_folder=tmp_path, progress=Stages(stages.append))
     assert len(made.hulls) > 1
     assert made.error == hull_error(part.mesh, made.hulls) and not made.coarse
     assert stages[0] == "nut: building a solid from 552 faces" and len(stages) < 20
@@ -253,7 +254,7 @@ def test_several_kinds_are_cut_by_two_children_at_a_time_as_they_are_one_by_one(
         starts.append(len(children))
         assert sum(_alive(child.pid) for child in children) <= 2
 
-    made = prepare(parts, hull_folder=tmp_path / "cache", on_stage=note)
+    made = prepare(parts, hull_folder=tmp_path / "cache", progress=Stages(note))
     assert starts[0] == 2 and len(children) == 3
     for part, one in zip(parts, made, strict=True):
         hulls = decompose(part.mesh)
@@ -263,7 +264,7 @@ def test_several_kinds_are_cut_by_two_children_at_a_time_as_they_are_one_by_one(
     last = stages[stages.index(counts[-1]) + 1 :]
     assert len({stage.split(": ")[0] for stage in last}) <= 1
 
-    again = prepare(parts, hull_folder=tmp_path / "cache", on_stage=pytest.fail)
+    again = prepare(parts, hull_folder=tmp_path / "cache", progress=Stages(pytest.fail))
     assert all(same(a.hulls, b.hulls) for a, b in zip(made, again, strict=True))
     assert len(list((tmp_path / "cache").iterdir())) == 4 and len(children) == 3
 
@@ -276,7 +277,7 @@ def test_an_error_while_kinds_are_cut_ends_all_children_and_keeps_what_is_ready(
         raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        prepare(parts, hull_folder=tmp_path / "cache", on_stage=stop)
+        prepare(parts, hull_folder=tmp_path / "cache", progress=Stages(stop))
     assert [child.returncode for child in children] == [-signal.SIGKILL] * 2
     assert len(list((tmp_path / "cache").iterdir())) == 1
 
@@ -286,7 +287,7 @@ def test_a_killed_child_is_an_error_with_name_and_remedy_and_ends_the_others(chi
         prepare(
             [zoo_part("tee"), zoo_part("nut")],
             hull_folder=tmp_path / "cache",
-            on_stage=lambda stage: children[0].kill(),
+            progress=Stages(lambda stage: children[0].kill()),
         )
     assert [child.returncode for child in children] == [-signal.SIGKILL] * 2
 
@@ -295,13 +296,15 @@ WAIT = """
 import signal, sys
 import numpy as np
 from pathlib import Path
+from graycast.base.progress import Stages
 from graycast.world.drop import convex_hulls
 from graycast.world.parts import Mesh
 signal.signal(signal.SIGTERM, lambda *_: sys.exit(7))
 data = np.load({mesh!r})
 mesh = Mesh(vertices_m=data["v"], faces=data["f"])
 print("start", flush=True)
-convex_hulls(mesh, folder=Path({folder!r}), on_stage=lambda stage: print(stage, flush=True))
+meter = Stages(lambda stage: print(stage, flush=True))
+convex_hulls(mesh, folder=Path({folder!r}), progress=meter)
 """
 
 
@@ -378,7 +381,7 @@ def test_a_part_of_half_a_million_faces_keeps_to_its_bound_and_its_hole():
 def test_a_part_of_too_much_detail_is_cut_more_coarsely_and_says_so(monkeypatch):
     told = []
     monkeypatch.setattr(mesh_hulls, "MOST_PIECES", 4)
-    hulls = decompose(zoo_part("nut").mesh, on_stage=told.append)
+    hulls = decompose(zoo_part("nut").mesh, progress=Stages(told.append))
     assert 1 <= len(hulls) <= 4
     assert any(
         stage.startswith("the mesh is too detailed for this bound: cutting within 1.00 mm")

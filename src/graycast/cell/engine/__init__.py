@@ -1,7 +1,6 @@
 """Workers that make scenes: this process, processes of this machine, or a Ray cluster."""
 
-from ...render import OnFrame
-from ..simulate import OnStage
+from ...base.progress import UNWATCHED, ProgressMeter
 from .job import Job, Made, Maker, keep_to_threads
 from .maker import SceneMaker, SceneTask
 from .pool import TRIES, Failed, Pool, make_all, make_each
@@ -31,8 +30,7 @@ def open_pool(
     workers: int = 1,
     threads: int | None = None,
     address: str | None = None,
-    on_frame: OnFrame | None = None,
-    on_stage: OnStage = lambda stage: None,
+    progress: ProgressMeter = UNWATCHED,
 ) -> Pool:
     """Workers for the scenes of a task; close them after use.
 
@@ -43,8 +41,7 @@ def open_pool(
         threads: processor threads per worker; None shares this machine's out among local workers,
             and is one on Ray.
         address: of a Ray cluster's head; None starts Ray on this machine.
-        on_frame: as in `open_renderer`, where this process makes all.
-        on_stage: as in `make_scene`, where this process makes all.
+        progress: hears of each scene what `make_scene` does, where this process makes all.
 
     Raises:
         GraycastError: Ray is not installed, or does not answer.
@@ -54,7 +51,7 @@ def open_pool(
         case "local" if workers == 1:
             from .here import Here
 
-            return Here(task, threads=threads, on_frame=on_frame, on_stage=on_stage)
+            return Here(task, threads=threads, progress=progress)
         case "local":
             from .local import LocalPool
 

@@ -1,7 +1,6 @@
 """Scenes in this process, one after the other."""
 
-from ...render import OnFrame
-from ..simulate import OnStage
+from ...base.progress import ProgressMeter
 from .job import Job, Made
 from .pool import Failed
 
@@ -9,10 +8,8 @@ from .pool import Failed
 class Here:
     """A pool with only this process: a submitted scene is made when it is gathered."""
 
-    def __init__(
-        self, task: Job, *, threads: int | None, on_frame: OnFrame | None, on_stage: OnStage
-    ) -> None:
-        self._maker = task.open(threads=threads, on_frame=on_frame, on_stage=on_stage)
+    def __init__(self, task: Job, *, threads: int | None, progress: ProgressMeter) -> None:
+        self._maker = task.open(threads=threads, progress=progress)
         self._next: int | None = None
 
     @property

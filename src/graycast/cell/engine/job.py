@@ -8,8 +8,7 @@ import numba
 
 from ... import __version__
 from ...base.errors import DeviceError, GraycastError, WorkerDied
-from ...render import OnFrame
-from ..simulate import OnStage
+from ...base.progress import UNWATCHED, ProgressMeter
 
 J = TypeVar("J", bound="Job")
 
@@ -76,13 +75,11 @@ class Job(ABC):
         self,
         *,
         threads: int | None = None,
-        on_frame: OnFrame | None = None,
-        on_stage: OnStage = lambda stage: None,
+        progress: ProgressMeter = UNWATCHED,
     ) -> Maker:
         """A maker of the job's scenes in this process; close it after use.
 
         Args:
             threads: processor threads that it may use; None leaves them as they are.
-            on_frame: as in `open_renderer`.
-            on_stage: as in `make_scene`.
+            progress: hears what is done for each scene.
         """

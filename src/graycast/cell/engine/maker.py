@@ -7,13 +7,13 @@ from types import TracebackType
 from typing import Any
 
 from ...base.errors import DecodeError
+from ...base.progress import UNWATCHED, ProgressMeter
 from ...base.usage import rss_bytes
 from ...camera.decode import mean_shares
 from ...dataset import scene_files
 from ...dataset.sample import LEAST_DECODED, Sample
-from ...render import OnFrame
 from ..resolve import Cell
-from ..simulate import OnStage, Shot, make_images
+from ..simulate import Shot, make_images
 from .job import Job, Made
 from .worker_renderer import KeptRenderer
 
@@ -31,10 +31,9 @@ class SceneTask(Job):
         self,
         *,
         threads: int | None = None,
-        on_frame: OnFrame | None = None,
-        on_stage: OnStage = lambda stage: None,
+        progress: ProgressMeter = UNWATCHED,
     ) -> "SceneMaker":
-        return SceneMaker(self, threads=threads, on_frame=on_frame, on_stage=on_stage)
+        return SceneMaker(self, threads=threads, progress=progress)
 
 
 class SceneMaker:
@@ -45,12 +44,11 @@ class SceneMaker:
         task: SceneTask,
         *,
         threads: int | None = None,
-        on_frame: OnFrame | None = None,
-        on_stage: OnStage = lambda stage: None,
+        progress: ProgressMeter = UNWATCHED,
     ) -> None:
         self.task = task
-        self._on_stage = on_stage
-        self._kept = KeptRenderer(device=task.device, threads=threads, on_frame=on_frame)
+        self._progress = progress
+        self._kept = KeptRenderer(device=task.device, threads=threads, progress=progress)
 
     def make(self, scene_id: int) -> Made:
         """One scene.
@@ -68,7 +66,7 @@ class SceneMaker:
                 scene_id,
                 seed=task.seed,
                 renderer=renderer,
-                on_stage=self._on_stage,
+                progress=self._progress,
             )
             files = tuple(scene_files(_decoded(shots, told), task.depth_scale_mm))
         return Made(

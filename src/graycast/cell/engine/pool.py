@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import Protocol, runtime_checkable
 
 from ...base.errors import ConfigError, DeviceError, GraycastError
+from ...base.progress import ProgressMeter
 from .job import Made, is_the_scenes_own
 
 TRIES = 3
@@ -90,10 +91,18 @@ def make_each(
     pool: Pool,
     scene_ids: Collection[int],
     *,
+    what: str,
+    total: int,
+    progress: ProgressMeter,
     on_made: Callable[[Made], None],
     on_failed: Callable[[Failed], None],
 ) -> tuple[int, ...]:
     """Hand over every scene as it ends, and close the pool.
+
+    Args:
+        what: of which kind the scenes are, for `progress`.
+        total: how many there are with those that were there before.
+        on_made, on_failed: take the results, which are written and shown.
 
     Returns:
         The scenes that were given up.
@@ -104,10 +113,13 @@ def make_each(
         GraycastError: as of `make_all`.
     """
     lost: list[int] = []
+    done = total - len(scene_ids)
     with closing(pool):
         for outcome in make_all(pool, scene_ids):
             if isinstance(outcome, Made):
                 on_made(outcome)
+                done += 1
+                progress.count(what, done, total)
                 continue
             if isinstance(outcome.error, (ConfigError, DeviceError)):
                 raise outcome.error

@@ -4,7 +4,8 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import final
 
-from ...render import OnFrame, Renderer
+from ...base.progress import ProgressMeter
+from ...render import Renderer
 from ..resolve import Cell, open_cell_renderer
 from .job import is_the_scenes_own, keep_to_threads
 
@@ -13,8 +14,8 @@ from .job import is_the_scenes_own, keep_to_threads
 class KeptRenderer:
     """The renderer of a worker: opened when it is first used, and never kept after a surprise."""
 
-    def __init__(self, *, device: str, threads: int | None, on_frame: OnFrame | None) -> None:
-        self._device, self._threads, self._on_frame = device, threads, on_frame
+    def __init__(self, *, device: str, threads: int | None, progress: ProgressMeter) -> None:
+        self._device, self._threads, self._progress = device, threads, progress
         self._open: Renderer | None = None
 
     @contextmanager
@@ -28,7 +29,7 @@ class KeptRenderer:
             if self._open is None:
                 keep_to_threads(self._threads)
                 self._open = open_cell_renderer(
-                    cell, device=self._device, threads=self._threads, on_frame=self._on_frame
+                    cell, device=self._device, threads=self._threads, progress=self._progress
                 )
             yield self._open
         except BaseException as error:

@@ -5,6 +5,7 @@ from pathlib import Path
 
 from ...base.errors import GraycastError
 from ...base.folder import new_folder
+from ...base.progress import UNWATCHED, ProgressMeter
 from ..stored import StoredDataset, StoredScene, open_dataset
 from .options import Options
 from .record import ExportRecord, write_record
@@ -20,7 +21,7 @@ def export(
     options: Options,
     *,
     selection: Path | None = None,
-    on_progress: Callable[[int, int], None] = lambda done, total: None,
+    progress: ProgressMeter = UNWATCHED,
 ) -> ExportRecord:
     """Write a finished dataset in another format, whole or not at all.
 
@@ -29,7 +30,7 @@ def export(
         out: a folder that does not exist or is empty.
         options: the format and what it may be told.
         selection: a file of scenes saved on the report's page; only they are exported.
-        on_progress: called with the pictures done and their number.
+        progress: counts pictures.
 
     Returns:
         What `export.json` in `out` says.
@@ -54,7 +55,7 @@ def export(
         for image_id in image_ids:
             yield stored.picture(image_id)
             done += 1
-            on_progress(done, total)
+            progress.count("pictures", done, total)
 
     with new_folder(out) as folder:
         for split, chosen_ids in splits.items():

@@ -1,7 +1,7 @@
 """From scenes to a dataset: histograms that add up, so memory does not grow with the scenes."""
 
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, field
 from multiprocessing import get_context
@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float, Int
 
+from ...base.progress import UNWATCHED, ProgressMeter
 from ..coco import IGNORED_BELOW
 from ..stored import StoredScene, open_dataset
 from .scene_statistics import DEPTH_BIN_MM, SceneFigures, scene_figures
@@ -120,13 +121,13 @@ def dataset_statistics(
     dataset: Path,
     *,
     workers: int = 1,
-    on_scene: Callable[[SceneFigures], None] | None = None,
+    progress: ProgressMeter = UNWATCHED,
 ) -> Statistics:
     """Read every scene once and count.
 
     Args:
         workers: processes that read; the result does not depend on their number.
-        on_scene: called with every scene's figures, in the order of the scenes.
+        progress: counts scenes.
 
     Raises:
         DatasetError: no scene, or one that cannot be read.
@@ -134,9 +135,8 @@ def dataset_statistics(
     stored = open_dataset(dataset)
 
     def passing() -> Iterator[SceneFigures]:
-        for figures in _each(stored.pictures, workers):
-            if on_scene is not None:
-                on_scene(figures)
+        for done, figures in enumerate(_each(stored.pictures, workers), start=1):
+            progress.count("scenes", done, len(stored.pictures))
             yield figures
 
     return tally(passing(), stored.categories)

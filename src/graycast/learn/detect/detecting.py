@@ -1,7 +1,7 @@
 """Detection in a dataset or in pictures: COCO results, drawings and times."""
 
 import time
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import chain
 from pathlib import Path
@@ -15,6 +15,7 @@ from pycocotools import mask as coco_mask
 from ...base.errors import GraycastError
 from ...base.file_limits import parse_json
 from ...base.folder import refuse_foreign, whole_folder
+from ...base.progress import UNWATCHED, ProgressMeter
 from ...dataset.detections import LOOKED, RESULTS, Detections, results_bytes
 from ...dataset.example import Example, shown
 from ...dataset.export.record import RECORD, read_record
@@ -44,24 +45,35 @@ class Looked:
     notes: tuple[str, ...]
 
 
+@final
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Chosen:
+    """Pictures to look at, read one by one, and what `detect` writes of where they come from.
+
+    `class_ids` are those that each class has in the results; `said` is for `detect.json`.
+    """
+
+    examples: Iterable[Example]
+    scene_ids: tuple[int, ...]
+    class_ids: Mapping[str, int]
+    said: Mapping[str, Any]
+
+
 def detect(
     detector: Detector,
-    pictures: Iterable[Example],
+    pictures: Chosen,
     out: Path,
     *,
-    class_ids: Mapping[str, int],
-    said: Mapping[str, Any],
     most: int = 300,
     least_score: float = 0.05,
     drawings: int = 12,
-    on_picture: Callable[[int], None] = lambda done: None,
+    progress: ProgressMeter = UNWATCHED,
 ) -> Looked:
     """Look at pictures and write `results.json`, `detect.json` and the first drawings to `out`.
 
     Args:
-        class_ids: the id that each class has in the results.
-        said: where the pictures come from, for `detect.json`.
         drawings: how many pictures are drawn with what was found in them.
+        progress: counts pictures.
 
     Raises:
         GraycastError: a picture is not of the kind that the detector sees, or `out` holds
@@ -71,17 +83,19 @@ def detect(
     found, times_ms, notes = [], [], list[str]()
     with whole_folder(out) as folder:
         (folder / DRAWINGS).mkdir()
-        for example in pictures:
+        for example in pictures.examples:
             begun = time.perf_counter()
             found.append(
-                detector.detect(example, obj_ids=class_ids, most=most, least_score=least_score)
+                detector.detect(
+                    example, obj_ids=pictures.class_ids, most=most, least_score=least_score
+                )
             )
             times_ms.append(1e3 * (time.perf_counter() - begun))
             notes += _notes(example, detector.about.encoding)
             if len(found) <= drawings:
                 path = folder / DRAWINGS / f"{example.scene_id:06d}.jpg"
                 path.write_bytes(cv2.imencode(".jpg", drawn(example, found[-1]))[1].tobytes())
-            on_picture(len(found))
+            progress.count("pictures", len(found), len(pictures.scene_ids))
         about = detector.about
         content = {
             "model": about.model,
@@ -92,7 +106,7 @@ def detect(
             "ms_per_picture": [round(ms, 3) for ms in times_ms],
             "most": most,
             "least_score": least_score,
-            **said,
+            **pictures.said,
         }
         (folder / LOOKED).write_bytes(json_bytes(content))
         (folder / RESULTS).write_bytes(results_bytes(found))
@@ -160,17 +174,6 @@ def drawn(example: Example, found: Detections) -> UInt8[np.ndarray, "h w 3"]:
         cv2.putText(image, text, place, cv2.FONT_HERSHEY_SIMPLEX, 0.32, (255, 255, 255), 2)
         cv2.putText(image, text, place, cv2.FONT_HERSHEY_SIMPLEX, 0.32, ink, 1, cv2.LINE_AA)
     return image
-
-
-@final
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Chosen:
-    """Pictures to look at, read one by one, and what `detect` writes of where they come from."""
-
-    examples: Iterable[Example]
-    scene_ids: tuple[int, ...]
-    class_ids: Mapping[str, int]
-    said: Mapping[str, Any]
 
 
 def pictures_of(

@@ -11,6 +11,7 @@ import numpy as np
 import torch
 
 from ...base.errors import GraycastError
+from ...base.progress import UNWATCHED, ProgressMeter
 from ...dataset.detections import WEIGHTS
 from ...dataset.example import Example
 from ...dataset.export.record import RECORD
@@ -110,29 +111,21 @@ class TrainSpec:
         )
 
 
-@final
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Told:
-    """A progress message of a training; `row` is the history of an epoch that has ended."""
-
-    stage: str
-    done: int
-    total: int
-    row: Row | None = None
-
-
 def train(
     datasets: Sequence[Path],
     out: Path,
     spec: TrainSpec,
     *,
-    on_told: Callable[[Told], None] = lambda told: None,
+    progress: ProgressMeter = UNWATCHED,
+    on_row: Callable[[Row], None] = lambda row: None,
 ) -> Detector:
     """Train a detector on datasets, or continue a training that was stopped.
 
     Args:
         datasets: folders that `open_examples` reads; classes are their parts' names.
         out: the run's folder: new, empty, or one in which the same training was stopped.
+        progress: counts the pictures that are read, the steps, and the pictures of a validation.
+        on_row: takes the history of each epoch that has ended, a result.
 
     Returns:
         The detector of the best validation, which is also `out/detector.pt`.
@@ -169,7 +162,8 @@ def train(
             network=network,
             device=device,
             sets=sets,
-            on_told=on_told,
+            meter=progress,
+            on_row=on_row,
         ).go()
 
 
@@ -254,7 +248,8 @@ class _Training:
     network: Network
     device: torch.device
     sets: Sequence[_Sets]
-    on_told: Callable[[Told], None]
+    meter: ProgressMeter
+    on_row: Callable[[Row], None]
 
     def go(self) -> Detector:
         recipe = self.spec.recipe(self.network)
@@ -279,7 +274,7 @@ class _Training:
             progress.sums = {}
             self.run.save(progress, self.network, optimizer)
             self.run.tell(progress.rows)
-            self.on_told(Told(stage="train", done=progress.step, total=0, row=row))
+            self.on_row(row)
         return self._best()
 
     def _ended(self, progress: Progress, steps: int) -> bool:
@@ -322,7 +317,7 @@ class _Training:
             progress.step += 1
             for name, value in {"loss": loss, **_named(losses)}.items():
                 progress.sums[name] = progress.sums.get(name, 0.0) + float(value.detach())
-            self.on_told(Told(stage="train", done=progress.step, total=total))
+            self.meter.count("training steps", progress.step, total)
             if time.monotonic() - saved > _SAVE_EVERY_S:
                 self.run.save(progress, self.network, optimizer)
                 saved = time.monotonic()
@@ -342,8 +337,6 @@ class _Training:
             )
 
     def _pictures(self) -> Pictures:
-        total = sum(len(each.train) for each in self.sets)
-        done = iter(range(1, total + 1))
         return Pictures(
             [(each.train, self.about.classes(each.train.categories)) for each in self.sets],
             self.about.encoding,
@@ -352,11 +345,11 @@ class _Training:
             min_visibility=self.spec.min_visibility,
             augmentation=self.spec.augmentation,
             seed=self.spec.seed,
-            on_picture=lambda: self.on_told(Told(stage="read", done=next(done), total=total)),
+            progress=self.meter,
         )
 
     def _validated(self, judge: "_Judge", detector: Detector, progress: Progress) -> Row:
-        row = judge.judged(detector, self.on_told)
+        row = judge.judged(detector, self.meter)
         figure = np.mean([value for name, value in row.items() if name.endswith("_ap")])
         if figure > progress.best or progress.best <= 0:  # the latest, while none finds a thing
             progress.best, progress.since = max(float(np.nan_to_num(figure)), 0.0), 0
@@ -392,7 +385,7 @@ class _Judge:
             for example in each.val:
                 encoded[len(labels)] = encoding.encode(example, seed=example.scene_id)
                 labels.append(_renumbered(example, len(labels), class_of, training.spec))
-                training.on_told(Told(stage="read", done=len(labels), total=count))
+                training.meter.count("pictures read", len(labels), count)
         return _Judge(
             encoded=encoded,
             labels=tuple(labels),
@@ -400,7 +393,7 @@ class _Judge:
             masks=training.network.finds_masks,
         )
 
-    def judged(self, detector: Detector, on_told: Callable[[Told], None]) -> Row:
+    def judged(self, detector: Detector, meter: ProgressMeter) -> Row:
         detector.network.eval()
         ids = {name: i for i, name in enumerate(self.names)}
         found = []
@@ -409,7 +402,7 @@ class _Judge:
                 raise ValueError(f"scene {i} of the validation has no picture")
             image = self.encoded[i].astype(np.float32)
             found.append(detector.look(image, i, labels.size_px, obj_ids=ids))
-            on_told(Told(stage="validate", done=i + 1, total=len(self.labels)))
+            meter.count("pictures validated", i + 1, len(self.labels))
         row: Row = {}
         for kind in ("box", "mask") if self.masks else ("box",):
             scores = score(self.labels, found, kind=kind)

@@ -2,7 +2,7 @@
 
 import os
 import shutil
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, final
@@ -15,6 +15,7 @@ from pycocotools import mask as coco_mask
 from torch import Tensor
 
 from ...base.errors import GraycastError
+from ...base.progress import UNWATCHED, ProgressMeter
 from ...dataset.example import Example
 from ...dataset.training import Examples
 from .encoding import BLACK, Encoding
@@ -82,7 +83,7 @@ class Pictures(torch.utils.data.Dataset):
         min_visibility: float,
         augmentation: Augmentation,
         seed: int,
-        on_picture: Callable[[], None] = lambda: None,
+        progress: ProgressMeter = UNWATCHED,
     ) -> None:
         """Read and encode every picture.
 
@@ -91,7 +92,7 @@ class Pictures(torch.utils.data.Dataset):
             file: the file of the encoded pictures, which is overwritten.
             masks: whether targets have masks.
             min_visibility: an instance of which a smaller share is visible is ignored.
-            on_picture: called after each picture.
+            progress: counts the pictures.
 
         Raises:
             GraycastError: a picture lacks what the encoding or the labels need, or the disk
@@ -110,7 +111,7 @@ class Pictures(torch.utils.data.Dataset):
                 labelled.append(
                     _labelled(example, encoding, class_of, min_visibility, masks, of_set.folder)
                 )
-                on_picture()
+                progress.count("pictures read", len(labelled), len(held))
         held.flush()
         self.labelled = tuple(labelled)
 

@@ -8,6 +8,7 @@ from typing import final
 
 from ...base.errors import GraycastError
 from ...base.file_limits import parse_json
+from ...base.progress import UNWATCHED, ProgressMeter
 from ...dataset.detections import RESULTS, Detections, read_results
 from ...dataset.example import Example
 from ...dataset.json_text import json_bytes
@@ -81,15 +82,15 @@ def run_study(
     out: Path,
     *,
     device: str = "auto",
-    on_told: Callable[[Run, str, int, int], None] = lambda run, stage, done, total: None,
+    progress: ProgressMeter = UNWATCHED,
     on_done: Callable[[Result], None] = lambda result: None,
 ) -> list[Result]:
     """Train and score what is not done yet.
 
     Args:
         out: each run has a folder in `out/runs`; the same study goes on in it.
-        on_told: called with the run, what is going on, how much of it is done and of how much.
-        on_done: called with each run's result.
+        progress: counts runs, names the present one, and counts what `train` does.
+        on_done: takes each run's result.
 
     Raises:
         GraycastError: a dataset is missing or lacks what the runs ask of it, which is said before
@@ -99,17 +100,18 @@ def run_study(
     for datasets in spec.training.values():
         _check_training(spec, datasets)
     results = []
-    for run in runs_of(spec):
+    runs = list(runs_of(spec))
+    for run in runs:
         folder = out / "runs" / run.name
         folder.parent.mkdir(parents=True, exist_ok=True)
-        detector = _trained(spec, run, folder, device, on_told)
+        detector = _trained(spec, run, folder, device, progress)
         figures: dict[tuple[str, str], tuple[Drawn, ...]] = {}
         for number, (name, world) in enumerate(worlds.items()):
             found = [
                 _found(detector, dataset, spec.tests[name], folder / f"found_{name}_{i}")
                 for i, dataset in enumerate(spec.tests[name].datasets)
             ]
-            on_told(run, f"scored in {name}", 1, 1)
+            progress.stage(f"{run.name}: scored in {name}")
             for kind in world.kinds if detector.network.finds_masks else ("box",):
                 scores = [
                     _score(spec, given, seen, kind)
@@ -120,6 +122,7 @@ def run_study(
                 )
         results.append(Result(run=run, figures=figures))
         on_done(results[-1])
+        progress.count("runs", len(results), len(runs))
     return results
 
 
@@ -128,7 +131,7 @@ def _trained(
     run: Run,
     folder: Path,
     device: str,
-    on_told: Callable[[Run, str, int, int], None],
+    progress: ProgressMeter,
 ) -> Detector:
     model = run.model
     said = TrainSpec(
@@ -147,11 +150,12 @@ def _trained(
         split=spec.division,
         device=device,
     )
+    progress.stage(f"{run.name}: training")
     return train(
         spec.training[run.training],
         folder,
         said,
-        on_told=lambda told: on_told(run, told.stage, told.done, told.total),
+        progress=progress,
     )
 
 
@@ -161,10 +165,7 @@ def _found(detector: Detector, dataset: Path, world: TestSection, folder: Path) 
     )
     asked = parse_json(json_bytes({"scene_ids": chosen.scene_ids, **chosen.said}))
     if not asked.items() <= looked_at(folder).items():  # none, or of other scenes than now
-        detect(
-            detector, chosen.examples, folder, class_ids=chosen.class_ids, said=chosen.said,
-            drawings=4,
-        )  # fmt: skip
+        detect(detector, chosen, folder, drawings=4)
     return read_results(folder / RESULTS, chosen.scene_ids)
 
 

@@ -3,7 +3,7 @@
 import hashlib
 import json
 import platform
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import chain
 from pathlib import Path
@@ -18,6 +18,7 @@ from ...base.errors import DatasetError
 from ...base.file_limits import parse_json
 from ...base.folder import new_folder
 from ...base.mask_box import mask_box
+from ...base.progress import UNWATCHED, ProgressMeter
 from ...dataset.coco import run_lengths, scene_annotation, scene_coco, scene_image
 from ...dataset.json_text import json_bytes
 from ...dataset.places import CLAIM
@@ -67,7 +68,7 @@ def import_real(
     labelled: bool = True,
     names: Sequence[str] | None = None,
     range_m: tuple[float, float] | None = None,
-    on_progress: Callable[[int, int], None] = lambda done, total: None,
+    progress: ProgressMeter = UNWATCHED,
 ) -> Import:
     """Write real pictures as a dataset; a picture is a scene, in the order of their names.
 
@@ -83,7 +84,7 @@ def import_real(
         names: of the objects in the order of their ids, such as those of a simulated dataset.
         range_m: near and far end of the range of a scanner like this one; depth far outside of it
             is refused.
-        on_progress: called with the pictures written and their number.
+        progress: counts pictures.
 
     Raises:
         GraycastError: a file is missing, damaged or contradicts another, an annotation cannot be
@@ -103,7 +104,7 @@ def import_real(
             seen = camera.read(shot)
             labels = drawn[shot.stem] if labelled else None
             writer.scene(aside / "train" / f"{scene_id:06d}", shot, seen, labels)
-            on_progress(scene_id + 1, len(shots))
+            progress.count("pictures", scene_id + 1, len(shots))
         if labelled:
             size = first.size_px
             (aside / "train_coco.json").write_text(writer.split_coco(aside, len(shots), size))

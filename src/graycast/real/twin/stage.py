@@ -1,13 +1,14 @@
 """Scenes of a cell under light, rendered once for every code: what a twin's search looks at."""
 
 import warnings
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 from jaxtyping import Bool, Float
 
 from ...base.frames import inverse, transform_points
+from ...base.progress import ProgressMeter
 from ...camera.scanner import Scanner
 from ...camera.scanner import scan as shoot
 from ...cell.resolve import Cell
@@ -20,8 +21,6 @@ from ..realism import DepthScan
 from .restaging import layout_of
 
 _STEEP, _STEP = 0.6, 10.0  # tangents of the camera's angle of incidence, about
-
-OnStage = Callable[[str], None]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -60,7 +59,7 @@ def light_scenes(
     quality: Quality,
     rougher: Sequence[float],
     names: Sequence[str],
-    on_stage: OnStage,
+    progress: ProgressMeter,
 ) -> tuple[Lit, ...]:
     """Render each scene of `restage`, all codes in one pass, and again with a black bin.
 
@@ -74,7 +73,7 @@ def light_scenes(
     ends = np.cumsum([len(one) for one in stack])
     lit = []
     for number, (scene, name) in enumerate(zip(scenes, names, strict=True)):
-        on_stage(f"{name}: {renderer.name} renders {int(ends[-1])} patterns")
+        progress.stage(f"{name}: {renderer.name} renders {int(ends[-1])} patterns")
         found = [
             renderer.render(
                 one,

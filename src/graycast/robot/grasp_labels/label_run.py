@@ -5,11 +5,10 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
+from ...base.progress import UNWATCHED, ProgressMeter
 from ...base.usage import rss_bytes
 from ...cell.engine import Failed, Job, Made, keep_to_threads, make_each, open_pool
-from ...cell.simulate import OnStage
 from ...dataset.stored import StoredDataset, open_dataset
-from ...render import OnFrame
 from .label_files import open_labels, scene_json
 from .label_options import Labelling
 from .scene_labels import label_scene
@@ -28,17 +27,16 @@ class LabelTask(Job):
         self,
         *,
         threads: int | None = None,
-        on_frame: OnFrame | None = None,
-        on_stage: OnStage = lambda stage: None,
+        progress: ProgressMeter = UNWATCHED,
     ) -> "SceneLabeller":
-        return SceneLabeller(self, threads=threads, on_stage=on_stage)
+        return SceneLabeller(self, threads=threads, progress=progress)
 
 
 class SceneLabeller:
     """Labels scenes of one task; places are looked for once, for the first."""
 
-    def __init__(self, task: LabelTask, *, threads: int | None, on_stage: OnStage) -> None:
-        self._task, self._threads, self._on_stage = task, threads, on_stage
+    def __init__(self, task: LabelTask, *, threads: int | None, progress: ProgressMeter) -> None:
+        self._task, self._threads, self._progress = task, threads, progress
         self._world: World | None = None
 
     def make(self, scene_id: int) -> Made:
@@ -52,9 +50,9 @@ class SceneLabeller:
         task = self._task
         if self._world is None:
             keep_to_threads(self._threads)
-            self._world = make_world(task.stock, task.labelling, on_stage=self._on_stage)
+            self._world = make_world(task.stock, task.labelling, progress=self._progress)
         scene = task.dataset.scenes[scene_id]
-        self._on_stage(f"labels of scene {scene.key}")
+        self._progress.stage(f"labels of scene {scene.key}")
         heap = read_heap(scene)
         labels = label_scene(
             self._world, heap, task.labelling, seed=task.seed, scene_id=scene.scene_id
@@ -84,10 +82,9 @@ def label_dataset(
     seed: int,
     files: Path = Path(),
     workers: int = 1,
-    on_start: Callable[[int, int], None] = lambda found, scenes: None,
     on_made: Callable[[str, Made], None] = lambda key, made: None,
     on_failed: Callable[[str, Failed], None] = lambda key, failed: None,
-    on_stage: OnStage = lambda stage: None,
+    progress: ProgressMeter = UNWATCHED,
 ) -> tuple[str, ...]:
     """Label the scenes of a dataset that are not labelled yet.
 
@@ -95,8 +92,7 @@ def label_dataset(
         name: of the set of labels, a folder of the dataset's `grasps`.
         seed: of the choice of places.
         files: the folder from which the paths of the dataset's configuration start.
-        on_start: called with the number of labelled scenes, and of all.
-        on_made, on_failed: called with a scene's key.
+        on_made, on_failed: take results with the key of their scene, as in `generate`.
 
     Returns:
         The keys of scenes that could not be labelled.
@@ -116,14 +112,17 @@ def label_dataset(
 
     with open_labels(dataset, name, labelling, seed) as out:
         todo = [k for k, scene in enumerate(scenes) if not out.of(scene).exists()]
-        on_start(len(scenes) - len(todo), len(scenes))
+        progress.count("scenes", len(scenes) - len(todo), len(scenes))
         if not todo:
             return ()
         task = LabelTask(dataset=dataset, stock=stock, labelling=labelling, seed=seed, device="cpu")
-        pool = open_pool(task, workers=min(workers, len(todo)), on_stage=on_stage)
+        pool = open_pool(task, workers=min(workers, len(todo)), progress=progress)
         lost = make_each(
             pool,
             todo,
+            what="scenes",
+            total=len(scenes),
+            progress=progress,
             on_made=keep,
             on_failed=lambda failed: on_failed(scenes[failed.scene_id].key, failed),
         )

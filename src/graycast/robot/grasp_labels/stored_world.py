@@ -10,12 +10,13 @@ from pydantic import ValidationError
 
 from ...base.errors import ConfigError, DatasetError
 from ...base.frames import inverse
+from ...base.progress import UNWATCHED, ProgressMeter
 from ...cell.config import Config, resolve_bin, resolve_parts
 from ...dataset.claim import BESIDE_CONFIG, part_digest, rig_of
 from ...dataset.example import pose_m
 from ...dataset.stored import StoredDataset, StoredScene
 from ...rig.pair import Rig
-from ...world.drop import Body, OnStage, make_bodies
+from ...world.drop import Body, make_bodies
 from ...world.parts import Part
 from ...world.scene import Bin, Scene
 from ..grasp import Grip
@@ -95,18 +96,16 @@ def read_stock(dataset: StoredDataset, files: Path) -> Stock:
     return Stock(bin=resolve_bin(config.bin, files)[0], parts=parts, rig=rig_of(claim["rig"]))
 
 
-def make_world(
-    stock: Stock, labelling: Labelling, *, on_stage: OnStage = lambda stage: None
-) -> World:
+def make_world(stock: Stock, labelling: Labelling, *, progress: ProgressMeter = UNWATCHED) -> World:
     """Look for places on every kind of part.
 
     Raises:
         ConfigError: the tool fits round no part at all.
     """
-    bodies = make_bodies(stock.parts, on_stage=on_stage)
+    bodies = make_bodies(stock.parts, progress=progress)
     places = []
     for part, body in zip(stock.parts, bodies, strict=True):
-        on_stage(f"{part.name}: searching for grasps")
+        progress.stage(f"{part.name}: searching for grasps")
         places.append(tuple(labelling.tool.places(part, body, count=labelling.places)))
     if not any(places):
         raise ConfigError(

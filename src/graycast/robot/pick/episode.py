@@ -12,9 +12,10 @@ from jaxtyping import Float, UInt8
 from scipy.spatial.transform import Rotation
 
 from ...base.frames import rigid
+from ...base.progress import UNWATCHED, ProgressMeter
 from ...base.streams import EMPTIED_BIN
 from ...render import Renderer
-from ...world.drop import OnStage, drop
+from ...world.drop import drop
 from .attempt_picture import picture
 from .bin_scan import Look, scan, targets
 from .carry import World, carry_out
@@ -57,7 +58,7 @@ def empty_bin(
     bin_id: int,
     *,
     seed: int,
-    on_stage: OnStage = lambda stage: None,
+    progress: ProgressMeter = UNWATCHED,
 ) -> Episode:
     """Fill a bin and empty it.
 
@@ -74,7 +75,7 @@ def empty_bin(
         counts,
         seed=int(streams["drop"].generate_state(1, np.uint64)[0]),
         limits=config.drop,
-        on_stage=on_stage,
+        progress=progress,
     )
     world = World(
         layout=layout,
@@ -87,7 +88,8 @@ def empty_bin(
     depths_m: list[Float[np.ndarray, "h w"]] = []
     taken = failures = 0
     while len(world.numbers) and failures < config.picking.failures:
-        on_stage(f"bin {bin_id}, scan {len(attempts) + 1}: {len(world.numbers)} parts are left")
+        left = len(world.numbers)
+        progress.stage(f"bin {bin_id}, scan {len(attempts) + 1}: {left} parts are left")
         before = len(world.numbers)
         attempt, seen, world = _attempt(ready, renderer, world, streams["attempts"].spawn(1)[0])
         attempts.append(attempt)

@@ -5,11 +5,12 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
+from ...base.progress import UNWATCHED, ProgressMeter
 from ...base.usage import rss_bytes
 from ...cell.engine import Failed, Job, KeptRenderer, Made, make_each, open_pool
 from ...cell.generate import Workers
-from ...render import OnFrame, choose_device
-from ...world.drop import OnStage, prepare
+from ...render import choose_device
+from ...world.drop import prepare
 from .episode import empty_bin
 from .pick_files import episode_files, open_picks
 from .ready import Ready, make_ready
@@ -28,10 +29,9 @@ class PickTask(Job):
         self,
         *,
         threads: int | None = None,
-        on_frame: OnFrame | None = None,
-        on_stage: OnStage = lambda stage: None,
+        progress: ProgressMeter = UNWATCHED,
     ) -> "BinEmptier":
-        return BinEmptier(self, threads=threads, on_frame=on_frame, on_stage=on_stage)
+        return BinEmptier(self, threads=threads, progress=progress)
 
 
 class BinEmptier:
@@ -42,11 +42,10 @@ class BinEmptier:
         task: PickTask,
         *,
         threads: int | None,
-        on_frame: OnFrame | None,
-        on_stage: OnStage,
+        progress: ProgressMeter,
     ) -> None:
-        self._task, self._on_stage = task, on_stage
-        self._kept = KeptRenderer(device=task.device, threads=threads, on_frame=on_frame)
+        self._task, self._progress = task, progress
+        self._kept = KeptRenderer(device=task.device, threads=threads, progress=progress)
         self._ready: Ready | None = None
 
     def make(self, scene_id: int) -> Made:
@@ -60,9 +59,9 @@ class BinEmptier:
         task = self._task
         with self._kept.of(task.cell.cell) as renderer:
             if self._ready is None:
-                self._ready = make_ready(task.cell, on_stage=self._on_stage)
+                self._ready = make_ready(task.cell, progress=self._progress)
             episode = empty_bin(
-                self._ready, renderer, scene_id, seed=task.seed, on_stage=self._on_stage
+                self._ready, renderer, scene_id, seed=task.seed, progress=self._progress
             )
         outcomes = [str(attempt.outcome) for attempt in episode.attempts]
         return Made(
@@ -85,18 +84,16 @@ def pick_bins(
     seed: int,
     device: str = "auto",
     workers: Workers = ALONE,
-    on_start: Callable[[int], None] = lambda found: None,
     on_made: Callable[[Made], None] = lambda made: None,
     on_failed: Callable[[Failed], None] = lambda failed: None,
-    on_stage: OnStage = lambda stage: None,
+    progress: ProgressMeter = UNWATCHED,
 ) -> tuple[int, ...]:
     """Empty the bins 0 .. bins-1 that are not in `out` yet.
 
     Args:
         out: the folder of picks; made, or continued where the same cell began it.
         device: of the renderer.
-        on_start: called with the number of bins that are there already.
-        on_made, on_failed, on_stage: as in `generate`.
+        on_made, on_failed: take results, as in `generate`.
 
     Returns:
         The bins that could not be made.
@@ -117,16 +114,24 @@ def pick_bins(
     with open_picks(out, cell, seed=seed) as folder:
         found = folder.finished()
         todo = [bin_id for bin_id in range(bins) if bin_id not in found]
-        on_start(bins - len(todo))
+        progress.count("bins", bins - len(todo), bins)
         if not todo:
             return ()
-        prepare(cell.cell.scene.parts, on_stage=on_stage)  # once, not by every worker
+        prepare(cell.cell.scene.parts, progress=progress)  # once, not by every worker
         pool = open_pool(
             task,
             engine=workers.engine,
             workers=min(workers.count, len(todo)),
             threads=workers.threads,
             address=workers.address,
-            on_stage=on_stage,
+            progress=progress,
         )
-        return make_each(pool, todo, on_made=keep, on_failed=on_failed)
+        return make_each(
+            pool,
+            todo,
+            what="bins",
+            total=bins,
+            progress=progress,
+            on_made=keep,
+            on_failed=on_failed,
+        )

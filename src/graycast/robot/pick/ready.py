@@ -8,7 +8,8 @@ from jaxtyping import Float
 
 from ...base.errors import ConfigError
 from ...base.frames import inverse, rigid
-from ...world.drop import Body, OnStage, make_bodies
+from ...base.progress import UNWATCHED, ProgressMeter
+from ...world.drop import Body, make_bodies
 from ...world.drop.rapier import GRAVITY_M_S2
 from ...world.parts import Part
 from ...world.parts.symmetry import joined, motions, shape_symmetry
@@ -59,7 +60,7 @@ class Ready:
         return self.cell.T_world_base @ self.robot.flange(q) @ self.here.T_flange_tip
 
 
-def make_ready(cell: PickCell, *, on_stage: OnStage = lambda stage: None) -> Ready:
+def make_ready(cell: PickCell, *, progress: ProgressMeter = UNWATCHED) -> Ready:
     """Open the robot and the detector, and search for grasps of the parts.
 
     Raises:
@@ -72,11 +73,11 @@ def make_ready(cell: PickCell, *, on_stage: OnStage = lambda stage: None) -> Rea
     size_m = max(float(np.linalg.norm(part.mesh.extent_m)) for part in parts)
     load = Load(below_m=size_m, aside_m=size_m / 2)
     here = _surroundings(cell, robot, load)
-    bodies = make_bodies(parts, on_stage=on_stage)
+    bodies = make_bodies(parts, progress=progress)
     known = {}
     if config.picking.knows == "part":
         for i, (part, body) in enumerate(zip(parts, bodies, strict=True)):
-            on_stage(f"{part.name}: searching for grasps")
+            progress.stage(f"{part.name}: searching for grasps")
             known[i] = _known(config.tool, part, body)
     return Ready(
         cell=cell,

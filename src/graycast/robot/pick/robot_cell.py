@@ -9,9 +9,9 @@ from jaxtyping import Float
 
 from ...base.errors import ConfigError
 from ...base.frames import axis_rotation, rigid
+from ...base.progress import UNWATCHED, ProgressMeter
 from ...cell.resolve import Cell, refuse_several, resolve_cell
 from ...dataset.detections import WEIGHTS
-from ...world.drop import OnStage
 from ...world.scene import Bin, bin_of
 from .arms import ARMS
 from .pick_sections import PickConfig
@@ -63,7 +63,7 @@ class PickCell:
 
 
 def resolve_pick_cell(
-    config: PickConfig, folder: Path, *, on_stage: OnStage = lambda stage: None
+    config: PickConfig, folder: Path, *, progress: ProgressMeter = UNWATCHED
 ) -> PickCell:
     """Read what a robot's cell names; `folder` is where its relative paths start.
 
@@ -71,7 +71,7 @@ def resolve_pick_cell(
         GraycastError, ValueError: a file or a value that cannot be used, named.
     """
     cell = PickCell(
-        cell=resolve_cell(config, folder, on_stage=on_stage), config=config, folder=folder
+        cell=resolve_cell(config, folder, progress=progress), config=config, folder=folder
     )
     refuse_several(cell.cell, "graycast pick")
     if cell.detector is not None and not cell.detector.exists():

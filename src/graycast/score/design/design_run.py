@@ -7,14 +7,15 @@ from pathlib import Path
 
 import numpy as np
 
+from ...base.progress import UNWATCHED, ProgressMeter
 from ...base.usage import rss_bytes
 from ...camera.picture import gray_picture
 from ...camera.scanner import measure, scan_seconds, take
 from ...cell.config import resolve_quality
 from ...cell.engine import Failed, Job, KeptRenderer, Made, make_each, open_pool
 from ...cell.generate import Workers
-from ...render import OnFrame, Rendering, choose_device
-from ...world.drop import OnStage, prepare
+from ...render import Rendering, choose_device
+from ...world.drop import prepare
 from .fate_picture import picture_png
 from .heap import Heap, make_heap
 from .point_fates import figures, judge, view_of
@@ -44,10 +45,9 @@ class DesignTask(Job):
         self,
         *,
         threads: int | None = None,
-        on_frame: OnFrame | None = None,
-        on_stage: OnStage = lambda stage: None,
+        progress: ProgressMeter = UNWATCHED,
     ) -> "Comparer":
-        return Comparer(self, threads=threads, on_frame=on_frame, on_stage=on_stage)
+        return Comparer(self, threads=threads, progress=progress)
 
 
 class Comparer:
@@ -58,11 +58,10 @@ class Comparer:
         task: DesignTask,
         *,
         threads: int | None,
-        on_frame: OnFrame | None,
-        on_stage: OnStage,
+        progress: ProgressMeter,
     ) -> None:
-        self._task, self._on_stage = task, on_stage
-        self._kept = KeptRenderer(device=task.device, threads=threads, on_frame=on_frame)
+        self._task, self._progress = task, progress
+        self._kept = KeptRenderer(device=task.device, threads=threads, progress=progress)
         self._heaps: dict[tuple[str | None, int], Heap] = {}
 
     def make(self, scene_id: int) -> Made:
@@ -107,7 +106,7 @@ class Comparer:
         if key not in self._heaps:
             self._heaps = {other: heap for other, heap in self._heaps.items() if other[1] == number}
             self._heaps[key] = make_heap(
-                placed.cell, self._task.spec, number, on_stage=self._on_stage
+                placed.cell, self._task.spec, number, progress=self._progress
             )
         return self._heaps[key]
 
@@ -120,7 +119,7 @@ class Comparer:
             code: slice(end - len(patterns), end)
             for (code, patterns), end in zip(shown.items(), ends, strict=True)
         }
-        self._on_stage(f"{cell.config.render.backend} renders {group[0].setting.lit.name}")
+        self._progress.stage(f"{cell.config.render.backend} renders {group[0].setting.lit.name}")
         with self._kept.of(cell) as renderer:
             rendering = renderer.render(
                 cell.scene,
@@ -141,18 +140,16 @@ def run_design(
     *,
     device: str = "auto",
     workers: Workers = ALONE,
-    on_start: Callable[[int, int], None] = lambda found, total: None,
     on_made: Callable[[str, int, Made], None] = lambda name, layout, made: None,
     on_failed: Callable[[str, int, Failed], None] = lambda name, layout, failed: None,
-    on_stage: OnStage = lambda stage: None,
+    progress: ProgressMeter = UNWATCHED,
 ) -> tuple[str, ...]:
     """Scan what is not scanned yet.
 
     Args:
         out: the study's folder. The same study goes on in it, also with more settings or heaps.
         device: of the renderer.
-        on_start: called with the number of renderings that are there already, and of all.
-        on_made, on_failed: called with the name of a rendering, and the number of its heap.
+        on_made, on_failed: take results with the name of a rendering, and the number of its heap.
 
     Returns:
         The renderings that could not be made, by name and heap.
@@ -163,7 +160,7 @@ def run_design(
         DeviceError: no such device here.
         GraycastError, ValueError: nothing came out, for this reason.
     """
-    placed = place_settings(spec, settings_of(spec), on_stage=on_stage)
+    placed = place_settings(spec, settings_of(spec), progress=progress)
     backend = placed[0].cell.config.render.backend
     chosen = device if workers.engine == "ray" else choose_device(backend, device)
     task = DesignTask(spec=spec, lights=lights_of(placed), seed=spec.seed, device=chosen)
@@ -185,21 +182,24 @@ def run_design(
             if not _all_there(folder.finished, *task.named(scene_id))
         ]
         total = len(task.lights) * spec.layouts
-        on_start(total - len(todo), total)
+        progress.count("scans", total - len(todo), total)
         if not todo:
             return ()
-        prepare(placed[0].cell.scene.parts, on_stage=on_stage)  # once, not by every worker
+        prepare(placed[0].cell.scene.parts, progress=progress)  # once, not by every worker
         pool = open_pool(
             task,
             engine=workers.engine,
             workers=min(workers.count, len(todo)),
             threads=workers.threads,
             address=workers.address,
-            on_stage=on_stage,
+            progress=progress,
         )
         lost = make_each(
             pool,
             todo,
+            what="scans",
+            total=total,
+            progress=progress,
             on_made=keep,
             on_failed=lambda failed: on_failed(*named(failed.scene_id), failed),
         )

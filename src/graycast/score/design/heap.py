@@ -5,10 +5,11 @@ from typing import final
 
 import numpy as np
 
+from ...base.progress import ProgressMeter
 from ...base.streams import scene_seeds
 from ...cell.resolve import Cell
 from ...cell.simulate import counts_of
-from ...world.drop import OnStage, drop
+from ...world.drop import drop
 from ...world.scene import Layout
 from .heap_surface import Surface, spread_surface
 from .study import DesignSpec
@@ -25,7 +26,7 @@ class Heap:
     noise_seed: int
 
 
-def make_heap(cell: Cell, spec: DesignSpec, number: int, *, on_stage: OnStage) -> Heap:
+def make_heap(cell: Cell, spec: DesignSpec, number: int, *, progress: ProgressMeter) -> Heap:
     """The heap of that number, as a dataset of the same seed has it in its scene.
 
     Raises:
@@ -37,7 +38,7 @@ def make_heap(cell: Cell, spec: DesignSpec, number: int, *, on_stage: OnStage) -
         counts_of(cell, number, np.random.default_rng(seeds["counts"])),
         seed=seeds["drop"],
         limits=cell.config.drop,
-        on_stage=on_stage,
+        progress=progress,
     )
     return Heap(
         layout=layout,

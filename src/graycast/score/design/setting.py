@@ -12,13 +12,13 @@ from jaxtyping import Float
 
 from ...base.errors import ConfigError, GraycastError
 from ...base.frames import inverse, transform_points
+from ...base.progress import UNWATCHED, ProgressMeter
 from ...cell.config import Config, file_digests, load_config, resolve_bin, resolve_scanner
 from ...cell.generate import described_scanner
 from ...cell.resolve import Cell, refuse_several, resolve_cell
 from ...cell.views import hang
 from ...dataset import described_values
 from ...rig.pair import PRESETS, Rig, aimed, standoff_m
-from ...world.drop import OnStage
 from ...world.scene import bin_of
 from .study import DesignSpec, SweepSection
 
@@ -107,7 +107,7 @@ class Placed:
 
 
 def place_settings(
-    spec: DesignSpec, settings: tuple[Setting, ...], *, on_stage: OnStage = lambda stage: None
+    spec: DesignSpec, settings: tuple[Setting, ...], *, progress: ProgressMeter = UNWATCHED
 ) -> tuple[Placed, ...]:
     """The cells of a study's settings.
 
@@ -121,7 +121,7 @@ def place_settings(
             "heaps: remove it"
         )
     try:
-        base = resolve_cell(config, spec.cell.parent, on_stage=on_stage)
+        base = resolve_cell(config, spec.cell.parent, progress=progress)
         refuse_several(base, "graycast design")
     except (GraycastError, ValueError, OSError) as error:
         raise ConfigError(f"{spec.cell}: {error}") from error

@@ -3,7 +3,7 @@
 import csv
 import io
 import json
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
 
@@ -12,6 +12,7 @@ from matplotlib.axes import Axes
 
 from ...base.errors import GraycastError
 from ...base.plotting import ACCENT, INK, SECOND, SOFT, caption, plain_figure, save_png
+from ...base.progress import UNWATCHED, ProgressMeter
 from ...dataset.json_text import plain
 from ...dataset.stored import SceneContent, open_dataset
 from .depth import ANGLE_EDGES_DEG, EDGE, DepthRow, depth_rows
@@ -25,7 +26,7 @@ Tables = Mapping[str, Sequence[DepthRow]]
 
 
 def evaluate_depth(
-    dataset: Path, *, on_scene: Callable[[int, int], None] | None = None
+    dataset: Path, *, progress: ProgressMeter = UNWATCHED
 ) -> dict[str, list[DepthRow]]:
     """Rows over all pixels (`all`) and over the parts (`parts`) of all images of a dataset.
 
@@ -44,8 +45,7 @@ def evaluate_depth(
         pictures = stored.pictures
         for done, picture in enumerate(pictures, start=1):
             yield picture.content()
-            if on_scene is not None:
-                on_scene(pass_ * len(pictures) + done, 2 * len(pictures))
+            progress.count("scenes", pass_ * len(pictures) + done, 2 * len(pictures))
 
     return {"all": depth_rows(read(0)), "parts": depth_rows(read(1), parts_only=True)}
 

@@ -3,7 +3,7 @@
 import csv
 import io
 import json
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -11,6 +11,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from ...base.errors import GraycastError
+from ...base.progress import UNWATCHED, ProgressMeter
 from ...dataset.example import Example
 from ...dataset.export.split import Split
 from ...dataset.json_text import plain
@@ -70,7 +71,7 @@ def evaluate_poses(
     split: str = "train",
     division: Split | None = None,
     protocol: Protocol,
-    on_scene: Callable[[int, int], None] | None = None,
+    progress: ProgressMeter = UNWATCHED,
 ) -> PoseEvaluation:
     """Judge a file of BOP's results by a dataset's poses.
 
@@ -90,8 +91,7 @@ def evaluate_poses(
             _check_unit(results, estimates, truth)
             checked = True
         counts += count_picture(truth, of_picture[picture], solids)
-        if on_scene is not None:
-            on_scene(done, len(of_picture))
+        progress.count("scenes", done, len(of_picture))
     scene_of = {picture: examples.place_of[picture][0] for picture in of_picture}
     times = {(one.scene_id, one.im_id): one.time_s for one in estimates if one.time_s >= 0}
     return PoseEvaluation(

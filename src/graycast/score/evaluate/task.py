@@ -1,6 +1,6 @@
 """From a results' path and a dataset's to an evaluation."""
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
@@ -10,6 +10,7 @@ import numpy as np
 from jaxtyping import UInt8
 
 from ...base.errors import GraycastError
+from ...base.progress import UNWATCHED, ProgressMeter
 from ...dataset.detections import Detections
 from ...dataset.example import shown
 from ...dataset.export.record import RECORD, read_record
@@ -44,13 +45,11 @@ class Task:
     protocol: Protocol
 
 
-def evaluate(
-    task: Task, *, on_scene: Callable[[int, int], None] | None = None
-) -> tuple[Evaluation, Picture]:
+def evaluate(task: Task, *, progress: ProgressMeter = UNWATCHED) -> tuple[Evaluation, Picture]:
     """All figures of results, and a function that reads the pictures they are of.
 
     Args:
-        on_scene: called with (scenes read, scenes in all).
+        progress: counts scenes as they are read.
 
     Raises:
         GraycastError: the dataset or the results are missing, damaged, or do not fit together.
@@ -63,7 +62,7 @@ def evaluate(
     scene_ids = _scene_ids(task, run, held)
     found = read_found(run, scene_ids, categories)
     other = None if against is None else read_found(against, scene_ids, categories)
-    labels = list(_labels(task, held, scene_ids, on_scene))
+    labels = list(_labels(task, held, scene_ids, progress))
     if task.one_class:
         labels, found = [as_one_class(one) for one in labels], [as_one_class(one) for one in found]
         other = None if other is None else [as_one_class(one) for one in other]
@@ -122,7 +121,7 @@ def _labels(
     task: Task,
     held: Mapping[int, Examples],
     scene_ids: Sequence[int],
-    on_scene: Callable[[int, int], None] | None,
+    progress: ProgressMeter,
 ) -> Iterator[Labels]:
     for done, scene_id in enumerate(scene_ids, start=1):
         example = held[scene_id].read(scene_id)
@@ -131,8 +130,7 @@ def _labels(
             min_visibility=task.protocol.min_visibility,
             scene=held[scene_id].place_of[scene_id][0],
         )
-        if on_scene is not None:
-            on_scene(done, len(scene_ids))
+        progress.count("scenes", done, len(scene_ids))
 
 
 def as_one_class(one: _Either) -> _Either:

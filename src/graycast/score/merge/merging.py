@@ -1,6 +1,5 @@
 """`graycast merge`: the clouds of a dataset's scenes, and what their views add, as files."""
 
-from collections.abc import Callable
 from itertools import groupby
 from pathlib import Path
 from typing import Any
@@ -8,6 +7,7 @@ from typing import Any
 from ...base.errors import DatasetError, GraycastError
 from ...base.folder import new_folder
 from ...base.ply import WORLD_FRAME, cloud_bytes
+from ...base.progress import UNWATCHED, ProgressMeter
 from ...dataset.json_text import json_bytes
 from ...dataset.models_read import read_models
 from ...dataset.places import CLAIM
@@ -19,15 +19,13 @@ from .view_figures import SurfaceSeen, cloud_figures, joined, surface_figures, s
 RECORD = "merge.json"
 
 
-def merge(
-    source: Path, out: Path, *, on_scene: Callable[[int, int], None] = lambda done, total: None
-) -> dict[str, Any]:
+def merge(source: Path, out: Path, *, progress: ProgressMeter = UNWATCHED) -> dict[str, Any]:
     """Write a cloud and its figures for each scene, `train-000000.ply` and `.json`.
 
     Args:
         source: a dataset, or one scene's folder in it.
         out: the folder to write; it is new or empty.
-        on_scene: called with the scenes done and their number.
+        progress: counts scenes.
 
     Returns:
         What `merge.json` in `out` says: the surface's figures over all scenes, and doubts about the
@@ -60,7 +58,7 @@ def merge(
             (folder / f"{shots[0].scene_key}.json").write_bytes(json_bytes(figures))
             (folder / f"{shots[0].scene_key}.ply").write_bytes(merged_ply(fused.cloud))
             seen.setdefault(names, []).append(surface)
-            on_scene(done, len(scenes))
+            progress.count("scenes", done, len(scenes))
         record = {
             "dataset": str(stored.folder),
             "fingerprint": stored.claim.get("fingerprint", ""),

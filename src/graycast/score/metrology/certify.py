@@ -2,12 +2,12 @@
 
 import math
 import time
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Bool, Float
 
+from ...base.progress import UNWATCHED, ProgressMeter
 from ...camera.scanner import Scanner
 from ...render import Renderer
 from ...rig.pair import Rig
@@ -55,8 +55,6 @@ PLACES = (
     (0.0, 0.0, 1.0),
 )
 
-OnProgress = Callable[[int, int, str], None]
-
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _Pose:
@@ -89,7 +87,7 @@ def certify(
     seed: int,
     scope: Scope | None = None,
     rendered_with: Rig | None = None,
-    on_progress: OnProgress | None = None,
+    progress: ProgressMeter = UNWATCHED,
 ) -> Certificate:
     """Measure what a scanner is worth over its working volume.
 
@@ -101,8 +99,7 @@ def certify(
         seed: of the light's sampling and of the sensor's noise.
         rendered_with: the rig as it is built, where the scanner's own is a calibration that is not
             right. The working volume is that of the rig as built.
-        on_progress: called before each scene with how many are done, how many there are, and what
-            comes next; once more at the end.
+        progress: counts scenes, and hears what each of them shows.
 
     Raises:
         ValueError: camera and projector share too small a field, or an artefact is not decoded.
@@ -113,13 +110,13 @@ def certify(
     start_s = time.perf_counter()
     lab = open_lab(scanner, rendered_with or scanner.rig, scope or Scope(), renderer)
     plan = _plan(lab)
-    tell = on_progress or (lambda done, total, what: None)
     own_seed = np.random.SeedSequence(seed).generate_state(plan.scenes).tolist()
     done = 0
 
     def next_seed(what: str) -> int:
         nonlocal done
-        tell(done, plan.scenes, what)
+        progress.stage(what)
+        progress.count("scenes", done, plan.scenes)
         done += 1
         return own_seed[done - 1]
 
@@ -135,7 +132,7 @@ def certify(
         seed_here = next_seed(f"probing spheres, scene {k} of {len(plan.place_scenes)}")
         probed |= _probe(lab, plan, scene, seed_here)
     spacing = [_space(lab, bar, next_seed(f"ball bar, {bar.name}")) for bar in plan.bars]
-    tell(done, plan.scenes, "done")
+    progress.count("scenes", done, plan.scenes)
     return Certificate(
         rig=rig_figures(scanner.rig),
         conditions=conditions(lab, seed),

@@ -20,6 +20,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float, UInt8
 
+from ...base.progress import Stages
 from ...camera.picture import color_light, developed
 from ...camera.scanner import measure, take
 from ...camera.sensor import Capture
@@ -147,7 +148,7 @@ class Line:
             scanner = resolve_scanner(config, self._folder)
             self._cell = replace(held, config=config, scanner=scanner)
         else:
-            self._cell = resolve_cell(config, self._folder, on_stage=self._stage)
+            self._cell = resolve_cell(config, self._folder, progress=Stages(self._stage))
         return self._cell
 
     def _stage(self, stage: str) -> None:
@@ -162,7 +163,7 @@ class Line:
         if self._lain is not None and self._lain[0] == key:
             return self._lain[1], False
         limits = ask.config.drop
-        layout = drop(scene, counts, seed=seed, limits=limits, on_stage=self._stage)
+        layout = drop(scene, counts, seed=seed, limits=limits, progress=Stages(self._stage))
         self._lain = key, layout
         return layout, True
 

@@ -1,7 +1,7 @@
 """Parts fall into the bin until they rest: `Scene -> Layout`; and one is lifted out again."""
 
 from .body import Body, parts_outside
-from .decomposition import Decomposition, OnStage, cache_folder, convex_hulls
+from .decomposition import Decomposition, cache_folder, convex_hulls
 from .lift import Hold, Lift, lift
 from .rest import simulate
 from .settle import DropLimits, drop, flaws, hull_notes, make_bodies, prepare
@@ -12,7 +12,6 @@ __all__ = [
     "DropLimits",
     "Hold",
     "Lift",
-    "OnStage",
     "cache_folder",
     "convex_hulls",
     "drop",

@@ -9,12 +9,13 @@ import numpy as np
 from pydantic import Field
 
 from ...base.errors import DropError
+from ...base.progress import UNWATCHED, ProgressMeter
 from ...base.settings import check_fields
 from ...base.streams import stream
 from ..parts import Part
 from ..scene import Bin, Layout, Scene
 from .body import Body, body_of
-from .decomposition import Decomposition, OnStage, convex_hulls_of, silent
+from .decomposition import Decomposition, convex_hulls_of
 from .grid import start_poses
 from .rest import simulate
 
@@ -91,7 +92,7 @@ def drop(
     seed: int,
     limits: DropLimits,
     hull_folder: Path | None = None,
-    on_stage: OnStage = silent,
+    progress: ProgressMeter = UNWATCHED,
 ) -> Layout:
     """Drops `counts[i]` of `scene.parts[i]` into the bin until they lie within the limits.
 
@@ -104,7 +105,7 @@ def drop(
         seed: 0 or more.
         limits: what is asked of the layout.
         hull_folder: cache of `convex_hulls`; the user's cache folder if None.
-        on_stage: called with words for what begins, of which each may take seconds.
+        progress: hears what begins; each stage may take seconds.
 
     Raises:
         ValueError: no bin, wrong counts, a part that does not fit, more than the bin could hold.
@@ -123,13 +124,13 @@ def drop(
     parts = tuple(scene.parts[kind] for kind in kinds)
     number = tuple(counts[kind] for kind in kinds)
     _check_sizes(scene.bin, parts)
-    bodies = make_bodies(parts, hull_folder=hull_folder, on_stage=on_stage)
+    bodies = make_bodies(parts, hull_folder=hull_folder, progress=progress)
     _check_volume(scene.bin, bodies, number)
     corners_m = tuple(np.vstack([vertices for vertices, _ in body.hulls]) for body in bodies)
 
     tried = []
     for attempt in range(limits.attempts):
-        on_stage(f"parts fall, attempt {attempt + 1} of {limits.attempts}")
+        progress.stage(f"parts fall, attempt {attempt + 1} of {limits.attempts}")
         rng = stream(seed, attempt)
         start, index = start_poses(
             scene.bin, corners_m, number, rng, opening_share=limits.opening_share
@@ -144,19 +145,19 @@ def drop(
 
 
 def make_bodies(
-    parts: Sequence[Part], *, hull_folder: Path | None = None, on_stage: OnStage = silent
+    parts: Sequence[Part], *, hull_folder: Path | None = None, progress: ProgressMeter = UNWATCHED
 ) -> tuple[Body, ...]:
     """Each kind of part as the engine needs it.
 
     Raises:
         ValueError, GraycastError: as in `convex_hulls` and `body_of`.
     """
-    prepared = prepare(parts, hull_folder=hull_folder, on_stage=on_stage)
+    prepared = prepare(parts, hull_folder=hull_folder, progress=progress)
     return tuple(body_of(part, made.hulls) for part, made in zip(parts, prepared, strict=True))
 
 
 def prepare(
-    parts: Iterable[Part], *, hull_folder: Path | None = None, on_stage: OnStage = silent
+    parts: Iterable[Part], *, hull_folder: Path | None = None, progress: ProgressMeter = UNWATCHED
 ) -> tuple[Decomposition, ...]:
     """The collision hulls of each part, made now where the cache has none; `drop` finds them there.
 
@@ -164,7 +165,7 @@ def prepare(
         ValueError, GraycastError: as in `convex_hulls_of`.
     """
     named = [(part.name, part.mesh) for part in parts]
-    return convex_hulls_of(named, folder=hull_folder, on_stage=on_stage)
+    return convex_hulls_of(named, folder=hull_folder, progress=progress)
 
 
 def hull_notes(parts: Iterable[Part], prepared: Iterable[Decomposition]) -> tuple[str, ...]:

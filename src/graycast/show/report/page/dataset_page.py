@@ -1,10 +1,11 @@
 """Builds the page: only scenes that are new or changed, each whole or not at all."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
 from ....base.folder import write_whole
+from ....base.progress import UNWATCHED, ProgressMeter
 from ....dataset.raw import frames_folder
 from ....dataset.scene_folder import of_sensor, picture_name
 from ....dataset.stats import SceneFigures, scene_figures
@@ -84,8 +85,7 @@ def write_report(
     workers: int = 1,
     width_px: int = WIDTH_PX,
     detections: Path | None = None,
-    on_start: Callable[[int, int], None] | None = None,
-    on_scene: Callable[[str], None] | None = None,
+    progress: ProgressMeter = UNWATCHED,
 ) -> ReportSummary:
     """Write a dataset's page, or bring it up to date.
 
@@ -98,8 +98,7 @@ def write_report(
         width_px: maps wider than this are thinned; see `scene_page_files`.
         detections: results to show over the scenes: a file of COCO results, or a folder that
             `graycast detect` wrote. Without them those of an earlier build are taken away.
-        on_start: called with (scenes in all, scenes already there).
-        on_scene: called with the key of every scene made.
+        progress: counts scenes.
 
     Raises:
         DatasetError: no scene, or one that cannot be read.
@@ -112,7 +111,7 @@ def write_report(
         _ScenePiece(stored=stored, scene=scene, width_px=width_px) for scene in stored.pictures
     ]
     with writing_page(out, dataset):
-        summary = write_pieces(out, pieces, workers=workers, on_start=on_start, on_piece=on_scene)
+        summary = write_pieces(out, pieces, workers=workers, what="scenes", progress=progress)
         _write_detections(out / PIECES, evaluation, stored)
         _write_page(stored, out, evaluation)
     return summary

@@ -5,7 +5,7 @@ changes is which detections are looked at: the page does that itself.
 """
 
 import json
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +13,7 @@ import cv2
 import numpy as np
 from pycocotools import mask as coco_mask
 
+from ....base.progress import UNWATCHED, ProgressMeter
 from ....dataset.stored import StoredDataset
 from ....score.evaluate import (
     AT_HALF,
@@ -29,16 +30,14 @@ FOUND = "detections.js"
 _DIGITS = 4
 
 
-def judged(
-    dataset: Path, results: Path, *, on_scene: Callable[[int, int], None] | None = None
-) -> Evaluation:
+def judged(dataset: Path, results: Path, *, progress: ProgressMeter = UNWATCHED) -> Evaluation:
     """The results, judged by the dataset with the usual choices.
 
     Raises:
         GraycastError: the results are missing, damaged, or of another dataset.
     """
     task = Task(results=results, dataset=dataset, protocol=Protocol())
-    return evaluate(task, on_scene=on_scene)[0]
+    return evaluate(task, progress=progress)[0]
 
 
 def found_index(evaluation: Evaluation, stored: StoredDataset) -> dict[str, Any]:

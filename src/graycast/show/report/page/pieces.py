@@ -2,7 +2,7 @@
 
 import hashlib
 import shutil
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -15,6 +15,7 @@ from typing import Protocol, runtime_checkable
 
 from ....base.errors import GraycastError
 from ....base.folder import beside, remove_left, write_whole
+from ....base.progress import UNWATCHED, ProgressMeter
 
 PIECES = "scenes"  # the folder in which the page's scripts look for them
 _STAMP = "stamp"
@@ -86,26 +87,23 @@ def write_pieces(
     pieces: Sequence[Piece],
     *,
     workers: int,
-    on_start: Callable[[int, int], None] | None = None,
-    on_piece: Callable[[str], None] | None = None,
+    what: str,
+    progress: ProgressMeter = UNWATCHED,
 ) -> ReportSummary:
     """Make the pieces that are new or changed, and remove those that are gone.
 
     Args:
         out: the page's folder, opened.
         workers: processes that make them.
-        on_start: called with (pieces in all, pieces already there).
-        on_piece: called with the key of every piece made.
+        what: of which kind the pieces are, for `progress`, which counts them.
     """
     folder = out / PIECES
     remove_left(folder)
     todo = [piece for piece in pieces if not _is_current(folder, piece)]
     kept = len(pieces) - len(todo)
-    if on_start is not None:
-        on_start(len(pieces), kept)
-    for key in _made(todo, folder, workers):
-        if on_piece is not None:
-            on_piece(key)
+    progress.count(what, kept, len(pieces))
+    for done, _ in enumerate(_made(todo, folder, workers), start=kept + 1):
+        progress.count(what, done, len(pieces))
     gone = {entry.name for entry in folder.iterdir()} - {piece.key for piece in pieces}
     for key in gone:
         shutil.rmtree(folder / key)

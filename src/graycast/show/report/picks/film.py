@@ -5,7 +5,7 @@ part that was let go falls; it is shown where it was found next.
 """
 
 import io
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -18,6 +18,7 @@ from PIL import Image, ImageDraw, ImageFont
 from ....base.errors import GraycastError
 from ....base.folder import write_whole
 from ....base.frames import inverse, look_at, transform_points
+from ....base.progress import UNWATCHED, ProgressMeter
 from ....rig.meshdepth import rasterize
 from ....rig.optics import Optics, picture_rays, points, project
 from ....robot.pick import StoredEpisode, read_episodes
@@ -75,8 +76,7 @@ def write_film(
     cell_folder: Path,
     speed: float = 2.0,
     width_px: int = WIDTH_PX,
-    on_start: Callable[[int], None] = lambda attempts: None,
-    on_attempt: Callable[[], None] = lambda: None,
+    progress: ProgressMeter = UNWATCHED,
 ) -> int:
     """Draw a bin's attempts into one file.
 
@@ -85,7 +85,7 @@ def write_film(
         cell_folder: as `folder` of `open_replay`.
         speed: how much faster than the robot.
         width_px: of the picture; its height is three quarters of it, and a line of words.
-        on_start, on_attempt: called with the number of attempts, and after each.
+        progress: counts attempts.
 
     Returns:
         The number of pictures.
@@ -105,11 +105,11 @@ def write_film(
         raise GraycastError(f"{picks}: bin {bin_id} does not exist: {held}")
     replay = open_replay(picks, folder=cell_folder)
     episode = episodes[bin_id]
-    on_start(len(episode.attempts))
     frames = []
-    for attempt in _attempts(replay, episode, _eye(replay, width_px), speed):
+    attempts = _attempts(replay, episode, _eye(replay, width_px), speed)
+    for done, attempt in enumerate(attempts, start=1):
         frames += attempt
-        on_attempt()
+        progress.count("attempts", done, len(episode.attempts))
     try:
         write_whole(out, _encoded(frames, KINDS[out.suffix.lower()]))
     except OSError as error:

@@ -1,7 +1,7 @@
 """Builds the page of a folder of picks: what all bins share, and a piece for each bin."""
 
 import json
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -9,6 +9,7 @@ from typing import Any
 from .... import __version__
 from ....base.folder import write_whole
 from ....base.frames import inverse
+from ....base.progress import UNWATCHED, ProgressMeter
 from ....robot.pick import StoredEpisode, read_episodes, summarize
 from ....robot.pick.replay import Replay, open_replay
 from ..page import WIDTH_PX, ReportSummary
@@ -37,8 +38,7 @@ def write_pick_report(
     cell_folder: Path,
     workers: int = 1,
     width_px: int = WIDTH_PX,
-    on_start: Callable[[int, int], None] | None = None,
-    on_bin: Callable[[str], None] | None = None,
+    progress: ProgressMeter = UNWATCHED,
 ) -> ReportSummary:
     """Write the page of a folder of picks, or bring it up to date; see `write_report`.
 
@@ -56,7 +56,7 @@ def write_pick_report(
         for episode in episodes
     ]
     with writing_page(out, picks):
-        done = write_pieces(out, pieces, workers=workers, on_start=on_start, on_piece=on_bin)
+        done = write_pieces(out, pieces, workers=workers, what="bins", progress=progress)
         content = {
             "name": picks.resolve().name,
             "graycast": __version__,

@@ -13,19 +13,17 @@ from .cache import cache_folder
 from .error import Decomposition, HullError, hull_error, tolerance_m
 from .hull_store import convex_hulls, convex_hulls_of
 from .hulls import Hull, hull_of
-from .mesh_hulls import OnStage, decompose, silent
+from .mesh_hulls import decompose
 
 __all__ = [
     "Decomposition",
     "Hull",
     "HullError",
-    "OnStage",
     "cache_folder",
     "convex_hulls",
     "convex_hulls_of",
     "decompose",
     "hull_error",
     "hull_of",
-    "silent",
     "tolerance_m",
 ]

@@ -23,6 +23,7 @@ from typing import IO
 import numpy as np
 
 from ....base.errors import GraycastError
+from ....base.progress import Stages
 from ...parts import Mesh
 from .cache import read_decomposition, write_decomposition
 from .error import Decomposition, measured
@@ -134,7 +135,7 @@ def _main(mesh_file: Path, hull_file: Path) -> None:
     with np.load(mesh_file) as data:
         mesh = Mesh(vertices_m=data["vertices_m"], faces=data["faces"])
     try:
-        hulls = decompose(mesh, on_stage=lambda stage: _say(stage=stage))
+        hulls = decompose(mesh, progress=Stages(lambda stage: _say(stage=stage)))
         _say(stage=f"measuring {len(hulls)} hulls")
         write_decomposition(hull_file, measured(mesh, hulls))
     except ValueError as error:

@@ -4,12 +4,13 @@ from collections.abc import Iterator, Sequence
 from contextlib import closing
 from pathlib import Path
 
+from ....base.progress import UNWATCHED, ProgressMeter
 from ...parts import Mesh
 from . import cutting, error, mesh_hulls, solid
 from .cache import cache_folder, key_of, read_decomposition, write_decomposition
 from .error import Decomposition, measured
 from .hull_process import decompose_apart
-from .mesh_hulls import OnStage, decompose, silent
+from .mesh_hulls import decompose
 
 FEW_FACES = 20_000  # whether one hull will do is asked here, without a child
 
@@ -42,19 +43,19 @@ _SETTINGS = (
 
 
 def convex_hulls(
-    mesh: Mesh, *, folder: Path | None = None, on_stage: OnStage = silent
+    mesh: Mesh, *, folder: Path | None = None, progress: ProgressMeter = UNWATCHED
 ) -> Decomposition:
     """Convex hulls whose union is the mesh within `tolerance_m(mesh)`, in the mesh's frame.
 
     Cavities are filled. A body of so much detail that it would take too many pieces or too long
-    (`making.MOST_PIECES`, `MOST_FACES_CUT`) is cut more coarsely, as `on_stage` tells; what came of
+    (`making.MOST_PIECES`, `MOST_FACES_CUT`) is cut more coarsely, as `progress` hears; what came of
     it is measured, and the result says whether it is `coarse`. It is a function of the mesh alone.
 
     Args:
         mesh: closed, as `parts` delivers it.
         folder: of the disk cache, `cache_folder()` if None. A file that is damaged or of
             another mesh, version or setting is made anew, and appears at once or not at all.
-        on_stage: told what is being done, where it is not read from the cache.
+        progress: hears what is being done, where it is not read from the cache.
 
     Returns:
         One hull for a mesh that is convex within the tolerance, else several, found by a child
@@ -64,19 +65,22 @@ def convex_hulls(
         ValueError: the mesh is not closed, or inside out.
         GraycastError: the child was killed.
     """
-    (made,) = convex_hulls_of((("", mesh),), folder=folder, on_stage=on_stage)
+    (made,) = convex_hulls_of((("", mesh),), folder=folder, progress=progress)
     return made
 
 
 def convex_hulls_of(
-    named: Sequence[tuple[str, Mesh]], *, folder: Path | None = None, on_stage: OnStage = silent
+    named: Sequence[tuple[str, Mesh]],
+    *,
+    folder: Path | None = None,
+    progress: ProgressMeter = UNWATCHED,
 ) -> tuple[Decomposition, ...]:
     """`convex_hulls` of each mesh, of equal ones once, by one child process per processor.
 
     Args:
         named: a part's name for stages and errors, which may be empty, and its mesh.
-        on_stage: called with the number of kinds that are ready, or, while the last one is made,
-            with what is being done.
+        progress: hears the number of kinds that are ready, or, while the last one is made, what is
+            being done.
 
     Raises:
         ValueError, GraycastError: as in `convex_hulls`; of the kind that fails first.
@@ -106,7 +110,7 @@ def convex_hulls_of(
             left = len(kinds) - len(ready)
             if left == 1 and isinstance(news, str):
                 name, _ = kinds[file]
-                on_stage(f"{name}: {news}" if name else news)
+                progress.stage(f"{name}: {news}" if name else news)
             elif left:
-                on_stage(f"collision hulls: {len(ready)} of {len(kinds)} kinds are ready")
+                progress.stage(f"collision hulls: {len(ready)} of {len(kinds)} kinds are ready")
     return tuple(ready[file] for file in files)

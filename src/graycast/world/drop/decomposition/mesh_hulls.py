@@ -1,19 +1,15 @@
 """From a mesh to its hulls."""
 
-from collections.abc import Callable
-
 import numpy as np
 from manifold3d import Manifold
 
+from ....base.progress import UNWATCHED, ProgressMeter
 from ...parts import Mesh
 from .cutting import Cutter, Points
 from .error import tolerance_m
 from .hulls import Hull, hull_of, thinned
 from .joining import joined
 from .solid import bodies_of, simplified, surface_of
-
-OnStage = Callable[[str], None]
-"""Called with a few words at the start of each stage, and as it goes on."""
 
 # How far a hull may shrink when it loses vertices, of the box diagonal. A scanned box whose nearly
 # flat sides kept 129 vertices (0.03 %) rocked on them for ever; with 51 (0.3 %) it comes to rest.
@@ -28,30 +24,26 @@ _CONVEX = 1e-9  # as a share of the hull's volume: what a body may lack by round
 _TOLD_EACH = 25  # pieces
 
 
-def silent(stage: str) -> None:
-    """An `OnStage` that ignores all stages."""
-
-
-def decompose(mesh: Mesh, *, on_stage: OnStage = silent) -> tuple[Hull, ...]:
+def decompose(mesh: Mesh, *, progress: ProgressMeter = UNWATCHED) -> tuple[Hull, ...]:
     """The hulls of `convex_hulls`, not measured, made in this process.
 
     Raises:
         ValueError: the mesh is not closed, or inside out.
     """
-    on_stage(f"building a solid from {len(mesh.faces)} faces")
+    progress.stage(f"building a solid from {len(mesh.faces)} faces")
     tolerance = tolerance_m(mesh)
     thin_m = VERTEX_TOLERANCE_OF_DIAGONAL * float(np.linalg.norm(mesh.extent_m))
     hulls: list[Points] = []
     bodies = bodies_of(mesh)
     for number, body in enumerate(bodies, 1):
         of = f", body {number} of {len(bodies)}" if len(bodies) > 1 else ""
-        hulls += _hulls_of(body, tolerance, of, on_stage)
-    on_stage(f"simplifying {len(hulls)} hulls")
+        hulls += _hulls_of(body, tolerance, of, progress)
+    progress.stage(f"simplifying {len(hulls)} hulls")
     corners = [hull_of(points)[0] for points in hulls]
     return tuple(hull_of(thinned(vertices, thin_m)) for vertices in corners)
 
 
-def _pieces(cutter: Cutter, body: Manifold, of: str, on_stage: OnStage) -> list[Manifold]:
+def _pieces(cutter: Cutter, body: Manifold, of: str, progress: ProgressMeter) -> list[Manifold]:
     """Hulls of the pieces; none if there are too many, or it takes too long."""
     pieces: list[Manifold] = []
     for piece in cutter.pieces():
@@ -59,7 +51,7 @@ def _pieces(cutter: Cutter, body: Manifold, of: str, on_stage: OnStage) -> list[
             return []
         if len(pieces) % _TOLD_EACH == 0:
             done = f"{len(pieces)} so far{of}"
-            on_stage(f"cutting {body.num_tri()} faces into convex pieces, {done}")
+            progress.stage(f"cutting {body.num_tri()} faces into convex pieces, {done}")
         pieces.append(piece.hull())
     return pieces
 
@@ -71,7 +63,7 @@ def is_one_hull(mesh: Mesh) -> bool:
     return len(bodies) == 1 and Cutter(bodies[0], limit_m).fits(bodies[0])
 
 
-def _hulls_of(whole: Manifold, tolerance: float, of: str, on_stage: OnStage) -> list[Points]:
+def _hulls_of(whole: Manifold, tolerance: float, of: str, progress: ProgressMeter) -> list[Points]:
     hull = whole.hull()
     if hull.volume() - whole.volume() < _CONVEX * hull.volume():
         return [surface_of(hull)[0]]
@@ -79,15 +71,15 @@ def _hulls_of(whole: Manifold, tolerance: float, of: str, on_stage: OnStage) -> 
         body, moved_m = simplified(whole, tolerance)
         limit_m = CUT_SHARE * tolerance - moved_m
         cutter = Cutter(body, limit_m)
-        pieces = _pieces(cutter, body, of, on_stage)
+        pieces = _pieces(cutter, body, of, progress)
         if pieces:
             break
         tolerance *= COARSER
-        on_stage(
+        progress.stage(
             f"the mesh is too detailed for this bound: cutting within {1e3 * tolerance:.2f} mm{of}"
         )
     points = [surface_of(piece)[0] for piece in pieces]
     if len(points) == 1:
         return points
-    on_stage(f"joining {len(points)} hulls{of}")
+    progress.stage(f"joining {len(points)} hulls{of}")
     return joined(points, limit_m, guess_m=cutter.guessed_harm_m, holds=cutter.hold)

@@ -58,7 +58,8 @@ a least visibility and without line noise. The guards are a second phase of a fi
 disagrees with the first one where light came by way of another surface; the code of the other axis,
 whose position must lie on the epipolar line; a least contrast of the stripes; and an edge filter,
 since a pixel at an edge may see two surfaces. Their settings were chosen with another heap of the
-same part under `phoxi-m` at low resolution. `paper` is plain, as in the paper: it
+same part under `phoxi-m` at low resolution. Sigma has a share of the bend of the surface
+at each pixel, with and without the guards. `paper` is plain, as in the paper: it
 decodes Gray code without any filter."""
 
 CODES = """\

@@ -12,6 +12,7 @@ from graycast.dataset.example import Example
 from graycast.dataset.training import open_examples
 from graycast.dataset.training.sources import Examples
 from graycast.learn.detect.encoding import Encoding
+from graycast.learn.detect.training import _range_m
 from graycast.learn.detect.training_pictures import NO_AUGMENTATION, Augmentation, Pictures, collate
 
 # pycocotools 2.0.11 has an array type from before NumPy 2, which NumPy asks it to mend.
@@ -110,7 +111,8 @@ def test_what_is_hidden_or_cut_off_is_ignored(tmp_path):
     assert any(len(edge.at(epoch)[0][1].box) == 0 for epoch in range(60))
 
 
-def test_shifted_depth_makes_no_depth_of_holes(tmp_path):
+def test_depth_is_shifted_by_up_to_what_is_stated_and_no_hole_becomes_depth(tmp_path):
+    """By 0.2 of the working volume, which is 2 high in the input; one of 100 draws is nearly so."""
     example = block(rows=(30, 50), columns=(40, 75))
     depth_m = example.scanner_depth_m.copy()
     depth_m[:10] = np.nan
@@ -120,11 +122,25 @@ def test_shifted_depth_makes_no_depth_of_holes(tmp_path):
     )  # fmt: skip
     pictures = one(gap, tmp_path, flip=False, zoom=1.0, depth_shift=0.2)
     heights = set()
-    for epoch in range(5):
+    for epoch in range(100):
         image = pictures.at(epoch)[0][0]
         assert (image[0, :9] == 0).all()
         heights.add(round(float(image[0, 80, 80]), 4))
-    assert len(heights) == 5
+    assert len(heights) > 90
+    shift = np.abs(np.array(sorted(heights)) - (1.0 - 0.8) / 0.3) / 2
+    assert 0.18 < shift.max() < 0.201
+
+
+def test_the_learnt_range_is_a_twentieth_larger_than_that_of_depth_without_spikes(tmp_path):
+    """By hand: 0.612 to 0.955 m, and 17 mm more at both ends, in whole centimetres."""
+    depth_m = np.linspace(0.612, 0.955, SIZE[0] * SIZE[1], dtype=np.float32).reshape(SIZE)
+    depth_m[40, :5], depth_m[50, :5], depth_m[60] = 0.1, 5.0, np.nan
+    example = Example(scene_id=0, scanner_depth_m=depth_m)
+    examples = Examples(
+        folder=tmp_path, split="train", scene_ids=(0,), categories={}, place_of={0: (0, "", 0)},
+        read=lambda _: example,
+    )  # fmt: skip
+    assert _range_m([examples], DEPTH) == (0.59, 0.98)
 
 
 def test_pictures_of_a_dataset_make_batches(tmp_path):

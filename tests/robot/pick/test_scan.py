@@ -6,9 +6,12 @@ import numpy as np
 import pytest
 from small_cell import write_cell
 
+from graycast.base.frames import axis_rotation, inverse, rigid
+from graycast.dataset.detections import Detections
 from graycast.render import GroundTruth, Radiance, Renderer, Rendering
 from graycast.robot.pick import load_pick_config, resolve_pick_cell
-from graycast.robot.pick.bin_scan import scan
+from graycast.robot.pick.aim import Sight
+from graycast.robot.pick.bin_scan import Look, scan, targets
 from graycast.world.scene import Layout
 
 NOWHERE = Layout(T_world_part=np.zeros((0, 4, 4)), part_index=np.zeros(0, int))
@@ -75,3 +78,33 @@ def test_noisy_depth_has_the_stated_gaussian_noise_and_other_noise_in_each_scan(
             3, abs=5 * (24 / n) ** 0.5
         )
     assert abs(np.corrcoef(off[0].ravel(), off[1].ravel())[0, 1]) < 5 / np.sqrt(n)
+
+
+class OneBox:
+    """A detector that finds one part, in the columns 40 to 60."""
+
+    about = SimpleNamespace(names=("box",))
+
+    def detect(self, example, *, obj_ids, least_score):
+        box = np.array([[40.0, 10.0, 20.0, 50.0]])
+        return Detections(
+            scene_id=0, score=np.ones(1), obj_id=np.array([obj_ids["box"]]), box_px=box
+        )
+
+
+def test_a_detection_has_the_true_pose_of_the_part_that_most_of_it_shows(tmp_path):
+    """Seven columns show the first part, nine the second, four none."""
+    path = write_cell(tmp_path, picking={"pose": "truth"})
+    cell = resolve_pick_cell(load_pick_config(path), tmp_path)
+    instance = np.full((120, 160), -1)
+    instance[:, 40:47], instance[:, 47:56] = 0, 1
+    T_world_cam = rigid(axis_rotation("x", np.pi), np.array([0.0, 0.1, 0.8]))
+    look = Look(
+        view=Sight(depth_m=np.ones((120, 160)), camera=cell.cell.scene.rig.camera,
+                   T_world_cam=T_world_cam),
+        gray=np.zeros((120, 160), np.uint8), rgb=None, instance=instance, seconds=0.1,
+    )  # fmt: skip
+    poses = [rigid(axis_rotation("z", turn), np.array([turn, 0, 0.02])) for turn in (0.1, 0.2)]
+    layout = Layout(T_world_part=np.stack(poses), part_index=np.array([0, 0]))
+    (found,) = targets(cell, look, layout, OneBox())
+    np.testing.assert_allclose(found.T_cam_part, inverse(T_world_cam) @ poses[1])

@@ -11,7 +11,8 @@ from graycast.cell.config import Config, load_config
 from graycast.cell.resolve import open_cell_renderer, resolve_cell
 from graycast.cell.simulate import make_scene
 from graycast.show.live.asking import Ask
-from graycast.show.live.line import Line, Superseded
+from graycast.show.live.line import Line, Superseded, _physics_key
+from graycast.show.live.showing import picture_answer
 
 
 class Watched:
@@ -84,6 +85,66 @@ def test_the_first_pictures_are_rough_and_the_last_is_preview_s(watched):
     watched.show(render={"samples": 6, "denoise": False})
 
 
+def test_the_page_gets_what_is_shown_in_its_own_order(watched):
+    """Millimetres, the way of WebGL's matrices, and instances from 1; noise by its own law."""
+    watched.show(seed=3)
+    shown = watched.line.shown
+    (world,) = (one for one in watched.told if one.kind == "world")
+    places = np.frombuffer(world.arrays["places"], np.float32).reshape(-1, 4, 4)
+    np.testing.assert_allclose(
+        places[:, 3, :3], 1e3 * shown.layout.T_world_part[:, :3, 3], rtol=1e-6
+    )
+    np.testing.assert_allclose(places[:, 0, :3], shown.layout.T_world_part[:, :3, 0], atol=1e-6)
+    picture = [one for one in watched.told if one.kind == "picture"][-1]
+    instance = np.frombuffer(picture.arrays["instance"], np.uint16).reshape(120, 160)
+    np.testing.assert_array_equal(instance - 1.0, shown.rendering.truth.instance)
+    steps = np.frombuffer(picture.arrays["scanner"], np.uint16).reshape(120, 160)
+    depth_m = np.nan_to_num(shown.depth.depth_m)
+    np.testing.assert_allclose(
+        steps * picture.header["depth_scale_mm"], 1e3 * depth_m,
+        atol=0.501 * picture.header["depth_scale_mm"],
+    )  # fmt: skip
+    noise_m = 1e-4 * np.random.default_rng(0).standard_normal(depth_m.shape)
+    noisy = shown.rendering.truth.depth_m + 2e-4 + noise_m
+    ask = Ask(
+        number=1, config=watched.config, unturned=watched.config, ambient=1.0, power=1.0, frame=0
+    )
+    made = replace(shown, depth=replace(shown.depth, depth_m=noisy))
+    told = picture_answer(ask, made, kind="look", ms=0.0, first=False).header["figures"]
+    pixels = (shown.rendering.truth.instance >= 0).sum()
+    assert told["bias_mm"] == pytest.approx(0.2, abs=4 * 1.25 * 0.1 / np.sqrt(pixels))
+    # The deviation of a deviation by the median is 1.17 / sqrt(n) of it.
+    assert told["sigma_mm"] == pytest.approx(0.1, rel=4 * 1.17 / np.sqrt(pixels))
+
+
+def box(**words):
+    return [{"mesh": "box.stl", "unit": "mm", **words}]
+
+
+@pytest.mark.parametrize(
+    ("sections", "falls"),
+    [
+        ({"parts": box(friction=0.9)}, True),
+        ({"parts": box(density_kg_m3=900.0)}, True),
+        ({"parts": box(unit="cm")}, True),
+        ({"bin": {"inner_m": [0.25, 0.2, 0.1], "friction": 0.9}}, True),
+        ({"bin": {"inner_m": [0.25, 0.21, 0.1]}}, True),
+        ({"count": 4}, True),
+        ({"drop": {"simulated_s": 3.0}}, True),
+        ({"parts": box(material={"roughness": 0.9})}, False),
+        ({"bin": {"inner_m": [0.25, 0.2, 0.1], "material": {"roughness": 0.9}}}, False),
+        ({"view": {"tilt_deg": 20.0}}, False),
+    ],
+)
+def test_parts_fall_again_for_what_moves_them_and_for_nothing_else(tmp_path, sections, falls):
+    def key(**sections):
+        config = load_config(write_cell(tmp_path, **sections))
+        scene = resolve_cell(config, tmp_path).scene
+        return _physics_key(scene, (config.count_range[0],), 5, config.drop)
+
+    assert (key() != key(**sections)) == falls
+
+
 @pytest.mark.parametrize(
     "sections",
     [
@@ -120,6 +181,7 @@ def test_more_light_is_scaled_at_once_and_then_rendered(watched):
     first, last = scaled[0].rendering.radiance, watched.line.shown.rendering.radiance
     assert set(kinds) == {"free"} and first is not last
     np.testing.assert_allclose(first.ambient, last.ambient, rtol=2e-5)
+    np.testing.assert_allclose(first.ambient_rgb, last.ambient_rgb, rtol=2e-5)
     np.testing.assert_array_equal(first.pattern, last.pattern)
     watched.assert_finished()
 

@@ -5,7 +5,7 @@ from itertools import product
 import numpy as np
 from jaxtyping import UInt8, UInt16
 
-from graycast.camera.decode.bits import BLURRED, FINE_ERROR, INVERTED, SHARP, UPRIGHT, XOR_SIGMAS
+from graycast.camera.decode.bits import BLURRED, FINE_ERROR, SHARP, XOR_SIGMAS
 from graycast.camera.decode.maps import CodeMap, DecodeSpec, Levels, Mark, Reason
 from graycast.camera.decode.phases import (
     APART_SIGMAS,
@@ -171,19 +171,17 @@ def _gray(stack, plan: AxisPlan, spec: DecodeSpec, levels: Levels, high, low, fi
     counted = [b for b, bit in enumerate(plan.bits) if bit.counts == 1]
     for b, bit in enumerate(plan.bits):
         flipped = value ^ (2 ** (len(bits) - b) - 1)
-        error, square, inverted = noises[b], (flipped - value) ** 2, 0.0
+        error, square = noises[b], (flipped - value) ** 2
         if fine_error > 0 and not bit.counts and bit.xor < 0:
             error = np.hypot(error, fine_error * (high - low))
             sharp = 1.0
             if b > 0 and plan.bits[b - 1].xor < 0:
                 with np.errstate(divide="ignore", invalid="ignore"):
-                    beside, signal = np.abs([margins[b - 1], margins[b]]) / (high - low)
+                    beside = np.abs(margins[b - 1]) / (high - low)
                 sharp = np.clip((beside - BLURRED) / (SHARP - BLURRED), 0, 1)
-                turned = np.clip((UPRIGHT - signal) / (UPRIGHT - INVERTED), 0, 1)
-                inverted = (1 - sharp) * turned
             square = square - sharp * (square / 2 + 1 / 6)
-        wrong = np.maximum(1 - np.abs(margins[b]) / error / 3, 0) ** 3
-        variance += 0.5 * np.maximum(wrong, inverted) * square
+        probability = 0.5 * np.maximum(1 - np.abs(margins[b]) / error / 3, 0) ** 3
+        variance += probability * square
         if bit.counts:
             # In float32, as the fast decoder says it: a signal may lie on the limit itself.
             share, of = (XOR_SIGMAS, noises[b]) if bit.xor >= 0 else (spec.doubt, high - low)

@@ -22,12 +22,6 @@ def test_a_plain_word_is_the_kind_with_all_its_defaults():
     assert config(None).domain is None
 
 
-def test_a_configuration_without_a_domain_is_recorded_as_before_there_were_any():
-    """Its fingerprint is over what is dumped, so datasets begun earlier can go on."""
-    assert "domain" not in config(None).model_dump(mode="json")
-    assert "domain" in config("adapted").model_dump(mode="json")
-
-
 def test_what_is_dumped_is_the_same_configuration_again():
     written = {
         "kind": "randomized",

@@ -104,8 +104,9 @@ def test_jaws_close_on_a_bar_and_draw_it_to_their_middle(robots):
 
 def extruded(outline_m):
     """A prism over an outline, 40 mm high along z."""
-    solid = CrossSection([outline_m]).extrude(0.04).to_mesh64()
-    return trimesh.Trimesh(solid.vert_properties[:, :3], solid.tri_verts)
+    # Metres are near the least length that the library distinguishes.
+    solid = CrossSection([1e3 * np.asarray(outline_m)]).extrude(40.0).to_mesh64()
+    return trimesh.Trimesh(1e-3 * solid.vert_properties[:, :3], solid.tri_verts)
 
 
 @pytest.mark.parametrize("slope", [0.1, 0.25])

@@ -18,10 +18,6 @@ FINE_ERROR = 0.06
 # The next coarser bit's signal, as a share of the contrast, under which blur leaves this bit
 # nothing, and over which its signal is small next to its edges only.
 BLURRED, SHARP = 0.5, 0.8
-# A disc of blur leaves -0.13 of a cosine at most, and 4/pi as much of stripes. Where blur has
-# greyed the next coarser bit, a signal within the first of these shares may thus be inverted, and
-# one beyond the second is not.
-INVERTED, UPRIGHT = 0.17, 0.21
 
 
 @numba.njit(parallel=True, cache=True, error_model="numpy")
@@ -195,8 +191,8 @@ def _weigh_fine(of_bit, coarser, sure, flip, value, cell_px, variance):
     """The variance from a fine bit [px^2]; `coarser` is empty if the blur is not known.
 
     If stripes are sharp, a small signal means that the edge of the bit is near, and the true
-    position is between both values. If blur has removed or inverted the signal, the true position
-    is in one of the two cells.
+    position is between both values. If blur has removed the signal, the true position is in one
+    of the two cells.
     """
     zero, one, half = np.float32(0), np.float32(1), np.float32(0.5)
     cell2 = half * cell_px * cell_px
@@ -209,14 +205,10 @@ def _weigh_fine(of_bit, coarser, sure, flip, value, cell_px, variance):
             square = half * apart * apart - np.float32(1 / 6)
             variance[x] += cell2 * (wrong * wrong * wrong) * square
         return
-    per_turn = np.float32((SHARP - BLURRED) / (UPRIGHT - INVERTED))
-    upright = np.float32(UPRIGHT / (UPRIGHT - INVERTED))
     for x in range(len(of_bit)):
-        signal = abs(np.float32(of_bit[x]))
-        wrong = max(one - signal * third[x], zero)
+        wrong = max(one - abs(np.float32(of_bit[x])) * third[x], zero)
         apart = np.float32(np.int32(value[x] ^ flip) - value[x])
         square = apart * apart
-        beside = min(max(abs(np.float32(coarser[x])) * per_span[x] - start, zero), one)
-        square -= beside * (half * square + np.float32(1 / 6))
-        inverted = (one - beside) * min(max(upright - signal * per_span[x] * per_turn, zero), one)
-        variance[x] += cell2 * max(wrong * wrong * wrong, inverted) * square
+        beside = abs(np.float32(coarser[x])) * per_span[x] - start
+        square -= min(max(beside, zero), one) * (half * square + np.float32(1 / 6))
+        variance[x] += cell2 * (wrong * wrong * wrong) * square

@@ -36,7 +36,7 @@ LIT_SHARE = 0.02  # as a share of the 99th percentile: enough light for a ratio
 RATIO_EDGES = np.linspace(0.8, 1.2, 81)
 COLUMN_EDGES = np.linspace(-1.0, 1.0, 81)
 
-# Issue's limits: of the medians of the white frame's ratio, and of decoded depth.
+# What counts as agreement: of the medians of the white frame's ratio, and of decoded depth.
 MEDIAN_RATIO = {"diffuse": (0.98, 1.02), "metal": (0.95, 1.05), "plastic": (0.95, 1.05)}
 MEDIAN_COLUMNS = 0.25
 VALID_ALIKE_SHARE = 0.97

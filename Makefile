@@ -9,13 +9,15 @@ demo: setup
 	$(GRAYCAST) preview configs/demo.yaml --out out/demo/preview.png
 
 test: setup-test
-	.venv/bin/ruff check src tests examples benchmarks
-	.venv/bin/ruff format --check src tests examples benchmarks
+	.venv/bin/ruff check src tests examples benchmarks studies
+	.venv/bin/ruff format --check src tests examples benchmarks studies
 	.venv/bin/mypy
-	.venv/bin/pytest -n 2 --dist loadfile
+	.venv/bin/pytest $(PYTEST_OPTIONS) -n 2 --dist loadfile
 
+# The quick tests once more, with the axes and types of all arrays checked at each call; then the slow ones.
 test-slow: setup-test
-	.venv/bin/pytest -n 2 --dist loadfile -m 'slow and not gpu' --durations=20
+	.venv/bin/pytest $(PYTEST_OPTIONS) -n 2 --dist loadfile --jaxtyping-packages=graycast,beartype.beartype
+	.venv/bin/pytest $(PYTEST_OPTIONS) -n 2 --dist loadfile -m 'slow and not gpu' --durations=20
 
 # What needs an NVIDIA GPU: tests/gpu/README.md.
 test-gpu: setup-test

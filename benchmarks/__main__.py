@@ -1,6 +1,10 @@
-"""`python -m benchmarks --help` and the `--help` of its commands explain themselves."""
+"""Benchmarks and the tables of docs/: `python -m benchmarks --help`.
+
+A benchmark's module is imported when it runs, since most of them import all of Graycast.
+"""
 
 import argparse
+import importlib
 import json
 import os
 import platform
@@ -8,16 +12,20 @@ import re
 import signal
 import sys
 import textwrap
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable, Sequence
 from datetime import UTC, datetime
+from functools import partial
 from pathlib import Path
+from typing import Any
 
 from .compare import CompareError, commit_of, compare, git, summarise, table
-from .page import page
+from .figures import describe
+from .processes import peak_rss_bytes
 from .stages import STAGES
 
 ROOT = Path(__file__).resolve().parents[1]
-HELP = """\
+Option = tuple[tuple[str, ...], dict[str, Any]]
+COMPARE = """\
 Time the stages of the working tree, as it is, against those of another commit, and print a table.
 
 Both run in turn with the same Python, one process each per round. "here" is the working tree,
@@ -30,12 +38,6 @@ be noise: time that stage alone, which gives it more rounds.
     python -m benchmarks compare HEAD~5 --stages drop,render --minutes 4
     python -m benchmarks compare 114e8a0 --path /tmp/packages --json ratios.json
 """
-
-
-PAGE = """\
-Measure every figure of docs/benchmarks.md, and write the page with the date, the commit and the
-machine. It takes 8 minutes on two processors, which should have nothing else to do."""
-
 SIGMA = """\
 Print the error of depth in its own sigmas (the 68 % quantile) for four codes and 1 to 64 light
 paths a pixel: first as the code alone states sigma, then with the renderer's share, and the share
@@ -43,76 +45,26 @@ of pixels that are off by more than five sigmas, if there are any. The leaning w
 its true depth; of the two facing walls, two renderings are compared with each other, except under
 plain Gray code. It takes about 3 minutes on two processors."""
 
-MATERIALS = """\
-Measure the share of right and wrong depth on eight materials for each scanner and for each code,
-and write docs/materials.md. It takes about half an hour on two processors."""
+
+def of(*names: str, **words: Any) -> Option:
+    return names, words
 
 
-def parsed(words: list[str] | None) -> argparse.Namespace:
-    parser = argparse.ArgumentParser(prog="python -m benchmarks")
-    commands = parser.add_subparsers(required=True)
-    one = commands.add_parser(
-        "compare",
-        help="Time all stages against those of another commit.",
-        description=HELP,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
-    one.set_defaults(run=run_compare)
-    one.add_argument("rev", metavar="REV", help="The other commit, by its hash, a tag or a branch.")
-    one.add_argument(
-        "--minutes",
-        type=float,
-        default=10,
-        metavar="M",
-        help="A round is begun if it fits into this time; two rounds always run (default: 10).",
-    )
-    one.add_argument(
-        "--stages",
-        type=stages,
-        default=STAGES,
-        metavar="S,...",
-        help=f"The stages that are timed, out of {', '.join(STAGES)} (default: all of them).",
-    )
-    one.add_argument(
-        "--path",
-        type=Path,
-        metavar="DIR",
-        help="A folder with packages that only the other commit needs; fill it with "
-        "pip install --no-deps --target DIR.",
-    )
-    one.add_argument(
-        "--json", type=Path, metavar="FILE", help="A file to which all figures are written."
-    )
-    other = commands.add_parser(
-        "page", help="Measure every figure of docs/benchmarks.md.", description=PAGE
-    )
-    other.set_defaults(run=run_page)
-    add_out(other, "docs/benchmarks.md")
-    third = commands.add_parser(
-        "sigma",
-        help="Compare the depth errors of simulated scans with the stated sigma.",
-        description=SIGMA,
-    )
-    third.set_defaults(run=run_sigma)
-    fourth = commands.add_parser(
-        "materials",
-        help="Measure the share of wrong depth on matt, plastic, dark and metal parts.",
-        description=MATERIALS,
-    )
-    fourth.set_defaults(run=run_materials)
-    fourth.add_argument(
-        "--resolution",
-        choices=("small", "low", "full"),
-        default="low",
-        help="The resolution of the scanners (default: low).",
-    )
-    add_out(fourth, "docs/materials.md")
-    return parser.parse_args(words)
+def number(name: str, default: int, help: str) -> Option:
+    return of(name, type=int, default=default, metavar="N", help=f"{help} (default: {default}).")
 
 
-def add_out(parser: argparse.ArgumentParser, page: str) -> None:
-    words = f"The file to which the page is written (default: {page})."
-    parser.add_argument("--out", type=Path, default=ROOT / page, metavar="FILE", help=words)
+def file(name: str, help: str, **words: Any) -> Option:
+    return of(name, type=Path, metavar="FILE", help=help, **words)
+
+
+def samples(default: int) -> Option:
+    return number("--samples", default, "The largest number of samples per pixel of Cycles")
+
+
+def out(page: str) -> Option:
+    help = f"The file to which the page is written (default: docs/{page})."
+    return file("--out", help, default=ROOT / "docs" / page)
 
 
 def stages(text: str) -> list[str]:
@@ -121,6 +73,174 @@ def stages(text: str) -> list[str]:
         message = f"no stage {', '.join(sorted(unknown))}: choose from {', '.join(STAGES)}"
         raise argparse.ArgumentTypeError(message)
     return chosen
+
+
+JSON = file("--json", "A file to which all figures are written.")
+PLOT = file("--plot", "A PNG file in which the figures are plotted.")
+RUN_OPTION = of(
+    "--detector",
+    type=Path,
+    metavar="RUN",
+    help="The folder that graycast train wrote. The instances are then of the scenes that its "
+    "training kept for tests, and its masks and its boxes are two more cases.",
+)
+FOLDER = of("--out", type=Path, metavar="FOLDER", help="A new folder for BOP results and pictures.")
+# Commands that print what the function `measure` of their module returns; the options are its
+# arguments.
+FIGURES: dict[str, tuple[str, list[Option]]] = {
+    "agree": ("Compare Cycles' pictures with Mitsuba's: docs/backends.md.", [samples(64), PLOT]),
+    "denoise": ("Decode denoised pictures: docs/backends.md.", [samples(128), PLOT]),
+    "renderers": ("Time Cycles and Mitsuba's one pass: docs/backends.md.", [samples(16), PLOT]),
+    "engines": ("Time workers and Ray against a plain loop: docs/many-scenes.md.", []),
+    "zoo": (
+        "Drop parts of each family and check whether they are in balance: docs/drop.md.",
+        [
+            of(
+                "--families",
+                nargs="+",
+                default=argparse.SUPPRESS,
+                metavar="NAME",
+                help="The families that are dropped (default: all of them).",
+            ),
+            of(
+                "--counts",
+                type=int,
+                nargs="+",
+                default=[1, 10],
+                metavar="N",
+                help="The numbers of parts in a drop (default: 1 10).",
+            ),
+            number("--seeds", 20, "The number of drops of each kind"),
+        ],
+    ),
+    "live": (
+        "Measure the response times of graycast live: docs/live.md.",
+        [
+            of("config", type=Path, help="The YAML file of the configuration."),
+            number("--rounds", 20, "The number of times that each kind of change is made"),
+        ],
+    ),
+    "detectors": (
+        "Time a training's reading, and detections: docs/detect.md.",
+        [
+            of("runs", type=Path, nargs="+", metavar="RUN", help="What graycast train wrote."),
+            of(
+                "--on",
+                type=Path,
+                required=True,
+                dest="dataset",
+                metavar="DATASET",
+                help="A dataset of at least 28 scenes.",
+            ),
+        ],
+    ),
+    "poses": (
+        "Measure how well and how fast poses are found: docs/pose.md.",
+        [
+            of(
+                "datasets",
+                type=Path,
+                nargs="+",
+                metavar="DATASET",
+                help="What graycast generate made.",
+            ),
+            number("--instances", 100, "The number of instances of each dataset"),
+            RUN_OPTION,
+            FOLDER,
+        ],
+    ),
+}
+
+
+def parsed(words: list[str] | None) -> argparse.Namespace:
+    parser = argparse.ArgumentParser(prog="python -m benchmarks")
+    commands = parser.add_subparsers(required=True, metavar="NAME")
+
+    def add(name: str, run: Callable[..., int], help: str, options: Sequence[Option], **words: Any):
+        made = commands.add_parser(name, help=help, **{"description": help} | words)
+        made.set_defaults(run=run)
+        for names, of_one in options:
+            made.add_argument(*names, **of_one)
+
+    add(
+        "compare",
+        run_compare,
+        "Time all stages against those of another commit.",
+        [
+            of("rev", metavar="REV", help="The other commit, by its hash, a tag or a branch."),
+            of(
+                "--minutes",
+                type=float,
+                default=10,
+                metavar="M",
+                help="A round is begun if it fits into this time; two always run (default: 10).",
+            ),
+            of(
+                "--stages",
+                type=stages,
+                default=STAGES,
+                metavar="S,...",
+                help=f"The stages that are timed, out of {', '.join(STAGES)} (default: all).",
+            ),
+            of(
+                "--path",
+                type=Path,
+                metavar="DIR",
+                help="A folder with packages that only the other commit needs; fill it with "
+                "pip install --no-deps --target DIR.",
+            ),
+            JSON,
+        ],
+        description=COMPARE,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    sections = "Sections that are printed, and no page written: rendering, drops, scene, paper, "
+    add(
+        "page",
+        run_page,
+        "Measure every figure of docs/benchmarks.md, in 8 minutes on two idle processors.",
+        [
+            of("sections", nargs="*", metavar="SECTION", help=sections + "decoding, hulls."),
+            out("benchmarks.md"),
+        ],
+    )
+    resolution = of(
+        "--resolution",
+        choices=("small", "low", "full"),
+        default="low",
+        help="The resolution of the scanners (default: low).",
+    )
+    add(
+        "materials",
+        run_materials,
+        "Measure right and wrong depth for docs/materials.md, in half an hour.",
+        [resolution, out("materials.md")],
+    )
+    add(
+        "sigma",
+        run_sigma,
+        "Compare the depth errors of simulated scans with the stated sigma.",
+        [],
+        description=SIGMA,
+    )
+    for name, (help, options) in FIGURES.items():
+        add(name, partial(run_figures, name), help, [*options, JSON])
+    return parser.parse_args(words)
+
+
+def run_figures(name: str, args: argparse.Namespace) -> int:
+    words = {key: value for key, value in vars(args).items() if key not in ("run", "json", "plot")}
+    found = importlib.import_module(f"{__package__}.{name}").measure(**words, show=show)
+    show("")
+    figures = {"benchmark": name} | circumstances() | found | {"peak_rss_bytes": peak_rss_bytes()}
+    print(describe(figures))
+    if args.json:
+        args.json.write_text(json.dumps(figures, indent=2) + "\n")
+    if getattr(args, "plot", None):
+        from .plots import draw
+
+        draw(figures, args.plot)
+    return 0
 
 
 def circumstances() -> dict[str, object]:
@@ -137,12 +257,18 @@ def show(text: str) -> None:
 
 
 def run_page(args: argparse.Namespace) -> int:
+    from .page import SECTIONS, page
+
+    if unknown := set(args.sections) - set(SECTIONS):
+        words = f"no section {', '.join(unknown)}: choose from {', '.join(SECTIONS)}"
+        print(f"error: {words}", file=sys.stderr)
+        return 2
     commit = git(ROOT, "describe", "--always", "--dirty")
-    return write(args.out, page(ROOT, circumstances(), commit))
+    return write(page(circumstances(), commit, args.sections), None if args.sections else args.out)
 
 
-def write(out: Path, sections: Iterable[tuple[str, str]]) -> int:
-    """Write a page of headings and texts as they are measured."""
+def write(sections: Iterable[tuple[str, str]], out: Path | None) -> int:
+    """Write a page of headings and texts as they are measured, or print it."""
     texts = []
     for number, (heading, text) in enumerate(sections):
         show(f"{heading} is measured")
@@ -152,13 +278,14 @@ def write(out: Path, sections: Iterable[tuple[str, str]]) -> int:
         ]
         texts.append(f"{'##' if number else '#'} {heading}\n\n" + "\n\n".join(paragraphs) + "\n")
     show("")
-    out.write_text("\n".join(texts), encoding="utf-8")
-    print(out)
+    if out is not None:
+        out.write_text("\n".join(texts), encoding="utf-8")
+    print(out or "\n".join(texts))
     return 0
 
 
 def run_sigma(args: argparse.Namespace) -> int:
-    from .sigma import honesty  # the package under test: `compare` must not load it
+    from .sigma import honesty
 
     text = honesty(show)
     show("")
@@ -167,14 +294,14 @@ def run_sigma(args: argparse.Namespace) -> int:
 
 
 def run_materials(args: argparse.Namespace) -> int:
-    from . import materials  # the package under test: `compare` must not load it
+    from . import materials
 
     rows = []
     for row in materials.measured(args.resolution):
         rows.append(row)
         show(f"{row.scanner}, {row.material}, {row.code}: {row.words}")
     about = {"commit": git(ROOT, "describe", "--always", "--dirty"), "resolution": args.resolution}
-    return write(args.out, materials.page(rows, date=circumstances()["date"], **about))
+    return write(materials.page(rows, date=circumstances()["date"], **about), args.out)
 
 
 def main(words: list[str] | None = None) -> int:

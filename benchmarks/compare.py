@@ -20,6 +20,8 @@ from statistics import median
 from tempfile import TemporaryDirectory, TemporaryFile
 from typing import Any
 
+from .figures import table as markdown
+
 SLOWER = 1.05  # above this ratio a stage is marked
 LEAST_ROUNDS = 2
 SIDES = ("here", "there")
@@ -101,9 +103,13 @@ def worktree(root: Path, rev: str) -> Iterator[Path]:
 def child(
     stages: Sequence[str], number: str, work: str, side: str, python_path: str
 ) -> Iterator[Record]:
-    """The lines of one process; if it dies, every stage has a line with the reason."""
-    program = str(Path(__file__).with_name("stages.py"))
-    command = [sys.executable, "-P", program, ",".join(stages), number, work]
+    """The lines of one process; if it dies, every stage has a line with the reason.
+
+    A tree that has stages of its own runs those, since its modules may have other names.
+    """
+    own_stages = Path(python_path.split(os.pathsep)[0]).parent / "benchmarks" / "stages.py"
+    program = own_stages if own_stages.is_file() else Path(__file__).with_name("stages.py")
+    command = [sys.executable, "-P", str(program), ",".join(stages), number, work]
     # Hulls of its own: the cache's key might not distinguish two commits.
     own = {"PYTHONPATH": python_path, "XDG_CACHE_HOME": f"{work}/{side}", "TMPDIR": work}
     with TemporaryFile("w+") as log:
@@ -170,10 +176,11 @@ def _row(records: Sequence[Record], stage: str, row: str) -> Record:
 
 def table(rows: Sequence[Record]) -> str:
     """The rows as Markdown."""
-    lines = ["| Stage | here | there | ratio | spread | |", "|---|---:|---:|---:|---:|---|"]
+    lines = []
     for row in rows:
         here, there = ("" if row[side] is None else f"{row[side]:.3g}" for side in SIDES)
-        ratio = "{ratio:.2f} | {lowest:.2f}..{highest:.2f}".format(**row) if "ratio" in row else "|"
+        found = "ratio" in row
+        ratio = ["{ratio:.2f}", "{lowest:.2f}..{highest:.2f}"] if found else ["", ""]
         note = row["note"].replace("|", "\\|")
-        lines.append(f"| {row['row']} | {here} | {there} | {ratio} | {note} |")
-    return "\n".join(lines)
+        lines.append([row["row"], here, there, *(one.format(**row) for one in ratio), note])
+    return markdown(["Stage", *SIDES, "ratio", "spread", ""], lines)

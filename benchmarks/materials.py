@@ -7,11 +7,21 @@ compared with the true one.
 
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 from jaxtyping import Bool, Float
+
+from graycast.camera.decode import DecodeSpec, DepthMap, FilterSpec
+from graycast.camera.scanner import Scanner, measure, take
+from graycast.cell.resolve import patterns_of
+from graycast.render import Quality, Renderer, open_renderer
+from graycast.rig.pattern import CODECS, CodeSpec
+from graycast.world.drop import DropLimits, drop
+from graycast.world.parts import Material
+
+from .figures import table
+from .stages import cell_of
 
 PARTS, SEED, SAMPLES = 20, 2, 64  # the settings were chosen with the heap of seed 1
 WRONG_M, WRONG_SIGMAS = 1e-3, 5.0  # a depth is wrong that is off by more than both
@@ -48,7 +58,8 @@ a least visibility and without line noise. The guards are a second phase of a fi
 disagrees with the first one where light came by way of another surface; the code of the other axis,
 whose position must lie on the epipolar line; a least contrast of the stripes; and an edge filter,
 since a pixel at an edge may see two surfaces. Their settings were chosen with another heap of the
-same part under `phoxi-m` at low resolution. `paper` is plain, as in the paper: it
+same part under `phoxi-m` at low resolution. Sigma has a share of the bend of the surface
+at each pixel, with and without the guards. `paper` is plain, as in the paper: it
 decodes Gray code without any filter."""
 
 CODES = """\
@@ -82,8 +93,6 @@ class Worth:
 
 def measured(resolution: str, names: Iterable[str] = SCANNERS) -> Iterator[Worth]:
     """All rows, scanner by scanner, material by material."""
-    from graycast.render import open_renderer
-
     with open_renderer("mitsuba") as renderer:
         for name in names:
             yield from _of_rig(renderer, name, resolution)
@@ -102,21 +111,12 @@ def page(rows: list[Worth], **about: object) -> Iterator[tuple[str, str]]:
 
 def _table(rows: list[Worth], scanner: str, codes: list[str]) -> str:
     found = {(row.code, row.material): row for row in rows if row.scanner == scanner}
-    lines = [["decoded; wrong; error / sigma", *codes], ["---"] * (len(codes) + 1)]
-    for material in MATERIALS:
-        lines.append([material, *(found[code, material].words for code in codes)])
-    return "\n".join(f"| {' | '.join(cells)} |" for cells in lines)
+    rows_of = [[each, *(found[code, each].words for code in codes)] for each in MATERIALS]
+    return table(["decoded; wrong; error / sigma", *codes], rows_of)
 
 
-def _of_rig(renderer: Any, name: str, resolution: str) -> Iterator[Worth]:
-    from graycast.cell import resolve_cell
-    from graycast.config import Config
-    from graycast.drop import DropLimits, drop
-    from graycast.parts import Material
-    from graycast.render import Quality
-
-    words = {"parts": [{"builtin": "metal_workpiece_1"}], "count": PARTS, "rig": name}
-    cell = resolve_cell(Config.model_validate(words | {"resolution": resolution}), Path())
+def _of_rig(renderer: Renderer, name: str, resolution: str) -> Iterator[Worth]:
+    cell = cell_of({"count": PARTS, "rig": name, "resolution": resolution})
     layout = drop(cell.scene, (PARTS,), seed=SEED, limits=DropLimits())
     scanners = _scanners(name, cell.scanner)
     keys, patterns = _patterns(scanners)
@@ -128,16 +128,13 @@ def _of_rig(renderer: Any, name: str, resolution: str) -> Iterator[Worth]:
         for code, scanner in scanners.items():
             own = [keys.index(key) for key in _keys(scanner)]
             light = replace(rendering.radiance, pattern=rendering.radiance.pattern[own])
-            depth = _depth(scanner, light)
+            depth = measure(scanner, take(scanner, light, seed=SEED))[1]
             figures = worth(depth, rendering.truth.depth_m, rendering.truth.instance >= 0)
             yield Worth(scanner=name, code=code, material=material, **figures)
 
 
-def _scanners(name: str, scanner: Any) -> dict[str, Any]:
+def _scanners(name: str, scanner: Scanner) -> dict[str, Scanner]:
     """The preset, the same without its guards, and one for each other code."""
-    from graycast.decode import DecodeSpec, FilterSpec
-    from graycast.pattern import CODECS, CodeSpec
-
     found = {PRESET: scanner}
     if name != "paper":
         found[BARE] = replace(
@@ -150,35 +147,26 @@ def _scanners(name: str, scanner: Any) -> dict[str, Any]:
     if name == CODES_OF:
         for codec in CODECS:
             code = CodeSpec(codec=codec, axes=("column", "row"))
-            plain = {"decode": DecodeSpec(), "filters": FilterSpec()}
-            found[codec] = replace(scanner, code=code, **plain)
+            found[codec] = replace(scanner, code=code, decode=DecodeSpec(), filters=FilterSpec())
     return found
 
 
-def _keys(scanner: Any) -> list[tuple[Any, ...]]:
+def _keys(scanner: Scanner) -> list[tuple[Any, ...]]:
     """What tells each of a scanner's pictures from those of others."""
     code = scanner.light_code()
     return [(frame, code.offset_px, code.stride_px) for frame in code.frames]
 
 
-def _patterns(scanners: Mapping[str, Any]) -> tuple[list[tuple[Any, ...]], np.ndarray]:
+def _patterns(scanners: Mapping[str, Scanner]) -> tuple[list[tuple[Any, ...]], np.ndarray]:
     """Every picture of every scanner once."""
-    from graycast.cell import patterns_of
-
     found: dict[tuple[Any, ...], np.ndarray] = {}
     for scanner in scanners.values():
         found |= dict(zip(_keys(scanner), patterns_of(scanner), strict=True))
     return list(found), np.stack(list(found.values()))
 
 
-def _depth(scanner: Any, light: Any) -> Any:
-    from graycast.scanner import measure, take
-
-    return measure(scanner, take(scanner, light, seed=SEED))[1]
-
-
 def worth(
-    depth: Any, true_m: Float[np.ndarray, "h w"], parts: Bool[np.ndarray, "h w"]
+    depth: DepthMap, true_m: Float[np.ndarray, "h w"], parts: Bool[np.ndarray, "h w"]
 ) -> dict[str, float]:
     """The figures of `Worth`."""
     known = parts & np.isfinite(depth.depth_m)

@@ -4,15 +4,38 @@ Each section measures, and returns its text. A figure that no section measures i
 """
 
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from statistics import median
+from tempfile import TemporaryDirectory
 from typing import Any
+
+import numpy as np
+from jaxtyping import UInt8
+
+from graycast.camera.decode import DecodeSpec, Levels, decode
+from graycast.cell.config import load_config, resolve_quality
+from graycast.cell.generate import depth_step_mm
+from graycast.cell.resolve import open_cell_renderer, resolve_cell
+from graycast.cell.simulate import make_scene
+from graycast.dataset import open_store
+from graycast.render import open_renderer
+from graycast.rig.pattern import Code, gray, gray_phase, multi_frequency
+from graycast.world.drop import DropLimits, drop
+from graycast.world.drop.decomposition import decompose, hull_error, tolerance_m
+
+from .figures import in_turn, table
+from .processes import peak_rss_bytes
+from .stages import PARTS, cell_of
+from .zoo_parts import ZOO, wavy_ring, zoo_part
 
 DROPS, SEEDS = (30, 100, 180, 255), range(1, 6)
 PAPER = ("metal_workpiece_1", "toothpaste")
-SCENES = 3  # of each paper configuration, after one that compiles
-Rows = list[list[str]]
+SCENES, PAPER_SCENES = 8, 3  # after one that compiles
+DENSE_FACES = (80_000, 330_000, 500_000)
+ROOT = Path(__file__).resolve().parents[1]
 
 INTRODUCTION = """\
 `python -m benchmarks page` measures every figure of this page anew and writes the page. It was
@@ -23,54 +46,59 @@ of a GPU are in [many-scenes.md](many-scenes.md#on-a-gpu), those of Blender Cycl
 [backends.md](backends.md#measured)."""
 
 
-def page(root: Path, circumstances: dict[str, object], commit: str) -> Iterator[tuple[str, str]]:
+def page(
+    circumstances: dict[str, object], commit: str, chosen: Sequence[str] = ()
+) -> Iterator[tuple[str, str]]:
     """The headings and texts of the page, in order; each takes seconds to minutes.
 
     Args:
-        root: the repository.
         circumstances: date and machine, as in `__main__`.
         commit: what is measured.
+        chosen: names of `SECTIONS`; all of them if there is none.
     """
-    sections: dict[str, Callable[[], str]] = {
-        "Rendering": rendering,
-        "Dropping parts": dropping,
-        "One scene": one_scene,
-        "Scenes as in the paper": lambda: paper_scenes(root),
-        "Decoding": decoding,
-        "Convex hulls": hulls,
-    }
     yield "Benchmarks", INTRODUCTION.format(**circumstances, commit=commit).replace("\n", " ")
-    for heading, measure in sections.items():
+    for name in chosen or SECTIONS:
+        heading, measure = SECTIONS[name]
         yield heading, measure()
 
 
 def rendering() -> str:
-    from graycast.bench import measure_render
+    open_renderer("mitsuba")  # chooses the device, before these are imported
+    from graycast.render.mitsuba import light
+    from graycast.render.mitsuba_scene import build
+    from graycast.render.mitsuba_truth import truth
 
-    found = measure_render("auto", 30)
-    size = f"{found['width_px']} x {found['height_px']} pixels"
+    cell = cell_of({})
+    layout = drop(cell.scene, (PARTS,), seed=0, limits=DropLimits())
+    start = time.perf_counter()
+    world, part_shapes = build(cell.scene, layout)
+    build_s = time.perf_counter() - start
+    patterns, quality = cell.patterns(), resolve_quality(cell.config)
+    # The cheapest form of a frame: a white picture is the same over any footprint.
+    plain = replace(quality, footprint=False)
+    stack_s, frame_s, ratio = in_turn(
+        lambda: light(world, cell.scene, patterns, quality=quality, seed=1),
+        lambda: light(world, cell.scene, patterns[:1], quality=plain, seed=1),
+    )
+    start = time.perf_counter()
+    truth(world, part_shapes, cell.scene, layout)
+    seconds = stack_s, frame_s, build_s, time.perf_counter() - start
+    stack, frame, build_time, ground_truth = (f"{s:.2f} s" for s in seconds)
+    camera = cell.scene.rig.camera
     return (
-        f"30 brackets in a wooden box, {size}, {found['samples']} samples, path depth "
-        f"{found['depth']}, a lamp and an environment. The stack has {found['patterns']} patterns, "
-        "white, and ambient light in RGB. The frame is one white picture with the renderer's "
-        "fastest settings (no footprint filter). Both are rendered in turn, five times; the ratio "
-        "is the median of the pairs' ratios.\n\n"
+        f"{PARTS} brackets in a wooden box, {camera.width_px} x {camera.height_px} pixels, "
+        f"{quality.samples} samples, path depth {quality.depth}, a lamp and an environment. The "
+        f"stack has {len(patterns)} patterns, white, and ambient light in RGB. The frame is one "
+        "white picture with the renderer's fastest settings (no footprint filter). Both are "
+        "rendered in turn, five times; the ratio is the median of the pairs' ratios.\n\n"
     ) + table(
-        ["stack", "one white frame", "`stack_over_frame`", "build", "ground truth"],
-        [
-            [
-                *(f"{found[name]:.2f} s" for name in ("stack_s", "one_white_frame_s")),
-                f"{found['stack_over_frame']:.2f}",
-                *(f"{found[name]:.2f} s" for name in ("build_s", "ground_truth_s")),
-            ]
-        ],
+        ["stack", "one white frame", "ratio", "build", "ground truth"],
+        [[stack, frame, f"{ratio:.2f}", build_time, ground_truth]],
     )
 
 
 def dropping() -> str:
-    from graycast.drop import DropLimits, drop
-
-    cell = cell_of({"bin": {"inner_m": (0.5, 0.4, 0.2)}}, Path())
+    cell = cell_of({"bin": {"inner_m": (0.5, 0.4, 0.2)}})
     rows = []
     for count in DROPS:
         drop(cell.scene, (1,), seed=0, limits=DropLimits())  # reads the hulls, or makes them once
@@ -91,68 +119,95 @@ def dropping() -> str:
 
 
 def one_scene() -> str:
-    from graycast.bench import measure_scene
-
-    found = measure_scene("auto", 30, 8)
-    rows = [[name, f"{seconds:.2f}"] for name, seconds in found["stages"].items()]
-    rows.append(["scene (median)", f"{found['seconds_per_scene']:.2f}"])
-    peak = max(found["rss_bytes_after_each_scene"]) / 1e9
+    cell, renderer = cell_of({}), open_renderer("mitsuba")
+    found: dict[str, list[float]] = {}
+    with TemporaryDirectory() as folder:
+        shared: Any = {"parts": cell.scene.parts, "rig": cell.scene.rig, "config": {}, "seed": 0}
+        out = Path(folder) / "dataset"
+        with open_store(out, depth_scale_mm=depth_step_mm(cell), **shared) as store:
+            for scene_id in range(1 + SCENES):
+                start = time.perf_counter()
+                shot = make_scene(cell, scene_id, seed=0, renderer=renderer)
+                made = time.perf_counter()
+                store.write(scene_id, [shot.sample])
+                ended = time.perf_counter()
+                timings = shot.sample.manifest["timings"] | {"write": ended - made}
+                for stage, value in (timings | {"scene (median)": ended - start}).items():
+                    found.setdefault(stage, []).append(value)
+    rows = [[stage, f"{median(seconds[1:]):.2f}"] for stage, seconds in found.items()]
+    peak = peak_rss_bytes() / 1e9
     return (
         "The scene of *Rendering*, from the drop to the written files, after one scene that "
         "compiles the kernels.\n\n" + table(["stage", "seconds"], rows) + "\n\n"
-        f"After a scene the process has {peak:.2f} GB of memory at most."
+        f"The process has had {peak:.2f} GB of memory at most."
     )
 
 
-def paper_scenes(root: Path) -> str:
-    from graycast.cell import open_cell_renderer, resolve_cell
-    from graycast.config import load_config
-    from graycast.simulate import make_scene
-
+def paper_scenes() -> str:
     rows = []
     for name in PAPER:
-        file = root / "configs" / "paper" / f"{name}.yaml"
+        file = ROOT / "configs" / "paper" / f"{name}.yaml"
         cell = resolve_cell(load_config(file), file.parent)
         seconds: list[dict[str, float]] = []
         with open_cell_renderer(cell) as renderer:
-            for scene_id in range(1 + SCENES):
+            for scene_id in range(1 + PAPER_SCENES):
                 shot = make_scene(cell, scene_id, seed=0, renderer=renderer)
                 seconds.append(shot.sample.manifest["timings"])
         stages = {stage: median(own[stage] for own in seconds[1:]) for stage in seconds[0]}
         whole = median(sum(own.values()) for own in seconds[1:])
         rows.append([name, *(f"{s:.2f}" for s in stages.values()), f"{3600 / whole:.0f}"])
     return (
-        f"Median seconds of {SCENES} scenes in one process with all processors, without writing: "
-        "`configs/paper/`, 100 to 255 brackets or 5 to 10 cartons, 20 samples.\n\n"
+        f"Median seconds of {PAPER_SCENES} scenes in one process with all processors, without "
+        "writing: `configs/paper/`, 100 to 255 brackets or 5 to 10 cartons, 20 samples.\n\n"
     ) + table(["", *stages, "scenes an hour"], rows)
 
 
 def decoding() -> str:
-    from graycast.bench import measure_decode
-
-    found = measure_decode()
-    size = f"{found['frames']} frames of {found['width_px']} x {found['height_px']} pixels"
-    rows: Rows = [
-        [f"Gray code, {size}", f"{1e3 * found['decode_s']:.0f} ms"],
-        ["one copy of that stack", f"{1e3 * found['copy_s']:.0f} ms"],
-        ["the same in plain NumPy", f"{found['plain_numpy_s']:.1f} s"],
-    ]
-    for name in ("gray_phase_s", "multi_frequency_s"):
-        code = name.removesuffix("_s")
-        rows += [[f"`{code}`, {what}", f"{1e3 * s:.0f} ms"] for what, s in found[name].items()]
+    levels = Levels(offset_dn=4.0, saturation_dn=255.0, floor_dn2=0.1, slope_dn=0.025)
+    rng, times = np.random.default_rng(0), {}
+    for name, code, *sizes in (
+        ("Gray code", gray(1280, 720, inverses=True), (1920, 1080)),
+        ("`gray_phase`", gray_phase(1280, 720), (1032, 772), (1920, 1080)),
+        ("`multi_frequency`", multi_frequency(1280, 720), (1032, 772), (1920, 1080)),
+    ):
+        for width_px, height_px in sizes:
+            frames = camera_frames(code, rng, width_px, height_px)
+            job = partial(decode, frames, code, DecodeSpec(), levels)
+            decode_s, copy_s, _ = in_turn(job, frames.copy)
+            size = f"{len(frames)} frames of {width_px} x {height_px} pixels"
+            times[f"{name}, {size}"] = decode_s
+            times.setdefault("one copy of that stack", copy_s)
     return (
         "Pictures of 8 bit become positions, standard deviations and reasons. Gray code has both "
         "axes with inverses; codes with phases have one axis of 1280 columns.\n\n"
-    ) + table(["", "time"], rows)
+    ) + table(["", "time"], [[what, f"{1e3 * s:.0f} ms"] for what, s in times.items()])
+
+
+def camera_frames(
+    code: Code, rng: np.random.Generator, width_px: int, height_px: int
+) -> UInt8[np.ndarray, "n h w"]:
+    """Frames of a camera that sees the whole projector, with noise."""
+    row = np.linspace(0, code.height_px - 1, height_px).astype(int)[:, None]
+    column = np.linspace(0, code.width_px - 1, width_px).astype(int)
+    frames = np.empty((len(code.frames), height_px, width_px), dtype=np.uint8)
+    for frame, pattern in zip(frames, code.render(), strict=True):
+        frame[:] = 20 + 0.7 * pattern[row, column] + rng.normal(0, 1.5, frame.shape)
+    return frames
 
 
 def hulls() -> str:
-    from graycast.bench import measure_hulls
-
-    names = "hulls", "vertices", "filled_mm", "lost_mm", "tolerance_mm", "processor_s"
+    """The hulls of every part of the zoo, and of a smooth ring of ever more faces."""
+    meshes = {name: zoo_part(name).mesh for name in ZOO}
+    meshes |= {f"ring of {faces} faces": wavy_ring(faces) for faces in DENSE_FACES}
     rows = []
-    for row in measure_hulls()["hulls"]:
-        rows.append([row["part"], *(_short(row[name]) for name in names)])
+    for name, mesh in meshes.items():
+        start = time.process_time()
+        found = decompose(mesh)
+        worked_s = time.process_time() - start
+        error = hull_error(mesh, found)
+        sizes_mm = (1e3 * m for m in (error.filled_m, error.lost_m, tolerance_m(mesh)))
+        counts = len(found), sum(len(vertices) for vertices, _ in found)
+        rows.append([name, *map(str, counts), *(f"{x:.2f}" for x in (*sizes_mm, worked_s))])
     return (
         "The convex hulls with which the physics engine computes collisions. *Filled* is the "
         "largest distance by which the hulls extend beyond the part, *lost* the largest distance "
@@ -163,19 +218,11 @@ def hulls() -> str:
     )
 
 
-def cell_of(settings: dict[str, Any], folder: Path) -> Any:
-    from graycast.bench.cells import paper_cell
-    from graycast.cell import resolve_cell
-    from graycast.config import Config
-
-    plain = paper_cell(30).config.model_dump(exclude_unset=True)
-    return resolve_cell(Config.model_validate(plain | settings), folder)
-
-
-def table(head: list[str], rows: Rows) -> str:
-    lines = [head, ["---"] * len(head), *rows]
-    return "\n".join("| " + " | ".join(cells) + " |" for cells in lines)
-
-
-def _short(value: float) -> str:
-    return f"{value:.2f}" if isinstance(value, float) else str(value)
+SECTIONS: dict[str, tuple[str, Callable[[], str]]] = {
+    "rendering": ("Rendering", rendering),
+    "drops": ("Dropping parts", dropping),
+    "scene": ("One scene", one_scene),
+    "paper": ("Scenes as in the paper", paper_scenes),
+    "decoding": ("Decoding", decoding),
+    "hulls": ("Convex hulls", hulls),
+}

@@ -1,18 +1,19 @@
 """How honest the stated depth error of simulated scans is, by code and by number of light paths."""
 
-from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
 
-from graycast.bench.cells import cropped
-from graycast.decode import FilterSpec
-from graycast.parts import Material
-from graycast.pattern import CodeSpec
-from graycast.pattern.spec import Codec
+from graycast.camera.decode import FilterSpec
+from graycast.camera.scanner import Scanner, preset, scan
 from graycast.render import Quality, Radiance, Renderer, Rendering, open_renderer
-from graycast.scanner import Scanner, preset, scan
-from graycast.scene import EMPTY_LAYOUT, Environment, Quad, Scene
+from graycast.rig.pattern import CodeSpec
+from graycast.rig.pattern.spec import Codec
+from graycast.world.parts import Material
+from graycast.world.scene import EMPTY_LAYOUT, Environment, Quad, Scene
+
+from .cells import cropped
+from .figures import Show, table
 
 CODECS: tuple[Codec, ...] = ("gray", "gray_phase", "multi_frequency", "micro_phase")
 SAMPLES = (1, 2, 4, 16, 64)
@@ -23,7 +24,7 @@ GROSS = 5.0  # sigmas
 WHITE = Material(base_color=(0.8, 0.8, 0.8), specular=0.0)
 
 
-def honesty(show: Callable[[str], None]) -> str:
+def honesty(show: Show) -> str:
     """Tables in Markdown: error over sigma with the renderer's share and, before it, without."""
     renderer = open_renderer("mitsuba")
     texts = []
@@ -38,9 +39,8 @@ def honesty(show: Callable[[str], None]) -> str:
                     _cell(renderer, own, scene, replace(quality, samples=samples))
                     for samples in SAMPLES
                 ]
-                rows.append(" | ".join([f"| `{codec}`", *found]) + " |")
-            head = " | ".join([f"| {name}, {kind}", *map(str, SAMPLES)]) + " |"
-            texts.append("\n".join([head, "|---" * (len(SAMPLES) + 1) + "|", *rows]))
+                rows.append([f"`{codec}`", *found])
+            texts.append(table([f"{name}, {kind}", *map(str, SAMPLES)], rows))
     return "\n\n".join(texts)
 
 

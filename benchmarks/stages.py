@@ -43,8 +43,8 @@ def imports(work: Path, number: int) -> Iterator[Job]:
 
 
 def hulls(work: Path, number: int) -> Iterator[Job]:
-    from graycast.drop import convex_hulls
-    from graycast.parts import builtin_part
+    from graycast.world.drop import convex_hulls
+    from graycast.world.parts import builtin_part
 
     for name in (BRACKET, "hygiene_spray"):
         empty = Path(mkdtemp(dir=work))
@@ -53,7 +53,7 @@ def hulls(work: Path, number: int) -> Iterator[Job]:
 
 
 def drops(work: Path, number: int) -> Iterator[Job]:
-    from graycast.drop import DropLimits, drop
+    from graycast.world.drop import DropLimits, drop
 
     scene = cell_of({"bin": {"inner_m": (0.5, 0.4, 0.2)}}).scene
 
@@ -69,10 +69,10 @@ def drops(work: Path, number: int) -> Iterator[Job]:
 
 
 def images(work: Path, number: int) -> Iterator[Job]:
-    from graycast.config import resolve_quality
-    from graycast.picture import color_picture
+    from graycast.camera.picture import color_picture
+    from graycast.camera.scanner import measure, take
+    from graycast.cell.config import resolve_quality
     from graycast.render import open_renderer
-    from graycast.scanner import measure, take
 
     cell, renderer = cell_of({}), open_renderer("mitsuba")
     layout, patterns = stored_layout(work, cell.scene), cell.patterns()
@@ -96,7 +96,7 @@ def images(work: Path, number: int) -> Iterator[Job]:
 
 
 def files(work: Path, cell: Any, layout: Any, light: Any, renderer: Any) -> Iterator[Job]:
-    from graycast import simulate
+    from graycast.cell import simulate
     from graycast.dataset import open_store, validate
 
     # `make_scene` with the layout and light that are there: a manifest must fit its dataset.
@@ -126,8 +126,9 @@ def files(work: Path, cell: Any, layout: Any, light: Any, renderer: Any) -> Iter
 
 
 def cell_of(settings: dict[str, object]) -> Any:
-    from graycast.cell import resolve_cell
-    from graycast.config import Config
+    """Metal brackets in a wooden box as in the paper: 22 patterns, 16 samples, path depth 4."""
+    from graycast.cell.config import Config
+    from graycast.cell.resolve import resolve_cell
 
     words = {"parts": [{"builtin": BRACKET}], "count": PARTS} | settings
     return resolve_cell(Config.model_validate(words), Path())
@@ -137,8 +138,8 @@ def stored_layout(work: Path, scene: Any) -> Any:
     """The same for both trees, whose layouts of one seed differ: made once, then read."""
     import numpy as np
 
-    from graycast.drop import DropLimits, drop
-    from graycast.scene import Layout
+    from graycast.world.drop import DropLimits, drop
+    from graycast.world.scene import Layout
 
     file = work / "poses.npy"
     if not file.exists():

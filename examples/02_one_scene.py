@@ -8,10 +8,10 @@ from pathlib import Path
 
 import numpy as np
 
-from graycast.cell import open_cell_renderer, resolve_cell
-from graycast.config import Config
-from graycast.decode import Reason
-from graycast.simulate import make_scene
+from graycast.camera.decode import Reason
+from graycast.cell.config import Config
+from graycast.cell.resolve import open_cell_renderer, resolve_cell
+from graycast.cell.simulate import make_scene
 
 
 def main(samples: int) -> None:

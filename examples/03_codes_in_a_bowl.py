@@ -15,14 +15,14 @@ matplotlib.use("Agg")
 import matplotlib.pyplot as plt
 import numpy as np
 
-from graycast.decode import DecodeSpec
-from graycast.parts import Material, Mesh, Part
-from graycast.parts.shapes import revolve
-from graycast.pattern import CODECS, CodeSpec
+from graycast.camera.decode import DecodeSpec
+from graycast.camera.scanner import Scanner, scan
 from graycast.render import Quality, open_renderer
-from graycast.rig import place, preset_rig
-from graycast.scanner import Scanner, scan
-from graycast.scene import Environment, Layout, Scene
+from graycast.rig.pair import place, preset_rig
+from graycast.rig.pattern import CODECS, CodeSpec
+from graycast.world.parts import Material, Mesh, Part
+from graycast.world.parts.shapes import revolve
+from graycast.world.scene import Environment, Layout, Scene
 
 RADIUS_M, WALL_M, ALBEDO = 0.09, 0.006, 0.95
 

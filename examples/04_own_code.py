@@ -12,10 +12,10 @@ from pathlib import Path
 import numpy as np
 
 import graycast
-from graycast.camera_light import camera_light
-from graycast.decode import decode, levels_of
-from graycast.drop import DropLimits, drop
-from graycast.sensor import auto_exposure_s, expose
+from graycast.camera.decode import decode, levels_of
+from graycast.camera.light import camera_light
+from graycast.camera.sensor import auto_exposure_s, expose
+from graycast.world.drop import DropLimits, drop
 
 PERIOD_PX, STEPS = 60.0, 3
 

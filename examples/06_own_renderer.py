@@ -17,8 +17,8 @@ from typing import final
 import numpy as np
 
 import graycast
-from graycast.frames import inverse, pixel_grid, transform_points
-from graycast.optics import rays
+from graycast.base.frames import inverse, pixel_grid, transform_points
+from graycast.rig.optics import rays
 
 
 @final

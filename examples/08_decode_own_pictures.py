@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 
 import graycast
-from graycast.stack import describe_code, write_ply
+from graycast.camera.stack import describe_code, write_ply
 
 
 def main(pictures: Path, rig_file: Path, cloud: Path) -> None:

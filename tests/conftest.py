@@ -36,6 +36,26 @@ def pytest_addoption(parser):
         metavar="DATASET",
         help="Scenes of the demonstration made by a processor; tests/gpu/README.md says how.",
     )
+    parser.addoption(
+        "--skips-allowed",
+        type=Path,
+        metavar="FILE",
+        help="List the skipped tests, and fail where this file does not allow a reason.",
+    )
+    parser.addoption(
+        "--lacks",
+        default="",
+        metavar="WORDS",
+        help="What this machine lacks, in the words of the file's first column.",
+    )
+
+
+def pytest_configure(config):
+    file = config.getoption("--skips-allowed")
+    if file is not None and not BESIDE_OTHERS:  # workers hand their reports to one process
+        from skips import Skips
+
+        config.pluginmanager.register(Skips(file, config.getoption("--lacks").split()))
 
 
 def pytest_collection_finish():

@@ -12,9 +12,9 @@ from stage import (
     turned,
 )
 
-from graycast.frames import rigid
-from graycast.parts import Material
-from graycast.scene import Sphere
+from graycast.base.frames import rigid
+from graycast.world.parts import Material
+from graycast.world.scene import Sphere
 
 METAL = Material(base_color=(0.9, 0.8, 0.7), metallic=1.0, roughness=0.5)
 COAT = Material(base_color=(0.6, 0.3, 0.2), roughness=0.4)

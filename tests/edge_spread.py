@@ -7,7 +7,7 @@ import numpy as np
 from stage import centred, in_camera, lambert, make_rig, plain_pattern, wall
 
 from graycast.render import Quality
-from graycast.scene import EMPTY_LAYOUT, Quad
+from graycast.world.scene import EMPTY_LAYOUT, Quad
 
 ROWS = 24
 NEAR_BY = (1e-4, 0.0, 0.0)  # a baseline without shadows and with next to no parallax

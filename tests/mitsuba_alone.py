@@ -9,7 +9,7 @@ import math
 
 import numpy as np
 
-from graycast.scene import Quad
+from graycast.world.scene import Quad
 
 FLIP = np.diag([-1.0, -1.0, 1.0, 1.0])  # Mitsuba's cameras and projectors have x left and y up
 FINER = 8  # texels per projector pixel and axis, for the cosine below

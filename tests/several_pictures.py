@@ -11,16 +11,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from graycast.base.frames import axis_rotation, inverse, look_at, pixel_grid, rigid
+from graycast.base.streams import scene_seeds
+from graycast.camera.decode import DepthMap, Reason
 from graycast.dataset.claim import Taker
 from graycast.dataset.sample import Sample
-from graycast.dataset.seeds import scene_seeds
 from graycast.dataset.store import open_store
-from graycast.decode import DepthMap, Reason
-from graycast.frames import axis_rotation, inverse, look_at, pixel_grid, rigid
-from graycast.optics import Optics, rays
 from graycast.render.radiance import GroundTruth, Silhouette
-from graycast.rig import Rig
-from graycast.scene import Layout, Scene
+from graycast.rig.optics import Optics, rays
+from graycast.rig.pair import Rig
+from graycast.world.scene import Layout, Scene
 
 sys.path.append(str(Path(__file__).parent / "dataset"))
 from prisms import CONFIG, SCALE_MM, SEED, box_part, hit_depth, pictures, wedge_part

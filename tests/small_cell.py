@@ -10,10 +10,10 @@ from pathlib import Path
 import trimesh
 import yaml
 
-from graycast.optics import Optics
-from graycast.rig import preset_rig
-from graycast.rig_file import save_scanner
-from graycast.scanner import Scanner
+from graycast.camera.rig_file import save_scanner
+from graycast.camera.scanner import Scanner
+from graycast.rig.pair import preset_rig
+from studies.smaller import shrunk
 
 GRAYCAST = [sys.executable, "-m", "graycast.cli"]
 
@@ -31,24 +31,12 @@ def write_cell(folder: Path, *without: str, **changes) -> Path:
         "scenes": 2,
         "rig": "rig.yaml",
         "bin": {"inner_m": [0.25, 0.2, 0.1], "material": {"base_color": [0.4, 0.3, 0.2]}},
-        "render": {"samples": 4},
+        "render": {"samples": 4, "denoise": False},
     }
     kept = {key: value for key, value in (content | changes).items() if key not in without}
     path = folder / "cell.yaml"
     path.write_text(yaml.safe_dump(kept), encoding="utf-8")
     return path
-
-
-def shrunk(optics: Optics, width_px: int, height_px: int) -> Optics:
-    return replace(
-        optics,
-        width_px=width_px,
-        height_px=height_px,
-        fx_px=optics.fx_px * width_px / optics.width_px,
-        fy_px=optics.fy_px * height_px / optics.height_px,
-        cx_px=(width_px - 1) / 2,
-        cy_px=(height_px - 1) / 2,
-    )
 
 
 def content(out: Path) -> dict:

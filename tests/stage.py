@@ -4,11 +4,11 @@ from dataclasses import replace
 
 import numpy as np
 
-from graycast.frames import axis_rotation, rigid, transform_points
-from graycast.optics import Optics
-from graycast.parts import Material, Mesh, Part
-from graycast.rig import Rig
-from graycast.scene import Environment, Layout, Quad, Scene, Sphere
+from graycast.base.frames import axis_rotation, rigid, transform_points
+from graycast.rig.optics import Optics
+from graycast.rig.pair import Rig
+from graycast.world.parts import Material, Mesh, Part
+from graycast.world.scene import Environment, Layout, Quad, Scene, Sphere
 
 DARK = Environment(radiance=(0.0, 0.0, 0.0))
 # A camera somewhere askew, so that no test passes because two frames happen to coincide.

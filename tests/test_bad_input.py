@@ -354,7 +354,11 @@ def test_an_output_that_is_something_else_is_left_alone(capsys, tmp_path, kind, 
     [
         (["--seed", "1"], {}, "differs in seed (0 there, 1 here)"),
         ([], {"count": 4}, "differs in config.count (3 there, 4 here)"),
-        ([], {"render": {"samples": 5}}, "differs in config.render.samples (4 there, 5 here)"),
+        (
+            [],
+            {"render": {"samples": 5, "denoise": False}},
+            "differs in config.render.samples (4 there, 5 here)",
+        ),
     ],
 )
 def test_a_dataset_of_another_configuration_is_left_alone(
@@ -429,7 +433,7 @@ def test_what_is_no_dataset_is_not_validated(capsys, tmp_path):
     (tmp_path / "note.txt").write_text("x")
     for path in (tmp_path, tmp_path / "none", tmp_path / "note.txt"):
         text = refusal(capsys, "validate", path)
-        assert f"{path} is not a Graycast dataset: graycast.json" in text
+        assert f"{path} is not a Graycast dataset that can be read: graycast.json" in text
 
 
 def test_a_cut_picture_is_found_and_its_scene_named(capsys, tmp_path, dataset):

@@ -14,12 +14,12 @@ from drawn import shares_of
 from pictured import write_dataset
 from stage import DARK, centred, lambert, make_rig, wall
 
+from graycast.camera.rig_file import save_scanner
+from graycast.camera.scanner import Scanner, take
 from graycast.dataset import validate
-from graycast.pattern import CodeSpec
 from graycast.render import Quality, open_renderer
-from graycast.rig_file import save_scanner
-from graycast.scanner import Scanner, take
-from graycast.scene import EMPTY_LAYOUT, Scene
+from graycast.rig.pattern import CodeSpec
+from graycast.world.scene import EMPTY_LAYOUT, Scene
 
 EXAMPLES = Path(__file__).resolve().parents[1] / "examples"
 ARGUMENTS = {

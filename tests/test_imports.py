@@ -3,89 +3,59 @@
 import ast
 import re
 from functools import cache
+from graphlib import TopologicalSorter
 from pathlib import Path
 
 SOURCE = Path(__file__).resolve().parents[1] / "src" / "graycast"
 
-# Each line may import from the lines above it, but for what is named under `FORBIDDEN`.
-ORDER = (
-    "errors",
-    "array_types",
-    "file_limits",
-    "folder",
-    "plotting",
-    "settings",
-    "usage",
-    "color",
-    "frames",
-    "lens_inverse",
-    "mask_box",
-    "optics",
-    "raster",
-    "finish",
-    "ply",
-    "pattern",
+# Each room may import from the rooms above it. The docstring of a room has the order of its own
+# modules; what it does not name comes before what it names.
+ROOMS = (
+    "base",
     "rig",
-    "parts",
-    "grasp",
-    "bins",
-    "scene",
-    "drop",
+    "world",
     "render",
-    "camera_light",
-    "sensor",
-    "speckle",
-    "photon_transfer",
-    "decode",
-    "line_noise",
-    "faults",
-    "scanner",
-    "picture",
-    "rig_file",
-    "stack",
+    "camera",
     "dataset",
-    "detections",
-    "pose_results",
-    "domain",
-    "views",
-    "config",
     "cell",
-    "simulate",
-    "engine",
-    "generate",
-    "metrology",
-    "stats",
-    "card",
-    "export",
+    "score",
     "real",
-    "training",
-    "evaluate",
-    "detect",
-    "pose",
-    "merge",
-    "study_file",
-    "study",
-    "design",
-    "pick",
-    "grasp_labels",
-    "report",
-    "live",
-    "doctor",
-    "bench",
+    "learn",
+    "robot",
+    "show",
     "cli",
 )
+# What more is not allowed, so that no result depends on what it is not made of.
 FORBIDDEN = {
-    "render": {"drop"},
-    "sensor": {"drop", "render"},
-    "decode": {"drop", "render"},
-    "dataset": {"drop"},
-    "metrology": {"drop", "dataset", "config", "cell", "simulate", "generate"},
-    "evaluate": {"drop", "render", "sensor", "decode", "simulate", "generate"},
-    "detect": {"drop", "render", "sensor", "decode", "simulate", "generate"},
-    "pose": {"drop", "render", "sensor", "decode", "dataset", "simulate", "generate", "evaluate"},
-    "doctor": {"drop", "dataset", "decode", "sensor", "simulate", "generate", "report"},
+    "render": {"world.drop"},
+    "camera.sensor": {"world.drop", "render"},
+    "camera.decode": {"world.drop", "render"},
+    "dataset": {"world.drop"},
+    "score.metrology": {
+        *("world.drop", "dataset", "cell.config", "cell.resolve", "cell.simulate"),
+        "cell.generate",
+    },
+    "score.evaluate": {
+        *("world.drop", "render", "camera.sensor", "camera.decode", "cell.simulate"),
+        "cell.generate",
+    },
+    "learn.detect": {
+        *("world.drop", "render", "camera.sensor", "camera.decode", "cell.simulate"),
+        "cell.generate",
+    },
+    "robot.pose": {
+        *("world.drop", "render", "camera.sensor", "camera.decode", "dataset", "cell.simulate"),
+        *("cell.generate", "score.evaluate"),
+    },
+    "cli.doctor": {
+        *("world.drop", "dataset", "camera.decode", "camera.sensor", "cell.simulate"),
+        *("cell.generate", "show.report"),
+    },
 }
-WHOLE_LINE = {"simulate", "generate", "report", "live", "bench", "cli"}
+# Rooms of one thing: their docstrings name few files or none.
+UNORDERED = {"render", "dataset", "real", "cli"}
+WHOLE_LINE = {"cell.simulate", "cell.generate", "show.report", "show.live", "cli"}
+MITSUBA = {"render", "cli.doctor"}
 # The truth is the renderer's, so the dataset takes its values, but no back end.
 ONLY_VALUES = {"dataset": {"render": {"render", "render.radiance"}}}
 
@@ -98,16 +68,28 @@ def modules():
 
 
 @cache
+def tree_of(file):
+    return ast.parse(file.read_text(encoding="utf-8"))
+
+
+@cache
 def import_nodes(file):
     """The statements that import, anywhere in a file."""
-    tree = ast.parse(file.read_text(encoding="utf-8"))
-    return [node for node in ast.walk(tree) if isinstance(node, ast.Import | ast.ImportFrom)]
+    nodes = ast.walk(tree_of(file))
+    return [node for node in nodes if isinstance(node, ast.Import | ast.ImportFrom)]
 
 
-def imports(name, file, is_folder):
+@cache
+def order_in(room):
+    """The modules of a room from the ground, as its docstring names them."""
+    text = ast.get_docstring(tree_of(SOURCE / room / "__init__.py"))
+    return tuple(re.findall(r"^    (\w+) {2,}\S.*$", text, re.MULTILINE))
+
+
+def imports(name, file, is_folder, nodes=None):
     """Dotted names below the package that a file imports, anywhere in it."""
     package = name if is_folder else name[:-1]
-    for node in import_nodes(file):
+    for node in import_nodes(file) if nodes is None else nodes:
         if isinstance(node, ast.Import):
             dotted = [alias.name.split(".") for alias in node.names]
             yield from (tuple(d[1:]) for d in dotted if d[0] == "graycast")
@@ -125,25 +107,52 @@ def imports(name, file, is_folder):
                 yield (*base, alias.name) if exists else base
 
 
+def within(target, places):
+    """Whether a dotted name is one of some places or inside one."""
+    return any(".".join(target[: place.count(".") + 1]) == place for place in places)
+
+
+def of(name, table):
+    """What a table says of a module, of its folder, and of its room."""
+    return set().union(*(table.get(".".join(name[:n]), set()) for n in range(1, len(name) + 1)))
+
+
 def broken_arrows(name, targets):
     """What a module of that name may not import; the door shows the whole house."""
     if not name:
         return set()
-    top = name[0]
-    above = set(ORDER[: ORDER.index(top)]) - FORBIDDEN.get(top, set())
+    room = name[0]
+    above = ROOMS[: ROOMS.index(room)]
+    forbidden = of(name, FORBIDDEN)
     wrong = set()
     for target in targets:
-        if not target or target[0] == top:  # the package's version; a folder's own files
+        if not target:  # the package's version
             continue
-        allowed = ONLY_VALUES.get(top, {}).get(target[0], {".".join(target)})
-        if target[0] not in above or ".".join(target) not in allowed:
+        if target[0] == room:
+            allowed = name[1:2] == target[1:2] or not name[1:] or comes_before(target, name)
+        else:
+            values = ONLY_VALUES.get(room, {}).get(target[0], {".".join(target)})
+            allowed = target[0] in above and ".".join(target) in values
+        if not allowed or within(target, forbidden):
             wrong.add(".".join(target))
     return wrong
 
 
-def test_every_module_has_its_place_in_the_table():
-    tops = {name[0] for name, _, _ in modules() if name} - {"__main__"}
-    assert tops <= set(ORDER), f"give {sorted(tops - set(ORDER))} a line in ORDER"
+def comes_before(first, second):
+    """Whether the second of two modules of a room may import the first."""
+    order = order_in(second[0])
+    one, other = (order.index(n[1]) if n[1:] and n[1] in order else -1 for n in (first, second))
+    return one < other or one == other == -1
+
+
+def test_every_module_has_its_place():
+    """A room in the table, and a module in the docstring of its room."""
+    tops = {name[0] for name, _, _ in modules() if name}
+    assert tops == set(ROOMS), f"give {sorted(tops ^ set(ROOMS))} a line in ROOMS, or none"
+    for room in ROOMS:
+        inside = {name[1] for name, _, _ in modules() if name[:1] == (room,) and name[1:]}
+        assert set(order_in(room)) <= inside, room
+        assert room in UNORDERED or inside == set(order_in(room)), f"complete {room}/__init__.py"
 
 
 def test_a_module_imports_only_from_modules_above_it():
@@ -151,29 +160,39 @@ def test_a_module_imports_only_from_modules_above_it():
     broken = {
         ".".join(name): wrong
         for name, file, is_folder in modules()
-        if name != ("__main__",)
-        and (wrong := broken_arrows(name, set(imports(name, file, is_folder))))
+        if (wrong := broken_arrows(name, set(imports(name, file, is_folder))))
     }
     assert not broken, "\n".join(f"{name} may not import {sorted(broken[name])}" for name in broken)
 
 
+def test_no_files_import_each_other_in_a_circle():
+    """Of a file that runs as a process of its own, what it imports when it is imported counts."""
+    graph = {}
+    for name, file, is_folder in modules():
+        runs = '__name__ == "__main__"' in file.read_text(encoding="utf-8")
+        nodes = tree_of(file).body if runs else import_nodes(file)
+        targets = set(imports(name, file, is_folder, nodes))
+        if name:
+            graph[name] = {target for target in targets if target and target != name}
+    TopologicalSorter(graph).prepare()  # raises CycleError, which names the circle
+
+
 def test_what_a_real_scanner_brings_shares_files_and_nothing_else():
-    """Calibration, bin, labels and figures are rooms apart; a twin is judged by figures."""
-    rooms = {name[1] for name, _, _ in modules() if name[:1] == ("real",) and name[2:]}
-    assert rooms == {"calibrate", "fit_bin", "import_real", "realism", "twin"}
+    """Calibration, bin, labels and figures are folders apart; a twin is judged by figures."""
+    folders = {name[1] for name, _, _ in modules() if name[:1] == ("real",) and name[2:]}
+    assert folders == {"calibrate", "fit_bin", "import_real", "realism", "twin"}
     known = {"twin": {"twin", "realism"}}
     for name, file, is_folder in modules():
         if name[:1] == ("real",):
             inside = {t[1] for t in imports(name, file, is_folder) if t[:1] == ("real",) and t[1:]}
             own = known.get(name[1], {name[1]}) if name[1:] else set()
-            assert not inside & rooms - own, ".".join(name)
+            assert not inside & folders - own, ".".join(name)
 
 
 def test_the_door_shows_every_room_in_its_order():
     """The map is the docstring of `graycast/__init__.py`: a line a room."""
-    tree = ast.parse((SOURCE / "__init__.py").read_text(encoding="utf-8"))
-    lines = re.findall(r"^    (\w+) {2,}\S.*$", ast.get_docstring(tree), re.MULTILINE)
-    assert tuple(lines) == ORDER
+    text = ast.get_docstring(tree_of(SOURCE / "__init__.py"))
+    assert tuple(re.findall(r"^    (\w+) {2,}\S.*$", text, re.MULTILINE)) == ROOMS
 
 
 def test_no_room_comes_in_by_the_door():
@@ -185,33 +204,37 @@ def test_no_room_comes_in_by_the_door():
                 continue
             to_door = node.module is None and node.level == len(package) + 1
             if to_door or (node.module == "graycast" and not node.level):
-                rooms = {a.name for a in node.names if a.name in ORDER or a.name == "__version__"}
+                rooms = {a.name for a in node.names if a.name in (*ROOMS, "__version__")}
                 assert {a.name for a in node.names} == rooms, ".".join(name)
 
 
 def test_only_the_modules_named_see_the_whole_line():
     """The products of physics, light and files meet nowhere else."""
+    line = ("world.drop", "render", "dataset")
     for name, file, is_folder in modules():
-        if name and name[0] not in WHOLE_LINE | {"__main__"}:
-            seen = {t[0] for t in imports(name, file, is_folder) if t}
-            assert not {"drop", "render", "dataset"} <= seen
+        if name and not within(name, WHOLE_LINE):
+            targets = set(imports(name, file, is_folder))
+            assert not all(any(within(t, {place}) for t in targets) for place in line), name
 
 
 def test_the_table_notices_a_wrong_arrow(tmp_path):
-    """Relative, absolute and nested imports, of a later module and of a forbidden one."""
+    """Relative, absolute and nested imports, of a later room and module and of a forbidden one."""
     file = tmp_path / "wrong.py"
     file.write_text(
-        "from ..drop import drop\nimport graycast.cli\nfrom .. import scene\n"
-        "def f():\n    from graycast.decode import decode\n"
+        "from ..world.drop import drop\nimport graycast.cli\nfrom ..world import scene\n"
+        "def f():\n    from graycast.camera.decode import decode\n"
     )
     found = set(imports(("render", "wrong"), file, False))
-    assert broken_arrows(("render", "wrong"), found) == {"drop", "cli", "decode"}
+    wrong = {"world.drop", "cli", "camera.decode"}
+    assert broken_arrows(("render", "wrong"), found) == wrong
+    assert broken_arrows(("world", "parts", "wrong"), {("world", "scene")}) == {"world.scene"}
+    assert not broken_arrows(("world", "drop", "wrong"), {("world", "scene")})
 
 
 def test_mitsuba_and_drjit_are_imported_inside_render_alone():
     """Elsewhere they would be loaded before a device was chosen."""
     for name, file, _ in modules():
-        if name and name[0] in ("render", "doctor", "bench"):
+        if name and within(name, MITSUBA):
             continue
         for node in import_nodes(file):
             names = [a.name for a in node.names] if isinstance(node, ast.Import) else []

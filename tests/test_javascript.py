@@ -7,14 +7,14 @@ from pathlib import Path
 
 import pytest
 
-from graycast.live import server
-from graycast.report.page import build as page
-from graycast.report.picks import build as picks
+from graycast.show.live import server
+from graycast.show.report.page import dataset_page as page
+from graycast.show.report.picks import picks_page as picks
 
 pytestmark = pytest.mark.slow
 ROOT = Path(__file__).resolve().parents[1]
 SOURCE = ROOT / "src" / "graycast"
-WEB = SOURCE / "report/page/web"
+WEB = SOURCE / "show/report/page/web"
 OPTIONS = {
     "allowJs": True,
     "checkJs": True,
@@ -30,9 +30,9 @@ OPTIONS = {
 # What each page loads, but for the script that holds its content.
 PAGES = {
     "page": (WEB, ("core.js", *page._WEB.scripts, "app.js")),
-    "picks": (SOURCE / "report/picks/web", ("core.js", *picks._WEB.scripts, "app.js")),
+    "picks": (SOURCE / "show/report/picks/web", ("core.js", *picks._WEB.scripts, "app.js")),
     "live": (
-        SOURCE / "live/web",
+        SOURCE / "show/live/web",
         tuple(name for name in (*server._SHARED, *server._OWN) if name.endswith(".js")),
     ),
 }

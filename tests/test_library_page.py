@@ -8,7 +8,7 @@ import pytest
 from small_cell import content, write_cell
 
 import graycast
-from graycast.generate import generate
+from graycast.cell.generate import generate
 
 ROOT = Path(__file__).resolve().parents[1]
 PAGE = (ROOT / "docs/library.md").read_text(encoding="utf-8")

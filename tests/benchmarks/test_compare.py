@@ -63,7 +63,7 @@ def test_a_stage_that_cannot_be_set_up_is_the_reason_of_all_its_rows():
     rows = summarise([*ran, failed, *records("decode", here=[2.0], there=[2.0], stage="decode")])
     assert [row["row"] for row in rows] == ["a", "b", "decode"]
     assert [row["note"] for row in rows] == ["there: no | drop"] * 2 + [""]
-    assert "| a | 1 |  | | | there: no \\| drop |" in table(rows)
+    assert "| a | 1 |  |  |  | there: no \\| drop |" in table(rows)
 
 
 def test_a_row_that_fails_does_not_speak_for_its_neighbours():
@@ -81,7 +81,7 @@ def test_a_stage_that_a_tree_cannot_run_gives_its_reason(tmp_path):
     reasons = {record["row"]: record.get("error", "") for record in found}
     assert reasons["import graycast"] == ""
     assert reasons["graycast --help"].startswith("CalledProcessError")
-    assert reasons["drop"] == "ModuleNotFoundError: No module named 'graycast.drop'"
+    assert reasons["drop"] == "ModuleNotFoundError: No module named 'graycast.world'"
     assert found[-1]["row"] == "peak memory [MB]"
 
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from benchmarks.materials import MATERIALS, Worth, _patterns, _scanners, page, worth
-from graycast.scanner import preset
+from graycast.camera.scanner import preset
 
 
 def test_a_depth_is_wrong_that_is_off_by_more_than_1_mm_and_5_sigmas():

@@ -4,13 +4,13 @@ from dataclasses import replace
 
 import numpy as np
 
+from graycast.base.frames import axis_rotation, inverse, pixel_grid, rigid, transform_points
+from graycast.camera.decode import Reason
+from graycast.camera.scanner import Scanner, measure
+from graycast.camera.sensor import auto_exposure_s, expose, merge_exposures
 from graycast.dataset import Raw
-from graycast.decode import Reason
-from graycast.frames import axis_rotation, inverse, pixel_grid, rigid, transform_points
-from graycast.optics import Optics, project, rays
-from graycast.pattern import level_share
-from graycast.scanner import Scanner, measure
-from graycast.sensor import auto_exposure_s, expose, merge_exposures
+from graycast.rig.optics import Optics, project, rays
+from graycast.rig.pattern import level_share
 
 PROJECTOR = (256, 192)
 

@@ -9,9 +9,9 @@ import shutil
 import cv2
 import numpy as np
 
+from graycast.camera.decode import Reason
 from graycast.dataset.claim import fingerprint
 from graycast.dataset.seal import sealed, sha256
-from graycast.decode import Reason
 
 SCENE, OTHER = "train/000000", "train/000001"
 

@@ -4,15 +4,15 @@ from collections import Counter
 
 import numpy as np
 
+from graycast.base.frames import random_quaternions, rigid, rotation_from_quaternion
+from graycast.base.streams import image_seeds, scene_seeds
+from graycast.camera.decode import DepthMap, Reason
 from graycast.dataset.sample import Sample
-from graycast.dataset.seeds import image_seeds, scene_seeds
-from graycast.decode import DepthMap, Reason
-from graycast.frames import random_quaternions, rigid, rotation_from_quaternion
-from graycast.optics import Optics
-from graycast.parts import Material, Mesh, Part, Symmetry
 from graycast.render.radiance import GroundTruth, Silhouette
-from graycast.rig import Rig
-from graycast.scene import Layout, Scene
+from graycast.rig.optics import Optics
+from graycast.rig.pair import Rig
+from graycast.world.parts import Material, Mesh, Part, Symmetry
+from graycast.world.scene import Layout, Scene
 
 WIDTH, HEIGHT = 160, 120
 SEED, CONFIG = 7, {"rig": "test", "bin": {"size_m": [0.4, 0.3]}}  # of the dataset

@@ -11,12 +11,12 @@ import trimesh
 from PIL import Image
 from prisms import SCALE_MM, box_part, build_sample, wedge_part
 
+from graycast.base.errors import DatasetError
+from graycast.base.frames import inverse, pixel_grid, transform_points
+from graycast.camera.decode import Reason
 from graycast.dataset.bop import depth_scale_mm, scene_files
 from graycast.dataset.models import diameter, model_files, models_info
-from graycast.decode import Reason
-from graycast.errors import DatasetError
-from graycast.frames import inverse, pixel_grid, transform_points
-from graycast.optics import project, rays
+from graycast.rig.optics import project, rays
 
 
 def load_json(path: Path):

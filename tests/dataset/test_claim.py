@@ -7,9 +7,7 @@ import pytest
 from prisms import box_part, make_rig
 
 from graycast.dataset.claim import described_values, fingerprint, make_claim, rig_of
-from graycast.decode import DecodeSpec, FilterSpec
-from graycast.parts import Material, Mesh, Part, Symmetry
-from graycast.rig_file.sections import FilterSection
+from graycast.world.parts import Material, Mesh, Part, Symmetry
 
 BOX = box_part()
 MESH, MATERIAL, MOTIONS = BOX.mesh, BOX.material, BOX.symmetry
@@ -70,39 +68,10 @@ def test_where_a_part_came_from_is_told_and_is_no_other_dataset():
     assert moved["fingerprint"] == claimed(BOX)["fingerprint"]
 
 
-def test_settings_that_came_later_are_told_where_they_are_on_and_only_there():
-    """An older dataset, whose claim lacks them, goes on; one with them on is another."""
-    for off, on in (
-        (DecodeSpec(), DecodeSpec(min_sigmas=5.0, settling_votes=14, min_visibility=0.5)),
-        (
-            FilterSpec(),
-            FilterSpec(outlier_repair=True, hidden_sigmas=3.0),
-        ),
-        (
-            make_rig(),
-            replace(
-                make_rig(),
-                speckle_volume=2.0,
-                speckle_unevenness=0.2,
-                line_noise=0.01,
-                line_noise_length_m=0.004,
-            ),
-        ),
-    ):
-        older = {"min_sigmas", "outlier_repair", "hidden_sigmas"}
-        older |= {
-            "settling_votes",
-            "min_visibility",
-            "speckle_volume",
-            "speckle_unevenness",
-            "line_noise",
-            "line_noise_length_m",
-        }
-        assert not older & set(described_values(off))
-        assert set(described_values(on)) == {field.name for field in fields(on)}
-    told = described_values(replace(make_rig(), speckle_volume=2.0))
-    told["T_cam_proj"] = told["T_cam_proj"].tolist()
-    assert rig_of(told).speckle_volume == 2.0
-    said = FilterSection(flying_angle_deg=70.0).model_dump(mode="json")
-    assert "outlier_repair" not in said and said["flying_angle_deg"] == 70.0
-    assert FilterSection(hidden_sigmas=0.0).model_dump()["hidden_sigmas"] == 0.0
+def test_a_rig_is_told_with_all_its_fields_and_read_back():
+    rig = replace(make_rig(), speckle_volume=2.0)
+    told = described_values(rig)
+    assert set(told) == {field.name for field in fields(rig)}
+    assert told["line_noise_length_m"] == "inf"
+    read = rig_of(told | {"T_cam_proj": told["T_cam_proj"].tolist()})
+    assert read.speckle_volume == 2.0 and read.line_noise_length_m == np.inf

@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 from prisms import CONFIG, SEED, box_part, build_sample, make_rig, wedge_part
 
+from graycast.base.errors import DatasetError
 from graycast.dataset import open_store, validate
 from graycast.dataset.bop import scene_files
 from graycast.dataset.sample import labelled
-from graycast.errors import DatasetError
-from graycast.scene import Scene
+from graycast.world.scene import Scene
 
 BOX, WEDGE = box_part(), wedge_part()
 FOREIGN = replace(WEDGE, labelled=False)

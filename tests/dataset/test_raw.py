@@ -12,19 +12,18 @@ from captured import scanned, toed_in
 from prisms import SCALE_MM, build_sample
 from small_cell import content, write_cell
 
+from graycast.camera.decode import CodeMap, DecodeSpec, FilterSpec, Reason, triangulate
+from graycast.camera.rig_file import load_scanner
+from graycast.camera.scanner import ExposureSpec, Scanner
+from graycast.camera.sensor import SensorSpec
+from graycast.camera.stack import decode_stack
 from graycast.cli import main
-from graycast.config import Config
 from graycast.dataset import Raw, read_capture, read_code_maps, records, validate
 from graycast.dataset.bop import scene_files
 from graycast.dataset.raw_check import raw_problems
-from graycast.dataset.reading import read_json
+from graycast.dataset.safe_reading import read_json
 from graycast.dataset.scene_folder import SceneFolder
-from graycast.decode import CodeMap, DecodeSpec, FilterSpec, Reason, triangulate
-from graycast.pattern import CodeSpec
-from graycast.rig_file import load_scanner
-from graycast.scanner import ExposureSpec, Scanner
-from graycast.sensor import SensorSpec
-from graycast.stack import decode_stack
+from graycast.rig.pattern import CodeSpec
 
 LENS = (-0.12, 0.05, 0.001, -0.0007, 0.0)
 PHASES = CodeSpec(codec="gray_phase", axes=("column",), period_px=16.0, steps=4)
@@ -176,15 +175,6 @@ def test_a_stack_of_another_size_is_refused(rig, kept):
     _, sample = kept("as the paper's")
     with pytest.raises(ValueError, match="the captured stack is"):
         replace(sample.raw, scanner=Scanner(rig=toed_in(rig), code=PHASES))
-
-
-def test_a_configuration_says_nothing_of_what_is_not_stored():
-    """So that datasets begun before the key was there can be gone on with."""
-    plain = Config(parts=[{"builtin": "washer"}])
-    said = plain.model_dump(mode="json", exclude={"scenes", "seed"})
-    assert not {"store", "scenes", "seed"} & set(said) and "drop" in said
-    more = Config(parts=[{"builtin": "washer"}], store={"frames": True})
-    assert more.model_dump(mode="json")["store"] == {"frames": True, "columns": False}
 
 
 # --- validate ----------------------------------------------------------------------------------

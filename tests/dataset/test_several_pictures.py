@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 from several_pictures import NAMES, SCENES, several  # noqa: F401
 
-from graycast.card import write_card
+from graycast.dataset.card import write_card
+from graycast.dataset.export import Options, Split, export
+from graycast.dataset.stats import dataset_statistics
 from graycast.dataset.stored import open_dataset
-from graycast.export import Options, Split, export
-from graycast.stats import dataset_statistics
-from graycast.training import open_examples
+from graycast.dataset.training import open_examples
 
 pytestmark = pytest.mark.filterwarnings("ignore:__array__ implementation:DeprecationWarning")
 FORMATS = ("coco", "yolo", "bop-imagewise", "bop-webdataset", "webdataset", "parquet")

@@ -14,8 +14,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from graycast.base.errors import DatasetError
 from graycast.dataset import store as store_module
-from graycast.errors import DatasetError
 
 
 def content(out: Path, *, timings: bool = True):

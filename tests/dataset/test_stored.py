@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from simulated_dataset import write_dataset
 
+from graycast.base.errors import DatasetError
 from graycast.dataset.stored import open_dataset
-from graycast.errors import DatasetError
 
 # pycocotools 2.0.11 has an array type from before NumPy 2, which NumPy asks it to mend.
 pytestmark = pytest.mark.filterwarnings("ignore:__array__ implementation:DeprecationWarning")

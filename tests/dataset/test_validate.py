@@ -9,8 +9,8 @@ import pytest
 from backends import slow
 from PIL import Image
 
+from graycast.base.errors import DatasetError
 from graycast.dataset import Problem, validate
-from graycast.errors import DatasetError
 
 
 @pytest.fixture

@@ -14,20 +14,21 @@ import numpy as np
 import pytest
 from small_cell import GRAYCAST, write_cell
 
-from graycast.cell import resolve_cell
-from graycast.config import load_config, resolve_quality
-from graycast.frames import rigid
-from graycast.picture import color_picture
+from graycast.base.frames import rigid
+from graycast.camera.picture import color_picture
+from graycast.camera.scanner import measure, take
+from graycast.cell.config import load_config, resolve_quality
+from graycast.cell.resolve import resolve_cell
 from graycast.render import Rendering, open_renderer
 from graycast.render.device import choose_device, examine_cuda, find_llvm
-from graycast.scanner import measure, take
-from graycast.scene import Layout
+from graycast.world.scene import Layout
 
 pytestmark = [
     pytest.mark.gpu,
     pytest.mark.skipif(not examine_cuda().usable, reason="needs an NVIDIA GPU with OptiX"),
 ]
-DEMO = Path(__file__).resolve().parents[2] / "configs" / "demo.yaml"
+ROOT = Path(__file__).resolve().parents[2]
+DEMO = ROOT / "configs" / "demo.yaml"
 SCENES = 2
 
 
@@ -76,7 +77,7 @@ def test_automatic_choice_takes_the_gpu():
 
 def test_the_renderers_contract_holds_on_the_gpu():
     """Every test of the contract that a process with this device can run."""
-    folder = Path(__file__).resolve().parents[1] / "contract"
+    folder = Path(__file__).resolve().parents[1] / "render/contract"
     command = [
         sys.executable,
         "-m",
@@ -177,7 +178,8 @@ def test_a_scene_of_the_gpu_comes_out_the_same_again(on_gpu):
 
 
 def test_live_shows_a_cell_on_the_gpu(tmp_path):
-    graycast("bench", "live", write_cell(tmp_path), "--rounds", 2, "--device", "cuda")
+    words = [sys.executable, "-m", "benchmarks", "live", write_cell(tmp_path), "--rounds", "2"]
+    subprocess.run(words, cwd=ROOT, check=True)
 
 
 def test_a_design_is_scanned_on_the_gpu(tmp_path):

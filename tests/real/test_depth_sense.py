@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from graycast.errors import DatasetError
+from graycast.base.errors import DatasetError
 from graycast.real.depth_sense import filled_holes, refuse_beyond
 
 RANGE = {"near_m": 0.67, "far_m": 1.0, "name": "a.png", "whose": "the detector learnt"}

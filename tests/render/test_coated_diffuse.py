@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 from stage import centred, in_camera, make_rig, plain_pattern, wall
 
-from graycast.parts import Material
 from graycast.render import Quality
-from graycast.scene import EMPTY_LAYOUT, Environment, Sphere
+from graycast.world.parts import Material
+from graycast.world.scene import EMPTY_LAYOUT, Environment, Sphere
 
 ALPHAS = [0.01, 0.09, 0.49, 1.0]
 

@@ -28,14 +28,14 @@ from stage import (
     wall,
 )
 
-from graycast.errors import DeviceError, GraycastError
-from graycast.frames import rigid
-from graycast.parts import Material
-from graycast.pattern import gray
+from graycast.base.errors import DeviceError, GraycastError
+from graycast.base.frames import rigid
 from graycast.render import Quality, open_renderer
 from graycast.render.cycles.job import is_simple
 from graycast.render.cycles.process import PYTHON_VARIABLE, WORKER, examine_cycles
-from graycast.scene import EMPTY_LAYOUT, Environment, Lamp, Sphere
+from graycast.rig.pattern import gray
+from graycast.world.parts import Material
+from graycast.world.scene import EMPTY_LAYOUT, Environment, Lamp, Sphere
 
 pytestmark = pytest.mark.slow  # each render of Cycles takes a moment
 
@@ -142,9 +142,9 @@ PARENT = """
 import sys
 sys.path.insert(0, {tests!r})
 from stage import *
-from graycast.pattern import gray
+from graycast.rig.pattern import gray
 from graycast.render import Quality, open_renderer
-from graycast.scene import EMPTY_LAYOUT
+from graycast.world.scene import EMPTY_LAYOUT
 rig = askew_rig()
 def tell(done, total):
     print(done == total, flush=True)

@@ -10,9 +10,9 @@ from edge_spread import ROWS, blurred, camera_spread, light_of, projector_spread
 from scipy.special import j1
 from stage import centred, in_camera, lambert, make_rig, wall
 
-from graycast.frames import transform_points
-from graycast.optics import Optics, blur_radius_px
-from graycast.scene import Quad
+from graycast.base.frames import transform_points
+from graycast.rig.optics import Optics, blur_radius_px
+from graycast.world.scene import Quad
 
 
 @pytest.mark.parametrize("z_m", [0.5, 0.7, 1.0, 1.6])

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from graycast.errors import DeviceError
+from graycast.base.errors import DeviceError
 from graycast.render import device, trial
 from graycast.render.device import CudaState, choose_device, find_llvm, list_llvm, open_device
 
@@ -186,7 +186,7 @@ def test_an_unknown_device_lists_those_there_are():
 
 KERNEL = """
 import json, os, sys
-from graycast.errors import DeviceError
+from graycast.base.errors import DeviceError
 from graycast.render.device import open_device
 open_device("llvm", threads=1)
 open_device("llvm", threads=1)

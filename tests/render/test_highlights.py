@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 from stage import centred, in_camera, make_rig, plain_pattern, wall
 
-from graycast.parts import Material
 from graycast.render import Quality
-from graycast.scene import EMPTY_LAYOUT
+from graycast.world.parts import Material
+from graycast.world.scene import EMPTY_LAYOUT
 
 
 @pytest.mark.parametrize("roughness", [0.3, 0.5])

@@ -10,9 +10,9 @@ from stage import (
     wall,
 )
 
-from graycast.parts import Material
 from graycast.render import Quality
-from graycast.scene import EMPTY_LAYOUT, Environment, Sphere
+from graycast.world.parts import Material
+from graycast.world.scene import EMPTY_LAYOUT, Environment, Sphere
 
 WHITE = Environment(radiance=(1.0, 1.0, 1.0))
 

@@ -14,9 +14,9 @@ from stage import (
     wall,
 )
 
-from graycast.frames import rigid
+from graycast.base.frames import rigid
 from graycast.render import Quality
-from graycast.scene import Environment, Lamp
+from graycast.world.scene import Environment, Lamp
 
 
 def test_another_seed_pose_colour_lamp_layout_and_count_compile_nothing(mitsuba_renderer):

@@ -5,7 +5,7 @@ import pytest
 from stage import centred, in_camera, lambert, make_rig, plain_pattern, wall
 
 from graycast.render import Quality
-from graycast.scene import EMPTY_LAYOUT, Environment
+from graycast.world.scene import EMPTY_LAYOUT, Environment
 
 
 @pytest.mark.parametrize("depth", [1, 3])

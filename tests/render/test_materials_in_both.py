@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from graycast.parts import Material
+from graycast.world.parts import Material
 
 pytestmark = pytest.mark.slow  # each render of Cycles takes a moment
 

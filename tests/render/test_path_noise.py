@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 from stage import centred, in_camera, lambert, leaning_wall, make_rig
 
-from graycast.bench.cells import QUIET_SENSOR
-from graycast.pattern import CodeSpec
+from benchmarks.cells import QUIET_SENSOR
+from graycast.camera.scanner import Scanner, scan
 from graycast.render import Quality
 from graycast.render.path_noise import path_noise
-from graycast.scanner import Scanner, scan
-from graycast.scene import EMPTY_LAYOUT
+from graycast.rig.pattern import CodeSpec
+from graycast.world.scene import EMPTY_LAYOUT
 
 RIG = make_rig(centred(56, 44, 60), centred(160, 120, 110), baseline_m=(0.1, 0.0, 0.0))
 BLURRED = replace(RIG, projector=replace(RIG.projector, psf_px=1.0))

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from backends import slow
 
-from graycast.parts import Material
+from graycast.world.parts import Material
 
 ROUGHNESS = [0.05, 0.1, 0.3, 0.5, 0.8, 1.0]
 GOLD = (1.0, 0.7, 0.3)

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from stage import box_part, make_rig, optics
 
-from graycast.parts import Material
 from graycast.render.wavelength import at_one_wavelength, at_projector_wavelength
-from graycast.scene import Bin, Quad, Scene
+from graycast.world.parts import Material
+from graycast.world.scene import Bin, Quad, Scene
 
 PICTURE = np.random.default_rng(2).integers(0, 256, (4, 4, 3), dtype=np.uint8)
 PLACES = ("part", "surface", "table", "walls", "floor")

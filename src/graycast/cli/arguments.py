@@ -2,19 +2,19 @@
 
 import argparse
 import math
-from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 from jaxtyping import Float
 
-from ..errors import GraycastError
-from ..rig import PRESETS, RESOLUTIONS
+from ..base.errors import GraycastError
+from ..rig.pair import PRESETS, RESOLUTIONS
+from .bars import open_stages
 
 if TYPE_CHECKING:
-    from ..generate import Workers
+    from ..cell.generate import Workers
 
 Run = Callable[[argparse.Namespace], int | None]
 
@@ -89,7 +89,7 @@ def add_resolution(parser: argparse.ArgumentParser) -> None:
 
 def resolve_rig_option(options: argparse.Namespace):
     """Return the scanner that the arguments `rig` and `--resolution` name."""
-    from ..rig_file import named_scanner
+    from ..camera.rig_file import named_scanner
 
     if options.resolution is not None and options.rig not in PRESETS:
         raise GraycastError(
@@ -101,21 +101,21 @@ def resolve_rig_option(options: argparse.Namespace):
 
 def load_cell(options: argparse.Namespace):
     """Load the cell of `config` with the renderer of `--backend`; print its notes."""
-    from ..config import load_config
+    from ..cell.config import load_config
 
     return resolve_cell_option(load_config(options.config), options)
 
 
 def resolve_cell_option(config, options: argparse.Namespace):
     """Build a cell; relative paths start in the folder of `options.config`."""
-    from ..cell import resolve_cell
+    from ..cell.resolve import resolve_cell
 
     if getattr(options, "backend", None) is not None:
         render = config.render.model_copy(update={"backend": options.backend})
         config = config.model_copy(update={"render": render})
     try:
-        with stage_line() as on_stage:
-            cell = resolve_cell(config, options.config.parent, on_stage=on_stage)
+        with open_stages() as progress:
+            cell = resolve_cell(config, options.config.parent, progress=progress)
     except (GraycastError, ValueError, OSError) as error:
         raise GraycastError(f"{options.config}: {error}") from error
     for note in cell.notes:
@@ -127,10 +127,6 @@ def positive(text: str) -> int:
     if not text.isdecimal() or int(text) < 1:
         raise argparse.ArgumentTypeError(f"{text!r} is not a whole number of at least 1")
     return int(text)
-
-
-def counts(text: str) -> tuple[int, ...]:
-    return tuple(positive(number) for number in text.split(","))
 
 
 def above_zero(text: str) -> float:
@@ -263,7 +259,7 @@ def workers_of(options: argparse.Namespace) -> "Workers":
     Raises:
         GraycastError: `--address` is given without `--engine ray`.
     """
-    from ..generate import Workers
+    from ..cell.generate import Workers
 
     if options.address is not None and options.engine != "ray":
         raise GraycastError(
@@ -277,40 +273,8 @@ def workers_of(options: argparse.Namespace) -> "Workers":
     )
 
 
-@contextmanager
-def stage_line() -> Iterator[Callable[[str], None]]:
-    """Show the present stage and its duration in one line, which disappears at the end."""
-    from rich.markup import escape
-    from rich.progress import Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
-
-    columns = SpinnerColumn(), TextColumn("{task.description}"), TimeElapsedColumn()
-    with Progress(*columns, transient=True) as bar:
-        task = bar.add_task("", total=None, visible=False)
-        yield lambda stage: bar.reset(task, description=escape(stage), total=None, visible=True)
-
-
 def print_shares(of_parts: Mapping[str, float], of_all: Mapping[str, float]) -> None:
     """A line for each reason, the parts' pixels first."""
     for name, share in of_all.items():
         first = f"{of_parts[name]:7.2%} of the parts' pixels, " if of_parts else ""
         print(f"  {name:18} {first}{share:7.2%} of all pixels")
-
-
-def progress_bar():
-    from rich.progress import (
-        BarColumn,
-        MofNCompleteColumn,
-        Progress,
-        TextColumn,
-        TimeElapsedColumn,
-        TimeRemainingColumn,
-    )
-
-    return Progress(
-        TextColumn("{task.description}"),
-        BarColumn(),
-        MofNCompleteColumn(),
-        TimeElapsedColumn(),
-        TextColumn("left"),
-        TimeRemainingColumn(),
-    )

@@ -9,17 +9,16 @@ from collections.abc import Sequence
 from functools import cache
 
 from .. import __version__
-from ..errors import GraycastError, told
+from ..base.errors import GraycastError, told
 from . import (
-    benching,
     completing,
     datasets,
     designing,
     detecting,
+    evaluating,
     exporting,
     fitting,
     generating,
-    judging,
     labelling,
     living,
     looking,
@@ -109,7 +108,7 @@ def _parser() -> argparse.ArgumentParser:
     merging.add_commands(commands)
     exporting.add_commands(commands)
     detecting.add_commands(commands)
-    judging.add_commands(commands)
+    evaluating.add_commands(commands)
     designing.add_commands(commands)
     picking.add_commands(commands)
     labelling.add_commands(commands)
@@ -118,6 +117,5 @@ def _parser() -> argparse.ArgumentParser:
     rigs.add_commands(commands)
     measuring.add_commands(commands)
     machine.add_commands(commands)
-    benching.add_commands(commands)
     completing.add_commands(commands, parser)
     return parser

@@ -3,8 +3,6 @@
 import argparse
 from pathlib import Path
 
-from rich.markup import escape
-
 from .arguments import (
     add_backend,
     add_command,
@@ -13,10 +11,9 @@ from .arguments import (
     add_seed,
     load_cell,
     print_shares,
-    progress_bar,
     seed,
-    stage_line,
 )
+from .bars import open_bars, open_stages
 
 # Heavy modules are imported by the command that needs them, so that --help answers at once.
 
@@ -78,10 +75,10 @@ def add_commands(commands) -> None:
 
 
 def _preview(options: argparse.Namespace) -> int:
-    from ..cell import open_cell_renderer
-    from ..errors import GraycastError
-    from ..report import draw_preview
-    from ..simulate import make_images
+    from ..base.errors import GraycastError
+    from ..cell.resolve import open_cell_renderer
+    from ..cell.simulate import make_images
+    from ..show.report import draw_preview
 
     cell = load_cell(options)
     if options.image >= len(cell.images):
@@ -89,27 +86,16 @@ def _preview(options: argparse.Namespace) -> int:
             f"--image is {options.image}: a scene of this cell has {len(cell.images)}, from 0 on"
         )
     seed = cell.config.seed if options.seed is None else options.seed
-    with progress_bar() as bar:
-        stages = bar.add_task("", total=None, visible=False)
-        frames = bar.add_task("renders", total=None, visible=False)
-
-        def on_stage(stage: str) -> None:
-            bar.reset(stages, description=escape(stage), total=None, visible=True)
-
-        def on_frame(done: int, total: int) -> None:
-            bar.update(frames, completed=done, total=total, visible=True)
-
-        with open_cell_renderer(cell, device=options.device, on_frame=on_frame) as renderer:
+    with open_bars() as bars:
+        with open_cell_renderer(cell, device=options.device, progress=bars) as renderer:
             which = _which(cell, options.image)
-            bar.console.print(
-                f"scene {options.scene}{which} by {renderer.name} on {renderer.device}"
-            )
+            bars.line(f"scene {options.scene}{which} by {renderer.name} on {renderer.device}")
             images = make_images(
                 cell,
                 options.scene,
                 seed=seed,
                 renderer=renderer,
-                on_stage=on_stage,
+                progress=bars,
                 only=options.image,
             )
             shot = next(images)
@@ -132,7 +118,7 @@ def _which(cell, number: int) -> str:
 
 def _tell_coarse(shot) -> None:
     """Print which of the dropped parts have coarse collision hulls."""
-    from ..drop import hull_notes, prepare
+    from ..world.drop import hull_notes, prepare
 
     sample = shot.sample
     parts = [sample.scene.parts[kind] for kind in sorted({*sample.layout.part_index})]
@@ -141,7 +127,7 @@ def _tell_coarse(shot) -> None:
 
 
 def _validate(options: argparse.Namespace) -> int:
-    from ..dataset import has_sums, validate
+    from ..dataset import validate
     from ..dataset.real import absent
 
     problems = validate(options.dataset, fast=options.fast)
@@ -152,17 +138,12 @@ def _validate(options: argparse.Namespace) -> int:
     if not problems:
         for lacking in absent(options.dataset):
             print(f"  not known: {lacking}")
-        if not has_sums(options.dataset):
-            print(
-                "  not known: whether a file was changed, because format_version 1 stores no "
-                "SHA-256 digests"
-            )
     return 1 if problems else 0
 
 
 def _parts(options: argparse.Namespace) -> int:
-    from ..parts import BUILTIN, builtin_part
-    from ..report import describe_parts, draw_parts
+    from ..show.report import describe_parts, draw_parts
+    from ..world.parts import BUILTIN, builtin_part
 
     if options.config is None:
         shown = tuple(builtin_part(name) for name in BUILTIN)
@@ -182,10 +163,10 @@ def _parts(options: argparse.Namespace) -> int:
 
 def _describe_hulls(parts) -> None:
     """Describe the collision hulls of the parts; hulls that are not in the cache are made now."""
-    from ..drop import hull_notes, prepare
+    from ..world.drop import hull_notes, prepare
 
-    with stage_line() as on_stage:
-        prepared = prepare(parts, on_stage=on_stage)
+    with open_stages() as progress:
+        prepared = prepare(parts, progress=progress)
     print(
         "the number of collision hulls of each part, and their largest distance from its surface:"
     )

@@ -3,9 +3,8 @@
 import argparse
 from pathlib import Path
 
-from rich.markup import escape
-
-from .arguments import add_command, add_device, add_workers, progress_bar, workers_of
+from .arguments import add_command, add_device, add_workers, workers_of
+from .bars import open_bars
 
 # Heavy modules are imported by the command that needs them, so that --help answers at once.
 
@@ -40,7 +39,7 @@ def add_commands(commands) -> None:
 
 
 def _design(options: argparse.Namespace) -> int:
-    from ..design import read_design, run_design, settings_of, write_design
+    from ..score.design import read_design, run_design, settings_of, write_design
 
     workers = workers_of(options)
     spec = read_design(options.study)
@@ -49,32 +48,24 @@ def _design(options: argparse.Namespace) -> int:
         print("\n".join(setting.name for setting in settings))
         return 0
     print(f"{len(settings)} settings, {spec.layouts} heaps of parts, seed {spec.seed}")
-    with progress_bar() as bar:
-        scans = bar.add_task("scans", total=None)
-        stage = bar.add_task("", total=None, visible=False)
+    with open_bars() as bars:
 
         def made(name, layout, outcome) -> None:
-            bar.update(scans, advance=1)
             shares = ", ".join(f"{share:.1%}" for share in outcome.reasons.values())
-            bar.console.print(
-                f"{name}  heap {layout:03d}  {outcome.seconds:6.1f} s  {shares} measured"
-            )
+            bars.line(f"{name}  heap {layout:03d}  {outcome.seconds:6.1f} s  {shares} measured")
 
         def failed(name, layout, outcome) -> None:
             told = " ".join(str(outcome.error).split()) or type(outcome.error).__name__
-            bar.console.print(f"{name}  heap {layout:03d}  failed: {told}", markup=False)
+            bars.line(f"{name}  heap {layout:03d}  failed: {told}")
 
         lost = run_design(
             spec,
             options.out,
             device=options.device,
             workers=workers,
-            on_start=lambda found, total: bar.update(scans, completed=found, total=total),
             on_made=made,
             on_failed=failed,
-            on_stage=lambda text: bar.reset(
-                stage, description=escape(text), total=None, visible=True
-            ),
+            progress=bars,
         )
     said = write_design(spec, options.out)
     print((options.out / "table.md").read_text(encoding="utf-8"))

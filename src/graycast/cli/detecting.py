@@ -3,8 +3,9 @@
 import argparse
 from pathlib import Path
 
-from ..errors import GraycastError
-from .arguments import above_zero, add_command, positive, progress_bar, seed, share
+from ..base.errors import GraycastError
+from .arguments import above_zero, add_command, positive, seed, share
+from .bars import open_bars
 
 # torch takes seconds to import and may be missing, so its names are repeated here. A test compares
 # them.
@@ -17,11 +18,17 @@ TRAIN = """\
 Train a detector on datasets of Graycast, on their exports, or on datasets of real pictures. The
 detector learns from the scenes of the train set, and the command keeps the weights that score
 best on the val set. It writes detector.pt (the weights and the encoding of pictures),
-history.csv, curves.png and files for TensorBoard to the folder of the training. If a training
-is stopped or killed, the same command continues it."""
+history.csv and curves.png to the folder of the training. If a training is stopped or killed, the
+same command continues it."""
 
 
 def add_commands(commands) -> None:
+    _add_train(commands)
+    _add_detect(commands)
+    _add_study(commands)
+
+
+def _add_train(commands) -> None:
     train = add_command(commands, "train", _train, "Train a detector on datasets.")
     train.description = TRAIN
     train.set_defaults(when_stopped="run the same command again to continue from here")
@@ -76,6 +83,18 @@ def add_commands(commands) -> None:
         metavar="PX",
         help="The longer side of the network's input picture in pixels (default: 384).",
     )
+    _add_training(train)
+    _add_device(train)
+    train.add_argument(
+        "--workers",
+        type=seed,
+        default=0,
+        help="The number of additional processes that read pictures (default: 0).",
+    )
+
+
+def _add_training(train: argparse.ArgumentParser) -> None:
+    """How the network learns, from which scenes, and how it sees them."""
     train.add_argument(
         "--epochs",
         type=positive,
@@ -149,14 +168,9 @@ def add_commands(commands) -> None:
         help="The seed of the weights, of the order of the pictures and of the augmentation "
         "(default: 0).",
     )
-    _add_device(train)
-    train.add_argument(
-        "--workers",
-        type=seed,
-        default=0,
-        help="The number of additional processes that read pictures (default: 0).",
-    )
 
+
+def _add_detect(commands) -> None:
     detect = add_command(
         commands,
         "detect",
@@ -227,6 +241,8 @@ def add_commands(commands) -> None:
     )
     _add_device(detect)
 
+
+def _add_study(commands) -> None:
     study = add_command(
         commands,
         "study",
@@ -295,8 +311,8 @@ def _torch(options: argparse.Namespace) -> None:
 
 def _train(options: argparse.Namespace) -> None:
     _torch(options)
-    from ..detect import Augmentation, TrainSpec, train
-    from ..export.split import Split, parse_shares
+    from ..dataset.export.split import Split, parse_shares
+    from ..learn.detect import Augmentation, TrainSpec, train
 
     spec = TrainSpec(
         model=options.model,
@@ -319,18 +335,14 @@ def _train(options: argparse.Namespace) -> None:
         device=options.device,
         workers=options.workers,
     )
-    with progress_bar() as bar:
-        tasks = {}
-
-        def on_told(told) -> None:
-            if told.row is not None:
-                bar.console.print(_line(told.row))
-                return
-            if told.stage not in tasks:
-                tasks[told.stage] = bar.add_task(told.stage, total=told.total)
-            bar.update(tasks[told.stage], completed=told.done, total=told.total)
-
-        train(options.datasets, options.out, spec, on_told=on_told)
+    with open_bars() as bars:
+        train(
+            options.datasets,
+            options.out,
+            spec,
+            progress=bars,
+            on_row=lambda row: bars.line(_line(row)),
+        )
     print(
         f"{options.out}: the training is complete; detector.pt holds the weights of the best "
         "validation"
@@ -349,7 +361,7 @@ def _detect(options: argparse.Namespace) -> None:
     _torch(options)
     from statistics import median
 
-    from ..detect import detect, load_detector, pictures_of
+    from ..learn.detect import detect, load_detector, pictures_of
 
     detector = load_detector(options.detector, device=options.device)
     if options.export is not None:
@@ -364,18 +376,15 @@ def _detect(options: argparse.Namespace) -> None:
         scale_m=options.scale,
         as_real=options.as_real,
     )
-    with progress_bar() as bar:
-        task = bar.add_task("pictures", total=len(pictures.scene_ids))
+    with open_bars() as bars:
         looked = detect(
             detector,
-            pictures.examples,
+            pictures,
             options.out,
-            class_ids=pictures.class_ids,
-            said=pictures.said,
             most=options.most,
             least_score=options.least_score,
             drawings=options.drawings,
-            on_picture=lambda done: bar.update(task, completed=done),
+            progress=bars,
         )
     count = sum(map(len, looked.found))
     print(
@@ -389,7 +398,7 @@ def _detect(options: argparse.Namespace) -> None:
 
 
 def _export(detector, options: argparse.Namespace) -> None:
-    from ..detect.onnx_file import write_onnx
+    from ..learn.detect.onnx_file import write_onnx
 
     if options.pictures is not None:
         raise GraycastError(
@@ -401,35 +410,24 @@ def _export(detector, options: argparse.Namespace) -> None:
 
 def _study(options: argparse.Namespace) -> None:
     _torch(options)
-    from ..study import read_study, run_study, runs_of, write_study
+    from ..learn.study import read_study, run_study, runs_of, write_study
 
     spec = read_study(options.study)
     runs = list(runs_of(spec))
     if options.list:
         print("\n".join(run.name for run in runs))
         return
-    with progress_bar() as bar:
-        whole = bar.add_task("runs", total=len(runs))
-        stage = bar.add_task("", total=None)
-        place = {run.name: i for i, run in enumerate(runs)}
-
-        def on_told(run, what: str, done: int, total: int) -> None:
-            bar.update(whole, completed=place[run.name])
-            bar.update(
-                stage, description=f"{run.name}: {what}", completed=done, total=total or None
-            )
+    with open_bars() as bars:
 
         def on_done(result) -> None:
             figures = [
                 f"{kind} {world} {result.of(world, kind).value:.2f}"
                 for world, kind in result.figures
             ]
-            bar.console.print(
-                f"{result.run.name}: AP50 {', '.join(figures)}", markup=False, soft_wrap=True
-            )
+            bars.line(f"{result.run.name}: AP50 {', '.join(figures)}")
 
         results = run_study(
-            spec, options.out, device=options.device, on_told=on_told, on_done=on_done
+            spec, options.out, device=options.device, progress=bars, on_done=on_done
         )
     write_study(spec, results, options.out)
     print((options.out / "table.md").read_text(encoding="utf-8"))

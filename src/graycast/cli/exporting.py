@@ -9,10 +9,10 @@ from .arguments import (
     distortion_of,
     intrinsics_of,
     positive,
-    progress_bar,
     seed,
     share,
 )
+from .bars import open_bars
 
 _FORMATS = (
     "coco",
@@ -38,6 +38,11 @@ _OPTIONS = (
 
 
 def add_commands(commands) -> None:
+    _add_export(commands)
+    _add_real(commands)
+
+
+def _add_export(commands) -> None:
     export = add_command(commands, "export", _export, "Write a dataset in another format.")
     export.add_argument("dataset", type=Path, help="The folder of the dataset.")
     export.add_argument(
@@ -133,6 +138,8 @@ def add_commands(commands) -> None:
         "not exported (default: 0).",
     )
 
+
+def _add_real(commands) -> None:
     real = add_command(
         commands, "import-real", _import_real, "Make a dataset from real pictures and their labels."
     )
@@ -163,19 +170,18 @@ def add_commands(commands) -> None:
 
 
 def _export(options: argparse.Namespace) -> int:
-    from ..export import Options, Split, export, parse_shares
+    from ..dataset.export import Options, Split, export, parse_shares
 
     split = Split(shares=parse_shares(options.split), seed=options.split_seed)
     said = {name: getattr(options, name) for name in _OPTIONS}
     chosen = Options(format=options.format, split=split, **said)
-    with progress_bar() as bar:
-        task = bar.add_task("scenes", total=None)
+    with open_bars() as bars:
         record = export(
             options.dataset,
             options.out,
             chosen,
             selection=options.scenes,
-            on_progress=lambda done, total: bar.update(task, completed=done, total=total),
+            progress=bars,
         )
     counts = ", ".join(f"{name} {len(ids)}" for name, ids in record.splits.items())
     print(f"{options.out}: {record.format}, scenes: {counts}")
@@ -193,8 +199,7 @@ def _import_real(options: argparse.Namespace) -> int:
         names = list(like.categories.values())
         if rig := like.claim.get("rig"):  # a dataset of real pictures states none
             range_m = (float(rig["near_m"]), float(rig["far_m"]))
-    with progress_bar() as bar:
-        task = bar.add_task("pictures", total=None)
+    with open_bars() as bars:
         done = import_real(
             options.folder,
             options.out,
@@ -206,7 +211,7 @@ def _import_real(options: argparse.Namespace) -> int:
             labelled=not options.unlabelled,
             names=names,
             range_m=range_m,
-            on_progress=lambda done, total: bar.update(task, completed=done, total=total),
+            progress=bars,
         )
     objects = ", ".join(f"{i} {name}" for i, name in enumerate(done.categories, start=1))
     print(f"{options.out}: {len(done.stems)} pictures, {done.instances} instances of {objects}")

@@ -4,7 +4,7 @@ import argparse
 import math
 from pathlib import Path
 
-from ..errors import GraycastError
+from ..base.errors import GraycastError
 from .arguments import (
     above_zero,
     add_command,
@@ -117,8 +117,8 @@ def _add_files(fit: argparse.ArgumentParser) -> None:
 
 
 def _fit_bin(options: argparse.Namespace) -> int:
-    from ..cell import refuse_several, resolve_cell
-    from ..config import load_config
+    from ..cell.config import load_config
+    from ..cell.resolve import refuse_several, resolve_cell
     from ..real.fit_bin import (
         Said,
         azimuth_of,
@@ -133,7 +133,7 @@ def _fit_bin(options: argparse.Namespace) -> int:
         with_look,
         write_fit,
     )
-    from ..scene import bin_of
+    from ..world.scene import bin_of
 
     refuse_existing(options.out, options.config)
     if options.bend is not None:

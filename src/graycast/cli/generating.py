@@ -3,9 +3,7 @@
 import argparse
 from pathlib import Path
 
-from rich.markup import escape
-
-from ..errors import DatasetError
+from ..base.errors import DatasetError
 from .arguments import (
     add_backend,
     add_command,
@@ -16,11 +14,11 @@ from .arguments import (
     load_cell,
     positive,
     print_shares,
-    progress_bar,
     resolve_cell_option,
     seed,
     workers_of,
 )
+from .bars import open_bars
 
 # Heavy modules are imported by the command that needs them, so that --help answers at once.
 
@@ -68,9 +66,9 @@ def add_commands(commands) -> None:
 
 
 def _generate(options: argparse.Namespace) -> int:
-    from ..card import CARD, write_card
-    from ..generate import generate
-    from ..usage import GpuWatch
+    from ..base.usage import GpuWatch
+    from ..cell.generate import generate
+    from ..dataset.card import CARD, write_card
 
     workers = workers_of(options)
     cell = load_cell(options)
@@ -82,8 +80,20 @@ def _generate(options: argparse.Namespace) -> int:
         f"{scenes} scenes of {', '.join(part.name for part in cell.scene.parts)} by "
         f"{backend}{_where(backend, options)}, {_rigs(cell)}, seed {chosen_seed}, {_who(workers)}"
     )
-    with progress_bar() as bar, GpuWatch() as gpu:
-        shown = _Shown(bar, scenes, gpu)
+    with open_bars() as bars, GpuWatch() as gpu:
+
+        def made(scene) -> None:
+            decoded = f"{scene.reasons['decoded']:.1%} of all pixels decoded"
+            if scene.part_reasons:
+                decoded = f"{scene.part_reasons['decoded']:.1%} of the parts' pixels, {decoded}"
+            busy = "" if gpu.share is None else f", GPU busy {gpu.share:.0%} of the time"
+            bars.line(f"scene {scene.scene_id:06d}  {scene.seconds:6.1f} s  {decoded}{busy}")
+
+        def failed(scene) -> None:
+            told = " ".join(str(scene.error).split()) or type(scene.error).__name__
+            then = "set aside" if scene.final else "will be made again"
+            bars.line(f"scene {scene.scene_id:06d}  {then}: {told}")
+
         summary = generate(
             cell,
             options.out,
@@ -91,12 +101,9 @@ def _generate(options: argparse.Namespace) -> int:
             seed=chosen_seed,
             device=options.device,
             workers=workers,
-            on_start=shown.start,
-            on_made=shown.made,
-            on_failed=shown.failed,
-            on_frame=shown.frame,
-            on_stage=shown.stage,
-            on_note=shown.note,
+            progress=bars,
+            on_made=made,
+            on_failed=failed,
         )
     if summary.written or not (options.out / CARD).exists():
         write_card(options.out)  # an existing card may have a licence or the figures of all scenes
@@ -126,43 +133,6 @@ def _who(workers) -> str:
     return count if workers.engine == "local" else f"{count} on Ray"
 
 
-class _Shown:
-    """The progress bar of a run."""
-
-    def __init__(self, bar, scenes: int, gpu) -> None:
-        self._bar, self._gpu = bar, gpu
-        self._scenes = bar.add_task("scenes", total=scenes)
-        self._stage = bar.add_task("", total=None, visible=False)
-        self._frames = bar.add_task("renders of a scene", total=None, visible=False)
-
-    def start(self, found: int) -> None:
-        self._bar.update(self._scenes, completed=found)
-
-    def made(self, made) -> None:
-        share = self._gpu.share
-        words = "scenes" if share is None else f"scenes (GPU busy {share:.0%} of the time)"
-        self._bar.update(self._scenes, advance=1, description=words)
-        self._bar.reset(self._frames, total=None, visible=False)
-        decoded = f"{made.reasons['decoded']:.1%} of all pixels decoded"
-        if made.part_reasons:
-            decoded = f"{made.part_reasons['decoded']:.1%} of the parts' pixels, {decoded}"
-        self._bar.console.print(f"scene {made.scene_id:06d}  {made.seconds:6.1f} s  {decoded}")
-
-    def failed(self, failed) -> None:
-        told = " ".join(str(failed.error).split()) or type(failed.error).__name__
-        then = "set aside" if failed.final else "will be made again"
-        self._bar.console.print(f"scene {failed.scene_id:06d}  {then}: {told}", markup=False)
-
-    def stage(self, stage: str) -> None:
-        self._bar.reset(self._stage, description=escape(stage), total=None, visible=True)
-
-    def note(self, note: str) -> None:
-        self._bar.console.print(f"note: {note}", markup=False)
-
-    def frame(self, done: int, total: int) -> None:
-        self._bar.update(self._frames, completed=done, total=total, visible=True)
-
-
 def _tell(summary, out: Path) -> None:
     print(f"{out}: {summary.written} scenes made, {summary.found} were there", end="")
     print(f", {summary.seconds:.1f} s")
@@ -177,8 +147,8 @@ def _tell(summary, out: Path) -> None:
 
 
 def _rerender(options: argparse.Namespace) -> int:
-    from ..config import load_config
-    from ..generate import read_origin, rerender
+    from ..cell.config import load_config
+    from ..cell.generate import read_origin, rerender
 
     origin = read_origin(options.dataset)
     config = origin.config

@@ -3,9 +3,10 @@
 import argparse
 from pathlib import Path
 
-from ..errors import GraycastError
-from .arguments import add_command, add_seed, positive, progress_bar
+from ..base.errors import GraycastError
+from .arguments import add_command, add_seed, positive
 from .arguments import seed as whole
+from .bars import open_bars
 
 # Heavy modules are imported by the command that needs them, so that --help answers at once.
 
@@ -81,7 +82,7 @@ def _grasps(options: argparse.Namespace) -> int:
             "the collision check of the tool needs a library that is not installed: run pip "
             "install 'graycast[pick]'"
         ) from error
-    from ..grasp_labels import Labelling, label_dataset, rank, read_tool
+    from ..robot.grasp_labels import Labelling, label_dataset, rank, read_tool
 
     tool = read_tool(options.tool)
     labelling = Labelling(
@@ -96,21 +97,18 @@ def _grasps(options: argparse.Namespace) -> int:
             f"--name is {name!r}: it names a folder, so give a name without / that does not begin "
             "with a dot"
         )
-    with progress_bar() as bar:
-        scenes = bar.add_task("scenes", total=None)
-        stage = bar.add_task("", total=None, visible=False)
+    with open_bars() as bars:
 
         def made(key, outcome) -> None:
-            bar.update(scenes, advance=1)
             told = {word: int(count) for word, count in outcome.reasons.items()}
-            bar.console.print(
+            bars.line(
                 f"{key}  {outcome.seconds:6.1f} s  {told['grasps']} labels, "
                 f"{told['held']} of {told['simulated']} lifted"
             )
 
         def failed(key, outcome) -> None:
             told = " ".join(str(outcome.error).split()) or type(outcome.error).__name__
-            bar.console.print(f"{key}  failed: {told}", markup=False)
+            bars.line(f"{key}  failed: {told}")
 
         lost = label_dataset(
             options.dataset,
@@ -119,10 +117,9 @@ def _grasps(options: argparse.Namespace) -> int:
             seed=options.seed,
             files=options.files,
             workers=options.workers,
-            on_start=lambda found, total: bar.update(scenes, completed=found, total=total),
             on_made=made,
             on_failed=failed,
-            on_stage=lambda text: bar.reset(stage, description=text, total=None, visible=True),
+            progress=bars,
         )
     _tell(rank(options.dataset, name))
     print(f"{options.dataset / 'grasps' / name}: the labels; docs/formats.md describes them")

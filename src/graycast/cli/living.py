@@ -41,7 +41,7 @@ def add_commands(commands) -> None:
 def _live(options: argparse.Namespace) -> int:
     import webbrowser
 
-    from ..live import Server
+    from ..show.live import Server
 
     server = Server(
         options.config, port=options.port, scene_id=options.scene, device=options.device

@@ -3,7 +3,8 @@
 import argparse
 from pathlib import Path
 
-from .arguments import add_command, positive, progress_bar
+from .arguments import add_command, positive
+from .bars import open_bars
 from .picking import add_cell, cell_folder, need_robot
 
 # Heavy modules are imported by the command that needs them, so that --help answers at once.
@@ -70,37 +71,31 @@ def _add_dataset(parser: argparse.ArgumentParser, told: str) -> None:
 def _stats(options: argparse.Namespace) -> int:
     from rich.console import Console
 
-    from ..dataset.stored import open_dataset
-    from ..errors import GraycastError
-    from ..stats import dataset_statistics, statistics_table, write_statistics
+    from ..base.errors import GraycastError
+    from ..dataset.stats import dataset_statistics, statistics_table, write_statistics
 
     if options.licence is not None and not options.card:
         raise GraycastError("--licence applies only with --card: add --card, or remove --licence")
     if options.licence is not None:
-        from ..card import spdx
+        from ..dataset.card import spdx
 
         spdx(options.licence)  # before the dataset is read
-    with progress_bar() as bar:
-        task = bar.add_task("scenes", total=len(open_dataset(options.dataset).pictures))
-        statistics = dataset_statistics(
-            options.dataset,
-            workers=options.workers,
-            on_scene=lambda _: bar.update(task, advance=1),
-        )
+    with open_bars() as bars:
+        statistics = dataset_statistics(options.dataset, workers=options.workers, progress=bars)
     Console(width=None).print(statistics_table(statistics))
     if options.out is not None:
         write_statistics(statistics, options.out)
         print(options.out)
     if options.card:
-        from ..card import write_card
+        from ..dataset.card import write_card
 
         print(write_card(options.dataset, statistics, licence=options.licence))
     return 0
 
 
 def _report(options: argparse.Namespace) -> int:
-    from ..errors import GraycastError
-    from ..report.page import WIDTH_PX, write_report
+    from ..base.errors import GraycastError
+    from ..show.report.page import WIDTH_PX, write_report
 
     if (options.dataset / "picks.json").exists():
         return _report_picks(options)
@@ -108,25 +103,23 @@ def _report(options: argparse.Namespace) -> int:
         raise GraycastError(
             f"--cell applies only to picks, and {options.dataset} holds no picks: remove --cell"
         )
-    with progress_bar() as bar:
-        task = bar.add_task("scenes", total=None)
+    with open_bars() as bars:
         summary = write_report(
             options.dataset,
             options.out,
             workers=options.workers,
             width_px=options.width or WIDTH_PX,
             detections=options.detections,
-            on_start=lambda total, found: bar.update(task, total=total, completed=found),
-            on_scene=lambda _: bar.update(task, advance=1),
+            progress=bars,
         )
     print(f"{summary.built} scenes made, {summary.kept} were there; open {summary.page.resolve()}")
     return 0
 
 
 def _report_picks(options: argparse.Namespace) -> int:
-    from ..errors import GraycastError
-    from ..report.page import WIDTH_PX
-    from ..report.picks import write_pick_report
+    from ..base.errors import GraycastError
+    from ..show.report.page import WIDTH_PX
+    from ..show.report.picks import write_pick_report
 
     if options.detections is not None:
         raise GraycastError(
@@ -134,16 +127,14 @@ def _report_picks(options: argparse.Namespace) -> int:
             "--detections"
         )
     need_robot()
-    with progress_bar() as bar:
-        task = bar.add_task("bins", total=None)
+    with open_bars() as bars:
         summary = write_pick_report(
             options.dataset,
             options.out,
             cell_folder=cell_folder(options),
             workers=options.workers,
             width_px=options.width or WIDTH_PX,
-            on_start=lambda total, found: bar.update(task, total=total, completed=found),
-            on_bin=lambda _: bar.update(task, advance=1),
+            progress=bars,
         )
     print(f"{summary.built} bins made, {summary.kept} were there; open {summary.page.resolve()}")
     return 0

@@ -28,18 +28,18 @@ def add_commands(commands) -> None:
 
 
 def _doctor(options: argparse.Namespace) -> int:
-    from ..doctor import describe, examine
+    from .doctor import describe, examine
 
     print(describe(examine()))
     return 0
 
 
 def _schema(options: argparse.Namespace) -> int:
-    from ..config import config_schema
-    from ..design import design_schema
-    from ..rig_file import rig_schema
-    from ..stack import stack_schema
-    from ..study_file import study_schema
+    from ..camera.rig_file import rig_schema
+    from ..camera.stack import stack_schema
+    from ..cell.config import config_schema
+    from ..learn.study_file import study_schema
+    from ..score.design import design_schema
 
     schemas = {
         "config": config_schema,

@@ -4,8 +4,8 @@ import argparse
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
-from ..errors import GraycastError
-from ..folder import refuse_foreign, whole_folder
+from ..base.errors import GraycastError
+from ..base.folder import refuse_foreign, whole_folder
 from .arguments import (
     add_backend,
     add_command,
@@ -16,15 +16,20 @@ from .arguments import (
     add_seed,
     intrinsics_of,
     positive,
-    progress_bar,
     resolve_rig_option,
-    stage_line,
 )
+from .bars import open_bars, open_stages
 
 TABLE = "table.txt"  # `graycast realism` writes this file to every folder
 
 
 def add_commands(commands) -> None:
+    _add_decode(commands)
+    _add_certify(commands)
+    _add_realism(commands)
+
+
+def _add_decode(commands) -> None:
     decode = add_command(
         commands,
         "decode",
@@ -52,6 +57,8 @@ def add_commands(commands) -> None:
         "--out", type=Path, required=True, help="The folder to which the results are written."
     )
 
+
+def _add_certify(commands) -> None:
     certify = add_command(
         commands,
         "certify",
@@ -67,6 +74,8 @@ def add_commands(commands) -> None:
     add_backend(certify, default="mitsuba")
     add_device(certify)
 
+
+def _add_realism(commands) -> None:
     realism = add_command(
         commands,
         "realism",
@@ -126,8 +135,8 @@ def add_commands(commands) -> None:
 
 
 def _decode(options: argparse.Namespace) -> int:
-    from ..rig_file import load_scanner
-    from ..stack import CODE, decode_stack, describe_result, read_description, write_result
+    from ..camera.rig_file import load_scanner
+    from ..camera.stack import CODE, decode_stack, describe_result, read_description, write_result
 
     refuse_foreign(options.out, CODE)
     stack = options.stack / "stack.yaml" if options.stack.is_dir() else options.stack
@@ -148,24 +157,17 @@ def _decode(options: argparse.Namespace) -> int:
 
 
 def _certify(options: argparse.Namespace) -> int:
-    from ..metrology import CERTIFICATE, certify, describe, write_certificate
     from ..render import open_renderer
+    from ..score.metrology import CERTIFICATE, certify, describe, write_certificate
 
     scanner = resolve_rig_option(options)
     refuse_foreign(options.out, CERTIFICATE)
     with (
         whole_folder(options.out) as folder,
         open_renderer(options.backend, device=options.device) as renderer,
-        progress_bar() as bar,
+        open_bars() as bars,
     ):
-        task = bar.add_task("scenes", total=None)
-
-        def on_progress(done: int, total: int, what: str) -> None:
-            bar.update(task, completed=done, total=total, description=what)
-
-        certificate = certify(
-            scanner, renderer=renderer, seed=options.seed, on_progress=on_progress
-        )
+        certificate = certify(scanner, renderer=renderer, seed=options.seed, progress=bars)
         page = write_certificate(certificate, folder)
     print(describe(certificate))
     print(options.out / page.name)
@@ -173,7 +175,7 @@ def _certify(options: argparse.Namespace) -> int:
 
 
 def _realism(options: argparse.Namespace) -> int:
-    from ..decode import Reason
+    from ..camera.decode import Reason
     from ..real.realism import RECORD_FILE, measure_all, pool, read_scans, table, write_record
 
     if (options.compare is None) == (not options.depth):
@@ -258,9 +260,9 @@ def _two_sample(options: argparse.Namespace) -> tuple:
     perfect = _spread(list(read_perfect(options.compare[1])), options.most)
     a, b = options.compare
     names = (a.name, b.name) if a.name != b.name else (str(a), str(b))
-    with stage_line() as on_stage:
+    with open_stages() as progress:
         test = two_sample_test(
-            first, second, perfect=perfect, names=names, seed=options.seed, on_stage=on_stage
+            first, second, perfect=perfect, names=names, seed=options.seed, progress=progress
         )
     return test, first, second
 

@@ -3,7 +3,8 @@
 import argparse
 from pathlib import Path
 
-from .arguments import add_command, progress_bar
+from .arguments import add_command
+from .bars import open_bars
 
 # Heavy modules are imported by the command that needs them, so that --help answers at once.
 
@@ -11,8 +12,8 @@ MERGE = """\
 Fuse the views of each scene into one point cloud in the world frame. Where views see the same
 surface they are averaged by their noise; a point that other views see through is left out. Each
 point keeps its standard deviation, how many views measured it, and why the first view has no depth
-there. Beside the clouds stands what each view measures of the parts' surface, what only it
-measures, and in which order views add most."""
+there. A table lists what each view measures of the parts' surface, what no other view measures,
+and in which order the views add most."""
 
 
 def add_commands(commands) -> None:
@@ -27,15 +28,10 @@ def add_commands(commands) -> None:
 
 
 def _merge(options: argparse.Namespace) -> int:
-    from ..merge import described, merge
+    from ..score.merge import described, merge
 
-    with progress_bar() as bar:
-        task = bar.add_task("scenes", total=None)
-        record = merge(
-            options.source,
-            options.out,
-            on_scene=lambda done, total: bar.update(task, completed=done, total=total),
-        )
+    with open_bars() as bars:
+        record = merge(options.source, options.out, progress=bars)
     print(f"{options.out}: clouds of {len(record['scenes'])} scene(s)")
     for surface in record["surfaces"]:
         print("\n".join(described(surface)))

@@ -3,7 +3,7 @@
 import argparse
 from pathlib import Path
 
-from ..errors import GraycastError
+from ..base.errors import GraycastError
 from .arguments import (
     above_zero,
     add_command,
@@ -11,10 +11,9 @@ from .arguments import (
     add_seed,
     add_workers,
     positive,
-    progress_bar,
-    stage_line,
     workers_of,
 )
+from .bars import open_bars, open_stages
 
 # Heavy modules are imported by the command that needs them, so that --help answers at once.
 
@@ -132,13 +131,19 @@ def need_robot() -> None:
 
 def _pick(options: argparse.Namespace) -> int:
     need_robot()
-    from ..pick import load_pick_config, pick_bins, read_episodes, resolve_pick_cell, summarize
+    from ..robot.pick import (
+        load_pick_config,
+        pick_bins,
+        read_episodes,
+        resolve_pick_cell,
+        summarize,
+    )
 
     workers = workers_of(options)
     config = _with_options(load_pick_config(options.config), options)
     try:
-        with stage_line() as on_stage:
-            cell = resolve_pick_cell(config, options.config.parent, on_stage=on_stage)
+        with open_stages() as progress:
+            cell = resolve_pick_cell(config, options.config.parent, progress=progress)
     except (GraycastError, ValueError, OSError) as error:
         raise GraycastError(f"{options.config}: {error}") from error
     seed = config.seed if options.seed is None else options.seed
@@ -147,18 +152,15 @@ def _pick(options: argparse.Namespace) -> int:
         f"{_bins(options.bins)} of {names}, {config.robot.arm} with {config.tool.kind}, rig "
         f"{cell.cell.scene.rig.name}, seed {seed}"
     )
-    with progress_bar() as bar:
-        bins = bar.add_task("bins", total=options.bins)
-        stage = bar.add_task("", total=None, visible=False)
+    with open_bars() as bars:
 
         def made(outcome) -> None:
-            bar.update(bins, advance=1)
             ended = ", ".join(f"{int(n)} {name}" for name, n in outcome.reasons.items())
-            bar.console.print(f"bin {outcome.scene_id:06d}  {outcome.seconds:6.1f} s  {ended}")
+            bars.line(f"bin {outcome.scene_id:06d}  {outcome.seconds:6.1f} s  {ended}")
 
         def failed(outcome) -> None:
             told = " ".join(str(outcome.error).split()) or type(outcome.error).__name__
-            bar.console.print(f"bin {outcome.scene_id:06d}  failed: {told}", markup=False)
+            bars.line(f"bin {outcome.scene_id:06d}  failed: {told}")
 
         lost = pick_bins(
             cell,
@@ -167,10 +169,9 @@ def _pick(options: argparse.Namespace) -> int:
             seed=seed,
             device=options.device,
             workers=workers,
-            on_start=lambda found: bar.update(bins, completed=found),
             on_made=made,
             on_failed=failed,
-            on_stage=lambda text: bar.reset(stage, description=text, total=None, visible=True),
+            progress=bars,
         )
     _tell(summarize(read_episodes(options.out)))
     print(f"{options.out}: the pictures of all attempts are in bins/*/pictures")
@@ -179,7 +180,7 @@ def _pick(options: argparse.Namespace) -> int:
 
 def _with_options(config, options: argparse.Namespace):
     """The configuration with the options of the command line, checked like a file."""
-    from ..pick.sections import PickConfig
+    from ..robot.pick.pick_sections import PickConfig
 
     changed = {}
     if options.detector is not None:
@@ -211,7 +212,7 @@ def _bins(count: int) -> str:
 
 
 def _picks(options: argparse.Namespace) -> int:
-    from ..pick import compared, plot_runs, read_episodes, summarize
+    from ..robot.pick import compared, plot_runs, read_episodes, summarize
 
     runs = {str(folder): read_episodes(folder) for folder in options.folders}
     _tell(summarize(next(iter(runs.values()))))
@@ -226,10 +227,9 @@ def _picks(options: argparse.Namespace) -> int:
 
 def _replay(options: argparse.Namespace) -> int:
     need_robot()
-    from ..report.picks.film import WIDTH_PX, write_film
+    from ..show.report.picks.film import WIDTH_PX, write_film
 
-    with progress_bar() as bar:
-        task = bar.add_task("attempts", total=None)
+    with open_bars() as bars:
         count = write_film(
             options.folder,
             options.bin,
@@ -237,8 +237,7 @@ def _replay(options: argparse.Namespace) -> int:
             cell_folder=cell_folder(options),
             speed=options.speed,
             width_px=options.width or WIDTH_PX,
-            on_start=lambda total: bar.update(task, total=total),
-            on_attempt=lambda: bar.update(task, advance=1),
+            progress=bars,
         )
     size_mb = options.out.stat().st_size / 1e6
     print(f"{options.out}: {count} pictures, {size_mb:.1f} MB")

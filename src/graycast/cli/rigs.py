@@ -4,9 +4,9 @@ import argparse
 import sys
 from pathlib import Path
 
-from ..errors import GraycastError
-from ..folder import whole_folder
-from ..pattern import CODECS
+from ..base.errors import GraycastError
+from ..base.folder import whole_folder
+from ..rig.pattern import CODECS
 from .arguments import above_zero, add_command, add_rig, resolve_rig_option, size
 
 
@@ -129,7 +129,7 @@ def _add_calibrate(rigs) -> None:
 
 
 def _rig_show(options: argparse.Namespace) -> int:
-    from ..report import describe_rig, draw_rig
+    from ..show.report import describe_rig, draw_rig
 
     rig = resolve_rig_option(options).rig
     print(describe_rig(rig))
@@ -140,7 +140,7 @@ def _rig_show(options: argparse.Namespace) -> int:
 
 
 def _rig_write(options: argparse.Namespace) -> int:
-    from ..rig_file import save_scanner
+    from ..camera.rig_file import save_scanner
 
     save_scanner(resolve_rig_option(options), options.out)
     print(options.out)
@@ -148,9 +148,9 @@ def _rig_write(options: argparse.Namespace) -> int:
 
 
 def _rig_import(options: argparse.Namespace) -> int:
-    from ..report import describe_rig
-    from ..rig_file import import_opencv, missing_distortions, save_scanner
-    from ..scanner import Scanner
+    from ..camera.rig_file import import_opencv, missing_distortions, save_scanner
+    from ..camera.scanner import Scanner
+    from ..show.report import describe_rig
 
     rig = import_opencv(
         options.calibration,
@@ -171,9 +171,9 @@ def _rig_import(options: argparse.Namespace) -> int:
 def _patterns(options: argparse.Namespace) -> int:
     from dataclasses import replace
 
-    from ..pattern import CodeSpec, write_pngs
-    from ..rig import grey_levels
-    from ..stack import describe_code
+    from ..camera.stack import describe_code
+    from ..rig.pair import grey_levels
+    from ..rig.pattern import CodeSpec, write_pngs
 
     scanner = resolve_rig_option(options)
     spec = scanner.code
@@ -205,9 +205,9 @@ def _patterns(options: argparse.Namespace) -> int:
 
 
 def _rig_calibrate(options: argparse.Namespace) -> int:
+    from ..camera.rig_file import save_scanner
+    from ..camera.scanner import Scanner
     from ..real.calibrate import calibrate_rig, describe_calibration, parse_board, read_view
-    from ..rig_file import save_scanner
-    from ..scanner import Scanner
 
     board = parse_board(options.board)
     views, sizes_px = [], set()

@@ -3,17 +3,17 @@
 import argparse
 from pathlib import Path
 
-from ..errors import GraycastError
+from ..base.errors import GraycastError
 from .arguments import (
     above_zero,
     add_command,
     add_device,
     add_seed,
     positive,
-    progress_bar,
     resolve_cell_option,
     size,
 )
+from .bars import open_bars
 
 
 def add_commands(commands: argparse._SubParsersAction) -> None:
@@ -95,11 +95,11 @@ def add_commands(commands: argparse._SubParsersAction) -> None:
 
 
 def _twin(options: argparse.Namespace) -> int:
-    from ..cell import refuse_several
-    from ..config import load_config
+    from ..cell.config import load_config
+    from ..cell.resolve import refuse_several
     from ..real.depth_file import read_intrinsics
     from ..real.fitted_config import refuse_existing, refuse_there
-    from ..real.pictures import read_rgb
+    from ..real.picture_pairs import read_rgb
     from ..real.realism import read_scans
     from ..real.twin import check_scans, files_of, make_twin, summary, write_twin
 
@@ -116,8 +116,7 @@ def _twin(options: argparse.Namespace) -> int:
     pictures = [read_rgb(path) for path in options.rgb]
     if not pictures:
         print("note: no colour pictures are given (--rgb), so all parts are taken to be grey")
-    with progress_bar() as bar:
-        going = bar.add_task("", total=None)
+    with open_bars() as bars:
         twin = make_twin(
             scans,
             cell,
@@ -126,10 +125,7 @@ def _twin(options: argparse.Namespace) -> int:
             trials=options.trials,
             seed=options.seed,
             device=options.device,
-            on_stage=lambda stage: bar.update(going, description=stage),
-            on_trial=lambda done, total, text: bar.update(
-                going, completed=done, total=total, description=text
-            ),
+            progress=bars,
         )
     print("\n".join(summary(twin)))
     for path in write_twin(twin, cell, options.config, options.out):

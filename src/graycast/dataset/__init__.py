@@ -2,6 +2,15 @@
 
 A public name is imported from its module when it is first asked for. So who only reads examples
 for training (`dataset.stored`) need not have what writing and checking take.
+
+Beside what is written and read there is what else is done with a dataset:
+
+    detections       what a detector finds in a picture, and COCO's results files
+    pose_results     estimated poses, and BOP's results files
+    stats            statistics of a dataset
+    card             the card of a dataset
+    export           datasets in the formats of other programs
+    training         training examples from datasets and from exports
 """
 
 from importlib import import_module
@@ -11,7 +20,6 @@ if TYPE_CHECKING:  # for type checkers and editors; `_MODULE` says the same to P
     from .bop import depth_scale_mm as depth_scale_mm
     from .bop import scene_files as scene_files
     from .checking import Problem as Problem
-    from .checking import has_sums as has_sums
     from .checking import validate as validate
     from .claim import described_values as described_values
     from .compare import differing_files as differing_files
@@ -34,7 +42,6 @@ _MODULE = {
     "depth_scale_mm": "bop",
     "described_values": "claim",
     "differing_files": "compare",
-    "has_sums": "checking",
     "labelled": "sample",
     "open_store": "store",
     "read_capture": "raw",

@@ -21,12 +21,13 @@ import numpy as np
 from jaxtyping import Bool, Float, UInt8, UInt16
 from scipy import ndimage
 
-from ..decode import Reason
-from ..errors import DatasetError
-from ..frames import inverse
-from ..mask_box import mask_box
-from ..optics import Optics
+from ..base.errors import DatasetError
+from ..base.frames import inverse
+from ..base.mask_box import mask_box
+from ..base.streams import OF_IMAGE
+from ..camera.decode import Reason
 from ..render.radiance import Silhouette
+from ..rig.optics import Optics
 from .coco import run_lengths, scene_annotation, scene_coco, scene_image
 from .json_text import json_bytes
 from .raw import raw_facts, raw_files
@@ -34,7 +35,6 @@ from .records import MM_PER_M
 from .sample import Sample, labelled
 from .scene_folder import of_sensor, picture_name
 from .seal import FURTHER, FURTHER_TIMINGS, OWN_FACTS, sealed
-from .seeds import OF_IMAGE
 
 _PNG_LEVEL = 2  # higher ones take twice the time for a hundredth of the size
 DEPTH_MAX = 65535  # of 16 bits

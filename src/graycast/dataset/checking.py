@@ -8,19 +8,18 @@ import numpy as np
 import trimesh
 from pycocotools import mask as coco_mask
 
-from ..errors import DatasetError
-from ..file_limits import parse_json
-from ..frames import is_rigid
-from ..ply import split
+from ..base.file_limits import parse_json
+from ..base.frames import is_rigid
+from ..base.ply import split
 from . import records
 from .bop import camera_json
-from .claim import FORMAT_VERSION, SEALED_SINCE, fingerprint, rig_of
+from .claim import fingerprint, rig_of
 from .grasp_files import grasp_problems
 from .models import TEXTURE, diameter
 from .places import CLAIM, camera_file, finished_scenes
 from .plain_scene import Model
-from .reading import Unreadable, read_json
-from .real import is_real, real_problems
+from .real import RealClaim, read_claim, real_problems
+from .safe_reading import Unreadable, read_json
 from .scene_check import scene_problems
 from .scene_folder import SceneFolder, picture_name
 from .seal import MANIFEST, seal_problems, sum_problems
@@ -57,21 +56,16 @@ def validate(out: Path, *, fast: bool = False) -> tuple[Problem, ...]:
     these checks and their limits.
 
     Raises:
-        DatasetError: the folder holds no dataset at all, one of a later format, or one without
-            sums where nothing but these is wanted.
+        DatasetError: the folder holds no dataset at all, or one of another version of Graycast.
     """
-    if is_real(out):
+    claim, finished = read_claim(out), sorted(finished_scenes(out))
+    if isinstance(claim, RealClaim):
         found = () if fast else real_problems(out)
-        sums = _sum_problems(out, _version(out, fast=fast), finished_scenes(out))
+        sums = _sum_problems(out, finished)
         return (*sums, *(Problem(scene=scene, what=what) for scene, what in found))
-    try:
-        claim = read_json(out / "graycast.json", records.Claim)
-    except Unreadable as error:
-        raise DatasetError(f"{out} is not a Graycast dataset: {error}") from error
-    version, finished = _version(out, fast=fast), sorted(finished_scenes(out))
     problems = [Problem(scene=None, what=what) for what in _leftovers(out)]
     problems += [Problem(scene=None, what=what) for what in _claim_problems(out, claim)]
-    problems += _sum_problems(out, version, finished)
+    problems += _sum_problems(out, finished)
     if fast:
         return tuple(problems)
     try:
@@ -108,44 +102,10 @@ def validate(out: Path, *, fast: bool = False) -> tuple[Problem, ...]:
     return tuple(problems)
 
 
-def _version(out: Path, *, fast: bool) -> int:
-    """The format of a dataset.
-
-    Raises:
-        DatasetError: it is a later one, or it has no sums and nothing but these is wanted.
-    """
-    try:
-        version = read_json(out / CLAIM, records.Versioned).format_version
-    except Unreadable as error:
-        raise DatasetError(f"{out} is not a Graycast dataset: {error}") from error
-    if not 1 <= version <= FORMAT_VERSION:
-        raise DatasetError(
-            f"{out}: has format_version {version}, this Graycast reads 1 to {FORMAT_VERSION}: "
-            "install the version that made it"
-        )
-    if fast and version < SEALED_SINCE:
-        raise DatasetError(
-            f"{out}: has format_version {version}, which holds no SHA-256 of its files: check it "
-            "without --fast"
-        )
-    return version
-
-
-def has_sums(out: Path) -> bool:
-    """Whether the SHA-256 of a dataset's files is known.
-
-    Raises:
-        DatasetError: as in `validate`.
-    """
-    return _version(out, fast=False) >= SEALED_SINCE
-
-
-def _sum_problems(out: Path, version: int, finished: Iterable[int]) -> list[Problem]:
+def _sum_problems(out: Path, finished: Iterable[int]) -> list[Problem]:
     """Files that are not what was written."""
-    if version < SEALED_SINCE:
-        return []
     problems = []
-    for scene_id in sorted(finished):
+    for scene_id in finished:
         folder = out / "train" / f"{scene_id:06d}"
         try:
             manifest = read_json(folder / MANIFEST, records.Manifest).root
@@ -167,10 +127,9 @@ def _claim_problems(out: Path, claim: records.Claim) -> Iterator[str]:
     held = parse_json((out / CLAIM).read_bytes())
     if fingerprint(held) != claim.fingerprint:
         yield f"{CLAIM} was changed after it was written: its fingerprint differs"
-    if claim.format_version >= SEALED_SINCE:
-        if not claim.sha256:
-            yield f"{CLAIM}: sha256 is missing, which every dataset of this format has"
-        yield from sum_problems(out, claim.sha256, told_in=CLAIM)
+    if not claim.sha256:
+        yield f"{CLAIM}: sha256 is missing, which every dataset has"
+    yield from sum_problems(out, claim.sha256, told_in=CLAIM)
 
 
 def _camera_problems(cameras: Mapping[str, records.Camera], claim: records.Claim) -> Iterator[str]:

@@ -12,31 +12,18 @@ from typing import Any
 import numpy as np
 
 from .. import __version__
-from ..decode import DecodeSpec
-from ..errors import DatasetError
-from ..file_limits import parse_json
-from ..optics import Optics
-from ..parts import Part
-from ..rig import Rig
-from ..sensor import SensorSpec
+from ..base.errors import DatasetError
+from ..base.file_limits import parse_json
+from ..camera.decode import DecodeSpec
+from ..camera.sensor import SensorSpec
+from ..rig.optics import Optics
+from ..rig.pair import Rig
+from ..world.parts import Part
 from .json_text import plain
+from .records import FORMAT_VERSION
 from .seal import SUMS
 
 BESIDE_CONFIG = ("files", "scanner")  # in a claim's configuration, but no keys of it
-# 1 had no SHA-256 of files; 3 is of several images a scene, or of scanners that have names.
-FORMAT_VERSION, SEALED_SINCE, ONE_IMAGE = 3, 2, 2
-# Fields that older datasets lack; where they are off they are left out, so that those can go on.
-_LATER = {
-    "speckle_volume": 0.0,
-    "speckle_unevenness": 0.0,
-    "line_noise": 0.0,
-    "line_noise_length_m": math.inf,
-    "min_sigmas": 0.0,
-    "settling_votes": 0,
-    "min_visibility": 0.0,
-    "outlier_repair": False,
-    "hidden_sigmas": None,
-}
 _BESIDE = ("fingerprint", "sources", "versions", SUMS)  # what the fingerprint does not cover
 _CLAIMED = (
     "format_version",
@@ -54,7 +41,7 @@ _CLAIMED = (
 class Taker:
     """One of a dataset's scanners: its name, how many images it takes of a scene, what it is.
 
-    `scanning` is what `config.scanner` says of a single one.
+    `scanning` has the settings that a dataset of one scanner has as `config.scanner`.
     """
 
     name: str
@@ -85,7 +72,7 @@ def make_claim(
     ]
     claim = plain(
         {
-            "format_version": FORMAT_VERSION if takers else ONE_IMAGE,
+            "format_version": FORMAT_VERSION,
             "config": config,
             "seed": seed,
             "depth_scale_mm": depth_scale_mm,
@@ -124,19 +111,14 @@ def fingerprint(claim: Mapping[str, Any]) -> str:
 
 
 def described_values(value: Any) -> dict[str, Any]:
-    """The fields of a frozen value for JSON; an infinite number becomes the word 'inf'.
-
-    Fields that older versions lack are omitted while they are off.
-    """
+    """The fields of a frozen value for JSON; an infinite number becomes the word 'inf'."""
 
     def worded(item: Any) -> Any:
         if isinstance(item, dict):
             return {key: worded(inner) for key, inner in item.items()}
         return "inf" if isinstance(item, float) and math.isinf(item) else item
 
-    values = asdict(value)
-    off = [name for name, least in _LATER.items() if name in values and values[name] == least]
-    return worded({name: values[name] for name in values if name not in off})
+    return worded(asdict(value))
 
 
 def rig_of(described: Mapping[str, Any]) -> Rig:

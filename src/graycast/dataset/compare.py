@@ -5,8 +5,8 @@ from pathlib import Path
 
 import numpy as np
 
-from ..file_limits import parse_json
-from .reading import png_pixels
+from ..base.file_limits import parse_json
+from .safe_reading import png_pixels
 from .seal import FURTHER_TIMINGS, OWN, SUMS
 
 # Sums of files that differ would say the same twice.

@@ -6,9 +6,9 @@ from typing import Any
 import numpy as np
 from pycocotools import mask as coco_mask
 
-from ..array_types import Bool, Float, Float32, Int, UInt8, UInt16
-from ..errors import DatasetError
-from ..frames import rigid
+from ..base.array_types import Bool, Float, Float32, Int, UInt8, UInt16
+from ..base.errors import DatasetError
+from ..base.frames import rigid
 from .records import MM_PER_M
 
 

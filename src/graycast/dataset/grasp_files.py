@@ -13,11 +13,11 @@ from typing import Annotated, Any, Literal
 import numpy as np
 from pydantic import Field
 
-from ..frames import is_rigid
+from ..base.frames import is_rigid
 from .places import SPLITS
 from .plain_scene import Model, transform_of
-from .reading import Unreadable, read_json
 from .records import Matrix3, OneImage, Pose, Positive, Record, Vector
+from .safe_reading import Unreadable, read_json
 from .scene_folder import SceneFolder
 
 GRASPS, GRASP_CLAIM = "grasps", "grasps.json"

@@ -7,11 +7,11 @@ import numpy as np
 from jaxtyping import Bool, Float, Int, UInt16
 from pycocotools import mask as coco_mask
 
-from ..mask_box import mask_box
-from ..raster import Raster, rasterize
+from ..base.mask_box import mask_box
+from ..rig.meshdepth import Raster, rasterize
 from . import records
 from .plain_scene import Model, Plain, transform_of
-from .reading import Unreadable, read_mask
+from .safe_reading import Unreadable, read_mask
 from .scene_folder import of_sensor
 
 # A pixel whose centre lies very near an edge may fall to either side in a renderer of single

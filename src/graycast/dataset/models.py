@@ -13,9 +13,9 @@ from jaxtyping import Float
 from scipy.spatial import ConvexHull, QhullError
 from scipy.spatial.distance import cdist
 
-from ..color import srgb
-from ..parts import Mesh, Part
-from ..ply import COLORS, header
+from ..base.color import srgb
+from ..base.ply import COLORS, header
+from ..world.parts import Mesh, Part
 from .records import MM_PER_M
 
 TEXTURE = "comment TextureFile"  # in the header of a model that has one

@@ -5,11 +5,11 @@ from pathlib import Path
 
 import numpy as np
 
-from ..errors import DatasetError, MeshError
-from ..parts import Mesh, Symmetry, load_mesh
+from ..base.errors import DatasetError, MeshError
+from ..world.parts import Mesh, Symmetry, load_mesh
 from . import records
-from .reading import Unreadable, read_json
 from .records import MM_PER_M
+from .safe_reading import Unreadable, read_json
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

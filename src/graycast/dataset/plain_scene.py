@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float, Int
 
-from ..frames import inverse, rigid
-from ..optics import Optics, optics_of
+from ..base.frames import inverse, rigid
+from ..rig.optics import Optics, optics_of
 from . import records
 from .scene_folder import SceneFolder, of_sensor, picture_name
 

@@ -19,14 +19,14 @@ import numpy as np
 from jaxtyping import Float32, UInt8, UInt16
 from PIL import Image, UnidentifiedImageError
 
-from ..errors import ConfigError
-from ..file_limits import refuse_large_picture
-from ..pattern import AXES
-from ..rig_file import load_scanner, scanner_text
-from ..sensor import Capture
-from ..stack import describe_frames, describe_stack
+from ..base.errors import ConfigError
+from ..base.file_limits import refuse_large_picture
+from ..camera.rig_file import load_scanner, scanner_text
+from ..camera.sensor import Capture
+from ..camera.stack import describe_frames, describe_stack
+from ..rig.pattern import AXES
 from . import records
-from .reading import Unreadable, held, read_json, read_png
+from .safe_reading import Unreadable, held, read_json, read_png
 from .sample import Raw
 from .scene_folder import of_sensor
 from .seal import facts_of

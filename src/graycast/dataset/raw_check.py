@@ -6,15 +6,15 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float32, UInt8
 
-from ..decode import Reason
-from ..errors import ConfigError
-from ..pattern import AXES
-from ..picture import gray_picture
-from ..sensor import Capture
-from ..stack import code_of, describe_frames, read_description
+from ..base.errors import ConfigError
+from ..camera.decode import Reason
+from ..camera.picture import gray_picture
+from ..camera.sensor import Capture
+from ..camera.stack import code_of, describe_frames, read_description
+from ..rig.pattern import AXES
 from . import records
 from .raw import EXPOSURE, RIG, STACK, frames_folder, read_capture, read_code_maps, told_of
-from .reading import Unreadable
+from .safe_reading import Unreadable
 from .sample import Raw
 from .scene_folder import SceneFolder, of_sensor
 

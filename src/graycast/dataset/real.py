@@ -14,19 +14,20 @@ import numpy as np
 from pycocotools import mask as coco_mask
 from pydantic import Field
 
-from ..errors import DatasetError
-from ..file_limits import parse_json
-from ..mask_box import mask_box
+from ..base.errors import DatasetError
+from ..base.file_limits import parse_json
+from ..base.mask_box import mask_box
 from .places import finished_scenes
-from .reading import Unreadable, read_json
 from .records import (
     Box,
     Camera,
+    Claim,
     CocoCategory,
     CocoImage,
     CompressedRunLengths,
     Count,
     Distortion,
+    FormatVersion,
     Manifest,
     Matrix3,
     OneImage,
@@ -35,6 +36,7 @@ from .records import (
     SceneCoco,
     split_annotation,
 )
+from .safe_reading import Unreadable, read_json
 from .scene_folder import SceneFolder
 
 IMAGES = {"rgb": np.uint8, "gray_sl": np.uint8, "depth_sl": np.uint16}
@@ -56,7 +58,7 @@ class RealPart(Record):
 class RealClaim(Record):
     """`graycast.json` of real pictures."""
 
-    format_version: int
+    format_version: FormatVersion
     kind: Literal["real"]
     depth_scale_mm: Positive
     parts: list[RealPart]
@@ -114,18 +116,29 @@ def is_real(out: Path) -> bool:
         return False
 
 
+def read_claim(out: Path) -> Claim | RealClaim:
+    """The `graycast.json` of a dataset of simulated or of real pictures.
+
+    Raises:
+        DatasetError: it is missing, damaged or of another version of Graycast.
+    """
+    try:
+        if is_real(out):
+            return read_json(out / "graycast.json", RealClaim)
+        return read_json(out / "graycast.json", Claim)
+    except Unreadable as error:
+        raise DatasetError(f"{out} is not a Graycast dataset that can be read: {error}") from error
+
+
 def absent(out: Path) -> tuple[str, ...]:
     """What a dataset of real pictures does not hold, in words; nothing of a simulated one.
 
     Raises:
-        DatasetError: its `graycast.json` is damaged.
+        DatasetError: as `read_claim`.
     """
-    if not is_real(out):
+    claim = read_claim(out)
+    if isinstance(claim, Claim):
         return ()
-    try:
-        claim = read_json(out / "graycast.json", RealClaim)
-    except Unreadable as error:
-        raise DatasetError(f"{out}: {error}") from error
     return (*(_NAMES[name] for name in _NAMES if name not in claim.holds), *_ABSENT)
 
 

@@ -4,9 +4,10 @@ from collections.abc import Mapping
 from typing import Annotated, Any, Generic, TypeVar
 
 from pycocotools import mask as coco_mask
-from pydantic import BaseModel, ConfigDict, Field, RootModel
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, RootModel
 
 MM_PER_M = 1000.0  # the files have the millimetres of BOP
+FORMAT_VERSION = 3  # of `graycast.json` and all that belongs to it
 
 Vector = Annotated[list[float], Field(min_length=3, max_length=3)]
 Matrix3 = Annotated[list[float], Field(min_length=9, max_length=9)]
@@ -17,6 +18,18 @@ Count = Annotated[int, Field(ge=0)]
 Positive = Annotated[float, Field(gt=0)]
 
 T = TypeVar("T")
+
+
+def _refuse_other_format(version: int) -> int:
+    if version != FORMAT_VERSION:
+        raise ValueError(
+            f"{version} is of another version of Graycast, and this one reads {FORMAT_VERSION} "
+            "alone: use the version that made the dataset, or make it again"
+        )
+    return version
+
+
+FormatVersion = Annotated[int, AfterValidator(_refuse_other_format)]
 
 
 class Record(BaseModel):
@@ -48,7 +61,7 @@ class TakerClaim(Record):
 class Claim(Record):
     """`graycast.json`."""
 
-    format_version: int
+    format_version: FormatVersion
     fingerprint: str
     config: dict[str, Any]
     seed: int
@@ -59,7 +72,7 @@ class Claim(Record):
     scanners: list[TakerClaim] = []  # where scenes have several images, or a scanner has a name
     sources: list[str]
     versions: dict[str, str]
-    sha256: dict[str, str] = {}  # of the files beside the scenes; format 1 had none
+    sha256: dict[str, str] = {}  # of the files beside the scenes
 
     @property
     def takers(self) -> list[TakerClaim]:
@@ -71,14 +84,6 @@ class Claim(Record):
     def images(self) -> list[tuple[str, int]]:
         """Every image of a scene, by its scanner's name and its number."""
         return [(taker.name, image) for taker in self.takers for image in range(taker.images)]
-
-
-class Versioned(BaseModel):
-    """Of any `graycast.json`, of simulated and of real pictures."""
-
-    model_config = ConfigDict(frozen=True, extra="ignore", strict=True)
-
-    format_version: int
 
 
 class Camera(Record):

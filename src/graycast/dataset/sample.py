@@ -7,11 +7,11 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float, UInt8
 
-from ..decode import CodeMap, DepthMap
+from ..camera.decode import CodeMap, DepthMap
+from ..camera.scanner import Scanner
+from ..camera.sensor import Capture
 from ..render.radiance import GroundTruth
-from ..scanner import Scanner
-from ..scene import Layout, Scene
-from ..sensor import Capture
+from ..world.scene import Layout, Scene
 
 # Share of a picture's pixels; in fewer, a wrong code happens to give a depth where there is none.
 LEAST_DECODED = 1e-3

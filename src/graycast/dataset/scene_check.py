@@ -8,14 +8,14 @@ import numpy as np
 from jaxtyping import Float, Int
 from pydantic import BaseModel
 
-from ..decode import Reason
-from ..frames import is_rigid
+from ..base.frames import is_rigid
+from ..camera.decode import Reason
 from . import records
 from .mask_check import mask_problems
 from .places import camera_file
 from .plain_scene import Model, Plain, transform_of
 from .raw_check import raw_problems
-from .reading import Unreadable, png_kind
+from .safe_reading import Unreadable, png_kind
 from .scene_folder import SceneFolder, of_sensor
 from .seal import facts_of
 from .sense import Evidence, sense_problems

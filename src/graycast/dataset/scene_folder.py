@@ -13,9 +13,9 @@ from typing import Annotated, Any, TypeVar, final
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
 
-from ..array_types import Bool
-from .reading import Unreadable, held, read_json, read_mask, read_picture, read_png
+from ..base.array_types import Bool
 from .records import Count, Distortion, Images, Matrix3, Positive, Vector
+from .safe_reading import Unreadable, held, read_json, read_mask, read_picture, read_png
 
 PICTURES = (".png", ".jpg", ".jpeg", ".tif", ".tiff")
 SCANNER = "_sl"  # the type of camera that our own datasets add

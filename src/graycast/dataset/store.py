@@ -17,18 +17,18 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import IO, Any, final
 
-from ..errors import DatasetError
-from ..folder import ASIDE, beside, remove_left, take_lock
-from ..parts import Part
-from ..rig import Rig
+from ..base.errors import DatasetError
+from ..base.folder import ASIDE, beside, remove_left, take_lock
+from ..rig.pair import Rig
+from ..world.parts import Part
 from .bop import camera_json, scene_files
 from .claim import Taker, make_claim, refuse_other
 from .coco import split_coco
 from .json_text import json_bytes
 from .models import model_files, models_info
 from .places import CLAIM, camera_file, finished_scenes
-from .reading import Unreadable
 from .records import Figures, Manifest
+from .safe_reading import Unreadable
 from .sample import Sample
 from .scene_folder import SceneFolder, of_sensor, picture_name
 from .seal import SUMS, sha256

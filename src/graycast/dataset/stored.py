@@ -14,13 +14,13 @@ import numpy as np
 from pycocotools import mask as coco_mask
 from pydantic import RootModel
 
-from ..array_types import Bool, Float32, Int, UInt8, UInt16
-from ..errors import DatasetError
+from ..base.array_types import Bool, Float32, Int, UInt8, UInt16
+from ..base.errors import DatasetError
 from . import records
 from .example import Example, Label, label_arrays, metres
 from .places import CLAIM, SPLITS, camera_file, finished_scenes
-from .reading import Unreadable, read_json
-from .real import RealClaim, RealInfo, RealPose, RealView, is_real
+from .real import RealClaim, RealInfo, RealPose, RealView, read_claim
+from .safe_reading import Unreadable, read_json
 from .scene_folder import SceneFolder
 from .seal import facts_of
 
@@ -445,20 +445,17 @@ def open_dataset(folder: Path) -> StoredDataset:
     Raises:
         DatasetError: the folder holds none, or none with a scene.
     """
-    real = is_real(folder)
+    claim = read_claim(folder)
+    images = claim.images if isinstance(claim, records.Claim) else [("", 0)]
     try:
-        claim: RealClaim | records.Claim
-        if real:
-            claim = read_json(folder / CLAIM, RealClaim)
-        else:
-            claim = read_json(folder / CLAIM, records.Claim)
-        images = claim.images if isinstance(claim, records.Claim) else [("", 0)]
         cameras = {
             sensor: read_json(folder / camera_file(sensor), records.Camera)
             for sensor in dict.fromkeys(sensor for sensor, _ in images)
         }
     except Unreadable as error:
-        raise DatasetError(f"{folder} is not a Graycast dataset: {error}") from error
+        raise DatasetError(
+            f"{folder} is not a Graycast dataset that can be read: {error}"
+        ) from error
     scene_ids = {split: tuple(sorted(finished_scenes(folder, split))) for split in SPLITS}
     if not any(scene_ids.values()):
         raise DatasetError(f"{folder}: has no finished scene: run graycast generate first")

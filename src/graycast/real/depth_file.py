@@ -7,8 +7,8 @@ import cv2
 import numpy as np
 from jaxtyping import Float
 
-from ..errors import DatasetError
-from ..file_limits import load_array, parse_json, refuse_large_picture
+from ..base.errors import DatasetError
+from ..base.file_limits import load_array, parse_json, refuse_large_picture
 from .organised import camera_of, read_ply
 
 DEPTH_FILES = (".npy", ".png", ".ply", ".tif", ".tiff")

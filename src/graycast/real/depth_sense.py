@@ -3,7 +3,7 @@
 import numpy as np
 from jaxtyping import Float, Float32
 
-from ..errors import DatasetError
+from ..base.errors import DatasetError
 
 BEYOND = 1.5  # times the far end, or its inverse times the near end: no other place of the camera
 FILLED = 0.05  # of the known pixels that have exactly the farthest depth

@@ -7,9 +7,9 @@ from typing import Any
 
 import yaml
 
-from ..config import Config
-from ..errors import GraycastError
-from ..settings import check_settings, parse_yaml
+from ..base.errors import GraycastError
+from ..base.settings import check_settings, parse_yaml
+from ..cell.config import Config
 
 
 def refuse_existing(out: Path, base: Path) -> None:

@@ -6,8 +6,8 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float, UInt8
 
-from ..errors import DatasetError
-from ..ply import COLORS, read_vertices
+from ..base.errors import DatasetError
+from ..base.ply import COLORS, read_vertices
 
 _SIZE = {"num_cols": "width", "width": "width", "num_rows": "height", "height": "height"}
 _FIT_PX = 0.5  # largest RMS of a cloud about its own pinhole camera

@@ -3,7 +3,6 @@
 from .radiance import (
     Denoiser,
     DenoiserName,
-    FrameByFrame,
     GroundTruth,
     OnFrame,
     OnPass,
@@ -18,7 +17,6 @@ from .radiance import (
 __all__ = [
     "Denoiser",
     "DenoiserName",
-    "FrameByFrame",
     "GroundTruth",
     "OnFrame",
     "OnPass",

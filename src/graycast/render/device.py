@@ -16,7 +16,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 
-from ..errors import DeviceError
+from ..base.errors import DeviceError
 
 OLDEST_LLVM = 19  # 15 and 16 are known to abort; 17 and 18 were not tried
 DEVICES = ("auto", "cpu", "llvm", "cuda")

@@ -31,8 +31,8 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from ..optics import relative_illumination
-from ..scene import Layout, Scene
+from ..rig.optics import relative_illumination
+from ..world.scene import Layout, Scene
 from .denoise import denoised, open_denoiser
 from .mitsuba_paths import Paths, Tracer
 from .mitsuba_patterns import aligned

@@ -8,7 +8,7 @@ import math
 import drjit as dr
 import mitsuba as mi
 
-from ..optics import Optics, fold_radius2
+from ..rig.optics import Optics, fold_radius2
 
 NEWTON_STEPS = 6  # double the digits each; lenses need four for float32
 

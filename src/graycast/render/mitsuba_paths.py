@@ -10,9 +10,9 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from ..frames import inverse
-from ..pattern import Axis
-from ..scene import Scene
+from ..base.frames import inverse
+from ..rig.pattern import Axis
+from ..world.scene import Scene
 from .mitsuba_lens import (
     blur_radius2,
     camera_ray,

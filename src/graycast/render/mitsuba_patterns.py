@@ -9,8 +9,8 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from ..pattern import AXES, Axis
-from ..rig import Rig, emission
+from ..rig.pair import Rig, emission
+from ..rig.pattern import AXES, Axis
 
 
 def packed(pattern: np.ndarray, rig: Rig) -> tuple[list[mi.UInt32], int]:

@@ -10,9 +10,9 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from ..errors import ConfigError
-from ..parts import Material, Mesh
-from ..scene import (
+from ..base.errors import ConfigError
+from ..world.parts import Material, Mesh
+from ..world.scene import (
     Lamp,
     Layout,
     Quad,

@@ -7,10 +7,10 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from ..frames import inverse, transform_points
-from ..mask_box import mask_box
-from ..optics import fold_radius2, project
-from ..scene import Layout, Scene
+from ..base.frames import inverse, transform_points
+from ..base.mask_box import mask_box
+from ..rig.optics import fold_radius2, project
+from ..world.scene import Layout, Scene
 from .mitsuba_lens import camera_ray, distorted, seen_by_projector
 from .mitsuba_scene import PartShape
 from .radiance import GroundTruth, Silhouette

@@ -23,7 +23,7 @@ import cv2
 import numpy as np
 from jaxtyping import Bool, Float
 
-from ..pattern import AXES, Axis
+from ..rig.pattern import AXES, Axis
 from .radiance import PathNoise
 
 WINDOW_PX = 9  # side of the square whose squared errors are averaged: 81 values

@@ -8,9 +8,9 @@ import numpy as np
 from jaxtyping import Bool, Float, Int, UInt8
 from pydantic import Field
 
-from ..optics import Optics
-from ..scene import Layout, Scene
-from ..settings import check_fields
+from ..base.settings import check_fields
+from ..rig.optics import Optics
+from ..world.scene import Layout, Scene
 
 DenoiserName = Literal["none", "oidn", "optix"]
 # Takes radiance, albedo and normals, (h, w, 3) each in float32; returns clean radiance.
@@ -197,13 +197,6 @@ class Renderer(Protocol):
 
     def __exit__(self, *error: object) -> None:
         self.close()
-
-
-class FrameByFrame(Renderer, Protocol):
-    """A renderer that renders each pattern by itself, or three at a time, and tells of each."""
-
-    patterns_per_render: int
-    on_frame: OnFrame
 
 
 def refuse_other_size(pattern: UInt8[np.ndarray, "n ph pw"], projector: Optics) -> None:

@@ -13,10 +13,10 @@ from typing import final
 import numpy as np
 from jaxtyping import Bool, Float, UInt8
 
-from ..frames import inverse, pixel_grid, transform_points
-from ..optics import corner_share, project, rays, relative_illumination
-from ..rig import Rig, emission
-from ..scene import Layout, Quad, Scene, Sphere
+from ..base.frames import inverse, pixel_grid, transform_points
+from ..rig.optics import corner_share, project, rays, relative_illumination
+from ..rig.pair import Rig, emission
+from ..world.scene import Layout, Quad, Scene, Sphere
 from .denoise import open_denoiser
 from .radiance import (
     Denoiser,

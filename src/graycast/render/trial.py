@@ -18,10 +18,10 @@ from dataclasses import asdict, dataclass, replace
 from importlib.metadata import version
 
 from .. import __version__
-from ..errors import GraycastError
-from ..file_limits import parse_json
-from ..folder import cache_folder, write_whole
-from ..optics import Optics
+from ..base.errors import GraycastError
+from ..base.file_limits import parse_json
+from ..base.folder import cache_folder, write_whole
+from ..rig.optics import Optics
 
 _LIMIT_S = 300.0  # a first picture on a GPU compiles for some 10 s
 _CAMERA = Optics(width_px=64, height_px=48, fx_px=70.0, fy_px=70.0, cx_px=31.5, cy_px=23.5)
@@ -95,9 +95,9 @@ def _obituary(child: subprocess.CompletedProcess[str]) -> str:
 def _main(device: str) -> None:
     import numpy as np
 
-    from ..parts import Material
-    from ..rig import preset_rig
-    from ..scene import EMPTY_LAYOUT, Quad, Scene
+    from ..rig.pair import preset_rig
+    from ..world.parts import Material
+    from ..world.scene import EMPTY_LAYOUT, Quad, Scene
     from .denoise import OpenImageDenoise, denoise
     from .device import open_device
     from .radiance import Quality

@@ -5,8 +5,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from ..parts import Material
-from ..scene import Bin, Scene
+from ..world.parts import Material
+from ..world.scene import Bin, Scene
 
 
 def at_projector_wavelength(scene: Scene) -> Scene:

@@ -14,11 +14,8 @@ import numpy as np
 import pytest
 from stage import in_camera
 
-from graycast.decode import DecodeSpec, Levels, decode
-from graycast.frames import axis_rotation, inverse, pixel_grid, rigid, transform_points
-from graycast.optics import Optics, project, rays
-from graycast.parts import Material
-from graycast.pattern import gray
+from graycast.base.frames import axis_rotation, inverse, pixel_grid, rigid, transform_points
+from graycast.camera.decode import DecodeSpec, Levels, decode
 from graycast.real.calibrate import (
     Board,
     BoardView,
@@ -31,8 +28,11 @@ from graycast.real.calibrate import (
 )
 from graycast.real.calibrate.corners import px_per_square_of, refine_corners
 from graycast.render import Quality
-from graycast.rig import Rig
-from graycast.scene import EMPTY_LAYOUT, Quad
+from graycast.rig.optics import Optics, project, rays
+from graycast.rig.pair import Rig
+from graycast.rig.pattern import gray
+from graycast.world.parts import Material
+from graycast.world.scene import EMPTY_LAYOUT, Quad
 
 CAMERA = Optics(
     width_px=480, height_px=360, fx_px=620.0, fy_px=621.9, cx_px=235.7, cy_px=183.1,

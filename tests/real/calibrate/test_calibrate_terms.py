@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from graycast.frames import inverse, rigid, transform_points
-from graycast.optics import Optics, project
+from graycast.base.frames import inverse, rigid, transform_points
 from graycast.real.calibrate.adjust import Observations, adjust, joined
+from graycast.rig.optics import Optics, project
 
 NOISE_PX = 0.08
 SIZE = (1280, 1024)

@@ -5,7 +5,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from graycast.optics import Optics
 from graycast.real.calibrate import BoardView, CalibrationError, parse_board
 from graycast.real.calibrate.adjust import adjust
 from graycast.real.calibrate.calibration import _impossible
@@ -16,6 +15,7 @@ from graycast.real.calibrate.observing import (
     _refuse_same_pose,
     agreeing,
 )
+from graycast.rig.optics import Optics
 
 from .test_calibrate_terms import NOISE_PX, SIZE, lens, seen_by
 

@@ -2,11 +2,11 @@
 
 import numpy as np
 
-from graycast.frames import axis_rotation, inverse, look_at, rigid, transform_points
-from graycast.optics import Optics
-from graycast.raster import rasterize
+from graycast.base.frames import axis_rotation, inverse, look_at, rigid, transform_points
 from graycast.real.fit_bin import BinView
-from graycast.scene import Bin, bin_mesh
+from graycast.rig.meshdepth import rasterize
+from graycast.rig.optics import Optics
+from graycast.world.scene import Bin, bin_mesh
 
 CAMERA = Optics(width_px=160, height_px=120, fx_px=176.0, fy_px=176.0, cx_px=79.5, cy_px=59.5)
 BOX = Bin(inner_m=(0.40, 0.30, 0.15), wall_m=0.012)
@@ -59,13 +59,6 @@ def without(depth_m, T_world_cam, hidden, box=BOX, camera=CAMERA):
     """Depth lost where `hidden(point)` of the bin's frame holds."""
     point = world_points(depth_m, T_world_cam, camera)
     return np.where(hidden(point), np.nan, depth_m)
-
-
-def wrong_by(found, true):
-    """Distance [m] of the bins' origins and angle [deg] between them, in the camera's frame."""
-    T_a, T_b = inverse(found), inverse(true)
-    cosine = (np.trace(T_a[:3, :3].T @ T_b[:3, :3]) - 1) / 2
-    return np.linalg.norm(T_a[:3, 3] - T_b[:3, 3]), np.degrees(np.arccos(np.clip(cosine, -1, 1)))
 
 
 def _table(wall_m):

@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from graycast.errors import DatasetError
-from graycast.optics import Optics
+from graycast.base.errors import DatasetError
 from graycast.real.fit_bin import BinView, empty_view
 from graycast.real.fit_bin.composite import farthest_shared
+from graycast.rig.optics import Optics
 
 H, W = 60, 80
 CAMERA = Optics(width_px=W, height_px=H, fx_px=80.0, fy_px=80.0, cx_px=39.5, cy_px=29.5)

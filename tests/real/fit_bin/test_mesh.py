@@ -2,15 +2,16 @@
 
 import numpy as np
 import pytest
-from crates import Crate
 
-from graycast.errors import GraycastError
-from graycast.frames import axis_rotation, rigid
+from graycast.base.errors import GraycastError
+from graycast.base.frames import axis_rotation, rigid
 from graycast.real.fit_bin import fit_pose, register, settle, shape_of
 from graycast.real.fit_bin.shape import NO_FACE, height_over
-from graycast.scene import Bin, bin_mesh
+from graycast.world.scene import Bin, bin_mesh
+from studies.crates import Crate
+from studies.simulated_bins import wrong_by
 
-from .empty_bins import BOX, CAMERA, noisy, perfect_depth, pose, view, wrong_by
+from .empty_bins import BOX, CAMERA, noisy, perfect_depth, pose, view
 
 CRATE = Crate(lean=0.09)  # 5 degrees
 

@@ -3,17 +3,18 @@
 import numpy as np
 import pytest
 
-from graycast.errors import GraycastError
-from graycast.frames import axis_rotation, rigid
+from graycast.base.errors import GraycastError
+from graycast.base.frames import axis_rotation, rigid
 from graycast.real.fit_bin import find_pose, fit_pose, judge, register, settle
 from graycast.real.fit_bin.box import open_box
 from graycast.real.fit_bin.edges import hold_by_edges
-from graycast.real.fit_bin.plots import residual_map
+from graycast.real.fit_bin.residual_picture import residual_map
 from graycast.real.fit_bin.shape import NO_FACE, height_over
 from graycast.real.fit_bin.start import planes
-from graycast.scene import Bin
+from graycast.world.scene import Bin
+from studies.simulated_bins import wrong_by
 
-from .empty_bins import BOX, noisy, perfect_depth, pose, view, without, wrong_by
+from .empty_bins import BOX, noisy, perfect_depth, pose, view, without
 
 CLUTTER = (
     ((-0.10, -0.12, 0.0), (-0.02, -0.04, 0.05)),
@@ -31,7 +32,7 @@ def faulty(T, seed, box=BOX):
 
 
 def test_rays_meet_the_box_where_the_rasteriser_sees_its_mesh():
-    """Oracle: graycast.raster on scene.bin_mesh, triangles by edge functions, table left out."""
+    """Oracle: rig.meshdepth on scene.bin_mesh, triangles by edge functions, table left out."""
     T = pose(tilt_deg=35.0)
     box = open_box(BOX.inner_m, BOX.wall_m)
     seen = view(perfect_depth(T))

@@ -9,10 +9,10 @@ import pytest
 from dataset.prisms import make_rig
 from simulated_dataset import write_dataset
 
-from graycast.errors import DatasetError, GraycastError
-from graycast.optics import Optics
+from graycast.base.errors import DatasetError, GraycastError
 from graycast.real.fit_bin import Frames, Said, read_frames, read_views
 from graycast.real.fit_bin.look import light_scale
+from graycast.rig.optics import Optics
 
 OWN = Optics(width_px=40, height_px=30, fx_px=50.0, fy_px=50.0, cx_px=19.5, cy_px=14.5)
 DEPTH_MM = np.full((30, 40), 900, dtype=np.uint16)

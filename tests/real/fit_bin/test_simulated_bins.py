@@ -10,18 +10,17 @@ import pytest
 from drawn import axes_of, drawn_by
 from small_cell import shrunk, write_cell
 
-from graycast.cell import resolve_cell
+from graycast.camera.picture import color_picture
+from graycast.camera.rig_file import save_scanner
+from graycast.camera.scanner import Scanner, measure, take
+from graycast.cell.config import load_config
+from graycast.cell.resolve import resolve_cell
 from graycast.cli.fitting import add_commands
-from graycast.config import load_config
-from graycast.picture import color_picture
-from graycast.real.fit_bin import BinView, fit_look, plots, shape_of
+from graycast.real.fit_bin import BinView, fit_look, residual_picture, shape_of
 from graycast.render import Quality
-from graycast.rig import preset_rig
-from graycast.rig_file import save_scanner
-from graycast.scanner import Scanner, measure, take
-from graycast.scene import EMPTY_LAYOUT
-
-from .simulated_bins import LOST, study
+from graycast.rig.pair import preset_rig
+from graycast.world.scene import EMPTY_LAYOUT
+from studies.simulated_bins import LOST, study
 
 pytestmark = pytest.mark.slow
 
@@ -139,7 +138,7 @@ def test_a_fitted_configuration_makes_the_pictures_that_it_was_fitted_to(
     write_shot(tmp_path, depth.depth_m, rgb, capture)
     base = make_cell(tmp_path / "cell", base_words())
     out = base.with_name("fitted.yaml")
-    with drawn_by(plots) as figures:
+    with drawn_by(residual_picture) as figures:
         run(
             tmp_path / "depth.npy", "--rgb", tmp_path / "rgb.png", "--config", base, "--out", out,
             "--floor-reflectance", np.mean(FLOOR), "--azimuth", 10,

@@ -5,12 +5,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from graycast.color import linear, srgb
-from graycast.parts import Material
+from graycast.base.color import linear, srgb
 from graycast.render import Quality
 from graycast.render.wavelength import at_one_wavelength, at_projector_wavelength
-from graycast.rig import preset_rig
-from graycast.scene import EMPTY_LAYOUT, Bin, Environment, Scene, bin_mesh, bin_surfaces
+from graycast.rig.pair import preset_rig
+from graycast.world.parts import Material
+from graycast.world.scene import EMPTY_LAYOUT, Bin, Environment, Scene, bin_mesh, bin_surfaces
 
 WALLS = Material(base_color=(0.6, 0.3, 0.1), projector_reflectance=0.5)
 FLOOR = Material(base_color=(0.1, 0.3, 0.6), projector_reflectance=0.2)

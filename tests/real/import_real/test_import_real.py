@@ -11,14 +11,14 @@ import pytest
 from PIL import Image
 from simulated_dataset import SCALE_MM, visible, write_dataset
 
+from graycast.base.errors import DatasetError, GraycastError
 from graycast.cli.exporting import add_commands
 from graycast.dataset import validate
+from graycast.dataset.export import FORMATS, Options, export
 from graycast.dataset.real import absent
-from graycast.errors import DatasetError, GraycastError
-from graycast.export import FORMATS, Options, export
+from graycast.dataset.training import open_examples
 from graycast.real.import_real import import_real
 from graycast.real.realism import read_scans
-from graycast.training import open_examples
 
 # pycocotools 2.0.11 has an array type from before NumPy 2, which NumPy asks it to mend.
 pytestmark = pytest.mark.filterwarnings("ignore:__array__ implementation:DeprecationWarning")

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from graycast.frames import pixel_grid
+from graycast.base.frames import pixel_grid
 from graycast.real.realism import DepthScan
 
 HEIGHT_PX, WIDTH_PX = 240, 320

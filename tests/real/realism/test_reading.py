@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 import pytest
 
-from graycast.errors import DatasetError
+from graycast.base.errors import DatasetError
 from graycast.real.depth_file import read_intrinsics
 from graycast.real.realism import read_scans
 

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
+from graycast.real.realism.depth_steps import count_steps, flying_pixels
 from graycast.real.realism.gaps import estimate_baseline, find_gaps
-from graycast.real.realism.steps import count_steps, flying_pixels
 
 from .synthetic import K, plane, plates, scan, scattered_plates
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from backends import slow
 
-from graycast.errors import GraycastError
+from graycast.base.errors import GraycastError
 from graycast.real.realism import patches, sensor_auc, two_sample, two_sample_test
 from graycast.real.realism.patches import GROUPS, cut_squares, find_floor
 from graycast.real.realism.two_sample import depth_step_m
@@ -109,7 +109,7 @@ def test_the_floor_is_the_plane_that_was_drawn():
     assert g == pytest.approx(np.linalg.solve(K.T, normal), rel=1e-3, abs=1e-6)
 
 
-@pytest.mark.parametrize("seed", range(6))
+@pytest.mark.parametrize("seed", [0, 1, *map(slow, range(2, 6))])
 def test_a_floor_is_found_where_it_is_an_eighth_of_the_depth(seed):
     """The rest are boxes that lean as they like, none of them as large as the floor that is left.
 

@@ -8,17 +8,17 @@ import pytest
 import yaml
 from small_cell import write_cell
 
-from graycast.cell import resolve_cell
+from graycast.camera.picture import color_picture
+from graycast.camera.rig_file import load_scanner, save_scanner
+from graycast.camera.scanner import scan
+from graycast.cell.config import load_config
+from graycast.cell.resolve import resolve_cell
+from graycast.cell.simulate import lay_out
 from graycast.cli import main
-from graycast.config import load_config
-from graycast.pattern import CodeSpec
-from graycast.picture import color_picture
 from graycast.real.twin import making, searching
 from graycast.real.twin.parameters import OF_BIN, PARAMETERS
 from graycast.render import Quality
-from graycast.rig_file import load_scanner, save_scanner
-from graycast.scanner import scan
-from graycast.simulate import lay_out
+from graycast.rig.pattern import CodeSpec
 
 SCANS = 5
 

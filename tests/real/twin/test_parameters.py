@@ -5,7 +5,8 @@ from dataclasses import asdict
 import numpy as np
 import pytest
 
-from graycast.pattern import CodeSpec
+from graycast.camera.rig_file import load_scanner, save_scanner
+from graycast.camera.scanner import preset
 from graycast.real.twin.parameters import (
     BIN_ROUGHNESS,
     NOISE_OF_SURFACE,
@@ -18,8 +19,7 @@ from graycast.real.twin.parameters import (
     with_noise_of_surface,
     with_values,
 )
-from graycast.rig_file import load_scanner, save_scanner
-from graycast.scanner import preset
+from graycast.rig.pattern import CodeSpec
 
 SCANNER = preset("phoxi-m", "small")
 

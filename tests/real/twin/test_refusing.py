@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from graycast.errors import GraycastError
+from graycast.base.errors import GraycastError
 from graycast.real.twin.refusing import refuse_without_shadow
 
 from ..realism.synthetic import plane, plates, scan, scattered_plates

@@ -6,11 +6,8 @@ import numpy as np
 import pytest
 import trimesh
 
-from graycast.errors import GraycastError
-from graycast.frames import axis_rotation, inverse, rigid, transform_points
-from graycast.optics import Optics
-from graycast.parts import Material, Mesh
-from graycast.raster import rasterize
+from graycast.base.errors import GraycastError
+from graycast.base.frames import axis_rotation, inverse, rigid, transform_points
 from graycast.real.realism import DepthScan
 from graycast.real.twin.restaging import (
     _covered,
@@ -19,8 +16,11 @@ from graycast.real.twin.restaging import (
     standing_before,
     surfaces,
 )
-from graycast.rig import Rig
-from graycast.scene import Bin, Scene, bin_mesh
+from graycast.rig.meshdepth import rasterize
+from graycast.rig.optics import Optics
+from graycast.rig.pair import Rig
+from graycast.world.parts import Material, Mesh
+from graycast.world.scene import Bin, Scene, bin_mesh
 
 WIDTH_PX, HEIGHT_PX, F_PX = 240, 180, 250.0
 SIGMA_M = 2e-4

@@ -8,7 +8,9 @@ import pytest
 from small_cell import shrunk
 from stage import in_camera, lambert, wall
 
-from graycast.pattern import CodeSpec
+from graycast.base.progress import UNWATCHED
+from graycast.camera.scanner import Scanner
+from graycast.camera.sensor import SensorSpec
 from graycast.real.realism import DepthScan
 from graycast.real.realism.patches import find_floor
 from graycast.real.twin import searching
@@ -24,10 +26,9 @@ from graycast.real.twin.searching import scans_of, search
 from graycast.real.twin.stage import BinLook, Lit, in_projector_corner, scan_lit
 from graycast.render import Quality
 from graycast.render.reference import ReferenceRenderer
-from graycast.rig import preset_rig
-from graycast.scanner import Scanner
-from graycast.scene import EMPTY_LAYOUT, Sphere
-from graycast.sensor import SensorSpec
+from graycast.rig.pair import preset_rig
+from graycast.rig.pattern import CodeSpec
+from graycast.world.scene import EMPTY_LAYOUT, Sphere
 
 needs_cma = pytest.mark.skipif(
     importlib.util.find_spec("cma") is None, reason="needs cma: pip install 'graycast[twin]'"
@@ -210,9 +211,7 @@ def court_of(stage, fitted, off, trials=100):
             return (Row(name="a", unit="", real=0.0, spread=1.0, twin=float(off(x))),)
 
     real = Figures(value={"a": np.zeros(3)})
-    court = Formula(
-        scanner, stage[1], fitted, real, None, 1, trials, lambda done, total, text: None
-    )
+    court = Formula(scanner, stage[1], fitted, real, None, 1, trials, UNWATCHED)
     return court, judged
 
 
@@ -280,9 +279,7 @@ def test_an_interval_has_the_values_of_each_code_that_may_be_right(stage, worse,
 
     def span(*codes):
         real = Figures(value={"a": np.zeros(3)})
-        court = TwoValleys(
-            stage[0], stage[1], FITTED, real, None, 1, 100, lambda done, total, text: None
-        )
+        court = TwoValleys(stage[0], stage[1], FITTED, real, None, 1, 100, UNWATCHED)
         held = searching._hold(court, {c: np.array([middle[c], 0.5]) for c in codes}, seed=1)
         return [FITTED[0].share(v) for v in (held[0].low, held[0].high)]
 
@@ -308,7 +305,7 @@ def test_a_valley_that_bends_decides_nothing(stage):
             )
 
     real = Figures(value={"60.0": np.zeros(3), "3.0": np.zeros(3)})
-    court = Bent(stage[0], stage[1], FITTED, real, None, 1, 100, lambda done, total, text: None)
+    court = Bent(stage[0], stage[1], FITTED, real, None, 1, 100, UNWATCHED)
     held = searching._hold(court, {code: np.array([0.1, valley(0.1)])}, seed=1)
     assert not held[0].decided
     assert held[0].low == FITTED[0].low and FITTED[0].share(held[0].high) > 0.6

@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 from small_cell import write_cell
 
-from graycast.cell import resolve_cell
-from graycast.config import load_config
+from graycast.base.progress import UNWATCHED
+from graycast.cell.config import load_config
+from graycast.cell.resolve import resolve_cell
 from graycast.real.realism import DepthScan
 from graycast.real.twin.stage import BinLook, Lit, light_scenes, missing_places, scan_lit
 from graycast.render import Quality
@@ -33,7 +34,7 @@ def lit_bin(folder, renderer, **material):
         quality=Quality(samples=256, depth=4),
         rougher=(-0.15, 0.0, 0.15),
         names=["a scan"],
-        on_stage=lambda stage: None,
+        progress=UNWATCHED,
     )
     return cell.scanner, lit
 

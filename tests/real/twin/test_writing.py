@@ -3,11 +3,11 @@
 import pytest
 from small_cell import write_cell
 
-from graycast.cell import resolve_cell
-from graycast.config import load_config
+from graycast.cell.config import load_config
+from graycast.cell.resolve import resolve_cell
 from graycast.real.twin.parameters import BIN_COLOR, BIN_GLOSS, BIN_ROUGHNESS
 from graycast.real.twin.searching import Found
-from graycast.real.twin.writing import _bin
+from graycast.real.twin.twin_files import _bin
 
 PLAIN = {"base_color": [0.1, 0.2, 0.6], "roughness": 0.5, "specular": 0.4}
 

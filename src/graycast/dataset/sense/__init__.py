@@ -9,11 +9,11 @@ has the figures) and what a fault makes of them; where physics does not tell, no
 from collections.abc import Iterator
 
 from .evidence import Evidence
+from .floor_and_walls import world_problems
 from .light import light_problems
 from .manifest import manifest_problems
-from .pictures import picture_problems
-from .scanner import scanner_problems
-from .world import world_problems
+from .picture_edges import picture_problems
+from .scanner_depth import scanner_problems
 
 __all__ = ["Evidence", "sense_problems"]
 

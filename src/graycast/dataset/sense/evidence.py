@@ -9,14 +9,14 @@ from typing import Any
 import numpy as np
 from jaxtyping import Bool, Float, Int, UInt8, UInt16
 
-from ...decode import DecodeSpec
-from ...frames import inverse, pixel_grid, rigid
-from ...optics import Optics, rays
-from ...rig import Rig
-from ...sensor import SensorSpec
+from ...base.frames import inverse, rigid
+from ...camera.decode import DecodeSpec
+from ...camera.sensor import SensorSpec
+from ...rig.optics import Optics, picture_rays
+from ...rig.pair import Rig
 from .. import records
 from ..claim import read_scanning, rig_of
-from ..reading import Unreadable, held
+from ..safe_reading import Unreadable, held
 
 _ENOUGH_PX = 200_000  # for what holds for the picture as a whole
 
@@ -95,7 +95,7 @@ class Evidence:
 
     @cached_property
     def ray(self) -> Float[np.ndarray, "h w 3"]:
-        return rays(self.lens, pixel_grid(*self.depth.shape))
+        return picture_rays(self.lens)
 
     @cached_property
     def T_world_cam(self) -> Float[np.ndarray, "4 4"]:

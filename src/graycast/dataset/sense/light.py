@@ -11,8 +11,8 @@ from collections.abc import Iterator
 import numpy as np
 from jaxtyping import Bool
 
-from ...decode import DecodeSpec, Levels, Reason, levels_of
-from ...sensor import SensorSpec
+from ...camera.decode import DecodeSpec, Levels, Reason, levels_of
+from ...camera.sensor import SensorSpec
 from ..sample import LEAST_DECODED
 from .evidence import Evidence
 

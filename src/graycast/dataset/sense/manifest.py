@@ -5,9 +5,9 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from ...decode import reason_shares
+from ...base.streams import image_seeds, scene_seeds
+from ...camera.decode import reason_shares
 from ..claim import BESIDE_CONFIG
-from ..seeds import image_seeds, scene_seeds
 from .evidence import Evidence
 
 

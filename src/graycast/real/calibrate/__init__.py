@@ -1,11 +1,11 @@
 """A rig from pictures of a board in several poses, the projector as an inverse camera."""
 
 from .board import Board, CalibrationError, parse_board
+from .board_stacks import describe_calibration, read_view
 from .calibration import Calibration, ViewResidual, calibrate_rig, epipolar_distance_px
 from .corners import Corners, find_corners
 from .observing import BoardView
 from .projector_corners import ProjectorCorners, projector_corners
-from .reading import describe_calibration, read_view
 
 __all__ = [
     "Board",

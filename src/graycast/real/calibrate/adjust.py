@@ -9,8 +9,8 @@ from jaxtyping import Bool, Float, Int
 from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
-from ...frames import inverse, rigid
-from ...optics import Optics, distort
+from ...base.frames import inverse, rigid
+from ...rig.optics import Optics, distort
 from .board import CalibrationError
 
 DEVICE = ("fx_px", "fy_px", "cx_px", "cy_px", "k1", "k2", "p1", "p2", "k3")

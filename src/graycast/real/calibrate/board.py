@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 from jaxtyping import Float
 
-from ...errors import GraycastError
+from ...base.errors import GraycastError
 
 MIN_SQUARES = 3  # on the shorter side: four inner corners, the least that fixes a homography
 FORMS = (

@@ -8,9 +8,9 @@ import cv2
 import numpy as np
 from jaxtyping import Float
 
-from ...frames import inverse
-from ...optics import Optics, distort, rays
-from ...rig import Rig
+from ...base.frames import inverse
+from ...rig.optics import Optics, distort, rays
+from ...rig.pair import Rig
 from .adjust import NO_FIT, Adjustment, Observations, adjust
 from .board import Board, CalibrationError
 from .observing import GOOD_VIEWS, MOST_RMS, BoardView, Observed, check_views, grouped, observe

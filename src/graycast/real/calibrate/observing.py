@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 from jaxtyping import Float, Shaped
 
-from ...stack import mirror_symptom
+from ...camera.stack import mirror_symptom
 from .adjust import NO_FIT, Observations, joined, poses_between, rms_alone_px
 from .board import Board, CalibrationError
 from .corners import MIN_CORNERS, find_corners

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float, Int
 
+from ...base.robust import robust_sigma
 from .corners import Corners
 
 REACH = 0.9  # as a share of a square: every inner corner has a whole square around it on the board
@@ -134,7 +135,7 @@ def _robust_fit(basis, value, weight):
         before = coefficient
         size = np.abs(value - basis @ coefficient)
         robust = weight / np.maximum(size, 0.3)
-    deviation = 1.4826 * np.median(size)
+    deviation = robust_sigma(size)
     keep = size <= OUTLIER * max(deviation, 0.01)
     return keep, _solve(basis[keep], value[keep], weight[keep])
 

@@ -2,6 +2,7 @@
 
 from ..fitted_config import fitted_text, refuse_existing
 from .bending import BentBin, bend_bin, bent_bin
+from .bin_views import BinView, Said, read_views
 from .composite import empty_view
 from .fitting import (
     BinFit,
@@ -17,7 +18,6 @@ from .fitting import (
     write_fit,
 )
 from .look import Frames, Look, fit_look
-from .reading import BinView, Said, read_views
 from .registration import FaceFit, PoseFit, difference, find_pose, judge, register, settle
 from .shape import BinShape
 

@@ -20,17 +20,17 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from scipy.ndimage import binary_dilation, gaussian_filter, map_coordinates
 
-from ...bins import inside_of
-from ...errors import GraycastError
-from ...frames import inverse, pixel_grid, rigid, transform_points
-from ...optics import Optics, project, rays
-from ...parts import Mesh
-from ...parts.builtin import CREASE_RAD
-from ...parts.normals import crease_normals
-from ...ply import WORLD_FRAME, header
-from ...raster import seen_from
-from ...scene import Bin, bin_mesh
-from .reading import BinView
+from ...base.errors import GraycastError
+from ...base.frames import inverse, pixel_grid, rigid, transform_points
+from ...base.ply import WORLD_FRAME, header
+from ...rig.meshdepth import seen_from
+from ...rig.optics import Optics, project, rays
+from ...world.bins import inside_of
+from ...world.parts import Mesh
+from ...world.parts.builtin import CREASE_RAD
+from ...world.parts.normals import crease_normals
+from ...world.scene import Bin, bin_mesh
+from .bin_views import BinView
 
 EDGE_M = 8e-3  # edges this short are not split; also the standard deviation of the smoothing
 _LONGEST_M = 8 * EDGE_M  # edges longer than this always are: a face is looked at in a few points

@@ -10,7 +10,7 @@ import numba
 import numpy as np
 from jaxtyping import Float, Int
 
-from .reading import Grid
+from .bin_views import Grid
 from .shape import COS_ALIKE, NO_FACE, BinShape
 
 _RAISED_M, _AROUND_M = 0.015, 0.025  # of content: above the floor; walls, and what places are off
@@ -110,7 +110,9 @@ class OpenBox:
         each_m = np.broadcast_to(np.float64(tolerance_m), len(self.names)).copy()
         faces = self.low_m, self.high_m, self.axis, each_m
         inner_m = np.array(self.inner_m)
-        return _evidence(np.ascontiguousarray(T_world_cam), ray, depth_m, *faces, inner_m, content)
+        # The kernel is compiled for each layout of arrays, and parts of a grid have another one.
+        seen = [np.ascontiguousarray(values) for values in (T_world_cam, ray, depth_m)]
+        return _evidence(*seen, *faces, inner_m, content)
 
 
 def stand_in(shape: BinShape) -> OpenBox:

@@ -12,8 +12,8 @@ from itertools import pairwise
 import numpy as np
 from jaxtyping import Bool, Float, UInt8
 
-from ...errors import DatasetError
-from .reading import BinView
+from ...base.errors import DatasetError
+from .bin_views import BinView
 
 SHARED_M = 2e-3  # two depths nearer than this are of one surface
 

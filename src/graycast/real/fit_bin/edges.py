@@ -10,8 +10,8 @@ from collections.abc import Sequence
 import numpy as np
 from jaxtyping import Float
 
-from ...frames import axis_rotation, rigid
-from .reading import BinView
+from ...base.frames import axis_rotation, rigid
+from .bin_views import BinView
 from .shape import BinShape
 
 SEARCHED = ("x", "y", "about z")

@@ -10,22 +10,22 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from ...cell import Cell, open_cell_renderer
-from ...config import Config
-from ...errors import GraycastError
-from ...folder import whole_folder
-from ...parts import Material
-from ...scene import Bin, bin_of
-from ...settings import read_text
+from ...base.errors import GraycastError
+from ...base.folder import whole_folder
+from ...base.settings import read_text
+from ...cell.config import Config
+from ...cell.resolve import Cell, open_cell_renderer
+from ...world.parts import Material
+from ...world.scene import Bin, bin_of
 from ..depth_file import read_gray
 from ..fitted_config import fitted_text, refuse_there
 from .bending import BentBin, bent_bin, mesh_bytes
+from .bin_views import BinView
 from .box import open_box
 from .look import Frames, Look, fit_look, mean_color
 from .mesh import mesh_shape
-from .plots import draw_residuals
-from .reading import BinView
 from .registration import FREEDOMS, FaceFit, PoseFit, difference, find_pose, settle
+from .residual_picture import draw_residuals
 from .shape import BinShape
 
 
@@ -185,7 +185,7 @@ def sections(fit: BinFit, cell: Cell, mesh: Path | None = None) -> dict[str, Map
 
     `mesh` is the file of a bent bin, beside the configuration.
     """
-    box = cell.config.bin.model_dump(mode="json", exclude_none=True)
+    box = cell.config.bin.model_dump(mode="json", exclude_none=True, exclude_defaults=True)
     if fit.bent is not None and mesh is not None:
         box = _bent_words(box, cell, mesh)
     elif bin_of(cell.scene).mesh is None:

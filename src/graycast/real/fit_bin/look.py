@@ -20,17 +20,17 @@ import numpy as np
 from jaxtyping import Bool, Float, UInt8
 from scipy.ndimage import maximum_filter, minimum_filter
 
-from ...camera_light import veiled
-from ...cell import Cell
-from ...color import linear
-from ...errors import GraycastError
-from ...frames import transform_points
-from ...parts import Material
-from ...picture import idle_share
+from ...base.color import linear
+from ...base.errors import GraycastError
+from ...base.frames import transform_points
+from ...camera.light import veiled
+from ...camera.picture import idle_share
+from ...cell.resolve import Cell
 from ...render import Quality, Renderer, Rendering
-from ...rig import Rig
-from ...scene import EMPTY_LAYOUT, Scene, bin_of
-from .reading import BinView, Grid
+from ...rig.pair import Rig
+from ...world.parts import Material
+from ...world.scene import EMPTY_LAYOUT, Scene, bin_of
+from .bin_views import BinView, Grid
 from .shape import NO_FACE, BinShape, height_over, is_floor
 
 SURFACES = ("walls", "floor", "table")

@@ -11,10 +11,10 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from scipy.spatial import cKDTree
 
-from ...parts import Mesh
-from ...raster import seen_from
-from ...scene import Bin, inner_floor
-from .reading import Grid
+from ...rig.meshdepth import seen_from
+from ...world.parts import Mesh
+from ...world.scene import Bin, inner_floor
+from .bin_views import Grid
 from .shape import COS_ALIKE, NO_FACE
 
 NAMES = (

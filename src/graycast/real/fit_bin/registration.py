@@ -20,17 +20,18 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from scipy.spatial.transform import Rotation
 
-from ...errors import GraycastError
-from ...frames import axis_rotation, inverse, rigid, transform_points
+from ...base.errors import GraycastError
+from ...base.frames import axis_rotation, inverse, rigid, transform_points
+from ...base.robust import robust_sigma
+from .bin_views import BinView, Grid
 from .box import OpenBox, stand_in
 from .edges import hold_by_edges
-from .reading import BinView, Grid
 from .shape import NO_FACE, BinShape, height_over
 from .start import start_poses
 
 FREEDOMS = ("x", "y", "z", "about x", "about y", "about z")  # of the bin, in its own frame
 _FIRST_M, _LAST_M, _SHRINK = 0.04, 0.006, 0.75  # how far a point may lie from its face
-_TUKEY, _MAD_SIGMA = 4.685, 1.4826  # 95 % efficiency; a normal law's sigma over its MAD
+_TUKEY = 4.685  # in standard deviations, for an efficiency of 95 %
 _LEAST_SIGMA_M = 1e-4
 _LEAST_INLIERS = 60  # points of a face that hold a degree of freedom
 _FINE_M = 0.005  # of the evidence that picks one of the starts
@@ -278,7 +279,7 @@ def _pairs(
         mine = near & (shape.axis[face] == axis)
         if not mine.any():
             continue
-        spread_m = _MAD_SIGMA * np.median(np.abs(height_m[mine]))
+        spread_m = robust_sigma(height_m[mine])
         sigma_m = max(float(spread_m), _LEAST_SIGMA_M)
         cut_m = min(_TUKEY * sigma_m, reach_m)
         share = np.clip(1 - (height_m[mine] / cut_m) ** 2, 0, None) ** 2

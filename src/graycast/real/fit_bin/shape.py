@@ -5,7 +5,7 @@ from typing import Protocol, runtime_checkable
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from .reading import Grid
+from .bin_views import Grid
 
 NO_FACE = -1
 COS_ALIKE = 0.707  # as a share of the largest angle between a point's normal and its face's

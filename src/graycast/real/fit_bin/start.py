@@ -12,9 +12,9 @@ from collections.abc import Callable
 import numpy as np
 from jaxtyping import Float
 
-from ...frames import axis_rotation, inverse, rigid, transform_points
+from ...base.frames import axis_rotation, inverse, rigid, transform_points
+from .bin_views import Grid
 from .box import OpenBox, open_box
-from .reading import Grid
 from .shape import is_floor
 
 PLANES = 6  # the floor is among the largest: table, floor, walls

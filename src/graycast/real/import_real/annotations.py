@@ -13,8 +13,8 @@ import numpy as np
 from jaxtyping import Bool, Float
 from pycocotools import mask as coco_mask
 
-from ...errors import DatasetError
-from ...file_limits import check_runs, parse_json
+from ...base.errors import DatasetError
+from ...base.file_limits import check_runs, parse_json
 
 _RECTANGLE = [[0, 0], [1, 0], [1, 1], [0, 1]]  # corners as picks of (x0, x1) and (y0, y1)
 

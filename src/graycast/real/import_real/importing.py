@@ -3,7 +3,7 @@
 import hashlib
 import json
 import platform
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import chain
 from pathlib import Path
@@ -14,19 +14,19 @@ import numpy as np
 from jaxtyping import Float
 
 from ... import __version__
-from ...dataset.claim import ONE_IMAGE
+from ...base.errors import DatasetError
+from ...base.file_limits import parse_json
+from ...base.folder import new_folder
+from ...base.mask_box import mask_box
+from ...base.progress import UNWATCHED, ProgressMeter
 from ...dataset.coco import run_lengths, scene_annotation, scene_coco, scene_image
 from ...dataset.json_text import json_bytes
 from ...dataset.places import CLAIM
-from ...dataset.records import split_annotation
+from ...dataset.records import FORMAT_VERSION, split_annotation
 from ...dataset.seal import sealed
-from ...errors import DatasetError
-from ...file_limits import parse_json
-from ...folder import new_folder
-from ...mask_box import mask_box
 from ...render.radiance import Silhouette
 from ..depth_sense import filled_holes, refuse_beyond
-from ..pictures import RealPicture, Seen, depth_step_mm, depth_steps, find_shots, read_shot
+from ..picture_pairs import RealPicture, Seen, depth_step_mm, depth_steps, find_shots, read_shot
 from .annotations import Drawn, read_annotations
 
 NO_DISTORTION = (0.0, 0.0, 0.0, 0.0, 0.0)
@@ -68,7 +68,7 @@ def import_real(
     labelled: bool = True,
     names: Sequence[str] | None = None,
     range_m: tuple[float, float] | None = None,
-    on_progress: Callable[[int, int], None] = lambda done, total: None,
+    progress: ProgressMeter = UNWATCHED,
 ) -> Import:
     """Write real pictures as a dataset; a picture is a scene, in the order of their names.
 
@@ -84,7 +84,7 @@ def import_real(
         names: of the objects in the order of their ids, such as those of a simulated dataset.
         range_m: near and far end of the range of a scanner like this one; depth far outside of it
             is refused.
-        on_progress: called with the pictures written and their number.
+        progress: counts pictures.
 
     Raises:
         GraycastError: a file is missing, damaged or contradicts another, an annotation cannot be
@@ -104,7 +104,7 @@ def import_real(
             seen = camera.read(shot)
             labels = drawn[shot.stem] if labelled else None
             writer.scene(aside / "train" / f"{scene_id:06d}", shot, seen, labels)
-            on_progress(scene_id + 1, len(shots))
+            progress.count("pictures", scene_id + 1, len(shots))
         if labelled:
             size = first.size_px
             (aside / "train_coco.json").write_text(writer.split_coco(aside, len(shots), size))
@@ -186,7 +186,7 @@ class _Writer:
 
     def claim(self, folder: Path) -> dict[str, Any]:
         return {
-            "format_version": ONE_IMAGE,
+            "format_version": FORMAT_VERSION,
             "kind": "real",
             "depth_scale_mm": self.step_mm,
             "parts": [{"obj_id": i, "name": name} for i, name in enumerate(self.names, start=1)],

@@ -1,11 +1,11 @@
 """What real depth maps have and perfect ones lack, measured: gaps, noise, steps, islands."""
 
+from .depth_curves import draw_realism
+from .depth_maps import read_perfect, read_scans
 from .measure import Measurement, measure_all, measure_scan, pool
-from .plots import draw_realism
-from .reading import read_perfect, read_scans
-from .record import RECORD_FILE, Realism, read_record, write_record
+from .realism_record import RECORD_FILE, Realism, read_record, write_record
+from .record_table import table
 from .scan import DepthScan
-from .table import table
 from .two_sample import TwoSample, sensor_auc, two_sample_test
 from .two_sample_page import two_sample_table, write_two_sample
 

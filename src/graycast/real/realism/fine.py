@@ -19,8 +19,9 @@ import numpy as np
 from jaxtyping import Float
 from scipy.stats import binom, chi2
 
-from .patches import robust_sigma, second_difference
-from .record import BinRecord, Fine, Pairs
+from ...base.robust import robust_sigma
+from .patches import second_difference
+from .realism_record import BinRecord, Fine, Pairs
 from .scan import DepthScan
 
 TILE_PX = 8
@@ -69,7 +70,7 @@ def measure_fine(scan: DepthScan) -> FineNoise:
     enough = known.sum(axis=1) >= _LEAST_DIFFERENCES
     tiles, corner, mixed, known = (a[enough] for a in (tiles, corner, mixed, known))
     size = np.where(known, np.abs(mixed), np.nan)
-    spread = 1.4826 * np.nanmedian(size, axis=1, keepdims=True) if len(size) else size[:, :1]
+    spread = robust_sigma(size, axis=1, keepdims=True) if len(size) else size[:, :1]
     with np.errstate(invalid="ignore"):
         inner = known & (size <= _OUTLIER * spread)
     out = 1 - inner.sum(axis=1) / np.maximum(known.sum(axis=1), 1)

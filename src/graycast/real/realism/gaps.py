@@ -21,7 +21,7 @@ from scipy import ndimage
 from scipy.optimize import least_squares
 
 from .missing import small_islands
-from .record import Baseline
+from .realism_record import Baseline
 from .scan import DepthScan
 
 _LEAST_GAP_PX = 4

@@ -5,14 +5,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ...errors import GraycastError
+from ...base.errors import GraycastError
+from .depth_steps import StepCounts, count_steps
 from .fine import FineNoise, PairNoise, measure_fine, measure_pair, summarise_fine, summarise_pairs
 from .gaps import Gaps, estimate_baseline, find_gaps
 from .missing import MissingCounts, count_missing, summarise_islands, summarise_missing
 from .noise import LAGS, PATCH_PX, PatchNoise, autocorrelation, measure_noise
-from .record import Autocorrelation, Jumps, Noise, Realism, Steps
+from .realism_record import Autocorrelation, Jumps, Noise, Realism, Steps
 from .scan import DepthScan
-from .steps import StepCounts, count_steps
 
 _PERCENTILES = (5, 25, 50, 75, 95)
 _LEAST_PATCHES = 10  # to tell an autocorrelation

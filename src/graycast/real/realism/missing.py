@@ -8,7 +8,7 @@ from jaxtyping import Bool, Float, Int
 from scipy import ndimage
 from scipy.optimize import isotonic_regression
 
-from .record import BinRecord, DropOut, Islands, Missing
+from .realism_record import BinRecord, DropOut, Islands, Missing
 from .scan import DepthScan
 
 LEVELS = 4095  # of the brightness histogram: 8, 10 and 12 bits keep their own levels apart

@@ -14,6 +14,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 from scipy.stats import chi2
 
+from ...base.robust import robust_sigma
 from .scan import DepthScan
 
 PATCH_PX = 15
@@ -116,7 +117,7 @@ def _fit(inverse: Float[np.ndarray, "n pixels"]) -> _Fit:
     for _ in range(3):
         plane, _ = _least_squares(value, used, _basis()[:, :_PLANE])
         _, rest = _least_squares(value, used, _basis())
-        spread = 1.4826 * np.nanmedian(np.abs(np.where(valid, rest, np.nan)), axis=1, keepdims=True)
+        spread = robust_sigma(np.where(valid, rest, np.nan), axis=1, keepdims=True)
         previous, used = used, valid & (np.abs(rest) <= _OUTLIER_SIGMAS * spread)
     used = previous
     plane_rest = np.where(used, value - plane @ _basis()[:, :_PLANE].T, 0.0)

@@ -15,6 +15,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from scipy import ndimage
 
+from ...base.robust import robust_sigma
 from .scan import DepthScan
 
 SQUARE_PX = 32
@@ -161,11 +162,6 @@ def third_difference(z_m: Float[np.ndarray, "*n h w"]) -> Float[np.ndarray, "*n 
     return (a - 3 * b + 3 * c - d) / np.sqrt(20)
 
 
-def robust_sigma(values: Float[np.ndarray, " n"]) -> float:
-    """From the median of the sizes, as of a normal law."""
-    return float(1.4826 * np.median(np.abs(values))) if len(values) else float("nan")
-
-
 def correlation(
     a: Float[np.ndarray, "*n a b"], b: Float[np.ndarray, "*n a b"]
 ) -> Float[np.ndarray, "*n"]:
@@ -173,7 +169,7 @@ def correlation(
     both = ~np.isnan(a) & ~np.isnan(b)
     enough = both.sum(axis=(-2, -1)) >= _LEAST_PAIRS
     pair = np.where(both, np.stack([a, b]), np.nan)[:, enough]
-    sigma = 1.4826 * np.nanmedian(np.abs(pair), axis=(0, -2, -1))
+    sigma = robust_sigma(pair, axis=(0, -2, -1))
     limit = 4 * (sigma + _TINY_M)[:, None, None]
     a, b = np.clip(np.nan_to_num(pair), -limit, limit)  # a pair that is not known adds nothing
     product, a2, b2 = (one.sum(axis=(-2, -1)) for one in (a * b, a * a, b * b))
@@ -272,7 +268,7 @@ def _paraboloid(
         A, b = basis[used], z_m[used]
         fit = basis @ np.linalg.solve(A.T @ A + 1e-9 * np.eye(6), A.T @ b)
         off = np.abs(fit - np.where(valid, z_m, np.inf))
-        used = valid & (off <= 3 * 1.4826 * np.median(off[valid]) + _TINY_M)
+        used = valid & (off <= 3 * robust_sigma(off[valid]) + _TINY_M)
     return fit
 
 

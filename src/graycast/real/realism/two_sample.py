@@ -10,15 +10,17 @@ Source: Lopez-Paz & Oquab, "Revisiting classifier two-sample tests", ICLR 2017.
 """
 
 import importlib.util
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import combinations
 
 import numpy as np
 from jaxtyping import Float
 
-from ...errors import GraycastError
-from .patches import GROUPS, Squares, cut_squares, robust_sigma, second_difference
+from ...base.errors import GraycastError
+from ...base.progress import UNWATCHED, ProgressMeter
+from ...base.robust import robust_sigma
+from .patches import GROUPS, Squares, cut_squares, second_difference
 from .scan import DepthScan
 
 PLACES = ("smooth", "floor")
@@ -27,8 +29,6 @@ _LEAST_IN_LEAF = 3
 _LEAST_SQUARES = 20  # of each set at a place, to learn from
 _FOLDS = 5
 _MOST_HALVES = 6  # ways to divide the first set into two
-
-OnStage = Callable[[str], None]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -70,7 +70,7 @@ def two_sample_test(
     perfect: Sequence[DepthScan] = (),
     names: tuple[str, str],
     seed: int,
-    on_stage: OnStage = lambda stage: None,
+    progress: ProgressMeter = UNWATCHED,
 ) -> TwoSample:
     """Judge the second set by the first, by squares of maps that were left out of the learning.
 
@@ -89,22 +89,22 @@ def two_sample_test(
                 "out each map once"
             )
     step_m = max(depth_step_m(first), depth_step_m(second))
-    on_stage(f"cutting squares of {names[0]}")
+    progress.stage(f"cutting squares of {names[0]}")
     a = cut_squares(first, step_m=step_m)
-    on_stage(f"cutting squares of {names[1]}")
+    progress.stage(f"cutting squares of {names[1]}")
     b = cut_squares(second, step_m=step_m)
     others: dict[str, Squares] = {}
     for name, scans in _naive(first, perfect, seed).items():
-        on_stage(f"cutting squares of {name}")
+        progress.stage(f"cutting squares of {name}")
         others[name] = cut_squares(scans, step_m=step_m)
     row, score = {}, {}
-    on_stage(f"learning {names[0]} against {names[1]}")
+    progress.stage(f"learning {names[0]} against {names[1]}")
     versus = f"{names[0]} against {names[1]}"
     row[versus] = {place: _aucs(a.at(place), b.at(place), seed) for place in PLACES}
-    on_stage(f"learning {names[0]} against itself")
+    progress.stage(f"learning {names[0]} against itself")
     row[f"{names[0]} against itself"] = {p: _against_itself(a.at(p), seed) for p in PLACES}
     for name, squares in others.items():
-        on_stage(f"learning {names[0]} against {name}")
+        progress.stage(f"learning {names[0]} against {name}")
         row[f"{names[0]} against {name}"] = {
             place: _aucs(a.at(place), squares.at(place), seed) for place in PLACES
         }

@@ -9,7 +9,7 @@ from jaxtyping import Float
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
-from ...plotting import save_png
+from ...base.plotting import save_png
 from .patches import GROUPS, SQUARE_PX, Squares
 from .scan import DepthScan
 from .two_sample import PLACES, Auc, TwoSample

@@ -2,7 +2,7 @@
 
 from .making import LEAST_SCANS, Twin, check_scans, make_twin
 from .parameters import PARAMETERS, Parameter
-from .writing import files_of, summary, write_twin
+from .twin_files import files_of, summary, write_twin
 
 __all__ = [
     "LEAST_SCANS",

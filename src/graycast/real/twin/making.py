@@ -1,17 +1,18 @@
 """From real scans and a cell's configuration to the twin: refuse, stage, light, search, judge."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import UInt8
 
-from ...cell import Cell, open_cell_renderer
-from ...config import resolve_quality
-from ...errors import GraycastError
-from ...parts import Material
-from ...pattern import CodeSpec
-from ...scene import bin_of
+from ...base.errors import GraycastError
+from ...base.progress import UNWATCHED, ProgressMeter
+from ...cell.config import resolve_quality
+from ...cell.resolve import Cell, open_cell_renderer
+from ...rig.pattern import CodeSpec
+from ...world.parts import Material
+from ...world.scene import bin_of
 from ..realism import DepthScan, TwoSample, two_sample_test
 from ..realism.patches import find_floor
 from ..realism.two_sample import require_sklearn
@@ -27,7 +28,7 @@ from .parameters import (
 from .refusing import refuse_without_shadow
 from .restaging import restage
 from .rows import figures_of
-from .searching import Found, OnTrial, require_cma, scans_of, search
+from .searching import Found, require_cma, scans_of, search
 from .stage import Lit, light_scenes, missing_places
 
 LEAST_SCANS = 3
@@ -35,8 +36,6 @@ LEAST_KEPT = 2  # scans that the search does not see, for the classifier to lear
 _BRIGHTEST = 0.9  # reflectance that a bin may be given
 _SMOOTHEST = 0.1  # roughness: a smoother coat shows the lamp in single pixels
 _COATS = (-ROUGHER, 0.0, ROUGHER)  # that are rendered
-
-OnStage = Callable[[str], None]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -62,8 +61,7 @@ def make_twin(
     trials: int,
     seed: int,
     device: str = "auto",
-    on_stage: OnStage = lambda stage: None,
-    on_trial: OnTrial = lambda done, total, text: None,
+    progress: ProgressMeter = UNWATCHED,
 ) -> Twin:
     """Fit the cell's scanner, and the look of its bin, to real scans.
 
@@ -80,7 +78,7 @@ def make_twin(
     check_scans(real, cell, kept=kept)
     fitted = len(real) - kept
     codes, parameters = candidate_codes(cell.scanner.code), fitted_parameters(cell)
-    on_stage("staging the scenes of the scans")
+    progress.stage("staging the scenes of the scans")
     staged = restage(real, cell.scene, pictures)
 
     def light(chosen: slice, codes: Sequence[CodeSpec]) -> tuple[Lit, ...]:
@@ -94,12 +92,12 @@ def make_twin(
                 quality=resolve_quality(cell.config),
                 rougher=_COATS if BIN_GLOSS in {p.key for p in parameters} else (),
                 names=[scan.name for scan in real[chosen]],
-                on_stage=on_stage,
+                progress=progress,
             )
 
     own, aside = slice(0, fitted), slice(fitted, len(real))
     lit = light(own, codes)
-    on_stage("measuring the real scans")
+    progress.stage("measuring the real scans")
     places = missing_places(lit, real[own])
     figures = figures_of(real[own], find_floor([scan.depth_m for scan in real[own]]), places)
     found = search(
@@ -111,7 +109,7 @@ def make_twin(
         places=places,
         trials=trials,
         seed=seed,
-        on_trial=on_trial,
+        progress=progress,
     )
     other = seed + 100_000  # the noise of what is judged is not that of the search
     before = list(scans_of(lit, cell.scanner, {}, seed=other, name="as configured"))
@@ -126,7 +124,7 @@ def make_twin(
         ("kept aside", "twin", after, aside),
     ):
         if real[chosen]:
-            on_stage(f"classifying the scans, {name}")
+            progress.stage(f"classifying the scans, {name}")
             classified[name] = two_sample_test(
                 real[chosen],
                 made[chosen],

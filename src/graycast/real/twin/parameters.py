@@ -11,8 +11,8 @@ from typing import Any, Literal
 import numpy as np
 from jaxtyping import Float
 
-from ...pattern import CodeSpec
-from ...scanner import Scanner
+from ...camera.scanner import Scanner
+from ...rig.pattern import CodeSpec
 
 # The keys that are no scanner's: factors on the bin's own colour and on the coat over it, and how
 # much rougher the coat is.

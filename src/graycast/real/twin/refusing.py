@@ -2,9 +2,9 @@
 
 from collections.abc import Sequence
 
-from ...errors import GraycastError
+from ...base.errors import GraycastError
 from ..realism import DepthScan
-from ..realism.steps import count_steps
+from ..realism.depth_steps import count_steps
 
 _LEAST_JUMPS = 20  # per map, to tell a shadow side
 _MOST_SHARE = 0.25  # of jumps on one side over those on the other, for that side to be in shadow

@@ -1,8 +1,8 @@
 """The scene of a real scan, staged again: a solid in the bin's mesh, with the picture on its top.
 
 What a scan measured nearer than the bin becomes one solid. Its top is the measured surface without
-its noise, and its sides run along the camera's rays down to the bin, so that no light passes under
-what it cannot pass in reality, and the camera does not see them. A scan that is simulated of this
+its noise, and its sides run along the camera's rays down to the bin, where the camera does not see
+them and no light passes below the surface. A scan that is simulated of this
 scene shows the same surfaces at the same pixels as the real one, so that whatever differs is the
 sensor's.
 
@@ -17,13 +17,13 @@ import numpy as np
 from jaxtyping import Bool, Float, Int, UInt8
 from scipy import ndimage
 
-from ...color import linear, srgb
-from ...errors import GraycastError
-from ...frames import transform_points
-from ...optics import Optics, rays
-from ...parts import Material, Mesh, Part
-from ...raster import seen_from
-from ...scene import EMPTY_LAYOUT, Layout, Scene, bin_mesh, bin_of
+from ...base.color import linear, srgb
+from ...base.errors import GraycastError
+from ...base.frames import transform_points
+from ...rig.meshdepth import seen_from
+from ...rig.optics import Optics, rays
+from ...world.parts import Material, Mesh, Part
+from ...world.scene import EMPTY_LAYOUT, Layout, Scene, bin_mesh, bin_of
 from ..realism import DepthScan
 
 _THIN_M = 1.5e-3  # above the bin: its mesh and the noise are off by less
@@ -31,9 +31,9 @@ _LEAST_BIN = 0.05  # as a share of all depth; less says that the pose is wrong
 _LEAST_PX = 30  # pixels of a thing; a mirror image in a glossy wall has fewer
 _STEP_M = 5e-3  # neighbours whose surfaces are further apart are not joined
 _MOST_GAP_PX = 60  # of a gap that the surface about it crosses
-_BENT_M = 4e-3  # so near to a plane what is about such a gap lies
+_BENT_M = 4e-3  # the surface about a gap may be this far from a plane, or the gap stays
 _LEAST_AROUND = 0.8  # as a share of what is about it
-_MOST_COVERED = 0.95  # of a pixel beside a thing
+_MOST_COVERED = 0.95  # a pixel beside a thing is covered by it to this share at most
 _UNDER_M = 2e-3  # so deep the sides go into the bin
 _BRIGHTEST, _WHITE_SHARE = 0.8, 0.97  # reflectance that so many pixels of all pictures are below
 _DARKEST = 0.03  # black print and plastic reflect about as much

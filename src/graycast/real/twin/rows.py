@@ -11,17 +11,17 @@ import numpy as np
 from jaxtyping import Bool, Float
 from scipy import ndimage
 
+from ...base.robust import robust_sigma
 from ..realism import DepthScan
+from ..realism.depth_steps import count_steps
 from ..realism.fine import measure_fine, median_over_mean
 from ..realism.missing import count_missing
 from ..realism.patches import (
     SQUARE_PX,
     correlation,
-    robust_sigma,
     second_difference,
     third_difference,
 )
-from ..realism.steps import count_steps
 
 Places = Mapping[str, Bool[np.ndarray, "h w"]]  # where missing depth is counted, by `PLACES`
 _SIGMAS = 2.0  # within so many standard deviations of the real scans' mean a row is met
@@ -234,7 +234,7 @@ def _from_place_to_place(mixed: Float[np.ndarray, "h w"]) -> float:
     squares = _squares(mixed, _PLACE_PX)
     sigma_m = np.full(len(squares), np.nan)
     known = (~np.isnan(squares)).mean(axis=1) >= _LEAST_KNOWN
-    sigma_m[known] = 1.4826 * np.nanmedian(np.abs(squares[known]), axis=1)
+    sigma_m[known] = robust_sigma(squares[known], axis=1)
     smooth = (sigma_m > 0) & (sigma_m < _SMOOTH_M)  # NaN is not
     log = np.log(np.where(smooth, sigma_m, np.nan)).reshape(rows, columns)
     differing = np.concatenate([np.diff(log, axis=0).ravel(), np.diff(log, axis=1).ravel()])
@@ -247,26 +247,21 @@ def _from_place_to_place(mixed: Float[np.ndarray, "h w"]) -> float:
 def _texture(scan: DepthScan) -> list[float]:
     """By how much noise along rows and columns is above the fine noise [%]; what lines share.
 
-    Medians over squares of smooth surfaces, as a classifier of squares hears them.
+    They are medians over squares of smooth surfaces, as a classifier judges squares.
     """
     z_m = _squares(scan.depth_m).reshape(-1, SQUARE_PX, SQUARE_PX)
     mixed = second_difference(z_m)
     known = (~np.isnan(mixed)).mean(axis=(1, 2)) >= _LEAST_KNOWN
-    z_m, fine_m = z_m[known], _sigmas(mixed[known])
+    z_m, fine_m = z_m[known], robust_sigma(mixed[known], axis=(1, 2))
     smooth = (fine_m > 0) & (fine_m < _SMOOTH_M)  # depth without any noise has no texture
     if smooth.sum() < _LEAST_SQUARES:
         return [float("nan")] * 5
     z_m, fine_m = z_m[smooth], fine_m[smooth]
     along_x, along_y = third_difference(z_m), third_difference(z_m.swapaxes(1, 2))
-    told = [100 * (_sigmas(along) / fine_m - 1) for along in (along_x, along_y)]
+    told = [100 * (robust_sigma(along, axis=(1, 2)) / fine_m - 1) for along in (along_x, along_y)]
     for along, apart in ((along_x, 1), (along_x, 2), (along_y, 1)):
         told.append(correlation(along[:, :-apart], along[:, apart:]))
     return [float(np.nanmedian(one)) for one in told]
-
-
-def _sigmas(values: Float[np.ndarray, "n a b"]) -> Float[np.ndarray, " n"]:
-    """`robust_sigma` of each of them."""
-    return 1.4826 * np.nanmedian(np.abs(values), axis=(1, 2))
 
 
 def _on_slopes(scan: DepthScan) -> list[float]:
@@ -321,7 +316,7 @@ def _tails(mixed: Float[np.ndarray, "h w"]) -> list[float]:
     squares = squares[(~np.isnan(squares)).mean(axis=1) >= _LEAST_KNOWN]
     if len(squares) < _LEAST_SQUARES:
         return [float("nan")] * 2
-    sigma_m = 1.4826 * np.nanmedian(np.abs(squares), axis=1)
+    sigma_m = robust_sigma(squares, axis=1)
     squares, sigma_m = squares[sigma_m < _SMOOTH_M], sigma_m[sigma_m < _SMOOTH_M][:, None]
     if len(squares) < _LEAST_SQUARES or not sigma_m.all():
         return [float("nan")] * 2

@@ -22,9 +22,10 @@ from typing import TypeVar
 import numpy as np
 from jaxtyping import Bool, Float
 
-from ...errors import GraycastError
-from ...pattern import CodeSpec
-from ...scanner import Scanner
+from ...base.errors import GraycastError
+from ...base.progress import UNWATCHED, ProgressMeter
+from ...camera.scanner import Scanner
+from ...rig.pattern import CodeSpec
 from ..realism import DepthScan
 from ..realism.patches import find_floor
 from .parameters import (
@@ -55,16 +56,15 @@ _AGAIN = 3  # times the number of parameters: trials at an end of an interval
 _DECIDED = 0.5  # as a share of its range: a parameter held worse than this is not decided
 
 _Key = TypeVar("_Key")
-OnTrial = Callable[[int, int, str], None]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Held:
-    """How well the data hold a parameter: between what it may lie.
+    """The interval in which a parameter may lie, according to the data.
 
-    Between `low` and `high` are the values that fit as well as two draws of noise are alike: those
-    that were tried, and those for which the other parameters can make up (`joint_reach`,
-    `made_up`, and a search where the interval would decide).
+    A value between `low` and `high` fits no worse than a second draw of noise would. The interval
+    holds the values that were tried, and those whose misfit the other parameters can compensate
+    (`joint_reach`, `made_up`, and a search where the interval would decide).
     """
 
     parameter: Parameter
@@ -121,7 +121,7 @@ def search(
     places: Places | None = None,
     trials: int,
     seed: int,
-    on_trial: OnTrial = lambda done, total, text: None,
+    progress: ProgressMeter = UNWATCHED,
 ) -> Found:
     """The best of about so many trials, and how well it holds each parameter.
 
@@ -129,7 +129,7 @@ def search(
         places: where missing depth is counted; those with which `real` was made.
     """
     require_cma()
-    court = _Court(start, lit, parameters, real, places, seed, trials, on_trial)
+    court = _Court(start, lit, parameters, real, places, seed, trials, progress)
     x0 = shares_of(start, parameters)
     _, before = court.judge(start.code, x0)
     kinds = [court.first_look(start.code, x0), with_noise_of_surface(x0, parameters)]
@@ -196,11 +196,10 @@ class _Court:
         places: Places | None,
         seed: int,
         total: int,
-        on_trial: OnTrial,
+        progress: ProgressMeter,
     ) -> None:
         self.start, self.lit, self.parameters, self.real = start, lit, parameters, real
-        self.places = places
-        self.seed, self.total, self.on_trial = seed, total, on_trial
+        self.places, self.seed, self.total, self.progress = places, seed, total, progress
         self.done, self.least = 0, np.inf
         # Of the noise that all share: a place that is asked for again costs no trial.
         self.tried: dict[tuple[CodeSpec, bytes], tuple[float, tuple[Row, ...]]] = {}
@@ -231,7 +230,8 @@ class _Court:
         if seed is None:
             self.tried[place] = loss, rows
         self.done, self.least = self.done + 1, min(self.least, loss)
-        self.on_trial(self.done, max(self.done, self.total), f"lowest misfit {self.least:.2f}")
+        self.progress.stage(f"lowest misfit {self.least:.2f}")
+        self.progress.count("trials", self.done, max(self.done, self.total))
         return loss, rows
 
     def first_look(self, code: CodeSpec, x0: Float[np.ndarray, " n"]) -> Float[np.ndarray, " n"]:
@@ -366,7 +366,8 @@ def joint_reach(slopes: Float[np.ndarray, "rows n"], room: float) -> Float[np.nd
 def own_loss(real: Figures, scenes: int) -> float:
     """The loss that the real scanner itself would have: the means of so few scans differ.
 
-    It is that of scans of other scenes. Scans of the same scenes differ less, so this is generous.
+    It holds for scans of other scenes. Scans of the same scenes differ less, so the true value is
+    lower.
     """
     return 1 / real.scans + 1 / scenes
 

@@ -1,27 +1,26 @@
 """Scenes of a cell under light, rendered once for every code: what a twin's search looks at."""
 
 import warnings
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 from jaxtyping import Bool, Float
 
-from ...cell import Cell
-from ...frames import inverse, pixel_grid, transform_points
-from ...optics import corner_share, project, rays
-from ...pattern import CodeSpec
+from ...base.frames import inverse, transform_points
+from ...base.progress import ProgressMeter
+from ...camera.scanner import Scanner
+from ...camera.scanner import scan as shoot
+from ...cell.resolve import Cell
 from ...render import GroundTruth, Quality, Radiance, Renderer
-from ...rig import Rig, grey_levels
-from ...scanner import Scanner
-from ...scanner import scan as shoot
-from ...scene import Scene, bin_of
+from ...rig.optics import corner_share, points, project
+from ...rig.pair import Rig, grey_levels
+from ...rig.pattern import CodeSpec
+from ...world.scene import Scene, bin_of
 from ..realism import DepthScan
 from .restaging import layout_of
 
 _STEEP, _STEP = 0.6, 10.0  # tangents of the camera's angle of incidence, about
-
-OnStage = Callable[[str], None]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -60,7 +59,7 @@ def light_scenes(
     quality: Quality,
     rougher: Sequence[float],
     names: Sequence[str],
-    on_stage: OnStage,
+    progress: ProgressMeter,
 ) -> tuple[Lit, ...]:
     """Render each scene of `restage`, all codes in one pass, and again with a black bin.
 
@@ -74,7 +73,7 @@ def light_scenes(
     ends = np.cumsum([len(one) for one in stack])
     lit = []
     for number, (scene, name) in enumerate(zip(scenes, names, strict=True)):
-        on_stage(f"{name}: {renderer.name} renders {int(ends[-1])} patterns")
+        progress.stage(f"{name}: {renderer.name} renders {int(ends[-1])} patterns")
         found = [
             renderer.render(
                 one,
@@ -114,8 +113,7 @@ def light_scenes(
 
 def in_projector_corner(rig: Rig, depth_m: Float[np.ndarray, "h w"]) -> Float[np.ndarray, "h w"]:
     """`optics.corner_share` of where the projector sees each pixel's point; 0 without depth."""
-    ray = rays(rig.camera, pixel_grid(*depth_m.shape))
-    point = transform_points(inverse(rig.T_cam_proj), ray * depth_m[..., None])
+    point = transform_points(inverse(rig.T_cam_proj), points(rig.camera, depth_m))
     share = corner_share(rig.projector, project(rig.projector, point))
     return np.nan_to_num(np.minimum(share, 1.0)).astype(np.float32)
 
@@ -242,8 +240,8 @@ def _weights(rougher: Sequence[float], look: BinLook) -> dict[float, float]:
 
 def _bin_pixels(scene: Scene, truth: GroundTruth) -> Bool[np.ndarray, "h w"]:
     """What is no part and lies over the table, within the bin's outline."""
-    ray = rays(scene.rig.camera, pixel_grid(*truth.depth_m.shape))
-    point = transform_points(scene.T_world_cam, (ray * truth.depth_m[..., None]).reshape(-1, 3))
+    seen_m = points(scene.rig.camera, truth.depth_m).reshape(-1, 3)
+    point = transform_points(scene.T_world_cam, seen_m)
     box = bin_of(scene)
     reach = np.array(box.inner_m[:2]) / 2 + 0.03
     with np.errstate(invalid="ignore"):

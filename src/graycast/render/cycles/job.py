@@ -11,10 +11,10 @@ import numpy as np
 from jaxtyping import Float, Float32, Int, Int32, UInt8
 from PIL import Image
 
-from ...optics import Optics, fold_radius2, rays
-from ...parts import Material, Mesh
-from ...rig import Rig, emission
-from ...scene import (
+from ...rig.optics import Optics, fold_radius2, rays
+from ...rig.pair import Rig, emission
+from ...world.parts import Material, Mesh
+from ...world.scene import (
     Environment,
     Layout,
     Quad,

@@ -15,7 +15,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, final
 
-from ...errors import GraycastError
+from ...base.errors import GraycastError
 
 WORKER = Path(__file__).with_name("worker")
 PYTHON_VARIABLE = "GRAYCAST_CYCLES_PYTHON"

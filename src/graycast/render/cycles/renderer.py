@@ -5,7 +5,7 @@ own, so noise differs from pattern to pattern as it does in the paper. A white p
 picture, a black one is black; the ambient picture is rendered once and is in every frame.
 
 Limits: no constant blur (`psf_px`) of the projector; silhouettes are those of the meshes' outlines,
-by `raster`, and with a distorted lens end at the image.
+by `rig.meshdepth`, and with a distorted lens end at the image.
 """
 
 import tempfile
@@ -15,12 +15,12 @@ from typing import final
 import numpy as np
 from jaxtyping import Float, UInt8
 
-from ...errors import DeviceError, GraycastError
-from ...frames import inverse, pixel_grid, transform_points
-from ...optics import project, rays, relative_illumination
-from ...raster import rasterize
-from ...rig import Rig
-from ...scene import Layout, Scene
+from ...base.errors import DeviceError, GraycastError
+from ...base.frames import inverse, transform_points
+from ...rig.meshdepth import rasterize
+from ...rig.optics import picture_rays, project, relative_illumination
+from ...rig.pair import Rig
+from ...world.scene import Layout, Scene
 from ..denoise import open_denoiser
 from ..device import examine_cuda
 from ..radiance import (
@@ -252,7 +252,7 @@ def _truth(scene: Scene, layout: Layout, pictures: Pictures) -> GroundTruth:
         :3, :3
     ].T
     normal /= np.linalg.norm(normal, axis=-1, keepdims=True)
-    ray = rays(camera, pixel_grid(camera.height_px, camera.width_px))
+    ray = picture_rays(camera)
     normal *= -np.sign((normal * ray).sum(axis=-1, keepdims=True))
     instance = np.where(hit, np.rint(pictures["instance"][..., 0]).astype(np.int32) - 1, -1)
     return GroundTruth(

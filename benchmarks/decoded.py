@@ -1,0 +1,156 @@
+"""Decoded depth against a converged reference, and where stripes have their edges."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from graycast.camera.decode import CodeMap, DepthMap, Reason
+from graycast.camera.scanner import Scanner, scan
+from graycast.render import Radiance
+from graycast.rig.pattern import Code
+
+WRONG_COLUMNS = 1.0  # a column that lies further off than this is wrong
+WIDE_PX = 8  # stripes of so many projector pixels or more have edges that can be located
+STEP_M = 3e-3  # pixels further apart in depth are of two surfaces
+LEAST_CONTRAST = 0.1  # white less black, as a share of the 99th percentile
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Decoded:
+    """The decoded result of one stack."""
+
+    codes: CodeMap
+    depth: DepthMap
+
+    @property
+    def valid(self) -> Bool[np.ndarray, "h w"]:
+        return self.depth.reason == Reason.DECODED
+
+
+def decoded(scanner: Scanner, radiance: Radiance, *, seed: int) -> Decoded:
+    """A stack taken and decoded."""
+    result = scan(scanner, radiance, seed=seed)
+    return Decoded(codes=result.codes, depth=result.depth)
+
+
+def decoding_error(result: Decoded, reference: Decoded) -> dict[str, float]:
+    """The error of a result. All shares are relative to the reference's pixels with depth.
+
+    `wrong_share`: both have depth, the columns differ by more than one. `hole_share`: the depth is
+    lost. `extra_share`: there is depth where the reference has none. `bad_share` is their sum.
+    The root mean square of depth goes over all pixels that have both depths, wrong ones too;
+    `depth_rms_right_mm` over those that are not wrong, and the median again over all.
+    """
+    both = result.valid & reference.valid
+    off_px = np.abs(result.codes.column - reference.codes.column)[both]
+    off_mm = 1e3 * np.abs(result.depth.depth_m - reference.depth.depth_m)[both]
+    wrong = off_px > WRONG_COLUMNS
+    count = max(int(reference.valid.sum()), 1)
+    shares = {
+        "wrong_share": float(wrong.sum() / count),
+        "hole_share": float((reference.valid & ~result.valid).sum() / count),
+        "extra_share": float((result.valid & ~reference.valid).sum() / count),
+    }
+    return {
+        "bad_share": sum(shares.values()),
+        **shares,
+        "depth_rmse_mm": _rms(off_mm),
+        "depth_rms_right_mm": _rms(off_mm[~wrong]),
+        "depth_median_mm": float(np.median(off_mm)) if len(off_mm) else 0.0,
+    }
+
+
+def edge_shifts(
+    radiance: Radiance, reference: Radiance, code: Code, on_surface: Bool[np.ndarray, "h w"]
+) -> dict[str, float]:
+    """The shifts of the edges of wide stripes along the camera's rows from the reference.
+
+    An edge is where a bit's picture crosses the middle between white and black, linear between two
+    pixels. `edge_bias_px` is the mean shift towards the right, `edge_growth_px` the mean by which
+    lit stripes grow at an edge, `edge_rms_px` the scatter [camera px]; edges that are not found
+    within a pixel of their place are `edge_lost_share`.
+    """
+    along, outward, lost, count = [], [], 0, 0
+    for number in _wide_bits(code):
+        shown, expected = (_levels(light, code, number) for light in (radiance, reference))
+        for rising in (True, False):
+            wanted = _edges(expected, on_surface, rising=rising)
+            shift = _nearest(_edges(shown, on_surface, rising=rising), wanted)
+            found = np.isfinite(shift)
+            count += int(np.isfinite(wanted).sum())
+            lost += int((np.isfinite(wanted) & ~found).sum())
+            along.append(shift[found])
+            outward.append(-shift[found] if rising else shift[found])
+    shift_px, growth_px = np.concatenate(along), np.concatenate(outward)
+    if not len(shift_px):
+        return {}
+    return {
+        "edge_bias_px": float(shift_px.mean()),
+        "edge_growth_px": float(growth_px.mean()),
+        "edge_rms_px": _rms(shift_px),
+        "edge_lost_share": lost / count,
+    }
+
+
+def fine_contrast(radiance: Radiance, code: Code, on_surface: Bool[np.ndarray, "h w"]) -> float:
+    """Mean contrast of the finest bit, from 0 to 1, whose stripes are two pixels wide."""
+    finest = min((f.bit, k) for k, f in enumerate(code.frames) if f.kind == "gray")[1]
+    level = _levels(radiance, code, finest)[on_surface]
+    return float(np.nanmean(np.minimum(np.abs(2 * level), 1.0)))
+
+
+def one_surface(reference: Decoded) -> Bool[np.ndarray, "h w"]:
+    """Pixels whose right neighbour has a depth near their own, in the reference."""
+    depth_m = reference.depth.depth_m
+    near = np.zeros(depth_m.shape, dtype=bool)
+    near[:, :-1] = np.abs(np.diff(depth_m, axis=1)) < STEP_M  # NaN compares false
+    return near
+
+
+def _wide_bits(code: Code) -> list[int]:
+    """Frames whose stripes are wide; the finest Gray bit's are two values wide."""
+    return [
+        k
+        for k, frame in enumerate(code.frames)
+        if frame.kind == "gray" and 2 ** (frame.bit + 1) >= WIDE_PX and frame.axis == "column"
+    ]
+
+
+def _levels(radiance: Radiance, code: Code, number: int) -> Float[np.ndarray, "h w"]:
+    """A bit's picture from -1/2 (black) to 1/2 (white); NaN where the two hardly differ."""
+    kinds = [frame.kind for frame in code.frames]
+    white, black = (radiance.pattern[kinds.index(kind)] for kind in ("white", "black"))
+    range_ = white - black
+    dark = range_ < LEAST_CONTRAST * np.percentile(range_, 99)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        return np.where(dark, np.nan, (radiance.pattern[number] - black) / range_ - 0.5)
+
+
+def _edges(
+    level: Float[np.ndarray, "h w"], on_surface: Bool[np.ndarray, "h w"], *, rising: bool
+) -> Float[np.ndarray, "h w"]:
+    """Column of the crossing between each pixel and its right neighbour; NaN where is none."""
+    left, right = level[:, :-1], level[:, 1:]
+    crosses = (left < 0) & (right >= 0) if rising else (left >= 0) & (right < 0)
+    place = np.full(level.shape, np.nan)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        place[:, :-1] = np.arange(level.shape[1] - 1) + left / (left - right)
+    place[:, :-1][~(crosses & on_surface[:, :-1])] = np.nan
+    return place
+
+
+def _nearest(
+    found: Float[np.ndarray, "h w"], wanted: Float[np.ndarray, "h w"]
+) -> Float[np.ndarray, "h w"]:
+    """For each wanted place the nearest one found, in its own or a neighbouring pair, less it."""
+    padded = np.pad(found, ((0, 0), (1, 1)), constant_values=np.nan)
+    w = found.shape[1]
+    shifts = np.stack([padded[:, i : i + w] - wanted for i in range(3)])
+    shifts[~(np.abs(shifts) <= 1)] = np.nan
+    best = np.argmin(np.where(np.isnan(shifts), np.inf, np.abs(shifts)), axis=0)
+    return np.take_along_axis(shifts, best[None], axis=0)[0]
+
+
+def _rms(values: Float[np.ndarray, " n"]) -> float:
+    return float(np.sqrt(np.mean(np.square(values, dtype=np.float64)))) if len(values) else 0.0

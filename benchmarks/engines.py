@@ -1,0 +1,118 @@
+"""The overhead of docs/many-scenes.md: a plain loop, worker processes, and Ray."""
+
+import os
+import time
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, closing
+from dataclasses import dataclass, field
+from importlib.util import find_spec
+from statistics import median
+
+from graycast.cell.engine import Failed, Made, Pool, SceneMaker, SceneTask, make_all, open_pool
+from graycast.cell.generate import depth_step_mm
+
+from .figures import Figures, Show
+from .stages import PARTS, cell_of
+
+SCENES = 6  # of a round
+ROUNDS = 3
+
+
+@dataclass
+class _Contender:
+    """One way of making scenes, opened, with what its rounds took."""
+
+    make: Callable[[list[int]], None]
+    seconds: list[float] = field(default_factory=list)
+
+
+def measure(*, count: int = PARTS, scenes: int = SCENES, show: Show) -> Figures:
+    """The same scenes by each engine in turn, one render thread per worker, after a warm-up.
+
+    Files are made, but not written. `overhead` is the time over the bare loop's less one; `speedup`
+    that of two workers over one. Medians over the rounds' ratios, so that a machine's slow minutes
+    weigh on both sides.
+
+    Raises:
+        DropError, GraycastError: a scene could not be made.
+    """
+    cell = cell_of({"count": count})
+    task = SceneTask(cell=cell, seed=0, device="cpu", depth_scale_mm=depth_step_mm(cell))
+    with ExitStack() as open_now:
+        contenders = dict(_contenders(task, open_now))
+        for name, contender in contenders.items():
+            show(f"warm-up of {name}")
+            contender.make([0, 1])
+        for round_number in range(ROUNDS):
+            first = 2 + round_number * scenes
+            for name, contender in contenders.items():
+                show(f"round {round_number + 1}, {name}")
+                start = time.perf_counter()
+                contender.make(list(range(first, first + scenes)))
+                contender.seconds.append(time.perf_counter() - start)
+    return _figures(contenders, count, scenes)
+
+
+def _contenders(task: SceneTask, open_now: ExitStack) -> Iterator[tuple[str, _Contender]]:
+    maker = open_now.enter_context(SceneMaker(task, threads=1))
+
+    def bare(scene_ids: list[int]) -> None:
+        for scene_id in scene_ids:
+            maker.make(scene_id)
+
+    yield "bare", _Contender(bare)
+    engines = ["local"] + (["ray"] if find_spec("ray") else [])
+    for engine in engines:
+        pool = open_pool(task, engine=engine, workers=2, threads=1)
+        open_now.enter_context(closing(pool))
+        for workers in (2, 1):
+            yield f"{engine}_{workers}", _Contender(_all_by(_Narrowed(pool, workers)))
+
+
+class _Narrowed:
+    """A pool that is given fewer scenes at a time than it could take."""
+
+    def __init__(self, pool: Pool, limit: int) -> None:
+        self._pool, self._limit, self._running = pool, limit, 0
+
+    @property
+    def free(self) -> int:
+        return min(self._pool.free, self._limit - self._running)
+
+    def submit(self, scene_id: int) -> None:
+        self._running += 1
+        self._pool.submit(scene_id)
+
+    def gather(self) -> Made | Failed:
+        self._running -= 1
+        return self._pool.gather()
+
+    def close(self) -> None:
+        pass  # it is the pool's owner who closes it
+
+
+def _all_by(pool: Pool) -> Callable[[list[int]], None]:
+    def make(scene_ids: list[int]) -> None:
+        for outcome in make_all(pool, scene_ids):
+            if not isinstance(outcome, Made):
+                raise outcome.error
+
+    return make
+
+
+def _figures(contenders: dict[str, _Contender], count: int, scenes: int) -> Figures:
+    def over(name: str, base: str) -> float:
+        pairs = zip(contenders[name].seconds, contenders[base].seconds, strict=True)
+        return median(a / b for a, b in pairs)
+
+    figures: Figures = {
+        "parts": count,
+        "scenes": scenes,
+        "cores": len(os.sched_getaffinity(0)),
+        "seconds": {name: median(c.seconds) for name, c in contenders.items()},
+    }
+    for engine in ("local", "ray"):
+        if f"{engine}_1" in contenders:
+            figures[f"{engine}_overhead"] = over(f"{engine}_1", "bare") - 1
+            figures[f"{engine}_speedup"] = over(f"{engine}_1", f"{engine}_2")
+    return figures

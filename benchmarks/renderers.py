@@ -1,0 +1,230 @@
+"""The times of docs/backends.md: Cycles per pattern, Cycles three per render, Mitsuba's one pass.
+
+One scene on one machine, in turn, each from scene to radiance and ground truth. Cycles renders
+a few patterns and what comes with them (white, ambient, quantities); the others are counted at the
+median of its steady frames. Cycles starts warm, its process and kernels loaded, as Mitsuba's
+kernels are. Then how many samples each needs for the same error of decoded depth, at a smaller
+size, against its own converged pictures.
+"""
+
+import math
+import time
+from dataclasses import dataclass, field
+from itertools import pairwise
+from statistics import mean, median
+from typing import Any
+
+import numpy as np
+from jaxtyping import UInt8
+
+from graycast.cell.resolve import Cell
+from graycast.render import Quality, Renderer
+from graycast.render.cycles.job import need_renders
+from graycast.world.scene import Layout
+
+from .cells import PHASE, PHASE_BOTH, bracket_cell, dropped, opened
+from .convergence import converge, error_row, samples_for
+from .denoise import REFERENCE_FACTOR, sample_counts
+from .figures import Figures, Show
+from .processes import children_peak_rss_bytes, cpu_s
+from .stages import PARTS
+
+SIZE_PX = (1032, 772)
+TIMED = {1: 3, 3: 2}  # renders that are timed, of one and of three patterns each
+ROUNDS = 2
+FEW_SAMPLES = 4  # a second point in time: a frame of any number of samples lies on their line
+ERROR_SIZE_PX = (172, 130)
+ERROR_MOST = 128
+MEASURES = ("bad_share", "depth_rms_right_mm")
+
+
+@dataclass(slots=True)
+class Stopwatch:
+    """Wall and processor time since its start, at each frame that Cycles finishes."""
+
+    start_s: float = field(default_factory=lambda: time.perf_counter())
+    start_cpu_s: float = field(default_factory=lambda: cpu_s())
+    marks: list[tuple[float, float]] = field(default_factory=list)
+
+    def mark(self) -> None:
+        self.marks.append((time.perf_counter() - self.start_s, cpu_s() - self.start_cpu_s))
+
+    def steady(self, shown: int) -> tuple[float, float]:
+        """Seconds and processor seconds of a pattern's frame after the first of `shown`."""
+        pairs = list(pairwise(self.marks[:shown]))
+        wall_s = median(after[0] - before[0] for before, after in pairs)
+        return wall_s, median(after[1] - before[1] for before, after in pairs)
+
+
+def measure(*, samples: int, show: Show) -> Figures:
+    with opened(1, 3) as all_three:
+        return study(*all_three, count=PARTS, samples=samples, size_px=SIZE_PX, show=show)
+
+
+def study(
+    mitsuba: Renderer,
+    cycles: Renderer,
+    three: Renderer,
+    *,
+    count: int,
+    samples: int,
+    size_px: tuple[int, int],
+    show: Show,
+) -> Figures:
+    """Seconds of a stack by each, and their ratios at equal samples and at equal error.
+
+    Args:
+        three: Cycles with three patterns per render.
+        count: brackets in the box.
+
+    Raises:
+        ValueError: too few samples, or a size that is no crop of the camera's.
+    """
+    if samples <= FEW_SAMPLES:
+        raise ValueError(f"samples is {samples}; give more than {FEW_SAMPLES}, which is also timed")
+    cell = bracket_cell(count, PHASE_BOTH, size_px)
+    layout = dropped(cell, count, seed=0)
+    all_three = (mitsuba, cycles, three)
+    small = bracket_cell(count, PHASE, ERROR_SIZE_PX)
+    timed = _timed(cell, layout, all_three, samples, show)
+    rows = _errors(small, layout, all_three, show)
+    return {
+        "devices": {one.name: one.device for one in (mitsuba, cycles)},
+        "parts": count,
+        "width_px": size_px[0],
+        "height_px": size_px[1],
+        "patterns": len(cell.code.frames),
+        "samples": samples,
+        **timed,
+        "error_size_px": list(ERROR_SIZE_PX),
+        "errors": rows,
+        "equal_error": equal_error(rows, timed, samples),
+        "cycles_peak_rss_bytes": children_peak_rss_bytes(),
+    }
+
+
+# --- time ----------------------------------------------------------------------------------------
+
+
+def _timed(
+    cell: Cell,
+    layout: Layout,
+    renderers: tuple[Renderer, Renderer, Renderer],
+    samples: int,
+    show: Show,
+) -> Figures:
+    mitsuba, cycles, _ = renderers
+    patterns = cell.patterns()
+    for renderer in renderers:
+        show(f"warming up {renderer.name}")
+        shown = patterns if renderer is mitsuba else patterns[need_renders(patterns)[:1]]
+        quality = Quality(samples=samples if renderer is mitsuba else 1)
+        renderer.render(cell.scene, layout, shown, quality=quality, seed=0)
+    found: dict[str, list[Figures]] = {"onepass": [], "cycles": [], "cycles3": []}
+    for _ in range(ROUNDS):
+        for (name, ends), renderer in zip(found.items(), renderers, strict=True):
+            show(f"timing {name}")
+            ends.append(_stack(cell, layout, renderer, patterns, Quality(samples=samples)))
+    figures: Figures = {}
+    for name, ends in found.items():
+        figures |= {f"{name}_{key}": mean(end[key] for end in ends) for key in ends[0]}
+    for name in ("cycles", "cycles3"):
+        figures[f"{name}_over_onepass"] = figures[f"{name}_s"] / figures["onepass_s"]
+        figures[f"{name}_over_onepass_cpu"] = figures[f"{name}_cpu_s"] / figures["onepass_cpu_s"]
+    show(f"timing cycles at {FEW_SAMPLES} samples")
+    few = _stack(cell, layout, cycles, patterns, Quality(samples=FEW_SAMPLES))
+    figures["cycles_frame_cpu_s_at_few_samples"] = few["frame_cpu_s"]
+    rounds = zip(*found.values(), strict=True)
+    figures["rounds"] = [
+        {name: end["s"] for name, end in zip(found, ends, strict=True)} for ends in rounds
+    ]
+    return figures
+
+
+def _stack(
+    cell: Cell,
+    layout: Layout,
+    renderer: Renderer,
+    patterns: UInt8[np.ndarray, "n ph pw"],
+    quality: Quality,
+) -> Figures:
+    """Seconds and processor seconds of a stack; of Cycles, from a few of its renders."""
+    watch = Stopwatch()
+    if renderer.name != "cycles":
+        renderer.render(cell.scene, layout, patterns, quality=quality, seed=1)
+        watch.mark()
+        return {"s": watch.marks[-1][0], "cpu_s": watch.marks[-1][1]}
+    cycles: Any = renderer
+    patterns, each = patterns[need_renders(patterns)], cycles.patterns_per_render
+    count = math.ceil(len(patterns) / each)
+    shown = min(TIMED[each], count)
+    cycles.on_frame = lambda done, total: watch.mark()
+    renderer.render(cell.scene, layout, patterns[: shown * each], quality=quality, seed=1)
+    watch.mark()
+    frame_s, frame_cpu_s = watch.steady(shown)
+    total_s, total_cpu_s = watch.marks[-1]
+    return {
+        "s": total_s + (count - shown) * frame_s,
+        "cpu_s": total_cpu_s + (count - shown) * frame_cpu_s,
+        "frame_s": frame_s,
+        "frame_cpu_s": frame_cpu_s,
+        "renders": count,
+        "renders_timed": shown,
+    }
+
+
+# --- error ---------------------------------------------------------------------------------------
+
+
+def equal_error(rows: list[Figures], timed: Figures, samples: int) -> list[Figures]:
+    """For each measure of error: how many samples Cycles needs for what one pass has at `samples`.
+
+    And how many one pass needs for what Cycles has at `samples`. `cycles_over_onepass_cpu` is
+    then the ratio of processor times at the same error; a frame's is linear in its samples, which
+    its wall time is not where short frames leave processors idle. A '>' or '<' says that the
+    number lies beyond what was tried.
+    """
+    frame_s, few_s = timed["cycles_frame_cpu_s"], timed["cycles_frame_cpu_s_at_few_samples"]
+    slope_s = (frame_s - few_s) / (samples - FEW_SAMPLES)
+    result = []
+    for measure in MEASURES:
+        own = {
+            name: [row for row in rows if row["renderer"] == name] for name in ("mitsuba", "cycles")
+        }
+        target = _at(own["mitsuba"], measure, samples)
+        needed, side = samples_for(own["cycles"], measure, target)
+        fewer, other_side = samples_for(
+            own["mitsuba"], measure, _at(own["cycles"], measure, samples)
+        )
+        grown = 1 + slope_s * (needed - samples) / frame_s
+        result.append(
+            {
+                "measure": measure,
+                "onepass_samples": samples,
+                "error": target,
+                "cycles_samples": needed,
+                "cycles_side": side,
+                "cycles_over_onepass_cpu": timed["cycles_over_onepass_cpu"] * grown,
+                "cycles3_over_onepass_cpu": timed["cycles3_over_onepass_cpu"] * grown,
+                "onepass_samples_for_cycles_error": fewer,
+                "onepass_side": other_side,
+            }
+        )
+    return result
+
+
+def _at(rows: list[Figures], measure: str, samples: int) -> float:
+    return min(rows, key=lambda row: abs(row["samples"] - samples))[measure]
+
+
+def _errors(
+    cell: Cell, layout: Layout, renderers: tuple[Renderer, Renderer, Renderer], show: Show
+) -> list[Figures]:
+    """Error of decoded depth over samples, of one pass and of Cycles per pattern."""
+    mitsuba, cycles, three = renderers
+    rows = []
+    for renderer, for_reference in ((mitsuba, mitsuba), (cycles, three)):
+        reference = converge(cell, layout, for_reference, REFERENCE_FACTOR * ERROR_MOST, show)
+        for samples in sample_counts(ERROR_MOST):
+            rows.append(error_row(reference, renderer, samples, "none", show)[0])
+    return rows

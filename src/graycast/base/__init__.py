@@ -1,0 +1,19 @@
+"""What every room uses.
+
+Each imports only from those above it:
+
+    errors           the errors that a caller may want to handle
+    array_types      annotations of arrays with their axes
+    file_limits      JSON and pictures of users, refused before they fill the memory
+    folder           files and folders that are written completely or not at all
+    plotting         the style of plots, and how they are written
+    settings         YAML files: reading, checking, and errors of one clear line
+    usage            time and memory that processes have used
+    streams          independent streams of random numbers, by the seed that they are of
+    robust           standard deviations that outliers do not spoil
+    color            the colour encoding of all pictures on disk
+    frames           rigid transforms, rotations and the pixel grid
+    mask_box         the box about a mask's pixels
+    ply              point clouds and meshes as PLY files
+    progress         what a long task tells whoever waits for it
+"""

@@ -1,0 +1,24 @@
+"""Annotations of arrays with their axes, for modules that must also work without jaxtyping.
+
+If jaxtyping is not installed, `Float[np.ndarray, "h w"]` means `np.ndarray`, and nothing is
+checked. Modules that `graycast.dataset.training` does not import take the names from jaxtyping.
+"""
+
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:  # a type checker knows jaxtyping's names only as they are imported
+    from jaxtyping import Bool, Float, Float32, Int, UInt8, UInt16
+else:
+    try:
+        from jaxtyping import Bool, Float, Float32, Int, UInt8, UInt16
+    except ImportError:
+
+        class _Unchecked:
+            """Annotates an array without a check of its axes and its type."""
+
+            def __class_getitem__(cls, told: tuple[type, str]) -> type:
+                return told[0]
+
+        Bool = Float = Float32 = Int = UInt8 = UInt16 = _Unchecked
+
+__all__ = ["Bool", "Float", "Float32", "Int", "UInt8", "UInt16"]

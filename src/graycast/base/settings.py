@@ -1,0 +1,325 @@
+"""YAML files that hold frozen pydantic models: read, checked, and refused with one clear line.
+
+What a number may be is said once, in the annotation of the value's own dataclass, by pydantic's
+`Field`. The dataclass refuses what its annotations do not allow (`check_fields`), and a section of
+a file that sets its fields is made of them (`section_of`, `changes_of`) or is the dataclass itself.
+"""
+
+import difflib
+import math
+from collections.abc import Mapping
+from dataclasses import MISSING, fields
+from functools import cache
+from pathlib import Path
+from typing import Annotated, Any, TypeVar, get_args, get_origin, get_type_hints
+
+import yaml
+from pydantic import (
+    AfterValidator,
+    BaseModel,
+    ConfigDict,
+    Field,
+    GetCoreSchemaHandler,
+    TypeAdapter,
+    ValidationError,
+    create_model,
+)
+from pydantic.fields import FieldInfo
+
+from .errors import ConfigError
+
+Vector = tuple[float, float, float]
+Share = Annotated[float, Field(ge=0, le=1)]
+Positive = Annotated[float, Field(gt=0)]
+Level = Annotated[float, Field(ge=0)]
+Finite = Annotated[float, Field(allow_inf_nan=False)]  # in files every number is
+
+
+def _ordered(span: tuple[Any, Any]) -> tuple[Any, Any]:
+    if span[0] > span[1]:
+        raise ValueError("give two numbers [lowest, highest] in this order")
+    return span
+
+
+Number = TypeVar("Number")
+SpanOf = Annotated[tuple[Number, Number], AfterValidator(_ordered)]  # [lowest, highest]
+Span = SpanOf[float]
+PositiveSpan = SpanOf[Positive]
+ShareSpan = SpanOf[Share]
+
+
+class Settings(BaseModel):
+    """What a user writes: unknown keys, NaN and infinity are refused, and nothing changes later."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+
+
+# --- dataclasses and their sections ------------------------------------------------------------
+
+
+Base = TypeVar("Base", bound=Settings)
+
+
+def check_fields(value: object) -> None:
+    """Refuse what a dataclass's annotations do not allow; for its `__post_init__`.
+
+    A field's default is always allowed: infinity, where it means that there is no limit.
+
+    Raises:
+        ValueError: the text names the field, its value and what it may be.
+    """
+    kind: Any = type(value)  # a type that the cache takes, which mypy doubts
+    for name, (allowed, default, about) in _limits(kind).items():
+        given = getattr(value, name)
+        if given is default or default == math.inf == given:  # another infinity from a pickle
+            continue
+        try:
+            allowed.validate_python(given)
+        except ValidationError as error:
+            why = _reason(error.errors(include_url=False)[0]["msg"])
+            raise ValueError(f"{name} is {given!r}: {why}{about}") from None
+
+
+def section_of(
+    dataclass: type,
+    name: str,
+    *,
+    module: str,
+    about: str,
+    base: type[Base],
+    more: Mapping[str, Any],
+) -> type[Base]:
+    """A section with the fields of a dataclass; those without a default must be given.
+
+    A default of infinity is left out in a file, which knows no such number.
+
+    Args:
+        dataclass: with `Field` in its annotations.
+        name: of the section.
+        module: `__name__` of the module that holds it under that name, where pickle looks for it.
+        about: what the section is, for its schema.
+        base: what the section is beside that.
+        more: further fields, or what stands in the place of some: (annotation, field); None leaves
+            a field of the dataclass out.
+    """
+    own: dict[str, Any] = {}
+    for key, hint, info, default in _declared(dataclass):
+        if default == math.inf:
+            own[key] = _may_miss(hint, info)
+        else:
+            own[key] = (hint, _field(... if default is MISSING else default, info))
+    content = {key: field for key, field in (own | dict(more)).items() if field is not None}
+    return create_model(name, __base__=base, __doc__=about, __module__=module, **content)
+
+
+def changes_of(dataclass: type, name: str, *, module: str, about: str) -> type[Settings]:
+    """A section that says what is to change: each field of a dataclass may be left out."""
+    own: dict[str, Any] = {
+        key: _may_miss(hint, info) for key, hint, info, _ in _declared(dataclass)
+    }
+    return create_model(name, __base__=Settings, __doc__=about, __module__=module, **own)
+
+
+class ReadAs:
+    """In an annotation: pydantic reads the field by a section that was made at run time."""
+
+    def __init__(self, section: type[Settings]) -> None:
+        self._section = section
+
+    def __get_pydantic_core_schema__(
+        self, source: Any, handler: GetCoreSchemaHandler
+    ) -> Any:  # the schema of the section
+        return handler(self._section)
+
+
+def _may_miss(hint: Any, info: FieldInfo) -> tuple[Any, Any]:
+    return hint | None, _field(None, info)
+
+
+def _field(default: Any, info: FieldInfo) -> Any:
+    return Field(default, description=info.description)
+
+
+def _declared(dataclass: Any) -> list[tuple[str, Any, FieldInfo, Any]]:
+    """Name, bare annotation, what its `Field` says, and default of each field."""
+    hints = get_type_hints(dataclass, include_extras=True)
+    found = []
+    for field in fields(dataclass):
+        hint = hints[field.name]
+        info = FieldInfo.from_annotation(hint)
+        if get_origin(hint) is Annotated:
+            hint = info.annotation
+            if info.metadata:
+                hint = Annotated[(hint, *info.metadata)]
+        default = field.default
+        if field.default_factory is not MISSING:
+            default = field.default_factory()
+        found.append((field.name, hint, info, default))
+    return found
+
+
+@cache
+def _limits(dataclass: type) -> dict[str, tuple[Any, Any, str]]:
+    """For each field whose annotation says more than a type: `TypeAdapter`, default, meaning."""
+    config = ConfigDict(strict=True, allow_inf_nan=False)
+    return {
+        name: (TypeAdapter(hint, config=config), default, _meaning(info))
+        for name, hint, info, default in _declared(dataclass)
+        if _says_more(hint)
+    }
+
+
+def _meaning(info: FieldInfo) -> str:
+    return f" ({info.description.rstrip('.')})" if info.description else ""
+
+
+def _says_more(hint: Any) -> bool:
+    return get_origin(hint) is Annotated or any(_says_more(inner) for inner in get_args(hint))
+
+
+def _reason(message: str) -> str:
+    """Pydantic's words as the second half of a sentence."""
+    message = message.removeprefix("Value error, ").replace("Input should", "it should", 1)
+    return f"{message[0].lower()}{message[1:]}"
+
+
+# --- reading -----------------------------------------------------------------------------------
+
+Model = TypeVar("Model", bound=Settings)
+
+
+def read_settings(path: Path, model: type[Model]) -> Model:
+    """Read and check a file.
+
+    Raises:
+        ConfigError: the file is missing, is not YAML, or has an unknown, missing or wrong key.
+    """
+    return check_settings(parse_yaml(read_text(path), path), model, path)
+
+
+def check_settings(content: Mapping[str, Any], model: type[Model], path: Path) -> Model:
+    """Check what a file said."""
+    try:
+        return model.model_validate(content)
+    except ValidationError as error:
+        raise ConfigError(f"{path}: {_first_problem(error, model)}") from error
+
+
+def read_text(path: Path) -> str:
+    try:
+        return path.read_text(encoding="utf-8")
+    except FileNotFoundError as error:
+        raise ConfigError(f"{path}: no such file: check the path") from error
+    except OSError as error:
+        raise ConfigError(
+            f"{path}: cannot be read ({error.strerror}): give a readable file"
+        ) from error
+    except UnicodeDecodeError as error:
+        raise ConfigError(f"{path}: is not a text file: give a YAML file") from error
+
+
+def parse_yaml(text: str, path: Path) -> Mapping[str, Any]:
+    """A YAML mapping; what is none is refused by line."""
+    try:
+        content = yaml.load(text, Loader=_OneOfEachKey)
+    except yaml.YAMLError as error:
+        mark = getattr(error, "problem_mark", None)
+        line = f" in line {mark.line + 1}" if mark else ""
+        why = getattr(error, "problem", None) or "bad characters"
+        raise ConfigError(
+            f"{path}: is not YAML{line} ({why}): correct or remove that line"
+        ) from error
+    except (ValueError, RecursionError) as error:  # an impossible date, brackets without end
+        raise ConfigError(f"{path}: is not YAML ({error}): correct or remove that line") from error
+    if not isinstance(content, Mapping):
+        raise ConfigError(f"{path}: holds no keys: give lines such as 'name: value'")
+    return content
+
+
+class _OneOfEachKey(yaml.SafeLoader):
+    """YAML that refuses a key written twice, where PyYAML would take the last."""
+
+    def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict:
+        seen = set()
+        for key in (key for key, _ in node.value if isinstance(key, yaml.ScalarNode)):
+            if key.value in seen:
+                why = f"{key.value} is given twice"
+                raise yaml.constructor.ConstructorError(None, None, why, key.start_mark)
+            seen.add(key.value)
+        return super().construct_mapping(node, deep)
+
+
+def _first_problem(error: ValidationError, model: type[Settings]) -> str:
+    """The first of pydantic's complaints in one line: key, value and what is allowed."""
+    problems = error.errors(include_url=False)
+    # pydantic counts only the sound items of a list: what is wrong inside makes it too short, too.
+    inside = {problem["loc"][:-depth] for problem in problems for depth in range(1, 8)}
+    problems = [p for p in problems if p["type"] != "too_short" or p["loc"] not in inside]
+    # A misspelt key goes first, because it explains the one that is missing.
+    first = next((p for p in problems if p["type"] in _UNKNOWN), problems[0])
+    key = ".".join(_place(model, first["loc"])[0]) or "the file"
+    more = f" (and {len(problems) - 1} more)" if len(problems) > 1 else ""
+    if first["type"] in _UNKNOWN:
+        return f"unknown key {key}: {_hint(model, first['loc'])}{more}"
+    if first["type"] == "missing":
+        return f"{key} is missing: add it{more}"
+    if isinstance(first["input"], Mapping):
+        return f"{key}: {first['msg'].removeprefix('Value error, ')}{more}"
+    return f"{key} is {first['input']!r}: {_reason(first['msg'])}{more}"
+
+
+def _hint(model: type[Settings], location: tuple[int | str, ...]) -> str:
+    """Where a key belongs that stands in the wrong section, or which key is meant."""
+    *above, key = location
+    known = _place(model, tuple(above))[1]
+    for section in _place(model, tuple(above[:-1]))[1] if above else ():
+        if key in _place(model, (*above[:-1], section))[1]:
+            return f"it belongs to the section {section}, so move it there"
+    near = difflib.get_close_matches(str(key), known, n=1)
+    return f"did you mean {near[0]}?" if near else f"the keys are {', '.join(known)}"
+
+
+# What pydantic calls a key that a section, or a dataclass in its place, does not know.
+_UNKNOWN = ("extra_forbidden", "unexpected_keyword_argument")
+
+
+@cache
+def _schema(model: type[Settings]) -> Mapping[str, Any]:
+    return model.model_json_schema()
+
+
+def _place(model: type[Settings], location: tuple[int | str, ...]) -> tuple[list[str], list[str]]:
+    """Where a problem is: the keys that lead there, and the keys known there, by the JSON Schema.
+
+    Where a key `kind` chooses between sections, pydantic puts the choice into its locations; what
+    a user reads has only the keys of his file.
+    """
+    schema = _schema(model)
+    path, options = [], [schema]
+    for key in location:
+        chosen = [option for option in options if _kind(option) == key]
+        if chosen:
+            options = chosen
+            continue
+        path.append(str(key))
+        node = options[0] if options else {}
+        inner = node.get("items") if isinstance(key, int) else node.get("properties", {}).get(key)
+        options = _sections(inner or {}, schema)
+    return path, list(options[0].get("properties", {})) if options else []
+
+
+def _sections(node: Mapping[str, Any], schema: Mapping[str, Any]) -> list[Mapping[str, Any]]:
+    """What a value may be, references followed, sections first."""
+    if "$ref" in node:
+        return [schema["$defs"][node["$ref"].rsplit("/", 1)[1]]]
+    choices = node.get("anyOf", node.get("oneOf"))
+    if choices is None:
+        return [node]
+    found = [section for option in choices for section in _sections(option, schema)]
+    return sorted(found, key=lambda section: "properties" not in section)
+
+
+def _kind(section: Mapping[str, Any]) -> str | None:
+    if section.get("type") == "array":
+        return "list"  # the tag of a list that stands among sections of several kinds
+    return section.get("properties", {}).get("kind", {}).get("const")

@@ -1,0 +1,64 @@
+"""Which random numbers are independent: every stream of the package, by the seed that it is of.
+
+A stream is known by its number or by its place in a tuple, so that a change in one leaves the
+others as they were: new ones go last.
+"""
+
+from enum import IntEnum
+
+import numpy as np
+
+SCENE = ("counts", "drop", "render", "noise", "picture", "domain", "views")  # of a dataset's seed
+OF_IMAGE = ("render", "noise", "picture")  # each image of a scene has these for itself
+DOMAIN = ("camera", "bin", "lamps", "environment", "table", "parts", "counts", "distractors")
+EMPTIED_BIN = ("counts", "drop", "calibration", "attempts")  # of a robot's seed
+
+
+class Light(IntEnum):
+    """Streams of the seed with which pictures are taken; a shot's own noise has none of them.
+
+    `FIXED_PATTERN` is of the sensor's seed, which may be the same number.
+    """
+
+    FIXED_PATTERN = 1
+    SPECKLE = 2
+    LINES = 3
+    FINISH = 4
+
+
+def stream(seed: int, *key: int) -> np.random.Generator:
+    """The random numbers of a seed's stream: other keys give independent ones."""
+    return np.random.default_rng(np.random.SeedSequence(seed, spawn_key=key))
+
+
+def scene_seeds(
+    seed: int, scene_id: int, *, domain: bool = False, views: bool = False
+) -> dict[str, int]:
+    """The seed of each stage of a scene and of its first image.
+
+    Args:
+        domain: whether values are drawn from one; else there is no seed of it.
+        views: likewise of the places that images are taken from.
+    """
+    seeds = _drawn(seed, (scene_id,), SCENE)
+    # Manifests stay as they were before there were domains and views.
+    left_out = {name for name, has in (("domain", domain), ("views", views)) if not has}
+    return {name: value for name, value in seeds.items() if name not in left_out}
+
+
+def image_seeds(seed: int, scene_id: int, *, station: int, image: int) -> dict[str, int]:
+    """The seeds of one image's own stages: of the first, those of its scene.
+
+    Args:
+        station: the scanner's place in the configuration.
+        image: which of the scanner's images it is.
+    """
+    if station == image == 0:
+        first = scene_seeds(seed, scene_id)
+        return {name: first[name] for name in OF_IMAGE}
+    return _drawn(seed, (scene_id, station, image), OF_IMAGE)
+
+
+def _drawn(seed: int, key: tuple[int, ...], names: tuple[str, ...]) -> dict[str, int]:
+    state = np.random.SeedSequence(seed, spawn_key=key).generate_state(len(names), np.uint64)
+    return dict(zip(names, map(int, state), strict=True))

@@ -1,0 +1,236 @@
+"""Inputs and results of decoding: sensor levels, thresholds, maps and reasons."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from enum import IntEnum, IntFlag
+from typing import Annotated
+
+import numpy as np
+from jaxtyping import Float, UInt8
+from pydantic import Field
+
+from ...base.settings import check_fields
+from ..sensor import SensorSpec, stored_saturation_dn
+
+
+class Reason(IntEnum):
+    """Why a pixel has no depth; 0 is a pixel that has one."""
+
+    DECODED = 0
+    SHADOW = 1
+    LOW_MODULATION = 2
+    SATURATED = 3
+    CONTRADICTORY = 4
+    INTERREFLECTION = 5
+    OUTSIDE_PROJECTOR = 6
+    OUT_OF_RANGE = 7
+    OUTLIER = 8
+
+    @property
+    def color(self) -> str:
+        """The colour of the reason in all maps of reasons."""
+        return _TOLD[self][0]
+
+    @property
+    def meaning(self) -> str:
+        """The explanation of the reason on web pages."""
+        return _TOLD[self][1]
+
+    @property
+    def label(self) -> str:
+        """The name of the reason in figures and files."""
+        return self.name.lower()
+
+    @property
+    def words(self) -> str:
+        return self.label.replace("_", " ")
+
+
+_TOLD = {
+    Reason.DECODED: ("#dcdad2", "there is a depth"),
+    Reason.SHADOW: (
+        "#25283d",
+        "the projector does not reach the pixel: the frames differ only by noise",
+    ),
+    Reason.LOW_MODULATION: ("#6b6e87", "the projector's light is too weak to be decoded reliably"),
+    Reason.SATURATED: ("#f2b134", "bits or phases are lost because the sensor saturates"),
+    Reason.CONTRADICTORY: (
+        "#c8385a",
+        "the bits or phases do not fit any single projector position",
+    ),
+    Reason.INTERREFLECTION: (
+        "#e07b39",
+        "coarse and fine code contradict each other, or stripes lack contrast: "
+        "usually indirect light",
+    ),
+    Reason.OUTSIDE_PROJECTOR: (
+        "#3b8ea5",
+        "the surface or the code is outside of the projector's picture",
+    ),
+    Reason.OUT_OF_RANGE: ("#7d5ba6", "the depth is outside of the rig's working range"),
+    Reason.OUTLIER: ("#4f9d69", "the point is off its epipolar line, or a filter removed it"),
+}
+REASON_COLOR = {reason.label: reason.color for reason in Reason}
+
+
+def reason_shares(reason: UInt8[np.ndarray, "*pixels"]) -> dict[str, float]:
+    """The share of the pixels that has each reason; empty without pixels."""
+    if not reason.size:
+        return {}
+    return {known.label: float((reason == known).mean()) for known in Reason}
+
+
+def mean_shares(shares: Sequence[Mapping[str, float]]) -> dict[str, float]:
+    """The mean of each share over pictures; those whose shares are empty do not count."""
+    counted = [each for each in shares if each]
+    return {
+        name: float(np.mean([each[name] for each in counted]))
+        for name in (counted[0] if counted else ())
+    }
+
+
+class Mark(IntFlag):
+    """Properties of a pixel in addition to its reason."""
+
+    CLIPPED = 1  # a frame that its place is read from is at the top of the range
+    SETTLED = 2  # its own phases allow several places; its neighbours chose among them
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Levels:
+    """The offset, the saturation and the noise of a sensor's digital numbers.
+
+    The variance of a stored value y is `floor_dn2 + slope_dn (y - offset_dn)` [DN^2]: read noise
+    and quantisation, and photons (EMVA 1288).
+    """
+
+    offset_dn: float
+    saturation_dn: float
+    floor_dn2: float
+    slope_dn: float
+
+    def __post_init__(self) -> None:
+        if not self.saturation_dn > self.offset_dn:
+            span = f"offset_dn {self.offset_dn}, saturation_dn {self.saturation_dn}"
+            raise ValueError(f"{span}: saturation_dn must be greater than offset_dn")
+        if not (self.floor_dn2 > 0 and self.slope_dn >= 0):
+            law = f"floor_dn2 {self.floor_dn2}, slope_dn {self.slope_dn}"
+            raise ValueError(f"noise is {law}; the floor is positive, the slope not negative")
+
+    @property
+    def range_dn(self) -> float:
+        return self.saturation_dn - self.offset_dn
+
+
+def levels_of(sensor: SensorSpec) -> Levels:
+    """The levels of a sensor whose specification is known."""
+    return Levels(
+        offset_dn=sensor.offset_dn,
+        saturation_dn=float(stored_saturation_dn(sensor)),
+        floor_dn2=float(sensor.variance_dn2(sensor.offset_dn)),
+        slope_dn=sensor.gain_dn_per_e,
+    )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class DecodeSpec:
+    """The conditions under which a pixel is decoded.
+
+    `min_contrast`: brightest minus darkest frame (of a phase code: twice its amplitude), as a share
+    of the sensor's range, and `min_sigmas` the same in standard deviations of the darkest
+    frame's noise: a pixel must pass both. A bit is doubtful where its signal is under `doubt`
+    times that contrast. At any place of a Gray code at most one bit is changing, so two doubtful
+    bits of an axis contradict each other; its `fine_bits` finest bits do not count: there a pixel
+    may see several stripes and still be right, and doubt only widens `sigma`. A single doubtful bit
+    contradicts where misreading it would cost more than 2^fine_bits values; under a phase code,
+    half a period, and `fine_bits` is not used. The phase of a pixel whose bits contradict is known
+    all the same: its period is taken from its neighbours where `settling_votes` of them agree.
+    Under a phase code, a pixel that sees two surfaces, or one by way of another, has stripes of
+    less contrast than its brightest and darkest frame: below `min_visibility` of it, the pixel has
+    the reason INTERREFLECTION.
+    Where both axes are coded, a point farther from its epipolar line than `max_epipolar_px` and
+    three standard deviations is an outlier; 0 lets all pass.
+    """
+
+    min_contrast: Annotated[float, Field(gt=0, lt=1)] = 0.02
+    min_sigmas: Annotated[
+        float,
+        Field(
+            ge=0,
+            description="Lowest contrast of a decoded pixel, in standard deviations of the "
+            "noise of the darkest frame.",
+        ),
+    ] = 0.0
+    doubt: Annotated[float, Field(ge=0, lt=1)] = 0.15
+    fine_bits: Annotated[int, Field(ge=0)] = 3
+    settling_votes: Annotated[
+        int,
+        Field(
+            ge=0,
+            le=24,
+            description="A pixel with a phase whose Gray bits contradict each other takes the "
+            "period that at least so many of its 24 neighbours lead to. 0 switches this off.",
+        ),
+    ] = 0
+    min_visibility: Annotated[
+        float,
+        Field(
+            ge=0,
+            lt=1,
+            description="Lowest contrast of a phase code's stripes, as a share of the contrast "
+            "between the brightest and the darkest frame of the same pixel. Pixels that see two "
+            "surfaces at once have less. 0 switches this off.",
+        ),
+    ] = 0.0
+    max_epipolar_px: Annotated[
+        float,
+        Field(
+            ge=0,
+            description="Largest distance of a point from its epipolar line in "
+            "projector pixels; a point beyond it is an outlier. 0 "
+            "switches the test off.",
+        ),
+    ] = 2.0
+
+    def __post_init__(self) -> None:
+        check_fields(self)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class CodeMap:
+    """Which projector pixel each camera pixel sees.
+
+    `column`, `row` and their standard deviations [projector px] are NaN where `reason` is not
+    DECODED and where the code has no such axis. `modulation` is brightest minus darkest frame, of
+    a phase code twice its amplitude, as a share of the sensor's range. `mark` are bits of `Mark`;
+    None where they were not kept.
+    """
+
+    column: Float[np.ndarray, "h w"]
+    row: Float[np.ndarray, "h w"]
+    sigma_column: Float[np.ndarray, "h w"]
+    sigma_row: Float[np.ndarray, "h w"]
+    modulation: Float[np.ndarray, "h w"]
+    reason: UInt8[np.ndarray, "h w"]
+    mark: UInt8[np.ndarray, "h w"] | None = None
+
+    def __post_init__(self) -> None:
+        for name in self.__dataclass_fields__:
+            if getattr(self, name) is not None:
+                getattr(self, name).flags.writeable = False
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class DepthMap:
+    """What the scanner measured: z of the camera frame and its standard deviation [m].
+
+    Both are NaN where `reason` is not DECODED.
+    """
+
+    depth_m: Float[np.ndarray, "h w"]
+    sigma_m: Float[np.ndarray, "h w"]
+    reason: UInt8[np.ndarray, "h w"]
+
+    def __post_init__(self) -> None:
+        for name in self.__dataclass_fields__:
+            getattr(self, name).flags.writeable = False

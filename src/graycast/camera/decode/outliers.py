@@ -1,0 +1,96 @@
+"""Detection of pixels that are off the surface around them, and the depth of that surface."""
+
+from typing import no_type_check
+
+import numba
+import numpy as np
+from jaxtyping import Bool, Float
+
+from ...base.robust import MAD_SIGMA
+from .median import median
+
+LEAST = 4  # values that make a median
+SUPPORT_PX = 3  # so many of 24 neighbours near an outlying pixel's depth make it a detail
+WHOLE_PX = 20  # so many of 24 neighbours near their median are a surface without an edge
+
+
+def find_outliers(
+    inverse: Float[np.ndarray, "H W"],
+    noise: Float[np.ndarray, "H W"],
+    sigmas: float,
+    share: float,
+    margin_px: int,
+    repair: bool,
+    removed: Bool[np.ndarray, "h w"],
+) -> tuple[Float[np.ndarray, "h w"], Float[np.ndarray, "h w"]]:
+    """Mark outlying pixels of framed maps of inverse depth in `removed`.
+
+    Args:
+        repair: those within a whole surface are not marked but get its depth.
+
+    Returns:
+        inverse depth and its standard deviation for pixels to be repaired, else NaN.
+    """
+    level, spread = np.full((2, *removed.shape), np.nan)
+    _find(inverse, noise, sigmas, share, margin_px, repair, removed, level, spread)
+    return level, spread
+
+
+@numba.njit(parallel=True, cache=True)
+@no_type_check  # the tests' type checker wraps functions, which numba cannot compile
+def _find(inverse, noise, sigmas, share, margin, repair, removed, level, spread):
+    h, w = removed.shape
+    for row in numba.prange(h):
+        for column in range(w):
+            y, x = row + margin, column + margin
+            # Almost every pixel lies near the line of two opposite neighbours: a quick way out.
+            if np.isnan(inverse[y, x]):
+                continue
+            if not _in_line(inverse, noise, y, x, 0.5 * sigmas, 0.5 * share):
+                outlies, middle, around = _outlies(inverse, noise, y, x, sigmas, share)
+                if outlies and repair and around > 0:
+                    level[row, column], spread[row, column] = middle, around
+                else:
+                    removed[row, column] |= outlies
+
+
+@numba.njit(cache=True)
+@no_type_check  # the tests' type checker wraps functions, which numba cannot compile
+def _in_line(inverse, noise, y, x, sigmas, share):
+    middle = np.float64(inverse[y, x])
+    for down, right in ((0, 1), (1, 0), (1, 1), (1, -1)):
+        a, b = inverse[y - down, x - right], inverse[y + down, x + right]
+        first, second = noise[y - down, x - right], noise[y + down, x + right]
+        off = middle - 0.5 * (a + b)
+        variance = noise[y, x] * noise[y, x] + 0.25 * (first * first + second * second)
+        if off * off <= max(sigmas * sigmas * variance, share * share * middle * middle):
+            return True
+    return False
+
+
+@numba.njit(cache=True)
+@no_type_check  # the tests' type checker wraps functions, which numba cannot compile
+def _outlies(inverse, noise, y, x, sigmas, share):
+    """Compare a pixel with the median of 5 x 5 pixels, corrected for the median slopes.
+
+    Beside the verdict: that median, and the pixels' deviation about it; 0 if they are no surface.
+    """
+    window = inverse[y - 2 : y + 3, x - 2 : x + 3].astype(np.float64)
+    middle = window[2, 2]
+    window[2, 2] = np.nan
+    slope_x = median((window[:, 1:] - window[:, :-1]).ravel(), LEAST)
+    slope_y = median((window[1:] - window[:-1]).ravel(), LEAST)
+    if np.isnan(slope_x) or np.isnan(slope_y):
+        return False, 0.0, 0.0  # too few neighbours to judge: `island_px` does
+    for dy in range(-2, 3):
+        for dx in range(-2, 3):
+            window[dy + 2, dx + 2] -= slope_y * dy + slope_x * dx
+    level = window.ravel()
+    usual = median(level, LEAST)
+    deviation = abs(middle - usual)
+    local = MAD_SIGMA * median(np.abs(level - usual), LEAST)
+    limit = max(sigmas * max(noise[y, x], local), share * middle)
+    if not deviation > limit or (np.abs(level - middle) < 0.5 * deviation).sum() >= SUPPORT_PX:
+        return False, 0.0, 0.0
+    whole = (np.abs(level - usual) <= limit).sum() >= WHOLE_PX
+    return True, usual, local if whole else 0.0

@@ -1,0 +1,344 @@
+"""From a stack of pictures to projector positions: all frames in one pass over the pixels.
+
+`plain.py` says the same in NumPy, frame by frame; tests compare the two. Here every loop runs along
+a row of pixels over few arrays, without branches, so that the compiler makes SIMD code of it. Each
+step is a kernel of its own, compiled when a code first needs it.
+"""
+
+import math
+from dataclasses import dataclass
+from typing import no_type_check
+
+import numba
+import numpy as np
+from jaxtyping import Bool, Float32, UInt8, UInt16
+
+from ...base.errors import DecodeError
+from ...rig.pattern import AXES, Axis, Code
+from .bits import FINE_ERROR, lose_bits, read_gray
+from .maps import CodeMap, DecodeSpec, Levels, Mark, Reason
+from .phases import (
+    MIN_LEAD,
+    bound,
+    count_by_gray,
+    count_by_phases,
+    fuse,
+    lose_phases,
+    open_choices,
+    read_phases,
+)
+from .plan import AxisPlan, plan_axes, read_frames
+from .settling import CHOICES, CLEAR, OPEN, settle, settle_refused
+
+SHADOW_SIGMAS = 6.0  # the range of some twenty noisy frames of equal light seldom exceeds it
+
+
+def decode(
+    frames: UInt8[np.ndarray, "n h w"] | UInt16[np.ndarray, "n h w"],
+    code: Code,
+    spec: DecodeSpec,
+    levels: Levels,
+    *,
+    fine_error: float = FINE_ERROR,
+) -> CodeMap:
+    """Read a stack.
+
+    A Gray bit is the sign of pattern minus inverse; without inverse it tells whether the pixel is
+    above the middle of its own darkest and brightest frame, as in K. Bai et al. 2024. Phases are
+    counted by the Gray code or by one another; the place is their mean, weighted by their noise.
+    docs/derivations.md, "Decoding".
+
+    Leaves out: what the projector's square pixels do to a camera that resolves them. A cosine or a
+    comb on a grid of pixels is a staircase, of however many pixels a line is made. Its error (peak,
+    projector px) for a camera pixel that covers 1 or 1.5 of them, and a projector blurred to a disc
+    of some radius, is far under `sigma` once stripes are blurred by a pixel:
+
+        period 8 px   sharp 0.010, 0.075   0.5 px  0.007, 0.014   1 px  0.004, 0.005
+        period 16 px  sharp 0.003, 0.081   0.5 px  0.002, 0.013   1 px  0.001, 0.005
+
+    Args:
+        fine_error: by how much a fine bit's signal is off beyond its noise, as a share of the
+            pixel's contrast; it widens `sigma` alone. 0 leaves noise, as if each bit were wrong by
+            itself.
+
+    Raises:
+        DecodeError: the stack has another number of frames than the code, or frames are missing.
+    """
+    if len(frames) != len(code.frames):
+        raise DecodeError(
+            f"the stack has {len(frames)} frames, the code has {len(code.frames)}: check the "
+            "projector size and the inverse frames"
+        )
+    plans = plan_axes(code, spec.fine_bits)
+    stack = np.ascontiguousarray(frames).view()
+    stack.flags.writeable = False  # kernels are compiled for each kind of array: this is one
+    seen = _look(stack, plans, spec, levels, fine_error)
+    found = {axis: _read(seen, plan) for axis, plan in plans.items()}
+    why, strength, shape = seen.why, seen.strength, seen.why.shape
+    _judge(seen.high, seen.low, strength, seen.top, why, seen.law, seen.dark)
+    for place, sigma in found.values():
+        _forget(why, place, sigma)
+    strength /= np.float32(levels.range_dn)
+    column, row = (
+        found[axis] if axis in found else np.full((2, *shape), np.nan, dtype=np.float32)
+        for axis in AXES
+    )
+    return CodeMap(
+        column=column[0],
+        row=row[0],
+        sigma_column=column[1],
+        sigma_row=row[1],
+        modulation=strength,
+        reason=why,
+        mark=seen.mark,
+    )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Seen:
+    """A stack, and what is known of each pixel; `strength`, `why` and `mark` are written to."""
+
+    frames: UInt8[np.ndarray, "n h w"] | UInt16[np.ndarray, "n h w"]
+    law: tuple[np.float32, ...]  # offset_dn, floor_dn2, slope_dn, doubt, fine_error
+    # Shows too little: min_contrast [DN], min_sigmas, min_visibility.
+    dark: tuple[np.float32, np.float32, np.float32]
+    votes: int  # of neighbours that settle the period of a contradictory pixel; 0 is none
+    saturation_dn: np.float32
+    high: Float32[np.ndarray, "h w"]
+    low: Float32[np.ndarray, "h w"]
+    top: Bool[np.ndarray, "h w"]  # a frame that is read is at the top
+    strength: Float32[np.ndarray, "h w"]
+    why: UInt8[np.ndarray, "h w"]
+    mark: UInt8[np.ndarray, "h w"]
+
+
+def _look(
+    frames, plans: dict[Axis, AxisPlan], spec: DecodeSpec, levels: Levels, fine_error: float
+) -> _Seen:
+    """Brightest and darkest value of each pixel, and where the top is reached."""
+    shape = frames.shape[1:]
+    high, low, strength = (np.empty(shape, dtype=np.float32) for _ in range(3))
+    numbers = (levels.offset_dn, levels.floor_dn2, levels.slope_dn, spec.doubt, fine_error)
+    saturation_dn = np.float32(levels.saturation_dn)
+    peak = np.empty(shape[0], dtype=np.float32)
+    _range(frames, high, low, strength, peak)
+    top = np.zeros(shape, dtype=np.bool_)
+    if peak.max(initial=0) >= saturation_dn:
+        read = np.flatnonzero(read_frames(plans, len(frames)))
+        _reach(frames, read, peak, saturation_dn, top)
+    return _Seen(
+        frames=frames,
+        law=tuple(np.float32(number) for number in numbers),
+        dark=(
+            np.float32(spec.min_contrast * levels.range_dn),
+            np.float32(spec.min_sigmas),
+            np.float32(spec.min_visibility),
+        ),
+        votes=spec.settling_votes,
+        saturation_dn=saturation_dn,
+        high=high,
+        low=low,
+        top=top,
+        strength=strength,
+        why=np.zeros(shape, dtype=np.uint8),
+        mark=top.view(np.uint8) * np.uint8(Mark.CLIPPED),
+    )
+
+
+def _read(seen: _Seen, plan: AxisPlan) -> tuple:
+    """Places and their standard deviations along one axis; what is wrong is said in `seen.why`."""
+    shape = seen.why.shape
+    place = np.empty(shape, dtype=np.float32)
+    sigma = np.zeros(shape, dtype=np.float32)
+    # Only a phase asks for rivals; without one they may go where the place will be written.
+    rival = np.zeros(shape, dtype=np.float32) if plan.periods else place
+    clipped = bool(seen.top.any())
+    free = seen.why == Reason.DECODED if seen.votes else None  # of what another axis says
+    if plan.bits:
+        bits = np.array([(b.frame, b.inverse, b.xor, b.counts) for b in plan.bits])
+        grid = np.array([plan.first_px, plan.cell_px, plan.reach], dtype=np.float32)
+        light = seen.high, seen.low
+        if clipped:
+            lose_bits(seen.frames, bits, *light, seen.top, seen.saturation_dn, seen.why)
+        read_gray(seen.frames, bits, grid, seen.law, *light, place, sigma, rival, seen.why)
+    if plan.periods:
+        _read_phases(seen, plan, clipped, free, place, sigma, rival)
+    else:
+        _within_cell(np.float32(plan.cell_px**2 / 12), sigma)
+    _outside(np.float32(plan.size_px), place, seen.why)
+    return place, sigma
+
+
+def _read_phases(seen: _Seen, plan: AxisPlan, clipped: bool, free, place, sigma, rival) -> None:
+    counts = [len(p.frames) for p in plan.periods]
+    starts = np.cumsum([0, *counts[:-1]])
+    lengths = [p.period_px for p in plan.periods]
+    model2 = np.full(len(counts), plan.model_rad**2)
+    periods = np.column_stack([lengths, starts, counts, model2]).astype(np.float64)
+    index = np.array([k for p in plan.periods for k in p.frames])
+    delta = np.array([d for p in plan.periods for d in p.delta_rad])
+    waves = np.array([f(m * delta) for m in (1, 2) for f in (np.cos, np.sin)], np.float32).T
+    h, w = seen.why.shape
+    turn, noise2 = np.empty((2, h, len(counts), w), dtype=np.float32)
+    if clipped:
+        lose_phases(seen.frames, index, seen.top, seen.saturation_dn, seen.why)
+    read_phases(seen.frames, periods, index, waves, seen.law, seen.strength, turn, noise2)
+    if plan.gray_counts:
+        count_by_gray(periods, np.float32(plan.cell_px), turn, place, sigma, rival, seen.why)
+        if seen.votes:
+            _settle_refused(seen, periods[0, 0], turn[:, 0], free, place)
+    else:
+        if not plan.bits:
+            place[:] = 0.5 * (plan.size_px - 1)
+        bounds = np.empty((h, 2, w), dtype=np.float32)
+        bound(periods, place, np.float32(plan.half_px), turn, noise2, bounds)
+        _count(seen, (periods, delta, plan.half_px, bounds, turn, noise2), place, bool(plan.bits))
+    fuse(periods, turn, noise2, place, sigma)
+
+
+def _count(seen: _Seen, measured: tuple, place, by_gray: bool) -> None:
+    """Count periods by the phases themselves; what they leave open is the neighbours' to settle.
+
+    `by_gray`: a Gray code says about where, so a pixel whose phases do not agree there has light
+    from elsewhere.
+    """
+    periods, turn = measured[0], measured[-2]
+    state = np.empty(place.shape, dtype=np.uint8)
+    count_by_phases(*measured, place, state)
+    lit = _judged(seen) == Reason.DECODED
+    if (lit & (state == OPEN)).any():
+        h, w = place.shape
+        choice = np.empty((h, CHOICES, w), dtype=np.int32)
+        cost = np.empty(choice.shape, dtype=np.float32)
+        open_choices(*measured, state, choice, cost)
+        settled = settle(periods, turn, choice, cost, place, state, lit, min_lead=MIN_LEAD)
+        seen.mark[settled] |= np.uint8(Mark.SETTLED)
+    wrong = Reason.INTERREFLECTION if by_gray else Reason.CONTRADICTORY
+    seen.why[(state != CLEAR) & (seen.why == Reason.DECODED)] = wrong
+
+
+def _judged(seen: _Seen) -> UInt8[np.ndarray, "h w"]:
+    """Each pixel's reason so far, by its light as well as by its code."""
+    said = seen.why.copy()
+    _judge(seen.high, seen.low, seen.strength, seen.top, said, seen.law, seen.dark)
+    return said
+
+
+def _settle_refused(seen: _Seen, period_px: float, turn, free, place) -> None:
+    """Give pixels whose bits contradict each other the period that their neighbours lead to."""
+    said = _judged(seen)
+    refused = free & ((said == Reason.CONTRADICTORY) | (said == Reason.INTERREFLECTION))
+    if refused.any():
+        clear = said == Reason.DECODED
+        settled = settle_refused(
+            period_px, np.ascontiguousarray(turn), place, refused, clear, votes=seen.votes
+        )
+        seen.mark[settled] |= np.uint8(Mark.SETTLED)
+        seen.why[settled] = Reason.DECODED
+
+
+@numba.njit(parallel=True, cache=True, error_model="numpy")
+@no_type_check  # the tests' type checker wraps functions, which numba cannot compile
+def _range(stack, high, low, strength, peak):
+    """Brightest and darkest value of each pixel [DN], and their difference; each row's highest."""
+    for y in numba.prange(stack.shape[1]):
+        peak[y] = _range_row(stack, np.int64(y), high[y], low[y], strength[y])
+
+
+@numba.njit(cache=True)
+@no_type_check  # the tests' type checker wraps functions, which numba cannot compile
+def _range_row(stack, y, high, low, strength):
+    most = stack[0, y].copy()
+    least = stack[0, y].copy()
+    for k in range(1, len(stack)):
+        frame = stack[k, y]
+        for x in range(len(most)):
+            most[x] = max(most[x], frame[x])
+            least[x] = min(least[x], frame[x])
+    for x in range(len(most)):
+        high[x] = most[x]
+        low[x] = least[x]
+        strength[x] = np.float32(most[x]) - np.float32(least[x])
+    highest = most[0]
+    for x in range(len(most)):
+        highest = max(highest, most[x])
+    return highest
+
+
+@numba.njit(parallel=True, cache=True)
+@no_type_check  # the tests' type checker wraps functions, which numba cannot compile
+def _reach(stack, read, peak, saturation_dn, top):
+    """Where one of the frames that are read is at the top."""
+    for y in numba.prange(len(top)):
+        if peak[y] < saturation_dn:
+            continue
+        for k in read:
+            frame = stack[k, y]
+            for x in range(len(frame)):
+                top[y, x] |= np.float32(frame[x]) >= saturation_dn
+
+
+@numba.njit(parallel=True, cache=True, error_model="numpy")
+@no_type_check  # the tests' type checker wraps functions, which numba cannot compile
+def _judge(high, low, strength, top, why, law, dark):
+    """What is wrong with a pixel's light goes before what is wrong with its code.
+
+    Whatever it is, it was found in frames that do not say all where one is at the top.
+    """
+    for y in numba.prange(len(high)):
+        _judge_row(high[y], low[y], strength[y], top[y], why[y], law, dark)
+
+
+@numba.njit(cache=True, error_model="numpy")
+@no_type_check  # the tests' type checker wraps functions, which numba cannot compile
+def _judge_row(high, low, strength, top, why, law, dark):
+    offset_dn, floor_dn2, slope_dn, _, _ = law
+    dark_dn, sigmas, visibility = dark
+    shadow2, zero = np.float32(SHADOW_SIGMAS**2), np.float32(0)
+    said = why.astype(np.int32)
+    for x in range(len(why) if visibility > zero else 0):
+        mixed = (said[x] == Reason.DECODED) & (strength[x] < visibility * (high[x] - low[x]))
+        said[x] = np.int32(Reason.INTERREFLECTION) if mixed else said[x]
+    for x in range(len(why)):
+        said[x] = said[x] if strength[x] >= dark_dn else np.int32(Reason.LOW_MODULATION)
+    for x in range(len(why)):
+        noise2 = floor_dn2 + slope_dn * max(low[x] - offset_dn, zero)
+        said[x] = 2 if strength[x] * strength[x] < sigmas * sigmas * noise2 else said[x]
+        contrast = high[x] - low[x]
+        unlit = contrast * contrast < shadow2 * noise2
+        said[x] = np.int32(Reason.SHADOW) if unlit else said[x]
+    for x in range(len(why)):
+        lost = top[x] & (said[x] != Reason.DECODED)
+        said[x] = np.int32(Reason.SATURATED) if lost else said[x]
+    for x in range(len(why)):
+        why[x] = said[x]
+
+
+@numba.njit(parallel=True, cache=True)
+@no_type_check  # the tests' type checker wraps functions, which numba cannot compile
+def _forget(why, place, sigma):
+    nan = np.float32(np.nan)
+    for y in numba.prange(len(why)):
+        for x in range(why.shape[1]):
+            decoded = why[y, x] == Reason.DECODED
+            place[y, x] = place[y, x] if decoded else nan
+            sigma[y, x] = sigma[y, x] if decoded else nan
+
+
+@numba.njit(parallel=True, cache=True)
+@no_type_check  # the tests' type checker wraps functions, which numba cannot compile
+def _outside(size_px, place, why):
+    border, end = np.float32(-0.5), size_px - np.float32(0.5)
+    for y in numba.prange(len(why)):
+        for x in range(why.shape[1]):
+            outside = (place[y, x] < border) | (place[y, x] > end)
+            outside &= why[y, x] == Reason.DECODED
+            why[y, x] = np.uint8(Reason.OUTSIDE_PROJECTOR) if outside else why[y, x]
+
+
+@numba.njit(parallel=True, cache=True)
+@no_type_check  # the tests' type checker wraps functions, which numba cannot compile
+def _within_cell(cell_variance_px2, sigma):
+    for y in numba.prange(len(sigma)):
+        for x in range(sigma.shape[1]):
+            sigma[y, x] = math.sqrt(sigma[y, x] + cell_variance_px2)

@@ -1,0 +1,81 @@
+"""Separation of the projector's direct light from global light, which comes by other surfaces."""
+
+import numpy as np
+from jaxtyping import Float, UInt8, UInt16
+
+from ...base.errors import DecodeError
+from ...rig.pattern import AXES, Code
+from .maps import Levels
+from .plan import Period, plan_axes
+
+NARROW_PX = 32.0  # Gray stripes of at most this period count as narrow
+
+
+def separate(
+    frames: UInt8[np.ndarray, "n h w"] | UInt16[np.ndarray, "n h w"], code: Code, levels: Levels
+) -> tuple[Float[np.ndarray, "h w"], Float[np.ndarray, "h w"]]:
+    """Direct and global light of each pixel under a white picture [DN above offset].
+
+    Under narrow stripes, half of them lit, every point gets half of the global light `g` and its
+    own direct light `d` or none: the frames go from `g / 2` to `d + g / 2`. Of a phase code that
+    is mean and amplitude of the shortest period, of a Gray code the extremes of its narrow stripes
+    with their inverses. The black frame is taken off as light that does not come from the
+    projector; without one the offset is.
+
+    Leaves out: blur. Stripes that are out of focus or under a camera pixel's size lack contrast,
+    which is counted as global: `d` is too low by it and `g` too high by as much. Global light that
+    itself has stripes (mirrors, grazing light into a nearby wall) is counted as direct. Nothing is
+    clamped: noise takes `g` below 0 where there is none.
+
+    Raises:
+        DecodeError: the code has neither phases nor narrow stripes with inverses.
+
+    Source: S. Nayar, G. Krishnan, M. Grossberg, R. Raskar, "Fast Separation of Direct and Global
+    Components of a Scene using High Frequency Illumination", SIGGRAPH 2006.
+    """
+    black = [k for k, f in enumerate(code.frames) if f.kind == "black"]
+    unlit = frames[black[0]].astype(np.float32) if black else np.float32(levels.offset_dn)
+    plans = plan_axes(code, fine_bits=0)
+    periods = [plan.periods[0] for plan in plans.values() if plan.periods]
+    if periods:
+        shortest = min(periods, key=lambda period: period.period_px)
+        comb = code.frames[shortest.frames[0]].kind == "line"
+        return _of_phases(frames, shortest, 1 / shortest.period_px if comb else 0.5, comb, unlit)
+    return _of_stripes(frames, _narrow(code), unlit)
+
+
+def _of_phases(frames, period: Period, lit: float, comb: bool, unlit):
+    """Mean `lit (d + g)`, `lit` a share of white light; amplitude `lit d`, of a comb twice that."""
+    mean, c, s = np.zeros((3, *frames.shape[1:]), dtype=np.float32)
+    for k, delta in zip(period.frames, period.delta_rad, strict=True):
+        mean += frames[k]
+        c += np.float32(np.cos(delta)) * frames[k]
+        s += np.float32(np.sin(delta)) * frames[k]
+    count = len(period.frames)
+    amplitude = np.float32(2 / count) * np.hypot(c, s)
+    direct = amplitude / np.float32(2 * lit if comb else lit)
+    return direct, (mean / np.float32(count) - unlit) / np.float32(lit) - direct
+
+
+def _of_stripes(frames, narrow: list[int], unlit):
+    high = frames[narrow].max(axis=0).astype(np.float32)
+    low = frames[narrow].min(axis=0).astype(np.float32)
+    return high - low, 2 * (low - unlit)
+
+
+def _narrow(code: Code) -> list[int]:
+    """Frames of narrow stripes whose inverses are there too, so that each pixel is lit in one."""
+    kept = []
+    shown = {(f.axis, f.bit, f.inverse) for f in code.frames if f.kind == "gray"}
+    for k, frame in enumerate(code.frames):
+        if frame.kind != "gray" or (frame.axis, frame.bit, not frame.inverse) not in shown:
+            continue
+        finest = frame.bit if frame.xor_bit < 0 else min(frame.bit, frame.xor_bit)
+        if 4 * 2**finest * code.stride_px[AXES.index(frame.axis)] <= NARROW_PX:
+            kept.append(k)
+    if not kept:
+        raise DecodeError(
+            "direct and global light need phases, or stripes with a period of at most "
+            f"{NARROW_PX:g} px with their inverses; the code has neither"
+        )
+    return kept

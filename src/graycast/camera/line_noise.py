@@ -1,0 +1,113 @@
+"""Light of a projector's lines that is a little brighter or darker in every picture.
+
+A laser line that sweeps over the scene is modulated in time, and its power is never quite what was
+asked for: each line of each picture has its own relative error, from end to end or, with a length,
+from place to place. Pixels that look at the same place of a line share it, so it makes noise that
+neighbours along the projector's lines have in common, and none that neighbours across them have.
+No exposure and no brightness helps against it.
+
+Leaves out: errors that neighbouring lines share; that a camera's pixel may see several lines, or a
+line's blur; light that came over other surfaces; that a length along a line looks shorter from
+afar, and that lines may be inclined in the camera's picture.
+"""
+
+import math
+from concurrent.futures import ThreadPoolExecutor
+
+import numpy as np
+from jaxtyping import Float
+from scipy import fft
+
+from ..base.streams import Light, stream
+from ..rig.pattern import Axis, Code
+from .decode import DecodeSpec, Levels, decode
+from .decode.plan import plan_axes
+
+_LEAST_WEIGHT = 1e-4  # of a frequency, as a share of the greatest; finer ones are not drawn
+_TOP_DN = 60_000  # as which light is decoded without noise
+
+
+def lines_seen(
+    stack: Float[np.ndarray, "n h w"], code: Code, axis: Axis
+) -> Float[np.ndarray, "h w"]:
+    """The projector's line, a whole number, that each pixel sees along an axis; NaN where none."""
+    top = float(stack.max())
+    frames = np.rint(stack * np.float32(_TOP_DN / top)).astype(np.uint16)
+    levels = Levels(offset_dn=0.0, saturation_dn=_TOP_DN + 1.0, floor_dn2=1.0, slope_dn=0.0)
+    codes = decode(frames, code, DecodeSpec(min_contrast=1e-4), levels)
+    return np.rint(codes.column if axis == "column" else codes.row)
+
+
+def with_line_noise(
+    stack: Float[np.ndarray, "n h w"],
+    line: Float[np.ndarray, "h w"],
+    share: float,
+    *,
+    axis: Axis,
+    length_px: float = math.inf,
+    seed: int,
+) -> Float[np.ndarray, "n h w"]:
+    """Each picture's light, times one plus the error (one sigma: `share`) of the line it is of.
+
+    Args:
+        axis: that of `line`.
+        length_px: at which distance along a line, in the camera's picture, the errors have a
+            correlation of 1/e: `exp(-(r / length_px)^2)`. Infinite: a line has one error.
+    """
+    known = np.isfinite(line)
+    number = np.where(known, line, 0).astype(np.int64)
+    number -= min(int(number.min()), 0)  # a line just outside the picture is one, too
+    if math.isinf(length_px):
+        lines, places, place = int(number.max()) + 1, 1, np.zeros_like(number)
+    else:
+        place = np.indices(number.shape)[0 if axis == "column" else 1]
+        seen, number = np.unique(number, return_inverse=True)
+        lines, places = len(seen), int(place.max()) + 1
+
+    def with_error(k: int) -> Float[np.ndarray, "h w"]:
+        rng = stream(seed, Light.LINES, k)
+        error = _correlated(rng, places, lines, length_px)
+        gain = np.maximum(1 + np.float32(share) * error[place, number], 0)
+        return stack[k] * np.where(known, gain, np.float32(1))
+
+    with ThreadPoolExecutor() as pool:  # NumPy and SciPy let several pictures be made at once
+        return np.stack(list(pool.map(with_error, range(len(stack)))))
+
+
+def _correlated(
+    rng: np.random.Generator, places: int, lines: int, length_px: float
+) -> Float[np.ndarray, "places lines"]:
+    """Normal numbers of unit variance, alike along the lines and independent across them."""
+    if math.isinf(length_px):
+        return rng.standard_normal((places, lines), dtype=np.float32)
+    count = fft.next_fast_len(places, real=True)
+    far = np.arange(count)
+    far = np.minimum(far, count - far)  # the last one is beside the first
+    power = np.maximum(fft.fft(np.exp(-((far / length_px) ** 2))).real, 0)
+    power /= power.mean()  # what was below 0 is of lengths like the ring's own
+    weight = np.sqrt(count / 2 * power[: count // 2 + 1])
+    weight[0] *= math.sqrt(2)  # a real number, as the last one of an even count is
+    if count % 2 == 0:
+        weight[-1] *= math.sqrt(2)
+    weight = weight[: int(np.flatnonzero(weight > _LEAST_WEIGHT * weight.max())[-1]) + 1]
+    # White noise has a white spectrum, so it is drawn there, up to the finest that the length has.
+    spectrum = rng.standard_normal((len(weight), 2 * lines), dtype=np.float32).view(np.complex64)
+    return fft.irfft(spectrum * weight.astype(np.float32)[:, None], n=count, axis=0)[:places]
+
+
+def place_sigma_px(code: Code, axis: Axis, share: float) -> float:
+    """What it makes of a decoded position: one sigma [projector px]; 0 without phases.
+
+    With N steps of a period p the phase is off by `-2/N sum e_k (1 + cos t_k) sin t_k`, t_k evenly
+    spread and e_k the errors: `(p / 2 pi) share sqrt(5 / (2 N))`. Several periods are averaged,
+    each with a weight of one over this squared.
+
+    Leaves out: combs of lines, which lose a little, too.
+    """
+    plan = plan_axes(code, fine_bits=0).get(axis)
+    precision = sum(
+        len(period.frames) / period.period_px**2
+        for period in (plan.periods if plan else ())
+        if period.full and code.frames[period.frames[0]].kind == "phase"
+    )
+    return share / (2 * math.pi) * math.sqrt(5 / (2 * precision)) if precision else 0.0

@@ -1,0 +1,74 @@
+"""The pictures that go into a dataset: in colour, and what the measuring camera saw."""
+
+import numpy as np
+from jaxtyping import Float, UInt8
+
+from ..base.color import srgb
+from ..render import Denoiser, Rendering
+from ..render.denoise import denoise
+from ..rig.pair import Rig
+from .scanner import Scanner
+from .sensor import Capture, SensorSpec, auto_exposure_s, expose
+
+PERCENTILE, TARGET = 98.0, 0.85  # of the colour picture's exposure
+
+
+def color_picture(
+    scanner: Scanner, rendering: Rendering, *, denoiser: Denoiser | None, seed: int
+) -> UInt8[np.ndarray, "h w 3"]:
+    """Lamps, environment and the projector's idle level, 8-bit sRGB, by a sensor per band.
+
+    Args:
+        denoiser: what takes the light's sampling noise off; None leaves it.
+        seed: of the sensors' noise.
+
+    Raises:
+        ValueError: there is no light in the picture.
+    """
+    return developed(color_light(scanner.rig, rendering, denoiser=denoiser), scanner, seed=seed)
+
+
+def color_light(
+    rig: Rig, rendering: Rendering, *, denoiser: Denoiser | None
+) -> Float[np.ndarray, "h w 3"]:
+    """The light of the colour picture, which no setting of the sensor changes; see there."""
+    radiance = rendering.radiance
+    linear = radiance.ambient_rgb + np.float32(idle_share(rig)) * radiance.white_rgb
+    if denoiser is None:
+        return linear
+    return denoise(linear, radiance.albedo, rendering.truth.normal, denoiser)
+
+
+def developed(
+    linear: Float[np.ndarray, "h w 3"], scanner: Scanner, *, seed: int
+) -> UInt8[np.ndarray, "h w 3"]:
+    """The colour picture that the scanner's sensor takes of a light; see `color_picture`."""
+    sensor = scanner.sensor
+    if not linear.max() > 0:
+        raise ValueError(
+            "the colour picture is black: give light.environment or light.lamps some radiance, "
+            "or the rig a picture_level"
+        )
+    bands = np.ascontiguousarray(np.moveaxis(np.maximum(linear, 0), -1, 0), dtype=np.float32)
+    exposure_s = auto_exposure_s(bands, sensor, percentile=PERCENTILE, target=TARGET)
+    capture = expose(bands, None, sensor, exposure_s=exposure_s, seed=seed)
+    return srgb(np.moveaxis(_share(capture.frames, sensor), 0, -1))
+
+
+def idle_share(rig: Rig) -> float:
+    """What the projector shines while the colour picture is taken, as a share of its white."""
+    black = 1 / rig.contrast_ratio
+    return (1 - black) * rig.picture_level + black
+
+
+def gray_picture(capture: Capture) -> UInt8[np.ndarray, "h w"]:
+    """The first frame, white, at its longest exposure, linear, 8 bit."""
+    share = _share(capture.frames[0], capture.sensor)
+    share = np.minimum(share * (np.max(capture.exposure_s) / capture.exposure_s), 1)
+    return np.round(share * 255).astype(np.uint8)
+
+
+def _share(dn: np.ndarray, sensor: SensorSpec) -> Float[np.ndarray, "*n"]:
+    """Digital numbers as a share of the sensor's range, 0 to 1."""
+    offset_dn = np.float32(sensor.offset_dn)
+    return np.clip((dn - offset_dn) / np.float32(sensor.saturation_dn - sensor.offset_dn), 0, 1)

@@ -1,0 +1,17 @@
+"""Scanners in files: Graycast's own YAML both ways, and OpenCV stereo calibrations in."""
+
+from .opencv import import_opencv, missing_distortions
+from .own import load_scanner, named_scanner, rig_schema, save_scanner, scanner_text
+from .scanner_sections import ScannerSections, with_sections
+
+__all__ = [
+    "ScannerSections",
+    "import_opencv",
+    "load_scanner",
+    "missing_distortions",
+    "named_scanner",
+    "rig_schema",
+    "save_scanner",
+    "scanner_text",
+    "with_sections",
+]

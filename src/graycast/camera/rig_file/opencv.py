@@ -1,0 +1,326 @@
+"""OpenCV stereo calibrations into rigs.
+
+OpenCV's convention `X_proj = R X_cam + T` is turned into `T_cam_proj` here and appears nowhere
+else.
+"""
+
+import zipfile
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+from jaxtyping import Float
+
+from ...base.errors import ConfigError
+from ...base.file_limits import parse_json
+from ...base.frames import inverse, rigid
+from ...base.settings import parse_yaml, read_text
+from ...rig.optics import Optics
+from ...rig.pair import Rig, common_depths_m
+from .checks import build_optics, build_rig, check_rotation, is_file_storage
+
+MAX_SKEW = 1e-6  # as a share of the focal length; `Optics` has none
+MIN_BASELINE_M = 0.001  # below it a unit is wrong: no rig is that small
+_MOST_BYTES = 100_000_000
+
+# Spellings met in OpenCV's samples and in public camera-projector calibration programs, without
+# '_', '-' and spaces; in names of one or two letters case counts (Kc is a matrix, kc a distortion).
+_SPELLINGS = {
+    "camera matrix": "camK cameraK Kcam Kcamera K1 M1 Kc cameraMatrix1 cameraMatrix camInt "
+    "camIntrinsics cameraIntrinsics mtx1 camMtx cameraMtx camMatrix intrinsicMtx1 intrinsic1",
+    "camera distortion": "camKc dc Dc camD camDist cameraDist cameraDistortion D1 d1 kc dist1 "
+    "distCoeffs distCoeffs1 distCoeff1 distortionCoefficients1 distortionCoefficients "
+    "camDistCoeffs",
+    "projector matrix": "proK projK prjK projectorK Kproj Kprojector K2 M2 M4 Kp cameraMatrix2 "
+    "projInt projIntrinsics projectorIntrinsics mtx2 projMtx projectorMtx projMatrix "
+    "projectorMatrix intrinsicMtx2 intrinsic2",
+    "projector distortion": "proKc projKc prjKc projD projDist projectorDist projectorDistortion "
+    "D2 D4 d2 kp dp Dp dist2 distCoeffs2 distCoeff2 distortionCoefficients2 projDistCoeffs",
+    "R": "R Rp Rlp rotation rotationMatrix",
+    "T": "T t Tp Tlp translation translationVector",
+    "camera size": "camSize cameraSize camImageSize cameraImageSize imageSize imageSize1 "
+    "cameraResolution S",
+    "projector size": "proSize projSize prjSize projectorSize projectorImageSize projImageSize "
+    "imageSize2 projectorResolution",
+}
+# SLStudio writes sizes as two numbers.
+_SIDES = {
+    "camera": (("frameWidth", "frameHeight"), ("cameraWidth", "cameraHeight")),
+    "projector": (("screenResX", "screenResY"), ("projectorWidth", "projectorHeight")),
+}
+# SLMaster numbers its devices 1 left camera, 2 right camera, 3 colour camera, 4 projector.
+_RIGHT_CAMERA = {"M4": "M2", "D4": "D2"}
+_EXAMPLES = {
+    "camera matrix": "cam_K, K1, M1 or cameraMatrix1",
+    "projector matrix": "pro_K, K2, M2 or cameraMatrix2",
+    "R": "R",
+    "T": "T",
+    "camera size": "cam_size: [width, height]",
+    "projector size": "pro_size: [width, height]",
+}
+
+
+def import_opencv(
+    path: Path,
+    *,
+    unit: str | None,
+    near_m: float | None = None,
+    far_m: float | None = None,
+    camera_size_px: tuple[int, int] | None,
+    projector_size_px: tuple[int, int] | None,
+) -> Rig:
+    """Read an OpenCV stereo calibration of a camera (first) and a projector (second).
+
+    Takes OpenCV's FileStorage (YAML, XML, JSON) and plain YAML, JSON or NPZ of nested lists, under
+    the usual spellings of K, D, R and T, with `X_proj = R X_cam + T`. Other keys are left alone.
+
+    Args:
+        unit: of T, 'm' or 'mm'; None takes millimetres where `|T| > 10`, metres where `|T| < 2`.
+        near_m: nearest depth of the working range; OpenCV states none. Left out: where camera and
+            projector begin to see a place in common, at least half a baseline away.
+        far_m: farthest depth of the working range; left out: where they cease to, at most twenty
+            baselines away.
+        camera_size_px: (width, height) in place of what the file says, if it says it.
+        projector_size_px: likewise for the projector.
+
+    Raises:
+        ConfigError: the file is no such calibration; the text names the file, the key, the remedy.
+    """
+    content = _read_calibration(path)
+    R = _array(content, "R", path, shapes=((3, 3),))
+    T = _array(content, "T", path, shapes=((3,), (3, 1), (1, 3))).ravel()
+    check_rotation(R, f"{path}: {_find(content, 'R', path)}")
+    T_m = T * _metres_per_unit(T, unit, f"{path}: {_find(content, 'T', path)}")
+    camera = _device(content, "camera", path, camera_size_px)
+    projector = _device(content, "projector", path, projector_size_px)
+    T_cam_proj = inverse(rigid(R, T_m))
+    if near_m is None or far_m is None:
+        first_m, last_m = _common_range_m(camera, projector, T_cam_proj, path)
+        near_m, far_m = near_m or first_m, far_m or last_m
+    return build_rig(
+        path,
+        name=path.stem,
+        camera=camera,
+        projector=projector,
+        T_cam_proj=T_cam_proj,
+        near_m=near_m,
+        far_m=far_m,
+    )
+
+
+def missing_distortions(path: Path) -> tuple[str, ...]:
+    """A sentence for each device whose distortion a calibration file does not state.
+
+    OpenCV means a lens without distortion by that; a file may also have it by another name. So the
+    keys that are not understood are told.
+
+    Raises:
+        ConfigError: the file cannot be read.
+    """
+    content = _read_calibration(path)
+    understood = {_find(content, role, path) for role in _SPELLINGS}
+    understood |= {key for pairs in _SIDES.values() for pair in pairs for key in pair}
+    other = ", ".join(str(key) for key in content if key not in understood)
+    hint = f"; if it is one of {other}, name it" if other else "; otherwise add it as"
+    return tuple(
+        f"{path}: states no distortion of the {device}, so its lens is taken to have none{hint} "
+        f"{example}"
+        for device, example in (("camera", "cam_kc"), ("projector", "pro_kc"))
+        if _find(content, f"{device} distortion", path) is None
+    )
+
+
+def _common_range_m(
+    camera: Optics, projector: Optics, T_cam_proj: Float[np.ndarray, "4 4"], path: Path
+) -> tuple[float, float]:
+    """Nearest and farthest depth at which the camera sees a place that the projector lights."""
+    baseline_m = float(np.linalg.norm(T_cam_proj[:3, 3]))
+    asked_m = baseline_m * np.geomspace(0.5, 20, 200)
+    lit_m = common_depths_m(camera, projector, T_cam_proj, asked_m).tolist()
+    if len(lit_m) < 2:
+        raise ConfigError(
+            f"{path}: camera and projector have no common field of view between 0.5 and 20 "
+            "baselines: give R and T of X_projector = R X_camera + T, or give near and far"
+        )
+    return lit_m[0], lit_m[-1]
+
+
+def _device(
+    content: Mapping[str, Any], device: str, path: Path, size_px: tuple[int, int] | None
+) -> Optics:
+    matrix = _array(content, f"{device} matrix", path, shapes=((3, 3),))
+    where = f"{path}: {_find(content, f'{device} matrix', path)}"
+    if abs(matrix[0, 1]) > MAX_SKEW * abs(matrix[0, 0]):
+        raise ConfigError(f"{where} has the skew {matrix[0, 1]:.4g}: calibrate without skew")
+    if matrix[1, 0] != 0 or not np.array_equal(matrix[2], [0, 0, 1]):
+        raise ConfigError(
+            f"{where} is not a camera matrix: give [[fx, 0, cx], [0, fy, cy], [0, 0, 1]]"
+        )
+    width_px, height_px = size_px or _size(content, device, path)
+    return build_optics(
+        path,
+        device,
+        width_px=width_px,
+        height_px=height_px,
+        fx_px=float(matrix[0, 0]),
+        fy_px=float(matrix[1, 1]),
+        cx_px=float(matrix[0, 2]),
+        cy_px=float(matrix[1, 2]),
+        distortion=_distortion(content, f"{device} distortion", path),
+    )
+
+
+def _distortion(content: Mapping[str, Any], role: str, path: Path) -> tuple[float, ...]:
+    """(k1, k2, p1, p2, k3); zeros where the file states no distortion, as OpenCV means it."""
+    key = _find(content, role, path)
+    if key is None:
+        return (0.0,) * 5
+    terms = _numbers(content[key], f"{path}: {key}").ravel()
+    if len(terms) not in (0, 4, 5, 8, 12, 14):
+        raise ConfigError(f"{path}: {key} has {len(terms)} terms: give (k1, k2, p1, p2[, k3])")
+    if terms[5:].any():
+        beyond = "rational, thin-prism or tilted terms"
+        raise ConfigError(f"{path}: {key} has {beyond}: calibrate with (k1, k2, p1, p2, k3) only")
+    return tuple(float(term) for term in np.pad(terms, (0, 5))[:5])
+
+
+def _size(content: Mapping[str, Any], device: str, path: Path) -> tuple[int, int]:
+    """(width, height) as the file states it."""
+    key = _find(content, f"{device} size", path)
+    sides = next((pair for pair in _SIDES[device] if set(pair) <= set(content)), None)
+    if key is not None:
+        value, where = content[key], f"{path}: {key}"
+    elif sides is not None:
+        value, where = [content[side] for side in sides], f"{path}: {' and '.join(sides)}"
+    else:
+        example = _EXAMPLES[f"{device} size"]
+        raise ConfigError(
+            f"{path}: the {device} image size is missing: add {example}, or give it as an option"
+        )
+    size = _numbers(value, where).ravel()
+    if size.shape != (2,) or (size != np.rint(size)).any() or (size < 1).any():
+        raise ConfigError(f"{where} is {size.tolist()}: give [width, height] in pixels")
+    return int(size[0]), int(size[1])
+
+
+def _metres_per_unit(T: Float[np.ndarray, "3"], unit: str | None, where: str) -> float:
+    length = float(np.linalg.norm(T))
+    if length == 0:
+        raise ConfigError(f"{where} is zero: camera and projector need a baseline to triangulate")
+    if unit is None:
+        if 2 <= length <= 10:
+            raise ConfigError(f"{where} has length {length:.4g}: state whether its unit is m or mm")
+        unit = "mm" if length > 10 else "m"
+    if unit not in ("m", "mm"):
+        raise ConfigError(f"{where}: no unit {unit!r}: choose m or mm")
+    scale = {"m": 1.0, "mm": 1e-3}[unit]
+    if length * scale < MIN_BASELINE_M:
+        baseline = f"a baseline of {1e3 * length * scale:.3g} mm"
+        raise ConfigError(f"{where} in {unit} gives {baseline}: state its unit")
+    return scale
+
+
+def _find(content: Mapping[str, Any], role: str, path: Path) -> str | None:
+    """The one key of the file that plays a role, or None."""
+    spellings = {_plain(word) for word in _SPELLINGS[role].split()}
+    keys = [key for key in content if isinstance(key, str) and _plain(key) in spellings]
+    keys = [key for key in keys if key not in {_RIGHT_CAMERA.get(other) for other in keys}]
+    if len(keys) > 1:
+        raise ConfigError(f"{path}: {' and '.join(keys)} both state the {role}: keep one")
+    return keys[0] if keys else None
+
+
+def _plain(key: str) -> str:
+    letters = key.replace("_", "").replace("-", "").replace(" ", "")
+    return letters if len(letters) <= 2 else letters.lower()
+
+
+def _array(
+    content: Mapping[str, Any], role: str, path: Path, *, shapes: tuple[tuple[int, ...], ...]
+) -> Float[np.ndarray, "..."]:
+    key = _find(content, role, path)
+    if key is None:
+        held = ", ".join(str(key) for key in list(content)[:8]) or "nothing"
+        remedy = f"give it as {_EXAMPLES[role]}, camera and projector in one file"
+        raise ConfigError(f"{path}: no {role} (the file holds {held}): {remedy}")
+    array = _numbers(content[key], f"{path}: {key}")
+    if array.shape not in shapes:
+        wanted = " or ".join(" x ".join(map(str, shape)) for shape in shapes)
+        raise ConfigError(f"{path}: {key} has the shape {array.shape}: give {wanted} numbers")
+    return array
+
+
+def _numbers(value: Any, where: str) -> Float[np.ndarray, "..."]:
+    try:
+        if isinstance(value, Mapping) and "data" in value:  # ROS writes rows, cols and flat data
+            value = np.reshape(value["data"], (value.get("rows", -1), value.get("cols", 1)))
+        array = np.array(value, dtype=np.float64)
+    except (TypeError, ValueError) as error:
+        raise ConfigError(f"{where} is not an array of numbers: give nested lists") from error
+    if not np.isfinite(array).all():
+        raise ConfigError(f"{where} has numbers that are not finite: calibrate again")
+    return array
+
+
+def _read_calibration(path: Path) -> Mapping[str, Any]:
+    if path.suffix.lower() == ".npz":
+        return _read_npz(path)
+    text = read_text(path)
+    if is_file_storage(text):
+        return _read_file_storage(path)
+    if path.suffix.lower() != ".json":
+        return parse_yaml(text, path)
+    try:
+        content = parse_json(text)
+    except ValueError as error:
+        raise ConfigError(f"{path}: is not JSON ({error}): correct that line") from error
+    if not isinstance(content, Mapping):
+        raise ConfigError(f"{path}: holds no keys: give K, D, R and T as a JSON object")
+    return content
+
+
+def _read_npz(path: Path) -> Mapping[str, Any]:
+    if not path.is_file():
+        raise ConfigError(f"{path}: no such file: check the path")
+    try:
+        with np.load(path, allow_pickle=False) as arrays:
+            unpacked = sum(entry.file_size for entry in arrays.zip.infolist())
+            if unpacked > _MOST_BYTES:
+                raise ConfigError(
+                    f"{path}: unpacks to {unpacked / 1e6:.0f} MB, and a calibration has less than "
+                    f"{_MOST_BYTES / 1e6:.0f} MB: save K, D, R and T alone"
+                )
+            return {key: arrays[key] for key in arrays.files}
+    except (OSError, ValueError, zipfile.BadZipFile, AttributeError) as error:
+        raise ConfigError(f"{path}: is not an NPZ file of plain arrays: save it again") from error
+
+
+def _read_file_storage(path: Path) -> Mapping[str, Any]:
+    """Matrices, numbers and lists of numbers at the top of an OpenCV FileStorage."""
+    try:
+        storage = cv2.FileStorage(str(path), cv2.FILE_STORAGE_READ)
+    except (cv2.error, SystemError) as error:
+        raise ConfigError(f"{path}: OpenCV cannot parse it: the file may be incomplete") from error
+    root = storage.root()
+    content: dict[str, np.ndarray | list[float] | float | None] = {}
+    for key in root.keys():
+        node = root.getNode(key)
+        if node.isMap():
+            content[key] = _matrix(node, f"{path}: {key}")
+        elif node.isSeq():
+            items = [node.at(i) for i in range(node.size())]
+            if all(item.isInt() or item.isReal() for item in items):
+                content[key] = [item.real() for item in items]
+        elif node.isInt() or node.isReal():
+            content[key] = node.real()
+    storage.release()
+    return content
+
+
+def _matrix(node: cv2.FileNode, where: str) -> np.ndarray | None:
+    try:
+        return node.mat()
+    except cv2.error as error:
+        raise ConfigError(f"{where} is not a matrix that OpenCV can read") from error

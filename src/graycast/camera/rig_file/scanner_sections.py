@@ -1,0 +1,119 @@
+"""The sections of a scanner that a rig file and a dataset's configuration share.
+
+An absent key has the default in a rig file, and the rig's own value in a configuration.
+"""
+
+from dataclasses import MISSING, fields, replace
+from typing import Annotated, Any
+
+from ...base.errors import ConfigError
+from ...base.settings import ReadAs, Settings, changes_of
+from ...rig.pair import Rig
+from ...rig.pattern import CodeSpec
+from ..decode import DecodeSpec, FilterSpec
+from ..faults import FaultSpec
+from ..scanner import ExposureSpec, Scanner
+from ..sensor import SensorSpec
+
+CodeSection = changes_of(CodeSpec, "CodeSection", module=__name__, about="The coded light.")
+ExposureSection = changes_of(
+    ExposureSpec,
+    "ExposureSection",
+    module=__name__,
+    about="A fixed exposure time, or the time that brings a percentile of the white frame to "
+    "a target.",
+)
+SensorSection = changes_of(
+    SensorSpec,
+    "SensorSection",
+    module=__name__,
+    about="The sensor in EMVA 1288 terms, and the f-number of its lens.",
+)
+DecodeSection = changes_of(
+    DecodeSpec,
+    "DecodeSection",
+    module=__name__,
+    about="The conditions under which a pixel is decoded.",
+)
+FilterSection = changes_of(
+    FilterSpec,
+    "FilterSection",
+    module=__name__,
+    about="The filters of the decoded depth; 0 switches a filter off.",
+)
+FaultSection = changes_of(
+    FaultSpec,
+    "FaultSection",
+    module=__name__,
+    about="Faults of the device that are added to the depth of simulated scans and never to that "
+    "of real pictures; 0 switches a fault off.",
+)
+
+
+class ScannerSections(Settings):
+    """The sections that a rig file and a configuration share."""
+
+    code: Annotated[Settings, ReadAs(CodeSection)] = CodeSection()
+    exposure: Annotated[Settings, ReadAs(ExposureSection)] = ExposureSection()
+    sensor: Annotated[Settings, ReadAs(SensorSection)] = SensorSection()
+    decode: Annotated[Settings, ReadAs(DecodeSection)] = DecodeSection()
+    filters: Annotated[Settings, ReadAs(FilterSection)] = FilterSection()
+    faults: Annotated[Settings, ReadAs(FaultSection)] = FaultSection()
+
+
+def with_sections(scanner: Scanner, sections: ScannerSections) -> Scanner:
+    """A scanner with what the sections change.
+
+    Raises:
+        ConfigError: a value that does not fit the others; the text names the section.
+    """
+    held = {name: getattr(scanner, name) for name in ScannerSections.model_fields}
+    try:
+        changed = replace(scanner, **_values(held, sections))
+    except ValueError as error:
+        raise ConfigError(str(error)) from error
+    return _with_a_code(changed)
+
+
+def scanner_of(rig: Rig, sections: ScannerSections) -> Scanner:
+    """A scanner of defaults around a rig, with what the sections change.
+
+    Raises:
+        ConfigError: see `with_sections`.
+    """
+    defaults = {
+        f.name: f.default_factory()
+        for f in fields(Scanner)
+        if f.default_factory is not MISSING  # all but the rig
+    }
+    try:
+        made = Scanner(rig=rig, **_values(defaults, sections))
+    except ValueError as error:
+        raise ConfigError(str(error)) from error
+    return _with_a_code(made)
+
+
+def _with_a_code(scanner: Scanner) -> Scanner:
+    """Refuse numbers that make no code on this projector when they are read, not when it scans."""
+    try:
+        scanner.light_code()
+    except ValueError as error:
+        raise ConfigError(f"code: {error}") from error
+    return scanner
+
+
+def _values(held: dict[str, Any], sections: ScannerSections) -> dict[str, Any]:
+    return {name: _changed(value, getattr(sections, name), name) for name, value in held.items()}
+
+
+Spec = CodeSpec | ExposureSpec | SensorSpec | DecodeSpec | FilterSpec | FaultSpec
+
+
+def _changed(value: Spec, section: Settings, name: str) -> Spec:
+    said: dict[str, Any] = section.model_dump(exclude_none=True)
+    if isinstance(value, CodeSpec) and said.get("codec", value.codec) != value.codec:
+        value = type(value)(codec=said["codec"], axes=value.axes)  # the numbers were another's
+    try:
+        return replace(value, **said)
+    except ValueError as error:
+        raise ConfigError(f"{name}: {error}") from error

@@ -1,0 +1,358 @@
+"""A scanner: a rig with its code, sensor, exposure, filters and faults; presets of them.
+
+The whole way from light to depth is two functions: `take` and `measure`.
+"""
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+from typing import Annotated
+
+import numpy as np
+from jaxtyping import Float
+from pydantic import Field
+
+from ..base.settings import Positive, check_fields
+from ..render import PathNoise, Radiance
+from ..rig.optics import points
+from ..rig.pair import BINNING, PRESETS, Rig, preset_rig
+from ..rig.pattern import AXES, Code, CodeSpec
+from .decode import (
+    CodeMap,
+    DecodeSpec,
+    DepthMap,
+    FilterSpec,
+    decode,
+    filter_depth,
+    levels_of,
+    triangulate,
+    triangulation_axis,
+    with_bends,
+    with_displacement,
+    with_place_sigma,
+)
+from .decode.plan import plan_axes
+from .faults import FaultSpec, with_faults
+from .finish import PATCH_M, uneven
+from .light import camera_light
+from .line_noise import lines_seen, place_sigma_px, with_line_noise
+from .sensor import Capture, SensorSpec, auto_exposure_s, expose, merge_exposures
+from .speckle import draw_speckle, footprint_px, material_contrast, pixel_contrast, speckled
+
+APERTURE_SLACK = 0.05  # by which sensor.f_number may differ from the camera's own aperture
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ExposureSpec:
+    """How long the sensor looks.
+
+    A fixed time, or the one that brings a percentile of the white frame to a share `target` of the
+    sensor's range. `factors` are the times taken, in shares of that one: more than one is HDR.
+    """
+
+    exposure_s: Positive | None = None
+    percentile: Annotated[float, Field(gt=0, le=100)] = 99.0
+    target: Annotated[float, Field(gt=0, le=1)] = 0.8
+    factors: Annotated[
+        tuple[Positive, ...],
+        Field(
+            min_length=1,
+            description="The exposure times as multiples of the chosen exposure; several "
+            "pictures are merged (HDR).",
+        ),
+    ] = (1.0,)
+
+    def __post_init__(self) -> None:
+        check_fields(self)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Scanner:
+    """Everything about a virtual camera: what `certify` measures and `generate` uses."""
+
+    rig: Rig
+    code: CodeSpec = field(default_factory=CodeSpec)
+    sensor: SensorSpec = field(default_factory=SensorSpec)
+    exposure: ExposureSpec = field(default_factory=ExposureSpec)
+    decode: DecodeSpec = field(default_factory=DecodeSpec)
+    filters: FilterSpec = field(default_factory=FilterSpec)
+    faults: FaultSpec = field(default_factory=FaultSpec)
+
+    def __post_init__(self) -> None:
+        camera = self.rig.camera
+        if camera.aperture_m > 0:
+            f_number = camera.fx_px * self.sensor.pixel_pitch_m / camera.aperture_m
+            if abs(self.sensor.f_number / f_number - 1) > APERTURE_SLACK:
+                raise ValueError(
+                    f"sensor.f_number is {self.sensor.f_number:g}, but camera.aperture_m "
+                    f"{camera.aperture_m:g} with pixels of {self.sensor.pixel_pitch_m:g} m makes "
+                    f"f/{f_number:.3g}: give both alike"
+                )
+
+    def light_code(self) -> Code:
+        """The code for this rig's projector."""
+        return self.code.code(self.rig.projector.width_px, self.rig.projector.height_px)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Scan:
+    """One shot of a scanner: pictures, projector positions, depth."""
+
+    capture: Capture
+    codes: CodeMap
+    depth: DepthMap
+
+
+def scan(scanner: Scanner, radiance: Radiance, *, seed: int) -> Scan:
+    """All the way from light to depth."""
+    capture = take(scanner, radiance, seed=seed)
+    codes, depth = measure(scanner, capture)
+    return Scan(capture=capture, codes=codes, depth=depth)
+
+
+def take(scanner: Scanner, radiance: Radiance, *, seed: int) -> Capture:
+    """The measuring camera's stack, one picture per pattern, several exposures merged.
+
+    All exposures are taken through the same optics, so one pattern of speckle is in all of them.
+
+    Raises:
+        ValueError: the scene is dark, or lit beyond all numbers.
+    """
+    stack, background = camera_light(radiance, scanner.rig)
+    exposure = scanner.exposure
+    time_s = exposure.exposure_s or auto_exposure_s(
+        stack[scanner.light_code().brightest] + background,
+        scanner.sensor,
+        percentile=exposure.percentile,
+        target=exposure.target,
+    )
+    if scanner.rig.speckle_contrast:
+        reflectance = radiance.albedo @ np.array(scanner.rig.band_weights, dtype=np.float32)
+        contrast = _of_black(scanner) * material_contrast(reflectance, scanner.rig.speckle_volume)
+        if scanner.rig.speckle_unevenness:
+            contrast = uneven(
+                contrast,
+                scanner.rig.speckle_unevenness,
+                patch_px=_in_picture_px(scanner.rig, PATCH_M),
+                seed=seed,
+            )
+        stack = speckled(
+            stack, draw_speckle(contrast, scanner.sensor, seed=seed, side=_side(scanner))
+        )
+    seeds = np.random.SeedSequence(seed).generate_state(len(exposure.factors), np.uint64)
+    shown = _shown(scanner, stack)
+    capture = merge_exposures(
+        [
+            expose(
+                shown(int(own)),
+                background,
+                scanner.sensor,
+                exposure_s=factor * time_s,
+                seed=int(own),
+            )
+            for factor, own in zip(exposure.factors, seeds, strict=True)
+        ]
+    )
+    if radiance.path_noise is None:
+        return capture
+    return replace(capture, place_sigma_px=_place_sigma(scanner.light_code(), radiance.path_noise))
+
+
+def _place_sigma(code: Code, noise: PathNoise) -> Float[np.ndarray, "2 h w"]:
+    """What a finite number of paths makes of decoded positions (column, row), one sigma.
+
+    A phase has the error of the mean place of straight light. Stray stripes of a share s turn it by
+    up to s, at random, which is `s / sqrt(2) * period / (2 pi)` of place. Several periods share
+    the stray light of near places and not that of distant ones: half of its variance is taken as
+    common to them, and of the other half their mean has what independent ones leave. A Gray code's
+    own sigma has the width of a cell, which the mean place has, too.
+    """
+    sigma_px = np.zeros_like(noise.place_px)
+    for axis, plan in plan_axes(code, fine_bits=0).items():
+        i = AXES.index(axis)
+        if plan.periods:
+            lengths_px = [period.period_px for period in plan.periods if period.full]
+            weight = sum(1 / length_px**2 for length_px in lengths_px)
+            per_share2 = (min(lengths_px) ** 2 + 1 / weight) / 2 / (8 * math.pi**2)
+            variance = noise.place_px[i] ** 2 + np.float32(per_share2) * noise.stray[i] ** 2
+        else:
+            variance = np.maximum(noise.place_px[i] ** 2 - np.float32(plan.cell_px**2 / 12), 0)
+        sigma_px[i] = np.sqrt(variance)
+    return sigma_px
+
+
+def _shown(
+    scanner: Scanner, stack: Float[np.ndarray, "n h w"]
+) -> Callable[[int], Float[np.ndarray, "n h w"]]:
+    """The light of one exposure, by its seed: the projector shines anew in each."""
+    share = scanner.rig.line_noise
+    if not share:
+        return lambda seed: stack
+    axis = triangulation_axis(scanner.rig)
+    line = lines_seen(stack, scanner.light_code(), axis)
+    length_px = _in_picture_px(scanner.rig, scanner.rig.line_noise_length_m)
+    return lambda seed: with_line_noise(
+        stack, line, share, axis=axis, length_px=length_px, seed=seed
+    )
+
+
+def scan_seconds(scanner: Scanner, capture: Capture, *, readout_s: float) -> float:
+    """How long taking a stack lasts: each frame is exposed and read out, at every exposure.
+
+    Leaves out: computing, which scanners do beside the next scan, and pauses between frames.
+    """
+    factors = scanner.exposure.factors
+    exposed_s = float(np.max(capture.exposure_s)) / max(factors) * sum(factors)
+    return len(capture.frames) * (exposed_s + len(factors) * readout_s)
+
+
+def measure(scanner: Scanner, capture: Capture) -> tuple[CodeMap, DepthMap]:
+    """Simulated pictures to projector positions to depth, with the scanner's filters and faults.
+
+    `stack.decode_stack` is the function for real pictures.
+    """
+    codes = decode(capture.frames, scanner.light_code(), scanner.decode, levels_of(scanner.sensor))
+    if capture.place_sigma_px is not None:
+        codes = with_place_sigma(codes, capture.place_sigma_px)
+    depth = triangulate(codes, scanner.rig, max_epipolar_px=scanner.decode.max_epipolar_px)
+    rig = scanner.rig
+    light_contrast = np.ones(depth.depth_m.shape, dtype=np.float32)
+    if rig.speckle_contrast:
+        seen = _seen_reflectance(scanner, capture, depth)
+        light_contrast = material_contrast(seen, rig.speckle_volume)
+    if rig.speckle_contrast or rig.line_noise:
+        # By how much speckle puts each pixel's light off its centre (one sigma).
+        off_px = footprint_px(scanner.sensor, side=_side(scanner)) * _of_black(scanner)
+        depth = with_displacement(
+            depth,
+            codes,
+            rig,
+            np.float32(off_px) * light_contrast,
+            place_px=place_sigma_px(scanner.light_code(), triangulation_axis(rig), rig.line_noise),
+        )
+    depth = with_faults(
+        filter_depth(depth, scanner.filters, rig),
+        scanner.faults,
+        rig.camera,
+        step_angle_deg=scanner.filters.step_angle_deg,
+        light_contrast=light_contrast,
+    )
+    return codes, with_bends(depth)
+
+
+def _of_black(scanner: Scanner) -> float:
+    """Contrast of speckle in a pixel that shows a black surface."""
+    return scanner.rig.speckle_contrast * pixel_contrast(scanner.sensor, side=_side(scanner))
+
+
+def _in_picture_px(rig: Rig, length_m: float) -> float:
+    """A length on a surface that faces the camera in the middle of the working range."""
+    return rig.camera.fx_px * length_m / ((rig.near_m + rig.far_m) / 2)
+
+
+def _side(scanner: Scanner) -> float:
+    """Of the square that a camera's pixel senses with [px]."""
+    return math.sqrt(scanner.rig.camera.fill_factor)
+
+
+def _seen_reflectance(
+    scanner: Scanner, capture: Capture, depth: DepthMap
+) -> Float[np.ndarray, "h w"]:
+    """Diffuse reflectance that a facing surface would need to be as bright, 0 without depth.
+
+    Of the projector's light a surface at the distance d gives back `R I / (pi d^2)` [radiance].
+    A slanted surface has more, and so has one that the projector's falloff dims: they are taken for
+    darker, and their speckle for stronger.
+    """
+    rig, sensor = scanner.rig, scanner.sensor
+    # From the darkest frame to the brightest; a code's own modulation may be of thin lines.
+    seen_dn = capture.frames.max(axis=0).astype(np.float32) - capture.frames.min(axis=0)
+    electrons = seen_dn / sensor.gain_dn_per_e
+    light = electrons / (sensor.responsivity * capture.exposure_s)
+    point = points(rig.camera, depth.depth_m)
+    distance2_m2 = np.square(point - rig.T_cam_proj[:3, 3]).sum(axis=-1)
+    return np.nan_to_num(np.pi * distance2_m2 * light / rig.intensity_w_sr)
+
+
+# --- presets -----------------------------------------------------------------------------------
+
+
+def preset(name: str, resolution: str = "low") -> Scanner:
+    """A scanner known by name.
+
+    `paper` is the paper's: plain Gray code, no filter. The PhoXi family shows a phase code, whose
+    laser's line is blurred a little, filters its depth, smooths it and has the faults of a real
+    device. It knows most light that came by way of another surface: by two periods that disagree,
+    by a point off its epipolar line (which takes the code of both axes), and by stripes without
+    contrast; pixels beside edges, which may see two surfaces, have no depth. docs/materials.md
+    has the shares of wrong depth on eight materials, with and without that.
+
+    Args:
+        name: one of `rig.pair.PRESETS`.
+        resolution: 'small' is 516 x 386, 'low' 1032 x 772, 'full' 2064 x 1544 camera pixels.
+
+    Raises:
+        ValueError: no such preset or resolution.
+    """
+    rig = preset_rig(name, resolution)
+    if name == "paper":
+        return Scanner(rig=rig, decode=DecodeSpec(max_epipolar_px=0.0))
+    pitch_m = _PHOXI_PITCH_M * BINNING[resolution]
+    focus_m = 2 / (1 / rig.near_m + 1 / rig.far_m)  # equal blur at both ends of the range
+    camera = replace(
+        rig.camera,
+        aperture_m=rig.camera.fx_px * pitch_m / _PHOXI_F_NUMBER,
+        focus_m=focus_m,
+        natural_vignetting=True,
+    )
+    projector = replace(rig.projector, psf_px=1.0, natural_vignetting=True)
+    return Scanner(
+        rig=replace(
+            rig,
+            camera=camera,
+            projector=projector,
+            speckle_contrast=_PHOXI_SPECKLE,
+            speckle_volume=_PHOXI_VOLUME,
+            line_noise=_PHOXI_LINE_NOISE,
+            line_noise_length_m=_PHOXI_LINE_M,
+        ),
+        code=CodeSpec(codec="gray_phase", period_px=48.0, fine_period_px=16.0, steps=4),
+        exposure=ExposureSpec(factors=(1.0, 4.0)),
+        sensor=SensorSpec(pixel_pitch_m=pitch_m, f_number=_PHOXI_F_NUMBER, wavelength_m=637e-9),
+        decode=DecodeSpec(
+            min_contrast=0.002, min_sigmas=30.0, min_visibility=0.3, max_epipolar_px=0.5
+        ),
+        filters=FilterSpec(
+            flying_angle_deg=75.0,
+            outlier_sigmas=4.0,
+            outlier_repair=True,
+            hidden_sigmas=3.0,
+            edge_px=1.0,
+            island_px=30,
+            smoothing_px=0.55,
+        ),
+        faults=FaultSpec(raster_px=_PHOXI_RASTER_PX[resolution]),
+    )
+
+
+_PHOXI_PITCH_M = 3.45e-6  # 2064 x 1544 pixels of this pitch: Sony's IMX252 and its kin
+_PHOXI_F_NUMBER = 4.0
+# Of five real scans (docs/rigs.md): what their noise is on black and on white, and on slopes.
+_PHOXI_SPECKLE, _PHOXI_VOLUME = 0.5, 5.0
+# It gives phoxi-l the temporal noise that its maker states (docs/measuring.md). Over this length it
+# is independent from pixel to pixel, as most noise of those scans is (docs/rigs.md).
+_PHOXI_LINE_NOISE, _PHOXI_LINE_M = 0.041, 0.001
+# 0.2 mm, as small maps of a real device have; nothing is known of full ones.
+_PHOXI_RASTER_PX = {"small": 0.15, "low": 0.3, "full": 0.3}
+
+__all__ = [
+    "PRESETS",
+    "ExposureSpec",
+    "Scan",
+    "Scanner",
+    "measure",
+    "preset",
+    "scan",
+    "scan_seconds",
+    "take",
+]

@@ -1,0 +1,374 @@
+"""From radiance to digital numbers: exposure, noise, saturation, quantisation.
+
+A linear monochrome sensor in EMVA 1288 terms, in the order of the hardware: photons and dark
+current are counted (Poisson), the well clips the electrons, the read-out adds its noise, the
+converter rounds and clips. Every pixel of every frame draws from its own counter-based random
+stream (a hash of seed, frame and pixel), so the result depends on the seed alone, not on the
+number of threads. The fixed pattern has a seed of its own: it belongs to the sensor, not to a shot.
+
+Leaves out: non-linearity, blooming, lag, rows or columns in the fixed pattern, hot pixels, a dark
+current that differs from pixel to pixel, colour filters (each band of the colour picture is taken
+by a sensor of its own). The lens's falloff is the optics' business.
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Annotated, no_type_check
+
+import numba
+import numpy as np
+from jaxtyping import Float, Num, UInt8, UInt16
+from pydantic import Field
+
+from ..base.settings import Level, Positive, check_fields
+from ..base.streams import Light
+
+PLANCK_J_S = 6.62607015e-34
+LIGHT_SPEED_M_S = 299_792_458.0
+EXACT_POISSON_BELOW_E = 64.0  # above, a normal law: the skewness left out is under 1 / 8
+# A full well still shows read noise: a value this many standard deviations under it counts as full.
+SATURATION_SIGMAS = 4.0
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SensorSpec:
+    """A linear sensor and the stop of the lens before it; the default is a 5-megapixel CMOS chip.
+
+    `wavelength_m` is that of the light, at which `quantum_efficiency` holds. `dsnu_e` is the
+    standard deviation of the pixels' offsets, `prnu` that of their relative gains; both patterns
+    are white and follow from `fpn_seed` alone, so they are the same in every capture.
+    """
+
+    pixel_pitch_m: Annotated[float, Field(gt=0, le=1e-3)] = 3.45e-6
+    quantum_efficiency: Annotated[float, Field(gt=0, le=1)] = 0.6
+    wavelength_m: Annotated[
+        float, Field(gt=0, le=1e-4, description="Wavelength of the measured light in metres.")
+    ] = 525e-9
+    f_number: Positive = 8.0
+    lens_transmission: Annotated[float, Field(gt=0, le=1)] = 1.0
+    full_well_e: Positive = 10_000.0
+    read_noise_e: Level = 3.0
+    dark_current_e_s: Level = 1.0
+    gain_dn_per_e: Positive = 0.39
+    offset_dn: Level = 64.0
+    bit_depth: Annotated[int, Field(ge=1, le=16)] = 12
+    dsnu_e: Annotated[
+        float,
+        Field(ge=0, description="Standard deviation of the pixels' offsets in electrons (DSNU)."),
+    ] = 0.0
+    prnu: Annotated[
+        float,
+        Field(
+            ge=0,
+            lt=0.25,
+            description="Standard deviation of the pixels' gains, "
+            "relative to the mean gain (PRNU).",
+        ),
+    ] = 0.0
+    fpn_seed: Annotated[
+        int,
+        Field(
+            ge=0,
+            description="Seed of both fixed patterns, which belong to the "
+            "sensor and not to the scene.",
+        ),
+    ] = 0
+
+    def __post_init__(self) -> None:
+        check_fields(self)
+        if not self.offset_dn < self.max_dn:
+            raise ValueError(f"offset_dn is {self.offset_dn}; it must be below {self.max_dn}")
+        if not self.saturation_dn > self.offset_dn:
+            raise ValueError(
+                f"full_well_e is {self.full_well_e}; it must exceed {SATURATION_SIGMAS:g} times "
+                f"the read noise and dsnu_e, here {self._full_well_margin_e:.3g}"
+            )
+
+    @property
+    def responsivity(self) -> float:
+        """Electrons per second for a radiance of 1 W sr^-1 m^-2.
+
+        The camera equation of a lens focused far away gives the irradiance `E = pi L T / (4 N^2)`;
+        a pixel of the area `p^2` turns it into `E p^2 eta wavelength / (h c)` electrons a second.
+        """
+        irradiance = math.pi * self.lens_transmission / (4 * self.f_number**2)
+        photons = self.pixel_pitch_m**2 * self.wavelength_m / (PLANCK_J_S * LIGHT_SPEED_M_S)
+        return irradiance * photons * self.quantum_efficiency
+
+    @property
+    def max_dn(self) -> int:
+        return 2**self.bit_depth - 1
+
+    @property
+    def saturation_dn(self) -> float:
+        """The digital number from which a stored value counts as saturated.
+
+        The top of the converter, or the full well where that is lower, less the
+        `SATURATION_SIGMAS` by which read noise (and `dsnu_e`) may hide it.
+        """
+        well_e = self.full_well_e - self._full_well_margin_e
+        return min(float(self.max_dn), self.offset_dn + self.gain_dn_per_e * well_e)
+
+    @property
+    def _full_well_margin_e(self) -> float:
+        return SATURATION_SIGMAS * math.hypot(self.read_noise_e, self.dsnu_e)
+
+    def variance_dn2(
+        self, stored_dn: Num[np.ndarray, "*n"] | float
+    ) -> Float[np.ndarray, "*n"] | float:
+        """Temporal noise variance of a stored value [DN^2], by the photon transfer law.
+
+        `K (y - offset) + K^2 read^2 + 1/12`. What lies above the offset is light and dark current
+        alike, and both are counted electrons, so dark current needs no term of its own.
+
+        Args:
+            stored_dn: expected value y, offset included; one frame's own value is an estimate.
+
+        Source: EMVA Standard 1288, release 4.0, equation of the photon transfer method.
+        """
+        floor_dn2 = (self.gain_dn_per_e * self.read_noise_e) ** 2 + 1 / 12
+        return self.gain_dn_per_e * np.maximum(stored_dn - self.offset_dn, 0.0) + floor_dn2
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Capture:
+    """A stack of pictures as the sensor stored them [DN].
+
+    `exposure_s` is a map where every pixel has the exposure that suits it (`merge_exposures`).
+    `place_sigma_px` is what the pictures' light is off by, as a standard deviation of the decoded
+    column and row [projector px]: simulated light has an error that no real light has. None where
+    there is none, or it is not known.
+    """
+
+    frames: UInt8[np.ndarray, "n h w"] | UInt16[np.ndarray, "n h w"]
+    sensor: SensorSpec
+    exposure_s: float | Float[np.ndarray, "h w"]
+    place_sigma_px: Float[np.ndarray, "2 h w"] | None = None
+
+    def __post_init__(self) -> None:
+        self.frames.flags.writeable = False
+        if self.place_sigma_px is not None:
+            self.place_sigma_px.flags.writeable = False
+        if isinstance(self.exposure_s, np.ndarray):
+            self.exposure_s.flags.writeable = False
+
+
+def auto_exposure_s(
+    brightest: Float[np.ndarray, "*n"], sensor: SensorSpec, *, percentile: float, target: float
+) -> float:
+    """The exposure that puts a percentile of the brightest frame at a share of saturation.
+
+    Args:
+        brightest: radiance of the brightest frame, any shape [W sr^-1 m^-2].
+        percentile: 0 to 100, of all its pixels.
+        target: share of the range between offset and saturation, 0 to 1.
+
+    Raises:
+        ValueError: nothing in the frame is lit at that percentile.
+    """
+    level = float(np.percentile(brightest, percentile))
+    if not level > 0:
+        raise ValueError(
+            f"percentile {percentile} of the brightest frame is {level}: the scene is too dark "
+            "for automatic exposure; set exposure_s, raise the percentile, or point the rig at "
+            "the scene"
+        )
+    range_e = (sensor.saturation_dn - sensor.offset_dn) / sensor.gain_dn_per_e
+    return target * range_e / (sensor.responsivity * level + sensor.dark_current_e_s)
+
+
+def expose(
+    radiance: Float[np.ndarray, "n h w"],
+    background: Float[np.ndarray, "h w"] | None,
+    sensor: SensorSpec,
+    *,
+    exposure_s: float,
+    seed: int,
+) -> Capture:
+    """Take a picture of each radiance image, all with one exposure and independent noise.
+
+    Args:
+        radiance: one image per frame [W sr^-1 m^-2].
+        background: light that is in every frame beside it [W sr^-1 m^-2].
+        seed: of the noise; frames and pixels are independent of one another.
+
+    Raises:
+        ValueError: the exposure is not positive, or radiance is negative or not finite.
+
+    Source: EMVA Standard 1288, release 4.0, linear camera model.
+    """
+    if not 0 < exposure_s < math.inf:
+        raise ValueError(f"exposure_s is {exposure_s}; it must be positive")
+    if not 0 <= radiance.min() <= radiance.max() < math.inf:  # NaN must fail too
+        span = f"{radiance.min()} to {radiance.max()}"
+        raise ValueError(f"radiance spans {span} W/(sr m^2); it must be finite and not negative")
+    n, h, w = radiance.shape
+    frames = np.empty((n, h, w), dtype=np.uint8 if sensor.bit_depth <= 8 else np.uint16)
+    dark = np.zeros(h * w, dtype=np.float32) if background is None else background.reshape(h * w)
+    light = np.ascontiguousarray(radiance.reshape(n, h * w)).view(), dark.view()
+    for values in light:
+        values.flags.writeable = False  # the kernel is compiled for each kind of array: one here
+    _expose(
+        *light,
+        frames.reshape(n, h * w),
+        sensor.responsivity * exposure_s,
+        sensor.dark_current_e_s * exposure_s,
+        sensor.full_well_e,
+        sensor.read_noise_e,
+        sensor.gain_dn_per_e,
+        sensor.offset_dn,
+        sensor.max_dn,
+        sensor.prnu,
+        sensor.dsnu_e,
+        _key(seed),
+        _key(sensor.fpn_seed, Light.FIXED_PATTERN),
+    )
+    return Capture(frames=frames, sensor=sensor, exposure_s=exposure_s)
+
+
+def merge_exposures(captures: Sequence[Capture]) -> Capture:
+    """One stack of several exposures of a still scene, each pixel in the one that suits it (HDR).
+
+    A pixel is taken, in all frames, from the longest exposure in which no frame of it is
+    saturated; where even the shortest saturates, from the shortest. Numbers stay as they were
+    stored, so a pixel's noise is that of a single exposure and its frames can be compared.
+
+    Args:
+        captures: of one sensor and one scene, frame by frame; in any order.
+
+    Returns:
+        A capture whose `exposure_s` is a float32 map; of a single capture, that capture.
+
+    Raises:
+        ValueError: no captures, different sensors or sizes, or one that is merged already.
+
+    Leaves out: weighting of several exposures, which would gain a little noise and lose its law.
+    A pixel within its noise of saturation is chosen by its noise, which lowers its mean a little.
+    """
+    if not captures:
+        raise ValueError("no captures are given to merge; give at least one")
+    if any(isinstance(capture.exposure_s, np.ndarray) for capture in captures):
+        raise ValueError("one of the captures is already merged; give single exposures")
+    first, *longer = sorted(captures, key=lambda capture: capture.exposure_s)
+    for other in longer:
+        if (other.frames.shape, other.sensor) != (first.frames.shape, first.sensor):
+            raise ValueError(
+                f"captures of {first.frames.shape} and {other.frames.shape} values, or of two "
+                "sensors, cannot be merged; take them with one sensor and one code"
+            )
+    if not longer:
+        return first
+    frames = first.frames.copy()
+    exposure_s = np.full(frames.shape[1:], first.exposure_s, dtype=np.float32)
+    saturation_dn = stored_saturation_dn(first.sensor)
+    for other in longer:
+        _take_unsaturated(other.frames, saturation_dn, other.exposure_s, frames, exposure_s)
+    return Capture(frames=frames, sensor=first.sensor, exposure_s=exposure_s)
+
+
+def stored_saturation_dn(sensor: SensorSpec) -> int:
+    """`saturation_dn` as the converter rounds: a stored value of this or more is saturated."""
+    return math.floor(sensor.saturation_dn + 0.5)
+
+
+@numba.njit(parallel=True, cache=True)
+@no_type_check  # the tests' type checker wraps functions, which numba cannot compile
+def _take_unsaturated(stack, saturation_dn, stack_exposure_s, frames, exposure_s):
+    n, h, w = stack.shape
+    for y in numba.prange(h):
+        fits = np.ones(w, dtype=np.bool_)
+        for k in range(n):
+            for x in range(w):
+                fits[x] &= stack[k, y, x] < saturation_dn
+        for k in range(n):
+            for x in range(w):
+                frames[k, y, x] = stack[k, y, x] if fits[x] else frames[k, y, x]
+        for x in range(w):
+            if fits[x]:
+                exposure_s[y, x] = stack_exposure_s
+
+
+def _key(seed: int, *stream: int) -> np.uint64:
+    """A seed hashed by numpy, so that near seeds and other streams are unrelated."""
+    return np.random.SeedSequence(seed, spawn_key=stream).generate_state(1, np.uint64)[0]
+
+
+@numba.njit(cache=True)
+@no_type_check  # the tests' type checker wraps functions, which numba cannot compile
+def _mix(z: np.uint64) -> np.uint64:
+    """Finaliser of SplitMix64 (Steele, Lea, Flood, OOPSLA 2014): 64 well-mixed bits."""
+    z = (z ^ (z >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
+    z = (z ^ (z >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)
+    return z ^ (z >> np.uint64(31))
+
+
+@numba.njit(cache=True)
+@no_type_check  # the tests' type checker wraps functions, which numba cannot compile
+def _polar(bits: np.uint64):
+    """Radius and angle of two normal numbers (Box and Muller, 1958) from one draw.
+
+    The two uniforms have 32 bits each and are never 0.
+    """
+    u = (np.float64(bits >> np.uint64(32)) + 0.5) * 2.0**-32
+    v = (np.float64(bits & np.uint64(0xFFFFFFFF)) + 0.5) * 2.0**-32
+    return math.sqrt(-2.0 * math.log(u)), 2.0 * math.pi * v
+
+
+@numba.njit(parallel=True, cache=True)
+@no_type_check  # the tests' type checker wraps functions, which numba cannot compile
+def _expose(
+    radiance,
+    background,
+    frames,
+    scale,
+    dark_e,
+    full_well_e,
+    read_noise_e,
+    gain,
+    offset_dn,
+    max_dn,
+    prnu,
+    dsnu_e,
+    key,
+    fpn_key,
+):
+    n, pixels = radiance.shape
+    step = np.uint64(0x9E3779B97F4A7C15)
+    for pixel in numba.prange(pixels):
+        pixel_scale, pixel_offset_dn = scale, offset_dn + 0.5
+        if prnu > 0 or dsnu_e > 0:
+            radius, angle = _polar(_mix(fpn_key + np.uint64(pixel) * step))
+            pixel_scale *= max(1.0 + prnu * radius * math.cos(angle), 0.0)
+            pixel_offset_dn += gain * dsnu_e * radius * math.sin(angle)
+        for k in range(n):
+            mean_e = (radiance[k, pixel] + background[pixel]) * pixel_scale + dark_e
+            counter = np.uint64(k) * np.uint64(pixels) + np.uint64(pixel)
+            bits = _mix(key + counter * step)
+            radius, angle = _polar(bits)
+            first = radius * math.cos(angle)
+            if mean_e < EXACT_POISSON_BELOW_E:
+                counted_e = np.float64(_poisson(mean_e, _mix(bits)))
+                signal_e = min(counted_e, full_well_e) + read_noise_e * first
+            elif mean_e + 7.0 * math.sqrt(mean_e) < full_well_e:
+                # No draw reaches the well (32 bits end at 6.8 sigma): one number serves for both.
+                signal_e = mean_e + math.sqrt(mean_e + read_noise_e * read_noise_e) * first
+            else:
+                counted_e = min(mean_e + math.sqrt(mean_e) * first, full_well_e)
+                signal_e = counted_e + read_noise_e * radius * math.sin(angle)
+            dn = math.floor(gain * signal_e + pixel_offset_dn)
+            frames[k, pixel] = min(max(dn, 0), max_dn)
+
+
+@numba.njit(cache=True)
+@no_type_check  # the tests' type checker wraps functions, which numba cannot compile
+def _poisson(mean: float, bits: np.uint64) -> int:
+    """A Poisson number by inversion of its distribution function at one uniform draw."""
+    u = (np.float64(bits >> np.uint64(11)) + 0.5) * 2.0**-53
+    k, probability = 0, math.exp(-mean)
+    cumulative = probability
+    while u > cumulative and k < 1000:  # the bound is met only by rounding at u -> 1
+        k += 1
+        probability *= mean / k
+        cumulative += probability
+    return k

@@ -1,0 +1,384 @@
+"""The whole processing of a stack: reading, noise, decoding, triangulation, averaging."""
+
+import time
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float, Int, Num, UInt8
+
+from ...base.errors import DecodeError
+from ...rig.optics import points
+from ...rig.pair import Rig
+from ...rig.pattern import Code
+from ..decode import (
+    CodeMap,
+    DecodeSpec,
+    DepthMap,
+    FilterSpec,
+    Levels,
+    Reason,
+    decode,
+    epipolar_residual_px,
+    filter_depth,
+    off_the_line,
+    reason_shares,
+    separate,
+    triangulate,
+    triangulation_axis,
+    with_bends,
+)
+from ..decode.plan import plan_axes
+from .averaging import join_pixels, meet_rays
+from .description import code_of, read_description
+from .diagnosis import symptoms
+from .levels import MeasuredLevels, measure_levels
+from .rig_fit import better_reading
+from .stack_figures import Figures, figures_of
+from .stack_pictures import Pictures, read_color, read_pictures
+
+# Left to itself, the epipolar test takes what lies this many times the median off, at least 2 px:
+# a calibration is off by more than its residual here and there.
+EPIPOLAR_MEDIANS, EPIPOLAR_PX = 5.0, 2.0
+MISPLACED_PX = 3.0  # median epipolar residual of a rig that is not the stack's
+OUT_OF_RANGE = 0.3  # of what decodes
+DECODED_AT_LEAST = 0.01  # as a share of the lit pixels, or the stack is refused
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Cloud:
+    """Points in the camera frame [m], with the colours that the camera stored, 8 bits each.
+
+    `sure_pixels`, of an averaged cloud: how many camera pixels a point is the mean of; 0 where all
+    were in doubt about the finest bit. `sigma_m`, of any other: standard deviation of z [m].
+    """
+
+    point_m: Float[np.ndarray, "n 3"]
+    color: UInt8[np.ndarray, "n 3"]
+    sure_pixels: Int[np.ndarray, " n"] | None = None
+    sigma_m: Float[np.ndarray, " n"] | None = None
+
+    def __post_init__(self) -> None:
+        for name in self.__dataclass_fields__:
+            if getattr(self, name) is not None:
+                getattr(self, name).flags.writeable = False
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class StackResult:
+    """The result of a stack. Without a rig there is no depth and no cloud.
+
+    `light` is direct and global light [DN above offset], where the code tells them apart.
+    """
+
+    code: Code
+    codes: CodeMap
+    picture: UInt8[np.ndarray, "h w 3"]
+    levels: MeasuredLevels
+    figures: Figures
+    warnings: tuple[str, ...]
+    seconds: dict[str, float]
+    depth: DepthMap | None = None
+    cloud: Cloud | None = None
+    light: tuple[Float[np.ndarray, "h w"], Float[np.ndarray, "h w"]] | None = None
+
+
+def decode_stack(
+    path: Path, rig: Rig | None = None, *, average: bool = False, filters: FilterSpec | None = None
+) -> StackResult:
+    """Decode the stack that a YAML file describes.
+
+    With a rig, depth per camera pixel: where its ray meets the plane of its column (or row, by the
+    baseline), the other axis checking it. `average` joins the camera pixels of each projector pixel
+    into one point of the cloud, by both coordinates; the depth map is the same with and without.
+    `filters` are what the scanner does to its depth afterwards; an averaged cloud has none of it.
+
+    Raises:
+        ConfigError: the file says something that cannot be used.
+        DecodeError: pictures are missing, damaged or unlike; frames do not make a code; nothing is
+            lit; the rig is another camera's; averaging, or depth, lacks an axis.
+    """
+    clock = _Clock()
+    description = read_description(path)
+    code = code_of(description, path)
+    spec, stated_px = description.decode_spec()
+    try:
+        plan_axes(code, spec.fine_bits)
+    except DecodeError as error:
+        raise DecodeError(f"{path}: {error}") from error
+    _check_axes(code, rig, average, path)
+    pictures = read_pictures([path.parent / section.file for section in description.frames])
+    _check_camera(pictures, rig, path)
+    clock.lap("read")
+    try:
+        levels = measure_levels(pictures.frames, code, description.levels)
+    except DecodeError as error:
+        raise DecodeError(f"{path}: {error}") from error
+    clock.lap("levels")
+    codes = decode(pictures.frames, code, spec, levels.levels)
+    clock.lap("decode")
+    warnings = [*symptoms(pictures, code, codes, spec=spec, levels=levels.levels)]
+    _check_light(pictures, codes, warnings, path)
+    picture = _picture(pictures, code)
+    clock.lap("diagnosis")
+    depth = cloud = residual_px = None
+    by_noise = codes
+    if rig is not None:
+        _refuse_turned(codes, rig, path)
+        warnings += _rig_size(code, rig)
+        first = triangulate(codes, rig)
+        if len(code.axes) == 2:
+            residual_px = epipolar_residual_px(codes, first, rig)
+            by_noise = _by_noise(pictures, code, spec, levels.levels, codes)
+        limit_px = _epipolar_limit_px(stated_px, residual_px)
+        if stated_px is None:
+            depth = _less_outliers(codes, first, residual_px, rig, limit_px)
+        else:  # as a scanner does whose limit this is
+            depth = triangulate(codes, rig, max_epipolar_px=stated_px)
+        if filters is not None:
+            depth = filter_depth(depth, filters, rig)
+        depth = with_bends(depth)
+        warnings += _rig_symptoms(codes, rig, first, residual_px)
+        clock.lap("triangulate")
+        if average:
+            cloud = _joined_cloud(by_noise, code, rig, picture, spec.fine_bits, limit_px)
+        else:
+            cloud = _pixel_cloud(depth, rig, picture)
+        clock.lap("cloud")
+    figures = figures_of(pictures.frames, code, by_noise, residual_px)
+    if depth is not None:  # out of range and outliers are known only now
+        shares = reason_shares(depth.reason)
+        figures = replace(figures, reasons=shares)
+    light = _separated(pictures, code, levels.levels)
+    clock.lap("figures")
+    return StackResult(
+        code=code,
+        codes=codes,
+        picture=picture,
+        levels=levels,
+        figures=figures,
+        warnings=tuple(warnings),
+        seconds=clock.seconds,
+        depth=depth,
+        cloud=cloud,
+        light=light,
+    )
+
+
+def _by_noise(
+    pictures: Pictures, code: Code, spec: DecodeSpec, levels: Levels, codes: CodeMap
+) -> CodeMap:
+    """The codes with the uncertainty that noise causes.
+
+    Of the pixels of a cell those are sure whose bits noise does not turn over: all over the cell,
+    where a bound on the finest bit's signal would leave out those next to its edge and so move the
+    cell's mean by a fifth of a column.
+    """
+    if code.subpixel:
+        return codes
+    return decode(pictures.frames, code, spec, levels, fine_error=0.0)
+
+
+def _separated(
+    pictures: Pictures, code: Code, levels: Levels
+) -> tuple[Float[np.ndarray, "h w"], Float[np.ndarray, "h w"]] | None:
+    """Direct and global light, where the code tells them apart."""
+    try:
+        return separate(pictures.frames, code, levels)
+    except DecodeError:
+        return None
+
+
+class _Clock:
+    def __init__(self) -> None:
+        self.seconds: dict[str, float] = {}
+        self._last = time.perf_counter()
+
+    def lap(self, name: str) -> None:
+        now = time.perf_counter()
+        self.seconds[name] = now - self._last
+        self._last = now
+
+
+def _check_axes(code: Code, rig: Rig | None, average: bool, path: Path) -> None:
+    """Check the frames against the options before pictures are read."""
+    if average and rig is None:
+        raise DecodeError(f"{path}: averaging computes 3D points, which need a rig: give --rig")
+    if average and len(code.axes) < 2:
+        raise DecodeError(
+            f"{path}: averaging joins pixels with equal column and row, and the stack codes "
+            f"{code.axes[0]}s only: remove --average"
+        )
+    if rig is not None and triangulation_axis(rig) not in code.axes:
+        raise DecodeError(
+            f"{path}: the rig's baseline runs along its {triangulation_axis(rig)}s, and the stack "
+            f"codes {code.axes[0]}s only: add those frames, or decode without a rig"
+        )
+
+
+def _check_camera(pictures: Pictures, rig: Rig | None, path: Path) -> None:
+    """Refuse pictures of another camera's size, which no turn by 90 degrees explains."""
+    if rig is not None and sorted(pictures.frames.shape[1:]) != sorted(_camera_shape(rig)):
+        raise DecodeError(_other_size(pictures.frames.shape[1:], rig, path))
+
+
+def _refuse_turned(codes: CodeMap, rig: Rig, path: Path) -> None:
+    """Refuse pictures that lie on their side, and name the turn that sets them up."""
+    if codes.column.shape == _camera_shape(rig):
+        return
+    turn = better_reading(codes, rig)
+    raise DecodeError(_other_size(codes.column.shape, rig, path) + (f" ({turn})" if turn else ""))
+
+
+def _camera_shape(rig: Rig) -> tuple[int, int]:
+    return rig.camera.height_px, rig.camera.width_px
+
+
+def _other_size(shape: tuple[int, ...], rig: Rig, path: Path) -> str:
+    h, w = _camera_shape(rig)
+    return (
+        f"{path}: pictures are {shape[1]} x {shape[0]} px, the camera of rig {rig.name} {w} x {h} "
+        "px: give the rig of this stack, and pictures that were not rotated or scaled"
+    )
+
+
+def _check_light(pictures: Pictures, codes: CodeMap, found: list[str], path: Path) -> None:
+    highest, lowest = int(pictures.frames.max()), int(pictures.frames.min())
+    values = f"values are {lowest} to {highest} DN"
+    if (codes.reason == Reason.SHADOW).all():
+        raise DecodeError(
+            f"{path}: no pixel is lit, because none changes by more than its noise from frame to "
+            f"frame ({values}): switch the projector on and remove the lens cap"
+        )
+    reason = codes.reason[codes.reason != Reason.SHADOW]
+    if (reason == Reason.DECODED).mean() > DECODED_AT_LEAST:
+        return
+    main = Reason(int(np.bincount(reason).argmax()))
+    share = f"{100 * (reason == main).mean():.0f} %"
+    words = f"of the lit pixels are {main.words}"
+    raise DecodeError(
+        f"{path}: almost no pixel is decoded: {share} {words} ({values}): {_REMEDY[main]}"
+        + (f" ({found[0]})" if found else "")
+    )
+
+
+_REMEDY = {
+    Reason.LOW_MODULATION: "lengthen the exposure, or lower decode.min_contrast",
+    Reason.SATURATED: "shorten the exposure, or state levels.saturation_dn",
+    Reason.CONTRADICTORY: "check that the frames are as the stack file states",
+    Reason.INTERREFLECTION: "check that frames, periods and steps are as the stack file states",
+    Reason.OUTSIDE_PROJECTOR: "check the projector's size, and whether a coarse bit is swapped "
+    "with its inverse",
+}
+
+
+def _picture(pictures: Pictures, code: Code) -> UInt8[np.ndarray, "h w 3"]:
+    """The scene by the projector's light: white, or else the brighter of each pixel's frames."""
+    white = [k for k, frame in enumerate(code.frames) if frame.kind == "white"]
+    if not pictures.converted:
+        grey = pictures.frames[white[0]] if white else pictures.frames.max(axis=0)
+        return np.repeat(_eight_bits(grey, pictures.frames)[..., None], 3, axis=-1)
+    # A coarse bit and its inverse, or both ends of a phase, light all that is lit.
+    chosen = white[:1] or list(range(len(code.frames)))[:2]
+    color = np.maximum.reduce([read_color(pictures.files[k]) for k in chosen])
+    return _eight_bits(color, pictures.frames)
+
+
+def _eight_bits(
+    values: Num[np.ndarray, "*n"], frames: Num[np.ndarray, "k h w"]
+) -> UInt8[np.ndarray, "*n"]:
+    if values.dtype == np.uint8:
+        return values
+    scale = 255 / max(int(frames.max()), 1)
+    return np.clip(values * scale, 0, 255).astype(np.uint8)
+
+
+# --- depth -------------------------------------------------------------------------------------
+
+
+def _rig_size(code: Code, rig: Rig) -> list[str]:
+    size = (rig.projector.width_px, rig.projector.height_px)
+    if size == (code.width_px, code.height_px):
+        return []
+    return [
+        f"the stack's projector is {code.width_px} x {code.height_px} px, that of rig {rig.name} "
+        f"{size[0]} x {size[1]}: pixels are matched one to one from the top left, so check that "
+        "both use the same display mode"
+    ]
+
+
+def _epipolar_limit_px(
+    stated_px: float | None, residual_px: Float[np.ndarray, "h w"] | None
+) -> float:
+    """The limit in force; infinite where none is."""
+    if stated_px is not None or residual_px is None:
+        return stated_px or np.inf
+    known = np.abs(residual_px[np.isfinite(residual_px)])
+    median_px = float(np.median(known)) if known.size else 0.0
+    return max(EPIPOLAR_MEDIANS * median_px, EPIPOLAR_PX)
+
+
+def _less_outliers(
+    codes: CodeMap,
+    depth: DepthMap,
+    residual_px: Float[np.ndarray, "h w"] | None,
+    rig: Rig,
+    limit_px: float,
+) -> DepthMap:
+    """The depth map without what lies off the epipolar line by more than limit and noise."""
+    if residual_px is None or not np.isfinite(limit_px):
+        return depth
+    far = off_the_line(codes, residual_px, rig, limit_px=limit_px)
+    depth_m, sigma_m, reason = (
+        getattr(depth, name).copy() for name in ("depth_m", "sigma_m", "reason")
+    )
+    reason[far] = Reason.OUTLIER
+    depth_m[far] = sigma_m[far] = np.nan
+    return replace(depth, depth_m=depth_m, sigma_m=sigma_m, reason=reason)
+
+
+def _rig_symptoms(
+    codes: CodeMap, rig: Rig, depth: DepthMap, residual_px: Float[np.ndarray, "h w"] | None
+) -> list[str]:
+    remedy = better_reading(codes, rig)
+    if remedy is not None:
+        return [f"the rig does not fit the stack: {remedy}"]
+    found = []
+    away = int((depth.reason == Reason.OUT_OF_RANGE).sum())
+    placed = away + int((depth.reason == Reason.DECODED).sum())
+    if away > OUT_OF_RANGE * max(placed, 1):
+        found.append(
+            f"{100 * away / placed:.0f} % of the decoded pixels lie outside the rig's working "
+            "range: check that it is the rig of this stack, and its near_m and far_m"
+        )
+    if residual_px is None or not np.isfinite(residual_px).any():
+        return found
+    median_px = float(np.nanmedian(np.abs(residual_px)))
+    if median_px > MISPLACED_PX:
+        found.append(
+            f"the epipolar residual's median is {median_px:.3g} px, and less than 1 is usual: the "
+            "calibration may be of another rig, the camera may have moved, offset_px may be "
+            "wrong, or frames may be exchanged"
+        )
+    return found
+
+
+def _pixel_cloud(depth: DepthMap, rig: Rig, picture: UInt8[np.ndarray, "h w 3"]) -> Cloud:
+    known = np.isfinite(depth.depth_m)
+    point_m = points(rig.camera, depth.depth_m)[known]
+    return Cloud(point_m=point_m, color=picture[known], sigma_m=depth.sigma_m[known])
+
+
+def _joined_cloud(
+    codes: CodeMap,
+    code: Code,
+    rig: Rig,
+    picture: UInt8[np.ndarray, "h w 3"],
+    fine_bits: int,
+    limit_px: float,
+) -> Cloud:
+    cells = join_pixels(codes, code, fine_bits=fine_bits)
+    point_m, miss_px = meet_rays(cells.camera_px, cells.projector_px, rig)
+    good = (point_m[:, 2] >= rig.near_m) & (point_m[:, 2] <= rig.far_m) & (miss_px <= limit_px)
+    x, y = np.rint(cells.camera_px[good]).astype(np.int64).T
+    return Cloud(point_m=point_m[good], color=picture[y, x], sure_pixels=cells.sure_pixels[good])

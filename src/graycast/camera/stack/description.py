@@ -1,0 +1,289 @@
+"""The YAML description of a stack: projector, frames, levels and thresholds."""
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import yaml
+from pydantic import Field, model_validator
+
+from ...base.errors import ConfigError
+from ...base.settings import Level, Positive, ReadAs, Settings, read_settings, section_of
+from ...rig.pattern import AXES, Axis, Code, Frame
+from ..decode import DecodeSpec, levels_of
+from ..scanner import Scanner
+
+# What a frame of each kind must say, and what it may say.
+_MUST: dict[str, tuple[str, ...]] = {
+    "white": (),
+    "black": (),
+    "gray": ("axis", "bit"),
+    "complementary": ("axis", "period_px"),
+    "phase": ("axis", "period_px", "step", "steps"),
+    "line": ("axis", "period_px", "step", "steps"),
+}
+_MAY = {"gray": ("inverse", "xor_bit"), "complementary": ("inverse",)}
+
+
+class FrameSection(Settings):
+    """One picture of the stack."""
+
+    file: Path = Field(description="The picture, relative to this file.")
+    kind: Literal["white", "black", "gray", "complementary", "phase", "line"]
+    axis: Axis | None = Field(None, description="What the frame codes: column or row.")
+    bit: int | None = Field(
+        None, ge=0, le=23, description="The number of the bit of a Gray code; 0 is the finest bit."
+    )
+    inverse: bool = Field(False, description="Whether dark and bright are swapped.")
+    xor_bit: int | None = Field(
+        None, ge=0, le=23, description="The Gray bit with which this bit is combined by XOR."
+    )
+    period_px: float | None = Field(None, ge=2, description="Projector pixels per period.")
+    step: float | None = Field(
+        None,
+        ge=0,
+        description="The number of the phase step, counted from 0. It is a "
+        "fraction if the cosine starts between two steps.",
+    )
+    steps: int | None = Field(None, ge=3, description="The number of phase steps.")
+
+    @model_validator(mode="after")
+    def _says_what_its_kind_needs(self) -> "FrameSection":
+        must = _MUST[self.kind]
+        for key in must:
+            if getattr(self, key) is None:
+                raise ValueError(f"a {self.kind} frame needs {key}: add it")
+        allowed = ("file", "kind", *must, *_MAY.get(self.kind, ()))
+        for key in self.model_fields_set.difference(allowed):
+            if getattr(self, key) not in (None, False):
+                raise ValueError(f"a {self.kind} frame has no {key}: remove it")
+        self.frame()
+        return self
+
+    def frame(self) -> Frame:
+        """The frame, without its file."""
+        return Frame(
+            kind=self.kind,
+            axis=self.axis,
+            bit=-1 if self.bit is None else self.bit,
+            inverse=self.inverse,
+            xor_bit=-1 if self.xor_bit is None else self.xor_bit,
+            period_px=0.0 if self.period_px is None else self.period_px,
+            step=_whole(self.step or 0.0),
+            steps=0 if self.steps is None else self.steps,
+        )
+
+
+def _whole(number: float) -> int | float:
+    return int(number) if number == int(number) else number
+
+
+class ProjectorSection(Settings):
+    """The projector's picture."""
+
+    width_px: int = Field(ge=2, le=65535)
+    height_px: int = Field(ge=2, le=65535)
+
+
+class OffsetSection(Settings):
+    """Where code 0 lies on the projector."""
+
+    column: float = 0.0
+    row: float = 0.0
+
+
+class StrideSection(Settings):
+    """Projector pixels per code."""
+
+    column: Positive | None = Field(
+        None,
+        description="Projector pixels per coded value. Without this key, it is 1 or the "
+        "period of a phase code.",
+    )
+    row: Positive | None = Field(
+        None,
+        description="Projector pixels per coded value. Without this key, it is 1 or the "
+        "period of a phase code.",
+    )
+
+
+class LevelsSection(Settings):
+    """Known properties of the camera (EMVA 1288); others are measured in the stack."""
+
+    offset_dn: float | None = Field(None, ge=0, description="The stored value without light.")
+    saturation_dn: Positive | None = Field(
+        None, description="The lowest stored value that counts as saturated."
+    )
+    read_noise_dn: float | None = Field(
+        None, ge=0, description="The standard deviation of the noise in the dark."
+    )
+    gain_dn_per_e: float | None = Field(None, ge=0, description="Digital numbers per electron.")
+
+
+DecodeSection = section_of(
+    DecodeSpec,
+    "DecodeSection",
+    module=__name__,
+    about="What a pixel must show to be believed; see DecodeSpec.",
+    base=Settings,
+    more={
+        "max_epipolar_px": (
+            Level | None,
+            Field(
+                None,
+                description="Largest distance from the epipolar line in projector pixels; 0 "
+                "switches the test off. Without this key, it is 5 times the "
+                "median distance, but at least 2.",
+            ),
+        )
+    },
+)
+
+
+class StackDescription(Settings):
+    """A stack: the frame that each picture shows."""
+
+    projector: ProjectorSection
+    frames: tuple[FrameSection, ...] = Field(min_length=1)
+    offset_px: OffsetSection = OffsetSection()
+    stride_px: StrideSection = StrideSection()
+    levels: LevelsSection = LevelsSection()
+    decode: Annotated[Settings, ReadAs(DecodeSection)] = DecodeSection()
+    rig: Path | None = Field(
+        None, description="The rig file of the scanner, relative to this file."
+    )
+
+    def decode_spec(self) -> tuple[DecodeSpec, float | None]:
+        """What a pixel must show, and its farthest from the epipolar line where that is stated."""
+        said = self.decode.model_dump()
+        limit_px = said.pop("max_epipolar_px")
+        return DecodeSpec(**said), limit_px
+
+    @model_validator(mode="after")
+    def _shows_each_frame_once(self) -> "StackDescription":
+        seen: dict[Frame, Path] = {}
+        for section in self.frames:
+            frame = section.frame()
+            if frame in seen:
+                both = f"{seen[frame]} and {section.file}"
+                raise ValueError(f"{both} are both {frame.name}: give each frame once")
+            seen[frame] = section.file
+        files = [section.file for section in self.frames]
+        twice = [file for file in files if files.count(file) > 1]
+        if twice:
+            names = " and ".join(s.frame().name for s in self.frames if s.file == twice[0])
+            raise ValueError(f"{twice[0]} is given as {names}: give each file once")
+        return self
+
+
+def stack_schema() -> dict[str, Any]:
+    """JSON Schema of a stack file, from which editors complete."""
+    return StackDescription.model_json_schema()
+
+
+def read_description(path: Path) -> StackDescription:
+    """Read and check a stack file; the pictures are not looked at.
+
+    Raises:
+        ConfigError: the text names the file, the key and the remedy.
+    """
+    return read_settings(path, StackDescription)
+
+
+def describe_code(code: Code, files: Sequence[str]) -> str:
+    """The stack file of a code whose pictures have these names, one per frame in order."""
+    return _as_yaml(_said_of_code(code, files))
+
+
+def describe_stack(scanner: Scanner, files: Sequence[str], *, rig: str) -> str:
+    """The stack file of a scanner's own pictures, by which they are read as it reads them.
+
+    Sensor and thresholds are stated, so nothing is measured in the pictures.
+
+    Args:
+        files: one name per frame of the scanner's code, in order.
+        rig: name of its rig file, which has the filters; beside the stack file.
+    """
+    levels, decode = levels_of(scanner.sensor), scanner.decode
+    content = _said_of_code(scanner.light_code(), files) | {
+        "levels": {
+            "offset_dn": float(levels.offset_dn),
+            "saturation_dn": float(levels.saturation_dn),
+            "read_noise_dn": float(scanner.sensor.gain_dn_per_e * scanner.sensor.read_noise_e),
+            "gain_dn_per_e": float(levels.slope_dn),
+        },
+        "decode": {
+            "min_contrast": float(decode.min_contrast),
+            "min_sigmas": float(decode.min_sigmas),
+            "doubt": float(decode.doubt),
+            "fine_bits": int(decode.fine_bits),
+            "settling_votes": int(decode.settling_votes),
+            "min_visibility": float(decode.min_visibility),
+            "max_epipolar_px": float(decode.max_epipolar_px),
+        },
+        "rig": rig,
+    }
+    return _as_yaml(content)
+
+
+def describe_frames(code: Code, files: Sequence[str]) -> list[dict[str, Any]]:
+    """What each picture shows, in a stack file's words."""
+    frames = []
+    for frame, file in zip(code.frames, files, strict=True):
+        entry: dict[str, Any] = {"file": file, "kind": frame.kind}
+        said = {
+            "axis": frame.axis,
+            "bit": frame.bit if frame.kind == "gray" else None,
+            "inverse": frame.inverse or None,
+            "xor_bit": frame.xor_bit if frame.xor_bit >= 0 else None,
+            "period_px": frame.period_px or None,
+            "step": frame.step if frame.steps else None,
+            "steps": frame.steps or None,
+        }
+        frames.append(entry | {key: value for key, value in said.items() if value is not None})
+    return frames
+
+
+def _said_of_code(code: Code, files: Sequence[str]) -> dict[str, Any]:
+    return {
+        "projector": {"width_px": code.width_px, "height_px": code.height_px},
+        "frames": describe_frames(code, files),
+        "offset_px": dict(zip(AXES, map(float, code.offset_px), strict=True)),
+        "stride_px": dict(zip(AXES, map(float, code.stride_px), strict=True)),
+    }
+
+
+def _as_yaml(content: dict[str, Any]) -> str:
+    return yaml.safe_dump(content, sort_keys=False, default_flow_style=None, width=100)
+
+
+def code_of(description: StackDescription, path: Path) -> Code:
+    """The code that the frames make.
+
+    Raises:
+        ConfigError: they make none.
+    """
+    try:
+        return Code(
+            width_px=description.projector.width_px,
+            height_px=description.projector.height_px,
+            frames=tuple(section.frame() for section in description.frames),
+            offset_px=(description.offset_px.column, description.offset_px.row),
+            stride_px=(_stride_px(description, "column"), _stride_px(description, "row")),
+        )
+    except ValueError as error:
+        raise ConfigError(f"{path}: {error}") from error
+
+
+def _stride_px(description: StackDescription, axis: Axis) -> float:
+    """As stated; else the period, where a complementary bit says that Gray bits count periods."""
+    stated = (description.stride_px.column, description.stride_px.row)[AXES.index(axis)]
+    if stated is not None:
+        return stated
+    frames = [section.frame() for section in description.frames if section.axis == axis]
+    bits = [frame.bit for frame in frames if frame.kind == "gray"]
+    period_px = next((f.period_px for f in frames if f.kind == "complementary"), None)
+    size_px = {"column": description.projector.width_px, "row": description.projector.height_px}
+    if period_px is None or not bits or 2 ** (max(bits) + 1) >= size_px[axis]:
+        return 1.0
+    return period_px

@@ -1,0 +1,180 @@
+"""Offset, saturation and noise of an unknown camera, measured in the stack itself."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Num, UInt8, UInt16
+from scipy.ndimage import convolve, uniform_filter
+
+from ...base.errors import DecodeError
+from ...rig.pattern import Code
+from ..decode import Levels
+from .description import LevelsSection
+from .phase_steps import from_means, from_steps, full_periods
+from .scatter import QUANTISATION_DN2, bands, less_local_mean, line
+
+Stack = UInt8[np.ndarray, "n h w"] | UInt16[np.ndarray, "n h w"]
+
+FULL_SCALES = (1023, 4095, 16383, 65535)  # of 10 to 16 bits, stored in 16
+PILE_SHARE = 1e-3  # as a share of the lit pixels that share the highest value, where it is the top
+MAX_PAIRS = 8  # coarse ones: the finest have edges everywhere
+FIRM = 0.8  # |pattern - inverse| as a share of the pixel's contrast: an edge of a stripe has less
+# Of a camera that nothing is known of: dark noise of 1/250 of the range, full well 10,000 e.
+DEFAULT_NOISE, DEFAULT_WELL_E = 1 / 250, 10_000.0
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class MeasuredLevels:
+    """The levels taken, and in words where each comes from."""
+
+    levels: Levels
+    source: str
+
+
+def measure_levels(frames: Stack, code: Code, known: LevelsSection) -> MeasuredLevels:
+    """Offset, saturation and noise law of the camera that took a stack.
+
+    - Saturation: the highest number of the depth (8 bits: 255; in 16 bits the least of 1023, 4095,
+      16383 and 65535 that holds all values), or the highest value met, where it is within a tenth
+      of that and many pixels share it.
+    - Offset: the darkest frame's first percentile.
+    - Noise: pattern plus inverse is the same light for every bit, so two such sums differ by the
+      noise of four frames; less its mean over 15 x 15 pixels, which takes off drift and what a
+      camera's gamma makes of light from elsewhere. Only lit pixels well inside a stripe count.
+      Against brightness it gives floor and slope. Without inverses, of phases: what steps of one
+      period leave beside mean, cosine and low harmonics, if they are four or more; or by what the
+      means of two periods differ. Else what a 3 x 3 mask blind to planes finds in the white frame,
+      or in the mean of a period's steps (Immerkaer), in the smoother half of it; else a stated
+      default. docs/derivations.md, "Real stacks".
+
+    Values in the stack file take precedence.
+
+    Raises:
+        DecodeError: the offset that is stated lies above saturation.
+
+    Leaves out: a gamma, which makes noise fall with brightness where photons make it rise.
+
+    Source: J. Immerkaer, "Fast Noise Variance Estimation", CVIU 64, 1996.
+    """
+    high, low = frames.max(axis=0), frames.min(axis=0)
+    words = []
+    saturation_dn, why = _saturation(high, low, frames.dtype)
+    if known.saturation_dn is not None:
+        saturation_dn, why = known.saturation_dn, "as stated"
+    words.append(f"saturation {saturation_dn:g} DN ({why})")
+    offset_dn, why = float(np.percentile(low, 1)), "darkest frame, first percentile"
+    if known.offset_dn is not None:
+        if known.offset_dn >= saturation_dn:
+            raise DecodeError(
+                f"levels.offset_dn is {known.offset_dn:g}, but pixels saturate at "
+                f"{saturation_dn:g} DN: the two may be exchanged"
+            )
+        offset_dn, why = known.offset_dn, "as stated"
+    offset_dn = min(offset_dn, saturation_dn - 1)
+    words.append(f"offset {offset_dn:g} DN ({why})")
+    floor_dn2, slope_dn, why = _noise(frames, code, high, low, offset_dn, saturation_dn)
+    if known.read_noise_dn is not None:
+        floor_dn2, why = known.read_noise_dn**2 + QUANTISATION_DN2, "as stated"
+    if known.gain_dn_per_e is not None:
+        slope_dn, why = known.gain_dn_per_e, "as stated"
+    bright = np.sqrt(floor_dn2 + slope_dn * (saturation_dn - offset_dn))
+    words.append(f"noise {np.sqrt(floor_dn2):.2f} DN dark to {bright:.2f} DN bright ({why})")
+    levels = Levels(
+        offset_dn=offset_dn,
+        saturation_dn=saturation_dn,
+        floor_dn2=floor_dn2,
+        slope_dn=slope_dn,
+    )
+    return MeasuredLevels(levels=levels, source=", ".join(words))
+
+
+def _saturation(high, low, dtype) -> tuple[float, str]:
+    highest = int(high.max())
+    scales = (255,) if dtype == np.uint8 else FULL_SCALES
+    full = next(scale for scale in scales if highest <= scale)
+    lit = high > int(low.min()) + 0.1 * (highest - int(low.min()))
+    pile = int((high == highest).sum())
+    if highest < full and highest >= 0.9 * full and pile > max(PILE_SHARE * lit.sum(), 20):
+        return float(highest), f"the highest value, of {pile} pixels"
+    return float(full), f"{full.bit_length()} bits"
+
+
+def _noise(
+    frames: Stack, code: Code, high, low, offset_dn: float, saturation_dn: float
+) -> tuple[float, float, str]:
+    """Floor [DN^2], slope [DN], and how they were found."""
+    bounds = offset_dn, saturation_dn
+    for measure, why in (
+        (lambda: _from_pairs(frames, inverse_pairs(code), high, low, *bounds), "inverses"),
+        (lambda: from_steps(frames, code, *bounds), "what phase steps leave"),
+        (lambda: from_means(frames, code, *bounds), "means of periods"),
+        (lambda: _from_white(frames, code, *bounds), "white frame"),
+        (lambda: _from_one_mean(frames, code, *bounds), "texture of a period's mean"),
+    ):
+        law = measure()
+        if law is not None:
+            return *law, f"measured: {why}"
+    range_dn = saturation_dn - offset_dn
+    floor_dn2 = (DEFAULT_NOISE * range_dn) ** 2 + QUANTISATION_DN2
+    return floor_dn2, range_dn / DEFAULT_WELL_E, "assumed: no inverses, phases or white frame"
+
+
+def inverse_pairs(code: Code) -> list[tuple[int, int]]:
+    """Frames and their inverses, by index, coarse bits first as the code shows them."""
+    shown = {
+        (f.kind, f.axis, f.bit, f.period_px): k for k, f in enumerate(code.frames) if f.inverse
+    }
+    return [
+        (k, shown[f.kind, f.axis, f.bit, f.period_px])
+        for k, f in enumerate(code.frames)
+        if not f.inverse and (f.kind, f.axis, f.bit, f.period_px) in shown
+    ]
+
+
+def _from_pairs(frames, pairs, high, low, offset_dn, saturation_dn):
+    """Sums of neighbouring pairs differ by the noise of four frames, once smooth light is off."""
+    if len(pairs) < 2:
+        return None
+    light, squares = [], []
+    for rows in bands(high.shape[0]):
+        contrast = high[rows].astype(np.float32) - low[rows]
+        before = None
+        for pair in pairs[:MAX_PAIRS]:
+            first, second = (frames[k, rows].astype(np.float32) for k in pair)
+            firm = np.abs(first - second) >= FIRM * contrast
+            firm &= (contrast > 0.02 * saturation_dn) & (high[rows] < saturation_dn)
+            whole = first + second
+            if before is not None:
+                off, there = less_local_mean(whole - before[0], firm & before[1])
+                light.append((whole + before[0])[there] / 4 - offset_dn)
+                squares.append(off[there] ** 2 / 4)
+            before = whole, firm
+    return line(np.concatenate(light), np.concatenate(squares))
+
+
+_MASK = np.array([[1, -2, 1], [-2, 4, -2], [1, -2, 1]], dtype=np.float32)
+
+
+def _from_white(frames, code: Code, offset_dn, saturation_dn):
+    whites = [k for k, frame in enumerate(code.frames) if frame.kind == "white"]
+    return _from_texture(frames[whites[0]], offset_dn, saturation_dn) if whites else None
+
+
+def _from_one_mean(frames, code: Code, offset_dn, saturation_dn):
+    """The mean of N steps shows no stripes, and an N-th of a frame's variance."""
+    steps = full_periods(code)
+    if not steps:
+        return None
+    mean = frames[steps[0]].mean(axis=0, dtype=np.float32)
+    law = _from_texture(mean, offset_dn, saturation_dn)
+    return None if law is None else tuple(len(steps[0]) * term for term in law)
+
+
+def _from_texture(white: Num[np.ndarray, "h w"], offset_dn, saturation_dn):
+    """Noise of one picture; the smoother half of the pixels of each brightness speaks."""
+    value = white.astype(np.float32)
+    square_dn2 = convolve(value, _MASK)[1:-1, 1:-1] ** 2 / 36
+    mean = uniform_filter(value, 7)[1:-1, 1:-1]
+    rough = uniform_filter(square_dn2, 7)
+    keep = (mean < 0.95 * saturation_dn) & (rough <= np.median(rough))
+    return line(mean[keep] - offset_dn, square_dn2[keep])

@@ -1,0 +1,128 @@
+"""Whether a rig is that of a stack, and which turn of the pictures, or of R and T, would fit.
+
+What depth does not use tells. With both axes coded that is the other coordinate of each pixel. With
+one axis it is the edge of the projector's picture across the stripes, where the camera sees it:
+the rig must put the last lit pixels on the projector's first and last row.
+
+Leaves out: rigs whose camera sees no such edge, with one axis coded. The sides of shadows would not
+tell there: inverting R and T exchanges near and far, and the side of the projector too.
+"""
+
+from dataclasses import replace
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+from ...base.frames import inverse, transform_points
+from ...rig.optics import project
+from ...rig.pair import Rig
+from ..decode import CodeMap, Reason, meet_planes, triangulation_axis
+
+SAMPLES = 4000
+LEAST = 30  # samples
+NEAR_PX, NEAR = 3.0, 0.01  # of its place; or as a share of the projector's size, if that is more
+FITS = 0.3  # as a share of the samples that lie where the rig puts them
+TIMES = 4.0  # by which another reading must fit better
+RIM_PX = 5  # between the last lit pixel and the last decoded one
+
+# What to do with the pictures, and where that moves a pixel (x, y) about the picture's middle.
+_TURNS = {
+    "turn the pictures by 180 degrees": ((-1, 0), (0, -1)),
+    "mirror the pictures left to right": ((-1, 0), (0, 1)),
+    "mirror the pictures upside down": ((1, 0), (0, -1)),
+    "turn the pictures by 90 degrees clockwise": ((0, -1), (1, 0)),
+    "turn the pictures by 90 degrees counter-clockwise": ((0, 1), (-1, 0)),
+    "mirror the pictures left to right, then turn them by 90 degrees clockwise": ((0, -1), (-1, 0)),
+    "mirror the pictures left to right, then turn them by 90 degrees counter-clockwise": (
+        (0, 1),
+        (1, 0),
+    ),
+}
+_AS_IT_IS = ((1, 0), (0, 1))
+
+
+def better_reading(codes: CodeMap, rig: Rig) -> str | None:
+    """The change with which the rig fits the stack, in words; None if none fits much better."""
+    both = not (np.isnan(codes.column).all() or np.isnan(codes.row).all())
+    y, x = _decoded(codes) if both else _edge(codes, triangulation_axis(rig) == "row")
+    if len(y) < LEAST:
+        return None
+    size_px = codes.column.shape[::-1]
+
+    def fit(turn, own: Rig) -> float:
+        pixel = _moved(np.stack([x, y], axis=-1), turn, size_px, own)
+        if pixel is None or (turn[0][0] == 0 and not both):
+            return 0.0
+        return _fit(pixel, codes.column[y, x], codes.row[y, x], own)
+
+    stated = fit(_AS_IT_IS, rig)
+    if stated >= FITS:
+        return None
+    found = {what: fit(turn, rig) for what, turn in _TURNS.items()}
+    turned_over = replace(rig, T_cam_proj=inverse(rig.T_cam_proj))
+    found["invert R and T of the rig"] = fit(_AS_IT_IS, turned_over)
+    best = max(found, key=lambda what: found[what])
+    if found[best] < max(FITS, TIMES * stated):
+        return None
+    where = "places" if both else "places at the edge of the projector's picture"
+    return (
+        f"{best}: then {100 * found[best]:.0f} % of the {where} lie where rig {rig.name} puts "
+        f"them, and {100 * stated:.0f} % as it is"
+    )
+
+
+def _decoded(codes: CodeMap) -> tuple[Int[np.ndarray, " n"], Int[np.ndarray, " n"]]:
+    """Row and column of an even choice of the decoded pixels."""
+    index = np.flatnonzero(codes.reason == Reason.DECODED)
+    index = index[:: max(1, len(index) // SAMPLES)]
+    y, x = np.unravel_index(index, codes.reason.shape)
+    return y, x
+
+
+def _edge(codes: CodeMap, by_rows: bool) -> tuple[Int[np.ndarray, " n"], Int[np.ndarray, " n"]]:
+    """Row and column of the outermost lit pixels of each picture column, or of each row."""
+    lit, decoded = codes.reason != Reason.SHADOW, codes.reason == Reason.DECODED
+    if by_rows:
+        lit, decoded = lit.T, decoded.T
+    last = len(lit) - 1
+    ends = [_first(lit, decoded), _first(lit[::-1], decoded[::-1])]
+    along = np.concatenate([ends[0][0], last - ends[1][0]])
+    across = np.concatenate([ends[0][1], ends[1][1]])
+    return (across, along) if by_rows else (along, across)
+
+
+def _first(
+    lit: Bool[np.ndarray, "h w"], decoded: Bool[np.ndarray, "h w"]
+) -> tuple[Int[np.ndarray, " n"], Int[np.ndarray, " n"]]:
+    """Where each column's first decoded pixel is, if dark ones and a lit one lie before it."""
+    dark, first = lit.argmax(axis=0), decoded.argmax(axis=0)
+    good = decoded.any(axis=0) & (dark > RIM_PX) & (first - dark <= RIM_PX)
+    return first[good], np.flatnonzero(good)
+
+
+def _moved(
+    pixel: Int[np.ndarray, "n 2"], turn, size_px: tuple[int, int], rig: Rig
+) -> Float[np.ndarray, "n 2"] | None:
+    """Pixels of the turned picture; None where that is not of the camera's size."""
+    camera_px = (rig.camera.width_px, rig.camera.height_px)
+    if (size_px if turn[0][0] else size_px[::-1]) != camera_px:
+        return None
+    middle, to = ((np.array(size) - 1) / 2 for size in (size_px, camera_px))
+    return (pixel - middle) @ np.array(turn).T + to
+
+
+def _fit(pixel, column, row, rig: Rig) -> float:
+    """Share of the pixels in the working range whose other coordinate is as the rig says.
+
+    If that is not coded, it must be the projector's first or last.
+    """
+    point = meet_planes(pixel, column, row, rig)
+    place = project(rig.projector, transform_points(rig.T_proj_cam, point))
+    other = 1 if triangulation_axis(rig) == "column" else 0
+    size_px = (rig.projector.width_px, rig.projector.height_px)[other]
+    known = (column, row)[other]
+    off_px = place[:, other] - known
+    if np.isnan(known).all():
+        off_px = np.minimum(abs(place[:, other] + 0.5), abs(place[:, other] - size_px + 0.5))
+    in_range = (point[:, 2] >= rig.near_m) & (point[:, 2] <= rig.far_m)
+    return float((in_range & (np.abs(off_px) < max(NEAR_PX, NEAR * size_px))).mean())

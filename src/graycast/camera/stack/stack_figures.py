@@ -1,0 +1,129 @@
+"""Quality figures of a decoded stack."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Bool, Float, UInt8, UInt16
+
+from ...rig.pattern import Code
+from ..decode import CodeMap, Mark, Reason, reason_shares
+from .levels import inverse_pairs
+
+WELL = 0.4  # as a share of the contrast that two of a hundred lit pixels exceed
+MAX_SAMPLES = 150_000  # pixels that medians are taken of
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Figures:
+    """Shares of pixels, and medians over the better lit half of the decoded ones.
+
+    `lit_share` is that of pixels whose frames differ by more than their noise; `decoded_share` is
+    of those. Of the pixels that decode, `clipped_share` have a frame at the top of the range, and
+    of `settled_share` the neighbours said which period they see. `modulation` is
+    |pattern - inverse| over white minus black, by frame name; without an inverse twice the distance
+    from the middle of white and black; without these two, of the pixel's brightest and darkest
+    frame. Of a phase code, twice its amplitude. The epipolar residual [projector px] is NaN without
+    a rig or without both axes; `epipolar_sure_px` is its median over the pixels in no doubt about
+    any bit.
+    """
+
+    lit_share: float
+    decoded_share: float
+    reasons: dict[str, float]
+    modulation: dict[str, float]
+    clipped_share: float = 0.0
+    settled_share: float = 0.0
+    epipolar_median_px: float = np.nan
+    epipolar_95_px: float = np.nan
+    epipolar_sure_px: float = np.nan
+
+
+def figures_of(
+    frames: UInt8[np.ndarray, "n h w"] | UInt16[np.ndarray, "n h w"],
+    code: Code,
+    codes: CodeMap,
+    residual_px: Float[np.ndarray, "h w"] | None,
+) -> Figures:
+    lit = codes.reason != Reason.SHADOW
+    off = sure = np.empty(0)
+    if residual_px is not None:
+        known = np.isfinite(residual_px)
+        off = np.abs(residual_px[known])
+        sigma_px = np.maximum(codes.sigma_column, codes.sigma_row)[known]
+        sure = off[sigma_px < 1.05 * sigma_px.min(initial=np.inf)]
+    decoded = codes.reason == Reason.DECODED
+    return Figures(
+        lit_share=float(lit.mean()),
+        decoded_share=float(decoded[lit].mean()) if lit.any() else 0.0,
+        reasons=reason_shares(codes.reason),
+        modulation=_modulation(frames, code, decoded, codes.modulation) if decoded.any() else {},
+        clipped_share=_marked(codes, decoded, Mark.CLIPPED),
+        settled_share=_marked(codes, decoded, Mark.SETTLED),
+        epipolar_median_px=float(np.median(off)) if off.size else np.nan,
+        epipolar_95_px=float(np.percentile(off, 95)) if off.size else np.nan,
+        epipolar_sure_px=float(np.median(sure)) if sure.size else np.nan,
+    )
+
+
+def well_lit(codes: CodeMap) -> Bool[np.ndarray, "h w"]:
+    """The lit pixels of a good contrast beside the others: 40 % of what the best ones have.
+
+    Dark surfaces, shadows with a little light from elsewhere and noise are lit too, and contradict
+    themselves in a stack that is as it should be. A frame that is another one than the stack file
+    says is wrong in the best lit pixels as well.
+    """
+    lit = ~np.isin(codes.reason, (Reason.SHADOW, Reason.SATURATED))
+    if not lit.any():
+        return lit
+    return lit & (codes.modulation >= WELL * np.percentile(codes.modulation[lit], 98))
+
+
+def _marked(codes: CodeMap, decoded: Bool[np.ndarray, "h w"], mark: Mark) -> float:
+    if not decoded.any():
+        return 0.0
+    if codes.mark is None:
+        raise ValueError("the marks of this code map were not kept")
+    return float((codes.mark[decoded] & mark > 0).mean())
+
+
+def samples(where: Bool[np.ndarray, "h w"]) -> np.ndarray:
+    """Flat indices of an even choice of these pixels."""
+    index = np.flatnonzero(where)
+    return index[:: max(1, -(-len(index) // MAX_SAMPLES))]
+
+
+def _modulation(
+    frames, code: Code, decoded: Bool[np.ndarray, "h w"], contrast: Float[np.ndarray, "h w"]
+) -> dict[str, float]:
+    bright = decoded & (contrast >= np.median(contrast[decoded]))
+    taken = samples(bright)
+    flat = frames.reshape(len(frames), -1)[:, taken].astype(np.float32)
+    kinds = [frame.kind for frame in code.frames]
+    if "white" in kinds and "black" in kinds:
+        white, black = flat[kinds.index("white")], flat[kinds.index("black")]
+    else:
+        white, black = flat.max(axis=0), flat.min(axis=0)
+    span = np.maximum(white - black, 1)
+    inverse = dict(inverse_pairs(code))
+    found = {}
+    for k, frame in enumerate(code.frames):
+        if frame.kind not in ("gray", "complementary") or frame.inverse:
+            continue
+        other = flat[inverse[k]] if k in inverse else white + black - flat[k]
+        found[frame.name] = float(np.median(np.abs(flat[k] - other) / span))
+    return found | _phase_modulation(flat, code, span)
+
+
+def _phase_modulation(flat, code: Code, span) -> dict[str, float]:
+    groups: dict[tuple, list[int]] = {}
+    for k, frame in enumerate(code.frames):
+        if frame.kind in ("phase", "line"):
+            groups.setdefault((frame.axis, frame.kind, frame.period_px, frame.steps), []).append(k)
+    found = {}
+    for (axis, kind, period_px, steps), members in groups.items():
+        if len(members) < 3:
+            continue
+        turn = np.array([2j * np.pi * code.frames[k].step / steps for k in members])
+        wave = np.abs(np.exp(turn) @ flat[members]) * 4 / len(members)
+        found[f"{axis}_{kind}_{period_px:g}px"] = float(np.median(wave / span))
+    return found

@@ -1,0 +1,12 @@
+"""From a configuration in YAML to a scene, and to a dataset of many.
+
+Each imports only from those above it:
+
+    domain           how scenes differ from their cell, and a record of the differences
+    views            the camera poses of a scene's images
+    config           the configuration in YAML, and the values that it resolves to
+    resolve          a configuration with all its files read, shared by all scenes
+    simulate         one scene, from its seeds to its sample
+    engine           where scenes are made: this process, other processes, or a cluster
+    generate         many scenes of a cell, written to the folder of a dataset
+"""

@@ -1,0 +1,388 @@
+"""The configuration that a user writes in YAML: it is checked and resolved to values.
+
+Every key that is not known stops the run and is named with its file and the nearest known key.
+Paths in a configuration are relative to its file.
+"""
+
+import hashlib
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, Literal
+
+from pydantic import (
+    Field,
+    ValidationError,
+    field_validator,
+    model_validator,
+)
+
+from ..base.errors import ConfigError
+from ..base.file_limits import refuse_large_picture
+from ..base.progress import UNWATCHED, ProgressMeter
+from ..base.settings import Level, Settings, read_settings
+from ..camera.decode import triangulation_axis
+from ..camera.rig_file import ScannerSections, named_scanner, with_sections
+from ..camera.scanner import Scanner
+from ..render import Quality
+from ..render.radiance import PathDepth, Samples
+from ..world.bins import Up, load_bin
+from ..world.drop import DropLimits
+from ..world.parts import Material, Part
+from ..world.parts.part_sections import (
+    MaterialSection,
+    PartSection,
+    Unit,
+    resolve_material,
+    resolve_part,
+)
+from ..world.parts.wood import wood_texture
+from ..world.scene import BandRadiance, Bin, Environment, Inner, Lamp, Wall
+from .domain import DomainSection, domain_files
+from .views import DomeSection, JitterSection, ScannerEntry, Views, ViewSection
+
+
+class BinSection(Settings):
+    """A bin: a box of stated inner sizes, or a mesh file."""
+
+    inner_m: tuple[Inner, Inner, Inner] = (0.40, 0.30, 0.15)
+    wall_m: Wall = 0.012
+    mesh: Path | None = Field(
+        None,
+        description="An OBJ, PLY, STL or GLB file of the bin, which replaces inner_m and wall_m.",
+    )
+    unit: Unit | None = Field(
+        None,
+        description="The unit of the mesh file. It must be stated if the sizes are not "
+        "plausible in metres.",
+    )
+    up_axis: Up = Field(
+        "z",
+        description="The axis of the mesh file that points out of the bin's opening.",
+    )
+    material: MaterialSection | None = Field(
+        None,
+        description="The material of the bin. Without this key, a box is of wood, and a mesh "
+        "has the material of its file.",
+    )
+    floor: MaterialSection | None = Field(
+        None,
+        description="The material of the inner floor. Without this key, it is the material "
+        "of the walls.",
+    )
+    friction: Level = 0.5
+
+    @model_validator(mode="after")
+    def _one_shape(self) -> "BinSection":
+        # By value: what is read back from a manifest gives every key.
+        of_other = ("unit", "up_axis") if self.mesh is None else ("inner_m", "wall_m")
+        fields = BinSection.model_fields
+        given = [name for name in of_other if getattr(self, name) != fields[name].default]
+        if given and self.mesh is None:
+            raise ValueError(f"{' and '.join(given)} of a bin belong to a mesh: name its file")
+        if given:
+            raise ValueError(f"a mesh has its own size: remove {' and '.join(given)}, or mesh")
+        return self
+
+
+class EnvironmentSection(Settings):
+    """Light from all around."""
+
+    radiance: BandRadiance = Field(
+        (0.2, 0.2, 0.2), description="The radiance of each band, in W/(sr m^2). It scales the map."
+    )
+    map: Path | None = Field(None, description="An EXR or HDR picture by latitude and longitude.")
+
+
+class LightSection(Settings):
+    environment: EnvironmentSection = EnvironmentSection()
+    lamps: tuple[Lamp, ...] = (Lamp(center_m=(0.7, -0.5, 1.6)),)
+
+
+class CyclesSection(Settings):
+    """Settings that only Blender Cycles has."""
+
+    denoise: Literal["none", "oidn", "optix"] = Field(
+        "oidn",
+        description="The denoiser of every picture. optix needs a GPU.",
+    )
+    patterns_per_render: Literal[1, 3] = Field(
+        1,
+        description="The number of patterns in a render. With 3, the red, green and blue "
+        "channels hold one pattern each.",
+    )
+
+
+class RenderSection(Settings):
+    backend: Literal["mitsuba", "cycles"] = Field(
+        "mitsuba",
+        description="The renderer. mitsuba renders all patterns in one pass; "
+        "cycles renders them one after the other.",
+    )
+    samples: Samples = 16
+    depth: PathDepth = 4
+    denoise: bool = Field(
+        True,
+        description="Whether the colour picture is denoised. The "
+        "pictures of patterns are not affected.",
+    )
+    cycles: CyclesSection = CyclesSection()
+
+
+class StoreSection(Settings):
+    """What a scene's folder holds in addition to pictures, depth and labels."""
+
+    frames: bool = Field(
+        False, description="Keep every picture as the sensor stored it, for graycast decode."
+    )
+    columns: bool = Field(
+        False, description="Keep the decoded projector columns and rows with their deviations."
+    )
+    depth_step_mm: float | None = Field(
+        None,
+        gt=0,
+        le=1000,
+        exclude=True,  # a dataset says it as its depth_scale, chosen or not
+        description="One step of the depth pictures in millimetres. Without this key, 16 "
+        "bits span the range.",
+    )
+
+
+class Config(ScannerSections):
+    """One dataset: its parts, bin, rig, light and number of scenes.
+
+    The sections code, exposure, sensor, decode and filters replace settings of the rig.
+    """
+
+    parts: tuple[PartSection, ...] = Field(min_length=1)
+    mix: bool = Field(
+        False,
+        description="Whether each scene has parts of all kinds. Otherwise each scene has one "
+        "kind, and the kinds alternate.",
+    )
+    count: int | tuple[int, int] = Field(
+        30, description="The number of parts in a scene, or its lowest and its highest value."
+    )
+    scenes: int = Field(
+        3, ge=1, description="The number of scenes. The option --scenes replaces it."
+    )
+    seed: int = Field(
+        0, ge=0, description="The seed of all random numbers. The option --seed replaces it."
+    )
+    bin: BinSection = BinSection()
+    table: MaterialSection | None = Field(
+        None,
+        description="The material of the table on which the bin stands. Without this key, it "
+        "is matt grey.",
+    )
+    rig: str = Field("paper", description="The name of a preset, or a rig file.")
+    resolution: Literal["small", "low", "full"] = Field(
+        "low",
+        description="The size of a preset: 516 x 386, 1032 x 772 or 2064 x 1544 pixels.",
+    )
+    view: ViewSection = ViewSection()
+    views: Views | None = Field(
+        None,
+        description="Several images of each scene: a list of places, or dome, path or jitter.",
+    )
+    scanners: tuple[ScannerEntry, ...] | None = Field(
+        None,
+        min_length=1,
+        description="Several scanners in the cell, each with a name. They replace rig.",
+    )
+    light: LightSection = LightSection()
+    domain: DomainSection | None = Field(
+        None,
+        description="How the scenes differ in light, views and materials, in addition to the "
+        "poses of their parts.",
+    )
+    render: RenderSection = RenderSection()
+    drop: DropLimits = DropLimits()
+    store: StoreSection = Field(
+        StoreSection(),
+    )
+
+    @field_validator("count", mode="wrap")
+    @classmethod
+    def _countable(cls, value: Any, check: Callable[[Any], Any]) -> int | tuple[int, int]:
+        try:
+            count = check(value)
+        except ValidationError:
+            raise ValueError("give one number of parts, or two numbers [lowest, highest]") from None
+        low, high = (count, count) if isinstance(count, int) else count
+        if not 1 <= low <= high <= 255:
+            raise ValueError("give a number from 1 to 255, or two such numbers [lowest, highest]")
+        return count
+
+    @model_validator(mode="after")
+    def _one_way_to_look(self) -> "Config":
+        # By value: what is read back from a manifest gives every key.
+        used = {"distance_m", "target_m"} if isinstance(self.views, DomeSection) else set()
+        if self.views is not None and not isinstance(self.views, JitterSection):
+            plain = ViewSection(**self.view.model_dump(include=used))
+            if self.view != plain:
+                raise ValueError(
+                    "view and views both say where the rig hangs: remove view, or take it into "
+                    "views"
+                )
+        if self.scanners is None:
+            return self
+        own = [*ScannerSections.model_fields, "rig"]
+        given = [name for name in own if getattr(self, name) != Config.model_fields[name].default]
+        if given:
+            raise ValueError(
+                f"{', '.join(given)} and scanners are both given: say it in each of the scanners"
+            )
+        names = [entry.name.lower() for entry in self.scanners]
+        if twice := sorted({name for name in names if names.count(name) > 1}):
+            raise ValueError(f"two scanners are called {twice[0]}: give one another name")
+        if self.scanners[0].T_first_cam is not None:
+            raise ValueError(
+                f"scanner {self.scanners[0].name} is the first one, to which T_first_cam of the "
+                "others refers: remove its own T_first_cam"
+            )
+        return self
+
+    @property
+    def count_range(self) -> tuple[int, int]:
+        return (self.count, self.count) if isinstance(self.count, int) else self.count
+
+
+def config_schema() -> dict[str, Any]:
+    """The JSON Schema of a configuration, for editors."""
+    return Config.model_json_schema()
+
+
+def load_config(path: Path) -> Config:
+    """Read and check a configuration.
+
+    Raises:
+        ConfigError: the file is missing, is not YAML, or has an unknown or wrong key.
+    """
+    return read_settings(path, Config)
+
+
+# --- from words to values ----------------------------------------------------------------------
+
+
+def resolve_parts(
+    config: Config, folder: Path, *, progress: ProgressMeter = UNWATCHED
+) -> tuple[tuple[Part, ...], tuple[str, ...]]:
+    """The parts of a configuration, and notes on their meshes.
+
+    Raises:
+        ConfigError: an unknown built-in part, or a texture that cannot be read.
+        MeshError: a mesh cannot be used as a part.
+    """
+    parts: list[Part] = []
+    notes: list[str] = []
+    for section in config.parts:
+        if section.mesh is not None:
+            progress.stage(f"reading {section.mesh}")
+        part, found = resolve_part(section, folder)
+        if part.name in {other.name for other in parts}:
+            raise ConfigError(f"two parts have the name {part.name}: rename one of them")
+        parts.append(part)
+        notes.extend(f"{part.name}: {note}" for note in found)
+    return tuple(parts), tuple(notes)
+
+
+def resolve_bin(section: BinSection, folder: Path) -> tuple[Bin, tuple[str, ...]]:
+    """The bin of a configuration, and notes on its mesh.
+
+    Raises:
+        ConfigError, MeshError: a file cannot be used; the error names it.
+    """
+    given = None if section.material is None else resolve_material(section.material, folder)
+    floor = None if section.floor is None else resolve_material(section.floor, folder)
+    if section.mesh is None:
+        material = given or Material(texture=wood_texture(), roughness=0.6)
+        box = Bin(
+            inner_m=section.inner_m,
+            wall_m=section.wall_m,
+            material=material,
+            floor=floor,
+            friction=section.friction,
+        )
+        return box, ()
+    found = load_bin(folder / section.mesh, unit=section.unit, up=section.up_axis)
+    box = Bin(
+        inner_m=found.inner_m,
+        mesh=found.mesh,
+        own_texture=given is None and found.material.texture is not None,
+        material=given or found.material,
+        floor=floor,
+        friction=section.friction,
+    )
+    return box, tuple(f"bin: {note}" for note in found.notes)
+
+
+def resolve_environment(section: EnvironmentSection, folder: Path) -> Environment:
+    if section.map is None:
+        return Environment(radiance=section.radiance)
+    path = folder / section.map
+    if not path.is_file():
+        raise ConfigError(f"light.environment.map: no file {path}")
+    refuse_large_picture(path, f"light.environment.map {path}", ConfigError)
+    return Environment(radiance=section.radiance, map_file=path)
+
+
+def resolve_scanner(config: Config, folder: Path) -> Scanner:
+    """The scanner that a configuration names, or the first of several.
+
+    Raises:
+        ConfigError: as of `resolve_scanners`.
+    """
+    return resolve_scanners(config, folder)[0][1]
+
+
+def resolve_scanners(config: Config, folder: Path) -> tuple[tuple[str, Scanner], ...]:
+    """Every scanner with its name, "" of the only one; with what its sections change.
+
+    Raises:
+        ConfigError: there is no such rig, or the code lacks the axis that is parallel to the
+            baseline.
+    """
+    if config.scanners is None:
+        return (("", _resolved(config.rig, config, config.resolution, folder)),)
+    found = []
+    for entry in config.scanners:
+        try:
+            scanner = _resolved(entry.rig, entry, config.resolution, folder)
+        except ConfigError as error:
+            raise ConfigError(f"scanner {entry.name}: {error}") from error
+        found.append((entry.name, scanner))
+    return tuple(found)
+
+
+def _resolved(rig: str, sections: ScannerSections, resolution: str, folder: Path) -> Scanner:
+    scanner = with_sections(named_scanner(rig, folder=folder, resolution=resolution), sections)
+    axis = triangulation_axis(scanner.rig)
+    if axis not in scanner.code.axes:
+        axes = ", ".join(scanner.code.axes)
+        raise ConfigError(f"code.axes is {axes}: rig {scanner.rig.name} needs {axis} for depth")
+    return scanner
+
+
+def resolve_quality(config: Config) -> Quality:
+    render = config.render
+    return Quality(
+        samples=render.samples,
+        depth=render.depth,
+        denoise=render.cycles.denoise if render.backend == "cycles" else "none",
+    )
+
+
+def file_digests(config: Config, folder: Path) -> dict[str, str]:
+    """SHA-256 of every file that a configuration names, so that a changed file is noticed."""
+    named = [section.mesh for section in config.parts]
+    named.append(config.bin.mesh)
+    surfaces = [section.material for section in config.parts]
+    surfaces += [config.bin.material, config.bin.floor, config.table]
+    named += [material.texture for material in surfaces if material is not None]
+    named.append(config.light.environment.map)
+    named += domain_files(config.domain, folder)
+    digests = {}
+    for path in named:
+        if path is not None:
+            digests[str(path)] = hashlib.sha256((folder / path).read_bytes()).hexdigest()
+    return digests

@@ -1,0 +1,278 @@
+"""Random values of a domain: everything in which a scene differs from the cell, as JSON.
+
+Each section has a random stream of its own, so that a change in one leaves the others as they were.
+"""
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+
+from ...base.errors import ConfigError
+from ...base.streams import DOMAIN
+from ...rig.optics import Optics, rays
+from ...world.scene import Lamp, Scene, bin_of
+from .domain_sections import (
+    AdaptedSection,
+    CameraRanges,
+    ColorRanges,
+    DistractorRanges,
+    EnvironmentRanges,
+    LampRanges,
+    PartRanges,
+    RandomizedSection,
+    SurfaceRanges,
+)
+from .named_files import Domain
+from .vary import lamp_of, shared_out, with_rig_and_bin
+
+PARTS_MAX = 255  # a drop has no more
+LAMP_TRIES = 1000
+
+Streams = Mapping[str, np.random.Generator]
+
+
+def draw(
+    domain: Domain, scene: Scene, counts: tuple[int, ...], rng: np.random.Generator
+) -> dict[str, Any]:
+    """Draw the values from which `vary` makes one scene.
+
+    Args:
+        scene: the cell.
+        counts: how many of each of its parts.
+        rng: a generator for this purpose only; it must be able to `spawn`.
+
+    Raises:
+        ConfigError: no lamp of these ranges leaves the view free, or the rig is not above the bin.
+    """
+    streams = dict(zip(DOMAIN, rng.spawn(len(DOMAIN)), strict=True))
+    if isinstance(domain.section, AdaptedSection):
+        return _draw_adapted(domain.section, scene, streams)
+    return _draw_randomized(domain, domain.section, scene, counts, streams)
+
+
+def _draw_adapted(section: AdaptedSection, scene: Scene, streams: Streams) -> dict[str, Any]:
+    camera, box, lamp, part = section.camera, section.bin, section.lamps, section.parts
+    return {
+        "kind": "adapted",
+        "camera": {
+            "offset_m": _off(streams["camera"], camera.position_m, 3),
+            "rotation_rad": _off(streams["camera"], np.radians(camera.rotation_deg), 3),
+        },
+        "bin": {
+            "offset_m": _off(streams["bin"], box.position_m, 2),
+            "turn_rad": _off(streams["bin"], np.radians(box.rotation_deg), 1)[0],
+        },
+        "lamps": [
+            {
+                "offset_m": _off(streams["lamps"], lamp.position_m, 3),
+                "level": 1 + _off(streams["lamps"], lamp.level, 1)[0],
+            }
+            for _ in scene.lamps
+        ],
+        "environment": {"level": 1 + _off(streams["environment"], lamp.environment_level, 1)[0]},
+        "parts": {
+            one.name: {
+                "brightness": 1 + _off(streams["parts"], part.reflectance, 1)[0],
+                "roughness": _off(streams["parts"], part.roughness, 1)[0],
+            }
+            for one in scene.parts
+        },
+    }
+
+
+def _draw_randomized(
+    domain: Domain,
+    section: RandomizedSection,
+    scene: Scene,
+    counts: tuple[int, ...],
+    streams: Streams,
+) -> dict[str, Any]:
+    drawn: dict[str, Any] = {"kind": "randomized"}
+    if section.camera is not None:
+        drawn["camera"] = _camera(section.camera, streams["camera"])
+    if section.bin is not None:
+        drawn["bin"] = {
+            "size_factor": _log_uniform(streams["bin"], section.bin.size_factor),
+            **_surface(section.bin, domain.bin_textures, streams["bin"]),
+        }
+    if section.lamps is not None:
+        moved = with_rig_and_bin(domain, scene, drawn)
+        drawn["lamps"] = _lamps(section.lamps, moved, streams["lamps"])
+    if section.environment is not None:
+        drawn["environment"] = _environment(section.environment, domain, streams["environment"])
+    if section.table is not None:
+        drawn["table"] = _surface(section.table, domain.table_textures, streams["table"])
+    if section.parts is not None:
+        kinds = (*scene.parts, *domain.distractors)
+        drawn["parts"] = {kind.name: _part(section.parts, streams["parts"]) for kind in kinds}
+    drawn["count_share"] = _uniform(streams["counts"], section.count_share)
+    room = PARTS_MAX - sum(shared_out(counts, drawn["count_share"]))
+    drawn["distractors"] = _distractors(section.distractors, domain, room, streams["distractors"])
+    return drawn
+
+
+def _camera(camera: CameraRanges, rng: np.random.Generator) -> dict[str, Any]:
+    return {
+        "distance_factor": _log_uniform(rng, camera.distance_factor),
+        "tilt_rad": float(np.radians(_uniform(rng, camera.tilt_deg))),
+        "azimuth_rad": float(np.radians(_uniform(rng, camera.azimuth_deg))),
+        "roll_rad": float(np.radians(_uniform(rng, camera.roll_deg))),
+        "shift_m": rng.uniform(*camera.shift_m, 3).tolist(),
+    }
+
+
+def _environment(
+    ranges: EnvironmentRanges, domain: Domain, rng: np.random.Generator
+) -> dict[str, Any]:
+    level = _log_uniform(rng, ranges.radiance)
+    if not domain.maps:
+        temperature_k = _uniform(rng, ranges.color_temperature_k)
+        return {"radiance": level, "color_temperature_k": temperature_k}
+    return {
+        "radiance": level,
+        "map": _any_of(domain.maps, rng),
+        "rotation_rad": float(np.radians(_uniform(rng, ranges.rotation_deg))),
+    }
+
+
+def _part(ranges: PartRanges, rng: np.random.Generator) -> dict[str, Any]:
+    drawn = {
+        "brightness": _log_uniform(rng, ranges.brightness),
+        "tint": [_log_uniform(rng, ranges.tint) for _ in range(3)],
+        "roughness": _uniform(rng, ranges.roughness),
+        "metallic": _uniform(rng, ranges.metallic),
+    }
+    repainted, color = rng.random() < ranges.repainted_share, _color(ranges.color, rng)
+    return drawn | {"color": color if repainted else None}
+
+
+def _surface(
+    ranges: SurfaceRanges, textures: tuple[Path, ...], rng: np.random.Generator
+) -> dict[str, Any]:
+    drawn = {
+        "color": _color(ranges.color, rng),
+        "roughness": _uniform(rng, ranges.roughness),
+        "metallic": float(rng.random() < ranges.metal_share),
+        "texture_size_m": _log_uniform(rng, ranges.texture_size_m),
+    }
+    textured = rng.random() < ranges.textured_share and len(textures) > 0
+    return drawn | {"texture": _any_of(textures, rng) if textured else None}
+
+
+def _color(ranges: ColorRanges, rng: np.random.Generator) -> dict[str, float]:
+    return {name: _uniform(rng, getattr(ranges, name)) for name in ColorRanges.model_fields}
+
+
+def _distractors(
+    ranges: DistractorRanges | None, domain: Domain, room: int, rng: np.random.Generator
+) -> dict[str, int]:
+    """How many of each: the kinds are equally likely."""
+    kinds = domain.distractors
+    if ranges is None or not kinds:
+        return {}
+    low, high = ranges.count
+    total = min(int(rng.integers(low, high + 1)), room)
+    numbers = rng.multinomial(total, np.full(len(kinds), 1 / len(kinds)))
+    return {kind.name: int(n) for kind, n in zip(kinds, numbers, strict=True)}
+
+
+# --- lamps -------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Cone:
+    """A cone of view or light: all directions up to `half_angle_rad` from its axis."""
+
+    apex_m: Float[np.ndarray, "3"]
+    axis: Float[np.ndarray, "3"]
+    half_angle_rad: float
+
+    def meets(self, center_m: Float[np.ndarray, "3"], radius_m: float) -> bool:
+        """Whether a ball reaches into it."""
+        away_m = center_m - self.apex_m
+        distance_m = float(np.linalg.norm(away_m))
+        if distance_m <= radius_m:
+            return True
+        aside_rad = np.arccos(np.clip(away_m @ self.axis / distance_m, -1, 1))
+        return bool(aside_rad < self.half_angle_rad + np.arcsin(radius_m / distance_m))
+
+
+def views(scene: Scene) -> tuple[_Cone, ...]:
+    """The cones around what camera and projector see."""
+    T_world_proj = scene.T_world_cam @ scene.rig.T_cam_proj
+    both = ((scene.T_world_cam, scene.rig.camera), (T_world_proj, scene.rig.projector))
+    return tuple(
+        _Cone(apex_m=T[:3, 3], axis=T[:3, 2], half_angle_rad=_widest_rad(lens)) for T, lens in both
+    )
+
+
+def _widest_rad(lens: Optics) -> float:
+    """Angle between the axis and the corner that is farthest from it."""
+    x, y = (np.array([-0.5, n - 0.5]) for n in (lens.width_px, lens.height_px))
+    corner = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
+    return float(np.arctan(np.nanmax(np.linalg.norm(rays(lens, corner)[:, :2], axis=-1))))
+
+
+def in_the_way(lamp: Lamp, scene: Scene, cones: tuple[_Cone, ...]) -> bool:
+    """Whether the ball around a lamp meets the one around the bin, or a cone around a view."""
+    center_m, reach_m = np.array(lamp.center_m), lamp.size_m * math.sqrt(0.5)
+    low_m, high_m = bin_of(scene).bounds_m
+    bin_reach_m = np.linalg.norm(high_m - low_m) / 2
+    if np.linalg.norm(center_m - (low_m + high_m) / 2) < reach_m + bin_reach_m:
+        return True
+    return any(cone.meets(center_m, reach_m) for cone in cones)
+
+
+def _lamps(ranges: LampRanges, scene: Scene, rng: np.random.Generator) -> list[dict[str, float]]:
+    count, cones = int(rng.integers(*ranges.count, endpoint=True)), views(scene)
+    return [_lamp(ranges, scene, cones, rng) for _ in range(count)]
+
+
+def _lamp(
+    ranges: LampRanges, scene: Scene, cones: tuple[_Cone, ...], rng: np.random.Generator
+) -> dict[str, float]:
+    """A lamp that is neither in the bin nor in the cones in which camera and projector see."""
+    for _ in range(LAMP_TRIES):
+        height = rng.uniform(*np.sin(np.radians(ranges.elevation_deg)))  # uniform over the sphere
+        drawn = {
+            "distance_m": _uniform(rng, ranges.distance_m),
+            "elevation_rad": float(np.arcsin(height)),
+            "azimuth_rad": float(np.radians(_uniform(rng, ranges.azimuth_deg))),
+            "size_m": _log_uniform(rng, ranges.size_m),
+            "irradiance": _log_uniform(rng, ranges.irradiance),
+            "color_temperature_k": _uniform(rng, ranges.color_temperature_k),
+        }
+        if not in_the_way(lamp_of(drawn, scene), scene, cones):
+            return drawn
+    raise ConfigError(
+        f"domain.lamps: {LAMP_TRIES} consecutive lamps were inside the bin or in the rig's view: "
+        "give a lower elevation_deg, a larger distance_m or a smaller size_m"
+    )
+
+
+# --- distributions -----------------------------------------------------------------------------
+
+
+def _uniform(rng: np.random.Generator, span: tuple[float, float]) -> float:
+    return float(rng.uniform(*span))
+
+
+def _log_uniform(rng: np.random.Generator, span: tuple[float, float]) -> float:
+    """A value that is uniform in the logarithm."""
+    if span[0] == span[1]:
+        return float(span[0])  # exactly: exp(log(x)) is not
+    return float(np.exp(rng.uniform(*np.log(span))))
+
+
+def _off(rng: np.random.Generator, most: float, n: int) -> list[float]:
+    """A value that is uniform within plus and minus a tolerance."""
+    return rng.uniform(-most, most, n).tolist()
+
+
+def _any_of(files: tuple[Path, ...], rng: np.random.Generator) -> str:
+    return files[int(rng.integers(len(files)))].name

@@ -1,0 +1,111 @@
+"""Colours and surfaces from drawn values."""
+
+import colorsys
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from jaxtyping import UInt8
+
+from ...base.color import linear, linear_share, srgb
+from ...world.parts import Material
+
+ROUGHNESS = (0.05, 1.0)  # what a material may have
+
+Rgb = tuple[float, float, float]
+
+_RGB_OF_XYZ = np.array(
+    [
+        [3.2404542, -1.5371385, -0.4985314],
+        [-0.9692660, 1.8760108, 0.0415560],
+        [0.0556434, -0.2040259, 1.0572252],
+    ]
+)  # IEC 61966-2-1, white D65
+
+
+def drawn_color(drawn: Mapping[str, float]) -> Rgb:
+    """Linear reflectance of a hue [deg], saturation and value, which are of the sRGB encoding."""
+    encoded = colorsys.hsv_to_rgb(drawn["hue_deg"] / 360, drawn["saturation"], drawn["value"])
+    red, green, blue = linear_share(np.array(encoded)).tolist()
+    return red, green, blue
+
+
+def drawn_material(
+    drawn: Mapping[str, Any], texture: UInt8[np.ndarray, "h w 3"] | None
+) -> Material:
+    """A surface of a drawn look; a texture takes the colour's place."""
+    return Material(
+        base_color=drawn_color(drawn["color"]),
+        texture=texture,
+        metallic=drawn["metallic"],
+        roughness=drawn["roughness"],
+    )
+
+
+def retouched(
+    material: Material,
+    *,
+    brightness: float,
+    roughness: float,
+    metallic: float = 0.0,
+    tint: Sequence[float] = (1.0, 1.0, 1.0),
+) -> Material:
+    """A material somewhat brighter, rougher, more metallic.
+
+    `brightness` is a factor of all reflectance, `tint` one more of each band, not of the
+    projector's line; of a texture each texel's linear value is multiplied. Reflectance ends at 1.
+    `roughness` and `metallic` are added, and end at what a material may have.
+    """
+    factor = [brightness * own for own in tint]
+    line = material.projector_reflectance
+    roughness += material.roughness
+    metallic += material.metallic
+    red, green, blue = (
+        min(1.0, f * level) for f, level in zip(factor, material.base_color, strict=True)
+    )
+    return replace(
+        material,
+        base_color=(red, green, blue),
+        texture=None if material.texture is None else _multiplied(material.texture, factor),
+        projector_reflectance=None if line is None else min(1.0, brightness * line),
+        roughness=min(max(roughness, ROUGHNESS[0]), ROUGHNESS[1]),
+        metallic=min(max(metallic, 0.0), 1.0),
+    )
+
+
+def _multiplied(
+    texture: UInt8[np.ndarray, "h w 3"], factor: list[float]
+) -> UInt8[np.ndarray, "h w 3"]:
+    """A texture with each band's linear value multiplied; a factor of 1 changes no texel."""
+    level = linear(np.arange(256, dtype=np.uint8))
+    table = srgb(np.array(factor)[:, None] * level)  # which ends at 1
+    return np.stack([table[band][texture[..., band]] for band in range(3)], axis=-1)
+
+
+def light_of(temperature_k: float) -> Rgb:
+    """Linear sRGB of a black body's light, its bands' mean 1.
+
+    By a cubic fit of the Planckian locus from 1667 to 25000 K.
+    Source: B. Kim et al., US patent 7024034, 2006; colours beyond sRGB's blue are cut to 0.
+    """
+    x, y = _chromaticity(temperature_k)
+    bands = np.maximum(_RGB_OF_XYZ @ np.array([x / y, 1.0, (1 - x - y) / y]), 0)
+    red, green, blue = (bands / bands.mean()).tolist()
+    return red, green, blue
+
+
+def _chromaticity(temperature_k: float) -> tuple[float, float]:
+    """CIE 1931 x, y."""
+    t = 1e3 / temperature_k
+    if temperature_k <= 4000:
+        x = ((-0.2661239 * t - 0.2343589) * t + 0.8776956) * t + 0.179910
+    else:
+        x = ((-3.0258469 * t + 2.1070379) * t + 0.2226347) * t + 0.240390
+    if temperature_k <= 2222:
+        y = ((-1.1063814 * x - 1.34811020) * x + 2.18555832) * x - 0.20219683
+    elif temperature_k <= 4000:
+        y = ((-0.9549476 * x - 1.37418593) * x + 2.09137015) * x - 0.16748867
+    else:
+        y = ((3.0817580 * x - 5.87338670) * x + 3.75112997) * x - 0.37001483
+    return x, y

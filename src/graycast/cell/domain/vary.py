@@ -1,0 +1,285 @@
+"""The scene that follows from a cell and a record of drawn values, without randomness.
+
+Values that are not in the record are those of the cell, so the record is complete.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+
+from ...base.errors import ConfigError
+from ...base.frames import axis_rotation, inverse, rigid, transform_points
+from ...rig.pair import frame_in_camera, standoff_m
+from ...world.parts import Part
+from ...world.parts.part_sections import read_texture
+from ...world.scene import Bin, Environment, Lamp, Scene, bin_of
+from .looks import drawn_color, drawn_material, light_of, retouched
+from .named_files import Domain
+
+Vector = tuple[float, float, float]
+Record = Mapping[str, Any]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Variation:
+    """One scene of a domain: what is dropped and rendered, and the record that it was made from."""
+
+    scene: Scene
+    counts: tuple[int, ...]  # of each of the scene's parts
+    record: Record
+
+
+def vary(domain: Domain, scene: Scene, counts: tuple[int, ...], record: Record) -> Variation:
+    """The scene of a record, as `draw` writes it and a manifest holds it.
+
+    Args:
+        domain: whose files the record names.
+        scene: the cell.
+        counts: how many of each of its parts.
+
+    Raises:
+        ConfigError: the rig is not above the bin, or a file is missing or cannot be read.
+    """
+    if record["kind"] == "adapted":
+        return Variation(scene=_adapted(scene, record), counts=counts, record=record)
+    numbers = record["distractors"]
+    return Variation(
+        scene=_randomized(domain, scene, record),
+        counts=(
+            *shared_out(counts, record["count_share"]),
+            *(numbers.get(part.name, 0) for part in domain.distractors),
+        ),
+        record=record,
+    )
+
+
+def moved_place(scene: Scene, record: Record) -> Float[np.ndarray, "4 4"]:
+    """`T_world_cam` of any rig of a cell, `scene` before it as configured, in a record's world."""
+    if record["kind"] == "adapted":
+        return _tolerated(scene.T_world_cam, record)
+    return moved_rig(scene, record["camera"]) if "camera" in record else scene.T_world_cam
+
+
+def shared_out(counts: tuple[int, ...], share: float) -> tuple[int, ...]:
+    """A share of each number, rounded, and at least 1 of what there is."""
+    return tuple(max(1, round(share * n)) if n else 0 for n in counts)
+
+
+# --- adapted -----------------------------------------------------------------------------------
+
+
+def _adapted(scene: Scene, record: Record) -> Scene:
+    """The adapted scene. Values without a deviation are unchanged to the bit."""
+    box = record["bin"]
+    lamps = tuple(
+        replace(
+            lamp,
+            center_m=_sum(lamp.center_m, off["offset_m"]),
+            radiance=_times(lamp.radiance, off["level"]),
+        )
+        for lamp, off in zip(scene.lamps, record["lamps"], strict=True)
+    )
+    environment = replace(
+        scene.environment,
+        radiance=_times(scene.environment.radiance, record["environment"]["level"]),
+    )
+    T_world_cell = _world_of(box)
+    if T_world_cell is not None:
+        lamps = tuple(_carried(lamp, T_world_cell) for lamp in lamps)
+        turned_rad = environment.rotation_rad - box["turn_rad"]
+        environment = replace(environment, rotation_rad=turned_rad)
+    parts = tuple(
+        replace(part, material=retouched(part.material, **record["parts"][part.name]))
+        for part in scene.parts
+    )
+    return replace(
+        scene,
+        T_world_cam=_tolerated(scene.T_world_cam, record),
+        lamps=lamps,
+        environment=environment,
+        parts=parts,
+    )
+
+
+def _tolerated(T_world_cam: Float[np.ndarray, "4 4"], record: Record) -> Float[np.ndarray, "4 4"]:
+    camera, T_world_cell = record["camera"], _world_of(record["bin"])
+    if any(camera["offset_m"]) or any(camera["rotation_rad"]):
+        T_world_cam = _nudged(T_world_cam, camera["offset_m"], camera["rotation_rad"])
+    return T_world_cam if T_world_cell is None else T_world_cell @ T_world_cam
+
+
+def _world_of(box: Record) -> Float[np.ndarray, "4 4"] | None:
+    """The world stands on the bin's floor: where the bin goes, all else goes the other way."""
+    if not any(box["offset_m"]) and not box["turn_rad"]:
+        return None
+    return inverse(rigid(axis_rotation("z", box["turn_rad"]), np.array([*box["offset_m"], 0.0])))
+
+
+def _nudged(
+    T_world_cam: Float[np.ndarray, "4 4"], offset_m: list[float], rotation_rad: list[float]
+) -> Float[np.ndarray, "4 4"]:
+    turn = np.eye(3)
+    for axis, angle_rad in zip("xyz", rotation_rad, strict=True):
+        turn = turn @ axis_rotation(axis, angle_rad)
+    return rigid(T_world_cam[:3, :3] @ turn, T_world_cam[:3, 3] + offset_m)
+
+
+def _carried(lamp: Lamp, T: Float[np.ndarray, "4 4"]) -> Lamp:
+    center, target = transform_points(T, np.array([lamp.center_m, lamp.target_m])).tolist()
+    return replace(lamp, center_m=tuple(center), target_m=tuple(target))
+
+
+def _sum(point: Vector, offset_m: list[float]) -> Vector:
+    x, y, z = (a + b for a, b in zip(point, offset_m, strict=True))
+    return x, y, z
+
+
+def _times(radiance: Vector, factor: float) -> Vector:
+    red, green, blue = (factor * level for level in radiance)
+    return red, green, blue
+
+
+# --- randomized --------------------------------------------------------------------------------
+
+
+def _randomized(domain: Domain, scene: Scene, record: Record) -> Scene:
+    varied = with_rig_and_bin(domain, scene, record)
+    if "lamps" in record:
+        lamps = tuple(lamp_of(drawn, varied) for drawn in record["lamps"])
+        varied = replace(varied, lamps=lamps)
+    if "environment" in record:
+        environment = _environment(domain, record["environment"])
+        varied = replace(varied, environment=environment)
+    if "table" in record:
+        look = record["table"]
+        varied = replace(
+            varied,
+            table=drawn_material(look, _texture(domain.table_textures, look)),
+            table_texture_m=look["texture_size_m"],
+        )
+    parts = (*scene.parts, *domain.distractors)
+    if "parts" in record:
+        parts = tuple(_retouched_part(part, record["parts"][part.name]) for part in parts)
+    return replace(varied, parts=parts)
+
+
+def with_rig_and_bin(domain: Domain, scene: Scene, record: Record) -> Scene:
+    """The cell with the rig and the bin of a record: where lamps may stand depends on them.
+
+    Raises:
+        ConfigError: camera or projector is not above the bin's rim.
+    """
+    box, T_world_cam = bin_of(scene), scene.T_world_cam
+    if "camera" in record:
+        T_world_cam = moved_rig(scene, record["camera"])
+    if "bin" in record:
+        box = _changed_bin(box, record["bin"], _texture(domain.bin_textures, record["bin"]))
+    varied = replace(scene, T_world_cam=T_world_cam, bin=box)
+    T_world_proj = T_world_cam @ scene.rig.T_cam_proj
+    lowest_m = float(min(T_world_cam[2, 3], T_world_proj[2, 3]))
+    if lowest_m <= box.inner_m[2]:
+        raise ConfigError(
+            f"domain.camera: camera or projector comes to z = {lowest_m:.3f} m, below the bin's "
+            f"rim at {box.inner_m[2]:.3f} m: narrow tilt_deg or distance_factor"
+        )
+    return varied
+
+
+def moved_rig(scene: Scene, drawn: Record) -> Float[np.ndarray, "4 4"]:
+    """The rig about the point that it looks at: tilt and azimuth add to those of `rig.place`."""
+    T_cam_rig = frame_in_camera(scene.rig)
+    T_world_rig = scene.T_world_cam @ T_cam_rig
+    rotation, middle = T_world_rig[:3, :3], T_world_rig[:3, 3]
+    target = _looked_at(T_world_rig, scene)
+    about_baseline = rotation @ axis_rotation("x", drawn["tilt_rad"]) @ rotation.T
+    turn = axis_rotation("z", drawn["azimuth_rad"]) @ about_baseline
+    moved = rigid(
+        turn @ rotation @ axis_rotation("z", drawn["roll_rad"]),
+        target + drawn["shift_m"] + drawn["distance_factor"] * (turn @ (middle - target)),
+    )
+    return moved @ inverse(T_cam_rig)
+
+
+def _looked_at(T_world_rig: Float[np.ndarray, "4 4"], scene: Scene) -> Float[np.ndarray, "3"]:
+    """Where the rig's axis meets the plane at a third of the bin's height, its usual target.
+
+    Of a rig that does not look down there, the point where its axes come closest.
+    """
+    middle, axis = T_world_rig[:3, 3], T_world_rig[:3, 2]
+    drop_m = bin_of(scene).inner_m[2] / 3 - middle[2]
+    looks_down = drop_m < 0 and axis[2] < -1e-3
+    distance_m = drop_m / axis[2] if looks_down else np.inf
+    if distance_m > 2 * scene.rig.far_m:
+        distance_m = standoff_m(scene.rig)
+    return middle + distance_m * axis
+
+
+def _changed_bin(box: Bin, drawn: Record, texture: np.ndarray | None) -> Bin:
+    factor, mesh = drawn["size_factor"], box.mesh
+    x, y, z = (factor * size for size in box.inner_m)
+    return replace(
+        box,
+        inner_m=(x, y, z),
+        mesh=None if mesh is None else replace(mesh, vertices_m=factor * mesh.vertices_m),
+        own_texture=False,
+        material=drawn_material(drawn, texture),
+        floor=None,
+        texture_size_m=drawn["texture_size_m"],
+    )
+
+
+def lamp_of(drawn: Record, scene: Scene) -> Lamp:
+    """A lamp from its place as seen from the bin, and the irradiance that it gives there.
+
+    The radiance is that of a small lamp: L = E d^2 / a^2. A lamp with an edge of half its distance
+    gives 8 % less than stated.
+    """
+    target = (0.0, 0.0, bin_of(scene).inner_m[2] / 3)
+    around, up = drawn["azimuth_rad"], drawn["elevation_rad"]
+    away = np.array([np.cos(up) * np.cos(around), np.cos(up) * np.sin(around), np.sin(up)])
+    x, y, z = (target + drawn["distance_m"] * away).tolist()
+    level = drawn["irradiance"] * (drawn["distance_m"] / drawn["size_m"]) ** 2
+    return Lamp(
+        center_m=(x, y, z),
+        target_m=target,
+        size_m=drawn["size_m"],
+        radiance=_times(light_of(drawn["color_temperature_k"]), level),
+    )
+
+
+def _environment(domain: Domain, drawn: Record) -> Environment:
+    level = drawn["radiance"]
+    if "map" not in drawn:
+        return Environment(radiance=_times(light_of(drawn["color_temperature_k"]), level))
+    return Environment(
+        radiance=(level, level, level),
+        map_file=_file(domain.maps, drawn["map"]),
+        rotation_rad=drawn["rotation_rad"],
+        levelled=True,
+    )
+
+
+def _retouched_part(part: Part, drawn: Record) -> Part:
+    change = dict(drawn)
+    color, material = change.pop("color"), part.material
+    if color is not None:
+        material = replace(
+            material, base_color=drawn_color(color), texture=None, projector_reflectance=None
+        )
+        change |= {"brightness": 1.0, "tint": (1.0, 1.0, 1.0)}
+    return replace(part, material=retouched(material, **change))
+
+
+def _texture(files: tuple[Path, ...], drawn: Record) -> np.ndarray | None:
+    return None if drawn["texture"] is None else read_texture(_file(files, drawn["texture"]))
+
+
+def _file(files: tuple[Path, ...], name: str) -> Path:
+    found = [file for file in files if file.name == name]
+    if not found:
+        raise ConfigError(f"the domain has no file {name}: put it back into its folder")
+    return found[0]

@@ -1,0 +1,85 @@
+"""The tasks of workers, and their results."""
+
+from abc import ABC, abstractmethod
+from dataclasses import dataclass, field, replace
+from typing import Protocol, TypeVar, runtime_checkable
+
+import numba
+
+from ... import __version__
+from ...base.errors import DeviceError, GraycastError, WorkerDied
+from ...base.progress import UNWATCHED, ProgressMeter
+
+J = TypeVar("J", bound="Job")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Made:
+    """A scene: its files as (path inside its folder, content), seconds, share of pixels per reason.
+
+    `part_reasons` are the shares of the pixels that see parts, empty where none does. Of a bin that
+    a robot emptied `reasons` are attempts per outcome. `rss_bytes` is the memory of the process
+    that made it, afterwards.
+    """
+
+    scene_id: int
+    files: tuple[tuple[str, bytes], ...]
+    seconds: float
+    reasons: dict[str, float]
+    rss_bytes: int
+    part_reasons: dict[str, float] = field(default_factory=dict)
+
+
+def keep_to_threads(threads: int | None) -> None:
+    """Limit Numba to this number of threads; None does not change it."""
+    if threads is not None:
+        numba.set_num_threads(min(threads, numba.config.NUMBA_NUM_THREADS))
+
+
+def is_the_scenes_own(error: BaseException) -> bool:
+    """Whether the scene itself causes an error, so that another try would fail in the same way.
+
+    Other errors (a lost driver, memory, a killed process) may be caused by the machine.
+    """
+    foreseen = isinstance(error, (GraycastError, ValueError))
+    return foreseen and not isinstance(error, (DeviceError, WorkerDied))
+
+
+@runtime_checkable
+class Maker(Protocol):
+    """Makes one scene after the other, or one bin; close it after use."""
+
+    def make(self, scene_id: int) -> Made: ...
+
+    def close(self) -> None: ...
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Job(ABC):
+    """A task that can be sent to a worker, which opens it to make its scenes.
+
+    `device` is one that is there: 'auto' was settled before, so that all workers take the same. For
+    a cluster it may be 'auto'. `graycast` is the release.
+    """
+
+    seed: int
+    device: str
+    graycast: str = __version__
+
+    def on(self: J, device: str) -> J:
+        """The same job on another device."""
+        return replace(self, device=device)
+
+    @abstractmethod
+    def open(
+        self,
+        *,
+        threads: int | None = None,
+        progress: ProgressMeter = UNWATCHED,
+    ) -> Maker:
+        """A maker of the job's scenes in this process; close it after use.
+
+        Args:
+            threads: processor threads that it may use; None leaves them as they are.
+            progress: hears what is done for each scene.
+        """

@@ -1,0 +1,266 @@
+"""Worker processes of this machine: replaced when they die, stopped with their parent."""
+
+import logging
+import multiprocessing
+import os
+import signal
+import tempfile
+import threading
+import traceback
+from collections.abc import Iterator
+from contextlib import ExitStack, closing, contextmanager, suppress
+from multiprocessing import resource_tracker
+from multiprocessing.connection import Connection, wait
+from multiprocessing.process import BaseProcess
+from pathlib import Path
+
+from ...base.errors import WorkerDied
+from .job import Job, Made, Maker, is_the_scenes_own
+from .maker import GPU_DEVICES
+from .pool import Failed
+
+_MEMORY_SHARE = 0.8  # as a share of the machine's memory, for all workers together
+# Libraries that would each take all cores. Open Image Denoise also binds its threads to the first
+# cores, where those of the other workers sit already.
+_THREAD_VARIABLES = (
+    "OMP_NUM_THREADS",
+    "OPENBLAS_NUM_THREADS",
+    "MKL_NUM_THREADS",
+    "OIDN_NUM_THREADS",
+)
+
+
+class LocalPool:
+    """Several worker processes that share this machine's threads, memory and GPUs."""
+
+    def __init__(self, task: Job, *, workers: int, threads: int | None) -> None:
+        self._task = task
+        self._threads = threads or max(1, len(os.sched_getaffinity(0)) // workers)
+        self._memory_bytes = _MEMORY_SHARE * _machine_memory_bytes() / workers
+        # What a killed worker leaves in its temporary folder goes when the run ends.
+        self._temporary = tempfile.TemporaryDirectory(
+            prefix="graycast-run-", ignore_cleanup_errors=True
+        )
+        # Notes of the library's log hold for all workers alike, so only the first one prints them.
+        self._workers = [
+            _Worker(task, self._threads, self._variables(i), quiet=i > 0) for i in range(workers)
+        ]
+
+    def _variables(self, index: int) -> dict[str, str]:
+        """Environment variables of one worker."""
+        variables = dict.fromkeys(_THREAD_VARIABLES, str(self._threads))
+        variables |= {"OIDN_SET_AFFINITY": "0", "TMPDIR": self._temporary.name}
+        gpus = list_gpus()
+        if self._task.device in GPU_DEVICES and gpus:
+            variables["CUDA_VISIBLE_DEVICES"] = gpus[index % len(gpus)]
+        return variables
+
+    @property
+    def free(self) -> int:
+        return sum(not worker.busy for worker in self._workers)
+
+    def submit(self, scene_id: int) -> None:
+        next(worker for worker in self._workers if not worker.busy).submit(scene_id)
+
+    def gather(self) -> Made | Failed:
+        busy = [worker for worker in self._workers if worker.busy]
+        heard = wait([worker.connection for worker in busy if worker.connection is not None])
+        worker = next(worker for worker in busy if worker.connection in heard)
+        outcome = worker.result()
+        if isinstance(outcome, Made) and outcome.rss_bytes > self._memory_bytes:
+            worker.end()  # between two scenes, before the system kills it in the middle of one
+        return outcome
+
+    def close(self) -> None:
+        for worker in self._workers:
+            if worker.busy:
+                worker.stop()  # rather than wait for minutes
+            else:
+                worker.end()
+        self._temporary.cleanup()
+
+
+class _Worker:
+    """One process that makes a scene at a time; it is started when it gets its first one.
+
+    All that is said to it and by it goes through one pipe, whose other end is the process's alone.
+    So a process that is killed while it writes its result ends the pipe in the middle, and nobody
+    waits for the rest. (In a pool of `concurrent.futures`, the parent holds that end, too, and
+    waits for ever.)
+    """
+
+    def __init__(
+        self, task: Job, threads: int, variables: dict[str, str], *, quiet: bool = False
+    ) -> None:
+        self.busy = False
+        self.connection: Connection | None = None
+        self._task, self._threads, self._variables = task, threads, variables
+        self._quiet = quiet
+        self._scene_id = -1
+        self._process: BaseProcess | None = None
+
+    def submit(self, scene_id: int) -> None:
+        # Busy before it hears of the scene: a run that is stopped meanwhile does not wait for it.
+        self._scene_id, self.busy = scene_id, True
+        if self.connection is None or not self._send(scene_id):
+            self.stop()  # it was killed while it waited
+            self._start()
+            self.busy = True
+            self._send(scene_id)  # where it is dead already, `result` says so
+
+    def _start(self) -> None:
+        context = multiprocessing.get_context("spawn")  # a JIT's threads do not fork
+        # Python starts it with the first process, and lets Ctrl-C through again when it does.
+        resource_tracker.ensure_running()
+        with _deaf_to_interrupts(), _environment(self._variables):
+            self.connection, theirs = context.Pipe()
+            process = context.Process(target=_work, args=(theirs,), daemon=True)
+            process.start()
+            theirs.close()
+            self._process = process
+        self._send((self._task, self._threads, self._quiet))
+
+    def _send(self, message: object) -> bool:
+        """Whether the process was there to hear it."""
+        if self.connection is None:
+            raise RuntimeError("the worker was not started")
+        try:
+            self.connection.send(message)
+        except OSError:
+            return False
+        return True
+
+    def result(self) -> Made | Failed:
+        """The result of the finished scene; a worker that failed unexpectedly is replaced."""
+        if self.connection is None or self._process is None or not self.busy:
+            raise RuntimeError("nothing was submitted")
+        error: Exception
+        try:
+            outcome: Made | Exception = self.connection.recv()
+        except (EOFError, OSError):
+            self._process.join()
+            error = WorkerDied(_obituary(self._process.exitcode))
+            self.stop()
+        except Exception as unreadable:  # an error whose class cannot be made from its words
+            error = unreadable
+            self.end()
+        else:
+            self.busy = False  # not before: a process that is still heard is no idle one
+            if isinstance(outcome, Made):
+                return outcome
+            error = outcome
+            if not is_the_scenes_own(error):
+                self.end()  # a lost driver does not come back in the same process
+        return Failed(scene_id=self._scene_id, error=error)
+
+    def end(self) -> None:
+        """Let the idle process end; the next scene starts another."""
+        self.busy = False
+        if self.connection is not None:
+            self.connection.close()  # it ends when it hears nothing more
+        if self._process is not None:
+            self._process.join()
+        self.connection = self._process = None
+
+    def stop(self) -> None:
+        """End the process at once."""
+        if self._process is not None:
+            self._process.kill()
+        self.end()
+
+
+def _obituary(code: int | None) -> str:
+    if code is None or code >= 0:
+        return f"its worker process ended (exit code {code})"
+    name = signal.Signals(-code).name
+    why = ", by a user or by the operating system for lack of memory" if name == "SIGKILL" else ""
+    return f"its worker process was killed ({name}{why})"
+
+
+@contextmanager
+def _deaf_to_interrupts() -> Iterator[None]:
+    """Start processes that ignore Ctrl-C, because their parent ends them.
+
+    Blocked, not ignored: a process hands its mask on, and what comes meanwhile is heard afterwards.
+    """
+    mask = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, mask)
+
+
+@contextmanager
+def _environment(variables: dict[str, str]) -> Iterator[None]:
+    """Processes started inside have these variables; the user's own settings of them go first."""
+    shared_out = ("TMPDIR", "CUDA_VISIBLE_DEVICES")
+    added = {k: v for k, v in variables.items() if k in shared_out or k not in os.environ}
+    before = {name: os.environ.get(name) for name in added}
+    os.environ.update(added)
+    try:
+        yield
+    finally:
+        for name, value in before.items():
+            if value is None:
+                del os.environ[name]
+            else:
+                os.environ[name] = value
+
+
+def list_gpus() -> list[str]:
+    """The NVIDIA GPUs that this process may use, as CUDA_VISIBLE_DEVICES names them."""
+    given = os.environ.get("CUDA_VISIBLE_DEVICES")
+    if given is not None:
+        return [name.strip() for name in given.split(",") if name.strip()]
+    known = Path("/proc/driver/nvidia/gpus")
+    return [str(i) for i in range(len(list(known.iterdir())))] if known.is_dir() else []
+
+
+def _machine_memory_bytes() -> int:
+    """Memory of this machine, or of the container that this process is in."""
+    memory = os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
+    try:
+        limit = Path("/sys/fs/cgroup/memory.max").read_text().strip()
+    except OSError:
+        return memory
+    return min(memory, int(limit)) if limit.isdecimal() else memory
+
+
+# --- in the worker -----------------------------------------------------------------------------
+
+
+def _work(connection: Connection) -> None:
+    """Make the scenes that are asked for, until the parent closes its end of the pipe."""
+    threading.Thread(target=_end_with_parent, daemon=True).start()
+    with suppress(EOFError, ConnectionError), ExitStack() as opened:
+        task, threads, quiet = connection.recv()
+        if quiet:
+            logging.getLogger("graycast").setLevel(logging.ERROR)
+        maker: Maker | None = None
+        while True:
+            scene_id = connection.recv()
+            try:
+                if maker is None:
+                    maker = opened.enter_context(closing(task.open(threads=threads)))
+                outcome = maker.make(scene_id)
+            except Exception as error:
+                error.add_note(traceback.format_exc())  # it does not travel with the error
+                outcome = error
+            _tell(connection, outcome)
+
+
+def _tell(connection: Connection, outcome: Made | Exception) -> None:
+    try:
+        connection.send(outcome)
+    except OSError:
+        os._exit(1)  # nobody listens any more
+    except Exception:  # an error that holds what cannot be sent
+        connection.send(RuntimeError(f"{type(outcome).__name__}: {outcome}"))
+
+
+def _end_with_parent() -> None:
+    parent = multiprocessing.parent_process()
+    if parent is None:
+        raise RuntimeError("this is not a worker process")
+    parent.join()
+    os._exit(1)

@@ -1,0 +1,132 @@
+"""The work of a worker: scenes of one task, from their seeds to the bytes of their files."""
+
+import time
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass
+from types import TracebackType
+from typing import Any
+
+from ...base.errors import DecodeError
+from ...base.progress import UNWATCHED, ProgressMeter
+from ...base.usage import rss_bytes
+from ...camera.decode import mean_shares
+from ...dataset import scene_files
+from ...dataset.sample import LEAST_DECODED, Sample
+from ..resolve import Cell
+from ..simulate import Shot, make_images
+from .job import Job, Made
+from .worker_renderer import KeptRenderer
+
+GPU_DEVICES = ("cuda", "optix")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SceneTask(Job):
+    """What a worker needs to know to make any scene of a dataset."""
+
+    cell: Cell
+    depth_scale_mm: float
+
+    def open(
+        self,
+        *,
+        threads: int | None = None,
+        progress: ProgressMeter = UNWATCHED,
+    ) -> "SceneMaker":
+        return SceneMaker(self, threads=threads, progress=progress)
+
+
+class SceneMaker:
+    """Makes scenes of one task; opens its renderer for the first one and keeps it."""
+
+    def __init__(
+        self,
+        task: SceneTask,
+        *,
+        threads: int | None = None,
+        progress: ProgressMeter = UNWATCHED,
+    ) -> None:
+        self.task = task
+        self._progress = progress
+        self._kept = KeptRenderer(device=task.device, threads=threads, progress=progress)
+
+    def make(self, scene_id: int) -> Made:
+        """One scene.
+
+        Raises:
+            DropError, DecodeError, ValueError: this scene cannot be made; the next one may be.
+            Exception: an unforeseen error; the renderer is opened again for the next scene.
+        """
+        start = time.perf_counter()
+        task = self.task
+        told: list[Mapping[str, Any]] = []
+        with self._kept.of(task.cell) as renderer:
+            shots = make_images(
+                task.cell,
+                scene_id,
+                seed=task.seed,
+                renderer=renderer,
+                progress=self._progress,
+            )
+            files = tuple(scene_files(_decoded(shots, told), task.depth_scale_mm))
+        return Made(
+            scene_id=scene_id,
+            files=files,
+            seconds=time.perf_counter() - start,
+            reasons=mean_shares([manifest["reasons"] for manifest in told]),
+            part_reasons=mean_shares([manifest["part_reasons"] for manifest in told]),
+            rss_bytes=rss_bytes(),
+        )
+
+    def close(self) -> None:
+        self._kept.close()
+
+    def __enter__(self) -> "SceneMaker":
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self.close()
+
+
+def _decoded(shots: Iterable[Shot], told: list[Mapping[str, Any]]) -> Iterator[Sample]:
+    """The sample of each image, its manifest kept in `told`.
+
+    Raises:
+        DecodeError: as of `_refuse_undecoded`.
+    """
+    for shot in shots:
+        sample = shot.sample
+        image = " ".join(filter(None, ("image", str(sample.image), sample.sensor)))
+        _refuse_undecoded(sample.manifest["reasons"], image)
+        told.append(sample.manifest)
+        yield sample
+
+
+def _refuse_undecoded(reasons: Mapping[str, float], image: str) -> None:
+    """Refuse an image without scanner depth, which `validate` would report.
+
+    Raises:
+        DecodeError: hardly a pixel was decoded; says why most were not, and what helps.
+    """
+    if reasons["decoded"] >= LEAST_DECODED:
+        return
+    most = max(reasons, key=lambda name: reasons[name])
+    raise DecodeError(
+        f"{image}: the scanner finds a depth in {reasons['decoded']:.2%} of the pixels, so in "
+        f"none: {reasons[most]:.0%} are {most}: {_REMEDIES.get(most, 'see graycast preview')}"
+    )
+
+
+_LIGHT = "give a longer exposure.exposure_s, or remove that key, or a nearer view.distance_m"
+_REMEDIES = {
+    "shadow": _LIGHT,
+    "low_modulation": _LIGHT,
+    "saturated": "give a shorter exposure.exposure_s, or remove that key",
+    "out_of_range": "change view.distance_m so that the bin is between the rig's near_m and far_m",
+    "outside_projector": "change view.distance_m so that the projector lights the bin",
+}

@@ -1,0 +1,383 @@
+"""Many scenes of one cell, made by workers and written to the folder of a dataset.
+
+A scene depends on (configuration, dataset seed, scene id) alone, not on the number of workers, the
+order of scenes or a restart.
+"""
+
+import time
+import traceback
+from collections import Counter
+from collections.abc import Callable, Sequence
+from contextlib import closing
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from pydantic import ValidationError
+
+from ..base.errors import ConfigError, DatasetError, GraycastError
+from ..base.progress import UNWATCHED, ProgressMeter
+from ..camera.decode import mean_shares
+from ..camera.scanner import Scanner
+from ..dataset import (
+    SetAside,
+    Store,
+    depth_scale_mm,
+    described_values,
+    differing_files,
+    open_store,
+    refuse_other_dataset,
+)
+from ..dataset.claim import BESIDE_CONFIG, Taker
+from ..dataset.records import Claim
+from ..dataset.safe_reading import Unreadable, read_json
+from ..render import choose_device
+from ..rig.pair import PRESETS
+from ..world.drop import hull_notes, prepare
+from .config import Config
+from .engine import Failed, Made, Pool, SceneMaker, SceneTask, make_all, open_pool
+from .resolve import Cell, reach_m
+from .simulate import Shot, compile_kernels
+
+MOST_THREADS = 1024  # Blender's own limit; tens of thousands end the process
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Workers:
+    """Who makes the scenes; as in `engine.open_pool`."""
+
+    engine: str = "local"
+    count: int = 1
+    threads: int | None = None
+    address: str | None = None
+
+    def __post_init__(self) -> None:
+        if self.threads is not None and not 1 <= self.threads <= MOST_THREADS:
+            raise ValueError(
+                f"threads is {self.threads} per worker; give 1 to {MOST_THREADS}: more threads "
+                "than processors do not make a run faster"
+            )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Summary:
+    """What a run did: scenes that it made, found, and gave up; share of pixels per reason."""
+
+    written: int
+    found: int
+    set_aside: tuple[SetAside, ...]
+    seconds: float
+    reasons: dict[str, float]
+    part_reasons: dict[str, float]  # of the pixels that see parts
+
+
+def generate(
+    cell: Cell,
+    out: Path,
+    *,
+    scenes: int,
+    seed: int,
+    device: str = "auto",
+    workers: Workers = Workers(),
+    on_made: Callable[[Made], None] = lambda made: None,
+    on_failed: Callable[[Failed], None] = lambda failed: None,
+    progress: ProgressMeter = UNWATCHED,
+) -> Summary:
+    """Make the scenes 0 .. scenes-1 that are not in `out` yet, and the split's COCO file.
+
+    A scene that fails for good is set aside and the others are made; `set_aside.json` names it,
+    and the next run tries it again.
+
+    Args:
+        out: the dataset's folder; made, or continued where the same configuration began it.
+        device: 'auto', 'cpu', 'cuda' or, of Cycles, 'optix'.
+        on_made: takes what is known of each scene, a result and no progress, in this process.
+        on_failed: takes the reason of each try that did not come out.
+        progress: counts scenes, hears what is being prepared, and notes each part whose collision
+            hulls are coarse. Where this process makes all, it hears what each scene does, too.
+
+    Raises:
+        DatasetError: the folder is another dataset's, is in use, or the disk refuses.
+        DeviceError: no such device here.
+        GraycastError, ValueError: nothing came out, for this reason; or Ray does not answer.
+    """
+    start = time.perf_counter()
+    task = SceneTask(
+        cell=cell,
+        seed=seed,
+        device=_device(cell, device, workers.engine),
+        depth_scale_mm=depth_step_mm(cell),
+    )
+    with open_store(out, **_claimed(task)) as store:
+        found = store.finished()
+        todo = [scene_id for scene_id in range(scenes) if scene_id not in found]
+        store.set_aside(())  # scenes that the last run set aside are tried again
+        progress.count("scenes", scenes - len(todo), scenes)
+        run = _Run(store=store, found=len(found), on_made=on_made, on_failed=on_failed)
+        try:
+            if todo:
+                prepared = prepare(cell.kinds, progress=progress)  # once, not by every worker
+                for note in hull_notes(cell.kinds, prepared):
+                    progress.note(note)
+                if workers.engine == "local" and min(workers.count, len(todo)) > 1:
+                    progress.stage("compiling the decoder, once on this machine")
+                    compile_kernels(cell)
+                with closing(_open_pool(task, workers, len(todo), progress)) as pool:
+                    left = len(todo)
+                    for outcome in make_all(pool, todo):
+                        left -= isinstance(outcome, Made) or outcome.final
+                        run.take(outcome, last=left == 0)
+                        if isinstance(outcome, Made):
+                            done = scenes - len(todo) + len(run.reasons)
+                            progress.count("scenes", done, scenes)
+            store.finish(set(range(scenes)) - {scene.scene_id for scene in run.set_aside})
+            store.set_aside(run.set_aside)
+        except BaseException:
+            store.tidy()
+            raise
+    return Summary(
+        written=len(run.reasons),
+        found=scenes - len(todo),
+        set_aside=tuple(run.set_aside),
+        seconds=time.perf_counter() - start,
+        reasons=mean_shares(run.reasons),
+        part_reasons=mean_shares(run.part_reasons),
+    )
+
+
+def save_scene(cell: Cell, shots: Shot | Sequence[Shot], out: Path) -> Path:
+    """Write a scene that `make_scene` made into a dataset's folder, which it may begin.
+
+    Of a cell that takes several images of a scene, give all that `make_images` makes.
+
+    The files are those that `generate` writes for the same cell, seed and number, which may go on
+    with the folder. Unlike `generate` it also takes a scene in which nothing was decoded.
+
+    Returns:
+        The scene's own folder.
+
+    Raises:
+        ValueError: the scene was made from another configuration than the cell's, or an image of
+            it is missing.
+        DatasetError: the scene is there already; the folder is another dataset's or in use; the
+            disk refuses.
+    """
+    samples = [shot.sample for shot in ([shots] if isinstance(shots, Shot) else shots)]
+    manifest = samples[0].manifest
+    scene_id = manifest["scene_id"]
+    if manifest["config"] != cell.config.model_dump(mode="json", exclude={"scenes", "seed"}):
+        raise ValueError(
+            f"scene {scene_id} was made from another configuration than this cell's: give the "
+            "cell with which make_scene made it"
+        )
+    given = [(sample.sensor, sample.image) for sample in samples]
+    if tuple(given) != cell.images:
+        raise ValueError(
+            f"scene {scene_id} has {len(cell.images)} images, {len(given)} were given: give all "
+            "that make_images makes"
+        )
+    task = SceneTask(
+        cell=cell,
+        seed=manifest["dataset_seed"],
+        device=manifest["device"],
+        depth_scale_mm=depth_step_mm(cell),
+    )
+    with open_store(out, **_claimed(task)) as store:
+        try:
+            store.write(scene_id, samples)
+            store.finish(store.finished())
+        except BaseException:
+            store.tidy()
+            raise
+    return out / "train" / f"{scene_id:06d}"
+
+
+def depth_step_mm(cell: Cell) -> float:
+    """What one step of the cell's depth pictures stands for: as configured, or what reaches far.
+
+    Raises:
+        ConfigError: the cell lies deeper than 16 bits reach in any step.
+    """
+    if cell.config.store.depth_step_mm is not None:
+        return cell.config.store.depth_step_mm
+    try:
+        return depth_scale_mm(reach_m(cell))
+    except ValueError as error:
+        raise ConfigError(
+            f"the bin is up to {reach_m(cell):.4g} m from the camera, and depth pictures end at "
+            "65.535 m: give a smaller view.distance_m, or another store.depth_step_mm"
+        ) from error
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Origin:
+    """What a dataset says it was made from; `files` are the paths in its configuration."""
+
+    config: Config
+    seed: int
+    files: tuple[str, ...]
+
+
+def read_origin(out: Path) -> Origin:
+    """The configuration and seed of a dataset that `generate` made.
+
+    Raises:
+        DatasetError: `out` holds no such dataset, or one of another version of Graycast.
+    """
+    try:
+        claim = read_json(out / "graycast.json", Claim)
+        held = {key: claim.config[key] for key in claim.config if key not in BESIDE_CONFIG}
+        stored = held["store"] | {"depth_step_mm": claim.depth_scale_mm}
+        config = Config.model_validate(held | {"store": stored})
+        named = [entry.rig for entry in config.scanners or (config,)]
+        rigs = [rig for rig in named if rig not in PRESETS]
+        return Origin(config=config, seed=claim.seed, files=(*claim.config["files"], *rigs))
+    except (Unreadable, ValidationError, KeyError) as error:
+        why = " ".join(str(error).split())
+        raise DatasetError(
+            f"{out} holds no dataset that this Graycast made ({why}): give its --config"
+        ) from error
+
+
+def rerender(
+    cell: Cell, out: Path, scene_id: int, *, seed: int, device: str = "auto"
+) -> dict[str, str]:
+    """Make a stored scene again, and compare; nothing is written.
+
+    Returns:
+        The files that differ and how; none where the scene came out the same. A manifest's
+        timings are left out.
+
+    Raises:
+        DatasetError: no such scene, or the dataset is of another configuration.
+        DropError, ValueError, DeviceError: as in `make_scene` and `open_renderer`.
+    """
+    task = SceneTask(
+        cell=cell,
+        seed=seed,
+        device=_device(cell, device, "local"),
+        depth_scale_mm=depth_step_mm(cell),
+    )
+    refuse_other_dataset(out, **_claimed(task))
+    scene = out / "train" / f"{scene_id:06d}"
+    if not scene.is_dir():
+        raise DatasetError(f"{scene} is not there: give the number of a finished scene")
+    with SceneMaker(task) as maker:
+        return differing_files(scene, maker.make(scene_id).files)
+
+
+def _device(cell: Cell, device: str, engine: str) -> str:
+    """Resolve 'auto' so that all workers use the same device; a cluster resolves it itself."""
+    if engine == "ray":
+        return device
+    return choose_device(cell.config.render.backend, device)
+
+
+def _claimed(task: SceneTask) -> dict[str, Any]:
+    """The content of `graycast.json` for this run."""
+    cell = task.cell
+    config = cell.config.model_dump(mode="json", exclude={"scenes", "seed"})
+    beside = (cell.file_digests, described_scanner(cell.scanner))
+    return {
+        "config": config | dict(zip(BESIDE_CONFIG, beside, strict=True)),
+        "seed": task.seed,
+        "parts": cell.kinds,
+        "rig": cell.scene.rig,
+        "depth_scale_mm": task.depth_scale_mm,
+        "takers": _takers(cell),
+    }
+
+
+def _takers(cell: Cell) -> tuple[Taker, ...]:
+    """All scanners; none where one without a name takes one image, as it ever was."""
+    images = Counter(name for name, _ in cell.images)
+    takers = tuple(
+        Taker(
+            name=name,
+            images=images[name],
+            rig=cell.scene.rig if scanner is cell.scanner else scanner.rig,
+            scanning=described_scanner(scanner),
+        )
+        for name, scanner in cell.scanners
+    )
+    return () if images == {"": 1} else takers
+
+
+def described_scanner(scanner: Scanner) -> dict[str, Any]:
+    """What a preset or a rig file says beside its rig, which the store keeps itself."""
+    names = ("code", "sensor", "exposure", "decode", "filters", "faults")
+    return {name: described_values(getattr(scanner, name)) for name in names}
+
+
+def _open_pool(task: SceneTask, workers: Workers, todo: int, progress: ProgressMeter) -> Pool:
+    return open_pool(
+        task,
+        engine=workers.engine,
+        workers=min(workers.count, todo),
+        threads=workers.threads,
+        address=workers.address,
+        progress=progress,
+    )
+
+
+_HOPELESS = 3  # scenes given up before any came out: then the rest would be, too
+
+
+class _Run:
+    """The results so far."""
+
+    def __init__(
+        self,
+        *,
+        store: Store,
+        found: int,
+        on_made: Callable[[Made], None],
+        on_failed: Callable[[Failed], None],
+    ) -> None:
+        self.reasons: list[dict[str, float]] = []
+        self.part_reasons: list[dict[str, float]] = []
+        self.set_aside: list[SetAside] = []
+        self._store, self._found = store, found
+        self._on_made, self._on_failed = on_made, on_failed
+
+    def take(self, outcome: Made | Failed, *, last: bool) -> None:
+        """Keep a scene, or record that it is given up; raise its error where all are."""
+        if isinstance(outcome, Made):
+            self._store.write_files(outcome.scene_id, outcome.files)
+            self.reasons.append(outcome.reasons)
+            self.part_reasons.append(outcome.part_reasons)
+            self._on_made(outcome)
+            return
+        if outcome.final:
+            self.set_aside.append(_given_up(outcome))
+            nothing = not self.reasons and not self._found
+            if nothing and (last or len(self.set_aside) >= _HOPELESS):
+                raise _shown(outcome.error)
+            self._store.set_aside(self.set_aside)
+        self._on_failed(outcome)
+
+
+def _shown(error: Exception) -> Exception:
+    """The text of an error for the user; an unforeseen error includes its type."""
+    if _foreseen(error):
+        return error
+    told = GraycastError(f"{_told(error)}: this is an error in Graycast or in the machine")
+    told.__cause__ = error
+    return told
+
+
+def _told(error: Exception) -> str:
+    text = " ".join(str(error).split())
+    return text if _foreseen(error) and text else f"{type(error).__name__} {text}".rstrip()
+
+
+def _foreseen(error: Exception) -> bool:
+    return isinstance(error, (GraycastError, ValueError))
+
+
+def _given_up(failed: Failed) -> SetAside:
+    error = failed.error
+    trace = "" if _foreseen(error) else "".join(traceback.format_exception(error))
+    return SetAside(
+        scene_id=failed.scene_id, tries=failed.tries, reason=_told(error), traceback=trace
+    )

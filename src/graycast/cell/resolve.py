@@ -1,0 +1,282 @@
+"""A cell: a configuration with its files read, which all scenes of a dataset share."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import UInt8
+
+from ..base.errors import ConfigError
+from ..base.progress import UNWATCHED, ProgressMeter
+from ..camera.scanner import Scanner
+from ..render import OnPass, Renderer, open_renderer
+from ..rig.pair import grey_levels
+from ..rig.pattern import Code
+from ..world.parts import Part
+from ..world.parts.part_sections import resolve_material
+from ..world.scene import Scene, bin_of
+from .config import (
+    Config,
+    file_digests,
+    resolve_bin,
+    resolve_environment,
+    resolve_parts,
+    resolve_scanners,
+)
+from .domain import Domain, deepest_m, resolve_domain
+from .views import (
+    Pose,
+    Sampler,
+    ViewSection,
+    farthest,
+    hang,
+    how_many,
+    is_drawn,
+    places,
+    refuse_inside,
+    refuse_unseen,
+)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Eye:
+    """One image of a scene: which scanner takes it, and from where.
+
+    `sensor` is the scanner's name, "" of the only one; `image` counts each scanner's own, from 0;
+    `station` is the scanner's place in the configuration. `T_first_cam` is where it is mounted on
+    the first scanner, whose image of the same number it then moves with; else None.
+    """
+
+    sensor: str
+    image: int
+    station: int
+    scanner: Scanner
+    T_world_cam: Pose
+    T_first_cam: Pose | None = None
+
+    def patterns(self) -> UInt8[np.ndarray, "n ph pw"]:
+        """What the projector is given: grey levels that undo its response."""
+        return patterns_of(self.scanner)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Cell:
+    """A configuration with all its files read. All scenes of a dataset share it.
+
+    `scene` holds every kind of part; a scene drops one of the kinds, or all if `config.mix` is set.
+    Its rig and pose, and `scanner`, are those of the first image. `named` holds all scanners by
+    their names, if the configuration gives them names.
+    """
+
+    config: Config
+    scene: Scene
+    scanner: Scanner
+    notes: tuple[str, ...]
+    file_digests: dict[str, str]
+    domain: Domain | None = None
+    named: tuple[tuple[str, Scanner], ...] = ()
+
+    @property
+    def kinds(self) -> tuple[Part, ...]:
+        """Every kind of part that may lie in a scene, distractors last."""
+        return self.scene.parts + (self.domain.distractors if self.domain else ())
+
+    @property
+    def code(self) -> Code:
+        """The code that the scanner shows."""
+        return self.scanner.light_code()
+
+    def patterns(self) -> UInt8[np.ndarray, "n ph pw"]:
+        """The grey levels for the projector, with its response inverted."""
+        return patterns_of(self.scanner)
+
+    @property
+    def scanners(self) -> tuple[tuple[str, Scanner], ...]:
+        """Every scanner with its name, "" of the only one that has none."""
+        return self.named or (("", self.scanner),)
+
+    @property
+    def draws_views(self) -> bool:
+        """Whether each scene has places of its own for its images."""
+        own = [_own_views(self.config, station) for station in range(len(self.scanners))]
+        return any(is_drawn(views) for views in own)
+
+    @property
+    def images(self) -> tuple[tuple[str, int], ...]:
+        """Every image of a scene: its scanner's name, and its number among that scanner's own."""
+        numbers: list[int] = []
+        for station in range(len(self.scanners)):
+            views = _own_views(self.config, station)
+            mounted = _mounting(self, station) is not None
+            numbers.append(numbers[0] if mounted else how_many(views))
+        return tuple(
+            (name, image)
+            for (name, _), number in zip(self.scanners, numbers, strict=True)
+            for image in range(number)
+        )
+
+
+def refuse_several(cell: Cell, who: str) -> None:
+    """Refuse a cell of several images in a stage that takes one image of a scene.
+
+    Raises:
+        ConfigError: the configuration asks for several images.
+    """
+    if cell.config.views is not None or cell.config.scanners is not None:
+        raise ConfigError(
+            f"{who} takes one image of a scene: remove views and scanners, and say view and rig"
+        )
+
+
+def patterns_of(scanner: Scanner) -> UInt8[np.ndarray, "n ph pw"]:
+    """The grey levels for a scanner's projector, with its response inverted."""
+    return scanner.light_code().render(lambda share: grey_levels(scanner.rig, share))
+
+
+def eyes(cell: Cell, seed: int) -> tuple[Eye, ...]:
+    """Every image of one scene, scanner by scanner, as the configuration places them.
+
+    Args:
+        seed: of the scene's views; places that are listed do not follow from it.
+
+    Raises:
+        ConfigError: a camera or projector would be inside the bin.
+    """
+    found: list[Eye] = []
+    first: tuple[Pose, ...] = ()
+    for station, (name, scanner) in enumerate(cell.scanners):
+        poses = _places(cell, station, first, seed)
+        for image, T_world_cam in enumerate(poses):
+            where = " ".join(filter(None, (name, f"image {image}")))
+            refuse_unseen(T_world_cam, scanner.rig, bin_of(cell.scene), where)
+        first = first or poses
+        found += [
+            Eye(
+                sensor=name,
+                image=image,
+                station=station,
+                scanner=scanner,
+                T_world_cam=T,
+                T_first_cam=_mounting(cell, station),
+            )
+            for image, T in enumerate(poses)
+        ]
+    return tuple(found)
+
+
+def _mounting(cell: Cell, station: int) -> Pose | None:
+    given = None if cell.config.scanners is None else cell.config.scanners[station].T_first_cam
+    return None if given is None else np.reshape(given, (4, 4)).astype(np.float64)
+
+
+def _places(cell: Cell, station: int, first: tuple[Pose, ...], seed: int) -> tuple[Pose, ...]:
+    """The places of one scanner; with the same seed a dome has the same for all rigs."""
+    config, box, rig = cell.config, bin_of(cell.scene), cell.scanners[station][1].rig
+    T_first_cam = _mounting(cell, station)
+    if T_first_cam is not None:
+        moved = tuple(T_world_first @ T_first_cam for T_world_first in first)
+        for number, T_world_cam in enumerate(moved):
+            where = f"scanner {cell.scanners[station][0]}: image {number}"
+            refuse_inside(T_world_cam, rig, box, where)
+        return moved
+    views = _own_views(config, station)
+    if views is not None:
+        return places(views, config.view, rig, box, seed)
+    return (hang(config.view, rig, box) if station else cell.scene.T_world_cam,)
+
+
+def _own_views(config: Config, station: int) -> tuple[ViewSection, ...] | Sampler | None:
+    own = None if config.scanners is None else config.scanners[station].views
+    return config.views if own is None else own
+
+
+def resolve_cell(config: Config, folder: Path, *, progress: ProgressMeter = UNWATCHED) -> Cell:
+    """Read the files that a configuration names; relative paths start in `folder`.
+
+    `progress` hears of each step that may take seconds.
+
+    Raises:
+        GraycastError, ValueError: a file or a value cannot be used; the error names it.
+    """
+    parts, notes = resolve_parts(config, folder, progress=progress)
+    scanners = resolve_scanners(config, folder)
+    scanner = scanners[0][1]
+    rig = scanner.rig
+    if config.bin.mesh is not None:
+        progress.stage(f"reading {config.bin.mesh}")
+    box, bin_notes = resolve_bin(config.bin, folder)
+    scene = Scene(
+        rig=rig,
+        T_world_cam=hang(config.view, rig, box),
+        parts=parts,
+        bin=box,
+        environment=resolve_environment(config.light.environment, folder),
+        lamps=config.light.lamps,
+    )
+    if config.table is not None:
+        scene = replace(scene, table=resolve_material(config.table, folder))
+    if config.domain is not None:
+        progress.stage("reading the files of the domain section")
+    domain = None if config.domain is None else resolve_domain(config.domain, folder, scene=scene)
+    cell = Cell(
+        config=config,
+        scene=scene,
+        scanner=scanner,
+        notes=notes + bin_notes + (domain.notes if domain else ()),
+        file_digests=file_digests(config, folder),
+        domain=domain,
+        named=() if config.scanners is None else scanners,
+    )
+    return replace(cell, scene=replace(scene, T_world_cam=eyes(cell, 0)[0].T_world_cam))
+
+
+def reach_m(cell: Cell) -> float:
+    """The largest depth that a cell's depth pictures must hold [m], along the camera's z.
+
+    It covers the rig's working range and the deepest corner of the bin for every pose of the
+    rig that the domain allows. Only the table, which is infinite, lies deeper.
+    """
+    return max(
+        max(scene.rig.far_m, deepest_m(cell.config.domain, scene)) for scene in _farthest(cell)
+    )
+
+
+def _farthest(cell: Cell) -> Iterator[Scene]:
+    """The cell's scene before each scanner, from where it may see the bin the deepest."""
+    config, box = cell.config, bin_of(cell.scene)
+    first: tuple[Pose, ...] = ()
+    for station, (_, scanner) in enumerate(cell.scanners):
+        views, T_first_cam = _own_views(config, station), _mounting(cell, station)
+        if T_first_cam is not None:
+            poses = tuple(T_world_first @ T_first_cam for T_world_first in first)
+        elif views is None:
+            poses = _places(cell, station, first, 0)
+        else:
+            poses = farthest(views, config.view, scanner.rig, box)
+        first = first or poses
+        for T_world_cam in poses:
+            yield replace(cell.scene, rig=scanner.rig, T_world_cam=T_world_cam)
+
+
+def open_cell_renderer(
+    cell: Cell,
+    *,
+    device: str = "auto",
+    threads: int | None = None,
+    progress: ProgressMeter = UNWATCHED,
+    on_pass: OnPass | None = None,
+) -> Renderer:
+    """Open the renderer that a cell's configuration names; see `open_renderer`.
+
+    `progress` counts the renders of a scene. `on_pass` may end a rendering, which is its use.
+    """
+    render = cell.config.render
+    return open_renderer(
+        render.backend,
+        device=device,
+        threads=threads,
+        patterns_per_render=render.cycles.patterns_per_render,
+        on_frame=lambda done, total: progress.count("renders of a scene", done, total),
+        on_pass=on_pass,
+    )

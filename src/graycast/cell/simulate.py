@@ -1,0 +1,303 @@
+"""One scene all the way from its seeds to what is measured: drop, light, sensor, decoding.
+
+A scene depends on (configuration, dataset seed, scene id) alone.
+"""
+
+import platform
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import asdict, dataclass, replace
+from importlib.metadata import version
+from typing import Any
+
+import numpy as np
+from jaxtyping import Bool
+
+from .. import __version__
+from ..base.frames import transform_points
+from ..base.progress import UNWATCHED, ProgressMeter
+from ..base.streams import image_seeds, scene_seeds
+from ..camera.decode import CodeMap, DepthMap, Reason, reason_shares
+from ..camera.picture import color_picture, developed, gray_picture
+from ..camera.scanner import measure, take
+from ..camera.sensor import Capture
+from ..dataset import Raw, Sample
+from ..render import GroundTruth, Radiance, Renderer, Rendering
+from ..rig.optics import in_picture, points, project
+from ..rig.pair import Rig
+from ..world.drop import drop
+from ..world.scene import Layout, Scene, bin_of
+from .config import resolve_quality
+from .domain import Variation, draw, moved_place, vary
+from .resolve import Cell, Eye, eyes, patterns_of
+from .views import refuse_inside
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Shot:
+    """One finished image with what lies between radiance and sample, for pictures of it."""
+
+    sample: Sample
+    rendering: Rendering
+    capture: Capture
+    codes: CodeMap
+
+
+def make_scene(
+    cell: Cell,
+    scene_id: int,
+    *,
+    seed: int,
+    renderer: Renderer,
+    progress: ProgressMeter = UNWATCHED,
+) -> Shot:
+    """One scene from its seeds to the sample of its first image; `progress` hears what begins.
+
+    Raises:
+        DropError: the parts did not come to an acceptable rest.
+        ValueError: the picture is dark, or a value is out of its range.
+    """
+    return next(make_images(cell, scene_id, seed=seed, renderer=renderer, progress=progress))
+
+
+def make_images(
+    cell: Cell,
+    scene_id: int,
+    *,
+    seed: int,
+    renderer: Renderer,
+    progress: ProgressMeter = UNWATCHED,
+    only: int | None = None,
+) -> Iterator[Shot]:
+    """All images of one scene, one after the other, so that memory holds the light of one.
+
+    The parts are dropped once. Every image has the ground truth of the same layout.
+
+    Args:
+        only: a place in `cell.images`: make this image and no other.
+
+    Raises:
+        DropError, ValueError: as of `make_scene`.
+    """
+    timings: dict[str, float] = {}
+    with _timed(timings, "drop"):
+        seeds = cell_seeds(cell, scene_id, seed=seed)
+        variation, layout = _laid(cell, scene_id, seeds, progress)
+    hung = _hung(cell, variation, seeds)
+    for number, (eye, scene) in enumerate(hung):
+        if only is not None and number != only:
+            continue
+        own = image_seeds(seed, scene_id, station=eye.station, image=eye.image)
+        told = {
+            "scene_id": scene_id,
+            "dataset_seed": seed,
+            "seeds": seeds | own,
+            "counts": {
+                part.name: n
+                for part, n in zip(variation.scene.parts, variation.counts, strict=True)
+                if n and part.labelled
+            },
+            "physics": {
+                key: value
+                for key, value in asdict(layout).items()
+                if key not in ("T_world_part", "part_index")
+            },
+        } | ({"domain": variation.record} if variation.record else {})
+        which = f" image {number + 1} of {len(hung)}" if len(hung) > 1 else ""
+        progress.stage(f"{renderer.name} renders{which}")
+        yield _taken(cell, eye, scene, layout, told, timings, renderer, progress)
+        timings = {}
+
+
+def _taken(
+    cell: Cell,
+    eye: Eye,
+    scene: Scene,
+    layout: Layout,
+    told: dict[str, Any],
+    timings: dict[str, float],
+    renderer: Renderer,
+    progress: ProgressMeter,
+) -> Shot:
+    """One image: light, sensor, decoding. `told` and `timings` are what is known of the scene."""
+    config, scanner, seeds = cell.config, eye.scanner, told["seeds"]
+    with _timed(timings, "render"):
+        quality = resolve_quality(config)
+        rendering = renderer.render(
+            scene, layout, eye.patterns(), quality=quality, seed=seeds["render"]
+        )
+    with _timed(timings, "sensor"):
+        capture = take(scanner, rendering.radiance, seed=seeds["noise"])
+    progress.stage("decoding the pictures")
+    with _timed(timings, "picture"):
+        noisy = config.render.denoise and quality.denoise == "none"
+        rgb = color_picture(
+            scanner,
+            rendering,
+            denoiser=renderer.denoiser if noisy else None,
+            seed=seeds["picture"],
+        )
+    with _timed(timings, "decode"):
+        codes, depth = measure(scanner, capture)
+        depth = with_field(scene.rig, rendering.truth, codes, depth)
+    manifest = told | {
+        "backend": renderer.name,
+        "device": renderer.device,
+        "versions": _versions(renderer),
+        "exposure_s": float(np.max(capture.exposure_s)),
+        "reasons": reason_shares(depth.reason),
+        "part_reasons": reason_shares(depth.reason[_on_part(scene, layout, rendering.truth)]),
+        "config": config.model_dump(mode="json", exclude={"scenes", "seed"}),
+        "timings": timings,
+    }
+    sample = Sample(
+        scene=scene,
+        layout=layout,
+        truth=rendering.truth,
+        rgb=rgb,
+        gray=gray_picture(capture),
+        scanner=depth,
+        modulation=codes.modulation,
+        manifest=manifest,
+        raw=Raw(
+            scanner=scanner,
+            capture=capture if config.store.frames else None,
+            codes=codes if config.store.columns else None,
+        ),
+        sensor=eye.sensor,
+        image=eye.image,
+    )
+    return Shot(sample=sample, rendering=rendering, capture=capture, codes=codes)
+
+
+def with_field(rig: Rig, truth: GroundTruth, codes: CodeMap, depth: DepthMap) -> DepthMap:
+    """A scanner's depth map that names the pixels whose surface is beside the projector's picture.
+
+    To a decoder they are as dark as a shadow; where the true depth is known, so is the difference.
+    Pixels with a code keep their reason: their light came by way of another surface.
+    """
+    point = transform_points(rig.T_proj_cam, points(rig.camera, truth.depth_m))
+    lit = in_picture(rig.projector, project(rig.projector, point))
+    beside = np.isfinite(truth.depth_m) & ~lit & (codes.reason != Reason.DECODED)
+    return replace(depth, reason=np.where(beside, np.uint8(Reason.OUTSIDE_PROJECTOR), depth.reason))
+
+
+def _on_part(scene: Scene, layout: Layout, truth: GroundTruth) -> Bool[np.ndarray, "h w"]:
+    """The pixels that see a part which is labelled."""
+    labelled = [scene.parts[kind].labelled for kind in layout.part_index]
+    return np.array([*labelled, False])[truth.instance]  # -1 is no part
+
+
+def compile_kernels(cell: Cell) -> None:
+    """Have Numba compile what a cell's scanners use, so that workers find it in its cache.
+
+    Pictures go from the sensor to depth, in which the camera sees what the projector shows: from
+    dark on the left to saturated on the right, so that each reason for no depth occurs.
+    """
+    for _, scanner in cell.scanners:
+        shown, camera = patterns_of(scanner), scanner.rig.camera
+        row = np.linspace(0, shown.shape[1] - 1, camera.height_px).astype(int)[:, None]
+        column = np.linspace(0, shown.shape[2] - 1, camera.width_px).astype(int)
+        light = np.linspace(0, 1, camera.width_px, dtype=np.float32)
+        light[-1 - camera.width_px // 200 :] = 10  # so few that automatic exposure lets them go
+        white = np.tile(light, (camera.height_px, 1))
+        colour = np.repeat(white[..., None], 3, axis=2)
+        radiance = Radiance(
+            pattern=white * (shown[:, row, column] / np.float32(255)),
+            white=white,
+            ambient=white / 10,
+            white_rgb=colour,
+            ambient_rgb=colour,
+            albedo=colour,
+        )
+        measure(scanner, take(scanner, radiance, seed=0))
+        developed(colour, scanner, seed=0)
+
+
+def cell_seeds(cell: Cell, scene_id: int, *, seed: int) -> dict[str, int]:
+    """The seeds of a scene of this cell, and of its first image."""
+    return scene_seeds(seed, scene_id, domain=cell.domain is not None, views=cell.draws_views)
+
+
+def lay_out(
+    cell: Cell, scene_id: int, *, seed: int, progress: ProgressMeter = UNWATCHED
+) -> tuple[Scene, Layout]:
+    """The scene that `make_scene` would render, and where its parts came to lie.
+
+    Raises:
+        DropError: the parts did not come to an acceptable rest.
+    """
+    variation, layout = _laid(cell, scene_id, cell_seeds(cell, scene_id, seed=seed), progress)
+    return variation.scene, layout
+
+
+def _laid(
+    cell: Cell, scene_id: int, seeds: dict[str, int], progress: ProgressMeter
+) -> tuple[Variation, Layout]:
+    variation = varied(cell, scene_id, seeds)
+    layout = drop(
+        variation.scene,
+        variation.counts,
+        seed=seeds["drop"],
+        limits=cell.config.drop,
+        progress=progress,
+    )
+    return variation, layout
+
+
+def varied(cell: Cell, scene_id: int, seeds: dict[str, int]) -> Variation:
+    """What a scene drops and renders first: the cell's own, or as the cell's domain has it."""
+    counts = counts_of(cell, scene_id, np.random.default_rng(seeds["counts"]))
+    first = eyes(cell, seeds.get("views", 0))[0]
+    scene = replace(cell.scene, T_world_cam=first.T_world_cam)
+    if cell.domain is None:
+        return Variation(scene=scene, counts=counts, record={})
+    rng = np.random.default_rng(seeds["domain"])
+    record = draw(cell.domain, scene, counts, rng)
+    return vary(cell.domain, scene, counts, record)
+
+
+def _hung(cell: Cell, variation: Variation, seeds: dict[str, int]) -> list[tuple[Eye, Scene]]:
+    """The world before each of a scene's eyes; a domain moves all of them by what it drew."""
+    first, *others = eyes(cell, seeds.get("views", 0))
+    hung = [(first, variation.scene)]
+    for eye in others:
+        rig, T_world_cam = eye.scanner.rig, eye.T_world_cam
+        if eye.T_first_cam is not None:
+            T_world_cam = hung[eye.image][1].T_world_cam @ eye.T_first_cam
+        elif variation.record:
+            nominal = replace(cell.scene, rig=rig, T_world_cam=T_world_cam)
+            T_world_cam = moved_place(nominal, variation.record)
+        where = f"domain.camera: image {eye.image} {eye.sensor}".rstrip()
+        refuse_inside(T_world_cam, rig, bin_of(variation.scene), where)
+        rig = rig if eye.station else variation.scene.rig
+        hung.append((eye, replace(variation.scene, rig=rig, T_world_cam=T_world_cam)))
+    return hung
+
+
+def counts_of(cell: Cell, scene_id: int, rng: np.random.Generator) -> tuple[int, ...]:
+    """How many of each kind: one kind in turn, or all kinds drawn at random."""
+    low, high = cell.config.count_range
+    total = int(rng.integers(low, high + 1))
+    kinds = len(cell.scene.parts)
+    if cell.config.mix:
+        return tuple(int(n) for n in rng.multinomial(total, np.full(kinds, 1 / kinds)))
+    return tuple(total if kind == scene_id % kinds else 0 for kind in range(kinds))
+
+
+@contextmanager
+def _timed(timings: dict[str, float], stage: str) -> Iterator[None]:
+    start = time.perf_counter()
+    yield
+    timings[stage] = time.perf_counter() - start
+
+
+def _versions(renderer: Renderer) -> dict[str, str]:
+    packages = ("numpy", "rapier3d", "manifold3d", "numba", "pyoidn")
+    return {
+        "graycast": __version__,
+        "python": platform.python_version(),
+        **{name: version(name) for name in packages},
+        **renderer.versions,
+    }

@@ -1,0 +1,88 @@
+"""Bars with the time that is left: what the command line does with progress."""
+
+from types import TracebackType
+from typing import TYPE_CHECKING, Self, final
+
+from rich.markup import escape
+
+if TYPE_CHECKING:
+    from rich.progress import Progress, TaskID
+
+# The rest of rich is imported by the command that draws, so that --help answers at once.
+
+
+@final
+class Bars:
+    """A `ProgressMeter` that draws a bar for each kind that is counted, and the present stage.
+
+    A caller that prints within it uses `line`, so that text and bars do not overwrite each other.
+    """
+
+    def __init__(self, progress: "Progress") -> None:
+        self._drawn = progress
+        self._tasks: dict[str | None, TaskID] = {}  # the stage is that of no kind
+
+    def stage(self, text: str) -> None:
+        self._drawn.reset(self._task(None), description=escape(text), total=None, visible=True)
+
+    def count(self, what: str, done: int, total: int) -> None:
+        task = self._task(what)
+        before = self._drawn.tasks[self._drawn.task_ids.index(task)]
+        if done < before.completed:  # the next of the same kind: its time begins anew
+            self._drawn.reset(task)
+        self._drawn.update(task, completed=done, total=total, visible=True)
+
+    def note(self, text: str) -> None:
+        self.line(f"note: {text}")
+
+    def line(self, text: str) -> None:
+        """Print a line above the bars."""
+        self._drawn.console.print(text, markup=False, soft_wrap=True)
+
+    def _task(self, what: str | None) -> "TaskID":
+        if what not in self._tasks:
+            self._tasks[what] = self._drawn.add_task(escape(what or ""), total=None, visible=False)
+        return self._tasks[what]
+
+    def __enter__(self) -> Self:
+        self._drawn.start()
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self._drawn.stop()
+
+
+def open_bars() -> Bars:
+    """Bars that stay when the task is done."""
+    from rich.progress import (
+        BarColumn,
+        MofNCompleteColumn,
+        Progress,
+        TextColumn,
+        TimeElapsedColumn,
+        TimeRemainingColumn,
+    )
+
+    return Bars(
+        Progress(
+            TextColumn("{task.description}"),
+            BarColumn(),
+            MofNCompleteColumn(),
+            TimeElapsedColumn(),
+            TextColumn("left"),
+            TimeRemainingColumn(),
+        )
+    )
+
+
+def open_stages() -> Bars:
+    """One line with the present stage and its duration, which disappears at the end."""
+    from rich.progress import Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
+
+    columns = SpinnerColumn(), TextColumn("{task.description}"), TimeElapsedColumn()
+    return Bars(Progress(*columns, transient=True))

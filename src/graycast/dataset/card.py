@@ -1,0 +1,332 @@
+"""The card of a dataset: a README that says what it is, how it was made and how it looks.
+
+The head between two lines `---` is what the Hugging Face Hub reads of a dataset's README. Equal
+datasets have equal cards, to the byte and wherever they lie: no date, no duration, no folder.
+"""
+
+import json
+import re
+import shutil
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import yaml
+from jaxtyping import UInt8
+from packaging.licenses import InvalidLicenseExpression, canonicalize_license_expression
+
+from ..base.errors import GraycastError
+from ..base.folder import beside
+from ..camera.decode import REASON_COLOR, Reason
+from .json_text import plain
+from .stats import Statistics, draw_statistics, scene_figures, statistics_json, tally
+from .stored import SceneContent, StoredDataset, StoredScene, open_dataset
+
+CARD = "README.md"
+FOLDER = "card"  # of its pictures
+UNSTATED = "not stated"
+SAMPLED = 40  # scenes whose pictures are read where nobody has counted all
+_SHOWN = 3
+_TILE_PX = 480
+_NAMED = 4  # parts in a title
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Census:
+    """Which objects every scene holds; an object is there as often as it has instances."""
+
+    objects: Mapping[StoredScene, tuple[int, ...]]
+
+    def instances(self, obj_id: int) -> int:
+        return sum(held.count(obj_id) for held in self.objects.values())
+
+    def scenes(self, obj_id: int) -> int:
+        return sum(obj_id in held for held in self.objects.values())
+
+    @property
+    def obj_ids(self) -> list[int]:
+        return sorted({obj_id for held in self.objects.values() for obj_id in held})
+
+
+def write_card(
+    dataset: Path,
+    statistics: Statistics | None = None,
+    *,
+    licence: str | None = None,
+    title: str | None = None,
+) -> Path:
+    """Write `README.md`, and `card/` with its pictures and `stats.json`, into a dataset's folder.
+
+    Scenes and instances are counted in all scenes' `scene_gt.json`, which is quick.
+
+    Args:
+        statistics: of all scenes (`dataset_statistics`). Left out, only `SAMPLED` scenes are read,
+            drawn with a fixed seed, so that it takes seconds for any dataset; the card says so.
+        licence: an SPDX expression such as CC-BY-4.0, or LicenseRef- and a name of your own; left
+            out, the card says that none is stated.
+        title: left out, it names the parts.
+
+    Returns:
+        The card.
+
+    Raises:
+        DatasetError: the dataset cannot be read.
+        GraycastError: its folder cannot be written, or the licence is none of SPDX's.
+    """
+    if licence is not None:
+        licence = spdx(licence)
+    stored = open_dataset(dataset)
+    census = take_census(stored.scenes)
+    if statistics is None:
+        drawn = (scene_figures(scene.content()) for scene in sampled(stored.pictures))
+        statistics = tally(drawn, stored.categories)
+    shown = _shown(census)
+    card = card_text(
+        title or _title(stored),
+        statistics,
+        census,
+        stored,
+        licence=licence,
+        pictures=[f"{FOLDER}/{scene.key}.jpg" for scene in shown],
+    )
+    try:
+        _publish(dataset, card, statistics, len(census.objects), shown)
+    except OSError as error:
+        why = error.strerror or str(error)
+        raise GraycastError(
+            f"{dataset}: the card cannot be written ({why}): make the folder writable, or free "
+            "disk space"
+        ) from error
+    return dataset / CARD
+
+
+def spdx(licence: str) -> str:
+    """A licence as the SPDX list spells it; programs know licences by no other words.
+
+    Raises:
+        GraycastError: it is not on the list.
+    """
+    try:
+        return canonicalize_license_expression(licence)
+    except InvalidLicenseExpression as error:
+        raise GraycastError(
+            f"licence {licence!r} is not an SPDX expression: give an identifier of "
+            "spdx.org/licenses such as CC-BY-4.0 or MIT, several joined by AND or OR, or "
+            "LicenseRef- and a name for your own terms"
+        ) from error
+
+
+def escaped(text: str) -> str:
+    """Words that a user chose, as Markdown shows them letter by letter and in one line."""
+    return re.sub(r"([\\`*_{}\[\]<>()#|~&!$])", r"\\\1", " ".join(text.split()))
+
+
+def fenced(text: str) -> str:
+    """A YAML block, whose fence is longer than any row of backticks in it."""
+    longest = max((len(row) for row in re.findall("`+", text)), default=0)
+    fence = "`" * max(3, longest + 1)
+    return f"{fence}yaml\n{text}{fence}"
+
+
+def sampled(scenes: Sequence[StoredScene]) -> list[StoredScene]:
+    """At most `SAMPLED` of the scenes, in their order; the same for the same number of scenes.
+
+    Drawn, not evenly spread: scenes of several parts take turns.
+    """
+    drawn = np.random.default_rng(0).permutation(len(scenes))[:SAMPLED]
+    return [scenes[k] for k in sorted(drawn)]
+
+
+def take_census(scenes: Sequence[StoredScene]) -> Census:
+    """Count objects from the labels alone; of a scene's pictures one tells all.
+
+    Raises:
+        DatasetError: a label file is missing or damaged.
+    """
+    return Census(objects={scene: scene.obj_ids() for scene in scenes})
+
+
+def _shown(census: Census) -> list[StoredScene]:
+    """A scene of each mix of objects first, then any."""
+    first: dict[frozenset[int], StoredScene] = {}
+    for scene, held in census.objects.items():
+        first.setdefault(frozenset(held), scene)
+    return list(dict.fromkeys([*first.values(), *census.objects]))[:_SHOWN]
+
+
+def _title(stored: StoredDataset) -> str:
+    kind = "Real scans" if stored.claim.get("kind") == "real" else "Simulated scans"
+    names = list(stored.categories.values())
+    more = f" and {len(names) - _NAMED} more" if len(names) > _NAMED else ""
+    return f"{kind} of {', '.join(names[:_NAMED])}{more}" if names else kind
+
+
+def _publish(
+    dataset: Path, card: str, statistics: Statistics, scenes: int, shown: Sequence[StoredScene]
+) -> None:
+    """Made beside its place and renamed; what a killed run leaves the next `generate` removes."""
+    with beside(dataset / CARD) as written, beside(dataset / FOLDER) as folder:
+        folder.mkdir()
+        draw_statistics(statistics, folder / "stats.png")
+        figures = {"scenes_in_dataset": scenes} | statistics_json(statistics)
+        text = json.dumps(figures, indent=1, allow_nan=False)
+        (folder / "stats.json").write_text(text + "\n", encoding="utf-8")
+        for scene in shown:
+            picture = scene_strip(scene.content())[..., ::-1]
+            (folder / f"{scene.key}.jpg").write_bytes(cv2.imencode(".jpg", picture)[1].tobytes())
+        written.write_text(card, encoding="utf-8")
+        shutil.rmtree(dataset / FOLDER, ignore_errors=True)
+
+
+def card_text(
+    title: str,
+    statistics: Statistics,
+    census: Census,
+    stored: StoredDataset,
+    *,
+    licence: str | None,
+    pictures: list[str],
+) -> str:
+    """The card as Markdown."""
+    head = {
+        "pretty_name": title,
+        "license": licence or "unknown",
+        "task_categories": ["object-detection", "image-segmentation", "depth-estimation"],
+        "tags": ["bop", "bin-picking", "structured-light", "graycast"],
+    }
+    blocks = [
+        "---\n" + yaml.safe_dump(head, sort_keys=False) + "---",
+        f"# {escaped(title)}",
+        _introduction(stored),
+        f"Licence: {licence or UNSTATED}.",
+        *(f"![colour, white frame, scanner depth, reasons]({name})" for name in pictures[:_SHOWN]),
+        _CAPTION if pictures else "",
+        "## Figures",
+        _figures(statistics, census, stored),
+        _told_of_sample(statistics, census, len(stored.images)),
+        f"![statistics]({FOLDER}/stats.png)",
+        f"All of them as numbers: `{FOLDER}/stats.json`.",
+        "## How it was made",
+        _making(stored),
+    ]
+    return "\n\n".join(block for block in blocks if block) + "\n"
+
+
+_CAPTION = (
+    "Colour picture, the scanner's white frame, its depth, and why pixels have none: "
+    + ", ".join(reason.words for reason in Reason)
+    + "."
+)
+
+
+def _introduction(stored: StoredDataset) -> str:
+    if stored.claim.get("kind") == "real":
+        return (
+            "Real pictures in the files of a [BOP](https://bop.felk.cvut.cz) dataset, brought in "
+            "by Graycast. Poses and perfect depth are not known."
+        )
+    return (
+        "Simulated by Graycast: parts dropped into a bin, coded light projected on them by path "
+        "tracing, pictures taken through a sensor's noise and decoded as a scanner does. Perfect "
+        "depth, masks and poses stand beside what the scanner measured. The files are those of a "
+        "[BOP](https://bop.felk.cvut.cz) dataset (scenewise); lengths are millimetres."
+    )
+
+
+def _told_of_sample(s: Statistics, census: Census, of: int) -> str:
+    pictures = len(census.objects) * of
+    if s.pictures == pictures:
+        return ""
+    what = "scenes" if of == 1 else "pictures"
+    return (
+        f"The numbers of scenes and instances are of the whole dataset. All other figures and the "
+        f"plots are of {s.pictures} {what}, drawn at random of {pictures:,}. "
+        "`graycast stats --card` reads all."
+    )
+
+
+def _figures(s: Statistics, census: Census, stored: StoredDataset) -> str:
+    splits: dict[str, int] = {}
+    for scene in census.objects:
+        splits[scene.split] = splits.get(scene.split, 0) + 1
+    each = "" if len(stored.images) == 1 else f", each of {len(stored.images)} pictures"
+    rows = [
+        ("scenes", ", ".join(f"{count:,} {split}" for split, count in splits.items()) + each),
+        ("pictures", ", ".join(f"{w} x {h} px" for w, h in s.sizes_px)),
+    ]
+    for obj_id in census.obj_ids:
+        scenes = census.scenes(obj_id)
+        plural = "" if scenes == 1 else "s"
+        told = f"{census.instances(obj_id):,} instances in {scenes:,} scene{plural}"
+        rows.append((f"part {escaped(stored.categories[obj_id])}", told))
+    if s.depth_bin:
+        depth = s.depth_quantiles_mm
+        rows.append(("perfect depth (1 to 99 %)", f"{depth['p01']:.0f} to {depth['p99']:.0f} mm"))
+    if "decoded" in s.reason:
+        shares = (
+            f"{s.part_reason['decoded']:.1%} of the parts' pixels, {s.reason['decoded']:.1%} of all"
+        )
+        rows.append(("with a scanner depth", shares))
+    missing = {n: v for n, v in s.part_reason.items() if n != "decoded" and v >= 5e-4}
+    if missing:
+        told = ", ".join(
+            f"{escaped(name.replace('_', ' '))} {share:.1%}" for name, share in missing.items()
+        )
+        rows.append(("without, on parts", told))
+    if s.part_error.pixels:
+        error = s.part_error
+        told = f"sigma {error.sigma_mm:.3f} mm, median {error.median_mm:+.3f} mm"
+        rows.append(("scanner less perfect depth, on parts", told))
+    kept = stored.claim.get("config", {}).get("store", {})
+    names = {"frames": "every captured frame", "columns": "projector columns"}
+    also = [words for key, words in names.items() if kept.get(key)]
+    rows += [("kept beside", ", ".join(also))] if also else []
+    lines = [f"| {name} | {value} |" for name, value in rows]
+    return "\n".join(["| | |", "|---|---|", *lines])
+
+
+def _making(stored: StoredDataset) -> str:
+    claim = stored.claim
+    said: dict[str, Any] = {
+        key: claim[key] for key in ("seed", "versions", "sources") if key in claim
+    }
+    config = {k: v for k, v in claim.get("config", {}).items() if k not in ("files", "scanner")}
+    text = yaml.safe_dump(plain(said), sort_keys=True, default_flow_style=None, width=96)
+    blocks = [fenced(text)]
+    if config:
+        text = yaml.safe_dump(plain(config), sort_keys=True, default_flow_style=None, width=96)
+        blocks.append(f"The configuration; `graycast.json` has it with the rig:\n\n{fenced(text)}")
+    return "\n\n".join(blocks)
+
+
+def scene_strip(scene: SceneContent) -> UInt8[np.ndarray, "h w 3"]:
+    """Colour, white frame, scanner depth and reasons side by side; what is missing is left out."""
+    tiles = [scene.rgb] if scene.rgb is not None else []
+    if scene.gray is not None:
+        tiles.append(np.repeat(scene.gray[..., None], 3, axis=2))
+    if scene.scanner is not None:
+        tiles += [_depth_picture(scene.scanner), _reason_picture(scene)]
+    height_px = round(_TILE_PX * scene.reason.shape[0] / scene.reason.shape[1])
+    size = (_TILE_PX, max(height_px, 1))
+    small = [cv2.resize(tile, size, interpolation=cv2.INTER_AREA) for tile in tiles]
+    return np.concatenate(small, axis=1)
+
+
+def _depth_picture(step: np.ndarray) -> UInt8[np.ndarray, "h w 3"]:
+    known = step > 0
+    low, high = np.quantile(step[known], (0.01, 0.99)) if known.any() else (0.0, 1.0)
+    share = np.clip((step.astype(np.float64) - low) / max(high - low, 1.0), 0, 1)
+    near_bright = np.round(255 * (1 - share)).astype(np.uint8)
+    colored = cv2.applyColorMap(near_bright, cv2.COLORMAP_VIRIDIS)[..., ::-1]
+    return np.where(known[..., None], colored, 58).astype(np.uint8)
+
+
+def _reason_picture(scene: SceneContent) -> UInt8[np.ndarray, "h w 3"]:
+    table = np.full((256, 3), 90, dtype=np.uint8)
+    for number, name in scene.reason_name.items():
+        if name in REASON_COLOR:
+            table[number] = list(bytes.fromhex(REASON_COLOR[name][1:]))
+    return table[scene.reason]

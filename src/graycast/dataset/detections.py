@@ -1,0 +1,177 @@
+"""The detections in a picture, and COCO's results files, which hold them."""
+
+import json
+import math
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float, Int
+from pycocotools import mask as coco_mask
+
+from ..base.errors import GraycastError
+from ..base.file_limits import check_runs, parse_json
+
+# What `graycast detect` leaves in a folder: the results, and what was looked at by what.
+RESULTS, LOOKED = "results.json", "detect.json"
+WEIGHTS = "detector.pt"  # what `graycast train` leaves in a folder
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Detections:
+    """The detections in one picture, best first.
+
+    Attributes:
+        scene_id: the scene of the picture; COCO's `image_id`.
+        score: in descending order; from 0 to 1 for the detectors of `detect`.
+        obj_id: the object of each detection; COCO's `category_id`.
+        box_px: [x, y, columns, rows] as in COCO: (0, 0) is the outer corner of the top-left
+            pixel, so a box that begins in the first column has x = 0.
+        mask: the compressed run-length encoding of each mask as in COCO; None from a detector
+            without masks.
+    """
+
+    scene_id: int
+    score: Float[np.ndarray, " n"]
+    obj_id: Int[np.ndarray, " n"]
+    box_px: Float[np.ndarray, "n 4"]
+    mask: tuple[Mapping[str, Any], ...] | None = None
+
+    def __post_init__(self) -> None:
+        for name in ("score", "obj_id", "box_px"):
+            getattr(self, name).flags.writeable = False
+
+    def __len__(self) -> int:
+        return len(self.score)
+
+
+def results_bytes(found: Sequence[Detections]) -> bytes:
+    """COCO results: a list with an entry for each detection, with box and optional mask.
+
+    Numbers have as many digits as are needed to read back the same values.
+    """
+    lines = [json.dumps(entry, allow_nan=False) for each in found for entry in _entries(each)]
+    return ("[\n" + ",\n".join(lines) + "\n]\n").encode()
+
+
+def _entries(found: Detections) -> list[dict[str, Any]]:
+    entries: list[dict[str, Any]] = [
+        {
+            "image_id": found.scene_id,
+            "category_id": int(obj_id),
+            "bbox": [_shortest(edge) for edge in box],
+            "score": _shortest(score),
+        }
+        for obj_id, box, score in zip(found.obj_id, found.box_px, found.score, strict=True)
+    ]
+    if found.mask is not None:
+        for entry, mask in zip(entries, found.mask, strict=True):
+            size = [int(edge) for edge in mask["size"]]
+            entry["segmentation"] = {"size": size, "counts": mask["counts"]}
+    return entries
+
+
+def _shortest(value: np.floating) -> float:
+    """The shortest decimal that reads back as this number in its own precision."""
+    return float(str(value))
+
+
+def read_results(
+    path: Path, scene_ids: Sequence[int], *, obj_ids: Collection[int] | None = None
+) -> list[Detections]:
+    """Read the detections of each scene from COCO results of any program.
+
+    An entry with a mask may lack a box, which is then the box of the mask.
+
+    Args:
+        obj_ids: the objects of the dataset; None accepts all.
+
+    Raises:
+        GraycastError: the file is missing or damaged, names an unknown scene or object, or has
+            masks for only some of its detections.
+    """
+    try:
+        entries = parse_json(path.read_bytes())
+    except OSError as error:
+        raise GraycastError(f"{path}: cannot be read ({error.strerror})") from error
+    except ValueError as error:
+        raise GraycastError(f"{path}: is not JSON, or is cut off ({error})") from error
+    if not isinstance(entries, list):
+        raise GraycastError(f"{path}: is not a JSON list: give a file of COCO results")
+    of_scene: dict[int, list[dict[str, Any]]] = {scene_id: [] for scene_id in scene_ids}
+    for i, entry in enumerate(entries):
+        where = f"{path}: entry {i}"
+        _check(entry, where)
+        if entry["image_id"] not in of_scene:
+            raise GraycastError(
+                f"{where} is of image {entry['image_id']}, which is not in this set of the "
+                "dataset: give results of the same dataset and set"
+            )
+        if obj_ids is not None and entry["category_id"] not in obj_ids:
+            raise GraycastError(
+                f"{where} is of category {entry['category_id']}, and the dataset has "
+                f"{', '.join(map(str, sorted(obj_ids)))}: give results of this dataset"
+            )
+        of_scene[entry["image_id"]].append(entry)
+    masked = {"segmentation" in entry for entry in entries}
+    if len(masked) > 1:
+        raise GraycastError(
+            f"{path}: some entries have a segmentation and others have none: give all entries "
+            "one, or none"
+        )
+    return [_detections(scene_id, held, masked == {True}) for scene_id, held in of_scene.items()]
+
+
+def _check(entry: Any, where: str) -> None:
+    keys = ("image_id", "category_id", "score")
+    if not isinstance(entry, dict) or not all(key in entry for key in keys):
+        raise GraycastError(f"{where} lacks one of {', '.join(keys)}: give COCO results")
+    if not ("bbox" in entry or "segmentation" in entry):
+        raise GraycastError(f"{where} has neither bbox nor segmentation: give COCO results")
+    for key in ("image_id", "category_id"):
+        if type(entry[key]) is not int:
+            raise GraycastError(f"{where}: {key} is {entry[key]!r}; it must be a whole number")
+    if not _finite(entry["score"]):
+        raise GraycastError(f"{where}: score is {entry['score']!r}; it must be a finite number")
+    if "bbox" in entry:
+        box = entry["bbox"]
+        if not (isinstance(box, list) and len(box) == 4 and all(map(_finite, box))):
+            raise GraycastError(f"{where}: bbox is {box!r}; it must be four finite numbers")
+        if min(box[2:]) < 0:
+            raise GraycastError(
+                f"{where}: bbox is {box!r}; columns and rows, its last two numbers, must not be "
+                "negative: give x, y, width, height and not x0, y0, x1, y1"
+            )
+    if "segmentation" in entry:
+        check_runs(entry["segmentation"], f"{where}: segmentation", GraycastError)
+
+
+def _finite(value: Any) -> bool:
+    return type(value) in (int, float) and math.isfinite(value)
+
+
+def _detections(scene_id: int, entries: list[dict[str, Any]], masked: bool) -> Detections:
+    entries = sorted(entries, key=lambda entry: -entry["score"])  # stable: equal scores as stored
+    masks = [_compressed(entry["segmentation"]) for entry in entries] if masked else []
+    boxes = [
+        entry["bbox"] if "bbox" in entry else coco_mask.toBbox(masks[i]).tolist()
+        for i, entry in enumerate(entries)
+    ]
+    return Detections(
+        scene_id=scene_id,
+        score=np.array([entry["score"] for entry in entries], np.float64),
+        obj_id=np.array([entry["category_id"] for entry in entries], np.int64),
+        box_px=np.array(boxes, np.float64).reshape(-1, 4),
+        mask=tuple(masks) if masked else None,
+    )
+
+
+def _compressed(runs: dict[str, Any]) -> dict[str, Any]:
+    if isinstance(runs["counts"], str):
+        return runs
+    return {
+        "size": runs["size"],
+        "counts": coco_mask.frPyObjects(runs, *runs["size"])["counts"].decode(),
+    }

@@ -1,0 +1,16 @@
+"""Finished datasets in the formats of other programs: COCO, YOLO, BOP's shards, clouds, tables."""
+
+from .formats import export
+from .options import FORMATS, Options
+from .record import ExportRecord, read_record
+from .split import Split, parse_shares
+
+__all__ = [
+    "FORMATS",
+    "ExportRecord",
+    "Options",
+    "Split",
+    "export",
+    "parse_shares",
+    "read_record",
+]

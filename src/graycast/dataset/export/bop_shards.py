@@ -1,0 +1,106 @@
+"""BOP's image-wise layout, and the same files in shards, as BOP's own toolkit reads them.
+
+An image is the files KEY.rgb.png (or KEY.gray.tiff), KEY.depth.png, KEY.camera.json, KEY.gt.json,
+KEY.gt_info.json, KEY.mask.json and KEY.mask_visib.json. Masks are run lengths by the instance's
+place in `gt`. Shards keep the order of the scenes, which are independent draws, so that reading
+them one after another is random enough.
+
+BOP's pixel (0, 0) is the centre of the top-left pixel. bop_toolkit's renderers put it at that
+pixel's corner: their projection sends a point to x = fx X/Z + cx of a window in which the centre of
+pixel k lies at k + 1/2. For who uses them `pixel_origin="corner"` adds half a pixel to cx and cy.
+
+Source: the documented layout of bop_toolkit's `dataset/bop_imagewise.py` and `bop_webdataset.py`.
+"""
+
+import json
+from collections.abc import Iterable, Iterator
+from pathlib import Path
+
+import cv2
+
+from ...base.file_limits import parse_json
+from ...render.radiance import Silhouette
+from ..coco import run_lengths
+from ..json_text import json_bytes
+from ..places import camera_file
+from ..stored import StoredDataset, StoredScene
+from .options import Options, settled
+from .placing import bop_key, place
+from .shards import write_shards
+
+
+def write_imagewise(
+    folder: Path, split: str, scenes: Iterable[StoredScene], stored: StoredDataset, options: Options
+) -> None:
+    """`SPLIT/KEY.*`: every image's own files side by side."""
+    (folder / split).mkdir()
+    for scene in scenes:
+        for name, content in _files(scene, options):
+            target = folder / split / f"{_key(scene)}.{name}"
+            if isinstance(content, Path):
+                place(content, target, link=settled(options.link))
+            else:
+                target.write_bytes(content)
+
+
+def write_webdataset(
+    folder: Path, split: str, scenes: Iterable[StoredScene], stored: StoredDataset, options: Options
+) -> None:
+    """`SPLIT/shard-000000.tar` ... and `SPLIT/key_to_shard.json`."""
+    (folder / split).mkdir()
+    samples = ((_key(scene), _loaded(_files(scene, options))) for scene in scenes)
+    shard_of = write_shards(folder / split, samples, most=settled(options.shard_scenes))
+    (folder / split / "key_to_shard.json").write_text(json.dumps(shard_of), encoding="ascii")
+
+
+def write_rest(
+    folder: Path, splits: Iterable[str], stored: StoredDataset, options: Options
+) -> None:
+    """What belongs to the dataset as a whole: each scanner's camera, and the models."""
+    for name in (camera_file(sensor) for sensor in stored.sizes_px):
+        camera = parse_json((stored.folder / name).read_bytes())
+        camera |= {key: camera[key] + options.shift_px for key in ("cx", "cy")}
+        (folder / name).write_bytes(json_bytes(camera))
+    for source in sorted((stored.folder / "models").glob("*")):
+        place(source, folder / "models" / source.name, link=False)
+
+
+def _key(scene: StoredScene) -> str:
+    return bop_key(scene.scene_id, scene.place)
+
+
+def _loaded(files: Iterable[tuple[str, bytes | Path]]) -> Iterator[tuple[str, bytes]]:
+    for name, content in files:
+        yield name, content.read_bytes() if isinstance(content, Path) else content
+
+
+def _files(scene: StoredScene, options: Options) -> Iterator[tuple[str, bytes | Path]]:
+    if options.image == "rgb":
+        yield "rgb.png", scene.png("rgb")
+    elif options.image == "gray":
+        yield "gray.tiff", cv2.imencode(".tiff", scene.gray())[1].tobytes()
+    for depth in options.depths:
+        yield "depth.png", scene.png(depth)
+    camera = scene.said("scene_camera")
+    for k in (2, 5):
+        camera["cam_K"][k] += options.shift_px
+    yield "camera.json", json.dumps(camera).encode()
+    if "masks" not in scene.holds:
+        return
+    scanner = options.depths == ("depth_sl",) and not scene.real
+    yield "gt.json", json.dumps(scene.said("scene_gt")).encode()
+    info = scene.said("scene_gt_info_sl" if scanner else "scene_gt_info")
+    yield "gt_info.json", json.dumps(info).encode()
+    if "amodal" in scene.holds:
+        yield "mask.json", _masks(scene, "mask")
+    yield "mask_visib.json", _masks(scene, "mask_visib")
+
+
+def _masks(scene: StoredScene, name: str) -> bytes:
+    height_px, width_px = scene.size_px
+    runs = {}
+    for i, mask in enumerate(scene.masks(name)):
+        whole = Silhouette(left_px=0, top_px=0, mask=mask)
+        counts = run_lengths(whole, height_px=height_px, width_px=width_px)
+        runs[i] = {"counts": counts, "size": [height_px, width_px]}
+    return json.dumps(runs).encode()

@@ -1,0 +1,90 @@
+"""Point clouds: what a perfect and what the simulated scanner sees, in colour, one file each.
+
+Points are metres in the camera frame. A lens with distortion is taken into account: a point lies
+on its pixel's true ray.
+"""
+
+from collections.abc import Iterable
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Bool, Float, UInt8
+
+from ...base.ply import cloud_bytes
+from ...rig.optics import optics_of, points
+from ..stored import StoredDataset, StoredScene
+from .options import Options, settled
+
+_NAMES = {"depth": "perfect", "depth_sl": "scanner"}
+
+
+def write_split(
+    folder: Path, split: str, scenes: Iterable[StoredScene], stored: StoredDataset, options: Options
+) -> None:
+    """`SPLIT/000000_perfect.ply` and `SPLIT/000000_scanner.ply`, or `.pcd`."""
+    (folder / split).mkdir()
+    form = {"ply": cloud_bytes, "pcd": pcd_bytes}[settled(options.cloud)]
+    for scene in scenes:
+        color = _color(scene, options)
+        for depth in options.depths:
+            depth_m = scene.depth_m(depth)
+            view = scene.view()
+            camera = optics_of(view.cam_K, scene.size_px, view.distortion)
+            point_m = points(camera, depth_m)
+            name = f"{scene.image_id:06d}_{_NAMES[depth]}.{options.cloud}"
+            kept = np.ones_like(depth_m, dtype=bool) if options.organised else depth_m > 0
+            width_px = depth_m.shape[1] if options.organised else None
+            content = form(*_kept(point_m, color, kept), width_px=width_px)
+            (folder / split / name).write_bytes(content)
+
+
+def pcd_bytes(
+    point_m: Float[np.ndarray, "n 3"],
+    color: UInt8[np.ndarray, "n 3"] | None,
+    *,
+    width_px: int | None,
+) -> bytes:
+    """A binary PCD 0.7 of the Point Cloud Library, whose colour is one packed field `rgb`.
+
+    Source: pointclouds.org, "The PCD (Point Cloud Data) file format".
+    """
+    columns = [point_m.astype("<f4")]
+    names = ["x", "y", "z"]
+    if color is not None:
+        wide = color.astype(np.uint32)
+        packed = (wide[:, 0] << 16) | (wide[:, 1] << 8) | wide[:, 2]
+        columns.append(packed.astype("<u4").view("<f4")[:, None])
+        names.append("rgb")
+    width = len(point_m) if width_px is None else width_px
+    head = [
+        "# .PCD v0.7 - Point Cloud Data file format",
+        "VERSION 0.7",
+        f"FIELDS {' '.join(names)}",
+        f"SIZE {' '.join('4' for _ in names)}",
+        f"TYPE {' '.join('F' for _ in names)}",
+        f"COUNT {' '.join('1' for _ in names)}",
+        f"WIDTH {width}",
+        f"HEIGHT {len(point_m) // width if width else 1}",
+        "VIEWPOINT 0 0 0 1 0 0 0",
+        f"POINTS {len(point_m)}",
+        "DATA binary",
+    ]
+    body = np.ascontiguousarray(np.hstack(columns)).tobytes()
+    return ("\n".join(head) + "\n").encode("ascii") + body
+
+
+def _kept(
+    point_m: Float[np.ndarray, "h w 3"],
+    color: UInt8[np.ndarray, "h w 3"] | None,
+    kept: Bool[np.ndarray, "h w"],
+) -> tuple[np.ndarray, np.ndarray | None]:
+    return point_m[kept], None if color is None else color[kept]
+
+
+def _color(scene: StoredScene, options: Options) -> UInt8[np.ndarray, "h w 3"] | None:
+    match options.image:
+        case "rgb":
+            return scene.rgb()
+        case "gray":
+            return np.repeat(scene.gray()[..., None], 3, axis=-1)
+    return None

@@ -1,0 +1,159 @@
+"""What an export may be told, and which format understands what."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, fields, replace
+from typing import Any, TypeVar
+
+from ...base.errors import GraycastError
+from ..stored import StoredDataset
+from .split import Split
+
+Value = TypeVar("Value")
+
+_ONE_DEPTH = ("perfect", "scanner", "none")
+_CHOICES = {
+    "image": ("rgb", "gray"),
+    "depth": (*_ONE_DEPTH[:2], "both", "none"),
+    "labels": ("segments", "boxes"),
+    "cloud": ("ply", "pcd"),
+    "pixel_origin": ("centre", "corner"),
+}
+# The options of each format and what they are where nothing is said.
+FORMATS: Mapping[str, Mapping[str, Any]] = {
+    "coco": {
+        "image": "rgb", "depth": "none", "polygons": False, "link": False, "min_visibility": 0.0
+    },
+    "yolo": {"image": "rgb", "labels": "segments", "link": False, "min_visibility": 0.0},
+    "bop-imagewise": {
+        "image": "rgb", "depth": "perfect", "link": False, "pixel_origin": "centre"
+    },
+    "bop-webdataset": {
+        "image": "rgb", "depth": "perfect", "shard_scenes": 1000, "pixel_origin": "centre"
+    },
+    "webdataset": {"image": "rgb", "depth": "both", "shard_scenes": 500, "min_visibility": 0.0},
+    "parquet": {"image": "rgb", "depth": "both", "shard_scenes": 500, "min_visibility": 0.0},
+    "clouds": {"image": "rgb", "depth": "both", "cloud": "ply", "organised": False},
+}  # fmt: skip
+_PICTURE = {"rgb": "rgb", "gray": "gray_sl"}
+_DEPTHS = {
+    "perfect": ("depth",), "scanner": ("depth_sl",), "both": ("depth", "depth_sl"), "none": ()
+}  # fmt: skip
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Options:
+    """How to export; what is None is not said, and is the format's own choice.
+
+    Attributes:
+        format: one of `FORMATS`.
+        split: which scenes are train, val and test.
+        image: the picture: `rgb`, the colour camera's, or `gray`, the scanner's white frame.
+        depth: `perfect`, `scanner`, `both` or `none`.
+        polygons: COCO's masks as polygons instead of run lengths.
+        labels: YOLO's rows as `segments` or as `boxes`.
+        cloud: `ply` or `pcd`.
+        organised: clouds with a point for every pixel, NaN where there is none.
+        shard_scenes: scenes in one file, at most.
+        pixel_origin: what of the top-left pixel is (0, 0) in BOP's cameras: its `centre`, as BOP
+            says, or its `corner`, as bop_toolkit's own renderers take it.
+        link: hard links to the dataset's pictures instead of copies.
+        min_visibility: leave out instances of which less is visible, as a share.
+    """
+
+    format: str
+    split: Split = field(default_factory=Split)
+    image: str | None = None
+    depth: str | None = None
+    polygons: bool | None = None
+    labels: str | None = None
+    cloud: str | None = None
+    organised: bool | None = None
+    shard_scenes: int | None = None
+    link: bool | None = None
+    pixel_origin: str | None = None
+    min_visibility: float | None = None
+
+    def __post_init__(self) -> None:
+        if self.format not in FORMATS:
+            raise GraycastError(f"format is {self.format!r}: choose one of {', '.join(FORMATS)}")
+        for name in self.given():
+            if name not in FORMATS[self.format]:
+                raise GraycastError(
+                    f"{self.format} has no option {name}: remove it; the options are "
+                    f"{', '.join(FORMATS[self.format])}"
+                )
+        for name, allowed in _CHOICES.items():
+            if name == "depth" and self.format.startswith("bop"):
+                allowed = _ONE_DEPTH
+            if (value := getattr(self, name)) not in (None, *allowed):
+                raise GraycastError(f"{name} is {value!r}: choose one of {', '.join(allowed)}")
+        if self.shard_scenes is not None and self.shard_scenes < 1:
+            raise GraycastError(
+                f"shard_scenes is {self.shard_scenes}: give at least 1 scene per file"
+            )
+        if self.min_visibility is not None and not 0 <= self.min_visibility <= 1:
+            raise GraycastError(
+                f"min_visibility is {self.min_visibility}: give a share from 0 to 1"
+            )
+
+    def given(self) -> list[str]:
+        """The options that were said."""
+        names = [each.name for each in fields(self) if each.name not in ("format", "split")]
+        return [name for name in names if getattr(self, name) is not None]
+
+    def resolved(self, stored: StoredDataset) -> "Options":
+        """With the format's own choices, as far as the dataset holds what they take.
+
+        Raises:
+            GraycastError: the dataset lacks what was said.
+        """
+        chosen = dict(FORMATS[self.format]) | {name: getattr(self, name) for name in self.given()}
+        holds = stored.holds
+        if "image" in chosen and _PICTURE[chosen["image"]] not in holds:
+            self._refuse("image", chosen["image"], stored)
+            chosen["image"] = "gray" if "gray_sl" in holds else None
+        if not set(_DEPTHS[chosen.get("depth", "none")]) <= holds:
+            self._refuse("depth", chosen["depth"], stored)
+            known = {"depth": "perfect", "depth_sl": "scanner"}
+            chosen["depth"] = next((known[n] for n in known if n in holds), "none")
+        if self.format in ("coco", "yolo"):
+            if "masks" not in holds:
+                raise GraycastError(
+                    f"{stored.folder}: has no masks, which the format {self.format} needs"
+                )
+            if chosen["image"] is None:
+                raise GraycastError(
+                    f"{stored.folder}: has no pictures, which the format {self.format} needs"
+                )
+        return replace(self, **chosen)
+
+    def _refuse(self, name: str, value: str, stored: StoredDataset) -> None:
+        if getattr(self, name) is not None:
+            held = ", ".join(sorted(stored.holds))
+            raise GraycastError(f"{stored.folder}: has no {value} {name}; it holds {held}")
+
+    @property
+    def shift_px(self) -> float:
+        """What is added to the principal point of the dataset, which counts from centres."""
+        return 0.5 if self.pixel_origin == "corner" else 0.0
+
+    @property
+    def picture(self) -> str | None:
+        """The folder of the dataset's pictures; None where it has none."""
+        return _PICTURE[self.image] if self.image is not None else None
+
+    @property
+    def depths(self) -> tuple[str, ...]:
+        """The folders of the dataset's depth pictures."""
+        return _DEPTHS[self.depth or "none"]
+
+
+def settled(value: Value | None) -> Value:
+    """One of a format's own options, of which `Options.resolved` leaves none open.
+
+    Raises:
+        ValueError: it is open.
+    """
+    if value is None:
+        raise ValueError("an option is open: resolve the options first")
+    return value

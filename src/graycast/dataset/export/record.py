@@ -1,0 +1,97 @@
+"""`export.json`: what an export holds and where it comes from, for whoever reads it back."""
+
+from pathlib import Path
+from typing import Any
+
+from ... import __version__
+from ...base.errors import DatasetError
+from .. import records
+from ..json_text import json_bytes
+from ..safe_reading import Unreadable, read_json
+from ..stored import StoredDataset
+from .options import FORMATS, Options
+
+RECORD = "export.json"
+
+
+class ExportedPicture(records.Record):
+    """One of the pictures that each scene has; `sensor` is its scanner's name, where it has one."""
+
+    sensor: str
+    image: int
+    size_px: list[int]
+
+
+class ExportRecord(records.Record):
+    """The content of `export.json`; `splits` has the numbers of the pictures of each set.
+
+    Where scenes have several pictures, `pictures` lists them: picture number n is of the scene
+    n // len(pictures), at the place n % len(pictures).
+    """
+
+    format: str
+    options: dict[str, Any]
+    splits: dict[str, list[int]]
+    categories: dict[str, str]
+    size_px: list[int]
+    depth_scale_mm: float
+    holds: list[str]
+    fingerprint: str
+    graycast: str
+    pictures: tuple[ExportedPicture, ...] = ()
+
+    def place(self, image_id: int) -> tuple[int, int]:
+        """Of a picture the number of its scene, and its place there."""
+        return divmod(image_id, max(len(self.pictures), 1))
+
+    def image(self, image_id: int) -> tuple[int, str, int]:
+        """Of a picture its scene, its scanner's name, and its number among that scanner's."""
+        scene_id, place = self.place(image_id)
+        if not self.pictures:
+            return scene_id, "", 0
+        return scene_id, self.pictures[place].sensor, self.pictures[place].image
+
+    def size_of(self, image_id: int) -> tuple[int, int]:
+        """Height and width of a picture."""
+        here = self.pictures[self.place(image_id)[1]].size_px if self.pictures else self.size_px
+        return here[0], here[1]
+
+
+def write_record(
+    folder: Path, stored: StoredDataset, options: Options, splits: dict[str, list[int]]
+) -> ExportRecord:
+    """Write `export.json`; its options are those in force."""
+    said = {name: getattr(options, name) for name in FORMATS[options.format]}
+    record = ExportRecord(
+        format=options.format,
+        options=said | {"shares": list(options.split.shares), "split_seed": options.split.seed},
+        splits=splits,
+        categories={str(obj_id): name for obj_id, name in stored.categories.items()},
+        size_px=list(stored.size_px),
+        depth_scale_mm=stored.depth_scale_mm,
+        holds=sorted(stored.holds),
+        fingerprint=stored.claim.get("fingerprint", ""),
+        graycast=__version__,
+        pictures=tuple(
+            ExportedPicture(sensor=sensor, image=image, size_px=list(stored.sizes_px[sensor]))
+            for sensor, image in (stored.images if len(stored.images) > 1 else ())
+        ),
+    )
+    (folder / RECORD).write_bytes(json_bytes(record.model_dump(exclude_defaults=True)))
+    return record
+
+
+def read_record(folder: Path) -> ExportRecord:
+    """Read `export.json`.
+
+    Raises:
+        DatasetError: it is missing or damaged.
+    """
+    try:
+        record = read_json(folder / RECORD, ExportRecord)
+    except Unreadable as error:
+        raise DatasetError(f"{folder} is not an export of Graycast: {error}") from error
+    if record.format not in FORMATS:
+        known = ", ".join(FORMATS)
+        raise DatasetError(f"{folder}: its format {record.format!r} is none of {known}")
+    return record

@@ -1,0 +1,81 @@
+"""Train, validation and test sets by scene."""
+
+import hashlib
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+from ...base.errors import GraycastError
+
+NAMES = ("train", "val", "test")
+_STEP = 0x9E3779B97F4A7C15  # 2^64 over the golden ratio, odd
+_TURN = 2**64
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Split:
+    """Shares of the scenes that go to train, val and test.
+
+    A scene's set follows from the seed and its own id alone, so it stays where it is when a
+    dataset grows, and in every format. Multiples of the golden ratio, turned by the seed, fill
+    the circle evenly: of up to 5000 scenes in a row each set gets its share to within four. That
+    is no random draw and need not be one: scenes of a dataset are drawn independently.
+
+    Source: Knuth, "The Art of Computer Programming", vol. 3, section 6.4 (Fibonacci hashing).
+    """
+
+    shares: tuple[float, float, float] = (1.0, 0.0, 0.0)
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        if min(self.shares) < 0 or abs(sum(self.shares) - 1) > 1e-6:
+            raise GraycastError(
+                f"split is {self.shares}: give shares of train, val and test that are at least 0 "
+                "and add up to 1, such as 0.8,0.1,0.1"
+            )
+
+    def place(self, scene_id: int) -> str:
+        """The one set that a scene belongs to."""
+        start = int.from_bytes(hashlib.sha256(f"split {self.seed}".encode()).digest()[:8])
+        at = (start + scene_id * _STEP) % _TURN / _TURN
+        train, val, _ = self.shares
+        last = NAMES[max(i for i, share in enumerate(self.shares) if share > 0)]
+        return "train" if at < train else "val" if at < train + val else last
+
+    def assign(self, image_ids: Iterable[int], *, images: int = 1) -> dict[str, list[int]]:
+        """The pictures of every set that has a share, in their order; a scene stays together.
+
+        Args:
+            image_ids: numbers of pictures; each scene has `images` of them.
+
+        Raises:
+            GraycastError: a set that has a share gets no scene.
+        """
+        sets: dict[str, list[int]] = {
+            name: [] for name, share in zip(NAMES, self.shares, strict=True) if share > 0
+        }
+        for image_id in sorted(image_ids):
+            sets[self.place(image_id // images)].append(image_id)
+        for name, ids in sets.items():
+            if not ids:
+                count = sum(map(len, sets.values())) // images
+                raise GraycastError(
+                    f"split: {name} gets none of the {count} scenes: make more scenes, or give "
+                    "larger shares or another seed"
+                )
+        return sets
+
+
+def parse_shares(text: str) -> tuple[float, float, float]:
+    """'0.8,0.1,0.1', or fewer: what is not named has no share.
+
+    Raises:
+        GraycastError: it is neither.
+    """
+    try:
+        shares = [float(word) for word in text.split(",")]
+    except ValueError:
+        shares = []
+    if not 1 <= len(shares) <= 3:
+        raise GraycastError(f"split is {text!r}: give one to three shares such as 0.8,0.1,0.1")
+    train, val, test = shares + [0.0] * (3 - len(shares))
+    return train, val, test

@@ -1,0 +1,63 @@
+"""YOLO as Ultralytics reads it: `data.yaml`, pictures, and a text file for each.
+
+A row is the class (from 0, in the order of the object ids) and then either centre and size of the
+box or the corners of a polygon, all as shares of width and height.
+
+Source: docs.ultralytics.com, datasets/detect and datasets/segment.
+"""
+
+from collections.abc import Iterable
+from pathlib import Path
+
+import yaml
+from pycocotools import mask as coco_mask
+
+from ..example import Label
+from ..stored import StoredDataset, StoredScene
+from .options import Options, settled
+from .outline import path
+from .placing import place
+
+
+def write_split(
+    folder: Path, split: str, scenes: Iterable[StoredScene], stored: StoredDataset, options: Options
+) -> None:
+    """`images/SPLIT/000000.png` and `labels/SPLIT/000000.txt`."""
+    place_of = {obj_id: i for i, obj_id in enumerate(stored.categories)}
+    kind = settled(options.labels)
+    labels = folder / "labels" / split
+    labels.mkdir(parents=True)
+    for scene in scenes:
+        name = f"{scene.image_id:06d}"
+        target = folder / "images" / split / f"{name}.png"
+        place(scene.png(settled(options.picture)), target, link=settled(options.link))
+        rows = (
+            f"{place_of[label.obj_id]} {_row(label, kind, scene.size_px)}\n"
+            for label in scene.labels(min_visibility=settled(options.min_visibility))
+        )
+        (labels / f"{name}.txt").write_text("".join(rows), encoding="ascii")
+
+
+def write_rest(
+    folder: Path, splits: Iterable[str], stored: StoredDataset, options: Options
+) -> None:
+    """`data.yaml`, without `path`: its own folder is the root, wherever it is moved."""
+    content = {split: f"images/{split}" for split in splits}
+    # Ultralytics insists on both keys; a dataset of one set validates on what it trains on.
+    first = next(iter(content.values()))
+    content = {"train": first, "val": first} | content
+    names = dict(enumerate(stored.categories.values()))
+    text = yaml.safe_dump(content | {"names": names}, sort_keys=False, allow_unicode=True)
+    (folder / "data.yaml").write_text(text, encoding="utf-8")
+
+
+def _row(label: Label, kind: str, size_px: tuple[int, int]) -> str:
+    height_px, width_px = size_px
+    if kind == "boxes":
+        x, y, w, h = label.box
+        numbers = [x + w / 2, y + h / 2, w, h]
+    else:
+        mask = coco_mask.decode(label.segmentation).astype(bool)
+        numbers = path(mask).ravel().tolist()
+    shares = (n / (height_px if i % 2 else width_px) for i, n in enumerate(numbers))
+    return " ".join(f"{share:.7f}" for share in shares)

@@ -1,0 +1,314 @@
+"""From scenes to a dataset: histograms that add up, so memory does not grow with the scenes."""
+
+from collections import Counter
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import dataclass, field
+from multiprocessing import get_context
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from ...base.progress import UNWATCHED, ProgressMeter
+from ..coco import IGNORED_BELOW
+from ..stored import StoredScene, open_dataset
+from .scene_statistics import DEPTH_BIN_MM, SceneFigures, scene_figures
+
+VISIBILITY_BINS = 20
+SIDE_EDGES_PX = 2.0 ** (np.arange(49) / 4)  # quarter octaves, 1 to 4096 px
+SMALL_PX2, LARGE_PX2 = 32**2, 96**2  # COCO's classes of object area
+_QUANTILES = (0.01, 0.05, 0.5, 0.95, 0.99)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ErrorFigures:
+    """Scanner less perfect depth over pixels that have both [mm].
+
+    `sigma_mm` is half the width that holds the middle 68.27 %, which spikes do not move; `rms_mm`
+    they do. NaN where there is no such pixel.
+    """
+
+    pixels: int
+    median_mm: float
+    sigma_mm: float
+    rms_mm: float
+    beyond_1mm: float
+    beyond_5mm: float
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ClassFigures:
+    """One part's instances over all pictures; `scenes` counts the pictures that have any."""
+
+    obj_id: int
+    name: str
+    scenes: int
+    instances: int
+    visible: int  # by 10 % or more: what detectors are scored on
+    visib_fract: Int[np.ndarray, " bins"]  # histogram over 0 to 1
+    side_px: Int[np.ndarray, " sides"]  # root of the visible area, over SIDE_EDGES_PX
+    box_px: Int[np.ndarray, " sides"]  # longer side of the visible box
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PictureFigures:
+    """Over all pictures of one name, the shares of pixels that have a scanner depth."""
+
+    pictures: int
+    decoded: float
+    part_decoded: float
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Statistics:
+    """A dataset in figures. Shares are of 1; counters map a bin to its count."""
+
+    scenes: dict[str, int]  # per split
+    pictures: int  # all else is of these: a scene may have several
+    of_picture: dict[str, PictureFigures]  # by the names that pictures have in their scenes
+    pixels: int
+    part_pixels: int
+    sizes_px: dict[tuple[int, int], int]  # (width, height) to scenes
+    depth_scale_mm: float  # of the histograms of errors
+    classes: tuple[ClassFigures, ...]
+    areas: dict[str, int]  # COCO's small, medium, large among visible instances
+    instances: dict[int, int]  # instances in a scene to scenes
+    depth_bin: dict[int, int]
+    reason: dict[str, float]  # share of all pixels
+    part_reason: dict[str, float]  # share of the parts' visible pixels
+    decoded_share: Int[np.ndarray, " scenes_per_bin"]  # scenes per share of decoded pixels
+    error_step: dict[int, int]
+    part_error_step: dict[int, int]
+    error: ErrorFigures
+    part_error: ErrorFigures
+    gray: dict[int, int]
+    luma: dict[int, int]
+
+    @property
+    def depth_quantiles_mm(self) -> dict[str, float]:
+        """Of perfect depth, to within a bin of 10 mm."""
+        found = _quantiles(self.depth_bin, _QUANTILES)
+        names = [f"p{round(100 * q):02d}" for q in _QUANTILES]
+        return {n: (v + 0.5) * DEPTH_BIN_MM for n, v in zip(names, found, strict=True)}
+
+
+@dataclass(slots=True)
+class _Sums:
+    """What is added up; lives inside one call of `tally`."""
+
+    scenes: Counter = field(default_factory=Counter)
+    pictures: int = 0
+    last: tuple[str, int] | None = None  # the scene of the last picture
+    named: dict[str, list[int]] = field(default_factory=dict)
+    sizes: Counter = field(default_factory=Counter)
+    areas: Counter = field(default_factory=Counter)
+    instances: Counter = field(default_factory=Counter)
+    depth: Counter = field(default_factory=Counter)
+    reason: Counter = field(default_factory=Counter)
+    part_reason: Counter = field(default_factory=Counter)
+    error: Counter = field(default_factory=Counter)
+    part_error: Counter = field(default_factory=Counter)
+    gray: Counter = field(default_factory=Counter)
+    luma: Counter = field(default_factory=Counter)
+    decoded: np.ndarray = field(default_factory=lambda: np.zeros(50, dtype=np.int64))
+    per_class: dict[int, list] = field(default_factory=dict)
+    pixels: int = 0
+    scale_mm: float = 0.0
+
+
+def dataset_statistics(
+    dataset: Path,
+    *,
+    workers: int = 1,
+    progress: ProgressMeter = UNWATCHED,
+) -> Statistics:
+    """Read every scene once and count.
+
+    Args:
+        workers: processes that read; the result does not depend on their number.
+        progress: counts scenes.
+
+    Raises:
+        DatasetError: no scene, or one that cannot be read.
+    """
+    stored = open_dataset(dataset)
+
+    def passing() -> Iterator[SceneFigures]:
+        for done, figures in enumerate(_each(stored.pictures, workers), start=1):
+            progress.count("scenes", done, len(stored.pictures))
+            yield figures
+
+    return tally(passing(), stored.categories)
+
+
+def tally(scenes: Iterable[SceneFigures], categories: Mapping[int, str]) -> Statistics:
+    """Add up scenes' figures, one scene at a time; `categories` are the objects' names."""
+    sums = _Sums()
+    for figures in scenes:
+        _add(sums, figures)
+    part_pixels = sum(sums.part_reason.values())
+    return Statistics(
+        scenes=dict(sums.scenes),
+        pictures=sums.pictures,
+        of_picture={name: _picture(counted) for name, counted in sums.named.items()},
+        pixels=sums.pixels,
+        part_pixels=part_pixels,
+        sizes_px=dict(sums.sizes),
+        depth_scale_mm=sums.scale_mm,
+        classes=tuple(_class(k, categories[k], held) for k, held in sorted(sums.per_class.items())),
+        areas={name: sums.areas[name] for name in ("small", "medium", "large")},
+        instances=dict(sorted(sums.instances.items())),
+        depth_bin=dict(sorted(sums.depth.items())),
+        reason={name: count / max(sums.pixels, 1) for name, count in sums.reason.items()},
+        part_reason={n: count / max(part_pixels, 1) for n, count in sums.part_reason.items()},
+        decoded_share=sums.decoded,
+        error_step=dict(sorted(sums.error.items())),
+        part_error_step=dict(sorted(sums.part_error.items())),
+        error=error_figures(sums.error, sums.scale_mm),
+        part_error=error_figures(sums.part_error, sums.scale_mm),
+        gray=dict(sorted(sums.gray.items())),
+        luma=dict(sorted(sums.luma.items())),
+    )
+
+
+def error_figures(step: dict[int, int], scale_mm: float) -> ErrorFigures:
+    """Figures of a histogram of errors in steps of `scale_mm`."""
+    pixels = sum(step.values())
+    if not pixels:
+        nan = float("nan")
+        return ErrorFigures(
+            pixels=0, median_mm=nan, sigma_mm=nan, rms_mm=nan, beyond_1mm=nan, beyond_5mm=nan
+        )
+    value = np.array(list(step), dtype=np.float64) * scale_mm
+    weight = np.array(list(step.values())) / pixels
+    low, median, high = _quantiles(step, (0.15866, 0.5, 0.84134), continuous=True)
+    return ErrorFigures(
+        pixels=pixels,
+        median_mm=float(median * scale_mm),
+        sigma_mm=float((high - low) / 2 * scale_mm),
+        rms_mm=float(np.sqrt(weight @ value**2)),
+        beyond_1mm=float(weight[np.abs(value) > 1 + 1e-9].sum()),
+        beyond_5mm=float(weight[np.abs(value) > 5 + 1e-9].sum()),
+    )
+
+
+def _quantiles(
+    counts: dict[int, int], shares: tuple[float, ...], *, continuous: bool = False
+) -> Float[np.ndarray, " shares"]:
+    """Quantiles of a histogram over whole numbers.
+
+    `continuous` takes a number k for all values from k - 1/2 to k + 1/2, spread evenly: what
+    rounding did to a smooth distribution. NaN of nothing.
+    """
+    if not counts:
+        return np.full(len(shares), np.nan)
+    value = np.array(sorted(counts), dtype=np.float64)
+    weight = np.array([counts[int(v)] for v in value], dtype=np.float64)
+    total = weight.cumsum()
+    wanted = np.array(shares) * total[-1]
+    k = np.searchsorted(total, wanted).clip(max=len(value) - 1)
+    inside = (wanted - (total[k] - weight[k])) / weight[k] - 0.5
+    return value[k] + inside if continuous else value[k]
+
+
+def _each(scenes: Sequence[StoredScene], workers: int) -> Iterator[SceneFigures]:
+    if workers == 1:
+        yield from map(_read, scenes)
+        return
+    with ProcessPoolExecutor(workers, mp_context=get_context("spawn")) as pool:
+        yield from pool.map(_read, scenes, chunksize=4)
+
+
+def _read(scene: StoredScene) -> SceneFigures:
+    return scene_figures(scene.content())
+
+
+def _add(sums: _Sums, figures: SceneFigures) -> None:
+    here = (figures.split, figures.scene_id)
+    sums.scenes[figures.split] += here != sums.last  # a scene's pictures come in a row
+    sums.last = here
+    sums.pictures += 1
+    _add_picture(sums, figures)
+    sums.sizes[figures.width_px, figures.height_px] += 1
+    sums.instances[len(figures.obj_id)] += 1
+    sums.pixels += figures.pixels
+    sums.depth.update(figures.depth_bin)
+    sums.reason.update(figures.reason_px)
+    sums.part_reason.update(figures.part_reason_px)
+    sums.gray.update(figures.gray)
+    sums.luma.update(figures.luma)
+    sums.decoded[min(int(figures.decoded_share * 50), 49)] += 1
+    sums.scale_mm = sums.scale_mm or figures.depth_scale_mm
+    for total, own in (
+        (sums.error, figures.error_step),
+        (sums.part_error, figures.part_error_step),
+    ):
+        if figures.depth_scale_mm == sums.scale_mm:
+            total.update(own)
+        else:  # scenes of real pictures may come in other steps
+            ratio = figures.depth_scale_mm / sums.scale_mm
+            for step, count in own.items():
+                total[round(step * ratio)] += count
+    _add_instances(sums, figures)
+
+
+def _add_picture(sums: _Sums, figures: SceneFigures) -> None:
+    counted = [
+        1,
+        figures.pixels,
+        figures.reason_px.get("decoded", 0),
+        sum(figures.part_reason_px.values()),
+        figures.part_reason_px.get("decoded", 0),
+    ]
+    held = sums.named.setdefault(figures.picture, [0] * len(counted))
+    sums.named[figures.picture] = [a + b for a, b in zip(held, counted, strict=True)]
+
+
+def _picture(counted: list[int]) -> PictureFigures:
+    pictures, pixels, decoded, part_pixels, part_decoded = counted
+    return PictureFigures(
+        pictures=pictures,
+        decoded=decoded / max(pixels, 1),
+        part_decoded=part_decoded / max(part_pixels, 1),
+    )
+
+
+def _add_instances(sums: _Sums, figures: SceneFigures) -> None:
+    for obj_id in set(figures.obj_id):
+        blank = [0, 0, 0, *(np.zeros(n, dtype=np.int64) for n in _CLASS_BINS)]
+        sums.per_class.setdefault(obj_id, blank)[0] += 1
+    each = zip(figures.obj_id, figures.visib_fract, figures.area_px, figures.box_px, strict=True)
+    for obj_id, share, area_px, box_px in each:
+        held = sums.per_class[obj_id]
+        held[1] += 1
+        held[2] += share is None or share >= IGNORED_BELOW
+        if share is not None:
+            held[3][min(int(share * VISIBILITY_BINS), VISIBILITY_BINS - 1)] += 1
+        if area_px:
+            held[4][_side_bin(area_px**0.5)] += 1
+            held[5][_side_bin(float(max(box_px)))] += 1
+            size = "small" if area_px < SMALL_PX2 else "large" if area_px > LARGE_PX2 else "medium"
+            sums.areas[size] += 1
+
+
+_CLASS_BINS = (VISIBILITY_BINS, len(SIDE_EDGES_PX) - 1, len(SIDE_EDGES_PX) - 1)
+
+
+def _side_bin(side_px: float) -> int:
+    k = int(np.searchsorted(SIDE_EDGES_PX, side_px, side="right")) - 1
+    return min(max(k, 0), len(SIDE_EDGES_PX) - 2)
+
+
+def _class(obj_id: int, name: str, held: list) -> ClassFigures:
+    scenes, instances, visible, visib_fract, side_px, box_px = held
+    return ClassFigures(
+        obj_id=obj_id,
+        name=name,
+        scenes=scenes,
+        instances=instances,
+        visible=int(visible),
+        visib_fract=visib_fract,
+        side_px=side_px,
+        box_px=box_px,
+    )

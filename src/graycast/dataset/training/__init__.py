@@ -1,0 +1,6 @@
+"""Examples for trainers, read alike from a dataset and from its exports."""
+
+from ..example import Example
+from .sources import Examples, open_examples
+
+__all__ = ["Example", "Examples", "open_examples"]

@@ -1,0 +1,301 @@
+"""Examples from datasets that others made: COCO annotations, and folders in BOP's form.
+
+A picture is an example. Examples are numbered in the order of their files, and their names say
+which picture each is.
+"""
+
+import glob
+import json
+import math
+from collections import defaultdict
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import Any, final
+
+import cv2
+import numpy as np
+from pycocotools import mask as coco_mask
+
+from ...base.errors import DatasetError
+from ...base.file_limits import check_runs, parse_json
+from ..example import Example, metres, pose_m
+from ..records import Images, Positive
+from ..safe_reading import Unreadable
+from ..scene_folder import AnyInfo, AnyPose, AnyView, SceneFolder
+from .from_bytes import boxes, masks, picture
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Foreign:
+    """A dataset of others.
+
+    Attributes:
+        scene_of: what each example belongs to; a scene's pictures go into one set together.
+        categories: object ids and names.
+        read: an example by its number.
+    """
+
+    scene_of: tuple[int, ...]
+    categories: Mapping[int, str]
+    read: Callable[[int], Example]
+
+
+def is_foreign(path: Path) -> bool:
+    """Whether it is a JSON file, or a folder of BOP's scenes."""
+    return path.suffix == ".json" or bool(_bop_scenes(path))
+
+
+def open_foreign(path: Path) -> Foreign:
+    """Read the annotations; pictures when they are asked for.
+
+    Args:
+        path: a file of COCO annotations, whose pictures lie beside it or beside its folder; or a
+            folder with the scenes of one of BOP's splits, such as `train_pbr`.
+
+    Raises:
+        DatasetError: a file is missing, damaged, or of another form.
+    """
+    return _open_coco(path) if path.suffix == ".json" else _open_bop(path)
+
+
+# --- COCO ---------------------------------------------------------------------------------------
+
+
+_Fits = Callable[[Any], bool]
+_Wanted = Mapping[str, tuple[_Fits, str]]
+
+
+def _is_text(value: Any) -> bool:
+    return isinstance(value, str) and bool(value)
+
+
+def _is_number(value: Any) -> bool:
+    return isinstance(value, int) and not isinstance(value, bool)
+
+
+def _is_id(value: Any) -> bool:
+    return _is_number(value) or _is_text(value)
+
+
+def _is_box(value: Any) -> bool:
+    if not isinstance(value, list) or len(value) != 4:
+        return False
+    return all(isinstance(edge, int | float) and math.isfinite(edge) for edge in value)
+
+
+_COCO: Mapping[str, _Wanted] = {
+    "images": {"id": (_is_id, "a number"), "file_name": (_is_text, "the name of a file")},
+    "categories": {"id": (_is_number, "a whole number"), "name": (_is_text, "a word")},
+    "annotations": {
+        "image_id": (_is_id, "the id of an image"),
+        "category_id": (_is_number, "a whole number, the id of a category"),
+        "bbox": (_is_box, "four numbers [x, y, width, height] in pixels"),
+    },
+}
+
+
+def _open_coco(path: Path) -> Foreign:
+    content = _json(path)
+    for name, wanted in _COCO.items():
+        if not isinstance(content, dict) or not isinstance(content.get(name), list):
+            raise DatasetError(f"{path}: holds no COCO annotations (a list of {name} is missing)")
+        for number, entry in enumerate(content[name]):
+            _check(entry, wanted, f"{path}: {name}[{number}]")
+    # Numbers before words, where somebody mixed them.
+    images = sorted(content["images"], key=lambda image: (_is_text(image["id"]), image["id"]))
+    if not images:
+        raise DatasetError(f"{path}: has no images")
+    categories = {entry["id"]: entry["name"] for entry in content["categories"]}
+    entries: dict[Any, list[dict[str, Any]]] = defaultdict(list)
+    for number, entry in enumerate(content["annotations"]):
+        if entry["category_id"] not in categories:
+            raise DatasetError(
+                f"{path}: annotations[{number}] has category_id {entry['category_id']}, and "
+                "categories do not list it: add the category, or remove the annotation"
+            )
+        entries[entry["image_id"]].append(entry)
+    return Foreign(
+        scene_of=tuple(range(len(images))),
+        categories=categories,
+        read=partial(_coco_example, path, tuple(images), dict(entries)),
+    )
+
+
+def _check(entry: Any, wanted: _Wanted, place: str) -> None:
+    """What was written by others has the keys that are read, and they hold what they should."""
+    if not isinstance(entry, dict):
+        raise DatasetError(
+            f"{place} is {_short(entry)}: it must be an object with {', '.join(wanted)}"
+        )
+    for key, (fits, told) in wanted.items():
+        if key not in entry:
+            raise DatasetError(f"{place} has no {key}: add it ({told}), or remove the entry")
+        if not fits(entry[key]):
+            raise DatasetError(f"{place} has {key} {_short(entry[key])}: it must be {told}")
+
+
+def _short(value: Any) -> str:
+    text = json.dumps(value)
+    return text if len(text) <= 40 else f"{text[:37]}..."
+
+
+def _coco_example(
+    path: Path, images: tuple[dict[str, Any], ...], entries: Mapping[Any, list], number: int
+) -> Example:
+    image = images[number]
+    file = _beside(path, image["file_name"])
+    rgb = _colour(file)
+    size = rgb.shape[:2]
+    labels = entries.get(image["id"], [])
+    name = f"{path}: image {image['id']}"
+    drawn = [entry.get("segmentation") or [] for entry in labels]
+    mask = None
+    if all(drawn):
+        mask = masks([_run(each, size, name) for each in drawn], size, name)
+    return Example(
+        scene_id=number,
+        rgb=rgb,
+        obj_id=np.array([entry["category_id"] for entry in labels], np.int64),
+        mask=mask,
+        box_px=np.array([entry["bbox"] for entry in labels], np.float32).reshape(-1, 4),
+        ignored=np.array([bool(entry.get("iscrowd", 0)) for entry in labels], bool),
+    )
+
+
+def _run(drawn: Any, size: tuple[int, int], name: str) -> dict[str, Any]:
+    """Polygons or run lengths as compressed run lengths."""
+    try:
+        if isinstance(drawn, list):
+            return coco_mask.merge(coco_mask.frPyObjects(drawn, *size))
+        check_runs(drawn, f"{name}: a segmentation", DatasetError)
+        if isinstance(drawn["counts"], list):
+            return coco_mask.frPyObjects(drawn, *size)
+        return {"size": list(drawn["size"]), "counts": drawn["counts"]}
+    except KeyError as error:
+        raise DatasetError(f"{name}: a segmentation is damaged ({error} is missing)") from error
+    except (TypeError, ValueError) as error:
+        raise DatasetError(f"{name}: a segmentation is damaged ({error})") from error
+
+
+def _beside(path: Path, name: str) -> Path:
+    """Where a picture is: by COCO's custom beside the annotations, or in a folder near them."""
+    plain = glob.escape(name)  # brackets in a name are no pattern
+    for folder in (path.parent, path.parent.parent):
+        for file in (folder / name, *folder.glob(f"*/{plain}"), *folder.glob(f"*/*/{plain}")):
+            if file.is_file():
+                return file
+    raise DatasetError(
+        f"{path}: picture {name} is neither beside the annotations nor in a folder near them"
+    )
+
+
+# --- BOP ----------------------------------------------------------------------------------------
+
+
+class _View(AnyView):
+    """A dataset without depth need not say its scale."""
+
+    depth_scale: Positive = 1.0
+
+
+def _bop_scenes(path: Path) -> list[Path]:
+    found = (file.parent for file in path.glob("[0-9]*/scene_gt.json"))
+    return sorted(folder for folder in found if folder.name.isdecimal())
+
+
+def _open_bop(path: Path) -> Foreign:
+    place: list[tuple[SceneFolder, int]] = []
+    obj_ids: set[int] = set()
+    for folder in _bop_scenes(path):
+        scene = SceneFolder(folder)
+        try:
+            shown = scene.record("scene_gt", Images[list[AnyPose]]).root
+        except Unreadable as error:
+            raise DatasetError(
+                f"{folder}/{error}: each key must be the number of an image, and hold the list of "
+                "its objects, each with obj_id (a whole number), cam_R_m2c and cam_t_m2c"
+            ) from error
+        place += [(scene, image) for image in sorted(shown)]
+        obj_ids |= {one.obj_id for objects in shown.values() for one in objects}
+    return Foreign(
+        scene_of=tuple(int(scene.path.name) for scene, _ in place),
+        categories={obj_id: f"obj_{obj_id:06d}" for obj_id in sorted(obj_ids)},
+        read=partial(_bop_example, tuple(place)),
+    )
+
+
+def _bop_example(place: tuple[tuple[SceneFolder, int], ...], number: int) -> Example:
+    """BOP has one depth, rendered or measured; it is given as both."""
+    scene, image = place[number]
+    try:
+        poses = scene.of_instances("scene_gt", image, AnyPose)
+        infos = scene.of_instances("scene_gt_info", image, AnyInfo)
+        camera = scene.of_image("scene_camera", image, _View)
+        rgb, gray, steps = (scene.picture(kind, image) for kind in ("rgb", "gray", "depth"))
+        size = next((held.shape[:2] for held in (rgb, gray, steps) if held is not None), None)
+        if size is None:
+            raise Unreadable(f"image {image} has no rgb, gray or depth")
+        if len(poses) != len(infos):
+            told = f"{len(poses)} objects in scene_gt.json, {len(infos)} in scene_gt_info.json"
+            raise Unreadable(f"image {image} has {told}")
+        seen = [i for i, info in enumerate(infos) if info.px_count_visib > 0]
+        mask = np.zeros((len(seen), *size), dtype=bool)
+        for k, i in enumerate(seen):
+            visible = scene.mask("mask_visib", i, image)
+            if visible.shape != size:
+                raise Unreadable(f"image {image}: mask {i} is {visible.shape}, the picture {size}")
+            if not visible.any():
+                count = infos[i].px_count_visib
+                raise Unreadable(f"image {image}: mask {i} is empty, and px_count_visib is {count}")
+            mask[k] = visible
+    except Unreadable as error:
+        raise DatasetError(
+            f"{scene.path}: {error}: training needs a picture, the visible masks of every "
+            "instance, and the image in scene_gt.json, scene_gt_info.json and scene_camera.json: "
+            "repair the damaged files, or remove the image from all three"
+        ) from error
+    pose = [pose_m(poses[i].cam_R_m2c, poses[i].cam_t_m2c) for i in seen]
+    depth_m = None if steps is None else metres(steps, camera.depth_scale)
+    return Example(
+        scene_id=number,
+        K=np.array(camera.cam_K, float).reshape(3, 3),
+        rgb=None if rgb is None else np.ascontiguousarray(rgb[..., :3][..., ::-1]),
+        gray=gray,
+        depth_m=depth_m,
+        scanner_depth_m=None if depth_m is None else depth_m.copy(),
+        instance=np.array(seen, np.int64),
+        obj_id=np.array([poses[i].obj_id for i in seen], np.int64),
+        mask=mask,
+        box_px=boxes(mask) if seen else np.zeros((0, 4), np.float32),
+        T_cam_part=np.array(pose, float).reshape(-1, 4, 4),
+        visib_fract=np.array([infos[i].visib_fract for i in seen], float),
+    )
+
+
+# --- both ---------------------------------------------------------------------------------------
+
+
+def _json(path: Path) -> Any:
+    try:
+        return parse_json(_bytes(path))
+    except ValueError as error:
+        raise DatasetError(f"{path}: is not JSON, or is cut off") from error
+
+
+def _bytes(path: Path) -> bytes:
+    try:
+        return path.read_bytes()
+    except OSError as error:
+        raise DatasetError(f"{path}: cannot be read ({error.strerror})") from error
+
+
+def _colour(file: Path) -> np.ndarray:
+    image = picture(_bytes(file), str(file))
+    if image.dtype != np.uint8:
+        raise DatasetError(f"{file}: is {image.dtype}, but a colour picture must have 8 bits")
+    if image.ndim == 2:
+        return cv2.cvtColor(image, cv2.COLOR_GRAY2RGB)
+    return np.ascontiguousarray(image[..., :3][..., ::-1])

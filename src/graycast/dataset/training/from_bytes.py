@@ -1,0 +1,66 @@
+"""Pieces that several formats share: pictures from bytes, masks from run lengths."""
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from pycocotools import mask as coco_mask
+
+from ...base.array_types import Bool, Float32, UInt8
+from ...base.errors import DatasetError
+from ..example import metres
+from ..safe_reading import Unreadable, pixels
+
+
+def picture(data: bytes, name: str) -> np.ndarray:
+    """An encoded picture as stored, colour in OpenCV's order.
+
+    Raises:
+        DatasetError: it is none.
+    """
+    try:
+        return pixels(data, name)
+    except Unreadable as error:
+        raise DatasetError(f"{error}: export again") from error
+
+
+def image_fields(kind: str, data: bytes, name: str) -> dict[str, UInt8[np.ndarray, "..."]]:
+    """The picture as the field of an `Example` that its kind, rgb or gray, belongs to."""
+    image = picture(data, name)
+    if (image.ndim == 3) != (kind == "rgb") or image.dtype != np.uint8:
+        raise DatasetError(f"{name}: is {image.dtype} {image.shape}, not 8-bit {kind}")
+    return {kind: np.ascontiguousarray(image[..., ::-1]) if kind == "rgb" else image}
+
+
+def depth_m(data: bytes, scale_mm: float, name: str) -> Float32[np.ndarray, "h w"]:
+    """A 16-bit depth picture in metres."""
+    steps = picture(data, name)
+    if steps.ndim != 2 or steps.dtype != np.uint16:
+        raise DatasetError(
+            f"{name}: is {steps.dtype} {steps.shape}, but depth must have one channel of 16 bits"
+        )
+    return metres(steps, scale_mm)
+
+
+def masks(
+    runs: Sequence[dict[str, Any]], size_px: tuple[int, int], name: str
+) -> Bool[np.ndarray, "n h w"]:
+    """Masks of one picture from COCO's run lengths, compressed or not.
+
+    Raises:
+        DatasetError: they are of another picture.
+    """
+    mask = np.zeros((len(runs), *size_px), dtype=bool)
+    for i, run in enumerate(runs):
+        if list(run["size"]) != list(size_px):
+            raise DatasetError(f"{name}: mask {i} is {run['size']}, the picture {list(size_px)}")
+        if isinstance(run["counts"], list):
+            run = coco_mask.frPyObjects(run, *size_px)
+        mask[i] = coco_mask.decode(run)
+    return mask
+
+
+def boxes(mask: Bool[np.ndarray, "n h w"]) -> Float32[np.ndarray, "n 4"]:
+    """[x, y, columns, rows] of masks that are not empty."""
+    encoded = coco_mask.encode(np.asfortranarray(np.moveaxis(mask, 0, -1), dtype=np.uint8))
+    return coco_mask.toBbox(encoded).astype(np.float32).reshape(-1, 4)

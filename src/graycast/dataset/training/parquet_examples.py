@@ -1,0 +1,77 @@
+"""Examples from Parquet exports."""
+
+from collections.abc import Callable, Sequence
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ...base.errors import DatasetError
+from ..example import Example
+from ..export.parquet import schema  # says what to install where pyarrow is missing
+from ..export.record import ExportRecord
+from .from_bytes import depth_m, image_fields, masks
+
+# Where it is missing, `export.parquet` has raised before this.
+# isort: split
+import pyarrow as pa
+import pyarrow.parquet as pq
+
+_DEPTH_FIELDS = {"depth": "depth_m", "depth_sl": "scanner_depth_m"}
+_LABELS = {
+    "gt_id": ("instance", np.int64, (-1,)),
+    "obj_id": ("obj_id", np.int64, (-1,)),
+    "boxes": ("box_px", np.float32, (-1, 4)),
+    "poses": ("T_cam_part", np.float64, (-1, 4, 4)),
+    "visib_fract": ("visib_fract", np.float64, (-1,)),
+}
+
+
+def open_parquet(
+    folder: Path, split: str, record: ExportRecord, scene_ids: Sequence[int]
+) -> Callable[[int], Example]:
+    """Finds each scene's file and row group; rows are read when they are asked for."""
+    place: dict[int, tuple[Path, int, int]] = {}
+    for path in sorted((folder / split).glob("part-*.parquet")):
+        try:
+            file = pq.ParquetFile(path)
+            if not file.schema_arrow.equals(schema()):
+                raise DatasetError(f"{path}: has other columns than an export has: export again")
+            for group in range(file.num_row_groups):
+                rows = file.read_row_group(group, columns=["scene_id"])["scene_id"].to_pylist()
+                place |= {scene_id: (path, group, row) for row, scene_id in enumerate(rows)}
+        except (pa.ArrowException, OSError) as error:
+            raise DatasetError(f"{path}: is damaged ({error}): export again") from error
+    if missing := sorted(set(scene_ids) - set(place)):
+        raise DatasetError(f"{folder / split}: no file has scene {missing[0]}: export again")
+    return partial(_example, place, record)
+
+
+def _example(
+    place: dict[int, tuple[Path, int, int]], record: ExportRecord, scene_id: int
+) -> Example:
+    path, group, row = place[scene_id]
+    name = f"{path}: scene {scene_id}"
+    try:
+        held = pq.ParquetFile(path).read_row_group(group).slice(row, 1).to_pylist()[0]
+    except (pa.ArrowException, OSError) as error:
+        raise DatasetError(f"{path}: is damaged ({error}): export again") from error
+    fields: dict[str, Any] = {}
+    for kind in ("rgb", "gray"):
+        if held[kind] is not None:
+            fields |= image_fields(kind, held[kind]["bytes"], name)
+    for column, field in _DEPTH_FIELDS.items():
+        if held[column] is not None:
+            fields[field] = depth_m(held[column]["bytes"], held["depth_scale"], name)
+    for column, (field, dtype, shape) in _LABELS.items():
+        if held[column] is not None:
+            fields[field] = np.array(held[column], dtype).reshape(shape)
+    if held["masks"] is not None:
+        fields["mask"] = masks(held["masks"], record.size_of(scene_id), name)
+    return Example(
+        scene_id=scene_id,
+        K=np.array(held["cam_K"], float).reshape(3, 3),
+        distortion=tuple(held["distortion"]),
+        **fields,
+    )

@@ -1,0 +1,176 @@
+"""Examples from BOP's image-wise layout, its shards, and WebDataset shards."""
+
+import io
+import tarfile
+from collections.abc import Callable, Mapping, Sequence
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ...base.errors import DatasetError
+from ...base.file_limits import parse_json
+from ..example import Example, metres, pose_m
+from ..export.placing import bop_key
+from ..export.record import ExportRecord
+from .from_bytes import boxes, depth_m, image_fields, masks
+
+Files = Mapping[str, bytes]
+Place = tuple[Path, int, int]  # file, offset and length of a member
+_DEPTH_FIELDS = {"depth": "depth_m", "depth_sl": "scanner_depth_m"}
+
+
+def open_bop_imagewise(
+    folder: Path, split: str, record: ExportRecord, scene_ids: Sequence[int]
+) -> Callable[[int], Example]:
+    return partial(_bop_from_folder, folder / split, record)
+
+
+def open_bop_shards(
+    folder: Path, split: str, record: ExportRecord, scene_ids: Sequence[int]
+) -> Callable[[int], Example]:
+    return partial(_bop_from_shard, _index(folder / split), record)
+
+
+def open_webdataset(
+    folder: Path, split: str, record: ExportRecord, scene_ids: Sequence[int]
+) -> Callable[[int], Example]:
+    return partial(_own_from_shard, _index(folder / split), record)
+
+
+def _bop_from_folder(folder: Path, record: ExportRecord, scene_id: int) -> Example:
+    key = bop_key(*record.place(scene_id))
+    try:
+        files = {
+            path.name.removeprefix(f"{key}."): path.read_bytes() for path in folder.glob(f"{key}.*")
+        }
+    except OSError as error:
+        raise DatasetError(f"{folder}: {key} cannot be read ({error.strerror})") from error
+    return _checked(_bop_example, files, record, scene_id, f"{folder}: {key}")
+
+
+def _bop_from_shard(
+    index: Mapping[str, Mapping[str, Place]], record: ExportRecord, scene_id: int
+) -> Example:
+    key = bop_key(*record.place(scene_id))
+    return _checked(_bop_example, _members(index, key), record, scene_id, key)
+
+
+def _own_from_shard(
+    index: Mapping[str, Mapping[str, Place]], record: ExportRecord, scene_id: int
+) -> Example:
+    key = f"{scene_id:06d}"
+    return _checked(_own_example, _members(index, key), record, scene_id, key)
+
+
+def _checked(
+    make: Callable[..., Example], files: Files, record: ExportRecord, scene_id: int, name: str
+) -> Example:
+    try:
+        return make(files, record, scene_id, name)
+    except (KeyError, ValueError, TypeError, IndexError) as error:
+        why = f"{type(error).__name__} {error}"
+        raise DatasetError(f"{name}: is damaged ({why}): export again") from error
+
+
+def _bop_example(files: Files, record: ExportRecord, scene_id: int, name: str) -> Example:
+    camera = parse_json(files["camera.json"])
+    fields: dict[str, Any] = {}
+    for kind, ending in (("rgb", "rgb.png"), ("gray", "gray.tiff")):
+        if ending in files:
+            fields |= image_fields(kind, files[ending], name)
+    if "depth.png" in files:
+        field = _DEPTH_FIELDS["depth_sl" if record.options["depth"] == "scanner" else "depth"]
+        fields[field] = depth_m(files["depth.png"], camera["depth_scale"], name)
+    K = np.array(camera["cam_K"], float).reshape(3, 3)
+    if record.options.get("pixel_origin") == "corner":
+        K[:2, 2] -= 0.5
+    return Example(
+        scene_id=scene_id,
+        K=K,
+        distortion=tuple(camera.get("distortion", (0.0,) * 5)),
+        **fields,
+        **(_bop_labels(files, record, scene_id, name) if "gt.json" in files else {}),
+    )
+
+
+def _bop_labels(files: Files, record: ExportRecord, scene_id: int, name: str) -> dict[str, Any]:
+    gt, info = parse_json(files["gt.json"]), parse_json(files["gt_info.json"])
+    runs = parse_json(files["mask_visib.json"])
+    seen = [i for i, entry in enumerate(info) if entry["px_count_visib"] > 0]
+    mask = masks([runs[str(i)] for i in seen], record.size_of(scene_id), name)
+    pose = [pose_m(gt[i]["cam_R_m2c"], gt[i]["cam_t_m2c"]) for i in seen if "cam_R_m2c" in gt[i]]
+    posed, rated = "poses" in record.holds, "shares" in record.holds
+    return {
+        "instance": np.array(seen, np.int64),
+        "obj_id": np.array([gt[i]["obj_id"] for i in seen], np.int64),
+        "mask": mask,
+        "box_px": boxes(mask) if seen else np.zeros((0, 4), np.float32),
+        "T_cam_part": np.array(pose, float).reshape(-1, 4, 4) if posed else None,
+        "visib_fract": np.array([info[i]["visib_fract"] for i in seen], float) if rated else None,
+    }
+
+
+def _own_example(files: Files, record: ExportRecord, scene_id: int, name: str) -> Example:
+    info = parse_json(files["info.json"])
+    fields: dict[str, Any] = {}
+    for kind in ("rgb", "gray"):
+        if f"{kind}.png" in files:
+            fields |= image_fields(kind, files[f"{kind}.png"], name)
+    for ending, field in _DEPTH_FIELDS.items():
+        if f"{ending}.npy" in files:
+            fields[field] = metres(_npy(files[f"{ending}.npy"]), info["depth_scale"])
+    arrays = {"obj_id": "obj_id", "boxes": "box_px", "poses": "T_cam_part"}
+    for ending, field in (arrays | {"visib_fract": "visib_fract"}).items():
+        if f"{ending}.npy" in files:
+            fields[field] = _npy(files[f"{ending}.npy"])
+    if "masks.json" in files:
+        fields["mask"] = masks(parse_json(files["masks.json"]), tuple(info["size"]), name)
+        fields["instance"] = np.array(info["gt_id"], np.int64)
+    return Example(
+        scene_id=scene_id,
+        K=np.array(info["cam_K"], float).reshape(3, 3),
+        distortion=tuple(info["distortion"]),
+        **fields,
+    )
+
+
+def _npy(data: bytes) -> np.ndarray:
+    return np.load(io.BytesIO(data), allow_pickle=False)
+
+
+def _index(folder: Path) -> dict[str, dict[str, Place]]:
+    """Where each member of each sample lies, by key and ending, from the headers of all shards.
+
+    Raises:
+        DatasetError: there is no shard, or one is cut off.
+    """
+    index: dict[str, dict[str, Place]] = {}
+    shards = sorted(folder.glob("shard-*.tar"))
+    if not shards:
+        raise DatasetError(f"{folder}: has no shard-000000.tar: export again")
+    for path in shards:
+        length = path.stat().st_size
+        try:
+            with tarfile.open(path, "r:") as shard:
+                members = shard.getmembers()
+        except tarfile.TarError as error:
+            raise DatasetError(f"{path}: is damaged ({error}): export again") from error
+        for member in members:
+            if member.offset_data + member.size > length:
+                raise DatasetError(f"{path}: ends before {member.name} does: copy it again")
+            key, _, ending = member.name.partition(".")
+            index.setdefault(key, {})[ending] = (path, member.offset_data, member.size)
+    return index
+
+
+def _members(index: Mapping[str, Mapping[str, Place]], key: str) -> Files:
+    if key not in index:
+        raise DatasetError(f"no shard holds {key}, export.json does: export again")
+    files = {}
+    for ending, (path, offset, length) in index[key].items():
+        with open(path, "rb") as shard:
+            shard.seek(offset)
+            files[ending] = shard.read(length)
+    return files

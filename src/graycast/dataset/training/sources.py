@@ -1,0 +1,177 @@
+"""One reader for datasets, for their exports that hold examples, and for datasets of others."""
+
+from collections import Counter
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import final, overload
+
+from ...base.errors import DatasetError
+from ..example import Example
+from ..export.record import RECORD, read_record
+from ..export.split import Split
+from ..places import CLAIM
+from ..stored import StoredDataset, open_dataset
+from .foreign import Foreign, is_foreign, open_foreign
+
+ReadOne = Callable[[int], Example]
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Examples(Sequence):
+    """The examples of one set, each read from its files when it is asked for.
+
+    It holds no open files, so that the processes of a data loader can each have it.
+
+    Attributes:
+        folder: where they come from.
+        scene_ids: numbers of the pictures, in the order of the examples: the scenes', where each
+            has one.
+        categories: object ids and the parts' names.
+        place_of: the scene of each picture, by the picture's number, its scanner's name, and its
+            number among the scene's pictures by that scanner.
+    """
+
+    folder: Path
+    split: str
+    scene_ids: tuple[int, ...]
+    categories: Mapping[int, str]
+    read: ReadOne
+    place_of: Mapping[int, tuple[int, str, int]]
+
+    def __len__(self) -> int:
+        return len(self.scene_ids)
+
+    @overload
+    def __getitem__(self, index: int) -> Example: ...
+
+    @overload
+    def __getitem__(self, index: slice) -> list[Example]: ...
+
+    def __getitem__(self, index: int | slice) -> Example | list[Example]:
+        """Read an example.
+
+        Raises:
+            DatasetError: a file of it is missing or damaged.
+            IndexError: there are not so many.
+        """
+        chosen = self.scene_ids[index]
+        if isinstance(chosen, tuple):
+            return [self.read(scene_id) for scene_id in chosen]
+        return self.read(chosen)
+
+
+def open_examples(folder: Path, *, split: str = "train", division: Split | None = None) -> Examples:
+    """The examples of a dataset, of what `graycast export` made from it, or of others' datasets.
+
+    Args:
+        folder: a dataset's or an export's; of others a file of COCO annotations, or the folder of
+            one of BOP's splits, such as `train_pbr`.
+        split: `train`, `val` or `test`.
+        division: the shares of the sets; all scenes are `train` if nothing is said. An export was
+            divided when it was made.
+
+    Raises:
+        DatasetError: the folder is none of these, or has no such set.
+    """
+    if not (folder / CLAIM).is_file() and not (folder / RECORD).is_file() and is_foreign(folder):
+        return _from_others(folder, open_foreign(folder), split, division or Split())
+    if not (folder / RECORD).is_file():
+        return _from_dataset(open_dataset(folder), split, division or Split())
+    if division is not None:
+        raise DatasetError(f"{folder}: was divided when it was exported: remove --split")
+    record = read_record(folder)
+    scene_ids = _of_set(folder, record.splits, split)
+    return Examples(
+        folder=folder,
+        split=split,
+        scene_ids=scene_ids,
+        categories={int(obj_id): name for obj_id, name in record.categories.items()},
+        place_of={image_id: record.image(image_id) for image_id in scene_ids},
+        read=_reader(record.format)(folder, split, record, scene_ids),
+    )
+
+
+def _from_dataset(stored: StoredDataset, split: str, division: Split) -> Examples:
+    images = stored.image_ids(stored.scene_ids["train"])
+    divided = division.assign(images, images=len(stored.images))
+    image_ids = _of_set(stored.folder, divided, split)
+    return Examples(
+        folder=stored.folder,
+        split=split,
+        scene_ids=image_ids,
+        categories=stored.categories,
+        place_of={
+            image_id: (scene_id, *stored.images[place])
+            for image_id in image_ids
+            for scene_id, place in [divmod(image_id, len(stored.images))]
+        },
+        read=partial(_stored_example, stored),
+    )
+
+
+def _from_others(path: Path, foreign: Foreign, split: str, division: Split) -> Examples:
+    sets = division.assign(set(foreign.scene_of))
+    inside = set(_of_set(path, sets, split))
+    return Examples(
+        folder=path,
+        split=split,
+        scene_ids=tuple(i for i, scene in enumerate(foreign.scene_of) if scene in inside),
+        categories=foreign.categories,
+        place_of=_places(foreign.scene_of),
+        read=foreign.read,
+    )
+
+
+def _places(scene_of: Sequence[int]) -> dict[int, tuple[int, str, int]]:
+    """`Examples.place_of` of pictures by one scanner without a name."""
+    before: Counter[int] = Counter()
+    places = {}
+    for i, scene in enumerate(scene_of):
+        places[i] = (scene, "", before[scene])
+        before[scene] += 1
+    return places
+
+
+def _stored_example(stored: StoredDataset, scene_id: int) -> Example:
+    return stored.picture(scene_id).example()
+
+
+def _of_set(folder: Path, sets: Mapping[str, Sequence[int]], split: str) -> tuple[int, ...]:
+    if split not in sets:
+        raise DatasetError(f"{folder}: has no set {split!r}: choose one of {', '.join(sets)}")
+    return tuple(sets[split])
+
+
+def _reader(name: str) -> Callable[..., ReadOne]:
+    match name:
+        case "coco":
+            from .picture_folders import open_coco
+
+            return open_coco
+        case "yolo":
+            from .picture_folders import open_yolo
+
+            return open_yolo
+        case "bop-imagewise":
+            from .shard_examples import open_bop_imagewise
+
+            return open_bop_imagewise
+        case "bop-webdataset":
+            from .shard_examples import open_bop_shards
+
+            return open_bop_shards
+        case "webdataset":
+            from .shard_examples import open_webdataset
+
+            return open_webdataset
+        case "parquet":
+            from .parquet_examples import open_parquet
+
+            return open_parquet
+    raise DatasetError(
+        f"an export as {name} holds points but no labels: train from the dataset or from another "
+        "export"
+    )

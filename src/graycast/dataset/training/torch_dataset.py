@@ -1,0 +1,74 @@
+"""The examples as a map-style dataset of PyTorch; imported by who has it installed."""
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, final
+
+import numpy as np
+
+from ...base.errors import GraycastError
+from ..example import Example
+from ..export.split import Split
+from .sources import open_examples
+
+try:
+    import torch
+    from torch.utils.data import Dataset
+except ImportError as error:
+    raise GraycastError(
+        "the torch dataset needs PyTorch, which is not installed: run pip install torch"
+    ) from error
+
+
+@final
+class TorchExamples(Dataset):
+    """Examples as dictionaries of tensors; what a dataset does not hold is not among the keys.
+
+    `rgb` (3, h, w) and `gray` (1, h, w) are uint8; `depth` and `scanner_depth` (1, h, w) float32
+    [m] with NaN where there is none; `masks` (n, h, w) bool; `boxes` (n, 4) float32 as x0, y0,
+    x1, y1; `labels` (n) int64 are object ids; `poses` (n, 4, 4) float32, part to camera [m];
+    `K` (3, 3); `scene_id`.
+
+    Numbers of instances differ, so a loader needs a `collate_fn` that keeps a list.
+    """
+
+    def __init__(
+        self,
+        folder: str | Path,
+        *,
+        split: str = "train",
+        division: Split | None = None,
+        transform: Callable[[dict[str, Any]], Any] | None = None,
+    ) -> None:
+        self.examples = open_examples(Path(folder), split=split, division=division)
+        self.transform = transform
+
+    def __len__(self) -> int:
+        return len(self.examples)
+
+    def __getitem__(self, index: int) -> Any:
+        item = {
+            name: torch.from_numpy(np.array(value))  # a writable copy: tensors cannot be read-only
+            for name, value in arrays(self.examples[index]).items()
+        }
+        return item if self.transform is None else self.transform(item)
+
+
+def arrays(example: Example) -> dict[str, np.ndarray]:
+    """An example in the shapes and the box convention of torchvision's detectors."""
+    box = example.box_px
+    held = {
+        "rgb": None if example.rgb is None else example.rgb.transpose(2, 0, 1),
+        "gray": None if example.gray is None else example.gray[None],
+        "depth": None if example.depth_m is None else example.depth_m[None],
+        "scanner_depth": (
+            None if example.scanner_depth_m is None else example.scanner_depth_m[None]
+        ),
+        "masks": example.mask,
+        "boxes": None if box is None else np.hstack([box[:, :2], box[:, :2] + box[:, 2:]]),
+        "labels": example.obj_id,
+        "poses": None if example.T_cam_part is None else example.T_cam_part.astype(np.float32),
+        "K": None if example.K is None else example.K.astype(np.float32),
+        "scene_id": np.array(example.scene_id),
+    }
+    return {name: value for name, value in held.items() if value is not None}

@@ -1,0 +1,42 @@
+"""Detectors trained on datasets, and what they find in pictures; needs `graycast[detect]`.
+
+A public name is imported from its module when it is first asked for, as the encoding of a picture
+needs no PyTorch.
+"""
+
+from importlib import import_module
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:  # for type checkers and editors; `_MODULE` says the same to Python
+    from .detecting import Chosen as Chosen
+    from .detecting import Looked as Looked
+    from .detecting import detect as detect
+    from .detecting import pictures_of as pictures_of
+    from .detector import About as About
+    from .detector import Detector as Detector
+    from .detector import load_detector as load_detector
+    from .encoding import Encoding as Encoding
+    from .training import TrainSpec as TrainSpec
+    from .training import train as train
+    from .training_pictures import Augmentation as Augmentation
+
+_MODULE = {
+    "About": "detector",
+    "Augmentation": "training_pictures",
+    "Chosen": "detecting",
+    "Detector": "detector",
+    "Encoding": "encoding",
+    "Looked": "detecting",
+    "TrainSpec": "training",
+    "detect": "detecting",
+    "load_detector": "detector",
+    "pictures_of": "detecting",
+    "train": "training",
+}
+__all__ = list(_MODULE)
+
+
+def __getattr__(name: str) -> object:
+    if name not in _MODULE:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    return getattr(import_module(f".{_MODULE[name]}", __name__), name)

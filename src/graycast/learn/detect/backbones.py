@@ -1,0 +1,220 @@
+"""Backbones: networks that compute feature maps at 1/4 to 1/32 of an image's size."""
+
+from collections import OrderedDict
+from collections.abc import Mapping, Sequence
+from typing import final
+
+from jaxtyping import Float
+from torch import Tensor, nn
+from torchvision.models import mobilenet_v2, mobilenet_v3_small, resnet18, resnet50
+
+from ...base.errors import GraycastError
+
+BACKBONES = ("mobilenet-v3-small", "mobilenet-v2", "resnet18", "resnet50", "darknet53")
+STRIDES = (4, 8, 16, 32)
+# How far a norm's statistics move in a step. Torchvision's 0.01 in MobileNetV3 is for a million
+# steps; after some hundred, what a network has learnt would not show outside training.
+NORM_MOMENTUM = 0.1
+
+
+@final
+class Body(nn.Module):
+    """A classifier without its head: one feature map for each stride.
+
+    Its state dict has the names of the published classifier, so that published files fit.
+
+    Attributes:
+        name: one of `BACKBONES`.
+        channels: of each map.
+        strides: input pixels that a step in each map is long.
+    """
+
+    strides = STRIDES
+
+    def __init__(
+        self,
+        name: str,
+        parts: Mapping[str, nn.Module],
+        *,
+        steps: Sequence[str],
+        taps: Sequence[str],
+        channels: tuple[int, ...],
+        end: tuple[str, ...],
+    ) -> None:
+        """`steps` are run in turn, what leaves `taps` is a map, `end` begins the names left out."""
+        super().__init__()
+        self.name, self.channels = name, channels
+        self._steps, self._taps, self._end = tuple(steps), frozenset(taps), end
+        for part, module in parts.items():
+            self.add_module(part, module)
+        follow_fast(self)
+
+    def forward(self, image: Float[Tensor, "b c h w"]) -> tuple[Tensor, ...]:
+        maps = []
+        for step in self._steps:
+            image = self.get_submodule(step)(image)
+            if step in self._taps:
+                maps.append(image)
+        return tuple(maps)
+
+
+def open_backbone(name: str, *, channels: int) -> Body:
+    """A backbone with random weights for images of so many channels.
+
+    Raises:
+        GraycastError: there is no such backbone.
+    """
+    end: tuple[str, ...]
+    match name:
+        case "mobilenet-v3-small":
+            features = mobilenet_v3_small(num_classes=1).features
+            taps, widths, end = (1, 3, 8, 12), (16, 24, 48, 576), ("classifier.",)
+            return _mobilenet(name, features, channels, taps=taps, widths=widths, end=end)
+        case "mobilenet-v2":
+            features = mobilenet_v2(num_classes=1).features[:18]
+            taps, widths, end = (3, 6, 13, 17), (24, 32, 96, 320), ("classifier.", "features.18.")
+            return _mobilenet(name, features, channels, taps=taps, widths=widths, end=end)
+        case "resnet18":
+            return _resnet(name, resnet18(num_classes=1), 64, channels)
+        case "resnet50":
+            return _resnet(name, resnet50(num_classes=1), 256, channels)
+        case "darknet53":
+            return _darknet(name, channels)
+        case _:
+            raise GraycastError(f"no backbone {name!r}: choose one of {', '.join(BACKBONES)}")
+
+
+def follow_fast(network: nn.Module) -> None:
+    """Let the norms of a network follow its training within tens of steps."""
+    for module in network.modules():
+        if isinstance(module, nn.BatchNorm2d):
+            module.momentum = NORM_MOMENTUM
+
+
+def load_backbone(body: Body, state: Mapping[str, Tensor]) -> None:
+    """Takes the weights of a published classifier (RGB) into a backbone.
+
+    Where the backbone has other than three channels, each of them gets the mean of the published
+    first convolution over red, green and blue, times 3 / channels: grey spread over all channels
+    is answered as the classifier answers grey.
+
+    Args:
+        body: changed in place.
+        state: names and weights as torchvision publishes them; for `darknet53`, as mmdetection
+            does.
+
+    Raises:
+        GraycastError: the weights are of another network. The backbone is unchanged.
+    """
+    own = body.state_dict()
+    kept = {key: value for key, value in state.items() if not key.startswith(body._end)}
+    kept |= {k: v for k, v in own.items() if k.endswith("num_batches_tracked") and k not in kept}
+    first = next(iter(own))
+    if first in kept and kept[first].shape[1] == 3 != own[first].shape[1]:
+        kept[first] = _spread(kept[first], own[first].shape[1])
+    for key in sorted(own.keys() ^ kept.keys()):
+        has, lacks = ("backbone", "file") if key in own else ("file", "backbone")
+        raise GraycastError(
+            f"these weights do not belong to {body.name}: the {has} has {key!r} and the {lacks} "
+            "has not"
+        )
+    for key, value in kept.items():
+        if value.shape != own[key].shape:
+            raise GraycastError(
+                f"these weights are not of {body.name}: {key!r} has the shape "
+                f"{tuple(value.shape)}, the backbone's has {tuple(own[key].shape)}"
+            )
+    body.load_state_dict(kept)
+
+
+def _spread(weight: Float[Tensor, "out 3 h w"], channels: int) -> Float[Tensor, "out c h w"]:
+    """A first convolution for other channels."""
+    return weight.mean(dim=1, keepdim=True).repeat(1, channels, 1, 1) * (3 / channels)
+
+
+def _mobilenet(
+    name: str,
+    features: nn.Sequential,
+    channels: int,
+    *,
+    taps: tuple[int, ...],
+    widths: tuple[int, ...],
+    end: tuple[str, ...],
+) -> Body:
+    features[0][0] = _first(features[0][0], channels)
+    return Body(
+        name,
+        {"features": features},
+        steps=[f"features.{i}" for i in range(len(features))],
+        taps=[f"features.{i}" for i in taps],
+        channels=widths,
+        end=end,
+    )
+
+
+def _resnet(name: str, network: nn.Module, width: int, channels: int) -> Body:
+    network.conv1 = _first(network.conv1, channels)
+    layers = [f"layer{i}" for i in (1, 2, 3, 4)]
+    steps = ["conv1", "bn1", "relu", "maxpool", *layers]
+    return Body(
+        name,
+        {step: network.get_submodule(step) for step in steps},
+        steps=steps,
+        taps=layers,
+        channels=tuple(width * scale for scale in (1, 2, 4, 8)),
+        end=("fc.",),
+    )
+
+
+def _first(convolution: nn.Conv2d, channels: int) -> nn.Conv2d:
+    """The same first convolution for other channels, drawn as the network draws its own."""
+    if channels == convolution.in_channels:
+        return convolution
+    other = nn.Conv2d(
+        channels,
+        convolution.out_channels,
+        convolution.kernel_size,
+        convolution.stride,
+        convolution.padding,
+        bias=False,
+    )
+    nn.init.kaiming_normal_(other.weight, mode="fan_out", nonlinearity="relu")
+    return other
+
+
+def _darknet(name: str, channels: int) -> Body:
+    """Redmon & Farhadi, "YOLOv3: An Incremental Improvement", 2018, Table 1."""
+    parts: dict[str, nn.Module] = {"conv1": Convolution(channels, 32, 3)}
+    widths = (64, 128, 256, 512, 1024)
+    for index, (width, count) in enumerate(zip(widths, (1, 2, 8, 8, 4), strict=True), 1):
+        stage = OrderedDict[str, nn.Module](conv=Convolution(width // 2, width, 3, stride=2))
+        for block in range(count):
+            stage[f"res{block}"] = _Residual(width)
+        parts[f"conv_res_block{index}"] = nn.Sequential(stage)
+    steps = list(parts)
+    return Body(name, parts, steps=steps, taps=steps[2:], channels=widths[1:], end=("fc.",))
+
+
+@final
+class Convolution(nn.Module):
+    """Convolution, batch norm, leaky ReLU: what Darknet and YOLOv3 are made of."""
+
+    def __init__(self, inside: int, outside: int, size: int, *, stride: int = 1) -> None:
+        super().__init__()
+        self.conv = nn.Conv2d(inside, outside, size, stride, size // 2, bias=False)
+        self.bn = nn.BatchNorm2d(outside)
+        nn.init.kaiming_normal_(self.conv.weight, a=0.1, mode="fan_out")
+
+    def forward(self, x: Float[Tensor, "b c h w"]) -> Float[Tensor, "b d i j"]:
+        return nn.functional.leaky_relu(self.bn(self.conv(x)), 0.1)
+
+
+@final
+class _Residual(nn.Module):
+    def __init__(self, width: int) -> None:
+        super().__init__()
+        self.conv1 = Convolution(width, width // 2, 1)
+        self.conv2 = Convolution(width // 2, width, 3)
+
+    def forward(self, x: Float[Tensor, "b c h w"]) -> Float[Tensor, "b c h w"]:
+        return x + self.conv2(self.conv1(x))

@@ -1,0 +1,227 @@
+"""Detection in a dataset or in pictures: COCO results, drawings and times."""
+
+import time
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from itertools import chain
+from pathlib import Path
+from typing import Any, final
+
+import cv2
+import numpy as np
+from jaxtyping import UInt8
+from pycocotools import mask as coco_mask
+
+from ...base.errors import GraycastError
+from ...base.file_limits import parse_json
+from ...base.folder import refuse_foreign, whole_folder
+from ...base.progress import UNWATCHED, ProgressMeter
+from ...dataset.detections import LOOKED, RESULTS, Detections, results_bytes
+from ...dataset.example import Example, shown
+from ...dataset.export.record import RECORD, read_record
+from ...dataset.export.split import Split
+from ...dataset.json_text import json_bytes
+from ...dataset.places import CLAIM
+from ...dataset.training import Examples, open_examples
+from ...dataset.training.foreign import is_foreign
+from ...real.depth_sense import filled_holes
+from ...real.picture_pairs import RealPicture, find_shots, read_shot
+from .detector import About, Detector
+from .encoding import Encoding
+
+DRAWINGS = "drawings"
+_INKS = ((233, 110, 11), (45, 98, 196), (63, 158, 47), (149, 81, 122), (20, 20, 20))  # BGR
+_DRAWN_SCORE = 0.5
+LEAST_INSIDE = 0.5  # of a picture's depth, in the range that the detector learnt
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Looked:
+    """What a detector found in pictures, how long it took for each [ms], and notes on depth."""
+
+    found: tuple[Detections, ...]
+    ms_per_picture: tuple[float, ...]
+    notes: tuple[str, ...]
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Chosen:
+    """Pictures to look at, read one by one, and what `detect` writes of where they come from.
+
+    `class_ids` are those that each class has in the results; `said` is for `detect.json`.
+    """
+
+    examples: Iterable[Example]
+    scene_ids: tuple[int, ...]
+    class_ids: Mapping[str, int]
+    said: Mapping[str, Any]
+
+
+def detect(
+    detector: Detector,
+    pictures: Chosen,
+    out: Path,
+    *,
+    most: int = 300,
+    least_score: float = 0.05,
+    drawings: int = 12,
+    progress: ProgressMeter = UNWATCHED,
+) -> Looked:
+    """Look at pictures and write `results.json`, `detect.json` and the first drawings to `out`.
+
+    Args:
+        drawings: how many pictures are drawn with what was found in them.
+        progress: counts pictures.
+
+    Raises:
+        GraycastError: a picture is not of the kind that the detector sees, or `out` holds
+            something else or cannot be written.
+    """
+    refuse_foreign(out, LOOKED)
+    found, times_ms, notes = [], [], list[str]()
+    with whole_folder(out) as folder:
+        (folder / DRAWINGS).mkdir()
+        for example in pictures.examples:
+            begun = time.perf_counter()
+            found.append(
+                detector.detect(
+                    example, obj_ids=pictures.class_ids, most=most, least_score=least_score
+                )
+            )
+            times_ms.append(1e3 * (time.perf_counter() - begun))
+            notes += _notes(example, detector.about.encoding)
+            if len(found) <= drawings:
+                path = folder / DRAWINGS / f"{example.scene_id:06d}.jpg"
+                path.write_bytes(cv2.imencode(".jpg", drawn(example, found[-1]))[1].tobytes())
+            progress.count("pictures", len(found), len(pictures.scene_ids))
+        about = detector.about
+        content = {
+            "model": about.model,
+            "backbone": about.backbone,
+            "input": about.encoding.input,
+            "names": list(about.names),
+            "scene_ids": [each.scene_id for each in found],
+            "ms_per_picture": [round(ms, 3) for ms in times_ms],
+            "most": most,
+            "least_score": least_score,
+            **pictures.said,
+        }
+        (folder / LOOKED).write_bytes(json_bytes(content))
+        (folder / RESULTS).write_bytes(results_bytes(found))
+    return Looked(found=tuple(found), ms_per_picture=tuple(times_ms), notes=tuple(notes))
+
+
+def _notes(example: Example, encoding: Encoding) -> Iterator[str]:
+    """What in a picture's depth the detector cannot take for what it is."""
+    if encoding.near_m is None or encoding.far_m is None:
+        return
+    name, depth_m = f"scene {example.scene_id}", encoding.depth_m(example)
+    if note := filled_holes(depth_m, name):
+        yield note
+    known = depth_m[np.isfinite(depth_m)]
+    inside = np.mean((known >= encoding.near_m) & (known <= encoding.far_m)) if known.size else 1.0
+    if inside < LEAST_INSIDE:
+        yield (
+            f"{name}: only {inside:.0%} of the depth lies in the range that the detector learnt, "
+            f"{encoding.near_m:.4g} to {encoding.far_m:.4g} m, and the rest is cut off there"
+        )
+
+
+def shots(found: Sequence[RealPicture], *, scale_m: float | None) -> Iterator[Example]:
+    """Pictures as `import-real` reads them, without labels; numbered in the order of their names.
+
+    Raises:
+        DatasetError: one is damaged.
+    """
+    for i, shot in enumerate(found):
+        # The detector works in pixels and along the axis: it asks for no intrinsics.
+        seen = read_shot(shot, K=np.eye(3), scale_m=scale_m, size_px=None)
+        depth_m = None if seen.depth_m is None else seen.depth_m.astype(np.float32)
+        yield Example(scene_id=i, rgb=seen.rgb, gray=seen.gray, scanner_depth_m=depth_m)
+
+
+def looked_at(folder: Path) -> dict[str, Any]:
+    """The scenes and settings of an earlier `detect`; empty if there was none.
+
+    Raises:
+        GraycastError: its file is damaged.
+    """
+    try:
+        return dict(parse_json((folder / LOOKED).read_bytes()))
+    except FileNotFoundError:
+        return {}
+    except (OSError, TypeError, ValueError) as error:
+        raise GraycastError(f"{folder}: has no readable {LOOKED}: remove the folder") from error
+
+
+def drawn(example: Example, found: Detections) -> UInt8[np.ndarray, "h w 3"]:
+    """The picture (BGR) with boxes, outlines and scores of what is found with at least 0.5."""
+    image = np.ascontiguousarray(shown(example)[..., ::-1])
+    sure = [i for i in range(len(found)) if found.score[i] >= _DRAWN_SCORE]
+    for i in sure:
+        ink = _INKS[int(found.obj_id[i]) % len(_INKS)]
+        x, y, columns, rows = (round(float(edge)) for edge in found.box_px[i])
+        if found.mask is None:
+            cv2.rectangle(image, (x, y), (x + columns - 1, y + rows - 1), ink, 1, cv2.LINE_AA)
+        else:
+            mask = coco_mask.decode(dict(found.mask[i]))
+            lines, _ = cv2.findContours(mask, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
+            cv2.drawContours(image, lines, -1, ink, 1, cv2.LINE_AA)
+        place = (x + 2, max(10, y + 10))
+        text = f"{found.score[i]:.2f}"
+        cv2.putText(image, text, place, cv2.FONT_HERSHEY_SIMPLEX, 0.32, (255, 255, 255), 2)
+        cv2.putText(image, text, place, cv2.FONT_HERSHEY_SIMPLEX, 0.32, ink, 1, cv2.LINE_AA)
+    return image
+
+
+def pictures_of(
+    folder: Path, about: About, *, split: str, scale_m: float | None, as_real: bool = False
+) -> Chosen:
+    """The pictures of a dataset, of an export, or of a folder that `import-real` could read.
+
+    Args:
+        split: a set, or `all`. The scenes of a dataset are divided as the training divided them.
+        scale_m: metres in a unit of whole-numbered depth files.
+        as_real: perfect depth is hidden, as a real camera has none: what was trained on it sees
+            the scanner's.
+
+    Raises:
+        GraycastError: the folder holds none of these, or knows none of the detector's parts.
+    """
+    if not (any((folder / name).is_file() for name in (CLAIM, RECORD)) or is_foreign(folder)):
+        if split != "all":
+            raise GraycastError(f"{folder}: is not a dataset, so it has no set {split}: choose all")
+        found = find_shots(folder)
+        return Chosen(
+            examples=shots(found, scale_m=scale_m),
+            scene_ids=tuple(range(len(found))),
+            class_ids={name: i for i, name in enumerate(about.names, start=1)},
+            said={"pictures": [shot.stem for shot in found], "split": None, "division": None},
+        )
+    held = about.trained["settings"]["split"]
+    division = Split(shares=tuple(held["shares"]), seed=held["seed"])
+    sets, said = sets_of(folder, split, division)
+    return Chosen(
+        examples=map(_as_real, chain.from_iterable(sets)) if as_real else chain.from_iterable(sets),
+        scene_ids=tuple(scene_id for each in sets for scene_id in each.scene_ids),
+        class_ids=about.obj_ids(sets[0].categories, folder),
+        said={"dataset": str(folder), "as_real": as_real, **said},
+    )
+
+
+def _as_real(example: Example) -> Example:
+    return replace(example, depth_m=None)
+
+
+def sets_of(folder: Path, split: str, division: Split) -> tuple[list[Examples], dict[str, Any]]:
+    """The scenes of a dataset's or an export's set, or all; and what `detect.json` says of them."""
+    if (folder / RECORD).is_file():
+        splits = read_record(folder).splits if split == "all" else (split,)
+        said: dict[str, Any] = {"split": None if split == "all" else split, "division": None}
+        return [open_examples(folder, split=name) for name in splits], said
+    if split == "all":
+        return [open_examples(folder)], {"split": "train", "division": None}
+    said = {"split": split, "division": {"shares": division.shares, "seed": division.seed}}
+    return [open_examples(folder, split=split, division=division)], said

@@ -1,0 +1,323 @@
+"""A trained detector in one file: the network, the encoding of its input, and its classes."""
+
+import json
+import sys
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, final
+
+import cv2
+import numpy as np
+import torch
+from jaxtyping import Float32
+from pycocotools import mask as coco_mask
+
+from ... import __version__
+from ...base.errors import GraycastError
+from ...base.file_limits import parse_json
+from ...base.folder import fill_whole
+from ...dataset.detections import WEIGHTS, Detections
+from ...dataset.example import Example
+from ...real.depth_sense import refuse_beyond
+from .encoding import Encoding, encoding_from
+from .network import Found, Network
+from .networks import open_network
+
+ONE_CLASS = "part"  # what all parts are to a detector that does not tell them apart
+_FORM = 1
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True)
+class About:
+    """The description of a detector without its weights.
+
+    Attributes:
+        model: one of `networks.MODELS`.
+        backbone: of the model; None is the model's own choice.
+        encoding: from pictures to the network's input.
+        names: of the classes.
+        trained: a record of the training: datasets, settings, versions.
+    """
+
+    model: str
+    backbone: str | None
+    encoding: Encoding
+    names: tuple[str, ...]
+    trained: Mapping[str, Any]
+
+    @property
+    def tells_apart(self) -> bool:
+        """Whether it has a class for each kind of part, and not one class for all."""
+        return self.names != (ONE_CLASS,)
+
+    def classes(self, categories: Mapping[int, str]) -> dict[int, int]:
+        """The class of each object id of a dataset; -1 of parts that it does not know."""
+        if not self.tells_apart:
+            return dict.fromkeys(categories, 0)
+        place = {name: i for i, name in enumerate(self.names)}
+        return {obj_id: place.get(name, -1) for obj_id, name in categories.items()}
+
+    def obj_ids(self, categories: Mapping[int, str], folder: Path) -> dict[str, int]:
+        """A dataset's id of each class; of the one class, the dataset's first.
+
+        Raises:
+            GraycastError: the dataset has none of the classes.
+        """
+        if not self.tells_apart:
+            return {ONE_CLASS: min(categories)}
+        held = {name: obj_id for obj_id, name in categories.items() if name in self.names}
+        if not held:
+            raise GraycastError(
+                f"{folder}: has {', '.join(categories.values())}, and the detector was trained on "
+                f"{', '.join(self.names)}: give a dataset of the same parts"
+            )
+        return held
+
+    def open_network(self) -> Network:
+        """The network with random weights, from torch's global generator."""
+        return open_network(
+            self.model,
+            channels=self.encoding.channels,
+            classes=len(self.names),
+            backbone=self.backbone,
+            size_px=self.encoding.size_px,
+        )
+
+    def as_dict(self) -> dict[str, Any]:
+        return {
+            "form": _FORM,
+            "graycast": __version__,
+            "model": self.model,
+            "backbone": self.backbone,
+            "encoding": self.encoding.as_dict(),
+            "names": list(self.names),
+            "trained": dict(self.trained),
+        }
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Detector:
+    """A network with its weights, ready to look at pictures."""
+
+    about: About
+    network: Network
+    device: torch.device
+
+    def detect(
+        self,
+        example: Example,
+        *,
+        obj_ids: Mapping[str, int],
+        most: int = 300,
+        least_score: float = 0.05,
+    ) -> Detections:
+        """What the network finds in one picture; its labels are not looked at.
+
+        Args:
+            obj_ids: the dataset's id of each class; what it does not name is left out.
+            most: detections at most.
+            least_score: of a detection.
+
+        Raises:
+            GraycastError: the example has no picture of the kind that the detector sees, or its
+                depth lies far outside the range that the detector learnt.
+        """
+        encoding = self.about.encoding
+        if encoding.near_m is not None and encoding.far_m is not None:
+            refuse_beyond(
+                encoding.depth_m(example),
+                near_m=encoding.near_m,
+                far_m=encoding.far_m,
+                name=f"scene {example.scene_id}",
+                whose="the detector learnt",
+            )
+        encoded = encoding.encode(example, seed=example.scene_id)
+        return self.look(
+            encoded,
+            example.scene_id,
+            encoding.picture_px(example),
+            obj_ids=obj_ids,
+            most=most,
+            least_score=least_score,
+        )
+
+    def look(
+        self,
+        encoded: Float32[np.ndarray, "c h w"],
+        scene_id: int,
+        picture_px: tuple[int, int],
+        *,
+        obj_ids: Mapping[str, int],
+        most: int = 300,
+        least_score: float = 0.05,
+    ) -> Detections:
+        """The same for a picture that is encoded already; it was `picture_px` high and wide."""
+        image = torch.from_numpy(encoded)[None].to(self.device)
+        found = self.answer(image, most=most, least_score=least_score)
+        ids = np.array([obj_ids.get(name, -1) for name in self.about.names], np.int64)
+        return _detections(found, scene_id, ids, picture_px, self.about.encoding.scale(picture_px))
+
+    def answer(
+        self, image: Float32[torch.Tensor, "1 c h w"], *, most: int, least_score: float
+    ) -> Found:
+        """The answer of the network in pixels of its input, with the device's precision."""
+        with torch.inference_mode(), autocast(self.device), without_denormals():
+            return self.network.find(image, most=most, least_score=least_score)[0]
+
+
+def _detections(
+    found: Found, scene_id: int, obj_ids: np.ndarray, picture_px: tuple[int, int], scale: float
+) -> Detections:
+    """In the pixels of the picture, cut at its edges; what is empty there is left out."""
+    height_px, width_px = picture_px
+    edge = found.box.float().cpu().numpy().astype(np.float64) / scale
+    edge = np.clip(edge, 0, [width_px, height_px, width_px, height_px])
+    size = edge[:, 2:] - edge[:, :2]
+    obj_id = obj_ids[found.label.cpu().numpy()] if len(edge) else np.zeros(0, np.int64)
+    kept = np.flatnonzero((size > 0).all(axis=1) & (obj_id >= 0))
+    score = found.score.float().cpu().numpy()
+    kept = kept[np.argsort(-score[kept], kind="stable")]
+    mask = None
+    if found.mask is not None:
+        probability = found.mask.cpu().numpy()
+        mask = tuple(_outline(probability[i], edge[i], picture_px, scale) for i in kept)
+    return Detections(
+        scene_id=scene_id,
+        score=score[kept],
+        obj_id=obj_id[kept],
+        box_px=np.hstack([edge[:, :2], size])[kept].astype(np.float32),
+        mask=mask,
+    )
+
+
+def _outline(
+    probability: np.ndarray, edge: np.ndarray, picture_px: tuple[int, int], scale: float
+) -> dict[str, Any]:
+    """A mask at the picture's size: probability between pixels is linear, its edge at a half.
+
+    Only the box and one of the input's pixels about it are looked at, for speed.
+    """
+    height_px, width_px = picture_px
+    margin = 1 / scale + 1
+    x0, y0 = np.floor(np.maximum(edge[:2] - margin, 0)).astype(int)
+    x1 = min(width_px, int(np.ceil(edge[2] + margin)))
+    y1 = min(height_px, int(np.ceil(edge[3] + margin)))
+    # The centre of the picture's pixel i lies at (i + 0.5) * scale - 0.5 of the input's pixels.
+    move = np.array(
+        [
+            [scale, 0, (x0 + 0.5) * scale - 0.5],
+            [0, scale, (y0 + 0.5) * scale - 0.5],
+        ]
+    )
+    soft = cv2.warpAffine(
+        probability,
+        move,
+        (x1 - x0, y1 - y0),
+        flags=cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP,
+        borderMode=cv2.BORDER_REPLICATE,
+    )
+    full = np.zeros(picture_px, np.uint8, order="F")
+    full[y0:y1, x0:x1] = soft > 127
+    run = coco_mask.encode(full)
+    return {"size": list(picture_px), "counts": run["counts"].decode()}
+
+
+def save_detector(path: Path, about: About, state: Mapping[str, torch.Tensor]) -> None:
+    """Write weights and all that belongs to them, whole or not at all."""
+    held = {"about": json.dumps(about.as_dict()), "state": dict(state)}
+    fill_whole(path, lambda file: torch.save(held, file))
+
+
+def load_detector(path: Path, *, device: str = "auto") -> Detector:
+    """A detector from its file, or from the folder of its run.
+
+    Raises:
+        GraycastError: the file is missing, damaged, or no detector of Graycast.
+    """
+    file = path / WEIGHTS if path.is_dir() else path
+    if not file.is_file():
+        raise GraycastError(f"{file}: does not exist: give a folder that graycast train wrote")
+    try:
+        held = torch.load(file, map_location="cpu", weights_only=True)
+        said = parse_json(held["about"])
+        about = About(
+            model=said["model"],
+            backbone=said["backbone"],
+            encoding=encoding_from(said["encoding"]),
+            names=tuple(said["names"]),
+            trained=said["trained"],
+        )
+        state = held["state"]
+    except Exception as error:  # unpickling raises whatever the bytes lead it to
+        why = " ".join(str(error).split())[:120]
+        raise GraycastError(
+            f"{file}: is damaged or is not a detector ({why}): train it again"
+        ) from error
+    network = about.open_network()
+    try:
+        network.load_state_dict(state)
+    except RuntimeError as error:
+        raise GraycastError(
+            f"{file}: its weights do not fit the network {about.model} of this release: train it "
+            "again, or detect with the release that trained it"
+        ) from error
+    network.eval()
+    chosen = choose_device(device)
+    return Detector(about=about, network=put_on(network, chosen), device=chosen)
+
+
+def choose_device(name: str) -> torch.device:
+    """`auto` is the GPU where torch has one, else the processor.
+
+    Raises:
+        GraycastError: a GPU is asked for, and torch finds none.
+    """
+    if name == "cuda" and not torch.cuda.is_available():
+        raise GraycastError("torch finds no NVIDIA GPU: use --device cpu, or repair the driver")
+    gpu = name == "cuda" or (name == "auto" and torch.cuda.is_available())
+    return torch.device("cuda" if gpu else "cpu")
+
+
+@contextmanager
+def without_denormals() -> Iterator[None]:
+    """Treat denormal numbers as zero inside the block, because processors are slow with them.
+
+    The mode is restored at the end, because it affects all code of the thread: SciPy's k-d
+    tree, for one, never ends where the difference of two unequal numbers is zero.
+    """
+    before = sys.float_info.min / 2 == 0  # torch sets the mode but does not tell it
+    torch.set_flush_denormal(True)
+    try:
+        yield
+    finally:
+        torch.set_flush_denormal(before)
+
+
+def put_on(network: Network, device: torch.device) -> Network:
+    """The network itself on a device, its kernels in the order in which processors read a picture.
+
+    A training of Mask R-CNN on a processor takes two thirds of the time in that order.
+    """
+    return network.to(device, memory_format=torch.channels_last)
+
+
+def autocast(device: torch.device):
+    """Mixed precision where the device has it: a GPU, and processors that multiply in bfloat16.
+
+    On a processor that has to emulate bfloat16 it would be slower than plain numbers.
+    """
+    return torch.autocast(
+        device.type,
+        torch.bfloat16,
+        enabled=device.type == "cuda" or _processor_has_bfloat16(),
+    )
+
+
+def _processor_has_bfloat16() -> bool:
+    # Older releases of torch do not tell.
+    can: Mapping[str, object] = getattr(torch.cpu, "get_capabilities", dict)()
+    return bool(can.get("avx512_bf16") or can.get("amx_bf16"))

@@ -1,0 +1,199 @@
+"""The folder of a training: its settings, progress and history."""
+
+import csv
+import hashlib
+import io
+import json
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import IO, Any, final
+
+import torch
+
+from ...base.errors import GraycastError
+from ...base.file_limits import parse_json
+from ...base.folder import ASIDE, fill_whole, remove_left, take_lock, write_whole
+from ...base.plotting import ACCENT, INK, SECOND, SOFT, caption, plain_figure, save_png
+from ...dataset.json_text import json_bytes
+
+RUN = "run.json"
+CHECKPOINT = "checkpoint.pt"
+CACHE = "cache"
+_LOCK = ".lock"
+_HISTORY, _CURVES = "history.csv", "curves.png"
+
+Row = dict[str, float | int]
+
+
+@final
+@dataclass(slots=True, kw_only=True)
+class Progress:
+    """The progress of a training, with everything that is needed to continue it.
+
+    Attributes:
+        step: steps done, of all epochs.
+        sums: of the losses since the epoch began.
+        rows: one for each epoch that is done.
+        best: the best score of the validation so far.
+        since: validations since then.
+    """
+
+    step: int = 0
+    sums: Row = field(default_factory=dict)
+    rows: list[Row] = field(default_factory=list)
+    best: float = -1.0
+    since: int = 0
+
+
+@final
+@dataclass(frozen=True, slots=True)
+class RunFolder:
+    """The folder of a training; every file in it is written completely or not at all."""
+
+    path: Path
+
+    @contextmanager
+    def claimed(self, content: Mapping[str, Any]) -> Iterator[None]:
+        """Make the folder or open the same training in it, locked against other trainings.
+
+        A run that never came to its first checkpoint gives way to another.
+
+        Raises:
+            GraycastError: another run, or something else, lives there, or trains there just now.
+        """
+        file = self.path / RUN
+        with self._locked():
+            remove_left(self.path)
+            if file.is_file() and (self.path / CHECKPOINT).is_file():
+                self._compare(_json(file), parse_json(json_bytes(content)))
+            else:
+                write_whole(file, json_bytes(content))
+            yield
+
+    def _locked(self) -> IO[str]:
+        """The folder's lock, which a process that is killed leaves free."""
+        if self.path.is_file():
+            raise GraycastError(f"{self.path}: is a file: choose a folder")
+        if not (self.path / RUN).is_file() and self.path.is_dir():
+            held = (entry.name for entry in self.path.iterdir() if entry.name != _LOCK)
+            if not all(name.startswith(ASIDE) for name in held):
+                raise GraycastError(
+                    f"{self.path}: is not empty and holds no run: choose another --out"
+                )
+        try:
+            self.path.mkdir(parents=True, exist_ok=True)
+            lock = take_lock(self.path / _LOCK)
+        except OSError as error:
+            raise GraycastError(
+                f"{self.path}: cannot be made or locked ({error.strerror}): choose a --out on a "
+                "disk that can be written"
+            ) from error
+        if lock is None:
+            raise GraycastError(
+                f"{self.path}: another training runs in this folder: wait until it ends, or "
+                "choose another --out"
+            )
+        return lock
+
+    def _compare(self, held: Mapping[str, Any], asked: Mapping[str, Any]) -> None:
+        for key in sorted(held.keys() | asked.keys()):
+            if held.get(key) != asked.get(key):
+                raise GraycastError(
+                    f"{self.path}: is a run with {key} {_short(held.get(key))}, and now it is "
+                    f"{_short(asked.get(key))}: repeat the command that started it, or choose "
+                    "another --out"
+                )
+
+    @property
+    def cache(self) -> Path:
+        """A folder for files that can be made again."""
+        folder = self.path / CACHE
+        folder.mkdir(exist_ok=True)
+        return folder
+
+    def save(self, progress: Progress, network: torch.nn.Module, optimizer: Any) -> None:
+        held = {
+            "progress": json.dumps({name: getattr(progress, name) for name in Progress.__slots__}),
+            "network": network.state_dict(),
+            "optimizer": optimizer.state_dict(),
+        }
+        fill_whole(self.path / CHECKPOINT, lambda file: torch.save(held, file))
+
+    def resume(self, network: torch.nn.Module, optimizer: Any) -> Progress:
+        """Load the last checkpoint into both; start from the beginning if there is none.
+
+        Raises:
+            GraycastError: the checkpoint is damaged.
+        """
+        file = self.path / CHECKPOINT
+        if not file.is_file():
+            return Progress()
+        try:
+            held = torch.load(file, map_location="cpu", weights_only=True)
+            network.load_state_dict(held["network"])
+            optimizer.load_state_dict(held["optimizer"])
+            return Progress(**parse_json(held["progress"]))
+        except Exception as error:  # unpickling raises whatever the bytes lead it to
+            raise GraycastError(
+                f"{file}: is damaged: remove it, and the training starts again"
+            ) from error
+
+    def tell(self, rows: Sequence[Row]) -> None:
+        """Write the history as CSV and as a picture, from the rows."""
+        text = io.StringIO()
+        names = list(dict.fromkeys(name for row in rows for name in row))
+        table = csv.DictWriter(text, names, lineterminator="\n")
+        table.writeheader()
+        table.writerows([{k: f"{v:.6g}" for k, v in row.items()} for row in rows])
+        write_whole(self.path / _HISTORY, text.getvalue().encode())
+        _draw(rows, self.path / _CURVES)
+
+
+def _json(file: Path) -> Any:
+    try:
+        return parse_json(file.read_bytes())
+    except (OSError, ValueError) as error:
+        raise GraycastError(f"{file}: is damaged: choose another --out") from error
+
+
+def _short(value: Any) -> str:
+    """The value, or its beginning with a digest that distinguishes two long values."""
+    text = json.dumps(value)
+    if len(text) <= 60:
+        return text
+    return f"{text[:40]}... ({hashlib.sha256(text.encode()).hexdigest()[:6]})"
+
+
+def _draw(rows: Sequence[Row], path: Path) -> None:
+    figure, (left, right) = plain_figure(9.0, 3.2, (1, 1))
+    epoch = [row["epoch"] for row in rows]
+    losses = [name for name in rows[0] if name.startswith("loss")]
+    for name, ink in zip(losses, (INK, ACCENT, SECOND, SOFT, "#7a5195", "#2f9e44"), strict=False):
+        left.plot(epoch, [row[name] for row in rows], color=ink, lw=1.2, label=name)
+    left.set_yscale("log")
+    caption(left, "Loss on the training set", "epoch")
+    left.legend(fontsize=7, frameon=False)
+    for name, ink in (
+        ("box_ap", ACCENT),
+        ("box_ap50", INK),
+        ("mask_ap", SECOND),
+        ("mask_ap50", SOFT),
+    ):
+        seen = [row for row in rows if name in row]
+        if seen:
+            right.plot(
+                [row["epoch"] for row in seen],
+                [row[name] for row in seen],
+                color=ink,
+                lw=1.2,
+                marker="o",
+                ms=3,
+                label=name,
+            )
+    right.set_ylim(0, 1)
+    caption(right, "Average precision on the validation set", "epoch")
+    if right.get_lines():
+        right.legend(fontsize=7, frameon=False)
+    save_png(figure, path, dpi=110)

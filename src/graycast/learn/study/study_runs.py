@@ -1,0 +1,227 @@
+"""Runs of a study: each trained once, scored in every world, and kept on disk."""
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from itertools import chain, product
+from pathlib import Path
+from typing import final
+
+from ...base.errors import GraycastError
+from ...base.file_limits import parse_json
+from ...base.progress import UNWATCHED, ProgressMeter
+from ...dataset.detections import RESULTS, Detections, read_results
+from ...dataset.example import Example
+from ...dataset.json_text import json_bytes
+from ...score.evaluate import Labels, Scores, labels_of, score
+from ...score.evaluate.intervals import Drawn, drawn, mean
+from ...score.evaluate.judging import KINDS
+from ...score.evaluate.matching import Kind
+from ...score.evaluate.task import as_one_class
+from ..detect import Detector, TrainSpec, detect, pictures_of, train
+from ..detect.detecting import looked_at, sets_of
+from ..detect.encoding import Encoding
+from ..detect.networks import network_class
+from ..study_file import EncodingSection, ModelSection, StudySpec, TestSection
+
+FIGURE = "ap50"  # the paper's
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Run:
+    """One combination of a study."""
+
+    model: ModelSection
+    input: str
+    encoding: EncodingSection
+    training: str
+    seed: int
+
+    @property
+    def name(self) -> str:
+        """Of its folder."""
+        words = [self.model.model, self.model.backbone, self.input, self.encoding.name]
+        words += [self.training, f"seed{self.seed}"]
+        return "_".join(word for word in words if word)
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Result:
+    """A run's figures: of each world and kind, one for each of the world's datasets."""
+
+    run: Run
+    figures: dict[tuple[str, str], tuple[Drawn, ...]]
+
+    def of(self, world: str, kind: str, number: int | None = None) -> Drawn | None:
+        """A world's figure: of its dataset of that number, else the mean over all.
+
+        None where the run or the world has no masks, or the world no such dataset.
+        """
+        held = self.figures.get((world, kind))
+        if held is None or number is None:
+            return None if held is None else mean(held)
+        return held[number] if number < len(held) else None
+
+
+def runs_of(spec: StudySpec) -> Iterator[Run]:
+    """All combinations; colour has no encodings to choose from, so it comes once."""
+    for training, model, input_name, encoding in product(
+        spec.training, spec.models, spec.inputs, spec.encodings
+    ):
+        if input_name == "rgb" and encoding is not spec.encodings[0]:
+            continue
+        for seed in model.seeds or spec.seeds:
+            yield Run(
+                model=model, input=input_name, encoding=encoding, training=training, seed=seed
+            )
+
+
+def run_study(
+    spec: StudySpec,
+    out: Path,
+    *,
+    device: str = "auto",
+    progress: ProgressMeter = UNWATCHED,
+    on_done: Callable[[Result], None] = lambda result: None,
+) -> list[Result]:
+    """Train and score what is not done yet.
+
+    Args:
+        out: each run has a folder in `out/runs`; the same study goes on in it.
+        progress: counts runs, names the present one, and counts what `train` does.
+        on_done: takes each run's result.
+
+    Raises:
+        GraycastError: a dataset is missing or lacks what the runs ask of it, which is said before
+            the first training; or a run cannot be trained.
+    """
+    worlds = {name: _world(spec, section) for name, section in spec.tests.items()}
+    for datasets in spec.training.values():
+        _check_training(spec, datasets)
+    results = []
+    runs = list(runs_of(spec))
+    for run in runs:
+        folder = out / "runs" / run.name
+        folder.parent.mkdir(parents=True, exist_ok=True)
+        detector = _trained(spec, run, folder, device, progress)
+        figures: dict[tuple[str, str], tuple[Drawn, ...]] = {}
+        for number, (name, world) in enumerate(worlds.items()):
+            found = [
+                _found(detector, dataset, spec.tests[name], folder / f"found_{name}_{i}")
+                for i, dataset in enumerate(spec.tests[name].datasets)
+            ]
+            progress.stage(f"{run.name}: scored in {name}")
+            for kind in world.kinds if detector.network.finds_masks else ("box",):
+                scores = [
+                    _score(spec, given, seen, kind)
+                    for given, seen in zip(world.labels, found, strict=True)
+                ]
+                figures[name, kind] = tuple(
+                    drawn(each, FIGURE, seed=1000 * number + i) for i, each in enumerate(scores)
+                )
+        results.append(Result(run=run, figures=figures))
+        on_done(results[-1])
+        progress.count("runs", len(results), len(runs))
+    return results
+
+
+def _trained(
+    spec: StudySpec,
+    run: Run,
+    folder: Path,
+    device: str,
+    progress: ProgressMeter,
+) -> Detector:
+    model = run.model
+    said = TrainSpec(
+        model=model.model,
+        backbone=model.backbone,
+        input=run.input,
+        holes=run.encoding.holes,
+        relief=run.encoding.relief,
+        epochs=model.epochs or spec.epochs,
+        learning_rate=model.learning_rate,
+        batch=spec.batch,
+        longest_px=spec.longest_px,
+        seed=run.seed,
+        one_class=spec.one_class,
+        min_visibility=spec.min_visibility,
+        split=spec.division,
+        device=device,
+    )
+    progress.stage(f"{run.name}: training")
+    return train(
+        spec.training[run.training],
+        folder,
+        said,
+        progress=progress,
+    )
+
+
+def _found(detector: Detector, dataset: Path, world: TestSection, folder: Path) -> list[Detections]:
+    chosen = pictures_of(
+        dataset, detector.about, split=world.split, scale_m=None, as_real=world.as_real
+    )
+    asked = parse_json(json_bytes({"scene_ids": chosen.scene_ids, **chosen.said}))
+    if not asked.items() <= looked_at(folder).items():  # none, or of other scenes than now
+        detect(detector, chosen, folder, drawings=4)
+    return read_results(folder / RESULTS, chosen.scene_ids)
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class _World:
+    """What there is to find in each of a world's datasets, and what can be compared there."""
+
+    labels: tuple[tuple[Labels, ...], ...]
+    kinds: tuple[Kind, ...]
+
+
+def _world(spec: StudySpec, section: TestSection) -> _World:
+    labels = []
+    for dataset in section.datasets:
+        sets, _ = sets_of(dataset, section.split, spec.division)
+        held: list[Labels] = []
+        for example in chain.from_iterable(sets):
+            if not held:
+                shown = replace(example, depth_m=None) if section.as_real else example
+                _check_inputs(spec, dataset, shown)
+            held.append(labels_of(example, min_visibility=spec.min_visibility))
+        if not held:
+            raise GraycastError(f"{dataset}: has no scene in the set {section.split}")
+        labels.append(tuple(held))
+    drawn = all(one.mask is not None for of_set in labels for one in of_set)
+    return _World(labels=tuple(labels), kinds=KINDS if drawn else ("box",))
+
+
+def _check_training(spec: StudySpec, datasets: Sequence[Path]) -> None:
+    """Whether the sets to learn from hold what the study's inputs and models ask for."""
+    for dataset in datasets:
+        sets, _ = sets_of(dataset, "train", spec.division)
+        first = next(chain.from_iterable(sets), None)
+        if first is None:
+            raise GraycastError(f"{dataset}: has no scene in the set train")
+        _check_inputs(spec, dataset, first)
+        for model in spec.models:
+            if first.mask is None and network_class(model.model).finds_masks:
+                raise GraycastError(
+                    f"{dataset}: scene {first.scene_id} has no masks, which {model.model} needs: "
+                    "give masks, or choose a model that needs only boxes, such as yolov3"
+                )
+
+
+def _check_inputs(spec: StudySpec, dataset: Path, example: Example) -> None:
+    for name in spec.inputs:
+        try:
+            Encoding(input=name, size_px=(32, 32), near_m=1.0, far_m=2.0).encode(example, seed=0)
+        except GraycastError as error:
+            raise GraycastError(f"{dataset}: {error}") from error
+
+
+def _score(
+    spec: StudySpec, labels: Sequence[Labels], found: Sequence[Detections], kind: Kind
+) -> Scores:
+    if spec.one_class:
+        labels, found = [as_one_class(one) for one in labels], [as_one_class(one) for one in found]
+    return score(labels, found, kind=kind)

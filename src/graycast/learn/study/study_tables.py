@@ -1,0 +1,184 @@
+"""A study's figures as tables for readers, spreadsheets and papers, and as a picture."""
+
+import csv
+import io
+import math
+from collections.abc import Sequence
+from pathlib import Path
+
+from ...base.folder import write_whole
+from ...base.plotting import ACCENT, INK, SECOND, SOFT, caption, plain_figure, save_png
+from ...dataset.json_text import json_bytes
+from ...score.evaluate.intervals import Drawn, Interval
+from ..study_file import StudySpec
+from .study_runs import Result
+
+Row = dict[str, str | float]
+_KEYS = ("model", "input", "encoding", "training", "seed", "kind", "dataset")
+_ALL = "all"  # the datasets of a world, by their mean
+
+
+def write_study(spec: StudySpec, results: Sequence[Result], out: Path) -> None:
+    """Write `table.md`, `table.csv`, `table.tex`, `study.json` and `gaps.png` to `out`.
+
+    Where worlds have several datasets, `table.csv` and `study.json` have each by itself as well.
+    """
+    means = [row for result in results for row in _rows(spec, result)]
+    parts = [
+        row
+        for number, name in enumerate(_datasets(spec))
+        for result in results
+        for row in _rows(spec, result, (number, name))
+    ]
+    for name, text in (
+        ("table.md", _markdown(spec, means, parts)),
+        ("table.csv", _csv(means + parts)),
+        ("table.tex", _latex(spec, means)),
+    ):
+        write_whole(out / name, text.encode())
+    content = {"title": spec.title, "figure": "AP50", "rows": means + parts}
+    write_whole(out / "study.json", json_bytes(content))
+    _draw(spec, means, out / "gaps.png")
+
+
+def _datasets(spec: StudySpec) -> list[str]:
+    """Names of the worlds' datasets by their place, where a world has more than one.
+
+    Datasets of one place in two worlds are of the same parts; the gap's own world names them.
+    """
+    first = spec.gap[0] if spec.gap is not None else next(iter(spec.tests))
+    named = spec.tests[first].datasets
+    return [path.name for path in named] if len(named) > 1 else []
+
+
+def _rows(spec: StudySpec, result: Result, dataset: tuple[int, str] | None = None) -> list[Row]:
+    """One for boxes and one for masks; a world has its value and both ends of its interval."""
+    rows = []
+    run = result.run
+    number, name = dataset if dataset is not None else (None, _ALL)
+    for kind in ("box", "mask"):
+        row: Row = {
+            "model": run.model.model,
+            "input": run.input,
+            "encoding": run.encoding.name,
+            "training": run.training,
+            "seed": run.seed,
+            "kind": kind,
+            "dataset": name,
+        }
+        worlds = {world: result.of(world, kind, number) for world in spec.tests}
+        held = {world: figure for world, figure in worlds.items() if figure is not None}
+        if not held:
+            continue
+        if spec.gap is not None:
+            own, other = (held.get(world) for world in spec.gap)
+            if own is not None and other is not None:
+                held["gap"] = own - other
+        for world, figure in held.items():
+            row |= _figures(world, figure)
+        rows.append(row)
+    return rows
+
+
+def _figures(name: str, figure: Drawn) -> Row:
+    interval = figure.interval
+    return {name: interval.value, f"{name}_low": interval.low, f"{name}_high": interval.high}
+
+
+def _columns(spec: StudySpec) -> list[str]:
+    return [*spec.tests, *(["gap"] if spec.gap is not None else [])]
+
+
+def _told(row: Row, name: str, digits: int) -> str:
+    if name not in row:  # a world without masks
+        return "-"
+    value, low, high = (float(row[key]) for key in (name, f"{name}_low", f"{name}_high"))
+    interval = Interval(value=value, low=low, high=high)
+    if math.isnan(interval.value):
+        return "-"
+    text = f"{interval.value:.{digits}f}"
+    if math.isnan(interval.low):
+        return text
+    return f"{text} [{interval.low:.{digits}f}, {interval.high:.{digits}f}]"
+
+
+def _shown_keys(rows: Sequence[Row]) -> list[str]:
+    """The keys that differ between rows; the model and the input always."""
+    return [
+        key
+        for key in _KEYS
+        if key in ("model", "input", "kind") or len({row[key] for row in rows}) > 1
+    ]
+
+
+def _markdown(spec: StudySpec, means: Sequence[Row], parts: Sequence[Row]) -> str:
+    text = f"# {spec.title}\n\n"
+    text += "AP50, the mean over the world's datasets, with 95 % intervals over scenes.\n\n"
+    text += _lines(spec, means)
+    if parts:
+        text += "\n## Each dataset by itself\n\n" + _lines(spec, parts)
+    return text
+
+
+def _lines(spec: StudySpec, rows: Sequence[Row]) -> str:
+    keys, columns = _shown_keys(rows), _columns(spec)
+    lines = [
+        "| " + " | ".join([*keys, *columns]) + " |",
+        "|" + "---|" * (len(keys) + len(columns)),
+    ]
+    for row in rows:
+        cells = [str(row[key]) for key in keys]
+        cells += [_told(row, name, 2) if name in row else "-" for name in columns]
+        lines.append("| " + " | ".join(cells) + " |")
+    return "\n".join(lines) + "\n"
+
+
+def _csv(rows: Sequence[Row]) -> str:
+    text = io.StringIO()
+    names = list(dict.fromkeys(name for row in rows for name in row))
+    table = csv.DictWriter(text, names, lineterminator="\n")
+    table.writeheader()
+    table.writerows(rows)
+    return text.getvalue()
+
+
+def _latex(spec: StudySpec, rows: Sequence[Row]) -> str:
+    keys, columns = _shown_keys(rows), _columns(spec)
+    head = " & ".join([*keys, *columns]).replace("_", r"\_")
+    lines = [
+        rf"% {spec.title}: AP50 with 95 % intervals over scenes",
+        rf"\begin{{tabular}}{{{'l' * len(keys)}{'c' * len(columns)}}}",
+        r"\hline",
+        head + r" \\",
+        r"\hline",
+    ]
+    for row in rows:
+        cells = [str(row[key]).replace("_", r"\_") for key in keys]
+        cells += [_told(row, name, 2) for name in columns]
+        lines.append(" & ".join(cells) + r" \\")
+    return "\n".join([*lines, r"\hline", r"\end{tabular}"]) + "\n"
+
+
+def _draw(spec: StudySpec, rows: Sequence[Row], path: Path) -> None:
+    """A bar for each world in each row, with its interval."""
+    figure, (ax,) = plain_figure(9.0, 0.9 + 0.34 * len(rows), (1,), grid="x")
+    height = 0.8 / len(spec.tests)
+    for number, (world, ink) in enumerate(
+        zip(spec.tests, (ACCENT, SECOND, SOFT, INK), strict=False)
+    ):
+        seen = [(i, row) for i, row in enumerate(rows) if world in row]
+        place = [i + (number - (len(spec.tests) - 1) / 2) * height for i, _ in seen]
+        value = [float(row[world]) for _, row in seen]
+        ax.barh(place, value, height=0.9 * height, color=ink, label=world)
+        low = [max(0.0, float(row[world]) - float(row[f"{world}_low"])) for _, row in seen]
+        high = [max(0.0, float(row[f"{world}_high"]) - float(row[world])) for _, row in seen]
+        if seen and not any(map(math.isnan, low + high)):
+            ax.errorbar(value, place, xerr=[low, high], fmt="none", ecolor=INK, lw=0.8, capsize=2)
+    keys = _shown_keys(rows)
+    names = [" ".join(str(row[key]) for key in keys) for row in rows]
+    ax.set_yticks(range(len(rows)), names, fontsize=7)
+    ax.invert_yaxis()
+    ax.set_xlim(0, 1)
+    ax.legend(fontsize=7, frameon=False)
+    caption(ax, spec.title, "AP50, with 95 % intervals over scenes")
+    save_png(figure, path, dpi=110)

@@ -1,0 +1,225 @@
+"""Real pictures and depth, paired by the names of their files and read with care."""
+
+import warnings
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float, UInt8, UInt16
+from PIL import Image, UnidentifiedImageError
+
+from ..base.errors import DatasetError
+from ..base.file_limits import refuse_large_picture
+from ..dataset.bop import DEPTH_MAX, depth_scale_mm
+from ..dataset.safe_reading import Unreadable, read_png
+from ..dataset.scene_folder import PICTURES
+from .depth_file import (
+    DEPTH_FILES,
+    load_npy,
+    read_depth,
+    read_gray,
+    read_image,
+)
+from .organised import read_ply
+
+FOLDERS = {"rgb": PICTURES, "gray": (*PICTURES, ".npy"), "depth": DEPTH_FILES}
+_NEAREST_M = 0.01  # no scanner measures from nearer
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RealPicture:
+    """The files of one picture; what is not there is None."""
+
+    stem: str
+    rgb: Path | None
+    gray: Path | None
+    depth: Path | None
+
+    @property
+    def files(self) -> dict[str, Path]:
+        named = {"rgb": self.rgb, "gray": self.gray, "depth": self.depth}
+        return {name: path for name, path in named.items() if path is not None}
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Seen:
+    """One picture as arrays; `rgb` may be the colours of an organised cloud."""
+
+    rgb: UInt8[np.ndarray, "h w 3"] | None
+    gray: UInt8[np.ndarray, "h w"] | None
+    depth_m: Float[np.ndarray, "h w"] | None
+    K: Float[np.ndarray, "3 3"]
+
+    @property
+    def size_px(self) -> tuple[int, int]:
+        held = (self.rgb, self.gray, self.depth_m)
+        height_px, width_px = next(image for image in held if image is not None).shape[:2]
+        return height_px, width_px
+
+    @property
+    def holds(self) -> tuple[str, ...]:
+        named = {"rgb": self.rgb, "gray_sl": self.gray, "depth_sl": self.depth_m}
+        return tuple(name for name, image in named.items() if image is not None)
+
+
+def find_shots(folder: Path) -> list[RealPicture]:
+    """The pictures of a folder, by the names of the files in its `rgb`, `gray` and `depth`.
+
+    Raises:
+        DatasetError: there are none, or a picture is in one folder and not in another.
+    """
+    found: dict[str, dict[str, Path]] = {}
+    for name, endings in FOLDERS.items():
+        inside = sorted((folder / name).iterdir()) if (folder / name).is_dir() else []
+        files = [path for path in inside if path.suffix.lower() in endings]
+        by_stem = {path.stem: path for path in files}
+        if len(by_stem) < len(files):
+            twice = next(p for p in files if by_stem[p.stem] != p)
+            raise DatasetError(f"{twice}: another file has the same name: keep one of them")
+        if inside and not files:
+            raise DatasetError(f"{folder / name}: has none of {', '.join(endings)}")
+        if files:
+            found[name] = by_stem
+    if not found:
+        raise DatasetError(
+            f"{folder}: has no pictures: put them into the folders rgb, gray and depth in it, "
+            "the files of one picture under one name"
+        )
+    stems = sorted({stem for by_stem in found.values() for stem in by_stem})
+    for name, by_stem in found.items():
+        if missing := [stem for stem in stems if stem not in by_stem]:
+            other = next(n for n in found if missing[0] in found[n])
+            raise DatasetError(
+                f"{folder}: {other} has a picture {missing[0]}, and {name} has none: add it, or "
+                "remove the other"
+            )
+    by_name = {name: found.get(name, {}) for name in FOLDERS}
+    return [
+        RealPicture(stem=stem, **{name: by_stem.get(stem) for name, by_stem in by_name.items()})
+        for stem in stems
+    ]
+
+
+def read_shot(
+    shot: RealPicture,
+    *,
+    K: Float[np.ndarray, "3 3"] | None,
+    scale_m: float | None,
+    size_px: tuple[int, int] | None,
+) -> Seen:
+    """Read one picture.
+
+    Raises:
+        DatasetError: a file is damaged, of another size or form, or something was not said.
+    """
+    for path in shot.files.values():
+        _refuse_damaged(path)
+    rgb = None if shot.rgb is None else read_rgb(shot.rgb)
+    gray = None if shot.gray is None else np.rint(read_gray(shot.gray) * 255).astype(np.uint8)
+    depth_m = None
+    if shot.depth is not None:
+        depth_m, _, K = read_depth(shot.depth, scale_m, size_px, K)
+        _refuse_impossible(depth_m, shot.depth)
+        if rgb is None and shot.depth.suffix.lower() == ".ply":
+            rgb = read_ply(shot.depth, size_px).rgb
+    elif K is None:
+        raise DatasetError(
+            f"{shot.stem}: the file does not state its camera: give the intrinsics (--intrinsics "
+            "fx,fy,cx,cy)"
+        )
+    _refuse_sizes(shot, {"rgb": rgb, "gray": gray, "depth": depth_m})
+    return Seen(rgb=rgb, gray=gray, depth_m=depth_m, K=K)
+
+
+def depth_step_mm(shots: Sequence[RealPicture], deepest_m: float, scale_m: float | None) -> float:
+    """The millimetres of one step of the stored depth.
+
+    Whole numbers keep their own scale, so that nothing is rounded; floats get the finest step that
+    reaches the deepest, as simulated depth does.
+    """
+    depths = [shot.depth for shot in shots if shot.depth is not None]
+    whole = all(_is_whole(path) for path in depths)
+    if depths and whole and scale_m is not None and deepest_m / scale_m <= DEPTH_MAX + 0.5:
+        return float(f"{scale_m * 1e3:.12g}")
+    try:
+        return depth_scale_mm(deepest_m or _NEAREST_M)  # without any depth the step means nothing
+    except ValueError as error:
+        raise DatasetError(
+            f"the deepest point lies at {deepest_m:.4g} m, and 16-bit depth ends at 65.535 m: "
+            "correct the scale, or remove such points"
+        ) from error
+
+
+def depth_steps(depth_m: Float[np.ndarray, "h w"], step_mm: float) -> UInt16[np.ndarray, "h w"]:
+    """Depth in steps; 0 where there is none."""
+    steps = np.rint(np.nan_to_num(depth_m, nan=0.0) * (1e3 / step_mm))
+    return np.where(np.isnan(depth_m), 0, np.maximum(steps, 1)).astype(np.uint16)
+
+
+def _is_whole(path: Path) -> bool:
+    if path.suffix.lower() == ".ply":
+        return False
+    value = load_npy(path) if path.suffix.lower() == ".npy" else read_image(path)
+    return value.dtype.kind in "ui"
+
+
+def read_rgb(path: Path) -> UInt8[np.ndarray, "h w 3"]:
+    """A colour picture of 8-bit sRGB; transparency is left out.
+
+    Raises:
+        DatasetError: the file is missing, damaged, or has no three channels of 8 bits.
+    """
+    image = read_image(path)
+    if image.ndim != 3 or image.shape[2] not in (3, 4) or image.dtype != np.uint8:
+        raise DatasetError(
+            f"{path}: is {image.dtype} {image.shape}: colour pictures have 3 channels of 8 bits: "
+            "convert it, or put pictures of one channel into the folder gray of import-real"
+        )
+    return np.ascontiguousarray(image[..., 2::-1])
+
+
+def _refuse_impossible(depth_m: Float[np.ndarray, "h w"], path: Path) -> None:
+    known = depth_m[~np.isnan(depth_m)]
+    if not known.size:
+        raise DatasetError(f"{path}: has no depth: remove the picture")
+    if known.min() <= 0:
+        raise DatasetError(
+            f"{path}: has a depth of {known.min():.4g} m: give depth along the camera's z axis, "
+            "which points into the scene"
+        )
+    if np.median(known) < _NEAREST_M:
+        raise DatasetError(
+            f"{path}: the median depth is {np.median(known):.4g} m, {_NEAREST_M} m is the least "
+            "allowed: correct the scale; floating-point numbers in metres need none"
+        )
+
+
+def _refuse_sizes(shot: RealPicture, images: Mapping[str, np.ndarray | None]) -> None:
+    sizes = {name: image.shape[:2] for name, image in images.items() if image is not None}
+    (first, size), *others = sizes.items()
+    for name, other in others:
+        if other != size:
+            raise DatasetError(
+                f"{shot.files[name]}: is {other[1]} x {other[0]} pixels, the {first} picture "
+                f"{size[1]} x {size[0]}: give depth and pictures of one camera"
+            )
+
+
+def _refuse_damaged(path: Path) -> None:
+    """Refuse incomplete pictures, which OpenCV's decoders accept."""
+    if path.suffix.lower() not in PICTURES:
+        return
+    refuse_large_picture(path, str(path), DatasetError)
+    try:
+        if path.suffix.lower() == ".png":
+            read_png(path)
+            return
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # what matters is raised
+            with Image.open(path) as image:
+                image.load()
+    except UnidentifiedImageError:
+        return  # a kind of TIFF that Pillow does not know: OpenCV tells what is wrong with it
+    except (Unreadable, OSError, ValueError, SyntaxError) as error:
+        raise DatasetError(f"{path}: is cut off or damaged ({error}): copy it again") from error

@@ -1,0 +1,183 @@
+"""Depth maps one after another, from files and from the scene folders of BOP datasets."""
+
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from itertools import zip_longest
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float, UInt8
+
+from ...base.errors import DatasetError
+from ...dataset.records import Images
+from ...dataset.safe_reading import Unreadable
+from ...dataset.scene_folder import SCANNER, AnyScanner, AnyView, SceneFolder
+from ..depth_file import (
+    depth_files,
+    in_metres,
+    load_json,
+    load_npy,
+    read_depth,
+    read_gray,
+    read_image,
+)
+from .scan import DepthScan
+
+_M_PER_MM = 1e-3
+
+
+def read_scans(
+    paths: Sequence[Path],
+    *,
+    K: Float[np.ndarray, "3 3"] | None = None,
+    gray: Sequence[Path] = (),
+    reason: Sequence[Path] = (),
+    reason_names: Mapping[int, str] | None = None,
+    scale_m: float | None = None,
+    size_px: tuple[int, int] | None = None,
+) -> Iterator[DepthScan]:
+    """Depth maps one after another, each read when it is asked for.
+
+    Args:
+        paths: depth files, folders of them (taken in the order of their names), and BOP datasets or
+            scene folders, which bring their own intrinsics, scale, pictures and reasons.
+        K: intrinsics of all depth files [px]; an organised PLY has its own where this is None.
+        gray: a picture per depth file in the same order, or none. 8- and 16-bit ones are taken as
+            shares of their type's range, colours are averaged.
+        reason: an 8-bit image per depth file in the same order, or none.
+        reason_names: what its numbers mean.
+        scale_m: metres per unit of the depth files; integers need one, floats are metres.
+        size_px: width and height of PLYs that do not say it.
+
+    Raises:
+        DatasetError: a file is missing, damaged or of another form, or something is not given.
+    """
+    files: list[Path] = []
+    for path in paths:
+        if scenes := _scenes(path):
+            for scene in scenes:
+                yield from _read_scene(scene)
+        elif path.is_dir():
+            files += depth_files(path)
+        else:
+            files.append(path)
+    for name, pictures in (("gray", gray), ("reason", reason)):
+        if pictures and len(pictures) != len(files):
+            counts = f"{len(pictures)} {name} images for {len(files)} depth files"
+            raise DatasetError(f"{counts}: give one for each depth file in the same order, or none")
+    for file, gray_file, reason_file in zip_longest(files, gray, reason):
+        depth_m, own_gray, own_K = read_depth(file, scale_m, size_px, K)
+        yield _scan(
+            name=str(file),
+            depth_m=depth_m,
+            K=own_K,
+            gray=own_gray if gray_file is None else read_gray(gray_file),
+            reason=None if reason_file is None else _read_reason(reason_file),
+            reason_names=reason_names or {},
+        )
+
+
+def read_perfect(path: Path) -> Iterator[DepthScan]:
+    """Depth without a sensor, of the scenes of a dataset that has it beside the scanner's.
+
+    Pictures of another camera than the scanner's are left out, and a dataset of real scans has
+    none at all.
+
+    Raises:
+        DatasetError: a file is missing or damaged.
+    """
+    for scene in _scenes(path):
+        files = SceneFolder(scene)
+        if all((scene / f"scene_camera{suffix}.json").is_file() for suffix in ("", SCANNER)):
+            perfect, scanner = _views(files, ""), _views(files, SCANNER)
+            for number in sorted(perfect.keys() & scanner.keys()):
+                file, view = files.png_path("depth", number), perfect[number]
+                if view.cam_K == scanner[number].cam_K and file.is_file():
+                    depth_m = in_metres(read_image(file), view.depth_scale * _M_PER_MM, str(file))
+                    K = np.reshape(view.cam_K, (3, 3))
+                    yield _scan(name=str(file), depth_m=depth_m, K=K)
+
+
+def _scenes(path: Path) -> list[Path]:
+    """Scene folders at, in, or two levels below a folder."""
+    for pattern in (".", "*", "*/*"):
+        if found := sorted({f.parent for f in path.glob(f"{pattern}/scene_camera*.json")}):
+            return found
+    return []
+
+
+def _read_scene(scene: Path) -> Iterator[DepthScan]:
+    """All images of a scene folder, the scanner's where there is one beside the colour camera."""
+    files = SceneFolder(scene)
+    suffix = SCANNER if (scene / f"scene_camera{SCANNER}.json").is_file() else ""
+    views = _views(files, suffix)
+    told = bool(suffix) and (scene / f"scene{SCANNER}.json").is_file()
+    with _of_the_scene(scene):
+        scanner = files.record(f"scene{SCANNER}", Images[AnyScanner]).root if told else {}
+    baseline_m = _baseline_m(scene)
+    for number, view in sorted(views.items()):
+        path = files.png_path(f"depth{suffix}", number)
+        depth_m = in_metres(read_image(path), view.depth_scale * _M_PER_MM, str(path))
+        own = files.find_picture(f"gray{suffix}", number)
+        picture = own or files.find_picture(f"rgb{suffix}", number)
+        gray = None if picture is None else read_gray(picture)
+        colour = files.find_picture("rgb", number)
+        if gray is None and colour is not None:
+            seen = read_gray(colour)  # of a colour camera beside the scanner it says nothing here
+            gray = seen if seen.shape == depth_m.shape else None
+        why = files.png_path(f"reason{suffix}", number)
+        reasons = scanner[number].reasons if number in scanner else {}
+        yield _scan(
+            name=str(path),
+            depth_m=depth_m,
+            K=np.reshape(view.cam_K, (3, 3)),
+            gray=gray,
+            reason=_read_reason(why) if suffix and why.is_file() else None,
+            reason_names={code: name for name, code in reasons.items()},
+            baseline_m=baseline_m,
+        )
+
+
+def _views(files: SceneFolder, suffix: str) -> dict[int, AnyView]:
+    with _of_the_scene(files.path):
+        return files.record(f"scene_camera{suffix}", Images[AnyView]).root
+
+
+@contextmanager
+def _of_the_scene(path: Path) -> Iterator[None]:
+    """What cannot be read is told with its scene."""
+    try:
+        yield
+    except Unreadable as error:
+        raise DatasetError(
+            f"{path}/{error}: each image needs cam_K (9 numbers) and depth_scale"
+        ) from error
+
+
+def _baseline_m(scene: Path) -> float | None:
+    """Of the rig that made a dataset of ours."""
+    claim = scene.parent.parent / "graycast.json"
+    if not claim.is_file():
+        return None
+    T_cam_proj = load_json(claim).get("rig", {}).get("T_cam_proj")
+    if np.shape(T_cam_proj) != (4, 4):
+        return None
+    return float(np.linalg.norm(np.array(T_cam_proj)[:3, 3]))
+
+
+def _scan(**fields: Any) -> DepthScan:
+    try:
+        return DepthScan(**fields)
+    except ValueError as error:
+        raise DatasetError(str(error)) from error
+
+
+def _read_reason(path: Path) -> UInt8[np.ndarray, "h w"]:
+    image = load_npy(path) if path.suffix == ".npy" else read_image(path)
+    if image.ndim != 2 or image.dtype != np.uint8:
+        raise DatasetError(
+            f"{path}: is {image.dtype} {image.shape}: give maps of reasons with one channel of 8 "
+            "bits"
+        )
+    return image

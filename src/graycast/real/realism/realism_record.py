@@ -1,0 +1,218 @@
+"""What is reported about a set of depth maps, as values that JSON holds; None is unknown."""
+
+from pathlib import Path
+
+from pydantic import BaseModel, ConfigDict, ValidationError
+
+from ...base.errors import DatasetError, GraycastError
+
+RECORD_FILE = "realism.json"  # in the folder that `graycast realism` writes
+FORMAT_VERSION = 3
+
+
+class _Record(BaseModel):
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+
+
+class BinRecord(_Record):
+    """What was found between two limits of a quantity; brightness is a share of the range."""
+
+    low: float
+    high: float
+    count: int
+    value: float | None  # none where `count` is 0
+    interval: tuple[float, float] | None = None  # 95 % of the value
+
+
+class DropOut(_Record):
+    """The step of the missing share against brightness: dark pixels have no depth.
+
+    `brightness` is where the missing share has fallen half way from `missing_below` to
+    `missing_above`, `first` and `last` where it has fallen by a quarter and by three quarters.
+    """
+
+    brightness: float
+    first: float
+    last: float
+    missing_below: float
+    missing_above: float
+
+
+class Missing(_Record):
+    """Shares of all pixels."""
+
+    share: float
+    by_brightness: list[BinRecord]
+    by_reason: dict[str, float]
+    drop_out: DropOut | None
+
+
+class Noise(_Record):
+    """Standard deviation of z [m] about planes fitted to small patches.
+
+    `percentiles_m` has the 5th, 25th, 50th, 75th and 95th over the patches. `bent` is the share of
+    the `candidates`, patches with hardly a hole, that are no planes; `outliers` the share of pixels
+    beyond 5 sigma.
+    """
+
+    patch_px: int
+    candidates: int
+    patches: int
+    bent: float | None
+    outliers: float | None
+    percentiles_m: list[float] | None
+    relative: float | None  # median of noise over depth
+
+
+class Fine(_Record):
+    """Noise [m] by second differences in small tiles: what neighbours do not share.
+
+    Scaled so that white noise has its own standard deviation; smoothed noise has less here.
+    `percentiles_m` as in `Noise`, over the tiles; `rough` is the share of tiles that are no smooth
+    surface. `dark_to_bright` is the noise of the darkest over that of the brightest bin,
+    `steep_to_facing` that at 40 to 50 over that at 0 to 10 degrees of incidence.
+    """
+
+    tile_px: int
+    tiles: int
+    rough: float | None
+    percentiles_m: list[float] | None
+    by_brightness: list[BinRecord]  # median noise [m], incidence under 45 degrees
+    by_incidence: list[BinRecord]  # limits in degrees
+    dark_to_bright: float | None
+    steep_to_facing: float | None
+
+
+class Pairs(_Record):
+    """Noise [m] of one map, from each map and the next where both show the same surface.
+
+    Its autocorrelation stands at 1, 2 and 3 pixels; none where no two maps share enough.
+    `standing` is the share of the fine noise's power that is the same in both maps, `unevenness`
+    the standard deviation of the logarithm of its amplitude between patches of the surface.
+    """
+
+    pairs: int
+    pixels: int
+    sigma_m: float | None
+    along_rows: list[float] | None
+    along_columns: list[float] | None
+    standing: float | None
+    unevenness: float | None
+
+
+class Autocorrelation(_Record):
+    """Of the noise at 1, 2 and 3 pixels, along the rows and along the columns."""
+
+    patches: int
+    along_rows: list[float] | None
+    along_columns: list[float] | None
+
+
+class Jumps(_Record):
+    """Neighbours that both have depth and lie on different surfaces, pairs per scan."""
+
+    right_farther: float  # left near, right far
+    left_farther: float
+    below_farther: float
+    above_farther: float
+
+
+class Baseline(_Record):
+    """The projector's place in the camera frame, from the widths of shadows.
+
+    `side` says where the projector stands in the image. `plain_m` is the most frequent value of
+    w / (f (1/z_near - 1/z_far)), right for a projector beside the camera, not before or behind it.
+    The fit gives the components `across_m` (towards `side`) and `forward_m` (along z), their length
+    `baseline_m` with its statistical error `error_m` (edges that drop out gradually, dark or
+    torn, add as much as 5 to 15 % to the length), and `eaten_px` that a gap is wider than its
+    shadow; what it assumes is in `gaps.py`.
+    """
+
+    side: str
+    gaps: int
+    edges: float  # at which the gaps are
+    agreeing: float  # share of the edges within 20 % of the fit
+    plain_m: float
+    baseline_m: float
+    error_m: float
+    across_m: float
+    forward_m: float
+    eaten_px: float
+    known_m: float | None
+
+
+class Steps(_Record):
+    """Valid pixels beside a step, per scan, and the share of them that fly between its sides."""
+
+    pixels: float
+    flying: float | None
+
+
+class Islands(_Record):
+    """Connected groups of at most `largest_px` pixels; per scan, and as share of all pixels.
+
+    `holes_by_size` and `specks_by_size` are per scan; their keys say how many pixels a group has.
+    """
+
+    largest_px: int
+    holes: float
+    specks: float
+    holes_by_size: dict[str, float]
+    specks_by_size: dict[str, float]
+    hole_share: float
+    speck_share: float
+
+
+class Realism(_Record):
+    """The figures of a set of depth maps."""
+
+    format_version: int = FORMAT_VERSION
+    name: str
+    scans: int
+    pixels: int
+    median_depth_m: float | None
+    missing: Missing
+    noise: Noise
+    fine: Fine
+    pairs: Pairs
+    autocorrelation: Autocorrelation
+    jumps: Jumps
+    steps: Steps
+    baseline: Baseline | None
+    islands: Islands
+
+
+def write_record(record: Realism, path: Path) -> None:
+    """Write a record as JSON.
+
+    Raises:
+        GraycastError: the file cannot be written.
+    """
+    try:
+        path.write_text(record.model_dump_json(indent=2) + "\n", encoding="utf-8")
+    except OSError as error:
+        raise GraycastError(f"{path}: cannot be written: {error.strerror}") from error
+
+
+def read_record(path: Path) -> Realism:
+    """Read a record, from its file or from the folder that `graycast realism` wrote.
+
+    Raises:
+        DatasetError: it is not there, of another form or version.
+    """
+    file = path / RECORD_FILE if path.is_dir() else path
+    try:
+        record = Realism.model_validate_json(file.read_bytes())
+    except OSError as error:
+        raise DatasetError(f"{file}: cannot be read: {error.strerror}") from error
+    except ValidationError as error:
+        first = error.errors(include_url=False)[0]
+        where = ".".join(str(key) for key in first["loc"]) or "the file"
+        remedy = "measure the depth maps again with graycast realism"
+        raise DatasetError(f"{file}: {where}: {first['msg']}: {remedy}") from error
+    if record.format_version != FORMAT_VERSION:
+        raise DatasetError(
+            f"{file}: has format_version {record.format_version}, and this version of Graycast "
+            f"reads {FORMAT_VERSION}: measure the depth maps again"
+        )
+    return record

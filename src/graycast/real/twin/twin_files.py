@@ -1,0 +1,207 @@
+"""The twin's files: a configuration, its rig, and a report with a picture."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+
+from ...base.folder import whole_folder
+from ...base.plotting import save_png
+from ...base.settings import read_text
+from ...camera.rig_file import ScannerSections, save_scanner
+from ...cell.resolve import Cell
+from ...world.scene import bin_of
+from ..fitted_config import fitted_text, refuse_there
+from ..realism import TwoSample, two_sample_table
+from ..realism.two_sample import PLACES
+from .making import Twin, scaled_color, scaled_reflectance
+from .parameters import BIN_COLOR, BIN_GLOSS, BIN_ROUGHNESS
+from .rows import Row
+from .searching import Found
+
+
+def files_of(out: Path) -> tuple[Path, Path, Path]:
+    """The rig file, the report and the picture beside a twin's configuration."""
+    return tuple(out.with_name(out.stem + end) for end in (".rig.yaml", ".twin.md", ".twin.png"))  # type: ignore[return-value]
+
+
+def write_twin(twin: Twin, cell: Cell, base: Path, out: Path) -> list[Path]:
+    """Write all four; nothing is written over.
+
+    Raises:
+        GraycastError: a file is there already, or cannot be written.
+    """
+    rig, report, picture = files_of(out)
+    named = replace(twin.found.scanner.rig, name=f"{cell.scanner.rig.name}-twin")
+    text = fitted_text(
+        read_text(base),
+        base,
+        {"rig": rig.name} | _bin(twin.found, cell),
+        {"rig": f"Fitted by graycast twin to {twin.scans} real scans, from {base.name}."},
+        dropped=tuple(ScannerSections.model_fields),
+    )
+    refuse_there(rig, report, picture, out)
+    with whole_folder(out.parent) as aside:
+        draw_twin(twin, aside / picture.name)
+        (aside / report.name).write_text(report_text(twin), encoding="utf-8")
+        save_scanner(replace(twin.found.scanner, rig=named), aside / rig.name)
+        (aside / out.name).write_text(text, encoding="utf-8")
+        refuse_there(rig, report, picture, out)  # what came meanwhile
+    return [out, rig, report, picture]
+
+
+def report_text(twin: Twin) -> str:
+    """Tables in Markdown: statistics, parameters, codes, and what the classifier says."""
+    found = twin.found
+    lines = [
+        "# The twin's report",
+        "",
+        f"The search made {found.trials} trials on the scenes of {twin.scans} real scans.",
+        f"Statistics within two spreads of the real scans: {_met(found.before)} before, "
+        f"{_met(found.after)} of {len(found.after)} after.",
+        "",
+        "## Statistics",
+        "",
+        "| statistic | real | spread | as configured | twin | met |",
+        "|---|---|---|---|---|---|",
+        *_rows(found.before, found.after),
+        "",
+        "## What was fitted",
+        "",
+        "Between `from` and `to` the fit is as good as the noise allows: with all other parameters "
+        "as found, in a trial of the search, or if other parameters make up for it. The ranges "
+        "are no confidence intervals (docs/twin.md).",
+        "",
+        _whether_it_fits(found),
+        "",
+        "| key | twin | from | to | do the scans decide it? |",
+        "|---|---|---|---|---|",
+        *_held(found),
+        "",
+        "| period of the code [px] | least misfit |",
+        "|---|---|",
+        *(f"| {period or '-'} | {loss:.3f} |" for period, loss in found.by_code.items()),
+        "",
+        "## Can a classifier distinguish the twin from the real scans?",
+        "",
+    ]
+    for name, test in twin.classified.items():
+        lines += [f"### {name.capitalize()}", "", two_sample_table(test)]
+    return "\n".join(lines)
+
+
+def summary(twin: Twin) -> list[str]:
+    """The twin in a few lines."""
+    found = twin.found
+    lines = [
+        f"statistics met: {_met(found.before)} of {len(found.before)} as configured, "
+        f"{_met(found.after)} of {len(found.after)} by the twin",
+    ]
+    for place in PLACES:
+        before, after = (_sensor_auc(twin.classified[k], place) for k in ("before", "after"))
+        own = _sensor_auc(twin.classified["after"], place, row="real against itself")
+        lines.append(
+            f"AUC by the sensor's features, {place}: {before} as configured, {after} by the twin; "
+            f"real against itself {own}"
+        )
+    loose = [held.parameter.key for held in found.held if not held.decided]
+    if not found.fits:
+        lines.append(_whether_it_fits(found))
+    elif loose:
+        lines.append(f"the scans do not determine {', '.join(loose)}")
+    return lines
+
+
+def _whether_it_fits(found: Found) -> str:
+    own = f"{found.fitting:.2f}, which is twice what the scatter of so few scans explains"
+    if found.fits:
+        return f"The misfit is {found.loss:.2f}. It is below {own}."
+    return (
+        f"The misfit is {found.loss:.2f}. It is above {own}. So the twin is not the scanner "
+        "itself, and no parameter is said to be decided."
+    )
+
+
+def draw_twin(twin: Twin, path: Path) -> None:
+    """Real, as configured and twin side by side; the misfit of each statistic below."""
+    figure = Figure(figsize=(15, 11), layout="constrained")
+    FigureCanvasAgg(figure)
+    grid = figure.add_gridspec(2, 3, height_ratios=[1, 1.2])
+    known = np.concatenate([s.depth_m[s.valid] for s in twin.shown])
+    low, high = np.percentile(known, [1, 99])
+    names = ("a real scan", "its scene as configured", "its scene as the twin scans it")
+    for k, (name, scan) in enumerate(zip(names, twin.shown, strict=True)):
+        ax = figure.add_subplot(grid[0, k])
+        ax.imshow(scan.depth_m, vmin=low, vmax=high, cmap="viridis")
+        ax.set_facecolor("black")
+        ax.set(title=name, xticks=[], yticks=[])
+    ax = figure.add_subplot(grid[1, :])
+    for rows, marker, label in (
+        (twin.found.before, "o", "as configured"),
+        (twin.found.after, "D", "twin"),
+    ):
+        off = [float(np.clip(row.off, -10, 10)) for row in rows]
+        ax.plot(range(len(off)), off, marker, label=label)
+    ax.axhspan(-2, 2, color="0.9", zorder=0)
+    ax.set_xticks(range(len(twin.found.after)), [r.name for r in twin.found.after], rotation=60)
+    for text in ax.get_xticklabels():
+        text.set_horizontalalignment("right")
+    ax.set(title="off by so many spreads of the real scans (cut at 10; grey: met)", ylim=(-11, 11))
+    ax.legend()
+    save_png(figure, path, dpi=80)
+
+
+def _met(rows: Sequence[Row]) -> int:
+    return sum(row.is_met for row in rows)
+
+
+def _rows(before: Sequence[Row], after: Sequence[Row]) -> list[str]:
+    old = {row.name: row for row in before}
+    lines = []
+    for row in after:
+        was = f"{old[row.name].twin:.3g}" if row.name in old else "-"
+        unit = f" [{row.unit}]" if row.unit else ""
+        told = "yes" if row.is_met else f"no, {row.off:+.1f} spreads"
+        lines.append(
+            f"| {row.name}{unit} | {row.real:.3g} | {row.spread:.2g} | {was} | {row.twin:.3g} | "
+            f"{told} |"
+        )
+    return lines
+
+
+def _held(found: Found) -> list[str]:
+    return [
+        f"| {held.parameter.key} | {held.value:.4g} | {held.low:.4g} | {held.high:.4g} | "
+        f"{'yes' if held.decided else 'no'} |"
+        for held in found.held
+    ]
+
+
+def _sensor_auc(test: TwoSample, place: str, row: str | None = None) -> str:
+    auc = test.row[row or next(iter(test.row))][place]["sensor"]
+    return "-" if auc.mean is None else f"{auc.mean:.2f}"
+
+
+def _bin(found: Found, cell: Cell) -> dict[str, Any]:
+    """The bin's section with the colours and the coat that were fitted."""
+    color, gloss = (found.values.get(key) for key in (BIN_COLOR, BIN_GLOSS))
+    if color is None:
+        return {}
+    section = cell.config.bin.model_dump(mode="json", exclude_none=True)
+    box = bin_of(cell.scene)
+    for key, material in (("material", box.material), ("floor", box.floor)):
+        if material is not None:
+            own = section.setdefault(key, {})
+            own["base_color"] = scaled_color(material, color)
+            if material.projector_reflectance is not None:  # it is what the camera sees
+                own["projector_reflectance"] = scaled_reflectance(
+                    material.projector_reflectance, color
+                )
+            if gloss is not None:
+                own["specular"] = round(min(material.specular * gloss, 1.0), 4)
+                own["roughness"] = round(material.roughness + found.values[BIN_ROUGHNESS], 4)
+    return {"bin": section}

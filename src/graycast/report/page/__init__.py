@@ -1,6 +1,0 @@
-"""The web page of a dataset: static files that a browser opens from the disk."""
-
-from .build import WIDTH_PX, write_report
-from .pieces import ReportSummary
-
-__all__ = ["WIDTH_PX", "ReportSummary", "write_report"]

@@ -1,0 +1,10 @@
+"""What is known of the device before it is switched on: optics, codes, camera and projector.
+
+Each imports only from those above it:
+
+    lens_inverse     the inverse of lens distortion, compiled
+    optics           camera and projector: distortion and its inverse, thin lens, vignetting
+    meshdepth        the depth of a mesh at pixel centres, for checks
+    pattern          the frames that a projector shows, and the codes made of them
+    pair             a camera and a projector with fixed relative pose
+"""

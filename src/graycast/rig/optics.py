@@ -1,0 +1,296 @@
+"""Camera and projector optics: Brown-Conrady distortion both ways, thin lens, vignetting, pixels.
+
+A projector is an inverse camera, so both have the same description.
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Annotated
+
+import numpy as np
+from jaxtyping import Bool, Float
+from pydantic import AfterValidator, Field
+
+from ..base.frames import pixel_grid
+from ..base.settings import Finite, check_fields
+
+MAX_SIDE_PX = 32_768  # twice the longest sensors; beyond it a number is no size in pixels
+
+
+def _side(pixels: int) -> int:
+    if not 1 <= pixels <= MAX_SIDE_PX:
+        raise ValueError(f"a picture has 1 to {MAX_SIDE_PX} pixels along each side")
+    return pixels
+
+
+def _pupil(metres: float) -> float:
+    if metres >= 1:
+        raise ValueError(
+            "a pupil's diameter must be less than 1 m: give it in metres, not in millimetres"
+        )
+    return metres
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Optics:
+    """Intrinsics of a camera or projector, in pixels; pixel (0, 0) is a centre.
+
+    `distortion` is (k1, k2, p1, p2, k3) of Brown-Conrady in OpenCV's order:
+    with `r2 = x^2 + y^2` and `radial = 1 + k1 r2 + k2 r2^2 + k3 r2^3`,
+    `x' = x radial + 2 p1 x y + p2 (r2 + 2 x^2)`, `y' = y radial + p1 (r2 + 2 y^2) + 2 p2 x y`.
+
+    `aperture_m` is the diameter of the entrance pupil (0: a pinhole), `focus_m` the z of the plane
+    in focus; the pupil lies at z = 0. `psf_px` is the radius of a disc of blur that is there at
+    every depth: aberrations and diffraction. `natural_vignetting` dims a camera by the fourth power
+    of the cosine to its axis, a projector's intensity by the first (see `relative_illumination`).
+    `falloff` is the share of the light that is missing in the picture's corners beyond that, by
+    whatever cause (see `corner_share`).
+    `fill_factor` is the share of a pixel's area, a centred square, that senses or shines.
+
+    Leaves out: skew; what vignetting by the lens's own rims does to blur; what `blur_radius_px`
+    says. Distortion beyond the monotonic range is refused.
+    """
+
+    width_px: Annotated[
+        int, Field(ge=1, description="Width of the image in pixels."), AfterValidator(_side)
+    ]
+    height_px: Annotated[
+        int, Field(ge=1, description="Height of the image in pixels."), AfterValidator(_side)
+    ]
+    fx_px: Annotated[float, Field(gt=0, description="Focal length along x in pixels.")]
+    fy_px: Annotated[float, Field(gt=0, description="Focal length along y in pixels.")]
+    cx_px: Annotated[
+        Finite, Field(description="The x coordinate of the principal point in pixels.")
+    ]
+    cy_px: Annotated[
+        Finite, Field(description="The y coordinate of the principal point in pixels.")
+    ]
+    distortion: Annotated[
+        tuple[Finite, Finite, Finite, Finite, Finite],
+        Field(description="Brown-Conrady coefficients (k1, k2, p1, p2, k3) in OpenCV's order."),
+    ] = (0.0, 0.0, 0.0, 0.0, 0.0)
+    aperture_m: Annotated[
+        float,
+        Field(ge=0, description="Diameter of the entrance pupil in metres; 0 is a pinhole."),
+        AfterValidator(_pupil),
+    ] = 0.0
+    focus_m: Annotated[
+        float,
+        Field(
+            gt=0,
+            description="Distance of the plane in focus along the axis in metres; "
+            "infinite if the key is absent.",
+        ),
+    ] = math.inf
+    psf_px: Annotated[
+        float,
+        Field(ge=0, description="Radius in pixels of a blur that is the same at every distance."),
+    ] = 0.0
+    natural_vignetting: Annotated[
+        bool,
+        Field(
+            description="Whether the image darkens towards its corners with a power "
+            "of the cosine of the field angle."
+        ),
+    ] = False
+    falloff: Annotated[
+        float | None,
+        Field(
+            ge=0,
+            lt=1,
+            description="Share of the light that is missing in the corners of the picture beyond "
+            "natural vignetting; it grows with the square of the distance from the middle.",
+        ),
+    ] = None
+    fill_factor: Annotated[
+        float, Field(gt=0, le=1, description="Share of a pixel's area that senses or emits light.")
+    ] = 1.0
+
+    def __post_init__(self) -> None:
+        check_fields(self)
+
+    @property
+    def K(self) -> Float[np.ndarray, "3 3"]:
+        """The camera matrix."""
+        return np.array(
+            [[self.fx_px, 0.0, self.cx_px], [0.0, self.fy_px, self.cy_px], [0.0, 0.0, 1.0]]
+        )
+
+    @property
+    def has_distortion(self) -> bool:
+        return any(self.distortion)
+
+    @property
+    def is_pinhole(self) -> bool:
+        """Whether every point is sharp."""
+        return self.aperture_m == 0 and self.psf_px == 0
+
+    @property
+    def field_of_view_rad(self) -> tuple[float, float]:
+        """Full horizontal and vertical angle between the outer pixel borders, undistorted."""
+        left, right = -0.5 - self.cx_px, self.width_px - 0.5 - self.cx_px
+        top, bottom = -0.5 - self.cy_px, self.height_px - 0.5 - self.cy_px
+        horizontal = np.arctan(right / self.fx_px) - np.arctan(left / self.fx_px)
+        vertical = np.arctan(bottom / self.fy_px) - np.arctan(top / self.fy_px)
+        return float(horizontal), float(vertical)
+
+
+def optics_of(
+    K: Sequence[float] | Float[np.ndarray, "3 3"],
+    size_px: tuple[int, int],
+    distortion: Sequence[float] = (0.0,) * 5,
+) -> Optics:
+    """The lens of a camera matrix, by rows; `size_px` is height and width.
+
+    Raises:
+        ValueError: as in `Optics`, and where there are not five terms of distortion.
+    """
+    (fx_px, _, cx_px), (_, fy_px, cy_px), _ = np.reshape(K, (3, 3)).tolist()
+    k1, k2, p1, p2, k3 = distortion
+    return Optics(
+        width_px=size_px[1],
+        height_px=size_px[0],
+        fx_px=fx_px,
+        fy_px=fy_px,
+        cx_px=cx_px,
+        cy_px=cy_px,
+        distortion=(float(k1), float(k2), float(p1), float(p2), float(k3)),
+    )
+
+
+def distort(
+    xy: Float[np.ndarray, "*n 2"], distortion: tuple[float, float, float, float, float]
+) -> Float[np.ndarray, "*n 2"]:
+    """Ideal normalised image coordinates to distorted ones.
+
+    Source: D. C. Brown, "Close-range camera calibration", 1971; OpenCV's coefficient order.
+    """
+    k1, k2, p1, p2, k3 = distortion
+    x, y = xy[..., 0], xy[..., 1]
+    r2 = x * x + y * y
+    radial = 1 + r2 * (k1 + r2 * (k2 + r2 * k3))
+    return np.stack(
+        [
+            x * radial + 2 * p1 * x * y + p2 * (r2 + 2 * x * x),
+            y * radial + p1 * (r2 + 2 * y * y) + 2 * p2 * x * y,
+        ],
+        axis=-1,
+    )
+
+
+def undistort(
+    xy: Float[np.ndarray, "*n 2"], distortion: tuple[float, float, float, float, float]
+) -> Float[np.ndarray, "*n 2"]:
+    """The inverse of `distort`, by Newton's method to 1e-9.
+
+    Raises:
+        ValueError: the distortion folds over within the given points, so it has no inverse.
+    """
+    ideal = np.array(xy, dtype=np.float64)
+    if not any(distortion):
+        return ideal
+    from .lens_inverse import undistort_in_place  # numba takes a while to import, --help should not
+
+    if not undistort_in_place(ideal.reshape(-1, 2), *map(float, distortion)):
+        raise ValueError(
+            f"distortion {distortion} has no inverse over this image: give coefficients in the "
+            "order (k1, k2, p1, p2, k3) that were fitted to it"
+        )
+    return ideal
+
+
+def in_picture(optics: Optics, pixel: Float[np.ndarray, "*n 2"]) -> Bool[np.ndarray, "*n"]:
+    """Whether positions lie on the picture, whose pixels are squares; NaN does not."""
+    end = np.array([optics.width_px, optics.height_px]) - 0.5
+    return np.all((pixel >= -0.5) & (pixel <= end), axis=-1)
+
+
+def project(optics: Optics, point: Float[np.ndarray, "*n 3"]) -> Float[np.ndarray, "*n 2"]:
+    """Pixel coordinates (x, y) of points in the camera frame; NaN where the lens model ends.
+
+    It ends at and behind the lens, and beyond the field angle at which radial distortion folds
+    over: there the polynomial would put points far outside the field back into the image.
+    """
+    z = np.where(point[..., 2:] > 0, point[..., 2:], np.nan)
+    ideal = point[..., :2] / z
+    if optics.has_distortion:
+        r2 = np.square(ideal).sum(axis=-1, keepdims=True)
+        ideal = np.where(r2 < fold_radius2(optics.distortion), ideal, np.nan)
+    xy = distort(ideal, optics.distortion)
+    return xy * [optics.fx_px, optics.fy_px] + [optics.cx_px, optics.cy_px]
+
+
+def rays(optics: Optics, pixel: Float[np.ndarray, "*n 2"]) -> Float[np.ndarray, "*n 3"]:
+    """Ideal ray directions of pixels, camera frame, scaled to unit z."""
+    xy = (pixel - [optics.cx_px, optics.cy_px]) / [optics.fx_px, optics.fy_px]
+    xy = undistort(xy, optics.distortion)
+    return np.concatenate([xy, np.ones_like(xy[..., :1])], axis=-1)
+
+
+def picture_rays(optics: Optics) -> Float[np.ndarray, "h w 3"]:
+    """`rays` of all pixels of a picture."""
+    return rays(optics, pixel_grid(optics.height_px, optics.width_px))
+
+
+def points(optics: Optics, depth_m: Float[np.ndarray, "h w"]) -> Float[np.ndarray, "h w 3"]:
+    """The point [m] that each pixel of a depth map sees, camera frame; NaN where it has no depth.
+
+    Args:
+        depth_m: z of the whole picture, which has the size of the optics.
+    """
+    return picture_rays(optics) * depth_m[..., None]
+
+
+def fold_radius2(distortion: tuple[float, float, float, float, float]) -> float:
+    """Squared ideal radius at which radial distortion stops growing outwards; inf if it never does.
+
+    The smallest positive root of d(r radial)/dr = 1 + 3 k1 s + 5 k2 s^2 + 7 k3 s^3, s = r^2.
+    Leaves out the tangential terms, which move the fold by about their own size.
+    """
+    k1, k2, _, _, k3 = distortion
+    root = np.roots([7 * k3, 5 * k2, 3 * k1, 1.0])
+    real = root.real[(np.abs(root.imag) < 1e-9 * np.abs(root)) & (root.real > 0)]
+    return float(real.min(initial=np.inf))
+
+
+def blur_radius_px(optics: Optics, z_m: Float[np.ndarray, "*n"]) -> Float[np.ndarray, "*n"]:
+    """Radius of the disc over which a thin lens spreads a point at depth `z_m` [pixels along x].
+
+    Rays from all over the pupil, of diameter A, to a point at z cross the plane in focus, at f, in
+    a disc; seen from the lens its radius is `A / 2 |1 / f - 1 / z|` in normalised coordinates. The
+    constant disc `psf_px` is added in quadrature, as the second moments of blurs add.
+
+    Leaves out: the shape of diffraction and of aberrations, and that they grow over the field; the
+    pupil's foreshortening at the border of the field; focus breathing.
+
+    Source: geometrical optics; e.g. Potmesil & Chakravarty, "A Lens and Aperture Camera Model for
+    Synthetic Image Generation", SIGGRAPH 1981.
+    """
+    defocus = 0.5 * optics.aperture_m * np.abs(1 / optics.focus_m - 1 / z_m)
+    return np.hypot(defocus * optics.fx_px, optics.psf_px)
+
+
+def relative_illumination(optics: Optics) -> Float[np.ndarray, "h w"]:
+    """What vignetting and falloff leave of a camera's light at each pixel's centre.
+
+    With `natural_vignetting`, the image's irradiance is `L cos^4` of the angle to the axis: two
+    factors by the longer way to the sensor, one by the pupil's and one by the sensor's slant.
+    Source: e.g. R. Kingslake, "Optics in Photography", 1992.
+    """
+    pixel = pixel_grid(optics.height_px, optics.width_px)
+    left = np.ones(pixel.shape[:2])
+    if optics.falloff:
+        left -= optics.falloff * corner_share(optics, pixel)
+    if optics.natural_vignetting:
+        left /= np.square(np.square(rays(optics, pixel)).sum(axis=-1))
+    return left
+
+
+def corner_share(optics: Optics, pixel: Float[np.ndarray, "*n 2"]) -> Float[np.ndarray, "*n"]:
+    """How much of `falloff` acts at places of the picture: 0 in its middle, 1 in its corners.
+
+    It is `(x^2 + y^2) / 2` where x and y are -1 and 1 at the borders: 1/2 in the borders' middles.
+    """
+    place = (2 * pixel + 1) / np.array([optics.width_px, optics.height_px]) - 1
+    return np.square(place).sum(axis=-1) / 2

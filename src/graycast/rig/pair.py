@@ -1,0 +1,449 @@
+"""A camera and a projector that hold still to each other: presets and what they can see."""
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from types import MappingProxyType
+from typing import Annotated
+
+import numpy as np
+from jaxtyping import Float, UInt8
+from pydantic import AfterValidator, Field
+
+from ..base.frames import (
+    axis_rotation,
+    inverse,
+    is_rigid,
+    look_at,
+    pixel_grid,
+    rigid,
+    transform_points,
+)
+from ..base.settings import check_fields
+from .optics import Optics, in_picture, project, rays
+
+
+def _rising(response: tuple[float, ...]) -> tuple[float, ...]:
+    if not 2 <= len(response) <= 256 or not (np.diff(response) > 0).all():
+        raise ValueError("give 2 to 256 values, each above the last")
+    if (response[0], response[-1]) != (0.0, 1.0):
+        raise ValueError(
+            "it must start at 0 and end at 1, relative to white: state the light of black with "
+            "contrast_ratio"
+        )
+    return response
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Rig:
+    """One camera and one projector.
+
+    `T_cam_proj` maps projector coordinates to camera coordinates [m]. A white projector pixel
+    has the radiant intensity `intensity_w_sr` [W/sr] in every direction of its field, shared out
+    over the red, green and blue band by `band_weights`. The measuring camera is monochrome and has
+    a filter that passes the bands in which the projector shines, and no other.
+    `picture_level` is what the projector shows, 0 to 1, while the colour picture is taken.
+
+    `response` is the projector's radiance, as a share of white's, at equally spaced grey levels
+    from 0 to 255, linear between them. What leaks through a black picture is white's light over
+    `contrast_ratio`; it is in every picture. `veil` is the share of its light that the camera's
+    lens spreads far over the image. `speckle_contrast` is standard deviation over mean of the
+    light at a point of the sensor, of a black rough surface in the projector's light: 0 of LEDs, up
+    to 1 of a laser, 0.71 where the surface depolarises it. `speckle_volume` says how much less
+    a material has that scatters light inside (see `speckle.material_contrast`), and
+    `speckle_unevenness` how much the contrast differs between patches of a surface. `line_noise` is
+    one standard deviation, as a share, of each projected line's light in each picture; errors of
+    one line have a correlation of 1/e at `line_noise_length_m`.
+
+    Leaves out: spectra finer than three bands and the projector's line; a response that depends on
+    place, time or the picture.
+    """
+
+    name: Annotated[
+        str, Field(min_length=1, description="Name of the rig in reports and datasets.")
+    ]
+    camera: Optics
+    projector: Optics
+    T_cam_proj: Float[np.ndarray, "4 4"]
+    near_m: Annotated[
+        float, Field(gt=0, description="Nearest depth of the working range in metres.")
+    ]
+    far_m: Annotated[
+        float, Field(gt=0, description="Farthest depth of the working range in metres.")
+    ]
+    intensity_w_sr: Annotated[
+        float, Field(gt=0, description="Radiant intensity of a white projector pixel [W/sr].")
+    ] = 10.0
+    band_weights: Annotated[
+        tuple[float, float, float],
+        Field(
+            description="Shares of red, green and blue in the projector's light; their sum is 1."
+        ),
+    ] = (1 / 3, 1 / 3, 1 / 3)
+    picture_level: Annotated[
+        float,
+        Field(
+            ge=0,
+            le=1,
+            description="Grey level of the projector while the colour picture "
+            "is taken, from 0 to 1.",
+        ),
+    ] = 0.0
+    response: Annotated[
+        tuple[float, ...],
+        Field(
+            description="Radiance of the projector at equally spaced grey levels, relative "
+            "to white."
+        ),
+        AfterValidator(_rising),
+    ] = (0.0, 1.0)
+    contrast_ratio: Annotated[
+        float,
+        Field(
+            gt=1,
+            description="Ratio of the projector's white to its black; infinite if "
+            "the key is absent.",
+        ),
+    ] = math.inf
+    veil: Annotated[
+        float,
+        Field(
+            ge=0,
+            lt=1,
+            description="Share of the light that the "
+            "camera's lens spreads over the "
+            "image as stray light.",
+        ),
+    ] = 0.0
+    speckle_contrast: Annotated[
+        float,
+        Field(
+            ge=0,
+            le=1,
+            description="Speckle contrast at a point of the sensor, on a black "
+            "surface: 1 for a laser, 0 for an LED.",
+        ),
+    ] = 0.0
+    speckle_volume: Annotated[
+        float,
+        Field(
+            ge=0,
+            description="Reduction of the speckle contrast by scattering inside a "
+            "white surface; 0 is no reduction.",
+        ),
+    ] = 0.0
+    speckle_unevenness: Annotated[
+        float,
+        Field(
+            ge=0,
+            le=1,
+            description="Standard deviation of the natural logarithm of the speckle contrast "
+            "between patches of a surface.",
+        ),
+    ] = 0.0
+    line_noise: Annotated[
+        float,
+        Field(ge=0, le=0.2, description="Of each projected line's light in a picture, a share."),
+    ] = 0.0
+    line_noise_length_m: Annotated[
+        float,
+        Field(
+            gt=0,
+            description="Distance along a projected line, on a surface in the middle of the "
+            "working range, at which line noise has a correlation of 1/e. A line has "
+            "one error from end to end if the key is absent.",
+        ),
+    ] = math.inf
+
+    @property
+    def T_proj_cam(self) -> Float[np.ndarray, "4 4"]:
+        """Maps camera coordinates to projector coordinates [m]."""
+        return inverse(self.T_cam_proj)
+
+    def __post_init__(self) -> None:
+        self.T_cam_proj.flags.writeable = False
+        check_fields(self)
+        if not is_rigid(self.T_cam_proj):
+            raise ValueError("T_cam_proj is not a rotation and a translation: check R and T")
+        if not 0 < self.near_m < self.far_m:
+            span = f"near_m {self.near_m}, far_m {self.far_m}"
+            raise ValueError(f"working range is {span}; it needs 0 < near_m < far_m")
+        if self.baseline_m < 1e-6:
+            raise ValueError(
+                "camera and projector have the same position: give them a baseline, which "
+                "triangulation needs"
+            )
+        if self.baseline_m > 10:
+            raise ValueError(
+                f"baseline is {self.baseline_m:.3g} m: give T in metres, not in millimetres"
+            )
+        if min(self.band_weights) < 0 or abs(sum(self.band_weights) - 1) > 1e-6:
+            raise ValueError(
+                f"band_weights are {self.band_weights}; give the shares of R, G and B, whose sum "
+                "is 1"
+            )
+
+    @property
+    def baseline_m(self) -> float:
+        return float(np.linalg.norm(self.T_cam_proj[:3, 3]))
+
+    @property
+    def passed_bands(self) -> tuple[float, float, float]:
+        """What the measuring camera's filter lets through per band, 0 or 1."""
+        red, green, blue = (float(weight > 0) for weight in self.band_weights)
+        return red, green, blue
+
+    @property
+    def axes_angle_rad(self) -> float:
+        """Angle between the two optical axes: the toe-in of both devices together."""
+        return float(np.arccos(np.clip(self.T_cam_proj[2, 2], -1.0, 1.0)))
+
+
+def emission(rig: Rig, level: UInt8[np.ndarray, "*n"]) -> Float[np.ndarray, "*n"]:
+    """What the projector emits at a grey level, as a share of white's, above its black level."""
+    return _emission_table(rig)[level]
+
+
+def grey_levels(rig: Rig, share: Float[np.ndarray, "*n"]) -> UInt8[np.ndarray, "*n"]:
+    """The grey level whose emission comes nearest to each share of white's: undoes `emission`."""
+    table = _emission_table(rig)
+    return np.searchsorted((table[1:] + table[:-1]) / 2, share).astype(np.uint8)
+
+
+def _emission_table(rig: Rig) -> Float[np.ndarray, "256"]:
+    return np.interp(np.arange(256), np.linspace(0, 255, len(rig.response)), rig.response)
+
+
+# fx at full resolution [px], baseline [m], toe-in of either device [deg], range [m]: figures of the
+# Photoneo PhoXi family from secondary sources that agree; 2064 x 1544, low resolution halves it.
+# Both devices are read as toed in: only then do the axes cross inside each stated range.
+_PHOXI = {
+    "phoxi-s": (2246.0, 0.230, 15.45, 0.384, 0.520),
+    "phoxi-m": (2269.0, 0.350, 11.75, 0.458, 1.118),
+    "phoxi-l": (2263.0, 0.550, 9.45, 0.870, 2.150),
+}
+_PHOXI_PROJECTOR_FIELD_DEG = (47.5, 36.0)
+_RED_LASER = (1.0, 0.0, 0.0)  # 637 nm lies in the red band
+
+PRESETS = ("paper", *_PHOXI)
+# Sensor pixels across one pixel of the picture: a camera that sums squares of pixels is faster.
+BINNING: Mapping[str, int] = MappingProxyType({"small": 4, "low": 2, "full": 1})
+RESOLUTIONS = tuple(BINNING)
+
+
+def preset_rig(name: str, resolution: str = "low") -> Rig:
+    """A rig known by name.
+
+    Args:
+        name: one of `PRESETS`.
+        resolution: 'small' is 516 x 386, 'low' 1032 x 772, 'full' 2064 x 1544 camera pixels.
+
+    Raises:
+        ValueError: no such preset or resolution.
+    """
+    if resolution not in RESOLUTIONS:
+        raise ValueError(f"no resolution {resolution!r}: choose one of {', '.join(RESOLUTIONS)}")
+    if name == "paper":
+        return _paper(resolution)
+    if name not in _PHOXI:
+        raise ValueError(f"no rig preset {name!r}: choose one of {', '.join(PRESETS)}")
+    fx_px, baseline_m, toe_in_deg, near_m, far_m = _PHOXI[name]
+    return Rig(
+        name=name,
+        camera=_phoxi_camera(fx_px, resolution),
+        projector=_field_optics(1024, 768, *np.radians(_PHOXI_PROJECTOR_FIELD_DEG)),
+        T_cam_proj=_toed_in(baseline_m, math.radians(toe_in_deg)),
+        near_m=near_m,
+        far_m=far_m,
+        band_weights=_RED_LASER,
+    )
+
+
+def _paper(resolution: str) -> Rig:
+    """The paper's rig: a PhoXi M's camera and baseline with a white Gray-code projector.
+
+    The paper prints neither intrinsics nor resolution; it names the PhoXi M and L.
+    """
+    return replace(
+        preset_rig("phoxi-m", resolution),
+        name="paper",
+        band_weights=(1 / 3, 1 / 3, 1 / 3),
+        picture_level=0.25,
+    )
+
+
+def _phoxi_camera(fx_full_px: float, resolution: str) -> Optics:
+    binning = BINNING[resolution]
+    width_px, height_px = 2064 // binning, 1544 // binning
+    fx_px = fx_full_px / binning
+    return Optics(
+        width_px=width_px,
+        height_px=height_px,
+        fx_px=fx_px,
+        fy_px=fx_px,
+        cx_px=(width_px - 1) / 2,
+        cy_px=(height_px - 1) / 2,
+    )
+
+
+def _field_optics(
+    width_px: int, height_px: int, horizontal_rad: float, vertical_rad: float
+) -> Optics:
+    return Optics(
+        width_px=width_px,
+        height_px=height_px,
+        fx_px=width_px / 2 / math.tan(horizontal_rad / 2),
+        fy_px=height_px / 2 / math.tan(vertical_rad / 2),
+        cx_px=(width_px - 1) / 2,
+        cy_px=(height_px - 1) / 2,
+    )
+
+
+def _toed_in(baseline_m: float, toe_in_rad: float) -> Float[np.ndarray, "4 4"]:
+    """Projector to the camera's right; both turned towards each other by `toe_in_rad`."""
+    T_rig_cam = rigid(axis_rotation("y", toe_in_rad), np.array([-baseline_m / 2, 0.0, 0.0]))
+    T_rig_proj = rigid(axis_rotation("y", -toe_in_rad), np.array([baseline_m / 2, 0.0, 0.0]))
+    return inverse(T_rig_cam) @ T_rig_proj
+
+
+def depth_per_column_m(rig: Rig, z_m: float) -> float:
+    """Change of depth on the camera's axis per projector column, at depth `z_m`.
+
+    NaN where that point is unlit, inf where columns do not move with depth.
+    Derived numerically from the projection, so it holds for any pose and distortion.
+    """
+    return _depth_per_line_m(rig, z_m, across=0)
+
+
+def depth_per_row_m(rig: Rig, z_m: float) -> float:
+    """The same per projector row, for a baseline that runs down the projector's picture."""
+    return _depth_per_line_m(rig, z_m, across=1)
+
+
+def _depth_per_line_m(rig: Rig, z_m: float, *, across: int) -> float:
+    step_m = 1e-4 * z_m
+    centre = np.array([[rig.camera.cx_px, rig.camera.cy_px]])
+    ray = rays(rig.camera, centre)[0]
+    point = np.stack([ray * (z_m - step_m), ray * (z_m + step_m)])
+    T_proj_cam = rig.T_proj_cam
+    line = project(rig.projector, transform_points(T_proj_cam, point))[:, across]
+    size_px = (rig.projector.width_px, rig.projector.height_px)[across]
+    lit = -0.5 <= line.mean() <= size_px - 0.5
+    if not lit:
+        return math.nan
+    shift = float(abs(line[1] - line[0]))  # 0 where the baseline runs along the lines
+    return 2 * step_m / shift if shift > 0 else math.inf
+
+
+def common_depths_m(
+    camera: Optics,
+    projector: Optics,
+    T_cam_proj: Float[np.ndarray, "4 4"],
+    depth_m: Float[np.ndarray, " n"],
+) -> Float[np.ndarray, " m"]:
+    """Those of the depths at which the camera sees a place that the projector lights.
+
+    Of the camera's pixels 33 x 33 are asked, so an overlap of less than 3 % may be missed.
+    """
+    grid = pixel_grid(33, 33) / 32 * [camera.width_px - 1, camera.height_px - 1]
+    ray = rays(camera, grid)
+    seen = []
+    for z_m in depth_m:
+        place_px = project(projector, transform_points(inverse(T_cam_proj), z_m * ray))
+        seen.append(in_picture(projector, place_px).any())
+    return depth_m[np.array(seen, dtype=bool)]
+
+
+def place(
+    rig: Rig,
+    *,
+    target_m: Float[np.ndarray, "3"],
+    distance_m: float,
+    tilt_rad: float,
+    azimuth_rad: float,
+) -> Float[np.ndarray, "4 4"]:
+    """`T_world_cam` of a rig that looks at a target from above, as its housing would hang there.
+
+    The middle of the baseline is `distance_m` from the target; the bisector of the rays in the
+    middle of the two pictures points at it, `tilt_rad` from the vertical. At azimuth 0 the baseline
+    is along world x and a tilted rig stands towards -y; the azimuth turns all of it about the
+    world's z.
+    """
+    turn = axis_rotation("z", azimuth_rad)
+    away = turn @ np.array([0.0, -np.sin(tilt_rad), np.cos(tilt_rad)])
+    down = turn @ np.array([0.0, -np.cos(tilt_rad), -np.sin(tilt_rad)])
+    T_world_rig = look_at(np.asarray(target_m) + distance_m * away, np.asarray(target_m), down)
+    return T_world_rig @ inverse(frame_in_camera(rig))
+
+
+def frame_in_camera(rig: Rig) -> Float[np.ndarray, "4 4"]:
+    """`T_cam_rig` of the rig's own frame.
+
+    Its origin is mid-baseline, z the bisector of the two devices' middle rays, which are the
+    optical axes of lenses without shift, and y the camera's as near as may be.
+    """
+    bisector = _middle_ray(rig.camera) + rig.T_cam_proj[:3, :3] @ _middle_ray(rig.projector)
+    middle = rig.T_cam_proj[:3, 3] / 2
+    return look_at(middle, middle + bisector, np.array([0.0, 1.0, 0.0]))
+
+
+def aimed(rig: Rig, *, baseline_m: float, distance_m: float) -> Rig:
+    """The same camera and projector another distance apart, and both turned to one target.
+
+    The middle rays of their pictures then cross `distance_m` before the middle of the baseline, on
+    what was their bisector. The working range, which lenses and focus set, stays as it was.
+    """
+    T_rig_cam = inverse(frame_in_camera(rig))
+    target = np.array([0.0, 0.0, distance_m])
+    turned = []
+    for optics, T in ((rig.camera, T_rig_cam), (rig.projector, T_rig_cam @ rig.T_cam_proj)):
+        eye = baseline_m / rig.baseline_m * T[:3, 3]
+        start = T[:3, :3] @ _middle_ray(optics)
+        turned.append(rigid(_least_turn(start, target - eye) @ T[:3, :3], eye))
+    return replace(rig, T_cam_proj=inverse(turned[0]) @ turned[1])
+
+
+def _least_turn(
+    start: Float[np.ndarray, "3"], end: Float[np.ndarray, "3"]
+) -> Float[np.ndarray, "3 3"]:
+    """The rotation by the least angle that turns one direction to another, less than 180 degrees.
+
+    Rodrigues' formula: `I + K + K K / (1 + c)` with the cross product's matrix K of the unit
+    directions, and c their product.
+    """
+    a, b = start / np.linalg.norm(start), end / np.linalg.norm(end)
+    x, y, z = np.cross(a, b)
+    K = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+    return np.eye(3) + K + K @ K / (1 + a @ b)
+
+
+def _middle_ray(optics: Optics) -> Float[np.ndarray, "3"]:
+    """Unit direction of the middle of a device's picture: what it is aimed by.
+
+    A projector with lens shift has its optical axis at the edge of its picture or beside it.
+    """
+    middle = np.array([[(optics.width_px - 1) / 2, (optics.height_px - 1) / 2]])
+    ray = rays(optics, middle)[0]
+    return ray / np.linalg.norm(ray)
+
+
+def best_depth_m(rig: Rig) -> float:
+    """Depth at which the middle rays of both pictures come closest, within the working range."""
+    camera, projector = _middle_ray(rig.camera), rig.T_cam_proj[:3, :3] @ _middle_ray(rig.projector)
+    origin = rig.T_cam_proj[:3, 3]
+    # Closest point of the lines s * camera and origin + t * projector.
+    c = camera @ projector
+    if 1 - c * c < 1e-12:
+        return 0.5 * (rig.near_m + rig.far_m)
+    s = (origin @ camera - c * (origin @ projector)) / (1 - c * c)
+    return float(np.clip(s * camera[2], rig.near_m, rig.far_m))
+
+
+def standoff_m(rig: Rig) -> float:
+    """Distance from the middle of the baseline to the camera's middle ray at `best_depth_m`.
+
+    For a rig whose middle rays cross in its range that is where they cross.
+    """
+    ray = _middle_ray(rig.camera)
+    point = best_depth_m(rig) / ray[2] * ray
+    return float(np.linalg.norm(point - rig.T_cam_proj[:3, 3] / 2))

@@ -1,0 +1,259 @@
+"""Parallel jaws on a part with a known mesh: grasp search, and loads held by friction."""
+
+from dataclasses import dataclass
+from typing import no_type_check
+
+import numba
+import numpy as np
+from jaxtyping import Float
+from scipy.spatial.transform import Rotation
+
+from ...base.frames import inverse, rigid, transform_points
+from ...base.streams import stream
+from ...world.parts import Mesh
+from ...world.parts.sampling import spread_points
+from .grip import Grip, downs
+from .robust import SHAKE, Doubt
+
+CLEARANCE_M = 2e-3  # between each open finger and the part
+TURNS = 8  # ways round the pads' axis that are tried at each place
+PAD_LINES = 8  # on each of two rings, along which a pad is followed to the part
+PAD_GIVES_M = 0.5e-3  # by which a rubber pad is pressed in
+PROBES = 3000  # points of the surface that no finger may hold within itself
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Jaws:
+    """Two parallel fingers that close along the tool's x; z points from the tips to the palm.
+
+    A grip's origin is the middle between both pads. `finger_m` is a finger's thickness along x,
+    width along y, and length from tip to palm along z. `pad_radius_m` is the radius of the disc in
+    which a pad touches; its middle lies that far from the finger's tip.
+    """
+
+    opening_m: float = 0.085
+    force_n: float = 60.0
+    friction: float = 0.4
+    finger_m: tuple[float, float, float] = (0.010, 0.020, 0.045)
+    pad_radius_m: float = 0.004
+
+    def __post_init__(self) -> None:
+        for name in ("opening_m", "force_n", "pad_radius_m"):
+            if not getattr(self, name) > 0:
+                raise ValueError(f"{name} is {getattr(self, name)}; it must be greater than 0")
+        if self.opening_m > 1:
+            raise ValueError(
+                f"opening_m is {self.opening_m:g}: this is too large; give metres, not millimetres"
+            )
+        if not self.friction >= 0:
+            raise ValueError(f"friction is {self.friction}; it must be at least 0")
+
+
+def jaw_load_factor(
+    jaws: Jaws, force_n: Float[np.ndarray, "k 3"], moment_nm: Float[np.ndarray, "k 3"]
+) -> Float[np.ndarray, " k"]:
+    """The safety factor of a load between two pads with friction; below 1 the part slips.
+
+    Both pads together carry 2 friction force across their axis, and about it the moment of two
+    discs of even pressure, 2 friction force (2/3 r). The load's moment about other axes is held
+    by the pads' normal forces, which this leaves out: fingers are stiff beside a part's weight.
+    Forces along the axis are held by the drive.
+
+    Args:
+        jaws: which hold.
+        force_n: that pulls at the part, in the tool's frame.
+        moment_nm: its moment about the tool's origin.
+    """
+    demand = np.sqrt(
+        force_n[..., 1] ** 2
+        + force_n[..., 2] ** 2
+        + (moment_nm[..., 0] / (2 / 3 * jaws.pad_radius_m)) ** 2
+    )
+    with np.errstate(divide="ignore"):
+        return 2 * jaws.friction * jaws.force_n / demand
+
+
+def jaw_places(
+    mesh: Mesh,
+    jaws: Jaws,
+    *,
+    weight_n: float,
+    center_m: Float[np.ndarray, "3"],
+    doubt: Doubt,
+    count: int = 200,
+    chances: int = 24,
+    seed: int = 0,
+) -> list[Grip]:
+    """All places around which open fingers fit, including those where they do not hold.
+
+    They hold where both normals lie in the cone of friction about the line between the pads, and no
+    point of the part lies in an open finger or in the palm: so one finger may stand in a hole or
+    between two walls that leave it room. The score is then the share of chances (place of the tool,
+    friction, centre of mass) in which both pads meet the part within the cone and the burden is
+    held, the least over an upright tool and one that leans to four sides; elsewhere it is 0. The
+    first chance has the tool where it was planned.
+
+    Args:
+        mesh: of the part.
+        jaws: the tool.
+        weight_n: of the part.
+        center_m: its centre of mass.
+        doubt: what is not known.
+        count: places that are tried, evenly over the surface.
+        chances: of each grip.
+        seed: of the chances.
+    """
+    rng = np.random.default_rng(seed)
+    point, normal = spread_points(mesh, count)
+    probes = spread_points(mesh, PROBES)[0]
+    off = rng.normal(size=(chances, 4))
+    T_tool_true = _displaced(doubt, chances, seed)
+    friction = jaws.friction * np.maximum(1 + doubt.friction_share * off[:, 0], 0)
+    a, b, c = np.moveaxis(mesh.vertices_m[mesh.faces].astype(np.float64), 1, 0)
+    through_m, face = _far_side(point, -normal, a, b - a, c - a, most_m=np.inf)
+    far_normal = mesh.face_normal[face]
+    slope = np.tan(np.arccos(np.clip(-np.einsum("ni,ni->n", far_normal, normal), 0, 1)))
+    fits = (through_m > 1e-4) & (through_m + 2 * CLEARANCE_M <= jaws.opening_m)
+    closes = slope <= jaws.friction
+    places = []
+    for i in np.flatnonzero(fits):
+        for turn in 2 * np.pi * np.arange(TURNS) / TURNS:
+            T = _closed_on(point[i] - normal[i] * through_m[i] / 2, normal[i], turn)
+            opening_m = float(through_m[i])
+            if not closes[i] or _in_the_way(jaws, probes, T, opening_m):
+                places.append(Grip(T_part_tool=T, score=0.0, opening_m=opening_m))
+                continue
+            wide_m = opening_m + 2 * CLEARANCE_M
+            met = [closing(mesh, jaws, T @ error, opening_m=wide_m) for error in T_tool_true]
+            held = friction >= [np.inf if one is None else one[1] for one in met]
+            centers = (center_m + doubt.center_m * off[:, 1:] - T[:3, 3]) @ T[:3, :3]
+            loads_n = SHAKE * weight_n * downs()[:, None].repeat(chances, axis=1)
+            factor = np.array(
+                [jaw_load_factor(jaws, each_n, np.cross(centers, each_n)) for each_n in loads_n]
+            )
+            score = np.mean(held & (factor * friction / jaws.friction >= 1), axis=1).min()
+            places.append(Grip(T_part_tool=T, score=float(score), opening_m=opening_m))
+    return places
+
+
+def _displaced(doubt: Doubt, count: int, seed: int) -> Float[np.ndarray, "k 4 4"]:
+    """Where a tool may be instead, in its planned frame; at most three deviations off."""
+    rng = stream(seed, 1)
+    off = np.clip(rng.normal(size=(count, 6)), -3, 3)
+    off[0] = 0
+    turned = Rotation.from_rotvec(doubt.angle_rad * off[:, :3]).as_matrix()
+    return np.stack(
+        [rigid(R, doubt.position_m * at) for R, at in zip(turned, off[:, 3:], strict=True)]
+    )
+
+
+def closing(
+    mesh: Mesh,
+    jaws: Jaws,
+    T_mesh_tool: Float[np.ndarray, "4 4"],
+    *,
+    opening_m: float | None = None,
+) -> tuple[float, float] | None:
+    """The contact of jaws that close on a mesh: the middle between the pads, and the steeper slope.
+
+    Lines parallel to the jaws' axis are followed from each open pad to the other: the first surface
+    that a pad meets. What lies beyond an open pad is not between them. A pad touches what lies
+    within `PAD_GIVES_M` of the point that it meets first, and no surface behind that. The slope is
+    the tangent between the axis and the mean normal of what a pad touches.
+
+    Args:
+        mesh: what they close on.
+        jaws: the tool.
+        T_mesh_tool: where it is.
+        opening_m: between the open pads; left out: as far as they open.
+
+    Returns:
+        How far aside the part's middle lies along x [m], and the slope; None where a pad meets
+        nothing.
+    """
+    around = 2 * np.pi * np.arange(PAD_LINES) / PAD_LINES
+    across = [np.zeros((1, 2))]
+    across += [
+        share * jaws.pad_radius_m * np.stack([np.cos(around), np.sin(around)], axis=-1)
+        for share in (0.5, 0.95)
+    ]
+    line = np.concatenate(across)
+    open_m = jaws.opening_m if opening_m is None else opening_m
+    seen = transform_points(inverse(T_mesh_tool), mesh.vertices_m.astype(np.float64))
+    reach_m = jaws.pad_radius_m
+    near = np.ones(len(mesh.faces), dtype=bool)  # to the lines; no others are crossed
+    for i in (1, 2):
+        first, second, third = seen[:, i][mesh.faces.T]
+        near &= np.minimum(np.minimum(first, second), third) <= reach_m
+        near &= np.maximum(np.maximum(first, second), third) >= -reach_m
+    a, b, c = np.moveaxis(seen[mesh.faces[near]], 1, 0)
+    cross = np.cross(b - a, c - a)
+    outermost_m, slopes = [], []
+    for side in (1.0, -1.0):
+        origin = np.column_stack([np.full(len(line), -side * open_m / 2), line])
+        way = np.tile([side, 0.0, 0.0], (len(line), 1))
+        far_m, face = _far_side(origin, way, a, b - a, c - a, most_m=open_m)
+        hit = far_m >= 0
+        if hit.sum() < len(line) / 2:
+            return None
+        touched = face[far_m >= far_m.max() - PAD_GIVES_M]
+        normal = cross[touched] / np.linalg.norm(cross[touched], axis=1, keepdims=True)
+        mean = normal.mean(axis=0)
+        along = side * mean[0] / np.linalg.norm(mean)
+        slopes.append(float(np.tan(np.arccos(np.clip(along, 1e-6, 1)))))
+        outermost_m.append(side * float(far_m[hit].max() - open_m / 2))
+    return sum(outermost_m) / 2, max(slopes)
+
+
+def _closed_on(
+    middle_m: Float[np.ndarray, "3"], axis: Float[np.ndarray, "3"], turn_rad: float
+) -> Float[np.ndarray, "4 4"]:
+    least = np.eye(3)[np.argmin(np.abs(axis))]
+    u = np.cross(axis, least)
+    u /= np.linalg.norm(u)
+    z = np.cos(turn_rad) * u + np.sin(turn_rad) * np.cross(axis, u)
+    return rigid(np.stack([axis, np.cross(z, axis), z], axis=1), middle_m)
+
+
+def _in_the_way(
+    jaws: Jaws,
+    probes: Float[np.ndarray, "n 3"],
+    T: Float[np.ndarray, "4 4"],
+    opening_m: float,
+) -> bool:
+    """Whether the part reaches into an open finger or the palm."""
+    x, y, z = ((probes - T[:3, 3]) @ T[:3, :3]).T
+    thick, wide, long = jaws.finger_m
+    inner = opening_m / 2 + 1e-6
+    beside = (np.abs(x) > inner) & (np.abs(x) < inner + CLEARANCE_M + thick)
+    palm_m = long - jaws.pad_radius_m
+    finger = beside & (np.abs(y) < wide / 2) & (z > -jaws.pad_radius_m) & (z < palm_m)
+    palm = (z >= palm_m) & (np.abs(x) < inner + CLEARANCE_M + thick) & (np.abs(y) < wide / 2)
+    return bool((finger | palm).any())
+
+
+@numba.njit(cache=True)
+@no_type_check  # the tests' type checker would wrap the function, which numba cannot compile
+def _far_side(origin, way, a, ab, ac, most_m):
+    """Distance along each ray to the last triangle that it crosses up to there; -1 for none."""
+    distance, face = np.full(len(origin), -1.0), np.full(len(origin), -1)
+    for i in range(len(origin)):
+        for f in range(len(a)):
+            px = way[i, 1] * ac[f, 2] - way[i, 2] * ac[f, 1]
+            py = way[i, 2] * ac[f, 0] - way[i, 0] * ac[f, 2]
+            pz = way[i, 0] * ac[f, 1] - way[i, 1] * ac[f, 0]
+            det = ab[f, 0] * px + ab[f, 1] * py + ab[f, 2] * pz
+            if abs(det) < 1e-15:
+                continue
+            tx, ty, tz = origin[i, 0] - a[f, 0], origin[i, 1] - a[f, 1], origin[i, 2] - a[f, 2]
+            u = (tx * px + ty * py + tz * pz) / det
+            qx = ty * ab[f, 2] - tz * ab[f, 1]
+            qy = tz * ab[f, 0] - tx * ab[f, 2]
+            qz = tx * ab[f, 1] - ty * ab[f, 0]
+            v = (way[i, 0] * qx + way[i, 1] * qy + way[i, 2] * qz) / det
+            if u < 0 or v < 0 or u + v > 1:
+                continue
+            t = (ac[f, 0] * qx + ac[f, 1] * qy + ac[f, 2] * qz) / det
+            if distance[i] < t <= most_m:
+                distance[i], face[i] = t, f
+    return distance, face

@@ -1,0 +1,175 @@
+"""The surface under a tool, as heights over a plane across the tool's axis.
+
+A tool's frame has its origin where the tool is to touch, z along its axis away from the surface,
+and x and y across. A patch says how high the surface lies along z, over x and y: what a suction cup
+rests on, and what fingers meet. Meshes and measured depth give the same kind of patch.
+"""
+
+import math
+from dataclasses import dataclass
+from typing import no_type_check
+
+import numba
+import numpy as np
+from jaxtyping import Float
+
+from ...base.frames import inverse, transform_points
+from ...rig.optics import Optics, project, rays
+from ...world.parts import Mesh
+
+STEP_M = 0.5e-3  # between the nodes under a tool that is tried
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Patch:
+    """Heights [m] on a square grid about the tool's axis; NaN where no surface is, or is known.
+
+    Node [i, j] stands at x = (j - n) * step_m and y = (i - n) * step_m, with 2 n + 1 nodes a side.
+    """
+
+    height_m: Float[np.ndarray, "n n"]
+    step_m: float
+
+    def __post_init__(self) -> None:
+        self.height_m.flags.writeable = False
+
+    @property
+    def reach_m(self) -> float:
+        """How far the grid goes from the axis along x and y."""
+        return (len(self.height_m) // 2) * self.step_m
+
+    @property
+    def node_m(self) -> Float[np.ndarray, "n n 2"]:
+        """x and y of each node."""
+        n = len(self.height_m) // 2
+        y, x = np.mgrid[-n : n + 1, -n : n + 1] * self.step_m
+        return np.stack([x, y], axis=-1)
+
+
+def patch_of_mesh(
+    mesh: Mesh,
+    T_mesh_tool: Float[np.ndarray, "4 4"],
+    *,
+    radius_m: float,
+    step_m: float,
+) -> Patch:
+    """The patch of a mesh under a tool: the highest surface along the tool's axis."""
+    seen = transform_points(inverse(T_mesh_tool), mesh.vertices_m.astype(np.float64))
+    height = _nothing(radius_m, step_m)
+    _highest_of_mesh(seen[mesh.faces], step_m, height)
+    return _patch(height, step_m)
+
+
+def patch_of_depth(
+    depth_m: Float[np.ndarray, "h w"],
+    camera: Optics,
+    T_cam_tool: Float[np.ndarray, "4 4"],
+    *,
+    radius_m: float,
+    step_m: float,
+    steepest_rad: float = np.radians(80),
+) -> Patch:
+    """The patch of a depth map: triangles between neighbouring pixels.
+
+    Where depth is missing, and where neighbours stand so steeply to the line of sight that they may
+    be two surfaces, nothing is known.
+
+    Args:
+        depth_m: z of each pixel, NaN where it is missing.
+        camera: its optics.
+        steepest_rad: between a triangle's normal and the line of sight.
+    """
+    rows, columns = _window(depth_m.shape, camera, T_cam_tool, 1.5 * radius_m)
+    y, x = np.mgrid[rows, columns].astype(np.float64)
+    point = rays(camera, np.stack([x, y], axis=-1)) * depth_m[rows, columns, None]
+    height = _nothing(radius_m, step_m)
+    here = transform_points(inverse(T_cam_tool), point)
+    _highest_seen(point, here, math.cos(steepest_rad), step_m, height)
+    return _patch(height, step_m)
+
+
+def _window(
+    shape: tuple[int, ...], camera: Optics, T_cam_tool: Float[np.ndarray, "4 4"], radius_m: float
+) -> tuple[slice, slice]:
+    """Rows and columns about a ball round the tool's origin."""
+    point = T_cam_tool[:3, 3]
+    x, y = project(camera, point)
+    wide = 2 + radius_m * max(camera.fx_px, camera.fy_px) / max(point[2] - radius_m, 1e-3)
+    top, left = max(int(y - wide), 0), max(int(x - wide), 0)
+    return (
+        slice(top, max(min(int(y + wide) + 2, shape[0]), top)),
+        slice(left, max(min(int(x + wide) + 2, shape[1]), left)),
+    )
+
+
+def _nothing(radius_m: float, step_m: float) -> Float[np.ndarray, "n n"]:
+    """Heights of a grid on which nothing was met yet."""
+    n = int(np.ceil(radius_m / step_m)) + 1
+    return np.full((2 * n + 1, 2 * n + 1), -np.inf)
+
+
+def _patch(height: Float[np.ndarray, "n n"], step_m: float) -> Patch:
+    height[np.isinf(height)] = np.nan
+    return Patch(height_m=height, step_m=step_m)
+
+
+# The tests' type checker would wrap compiled functions, which numba cannot compile.
+
+
+@numba.njit(cache=True)
+@no_type_check
+def _highest_of_mesh(corner, step_m, height):
+    for f in range(len(corner)):
+        _raise(corner[f, 0], corner[f, 1], corner[f, 2], step_m, height)
+
+
+@numba.njit(cache=True)
+@no_type_check
+def _highest_seen(seen, here, least_facing, step_m, height):
+    """The two triangles of each four neighbouring pixels, where they are one surface.
+
+    `seen` are points in the camera's frame, `here` the same in the tool's.
+    """
+    for i in range(seen.shape[0] - 1):
+        for j in range(seen.shape[1] - 1):
+            for (ai, aj), (bi, bj), (ci, cj) in (
+                ((i, j), (i + 1, j), (i, j + 1)),
+                ((i + 1, j + 1), (i, j + 1), (i + 1, j)),
+            ):
+                if _is_surface(seen[ai, aj], seen[bi, bj], seen[ci, cj], least_facing):
+                    _raise(here[ai, aj], here[bi, bj], here[ci, cj], step_m, height)
+
+
+@numba.njit(cache=True)
+@no_type_check
+def _is_surface(a, b, c, least_facing):
+    """Whether a triangle is known, and not steep to the line of sight, in the camera's frame."""
+    (ax, ay, az), (bx, by, bz), (cx, cy, cz) = a, b, c
+    ux, uy, uz, vx, vy, vz = bx - ax, by - ay, bz - az, cx - ax, cy - ay, cz - az
+    nx, ny, nz = uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx
+    x, y, z = (ax + bx + cx) / 3, (ay + by + cy) / 3, (az + bz + cz) / 3
+    length = math.sqrt((nx**2 + ny**2 + nz**2) * (x**2 + y**2 + z**2))
+    return abs(nx * x + ny * y + nz * z) > least_facing * length  # false where depth is missing
+
+
+@numba.njit(cache=True)
+@no_type_check
+def _raise(a, b, c, step_m, height):
+    """Raise the nodes below a triangle to it; a node on an edge belongs to both."""
+    n = len(height) // 2
+    (ax, ay, az), (bx, by, bz), (cx, cy, cz) = a, b, c
+    area = (bx - ax) * (cy - ay) - (cx - ax) * (by - ay)
+    if area == 0:
+        return
+    from_j = max(int(np.ceil(min(ax, bx, cx) / step_m)), -n)
+    to_j = min(int(np.floor(max(ax, bx, cx) / step_m)), n)
+    from_i = max(int(np.ceil(min(ay, by, cy) / step_m)), -n)
+    to_i = min(int(np.floor(max(ay, by, cy) / step_m)), n)
+    for i in range(from_i, to_i + 1):
+        for j in range(from_j, to_j + 1):
+            x, y = j * step_m, i * step_m
+            wb = ((x - ax) * (cy - ay) - (cx - ax) * (y - ay)) / area
+            wc = ((bx - ax) * (y - ay) - (x - ax) * (by - ay)) / area
+            wa = 1 - wb - wc
+            if wa >= -1e-12 and wb >= -1e-12 and wc >= -1e-12:
+                height[i + n, j + n] = max(height[i + n, j + n], wa * az + wb * bz + wc * cz)

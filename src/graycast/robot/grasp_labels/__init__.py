@@ -1,0 +1,7 @@
+"""Grasp labels of a dataset: where a tool would hold each part, and whether it does in physics."""
+
+from .label_options import Labelling, read_tool
+from .label_run import label_dataset
+from .label_success import Ranking, rank
+
+__all__ = ["Labelling", "Ranking", "label_dataset", "rank", "read_tool"]

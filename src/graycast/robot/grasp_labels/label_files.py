@@ -1,0 +1,170 @@
+"""Grasp labels on disk, beside a dataset's scenes: `dataset.grasp_files` has their form."""
+
+import platform
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ... import __version__
+from ...base.errors import DatasetError
+from ...base.folder import remove_left, take_lock, write_whole
+from ...dataset.claim import difference
+from ...dataset.grasp_files import (
+    GRASP_CLAIM,
+    GRASP_FORMAT,
+    GRASPS,
+    GraspClaim,
+    SceneGrasps,
+)
+from ...dataset.json_text import json_bytes, plain
+from ...dataset.records import MM_PER_M
+from ...dataset.safe_reading import Unreadable, read_json
+from ...dataset.stored import StoredDataset, StoredScene
+from .label_options import Labelling
+from .scene_labels import Label
+from .stored_world import Heap
+
+_LOCK = ".lock"
+_CLAIMED = ("format_version", "dataset", "seed", "config")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class LabelFolder:
+    """An open folder of labels, locked against other runs."""
+
+    out: Path
+
+    def of(self, scene: StoredScene) -> Path:
+        """Where the labels of a scene are, or are to be."""
+        return self.out / scene.split / f"{scene.scene_id:06d}.json"
+
+    def write(self, scene: StoredScene, content: bytes) -> None:
+        """The labels of one scene, whole or not at all.
+
+        Raises:
+            GraycastError: the disk refuses.
+        """
+        path = self.of(scene)
+        with suppress(FileExistsError):
+            path.parent.mkdir()
+        write_whole(path, content)
+
+
+@contextmanager
+def open_labels(
+    dataset: StoredDataset, name: str, labelling: Labelling, seed: int
+) -> Iterator[LabelFolder]:
+    """Make the folder of a set of labels, or go on with the same set.
+
+    Raises:
+        DatasetError: the folder is another set's, is in use, or the disk refuses.
+    """
+    out = dataset.folder / GRASPS / name
+    claim = _claim(dataset, labelling, seed)
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+        lock = take_lock(out / _LOCK)
+    except OSError as error:
+        raise DatasetError(
+            f"{out}: cannot be written ({error.strerror}): make the folder writable"
+        ) from error
+    if lock is None:
+        raise DatasetError(
+            f"another run is writing to {out}: wait until it ends, or give another --name"
+        )
+    with lock:
+        remove_left(out, *(entry for entry in out.iterdir() if entry.is_dir()))
+        if (out / GRASP_CLAIM).exists():
+            _refuse_other(out, claim)
+        else:
+            write_whole(out / GRASP_CLAIM, json_bytes(claim))
+        try:
+            yield LabelFolder(out=out)
+        finally:
+            _tidy(out)
+
+
+def _claim(dataset: StoredDataset, labelling: Labelling, seed: int) -> dict[str, Any]:
+    return plain(
+        {
+            "format_version": GRASP_FORMAT,
+            "dataset": dataset.claim["fingerprint"],
+            "config": labelling.model_dump(mode="json"),
+            "seed": seed,
+            "versions": {
+                "graycast": __version__,
+                "numpy": np.__version__,
+                "python": platform.python_version(),
+            },
+        }
+    )
+
+
+def _refuse_other(out: Path, claim: dict[str, Any]) -> None:
+    try:
+        held = read_json(out / GRASP_CLAIM, GraspClaim).model_dump()
+    except Unreadable as error:
+        raise DatasetError(f"{out}: {error}: remove this folder, or give another --name") from error
+    for key in _CLAIMED:
+        where = difference(held[key], claim[key], key)
+        if where is not None:
+            raise DatasetError(
+                f"{out} holds other labels, which differ in {where.removeprefix('config.')}: give "
+                "another --name, or remove this folder"
+            )
+
+
+def _tidy(out: Path) -> None:
+    """Labels that turned out to be impossible leave no trace."""
+    if any(out.glob("*/*.json")):
+        return
+    with suppress(OSError):
+        (out / GRASP_CLAIM).unlink()
+        (out / _LOCK).unlink()
+        out.rmdir()
+        out.parent.rmdir()
+
+
+def scene_json(labels: Sequence[Label], heap: Heap, obj_ids: Sequence[int]) -> bytes:
+    """The labels of one scene as their file has them."""
+    entries: list[dict[str, Any]] = [{"obj_id": obj_id, "grasps": []} for obj_id in obj_ids]
+    for label in labels:
+        T_part_tool = label.grip.T_part_tool
+        T_cam_tool = heap.T_cam_part[label.instance] @ T_part_tool
+        entries[label.instance]["grasps"].append(
+            {
+                "R_t2m": T_part_tool[:3, :3].ravel(),
+                "t_t2m": MM_PER_M * T_part_tool[:3, 3],
+                "cam_R_t2c": T_cam_tool[:3, :3].ravel(),
+                "cam_t_t2c": MM_PER_M * T_cam_tool[:3, 3],
+                "opening": None
+                if label.grip.opening_m is None
+                else MM_PER_M * label.grip.opening_m,
+                "score": label.grip.score,
+                "reach": label.reach,
+                "simulated": None
+                if label.ending is None
+                else {
+                    "success": label.ending.success,
+                    "ended": label.ending.ended,
+                    "least_factor": label.ending.least_factor,
+                },
+            }
+        )
+    return json_bytes({"0": entries})
+
+
+def read_scene_labels(path: Path) -> SceneGrasps:
+    """What a scene's file says.
+
+    Raises:
+        DatasetError: it is missing, damaged, or of another form.
+    """
+    try:
+        return read_json(path, SceneGrasps)
+    except Unreadable as error:
+        raise DatasetError(f"{path}: {error}: remove it and run graycast grasps again") from error

@@ -1,0 +1,55 @@
+"""What a user asks of grasp labels: a tool, and how many."""
+
+from pathlib import Path
+from typing import Any
+
+from pydantic import Field, model_validator
+
+from ...base.settings import Settings, check_settings, parse_yaml, read_text
+from ..pick.tools import AnyTool
+
+
+class _ToolFile(Settings):
+    """A file with the key `tool` alone."""
+
+    tool: AnyTool
+
+
+class Labelling(Settings):
+    """Which labels a dataset gets; another one is another set of labels."""
+
+    tool: AnyTool
+    places: int = Field(
+        400, ge=1, description="The number of candidate grasps on each kind of part."
+    )
+    per_instance: int = Field(20, ge=1, description="The largest number of labels of an instance.")
+    simulate: int = Field(
+        10, ge=0, description="The number of labels of each scene that are simulated with physics."
+    )
+    most_lean_deg: float = Field(
+        40.0,
+        gt=0,
+        le=80,
+        description="The largest angle between the tool's axis and the vertical, in degrees.",
+    )
+
+    @model_validator(mode="after")
+    def _enough(self) -> "Labelling":
+        if self.places < self.per_instance:
+            raise ValueError(
+                f"places is {self.places}: give at least per_instance, which is {self.per_instance}"
+            )
+        return self
+
+
+def read_tool(path: Path) -> AnyTool:
+    """The tool of a file: a robot's cell, of which only `tool` is read, or that section alone.
+
+    Raises:
+        ConfigError: the file is missing, is not YAML, or its tool has a wrong key.
+    """
+    content = parse_yaml(read_text(path), path)
+    section: Any = content.get("tool", content)
+    if isinstance(section, dict):
+        section = {"kind": "suction"} | section  # as in a cell
+    return check_settings({"tool": section}, _ToolFile, path).tool

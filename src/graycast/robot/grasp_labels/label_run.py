@@ -1,0 +1,129 @@
+"""Labels of all scenes of a dataset, by workers, into files that go on after any stop."""
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+from ...base.progress import UNWATCHED, ProgressMeter
+from ...base.usage import rss_bytes
+from ...cell.engine import Failed, Job, Made, keep_to_threads, make_each, open_pool
+from ...dataset.stored import StoredDataset, open_dataset
+from .label_files import open_labels, scene_json
+from .label_options import Labelling
+from .scene_labels import label_scene
+from .stored_world import Stock, World, make_world, read_heap, read_stock
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class LabelTask(Job):
+    """What a worker needs to know to label any scene of a dataset; it needs no light."""
+
+    dataset: StoredDataset
+    stock: Stock
+    labelling: Labelling
+
+    def open(
+        self,
+        *,
+        threads: int | None = None,
+        progress: ProgressMeter = UNWATCHED,
+    ) -> "SceneLabeller":
+        return SceneLabeller(self, threads=threads, progress=progress)
+
+
+class SceneLabeller:
+    """Labels scenes of one task; places are looked for once, for the first."""
+
+    def __init__(self, task: LabelTask, *, threads: int | None, progress: ProgressMeter) -> None:
+        self._task, self._threads, self._progress = task, threads, progress
+        self._world: World | None = None
+
+    def make(self, scene_id: int) -> Made:
+        """One scene, by its place among all scenes of the dataset.
+
+        Raises:
+            DatasetError: a file of the scene is missing or damaged.
+            ConfigError: the tool fits round no part.
+        """
+        start = time.perf_counter()
+        task = self._task
+        if self._world is None:
+            keep_to_threads(self._threads)
+            self._world = make_world(task.stock, task.labelling, progress=self._progress)
+        scene = task.dataset.scenes[scene_id]
+        self._progress.stage(f"labels of scene {scene.key}")
+        heap = read_heap(scene)
+        labels = label_scene(
+            self._world, heap, task.labelling, seed=task.seed, scene_id=scene.scene_id
+        )
+        tried = [label.ending for label in labels if label.ending is not None]
+        return Made(
+            scene_id=scene_id,
+            files=((scene.key, scene_json(labels, heap, scene.obj_ids())),),
+            seconds=time.perf_counter() - start,
+            reasons={
+                "grasps": float(len(labels)),
+                "simulated": float(len(tried)),
+                "held": float(sum(ending.success for ending in tried)),
+            },
+            rss_bytes=rss_bytes(),
+        )
+
+    def close(self) -> None:
+        self._world = None
+
+
+def label_dataset(
+    folder: Path,
+    labelling: Labelling,
+    *,
+    name: str,
+    seed: int,
+    files: Path = Path(),
+    workers: int = 1,
+    on_made: Callable[[str, Made], None] = lambda key, made: None,
+    on_failed: Callable[[str, Failed], None] = lambda key, failed: None,
+    progress: ProgressMeter = UNWATCHED,
+) -> tuple[str, ...]:
+    """Label the scenes of a dataset that are not labelled yet.
+
+    Args:
+        name: of the set of labels, a folder of the dataset's `grasps`.
+        seed: of the choice of places.
+        files: the folder from which the paths of the dataset's configuration start.
+        on_made, on_failed: take results with the key of their scene, as in `generate`.
+
+    Returns:
+        The keys of scenes that could not be labelled.
+
+    Raises:
+        DatasetError: no such dataset, or labels of another tool are there.
+        GraycastError: nothing came out, for this reason.
+    """
+    dataset = open_dataset(folder)
+    stock = read_stock(dataset, files)
+    scenes = dataset.scenes
+
+    def keep(made: Made) -> None:
+        scene = scenes[made.scene_id]
+        out.write(scene, made.files[0][1])
+        on_made(scene.key, made)
+
+    with open_labels(dataset, name, labelling, seed) as out:
+        todo = [k for k, scene in enumerate(scenes) if not out.of(scene).exists()]
+        progress.count("scenes", len(scenes) - len(todo), len(scenes))
+        if not todo:
+            return ()
+        task = LabelTask(dataset=dataset, stock=stock, labelling=labelling, seed=seed, device="cpu")
+        pool = open_pool(task, workers=min(workers, len(todo)), progress=progress)
+        lost = make_each(
+            pool,
+            todo,
+            what="scenes",
+            total=len(scenes),
+            progress=progress,
+            on_made=keep,
+            on_failed=lambda failed: on_failed(scenes[failed.scene_id].key, failed),
+        )
+    return tuple(scenes[k].key for k in lost)

@@ -1,0 +1,95 @@
+"""What labels say of their score: how often physics holds what it promises."""
+
+from collections import Counter
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from ...dataset.grasp_files import GRASPS
+from ...score.evaluate import wilson
+from ...score.evaluate.intervals import Interval
+from ...score.evaluate.ranking import roc_auc_of_scenes
+from .label_files import read_scene_labels
+
+BANDS = ((0.0, 0.0), (0.0, 0.25), (0.25, 0.5), (0.5, 0.75), (0.75, 0.999), (0.999, 1.0))
+"""Scores above the first number, up to the second; of the first band 0 alone."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Band:
+    """Grips whose scores lie in a band, how many physics held, and that share with its interval."""
+
+    low: float
+    high: float
+    grips: int
+    held: int
+
+    @property
+    def rate(self) -> tuple[float, float, float]:
+        return self.held / self.grips, *wilson(self.held, self.grips)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Ranking:
+    """A set of labels in figures.
+
+    `auc` is of all grips that were carried out, `auc_above_0` of those whose score is above 0.
+    """
+
+    scenes: int
+    labels: int
+    reach: Mapping[str, int]
+    ended: Mapping[str, int]
+    bands: tuple[Band, ...]
+    auc: Interval
+    auc_above_0: Interval
+
+    @property
+    def simulated(self) -> int:
+        return sum(self.ended.values())
+
+    @property
+    def rate(self) -> tuple[float, float, float]:
+        held = self.ended.get("held", 0)
+        return held / self.simulated, *wilson(held, self.simulated)
+
+
+def rank(dataset: Path, name: str, *, seed: int = 0) -> Ranking:
+    """Read a set of labels.
+
+    Args:
+        seed: of the draws behind intervals.
+
+    Raises:
+        DatasetError: a file is damaged.
+    """
+    files = sorted((dataset / GRASPS / name).glob("*/*.json"))
+    reach, ended = Counter[str](), Counter[str]()
+    rows = []
+    for number, path in enumerate(files):
+        for entry in read_scene_labels(path).image:
+            for grasp in entry.grasps:
+                reach[grasp.reach] += 1
+                if grasp.simulated is not None:
+                    ended[grasp.simulated.ended] += 1
+                    rows.append((grasp.score, grasp.simulated.success, number))
+    score = np.array([row[0] for row in rows], dtype=np.float64)
+    success = np.array([row[1] for row in rows], dtype=bool)
+    scene = np.array([row[2] for row in rows], dtype=np.int64)
+    above = score > 0
+    return Ranking(
+        scenes=len(files),
+        labels=reach.total(),
+        reach=dict(reach.most_common()),
+        ended=dict(ended.most_common()),
+        bands=tuple(_band(score, success, *band) for band in BANDS),
+        auc=roc_auc_of_scenes(score, success, scene, seed=seed),
+        auc_above_0=roc_auc_of_scenes(score[above], success[above], scene[above], seed=seed),
+    )
+
+
+def _band(score: np.ndarray, success: np.ndarray, low: float, high: float) -> Band:
+    inside = (score > low) & (score <= high) if high > 0 else score == 0
+    return Band(low=low, high=high, grips=int(inside.sum()), held=int(success[inside].sum()))

@@ -1,0 +1,162 @@
+"""The labels of one scene: places on its parts, what is in the tool's way, and physics."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from jaxtyping import Float
+
+from ...base.frames import inverse
+from ...base.streams import stream
+from ...world.drop import lift
+from ...world.drop.lift import STEP_S
+from ..grasp import CARRIED_M_S2, Grip
+from ..pick.contact import Held, NotHeld
+from ..pick.outcome import Outcome
+from ..pick.robot import Obstacle, tool_touches
+from ..pick.tools import T_flange_tip
+from ..pick.touch import touch
+from .label_options import Labelling
+from .stored_world import Heap, World, around
+
+CLEAR_M = 0.05  # how much higher than the bin's rim a part is lifted that lay on its floor
+LIFT_M_S = 0.25  # as straight ways of a robot's cell
+STILL_S = 0.3  # it has to hang at the end
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Ending:
+    """What became of a grip in physics."""
+
+    ended: str
+    least_factor: float | None = None
+
+    @property
+    def success(self) -> bool:
+        return self.ended == "held"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Label:
+    """A grip on an instance of a scene.
+
+    `reach` names what the tool would be in, and is 'free' where it is in nothing. `met` is what it
+    meets there; `ending` None where physics was not asked.
+    """
+
+    instance: int
+    grip: Grip
+    T_world_tool: Float[np.ndarray, "4 4"]
+    reach: str
+    met: Held | NotHeld | None
+    ending: Ending | None = None
+
+
+def label_scene(
+    world: World, heap: Heap, labelling: Labelling, *, seed: int, scene_id: int
+) -> tuple[Label, ...]:
+    """Labels of all instances, one after the other.
+
+    Of each instance half of the places are such as the tool should hold by their score, the other
+    half such as it should not, as far as there are as many; so are those that physics carries out,
+    among what the tool reaches.
+    """
+    rng = stream(seed, scene_id)
+    still = around(world, heap)
+    labels = [
+        _label(world, heap, still, number, grip)
+        for number in range(len(heap.part_index))
+        for grip in _chosen(world, heap, labelling, number, rng)
+    ]
+    free = [i for i, label in enumerate(labels) if label.reach == "free"]
+    scores = [labels[i].grip.score for i in free]
+    for k in _half_and_half(scores, labelling.simulate, rng):
+        label = labels[free[k]]
+        labels[free[k]] = replace(label, ending=carry_out(world, heap, label))
+    return tuple(labels)
+
+
+def _chosen(
+    world: World, heap: Heap, labelling: Labelling, number: int, rng: np.random.Generator
+) -> list[Grip]:
+    """Places of one instance whose axis does not lean too much."""
+    up = heap.T_world_part[number, 2, :3]
+    least = np.cos(np.radians(labelling.most_lean_deg))
+    upright = [
+        grip
+        for grip in world.places[heap.part_index[number]]
+        if up @ grip.T_part_tool[:3, 2] >= least
+    ]
+    scores = [grip.score for grip in upright]
+    return [upright[k] for k in _half_and_half(scores, labelling.per_instance, rng)]
+
+
+def _half_and_half(scores: Sequence[float], count: int, rng: np.random.Generator) -> list[int]:
+    """So many numbers of scores, half of them of those that are 0; more where the others lack."""
+    order = rng.permutation(len(scores)).tolist()
+    good = [k for k in order if scores[k] > 0]
+    bad = [k for k in order if scores[k] == 0]
+    goods = min(len(good), max(count - count // 2, count - len(bad)))
+    return sorted(good[:goods] + bad[: count - goods])
+
+
+def _label(world: World, heap: Heap, still: Sequence[Obstacle], number: int, grip: Grip) -> Label:
+    T_world_tool = heap.T_world_part[number] @ grip.T_part_tool
+    T_world_flange = T_world_tool @ inverse(T_flange_tip(world.tool))
+    hit = tool_touches(world.tool.pieces(grip.opening_m), T_world_flange, still)
+    met = None
+    if hit is None:
+        met = touch(
+            world.tool,
+            T_world_tool,
+            world.kinds,
+            heap.T_world_part,
+            heap.part_index,
+            opening_m=grip.opening_m,
+        )
+    pushed = isinstance(met, NotHeld) and met.outcome is Outcome.COLLISION_UNSEEN
+    reach = "part" if pushed else "free" if hit is None else hit.removeprefix("the ")
+    return Label(instance=number, grip=grip, T_world_tool=T_world_tool, reach=reach, met=met)
+
+
+def carry_out(world: World, heap: Heap, label: Label) -> Ending:
+    """Close the tool where it is, lift straight up, and see whether it still holds.
+
+    The tool speeds up and slows down by `CARRIED_M_S2` and moves with `LIFT_M_S` between; it goes
+    so high that what lay on the bin's floor is `CLEAR_M` above its rim.
+    """
+    met = label.met
+    if not isinstance(met, Held):
+        return Ending(ended=str(None if met is None else met.outcome))
+    if met.part != label.instance:
+        return Ending(ended="other part")
+    lifted = lift(
+        world.stock.bin,
+        world.bodies,
+        heap.T_world_part,
+        heap.part_index,
+        met.part,
+        met.hold,
+        straight_up(met.T_world_tool, world.stock.bin.inner_m[2] + CLEAR_M),
+    )
+    least = lifted.least_factor
+    return Ending(
+        ended="held" if lifted.lost_s is None else str(world.tool.lost),
+        least_factor=float(least) if np.isfinite(least) else None,
+    )
+
+
+def straight_up(
+    T_world_tool: Float[np.ndarray, "4 4"], rise_m: float
+) -> Float[np.ndarray, "t 4 4"]:
+    """A pose for each step: even acceleration, even speed, the same backwards, and still."""
+    gain_s = LIFT_M_S / CARRIED_M_S2
+    whole_s = rise_m / LIFT_M_S + gain_s
+    time_s = np.arange(0, whole_s + STILL_S, STEP_S)
+    speed = np.interp(
+        time_s, [0, gain_s, whole_s - gain_s, whole_s], [0, LIFT_M_S, LIFT_M_S, 0], right=0
+    )
+    height_m = np.concatenate([[0], np.cumsum((speed[1:] + speed[:-1]) / 2 * STEP_S)])
+    path = np.tile(T_world_tool, (len(time_s), 1, 1))
+    path[:, 2, 3] += height_m
+    return path

@@ -1,0 +1,149 @@
+"""A stored dataset as a world: its bin and parts as they were, and where a tool holds these."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float, Int
+from pydantic import ValidationError
+
+from ...base.errors import ConfigError, DatasetError
+from ...base.frames import inverse
+from ...base.progress import UNWATCHED, ProgressMeter
+from ...cell.config import Config, resolve_bin, resolve_parts
+from ...dataset.claim import BESIDE_CONFIG, part_digest, rig_of
+from ...dataset.example import pose_m
+from ...dataset.stored import StoredDataset, StoredScene
+from ...rig.pair import Rig
+from ...world.drop import Body, make_bodies
+from ...world.parts import Part
+from ...world.scene import Bin, Scene
+from ..grasp import Grip
+from ..pick.obstacles import standing
+from ..pick.robot import Obstacle
+from ..pick.tools import Tool
+from ..pick.touch import Kind
+from .label_options import Labelling
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Stock:
+    """What the scenes of a dataset are made of."""
+
+    bin: Bin
+    parts: tuple[Part, ...]
+    rig: Rig
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class World:
+    """A `Stock` with the bodies of its parts, and with every grip that was tried on each kind."""
+
+    stock: Stock
+    tool: Tool
+    bodies: tuple[Body, ...]
+    kinds: tuple[Kind, ...]
+    places: tuple[tuple[Grip, ...], ...]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Heap:
+    """Where the parts of a scene lie, and the camera."""
+
+    T_world_cam: Float[np.ndarray, "4 4"]
+    T_world_part: Float[np.ndarray, "n 4 4"]
+    T_cam_part: Float[np.ndarray, "n 4 4"]
+    part_index: Int[np.ndarray, " n"]
+
+
+def read_stock(dataset: StoredDataset, files: Path) -> Stock:
+    """Parts and bin from the configuration that a dataset holds.
+
+    Args:
+        files: the folder from which the configuration's paths start.
+
+    Raises:
+        DatasetError: it tells nothing of physics, or its parts are not these any more.
+        GraycastError: a file that the configuration names cannot be used.
+    """
+    claim = dataset.claim
+    if dataset.real:
+        raise DatasetError(
+            f"{dataset.folder}: holds real pictures, whose poses are not known: give a simulated "
+            "dataset"
+        )
+    if claim["distractors"]:
+        raise DatasetError(
+            f"{dataset.folder}: has foreign parts among its own, and no file states their poses: "
+            "make a dataset without domain.distractors"
+        )
+    told = {key: value for key, value in claim["config"].items() if key not in BESIDE_CONFIG}
+    try:
+        config = Config.model_validate(told)
+    except ValidationError as error:
+        raise DatasetError(
+            f"{dataset.folder}: its configuration is of another version of Graycast: "
+            f"{error.errors()[0]['msg']}"
+        ) from error
+    parts, _ = resolve_parts(config, files)
+    for part, held in zip(parts, claim["parts"], strict=True):
+        if part_digest(part) != held["content"]:
+            raise DatasetError(
+                f"{dataset.folder}: part {held['name']} has changed since the dataset was made: "
+                "restore its files, or use the version of Graycast that made the dataset"
+            )
+    return Stock(bin=resolve_bin(config.bin, files)[0], parts=parts, rig=rig_of(claim["rig"]))
+
+
+def make_world(stock: Stock, labelling: Labelling, *, progress: ProgressMeter = UNWATCHED) -> World:
+    """Look for places on every kind of part.
+
+    Raises:
+        ConfigError: the tool fits round no part at all.
+    """
+    bodies = make_bodies(stock.parts, progress=progress)
+    places = []
+    for part, body in zip(stock.parts, bodies, strict=True):
+        progress.stage(f"{part.name}: searching for grasps")
+        places.append(tuple(labelling.tool.places(part, body, count=labelling.places)))
+    if not any(places):
+        raise ConfigError(
+            f"tool: its jaws fit around none of {_named(stock.parts)}: increase opening_m"
+        )
+    return World(
+        stock=stock,
+        tool=labelling.tool,
+        bodies=bodies,
+        kinds=tuple(Kind.of(part, body) for part, body in zip(stock.parts, bodies, strict=True)),
+        places=tuple(places),
+    )
+
+
+def _named(parts: Sequence[Part]) -> str:
+    return ", ".join(part.name for part in parts)
+
+
+def read_heap(scene: StoredScene) -> Heap:
+    """Where the parts of a scene lie.
+
+    Raises:
+        DatasetError: a file is missing or damaged.
+    """
+    view, poses = scene.view(), scene.poses()
+    T_world_cam = inverse(pose_m(view.cam_R_w2c, view.cam_t_w2c))
+    T_cam_part = np.array([pose_m(pose.cam_R_m2c, pose.cam_t_m2c) for pose in poses])
+    T_cam_part = T_cam_part.reshape(-1, 4, 4)
+    return Heap(
+        T_world_cam=T_world_cam,
+        T_world_part=T_world_cam @ T_cam_part,
+        T_cam_part=T_cam_part,
+        part_index=np.array([pose.obj_id - 1 for pose in poses], dtype=np.int64),
+    )
+
+
+def around(world: World, heap: Heap) -> tuple[Obstacle, ...]:
+    """Bin, table and rig."""
+    stock = world.stock
+    scene = Scene(rig=stock.rig, T_world_cam=heap.T_world_cam, parts=stock.parts, bin=stock.bin)
+    return standing(scene, np.eye(4))

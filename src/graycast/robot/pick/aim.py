@@ -1,0 +1,250 @@
+"""From a scan to grips: the choice of parts, and the candidate places of the tool on them."""
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Bool, Float
+from scipy import ndimage
+
+from ...base.frames import inverse, transform_points
+from ...rig.optics import Optics, points, project
+from ...world.scene import Bin
+from ..grasp import Doubt, Grip, SeenGrip
+from ..pose import PoseModel, find_pose, find_pose_in_box
+from .heap_obstacle import FLOOR_M, WALL_M
+
+LEAST_AREA = 0.3  # as a share of the largest detection's pixels, which a detection must have
+LEAST_POSE = 0.3  # a pose's score below which no grip is taken from it
+BESIDE_PX = 2  # so near an outline, what covers a part is looked for
+COVERED_M = 8e-3  # what is nearer to the camera by more than this lies on the part
+COVERED_SHARE = 0.08  # as a share of an outline, by which a part counts as covered
+PLACES = 40  # in each round of the search for grips without a model, for each detection
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Target:
+    """A candidate part in the picture: its outline, a box [x, y, columns, rows], or both.
+
+    `kind` is the index among the cell's parts, or None if unknown. `T_cam_part` is the true
+    pose if it is to be used.
+    """
+
+    kind: int | None
+    score: float
+    mask: Bool[np.ndarray, "h w"] | None = None
+    box_px: Float[np.ndarray, "4"] | None = None
+    T_cam_part: Float[np.ndarray, "4 4"] | None = None
+
+    def __post_init__(self) -> None:
+        if self.mask is None and self.box_px is None:
+            raise ValueError("a target must have a mask or a box")
+
+    def inside(self, shape: tuple[int, ...]) -> Bool[np.ndarray, "h w"]:
+        if self.mask is not None:
+            return self.mask
+        inside = np.zeros(shape, bool)
+        left, top, columns, rows = np.rint(np.asarray(self.box_px)).astype(int)
+        inside[max(top, 0) : top + rows, max(left, 0) : left + columns] = True
+        return inside
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Aim:
+    """A grip in the world: the pose of the tip, its score, and its source."""
+
+    T_world_tool: Float[np.ndarray, "4 4"]
+    score: float
+    target: Target
+    opening_m: float | None = None
+    T_part_tool: Float[np.ndarray, "4 4"] | None = None
+    T_cam_part: Float[np.ndarray, "4 4"] | None = None
+
+    @property
+    def place_m(self) -> Float[np.ndarray, "3"]:
+        return self.T_world_tool[:3, 3]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Sight:
+    """The depth that the robot uses [m], NaN where it is missing, and the pose of the camera."""
+
+    depth_m: Float[np.ndarray, "h w"]
+    camera: Optics
+    T_world_cam: Float[np.ndarray, "4 4"]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class KnownPart:
+    """A kind of part whose grips are known."""
+
+    model: PoseModel
+    grips: tuple[Grip, ...]
+
+
+def ranked(
+    targets: Sequence[Target], view: Sight, failed: Sequence[Float[np.ndarray, "3"]] = ()
+) -> list[list[Target]]:
+    """Detections that are seen well, in the order in which a bin is emptied.
+
+    First those that lie free, then those that another part covers, then those on which a grip has
+    failed, because what held the part may hold it still; in each group the highest first.
+    """
+    point_m = points(view.camera, view.depth_m)
+    area, height = [], []
+    for target in targets:
+        seen = target.inside(view.depth_m.shape) & np.isfinite(view.depth_m)
+        area.append(int(seen.sum()))
+        point = transform_points(view.T_world_cam, point_m[seen])
+        height.append(float(np.median(point[:, 2])) if len(point) else -np.inf)
+    least = LEAST_AREA * max(area, default=0)
+    order = sorted(range(len(targets)), key=lambda i: -height[i])
+    groups: list[list[Target]] = [[], [], []]
+    for i in order:
+        if area[i] > 0 and area[i] >= least:
+            again = _holds_any(targets[i], view, failed)
+            covered = covered_share(targets[i].inside(view.depth_m.shape), view.depth_m)
+            groups[2 if again else int(covered > COVERED_SHARE)].append(targets[i])
+    return groups
+
+
+def covered_share(inside: Bool[np.ndarray, "h w"], depth_m: Float[np.ndarray, "h w"]) -> float:
+    """The share of an outline's pixels next to which something nearer to the camera is seen.
+
+    There another part covers this one, or stands close before it.
+    """
+    around = np.ones((3, 3), bool)
+    rim = inside & ~ndimage.binary_erosion(inside, around) & np.isfinite(depth_m)
+    outside_m = np.where(inside | np.isnan(depth_m), np.inf, depth_m)
+    nearest_m = ndimage.minimum_filter(outside_m, size=2 * BESIDE_PX + 1)
+    covered = rim & (nearest_m < depth_m - COVERED_M)
+    return float(covered.sum() / max(int(rim.sum()), 1))
+
+
+def _holds_any(target: Target, view: Sight, place_m: Sequence[Float[np.ndarray, "3"]]) -> bool:
+    """Whether a place in the world is seen within a detection's outline."""
+    if not len(place_m):
+        return False
+    inside = target.inside(view.depth_m.shape)
+    at = project(view.camera, transform_points(inverse(view.T_world_cam), np.stack(place_m)))
+    column, row = np.rint(at).astype(int).T
+    within = (row >= 0) & (row < len(inside)) & (column >= 0) & (column < inside.shape[1])
+    return bool(inside[row[within], column[within]].any())
+
+
+def whole_bin(view: Sight, box: Bin) -> Bool[np.ndarray, "h w"]:
+    """Pixels that were measured inside the bin, above its floor: all that may be parts."""
+    depth_m = np.nan_to_num(view.depth_m)
+    point = transform_points(view.T_world_cam, points(view.camera, depth_m))
+    half = np.array(box.inner_m[:2]) / 2 - WALL_M
+    inside = (np.abs(point[..., :2]) < half).all(axis=-1) & (point[..., 2] > FLOOR_M)
+    return inside & np.isfinite(view.depth_m)
+
+
+def aims_by_pose(
+    targets: Sequence[Target],
+    view: Sight,
+    known: Mapping[int, KnownPart],
+    *,
+    most_lean_rad: float,
+    posed: list[Target],
+) -> list[Aim]:
+    """Grips of the models, carried to where the parts lie by their poses.
+
+    Targets whose pose is found are added to `posed`.
+    """
+    aims = []
+    for target in targets:
+        part = known[0 if target.kind is None else target.kind]
+        T_cam_part = target.T_cam_part
+        if T_cam_part is None:
+            T_cam_part = _pose(part.model, target, view)
+        if T_cam_part is None:
+            continue
+        posed.append(target)
+        T_world_part = view.T_world_cam @ T_cam_part
+        for grip in part.grips:
+            T = T_world_part @ grip.T_part_tool
+            if T[2, 2] >= np.cos(most_lean_rad):
+                aims.append(
+                    Aim(
+                        T_world_tool=T,
+                        score=grip.score,
+                        target=target,
+                        opening_m=grip.opening_m,
+                        T_part_tool=grip.T_part_tool,
+                        T_cam_part=T_cam_part,
+                    )
+                )
+    return aims
+
+
+def _pose(model: PoseModel, target: Target, view: Sight) -> Float[np.ndarray, "4 4"] | None:
+    # A detector's masks are coarse, and a pose leans on the outline of its mask: more poses are
+    # right from its boxes (docs/pose.md). Truth has masks alone.
+    if target.box_px is not None:
+        box_px = np.asarray(target.box_px)
+        found = find_pose_in_box(model, view.depth_m, view.camera, box_px)
+    else:
+        found = find_pose(model, view.depth_m, view.camera, np.asarray(target.mask))
+    return None if found.score < LEAST_POSE else found.T_cam_part
+
+
+def aims_in_depth(
+    targets: Sequence[Target],
+    view: Sight,
+    search: Callable[..., list[SeenGrip]],
+    *,
+    weight_n: float,
+    doubt: Doubt,
+    most_lean_rad: float,
+    places: int,
+    one_part: bool,
+    seed: int,
+) -> list[Aim]:
+    """Grips on the measured surface, without a model; `search` is the tool's `in_depth`."""
+    down = view.T_world_cam[:3, :3].T @ np.array([0.0, 0.0, -1.0])
+    aims = []
+    for number, target in enumerate(targets):
+        grips = search(
+            view.depth_m,
+            view.camera,
+            target.inside(view.depth_m.shape),
+            down=down,
+            weight_n=weight_n,
+            doubt=doubt,
+            one_part=one_part,
+            most_lean_rad=most_lean_rad,
+            count=places,
+            seed=seed + number,
+        )
+        aims += [
+            Aim(T_world_tool=view.T_world_cam @ grip.T_cam_tool, score=grip.score, target=target)
+            for grip in grips
+        ]
+    return aims
+
+
+def best_first(aims: Sequence[Aim]) -> list[Aim]:
+    """Highest score first; among scores within 0.1, the highest position first."""
+    return sorted(aims, key=lambda aim: (-round(aim.score, 1), -float(aim.place_m[2])))
+
+
+def spread(aims: Sequence[Aim], apart_m: float, *, round_tool: bool) -> Iterator[Aim]:
+    """Remove grips that nearly repeat another: a near tip with a similar axis, and turned alike."""
+    taken: list[Aim] = []
+    for aim in aims:
+        axis = aim.T_world_tool[:3, 2]
+        alike = any(
+            np.linalg.norm(aim.place_m - other.place_m) < apart_m
+            and axis @ other.T_world_tool[:3, 2] > 0.97
+            and (round_tool or _same_turn(aim, other))
+            for other in taken
+        )
+        if not alike:
+            taken.append(aim)
+            yield aim
+
+
+def _same_turn(aim: Aim, other: Aim) -> bool:
+    return abs(float(aim.T_world_tool[:3, 0] @ other.T_world_tool[:3, 0])) > 0.9

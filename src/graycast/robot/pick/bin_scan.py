@@ -1,0 +1,162 @@
+"""One scan of the bin: light, sensor, decoding and detection."""
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float, UInt8
+
+from ...base.frames import inverse
+from ...camera.picture import color_picture, gray_picture
+from ...camera.scanner import measure, scan_seconds, take
+from ...camera.sensor import Capture
+from ...cell.config import resolve_quality
+from ...dataset.detections import Detections
+from ...dataset.example import Example
+from ...render import Renderer, Rendering
+from ...world.scene import Layout
+from .aim import Sight, Target, whole_bin
+from .robot_cell import PickCell
+
+LEAST_VISIBLE_PX = 30  # of a part that truth tells of
+LEAST_SCORE = 0.3  # of a detector's detection
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Look:
+    """The result of a scan, and the true scene from the same view.
+
+    `instance` is the number of the part in each pixel, -1 elsewhere: for truth's detections and
+    for pictures of outcomes. `seconds` are simulated: frames by exposure and read-out.
+    """
+
+    view: Sight
+    gray: UInt8[np.ndarray, "h w"]
+    rgb: UInt8[np.ndarray, "h w 3"] | None
+    instance: np.ndarray
+    seconds: float
+
+
+def scan(
+    cell: PickCell, renderer: Renderer, layout: Layout, *, seed: np.random.SeedSequence
+) -> Look:
+    """Scan the parts in their poses; depth that cannot be decoded is missing.
+
+    If nothing looks at more than perfect depth, one sample a pixel makes the picture of the record.
+
+    Raises:
+        ValueError: the picture is dark, or a value is out of its range.
+    """
+    base, picking = cell.cell, cell.config.picking
+    render_seed, noise_seed, picture_seed, depth_seed = map(int, seed.generate_state(4, np.uint64))
+    quality = resolve_quality(cell.config)
+    if picking.depth != "scanner" and cell.detector is None:
+        quality = replace(quality, samples=1)
+    rendering = renderer.render(
+        base.scene, layout, base.patterns(), quality=quality, seed=render_seed
+    )
+    capture = take(base.scanner, rendering.radiance, seed=noise_seed)
+    return Look(
+        view=Sight(
+            depth_m=_acted_on(cell, rendering, capture, depth_seed),
+            camera=base.scene.rig.camera,
+            T_world_cam=base.scene.T_world_cam,
+        ),
+        gray=gray_picture(capture),
+        rgb=_picture(cell, renderer, rendering, picture_seed),
+        instance=rendering.truth.instance,
+        seconds=scan_seconds(base.scanner, capture, readout_s=picking.readout_s),
+    )
+
+
+def _acted_on(
+    cell: PickCell, rendering: Rendering, capture: Capture, seed: int
+) -> Float[np.ndarray, "h w"]:
+    """The scanner's depth, or what simulators without one would give the robot."""
+    picking = cell.config.picking
+    if picking.depth == "scanner":
+        return measure(cell.cell.scanner, capture)[1].depth_m
+    perfect = rendering.truth.depth_m.astype(np.float64)
+    if picking.depth_noise_m is None:
+        return perfect
+    noise_m = np.random.default_rng(seed).normal(0, picking.depth_noise_m, perfect.shape)
+    return np.asarray(perfect + noise_m)
+
+
+def _picture(
+    cell: PickCell, renderer: Renderer, rendering: Rendering, seed: int
+) -> UInt8[np.ndarray, "h w 3"] | None:
+    """The colour picture, which only a detector looks at."""
+    if cell.detector is None:
+        return None
+    return color_picture(cell.cell.scanner, rendering, denoiser=renderer.denoiser, seed=seed)
+
+
+def targets(cell: PickCell, seen: Look, layout: Layout, detector: Any | None) -> tuple[Target, ...]:
+    """The candidate parts in a scan.
+
+    Args:
+        layout: the parts as they lie, for truth alone.
+        detector: an opened one, where the cell names one.
+    """
+    picking = cell.config.picking
+    if picking.detector == "none":
+        return (Target(kind=None, score=1.0, mask=whole_bin(seen.view, cell.box)),)
+    found = _true_targets(seen, layout) if detector is None else _detected(cell, seen, detector)
+    if picking.pose == "truth":
+        found = [_with_true_pose(target, seen, layout) for target in found]
+    return tuple(found)
+
+
+def _true_targets(seen: Look, layout: Layout) -> list[Target]:
+    found = []
+    for number, kind in enumerate(layout.part_index.tolist()):
+        mask = seen.instance == number
+        if mask.sum() >= LEAST_VISIBLE_PX:
+            found.append(Target(kind=kind, score=1.0, mask=mask))
+    return found
+
+
+def _detected(cell: PickCell, seen: Look, detector: Any) -> list[Target]:
+    ids = {part.name: i for i, part in enumerate(cell.cell.scene.parts)}
+    # What the detector calls by another name; ids below 0 would be left out.
+    another = 0 if len(ids) == 1 else len(ids)
+    wanted = {name: ids.get(name, another) for name in detector.about.names}
+    example = Example(
+        scene_id=0,
+        rgb=seen.rgb,
+        gray=seen.gray,
+        scanner_depth_m=seen.view.depth_m.astype(np.float32),
+        depth_m=seen.view.depth_m.astype(np.float32),
+    )
+    found: Detections = detector.detect(example, obj_ids=wanted, least_score=LEAST_SCORE)
+    return [_target(found, i, kinds=len(ids)) for i in range(len(found))]
+
+
+def _target(found: Detections, i: int, *, kinds: int) -> Target:
+    from pycocotools import mask as coco_mask
+
+    mask = None if found.mask is None else coco_mask.decode(dict(found.mask[i])).astype(bool)
+    kind = int(found.obj_id[i])
+    return Target(
+        kind=kind if kind < kinds else None,
+        score=float(found.score[i]),
+        mask=mask,
+        box_px=found.box_px[i],
+    )
+
+
+def _with_true_pose(target: Target, seen: Look, layout: Layout) -> Target:
+    """The pose of the part that most of a detection's pixels are of."""
+    inside = seen.instance[target.inside(seen.instance.shape)]
+    inside = inside[inside >= 0]
+    if not len(inside):
+        return target
+    number = int(np.bincount(inside).argmax())
+    return Target(
+        kind=int(layout.part_index[number]),
+        score=target.score,
+        mask=target.mask,
+        box_px=target.box_px,
+        T_cam_part=inverse(seen.view.T_world_cam) @ layout.T_world_part[number],
+    )

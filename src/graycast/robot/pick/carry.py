@@ -1,0 +1,179 @@
+"""Execution of a grip: the tool grips, lifts and carries the part, and the rest settles."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+from ...base.frames import inverse
+from ...score.evaluate.pose_errors import rotation_translation
+from ...world.drop import Lift, lift, parts_outside, simulate
+from ...world.drop.lift import STEP_S
+from ...world.scene import Layout
+from .aim import Aim
+from .choose import Choice
+from .contact import Held, NotHeld
+from .outcome import TAKEN, WRONG_M, WRONG_RAD, Outcome
+from .ready import Ready
+from .robot import Joints
+from .touch import touch
+from .ways import Ways
+
+FREED_M = 0.1  # about a part that was taken, where failed grips may be tried again
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class World:
+    """A bin between two attempts.
+
+    `numbers` are of the parts that lie in it, in the layout's order. `hand_eye` maps planned places
+    of the tip to true ones: the calibration's error. `q` is where the arm is. Since something was
+    picked near by, grips failed at `tabu`, and the arm found no way to `blocked`.
+    """
+
+    layout: Layout
+    numbers: Int[np.ndarray, " n"]
+    hand_eye: Float[np.ndarray, "4 4"]
+    q: Joints
+    tabu: tuple[Float[np.ndarray, "3"], ...] = ()
+    blocked: tuple[Float[np.ndarray, "3"], ...] = ()
+
+    def without_way(self, places_m: Sequence[Float[np.ndarray, "3"]]) -> "World":
+        """The same, where the arm found no way to these places."""
+        return replace(self, blocked=(*self.blocked, *places_m))
+
+    def gripped(self, place_m: Float[np.ndarray, "3"], *, taken: bool) -> "World":
+        """The same after a grip: a failure is remembered, a pick clears what is near it."""
+        if not taken:
+            return replace(self, tabu=(*self.tabu, place_m))
+        tabu, blocked = (
+            tuple(place for place in places if np.linalg.norm(place - place_m) > FREED_M)
+            for places in (self.tabu, self.blocked)
+        )
+        return replace(self, tabu=tabu, blocked=blocked)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Carried:
+    """How a grip ended; fields as in `Attempt`, but `part` is its place in the layout."""
+
+    outcome: Outcome
+    detail: str = ""
+    part: int | None = None
+    pose_error: tuple[float, float] | None = None
+    least_factor: float | None = None
+    lost_s: float | None = None
+
+
+def carry_out(ready: Ready, world: World, choice: Choice) -> tuple[Carried, World]:
+    """Execute the chosen grip in the true world."""
+    layout, aim = world.layout, choice.aim
+    met = touch(
+        ready.tool,
+        world.hand_eye @ aim.T_world_tool,
+        ready.kinds,
+        layout.T_world_part,
+        layout.part_index,
+        opening_m=aim.opening_m,
+    )
+    error = _pose_error(ready, layout, aim)
+    world = replace(world, q=choice.ways.away.q[-1])
+    if isinstance(met, NotHeld):
+        carried = Carried(
+            outcome=_blamed(met.outcome, error), detail=met.detail, part=met.part, pose_error=error
+        )
+        return carried, world.gripped(aim.place_m, taken=False)
+    lifted = lift(
+        ready.cell.box,
+        ready.bodies,
+        layout.T_world_part,
+        layout.part_index,
+        met.part,
+        met.hold,
+        _path(ready, choice.ways, met.T_world_tool),
+    )
+    outside = parts_outside(ready.cell.box, ready.bodies, lifted.T_world_part, layout.part_index)
+    carried = _told(ready, met, lifted, outside, error)
+    gone = outside.copy()
+    gone[met.part] |= lifted.lost_s is None
+    after = _settled(ready, world, lifted.T_world_part, ~gone)
+    return carried, after.gripped(aim.place_m, taken=carried.outcome in TAKEN)
+
+
+def _told(
+    ready: Ready,
+    met: Held,
+    lifted: Lift,
+    outside: Bool[np.ndarray, " n"],
+    error: tuple[float, float] | None,
+) -> Carried:
+    others = int(outside.sum()) - int(outside[met.part])
+    if lifted.lost_s is not None:
+        outcome = _blamed(ready.tool.lost, error)
+        pull, turn = np.linalg.norm(lifted.force_n), np.linalg.norm(lifted.moment_nm)
+        detail = f"after {lifted.lost_s:.2f} s, by {pull:.1f} N and {turn:.2f} Nm"
+    else:
+        outcome = Outcome.TWO_AT_ONCE if others else Outcome.PICKED
+        detail = f"{others} more" if others else ""
+    return Carried(
+        outcome=outcome,
+        detail=detail,
+        part=met.part,
+        pose_error=error,
+        least_factor=float(lifted.least_factor),
+        lost_s=lifted.lost_s,
+    )
+
+
+def _path(
+    ready: Ready, ways: Ways, T_world_tool: Float[np.ndarray, "4 4"]
+) -> Float[np.ndarray, "t 4 4"]:
+    """Where the tool truly goes with the part, a pose for each step of the engine.
+
+    Args:
+        T_world_tool: where it truly is at the start, which the arm's own account differs from.
+    """
+    T_tip_true = inverse(ready.tip(ways.down.q[-1])) @ T_world_tool
+    poses = []
+    for way in ways.loaded:
+        count = max(round(way.seconds / STEP_S), 1)
+        poses += [ready.tip(way.at(way.seconds * i / count)) @ T_tip_true for i in range(count)]
+    return np.stack(poses)
+
+
+def _settled(
+    ready: Ready, world: World, T_world_part: Float[np.ndarray, "n 4 4"], kept: np.ndarray
+) -> World:
+    """The remaining parts, at rest again, without those that fell out of the bin."""
+    box, limits = ready.cell.box, ready.cell.config.drop
+    numbers, index, poses = world.numbers[kept], world.layout.part_index[kept], T_world_part[kept]
+    if not len(numbers):
+        return replace(world, numbers=numbers, layout=Layout(T_world_part=poses, part_index=index))
+    rested = simulate(box, ready.bodies, poses, index, simulated_s=limits.simulated_s)
+    inside = ~parts_outside(box, ready.bodies, rested.T_world_part, index)
+    layout = replace(
+        rested, T_world_part=rested.T_world_part[inside], part_index=index[inside], outside=0
+    )
+    return replace(world, numbers=numbers[inside], layout=layout)
+
+
+def _pose_error(ready: Ready, layout: Layout, aim: Aim) -> tuple[float, float] | None:
+    """The error of the pose of a grip, compared with the nearest part of its kind."""
+    if aim.T_cam_part is None or aim.target.kind is None:
+        return None
+    scene, kind = ready.cell.cell.scene, aim.target.kind
+    T = scene.T_world_cam @ aim.T_cam_part
+    alike = layout.T_world_part[layout.part_index == kind]
+    if not len(alike):
+        return None
+    middle = scene.parts[kind].mesh.bounds_m.mean(axis=0)
+    apart = np.linalg.norm((alike - T)[:, :3] @ np.append(middle, 1.0), axis=1)
+    true = alike[int(np.argmin(apart))]
+    return rotation_translation(T, true, ready.alike[kind], middle_m=middle)
+
+
+def _blamed(outcome: Outcome, error: tuple[float, float] | None) -> Outcome:
+    """Attribute a failure to the pose if the pose was wrong."""
+    off = error is not None and (error[0] > WRONG_RAD or error[1] > WRONG_M)
+    return Outcome.WRONG_POSE if off else outcome

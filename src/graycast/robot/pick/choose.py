@@ -1,0 +1,255 @@
+"""The choice of a grip: the best that can be reached on the parts that lie highest."""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from jaxtyping import Float
+
+from ...base.frames import inverse, transform_points
+from ..grasp import Doubt, patch_of_depth
+from .aim import (
+    PLACES,
+    Aim,
+    Sight,
+    Target,
+    aims_by_pose,
+    aims_in_depth,
+    best_first,
+    ranked,
+    spread,
+)
+from .clock import Clock
+from .heap_obstacle import measured_heap, measured_points
+from .obstacles import heap_obstacle
+from .outcome import Outcome
+from .ready import Ready
+from .robot import Joints, Obstacle, tool_touches
+from .ways import Blocked, Load, Ways, ways
+
+TABU_M = 0.015  # about a grip that failed, where none is tried before something near was picked
+BLOCKED_M = 0.04  # about a grip to which no way was found, where others wait for their turn
+ALIKE_M = 0.008  # grips nearer than this are one, as far as planning goes
+LEAST_UP_M = 0.02
+# How far the middle of what is seen of an unknown part may be from its centre of mass, each way.
+UNKNOWN_CENTER_M = 0.01
+# What is so far off the part's surface over so large a share of the tool's ground is another.
+UNLIKE_M, UNLIKE_SHARE = 4e-3, 0.02
+# What was not found, by how far the search came.
+_MISSING = (
+    "no detection",
+    "no depth: too little was measured on every detection",
+    "no pose: none fits the depth of its detection",
+    "no grip: the tool fits nowhere on the parts",
+    "no grip: all have less than the least score",
+)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Choice:
+    """A grip with the arm's paths to it and away with the part."""
+
+    aim: Aim
+    ways: Ways
+
+
+def choose(
+    ready: Ready,
+    view: Sight,
+    found: Sequence[Target],
+    q: Joints,
+    tabu: Sequence[Float[np.ndarray, "3"]],
+    blocked: Sequence[Float[np.ndarray, "3"]],
+    *,
+    seed: int,
+    clock: Clock,
+) -> Choice | Blocked:
+    """Choose a grip for the targets, or state why there is none.
+
+    A grip near one to which no way was found waits until all others were tried: what is too far
+    for the arm, or too steep, is so all round.
+
+    Args:
+        q: joint angles where the arm is.
+        tabu: where grips failed before.
+        blocked: to where no way was found before.
+        seed: of places and plans.
+    """
+    picking = ready.cell.config.picking
+    why, sought = Blocked(outcome=Outcome.NOTHING_FOUND), list[Float[np.ndarray, "3"]]()
+    heaps, posed, reached = _Heaps(ready, view), list[Target](), int(bool(found))
+
+    def aims() -> Iterator[Aim]:
+        """In the order in which they are tried; the places that are sought decide it, too."""
+        nonlocal why, reached
+        later = []
+        for together in _together(ranked(found, view, (*tabu, *blocked)), picking.targets):
+            with clock("grips"):
+                all_of_them = _aims(ready, together, view, seed, posed)
+                held = [aim for aim in all_of_them if aim.score >= picking.least_score]
+            reached = max(reached, 4 if all_of_them else 3 if posed else 2)
+            fresh = [aim for aim in held if not _near(aim.place_m, tabu, TABU_M)]
+            if held and not fresh and why.outcome is Outcome.NOTHING_FOUND:
+                why = Blocked(outcome=Outcome.GIVEN_UP)
+            for aim in spread(best_first(fresh), ALIKE_M, round_tool=ready.tool.is_round):
+                if _near(aim.place_m, (*blocked, *sought), BLOCKED_M):
+                    later.append(aim)
+                else:
+                    yield aim
+        yield from later
+
+    for aim in aims():
+        with clock("plan"):
+            heap = heaps.of(aim)
+            hit = _unlike(ready, view, aim) or _blocked_tool(ready, aim, heap)
+            tried = hit or _ways(ready, q, aim, heap, seed)
+        if isinstance(tried, Ways):
+            return Choice(aim=aim, ways=tried)
+        why = tried
+        if hit is None:
+            sought.append(aim.place_m)
+        if len(sought) == picking.grips:
+            break
+    if why.outcome is Outcome.NOTHING_FOUND and not why.detail:
+        why = replace(why, detail=_MISSING[reached])
+    return replace(why, places_m=tuple(sought))
+
+
+def _together(groups: Sequence[Sequence[Target]], count: int) -> Iterator[Sequence[Target]]:
+    """Batches of targets of one group."""
+    for group in groups:
+        for start in range(0, len(group), count):
+            yield group[start : start + count]
+
+
+def _near(
+    place_m: Float[np.ndarray, "3"], others_m: Sequence[Float[np.ndarray, "3"]], within_m: float
+) -> bool:
+    return any(np.linalg.norm(place_m - other_m) < within_m for other_m in others_m)
+
+
+def _aims(
+    ready: Ready, found: Sequence[Target], view: Sight, seed: int, posed: list[Target]
+) -> list[Aim]:
+    """Grips on some targets; those on which grips were looked for are added to `posed`."""
+    picking = ready.cell.config.picking
+    lean_rad = float(np.radians(picking.most_lean_deg))
+    search = ready.tool.in_depth
+    if search is None or picking.knows == "part":
+        return aims_by_pose(found, view, ready.known, most_lean_rad=lean_rad, posed=posed)
+    posed += found
+    return aims_in_depth(
+        found,
+        view,
+        search,
+        weight_n=ready.weight_n,
+        doubt=Doubt(center_m=UNKNOWN_CENTER_M),
+        most_lean_rad=lean_rad,
+        places=PLACES * (picking.targets if picking.detector == "none" else 1),
+        one_part=picking.detector != "none",
+        seed=seed,
+    )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Heap:
+    obstacle: Obstacle
+    highest_m: float
+
+
+class _Heaps:
+    """The measured heap; for a tool that reaches round a part, without the part."""
+
+    def __init__(self, ready: Ready, view: Sight) -> None:
+        self._ready, self._shape = ready, view.depth_m.shape
+        self._points = measured_points(view.depth_m, view.camera, view.T_world_cam, ready.cell.box)
+        self._made: dict[int, _Heap] = {}
+
+    def of(self, aim: Aim) -> _Heap:
+        # Targets outlive the choice.
+        key = id(aim.target) if self._ready.tool.reaches_round else -1
+        if key not in self._made:
+            self._made[key] = self._make(aim)
+        return self._made[key]
+
+    def _make(self, aim: Aim) -> _Heap:
+        own = self._ready.tool.reaches_round
+        without = aim.target.inside(self._shape) if own else None
+        heap = measured_heap(self._points, without=without)
+        return _Heap(
+            obstacle=heap_obstacle(heap, self._ready.here.T_base_world),
+            highest_m=float(heap.height_m.max()),
+        )
+
+
+def _unlike(ready: Ready, view: Sight, aim: Aim) -> Blocked | None:
+    """Whether the measured surface under a tool differs from the part at its pose.
+
+    Another part lies on it, or the pose is wrong.
+    """
+    ground_m = ready.tool.ground_m
+    if ground_m is None or aim.T_cam_part is None:
+        return None
+    patch = patch_of_depth(
+        view.depth_m,
+        view.camera,
+        inverse(view.T_world_cam) @ aim.T_world_tool,
+        radius_m=ground_m,
+        step_m=ground_m / 10,
+    )
+    under = np.linalg.norm(patch.node_m, axis=-1) <= ground_m
+    height_m = patch.height_m[under]  # NaN is neither above nor below
+    if np.mean(height_m > UNLIKE_M) > UNLIKE_SHARE:
+        detail = "an object is at the place of the cup"
+        return Blocked(outcome=Outcome.COLLISION_SEEN, detail=detail)
+    if np.mean(height_m < -UNLIKE_M) > UNLIKE_SHARE:
+        detail = "the part is not at the place of the cup"
+        return Blocked(outcome=Outcome.NOTHING_FOUND, detail=detail)
+    return None
+
+
+def _blocked_tool(ready: Ready, aim: Aim, heap: _Heap) -> Blocked | None:
+    """Whether the tool alone would collide at the grip, which is fast to check."""
+    obstacles = (*ready.here.standing, heap.obstacle)
+    tool = ready.tool.pieces(aim.opening_m)
+    hit = tool_touches(tool, ready.here.flange(aim.T_world_tool), obstacles)
+    if hit is None:
+        return None
+    return Blocked(outcome=Outcome.COLLISION_SEEN, detail=f"the tool would collide with {hit}")
+
+
+def _ways(ready: Ready, q: Joints, aim: Aim, heap: _Heap, seed: int) -> Ways | Blocked:
+    load = _load(ready, aim)
+    highest_m = max(ready.cell.box.inner_m[2], heap.highest_m)
+    clear_m = highest_m + load.below_m + ready.cell.config.picking.clear_m
+    tool = ready.tool
+    return ways(
+        ready.bare.mount(tool.pieces(aim.opening_m)) if tool.reaches_round else ready.robot,
+        ready.here,
+        q,
+        aim.T_world_tool,
+        heap.obstacle,
+        up_m=max(clear_m - float(aim.place_m[2]), LEAST_UP_M),
+        load=load,
+        round_tool=tool.is_round,
+        seed=seed,
+    )
+
+
+def _load(ready: Ready, aim: Aim) -> Load:
+    """How far the part reaches from the tip.
+
+    An unknown one reaches as far as any may, but not through the floor on which it lies: from a
+    place h above it, h cos a + size sin a below the tip once a tool that leans by a is upright.
+    """
+    if aim.T_part_tool is None:
+        size_m, axis = ready.load.below_m, aim.T_world_tool[:3, 2]
+        deep_m = aim.place_m[2] * axis[2] + size_m * np.hypot(axis[0], axis[1])
+        return replace(ready.load, below_m=float(np.clip(deep_m, LEAST_UP_M, size_m)))
+    kind = 0 if aim.target.kind is None else aim.target.kind
+    mesh = ready.cell.cell.scene.parts[kind].mesh
+    corner = transform_points(inverse(aim.T_part_tool), mesh.vertices_m)
+    return Load(
+        below_m=max(float(-corner[:, 2].min()), LEAST_UP_M),
+        aside_m=float(np.linalg.norm(corner[:, :2], axis=1).max()),
+    )

@@ -1,0 +1,74 @@
+"""What a tool meets among the true parts: a part that it holds, or the reason why it holds none."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float
+
+from ...base.frames import inverse, transform_points
+from ...world.drop import Hold
+from ...world.parts import Part
+from .outcome import Outcome
+
+LoadLaw = Callable[[np.ndarray, np.ndarray], np.ndarray]  # as `grasp.load_factor` of one tool
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Held:
+    """A tool that holds a part: which, how, and where its tip came to rest."""
+
+    part: int
+    hold: Hold
+    T_world_tool: Float[np.ndarray, "4 4"]
+
+    @staticmethod
+    def of(
+        part: int,
+        T_world_part: Float[np.ndarray, "4 4"],
+        T_world_tool: Float[np.ndarray, "4 4"],
+        *,
+        law: LoadLaw,
+        stiffness_n_m: float,
+    ) -> "Held":
+        """A part in a tool with the law that gives the safety factor of a load.
+
+        Args:
+            part: its place among the parts.
+            T_world_part: where it lies.
+            T_world_tool: where the tip came to rest.
+            law: safety factors of forces [N] and moments [Nm] in the tool's frame, each (k, 3).
+            stiffness_n_m: of the tool along each axis.
+        """
+
+        def factor(force_n: np.ndarray, moment_nm: np.ndarray) -> float:
+            return float(law(force_n[None], moment_nm[None])[0])
+
+        hold = Hold(
+            T_part_tool=inverse(T_world_part) @ T_world_tool,
+            factor=factor,
+            stiffness_n_m=stiffness_n_m,
+        )
+        return Held(part=part, hold=hold, T_world_tool=T_world_tool)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class NotHeld:
+    """A tool that holds nothing: why, and the part that it met, if any."""
+
+    outcome: Outcome
+    detail: str = ""
+    part: int | None = None
+
+
+def is_near(
+    T_world_tool: Float[np.ndarray, "4 4"],
+    T_world_part: Float[np.ndarray, "4 4"],
+    part: Part,
+    radius_m: float,
+) -> bool:
+    """Whether a part's bounding ball meets the cylinder about the tool's axis."""
+    low, high = part.mesh.bounds_m
+    middle = transform_points(T_world_part, (low + high) / 2)
+    aside = (inverse(T_world_tool) @ np.append(middle, 1.0))[:2]
+    return bool(np.linalg.norm(aside) <= np.linalg.norm(high - low) / 2 + radius_m)

@@ -1,0 +1,189 @@
+"""One bin: filled by a drop, and emptied by scans, grips and lifts until nothing more can be done.
+
+The world is the drop's own, continued: a part is lifted out among its neighbours by physics, and
+the rest come to rest again before the next scan. A failed grip leaves its part where it lies, or
+where it fell.
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from jaxtyping import Float, UInt8
+from scipy.spatial.transform import Rotation
+
+from ...base.frames import rigid
+from ...base.progress import UNWATCHED, ProgressMeter
+from ...base.streams import EMPTIED_BIN
+from ...render import Renderer
+from ...world.drop import drop
+from .attempt_picture import picture
+from .bin_scan import Look, scan, targets
+from .carry import World, carry_out
+from .choose import choose
+from .clock import Clock
+from .outcome import TAKEN, Attempt, Outcome
+from .pick_sections import PickingSection
+from .ready import Ready
+from .ways import Blocked, Ways
+
+SHOWN_S = 0.05  # between the arm's poses that are kept
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Episode:
+    """The record of one emptied bin.
+
+    `filled` is how many parts there were, `taken` how many the tool took out, `left` how many lie
+    in the bin at the end; the rest fell beside it. `pictures` (RGB) and `depths_m` (what the robot
+    acted on) are of each attempt. `kinds` says of each part which of the cell's parts it is.
+    """
+
+    bin_id: int
+    kinds: tuple[int, ...]
+    attempts: tuple[Attempt, ...]
+    pictures: tuple[UInt8[np.ndarray, "h w 3"], ...]
+    depths_m: tuple[Float[np.ndarray, "h w"], ...]
+    filled: int
+    taken: int
+    left: int
+
+    @property
+    def spilled(self) -> int:
+        return self.filled - self.taken - self.left
+
+
+def empty_bin(
+    ready: Ready,
+    renderer: Renderer,
+    bin_id: int,
+    *,
+    seed: int,
+    progress: ProgressMeter = UNWATCHED,
+) -> Episode:
+    """Fill a bin and empty it.
+
+    Raises:
+        DropError: the parts did not come to an acceptable rest.
+        ValueError: a picture is dark, or a value is out of its range.
+    """
+    config = ready.cell.config
+    own = np.random.SeedSequence(seed, spawn_key=(bin_id,)).spawn(len(EMPTIED_BIN))
+    streams = dict(zip(EMPTIED_BIN, own, strict=True))
+    counts = _counts(ready, np.random.default_rng(streams["counts"]))
+    layout = drop(
+        ready.cell.cell.scene,
+        counts,
+        seed=int(streams["drop"].generate_state(1, np.uint64)[0]),
+        limits=config.drop,
+        progress=progress,
+    )
+    world = World(
+        layout=layout,
+        numbers=np.arange(sum(counts)),
+        hand_eye=_hand_eye(config.picking, np.random.default_rng(streams["calibration"])),
+        q=ready.robot.home,
+    )
+    attempts: list[Attempt] = []
+    pictures: list[UInt8[np.ndarray, "h w 3"]] = []
+    depths_m: list[Float[np.ndarray, "h w"]] = []
+    taken = failures = 0
+    while len(world.numbers) and failures < config.picking.failures:
+        left = len(world.numbers)
+        progress.stage(f"bin {bin_id}, scan {len(attempts) + 1}: {left} parts are left")
+        before = len(world.numbers)
+        attempt, seen, world = _attempt(ready, renderer, world, streams["attempts"].spawn(1)[0])
+        attempts.append(attempt)
+        pictures.append(picture(seen, attempt))
+        depths_m.append(seen.view.depth_m)
+        if attempt.outcome is Outcome.TWO_AT_ONCE:
+            taken += before - len(world.numbers)
+        else:
+            taken += attempt.outcome is Outcome.PICKED
+        failures = 0 if attempt.outcome in TAKEN else failures + 1
+    return Episode(
+        bin_id=bin_id,
+        kinds=tuple(layout.part_index.tolist()),
+        attempts=tuple(attempts),
+        pictures=tuple(pictures),
+        depths_m=tuple(depths_m),
+        filled=sum(counts),
+        taken=taken,
+        left=len(world.numbers),
+    )
+
+
+def _counts(ready: Ready, rng: np.random.Generator) -> tuple[int, ...]:
+    """How many of each kind, drawn at random."""
+    low, high = ready.cell.config.count_range
+    total, kinds = int(rng.integers(low, high + 1)), len(ready.kinds)
+    return tuple(int(n) for n in rng.multinomial(total, np.full(kinds, 1 / kinds)))
+
+
+def _hand_eye(picking: PickingSection, rng: np.random.Generator) -> Float[np.ndarray, "4 4"]:
+    """The calibration error: the transform from planned to true poses of the tip."""
+    turn = Rotation.from_rotvec(picking.hand_eye_rad * rng.normal(size=3)).as_matrix()
+    return rigid(turn, picking.hand_eye_m * rng.normal(size=3))
+
+
+def _attempt(
+    ready: Ready, renderer: Renderer, world: World, seed: np.random.SeedSequence
+) -> tuple[Attempt, Look, World]:
+    scan_seed, plan_seed = seed.spawn(2)
+    clock = Clock()
+    with clock("scan"):
+        seen = scan(ready.cell, renderer, world.layout, seed=scan_seed)
+    with clock("detect"):
+        found = targets(ready.cell, seen, world.layout, ready.detector)
+    choice = choose(
+        ready,
+        seen.view,
+        found,
+        world.q,
+        world.tabu,
+        world.blocked,
+        seed=int(plan_seed.generate_state(1)[0]),
+        clock=clock,
+    )
+    attempt = Attempt(
+        outcome=Outcome.NOTHING_FOUND,
+        T_world_part=world.layout.T_world_part,
+        present=tuple(world.numbers.tolist()),
+        targets=len(found),
+        seconds={"scan": seen.seconds, "motion": 0.0},
+        work_s=clock.seconds,
+    )
+    if isinstance(choice, Blocked):
+        world = world.without_way(choice.places_m)
+        return replace(attempt, outcome=choice.outcome, detail=choice.detail), seen, world
+    with clock("physics"):
+        carried, after = carry_out(ready, world, choice)
+    time_s, q = _shown(choice.ways)
+    aim = choice.aim
+    attempt = replace(
+        attempt,
+        outcome=carried.outcome,
+        detail=carried.detail,
+        part=None if carried.part is None else int(world.numbers[carried.part]),
+        kind=aim.target.kind,
+        score=aim.score,
+        T_world_tool=aim.T_world_tool,
+        opening_m=aim.opening_m,
+        pose_error=carried.pose_error,
+        least_factor=carried.least_factor,
+        lost_s=carried.lost_s,
+        seconds={"scan": seen.seconds, "motion": choice.ways.seconds},
+        time_s=time_s,
+        q=q,
+    )
+    return attempt, seen, after
+
+
+def _shown(ways: Ways) -> tuple[Float[np.ndarray, " t"], Float[np.ndarray, "t joints"]]:
+    """The whole motion, a pose every `SHOWN_S`."""
+    times, angles, before = [], [], 0.0
+    for way in ways.all:
+        for t in np.arange(0.0, way.seconds, SHOWN_S):
+            times.append(before + t)
+            angles.append(way.at(float(t)))
+        before += way.seconds
+    return np.array([*times, before]), np.stack([*angles, ways.away.q[-1]])

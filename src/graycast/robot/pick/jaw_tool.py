@@ -1,0 +1,115 @@
+"""Parallel jaws below a palm: settings, and the answers to the questions of `tools.Tool`."""
+
+from collections.abc import Sequence
+from functools import partial
+from typing import ClassVar, Literal
+
+import numpy as np
+from jaxtyping import Float, Int
+from pydantic import Field
+
+from ...base.frames import inverse, rigid
+from ...base.settings import Positive, Settings
+from ...world.drop import Body
+from ...world.drop.rapier import GRAVITY_M_S2
+from ...world.parts import Mesh, Part
+from ..grasp import CLEARANCE_M, Doubt, Grip, Jaws, closing, jaw_load_factor, jaw_places
+from .contact import Held, NotHeld, is_near
+from .outcome import Outcome
+from .robot import Mounted
+
+
+class JawTool(Settings):
+    """Two parallel fingers below a palm."""
+
+    kind: Literal["jaws"]
+    jaws: Jaws = Jaws()
+    length_m: Positive = Field(
+        0.16, description="The distance from the flange to the middle between the pads, in metres."
+    )
+    palm_m: tuple[Positive, Positive] = Field(
+        (0.12, 0.06),
+        description="The size of the palm along the closing axis and across it, in metres.",
+    )
+    stiffness_n_m: Positive = Field(
+        20_000.0, description="The stiffness of the fingers along each axis [N/m]."
+    )
+
+    lost: ClassVar[Outcome] = Outcome.SLIPPED
+    is_round: ClassVar[bool] = False
+    reaches_round: ClassVar[bool] = True
+    in_depth: ClassVar[None] = None  # the far side, on which one finger presses, is not measured
+    ground_m: ClassVar[None] = None  # fingers stand beside the part, not on it
+    soft: ClassVar[tuple[Mesh, ...]] = ()
+
+    def _open_m(self, opening_m: float | None) -> float:
+        """How far the pads stand apart before they close on what is so wide."""
+        return self.jaws.opening_m if opening_m is None else opening_m + 2 * CLEARANCE_M
+
+    def pieces(
+        self, opening_m: float | None = None, *, closed: bool = False
+    ) -> tuple[Mounted, ...]:
+        """The palm and both fingers."""
+        import coal
+
+        thick, wide, long = self.jaws.finger_m
+        apart_m = opening_m if closed and opening_m is not None else self._open_m(opening_m)
+        tip_m = self.length_m + self.jaws.pad_radius_m
+        finger = coal.Box(thick, wide, long)
+        aside_m, middle_m = (apart_m + thick) / 2, tip_m - long / 2
+        palm_m = max(tip_m - long, 1e-3)
+        palm = coal.Box(*self.palm_m, palm_m)
+        return (
+            Mounted.at("palm", palm, (0.0, 0.0, palm_m / 2)),
+            Mounted.at("finger", finger, (aside_m, 0.0, middle_m)),
+            Mounted.at("other finger", finger, (-aside_m, 0.0, middle_m)),
+        )
+
+    def places(self, part: Part, body: Body, *, count: int) -> list[Grip]:
+        return jaw_places(
+            part.mesh,
+            self.jaws,
+            weight_n=body.mass_kg * GRAVITY_M_S2,
+            center_m=body.center_m,
+            doubt=Doubt(),
+            count=count,
+        )
+
+    def meet(
+        self,
+        T_world_tool: Float[np.ndarray, "4 4"],
+        parts: Sequence[Part],
+        T_world_part: Float[np.ndarray, "n 4 4"],
+        part_index: Int[np.ndarray, " n"],
+        opening_m: float | None = None,
+    ) -> Held | NotHeld:
+        """The jaws close until both pads touch."""
+        jaws, open_m = self.jaws, self._open_m(opening_m)
+        met = []
+        for i, (T, kind) in enumerate(zip(T_world_part, part_index, strict=True)):
+            if is_near(T_world_tool, T, parts[kind], jaws.opening_m):
+                found = closing(parts[kind].mesh, jaws, inverse(T) @ T_world_tool, opening_m=open_m)
+                if found is not None:
+                    met.append((i, found))
+        if not met:
+            return NotHeld(outcome=Outcome.MISSED, detail="nothing is between the pads")
+        if len(met) > 1:
+            return NotHeld(
+                outcome=Outcome.NOT_HELD, detail="two parts are between the pads", part=met[0][0]
+            )
+        part, (aside_m, slope) = met[0]
+        if slope > jaws.friction:
+            return NotHeld(
+                outcome=Outcome.NOT_HELD,
+                detail=f"the pads meet the part at a slope of {slope:.2f}, and the friction is "
+                f"{jaws.friction:.2f}",
+                part=part,
+            )
+        # The jaws close about the tool's middle: the part is drawn there, or the arm gives way.
+        return Held.of(
+            part,
+            T_world_part[part],
+            T_world_tool @ rigid(np.eye(3), np.array([aside_m, 0.0, 0.0])),
+            law=partial(jaw_load_factor, jaws),
+            stiffness_n_m=self.stiffness_n_m,
+        )

@@ -1,0 +1,185 @@
+"""Picks on disk: a folder of complete bins of one cell and one seed.
+
+picks.json            what the folder is of; another cell's picks are refused
+bins/000000/
+    episode.json      counts, attempts and their outcomes, where parts lay
+    motion.json       the arm's joint angles over time, for each attempt
+    work.json         this machine's seconds by stage: the one file that differs from run to run
+    pictures/000.png  what the camera saw, where the tool went, and the outcome
+    depth/000.png     what the robot acted on, 16 bit, in steps of `DEPTH_STEP_M`; 0 is missing
+"""
+
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+from jaxtyping import Float
+
+from ...base.errors import DatasetError, GraycastError
+from ...base.file_limits import parse_json
+from ...base.folder import claimed_folder, new_folder, write_whole
+from ...cell.generate import described_scanner
+from ...dataset.claim import BESIDE_CONFIG, make_claim, refuse_other
+from ...dataset.json_text import json_bytes
+from .episode import Episode
+from .robot_cell import PickCell
+
+CLAIM, BINS = "picks.json", "bins"
+EPISODE, MOTION, WORK = "episode.json", "motion.json", "work.json"
+DEPTH_STEP_M = 1e-4
+_LOCK = ".lock"
+
+
+def episode_files(episode: Episode) -> tuple[tuple[str, bytes], ...]:
+    """(path inside the bin's folder, content)."""
+    attempts = episode.attempts
+    told = {
+        "bin_id": episode.bin_id,
+        "kinds": list(episode.kinds),
+        "filled": episode.filled,
+        "taken": episode.taken,
+        "left": episode.left,
+        "spilled": episode.spilled,
+        "attempts": [attempt.as_dict() for attempt in attempts],
+    }
+    motion = [
+        None
+        if attempt.q is None or attempt.time_s is None
+        else {
+            "time_s": np.round(attempt.time_s, 4).tolist(),
+            "q": np.round(attempt.q, 5).tolist(),
+        }
+        for attempt in attempts
+    ]
+    files = [
+        (EPISODE, json_bytes(told)),
+        (MOTION, json_bytes({"attempts": motion})),
+        (WORK, json_bytes({"attempts": [attempt.work_s for attempt in attempts]})),
+    ]
+    for number, image in enumerate(episode.pictures):
+        files.append((f"pictures/{number:03d}.png", _png(image[..., ::-1])))
+    for number, depth_m in enumerate(episode.depths_m):
+        files.append((f"depth/{number:03d}.png", _png(_steps(depth_m))))
+    return tuple(files)
+
+
+def _steps(depth_m: Float[np.ndarray, "h w"]) -> np.ndarray:
+    return np.round(np.nan_to_num(depth_m) / DEPTH_STEP_M).clip(0, 65535).astype(np.uint16)
+
+
+def _png(image: np.ndarray) -> bytes:
+    return cv2.imencode(".png", np.ascontiguousarray(image))[1].tobytes()
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PickFolder:
+    """An open folder of picks, locked against other runs."""
+
+    out: Path
+
+    def finished(self) -> set[int]:
+        return {int(bin_.name) for bin_ in (self.out / BINS).iterdir() if bin_.name.isdecimal()}
+
+    def write(self, bin_id: int, files: Sequence[tuple[str, bytes]]) -> None:
+        """Write one bin completely or not at all.
+
+        Raises:
+            GraycastError: the disk refuses, or the bin is there already.
+        """
+        with new_folder(self.out / BINS / f"{bin_id:06d}") as folder:
+            for name, content in files:
+                path = folder / name
+                path.parent.mkdir(parents=True, exist_ok=True)
+                path.write_bytes(content)
+
+
+@contextmanager
+def open_picks(out: Path, cell: PickCell, *, seed: int) -> Iterator[PickFolder]:
+    """Make a folder of picks, or continue one of the same cell and seed.
+
+    Raises:
+        DatasetError: the folder is another cell's, holds something else, or is in use.
+    """
+    base = cell.cell
+    told = cell.config.model_dump(mode="json", exclude={"scenes", "seed"})
+    beside = (cell.file_digests, described_scanner(base.scanner))
+    told |= dict(zip(BESIDE_CONFIG, beside, strict=True))
+    claim = make_claim(told, seed, base.scene.parts, base.scene.rig, 1e3 * DEPTH_STEP_M)
+    if out.is_file():
+        raise DatasetError(f"{out} is a file: give a folder for the picks")
+    if out.is_dir() and not (out / CLAIM).exists():
+        held = [entry.name for entry in out.iterdir() if not entry.name.startswith(".")]
+        if held:
+            raise DatasetError(
+                f"{out} is not empty and holds no picks (it has {min(held)}): choose another folder"
+            )
+    with claimed_folder(out, BINS, _LOCK):
+        if (out / CLAIM).exists():
+            refuse_other(out / CLAIM, claim)
+        else:
+            write_whole(out / CLAIM, json_bytes(claim))
+        try:
+            yield PickFolder(out=out)
+        except BaseException:
+            _tidy(out)
+            raise
+
+
+def _tidy(out: Path) -> None:
+    """Remove the claim of a folder in which no bin was finished."""
+    with suppress(OSError):
+        (out / BINS).rmdir()  # only where no bin was finished
+        (out / CLAIM).unlink(missing_ok=True)
+        (out / _LOCK).unlink(missing_ok=True)
+        out.rmdir()
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class StoredEpisode:
+    """A bin's `episode.json`, and this machine's seconds beside it.
+
+    `kinds` says of each part which of the cell's parts it is; empty where that was not
+    kept.
+    """
+
+    bin_id: int
+    filled: int
+    taken: int
+    left: int
+    spilled: int
+    kinds: tuple[int, ...]
+    attempts: tuple[Mapping[str, Any], ...]
+    work_s: tuple[Mapping[str, float], ...]
+
+
+def read_episodes(out: Path) -> tuple[StoredEpisode, ...]:
+    """All finished bins of a folder, in the order of their numbers.
+
+    Raises:
+        GraycastError: the folder holds no picks, or a file is damaged.
+    """
+    if not (out / CLAIM).is_file():
+        raise GraycastError(f"{out}: holds no picks: give a folder that graycast pick wrote")
+    return tuple(
+        _read(folder) for folder in sorted((out / BINS).iterdir()) if folder.name.isdecimal()
+    )
+
+
+def _read(folder: Path) -> StoredEpisode:
+    try:
+        told = parse_json((folder / EPISODE).read_bytes())
+        work = parse_json((folder / WORK).read_bytes())
+        return StoredEpisode(
+            attempts=tuple(told["attempts"]),
+            work_s=tuple(work["attempts"]),
+            kinds=tuple(told.get("kinds", ())),
+            **{name: int(told[name]) for name in ("bin_id", "filled", "taken", "left", "spilled")},
+        )
+    except (OSError, ValueError, KeyError, TypeError) as error:
+        raise GraycastError(
+            f"{folder}: cannot be read ({error}): remove this folder and run graycast pick again"
+        ) from error

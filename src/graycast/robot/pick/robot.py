@@ -1,0 +1,303 @@
+"""A robot: forward and inverse kinematics, and collision checks.
+
+Kinematics and collision are Pinocchio's and Coal's. A robot is one of the built-in arms or a URDF
+file of the user's. Its base's frame is the URDF's first link, z up.
+"""
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, final
+
+import numpy as np
+from jaxtyping import Float
+
+from ...base.errors import ConfigError
+from ...base.frames import rigid
+from .arms import ARMS, urdf
+
+Joints = Float[np.ndarray, "q"]
+# Inverse kinematics: Newton steps with damping, from several starts.
+_STEPS, _STARTS = 60, 12
+_ALIKE_RAD = 0.05
+_DAMPING = 1e-6
+EXACT_M, EXACT_RAD = 1e-5, 1e-4
+# Neither maker states accelerations; with these a joint is at full speed after half a second.
+ACCELERATION_RAD_S2 = 6.0
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Obstacle:
+    """Something convex or a box in the robot's base frame, as Coal knows it.
+
+    What `carries` the robot may touch its base.
+    """
+
+    name: str
+    shape: Any
+    T_base_shape: Float[np.ndarray, "4 4"]
+    carries: bool = False
+    placed: Any = field(init=False, repr=False)  # the pose as Coal takes it, for many questions
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "placed", _placed(self.T_base_shape))
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Mounted:
+    """A piece of a tool: something convex, as Coal knows it, in the flange's frame."""
+
+    name: str
+    shape: Any
+    T_flange_shape: Float[np.ndarray, "4 4"]
+
+    @staticmethod
+    def at(name: str, shape: Any, place_m: tuple[float, float, float]) -> "Mounted":
+        """A piece that is not turned."""
+        return Mounted(name=name, shape=shape, T_flange_shape=rigid(np.eye(3), np.array(place_m)))
+
+
+@final
+class Robot:
+    """An opened robot; its calls do not change it."""
+
+    def __init__(self, name: str, model: Any, geometry: Any, home: Joints) -> None:
+        self.name = name
+        self._model, self._geometry = model, geometry
+        self._data = model.createData()
+        self._flange = model.getFrameId("flange")
+        self.home = home
+        self._own_pairs()
+        self._placed = geometry.createData()  # after the pairs, of which it holds the results
+
+    def mount(self, pieces: Sequence[Mounted]) -> "Robot":
+        """The same arm with a tool at its flange."""
+        import pinocchio as pin
+
+        geometry = self._geometry.copy()
+        flange = self._model.frames[self._flange]
+        for piece in pieces:
+            placed = flange.placement * pin.SE3(piece.T_flange_shape)
+            geometry.addGeometryObject(
+                pin.GeometryObject(piece.name, flange.parentJoint, placed, piece.shape)
+            )
+        return Robot(self.name, self._model, geometry, self.home)
+
+    @property
+    def low(self) -> Joints:
+        return np.array(self._model.lowerPositionLimit)
+
+    @property
+    def high(self) -> Joints:
+        return np.array(self._model.upperPositionLimit)
+
+    @property
+    def speed(self) -> Joints:
+        """Of each joint at most [rad/s]."""
+        return np.array(self._model.velocityLimit)
+
+    def flange(self, q: Joints) -> Float[np.ndarray, "4 4"]:
+        """`T_base_flange` at joint angles [rad]."""
+        import pinocchio as pin
+
+        pin.framesForwardKinematics(self._model, self._data, q)
+        return self._data.oMf[self._flange].homogeneous.copy()
+
+    def limbs(self) -> tuple[tuple[int, Any, Float[np.ndarray, "4 4"]], ...]:
+        """Its shapes: the index in `places`, a shape of Coal, and `T_joint_shape`."""
+        return tuple(
+            (int(thing.parentJoint), thing.geometry, thing.placement.homogeneous.copy())
+            for thing in self._geometry.geometryObjects
+        )
+
+    def places(self, q: Joints) -> Float[np.ndarray, "joints 4 4"]:
+        """`T_base_joint` of the base and of every joint, at joint angles [rad]."""
+        import pinocchio as pin
+
+        pin.forwardKinematics(self._model, self._data, q)
+        return np.stack([place.homogeneous for place in self._data.oMi])
+
+    def reach(
+        self, T_base_flange: Float[np.ndarray, "4 4"], near: Joints, *, seed: int
+    ) -> list[Joints]:
+        """Joint angles that bring the flange to a pose, those nearest to `near` first.
+
+        Newton steps from `near` and from random starts; none where no start arrives within the
+        limits: out of reach, for all that is known.
+        """
+        rng = np.random.default_rng(seed)
+        starts = [near, *rng.uniform(self.low, self.high, (_STARTS - 1, len(near)))]
+        found: list[Joints] = []
+        for start in starts:
+            q = self._solve(T_base_flange, start, near)
+            if q is not None and all(np.abs(q - other).max() > _ALIKE_RAD for other in found):
+                found.append(q)
+        return sorted(found, key=lambda q: float(np.abs(q - near).max()))
+
+    def follow(self, T_base_flange: Float[np.ndarray, "4 4"], near: Joints) -> Joints | None:
+        """Joint angles for a pose near the present one; None if Newton's method fails."""
+        return self._solve(T_base_flange, near, near)
+
+    def _solve(
+        self, T_base_flange: Float[np.ndarray, "4 4"], start: Joints, near: Joints
+    ) -> Joints | None:
+        import pinocchio as pin
+
+        target = pin.SE3(T_base_flange)
+        q = start.copy()
+        for _ in range(_STEPS):
+            pin.framesForwardKinematics(self._model, self._data, q)
+            off = self._data.oMf[self._flange].actInv(target)
+            error = pin.log6(off).vector
+            if np.abs(error[:3]).max() < EXACT_M and np.abs(error[3:]).max() < EXACT_RAD:
+                q = _turned(q, near, self.low, self.high)
+                return q if ((q >= self.low) & (q <= self.high)).all() else None
+            J = pin.computeFrameJacobian(
+                self._model, self._data, q, self._flange, pin.ReferenceFrame.LOCAL
+            )
+            step = J.T @ np.linalg.solve(J @ J.T + _DAMPING * np.eye(6), error)
+            q = q + step * min(1.0, 0.5 / max(np.abs(step).max(), 1e-12))
+        return None
+
+    def touches(self, q: Joints, obstacles: Sequence[Obstacle]) -> str | None:
+        """The collision at joint angles: the arm itself or the first obstacle; None if free."""
+        import pinocchio as pin
+
+        if pin.computeCollisions(self._model, self._data, self._geometry, self._placed, q, True):
+            return "itself"
+        places = zip(self._geometry.geometryObjects, self._placed.oMg, strict=True)
+        pieces = ((it.geometry, at.homogeneous, it.parentJoint == 0) for it, at in places)
+        return _first_met(pieces, obstacles)
+
+    def _own_pairs(self) -> None:
+        """Links that are not neighbours, and do not touch at home, may not touch each other."""
+        import pinocchio as pin
+
+        geometry = self._geometry
+        geometry.removeAllCollisionPairs()
+        things = geometry.geometryObjects
+        for i in range(len(things)):
+            for j in range(i):
+                if abs(things[i].parentJoint - things[j].parentJoint) > 1:
+                    geometry.addCollisionPair(pin.CollisionPair(j, i))
+        data = geometry.createData()
+        pin.computeCollisions(self._model, self._data, geometry, data, self.home, False)
+        touching = [
+            (pair.first, pair.second)
+            for pair, result in zip(geometry.collisionPairs, data.collisionResults, strict=True)
+            if result.isCollision()
+        ]
+        for one, other in touching:
+            geometry.removeCollisionPair(pin.CollisionPair(one, other))
+
+
+def tool_touches(
+    pieces: Sequence[Mounted],
+    T_base_flange: Float[np.ndarray, "4 4"],
+    obstacles: Sequence[Obstacle],
+) -> str | None:
+    """The obstacle with which the tool alone collides; None if there is none."""
+    placed = ((piece.shape, T_base_flange @ piece.T_flange_shape, False) for piece in pieces)
+    return _first_met(placed, obstacles)
+
+
+def _first_met(
+    pieces: Iterable[tuple[Any, Float[np.ndarray, "4 4"], bool]], obstacles: Sequence[Obstacle]
+) -> str | None:
+    """The first obstacle that a piece meets; each piece: shape, pose, whether it is the base."""
+    import coal
+
+    request, result = coal.CollisionRequest(), coal.CollisionResult()
+    for shape, T_base_shape, is_base in pieces:
+        here = _placed(T_base_shape)
+        for obstacle in obstacles:
+            if is_base and obstacle.carries:
+                continue
+            result.clear()
+            if coal.collide(shape, here, obstacle.shape, obstacle.placed, request, result):
+                return obstacle.name
+    return None
+
+
+def _placed(T: Float[np.ndarray, "4 4"]) -> Any:
+    import coal
+
+    return coal.Transform3s(T[:3, :3], T[:3, 3])
+
+
+def _turned(q: Joints, near: Joints, low: Joints, high: Joints) -> Joints:
+    """Equivalent angles by whole turns, near to other angles and within the limits if possible."""
+    turn = 2 * np.pi
+    q = q + turn * np.round((near - q) / turn)
+    return q + turn * ((q < low).astype(float) - (q > high))
+
+
+def open_robot(text: str, *, folder: Path, home: Sequence[float | int] | None = None) -> Robot:
+    """A built-in arm by its name, or a URDF file relative to a folder.
+
+    Raises:
+        ConfigError: no such robot, a file that is not read, a joint without end or without speed,
+            no link `flange`, or a home that does not fit the joints.
+    """
+    import pinocchio as pin
+
+    if text in ARMS:
+        source = urdf(ARMS[text])
+        model = pin.buildModelFromXML(source)
+        geometry = pin.buildGeomFromUrdfString(model, source, pin.GeometryType.COLLISION)
+        home = ARMS[text].home if home is None else home
+    else:
+        path = folder / text
+        if not path.is_file():
+            raise ConfigError(
+                f"robot: the robot {text!r} is not known: choose one of {', '.join(ARMS)}, or "
+                f"name a URDF file in {folder}"
+            )
+        try:
+            model = pin.buildModelFromUrdf(str(path))
+            geometry = pin.buildGeomFromUrdf(
+                model, str(path), pin.GeometryType.COLLISION, package_dirs=[str(path.parent)]
+            )
+        except (ValueError, RuntimeError) as error:
+            raise ConfigError(f"robot {path}: {str(error).strip()}") from error
+    _check_joints(text, model)
+    if not model.existFrame("flange"):
+        raise ConfigError(f"robot {text}: has no link called flange, on which the tool is mounted")
+    rest = np.zeros(model.nq) if home is None else np.array(home, float)
+    if rest.shape != (model.nq,):
+        raise ConfigError(
+            f"robot {text}: home has {rest.size} angles, and the robot has {model.nq} joints"
+        )
+    low, high = np.array(model.lowerPositionLimit), np.array(model.upperPositionLimit)
+    beyond = np.flatnonzero((rest < low) | (rest > high))
+    if len(beyond):
+        i = int(beyond[0])
+        raise ConfigError(
+            f"robot {text}: home of joint {i + 1} is {rest[i]:.3f} rad; its limits are "
+            f"{low[i]:.3f} to {high[i]:.3f}"
+        )
+    return Robot(text, model, geometry, rest)
+
+
+def _check_joints(text: str, model: Any) -> None:
+    """Check that there are joints, and that each has one variable, limits and a speed.
+
+    Raises:
+        ConfigError: there is none, or one lacks these.
+    """
+    if not model.nq:
+        raise ConfigError(
+            f"robot {text}: no joint can move: give at least one the type revolute or prismatic"
+        )
+    for name, joint in list(zip(model.names, model.joints, strict=True))[1:]:
+        if joint.nq != 1:
+            raise ConfigError(
+                f"robot {text}: {name} is a continuous joint, which is not supported: give it the "
+                "type revolute and limits"
+            )
+        if not model.velocityLimit[joint.idx_v] > 0:
+            raise ConfigError(
+                f"robot {text}: {name} has no speed limit: give its limit a velocity greater than 0"
+            )

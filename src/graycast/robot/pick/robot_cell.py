@@ -1,0 +1,89 @@
+"""The cell of a robot with its files read, which all bins share and workers receive."""
+
+import hashlib
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float
+
+from ...base.errors import ConfigError
+from ...base.frames import axis_rotation, rigid
+from ...base.progress import UNWATCHED, ProgressMeter
+from ...cell.resolve import Cell, refuse_several, resolve_cell
+from ...dataset.detections import WEIGHTS
+from ...world.scene import Bin, bin_of
+from .arms import ARMS
+from .pick_sections import PickConfig
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PickCell:
+    """The part of a cell that drops and scans, and what the robot's sections say of the rest.
+
+    `folder` is where relative paths start.
+    """
+
+    cell: Cell
+    config: PickConfig
+    folder: Path
+
+    @property
+    def box(self) -> Bin:
+        """The bin that is emptied."""
+        return bin_of(self.cell.scene)
+
+    @property
+    def T_world_base(self) -> Float[np.ndarray, "4 4"]:
+        robot = self.config.robot
+        turn = axis_rotation("z", np.radians(robot.base_yaw_deg))
+        return rigid(turn, np.array(robot.base_m, dtype=np.float64))
+
+    @property
+    def file_digests(self) -> dict[str, str]:
+        """SHA-256 of every file that the cell names, so that a changed one is noticed."""
+        named = {}  # as the configuration says it, so that a folder may move
+        if self.config.robot.arm not in ARMS:
+            named[self.config.robot.arm] = self.folder / self.config.robot.arm
+        if self.detector is not None:
+            weights = self.detector / WEIGHTS if self.detector.is_dir() else self.detector
+            named[self.config.picking.detector] = weights
+        own = {
+            name: hashlib.sha256(path.read_bytes()).hexdigest()
+            for name, path in named.items()
+            if path.is_file()  # else opening it says what is missing
+        }
+        return self.cell.file_digests | own
+
+    @property
+    def detector(self) -> Path | None:
+        """The folder of a trained detector; None if the detector is truth or none."""
+        named = self.config.picking.detector
+        return None if named in ("truth", "none") else self.folder / named
+
+
+def resolve_pick_cell(
+    config: PickConfig, folder: Path, *, progress: ProgressMeter = UNWATCHED
+) -> PickCell:
+    """Read what a robot's cell names; `folder` is where its relative paths start.
+
+    Raises:
+        GraycastError, ValueError: a file or a value that cannot be used, named.
+    """
+    cell = PickCell(
+        cell=resolve_cell(config, folder, progress=progress), config=config, folder=folder
+    )
+    refuse_several(cell.cell, "graycast pick")
+    if cell.detector is not None and not cell.detector.exists():
+        raise ConfigError(
+            f"picking.detector: no folder {cell.detector}: give a folder that graycast train "
+            "wrote, or truth or none"
+        )
+    place_m = np.array(config.picking.place_m)
+    half = cell.box.bounds_m
+    if ((place_m[:2] > half[0, :2]) & (place_m[:2] < half[1, :2])).all():
+        raise ConfigError(
+            f"picking.place_m is {config.picking.place_m}, which is over the bin: give a place "
+            "beside the bin"
+        )
+    return cell

@@ -1,0 +1,155 @@
+"""A suction cup on a tube: settings, and the answers to the questions of `tools.Tool`."""
+
+from collections.abc import Callable, Sequence
+from functools import partial
+from typing import ClassVar, Literal
+
+import numpy as np
+from jaxtyping import Float, Int
+from pydantic import Field
+
+from ...base.frames import inverse, rigid
+from ...base.settings import Positive, Settings
+from ...world.drop import Body
+from ...world.drop.rapier import GRAVITY_M_S2
+from ...world.parts import Mesh, Part
+from ..grasp import (
+    Cup,
+    Doubt,
+    Grip,
+    Patch,
+    SeenGrip,
+    load_factor,
+    patch_of_mesh,
+    seal,
+    suction_in_depth,
+    suction_places,
+)
+from .contact import Held, NotHeld, is_near
+from .outcome import Outcome
+from .robot import Mounted
+from .solids import ROUND
+
+STEP_M = 0.5e-3  # between the nodes of the surface on which a cup is laid
+
+
+class SuctionTool(Settings):
+    """A suction cup at the end of a tube."""
+
+    kind: Literal["suction"] = "suction"
+    cup: Cup = Cup()
+    length_m: Positive = Field(
+        0.20, description="The distance from the flange to the lip of the cup, in metres."
+    )
+    tube_m: Positive = Field(
+        0.012, description="The radius of the tube that carries the cup, in metres."
+    )
+    stroke_m: Positive = Field(
+        0.010, description="The stroke of the spring in the cup's holder, in metres."
+    )
+    stiffness_n_m: Positive = Field(
+        2000.0, description="The stiffness of the bellows along each axis [N/m]."
+    )
+
+    lost: ClassVar[Outcome] = Outcome.LOST_SEAL
+    is_round: ClassVar[bool] = True
+    reaches_round: ClassVar[bool] = False
+
+    @property
+    def in_depth(self) -> Callable[..., list[SeenGrip]]:
+        return partial(suction_in_depth, cup=self.cup)
+
+    @property
+    def ground_m(self) -> float:
+        return self.cup.radius_m
+
+    @property
+    def soft(self) -> tuple[Mesh, ...]:
+        """The cup, from the lip up to its holder, about the tip's z."""
+        turn = np.linspace(0, 2 * np.pi, ROUND, endpoint=False)
+        ring = np.column_stack([np.cos(turn), np.sin(turn), np.zeros(ROUND)])
+        top_m = np.array([0.0, 0.0, self.cup.height_m + self.stroke_m])
+        vertices = np.vstack([self.cup.radius_m * ring, self.tube_m * ring + top_m])
+        i = np.arange(ROUND)
+        j = (i + 1) % ROUND
+        faces = np.vstack([np.stack([i, j, ROUND + j], 1), np.stack([i, ROUND + j, ROUND + i], 1)])
+        return (Mesh(vertices_m=vertices, faces=faces),)
+
+    def pieces(
+        self, opening_m: float | None = None, *, closed: bool = False
+    ) -> tuple[Mounted, ...]:
+        """The tube, from the flange to where the bellows begin."""
+        import coal
+
+        long_m = max(self.length_m - self.cup.height_m - self.stroke_m, 1e-3)
+        tube = coal.Cylinder(self.tube_m, long_m)
+        return (Mounted.at("tube", tube, (0.0, 0.0, long_m / 2)),)
+
+    def places(self, part: Part, body: Body, *, count: int) -> list[Grip]:
+        return suction_places(
+            part.mesh,
+            self.cup,
+            weight_n=body.mass_kg * GRAVITY_M_S2,
+            center_m=body.center_m,
+            doubt=Doubt(),
+            count=count,
+        )
+
+    def meet(
+        self,
+        T_world_tool: Float[np.ndarray, "4 4"],
+        parts: Sequence[Part],
+        T_world_part: Float[np.ndarray, "n 4 4"],
+        part_index: Int[np.ndarray, " n"],
+        opening_m: float | None = None,
+    ) -> Held | NotHeld:
+        """The cup is laid along its axis on the part that is under its middle."""
+        height_m, number = self._under(T_world_tool, parts, T_world_part, part_index)
+        middle = len(height_m) // 2
+        part, at_m = int(number[middle, middle]), float(height_m[middle, middle])
+        if part < 0 or at_m < -self.stroke_m:
+            return NotHeld(outcome=Outcome.MISSED, detail="nothing is under the cup")
+        if at_m > self.stroke_m:
+            return NotHeld(
+                outcome=Outcome.COLLISION_UNSEEN,
+                detail=f"a part is {1e3 * at_m:.0f} mm higher than the target of the cup",
+                part=part,
+            )
+        # The lip's middle comes to lie on the surface; over the edge to another part air gets in.
+        patch = Patch(height_m=np.where(number == part, height_m - at_m, np.nan), step_m=STEP_M)
+        lies = seal(self.cup, patch)
+        if not lies.holds:
+            how = (
+                f"{lies.open_share:.0%} of the area under the cup has no surface"
+                if lies.open_share
+                else f"the springs of the cup would be strained by {lies.strain:.0%}"
+            )
+            return NotHeld(outcome=Outcome.NOT_HELD, detail=how, part=part)
+        return Held.of(
+            part,
+            T_world_part[part],
+            T_world_tool @ rigid(np.eye(3), np.array([0.0, 0.0, at_m])),
+            law=partial(load_factor, self.cup),
+            stiffness_n_m=self.stiffness_n_m,
+        )
+
+    def _under(
+        self,
+        T_world_tool: Float[np.ndarray, "4 4"],
+        parts: Sequence[Part],
+        T_world_part: Float[np.ndarray, "n 4 4"],
+        part_index: Int[np.ndarray, " n"],
+    ) -> tuple[Float[np.ndarray, "k k"], Int[np.ndarray, "k k"]]:
+        """The highest surface under the cup, and whose it is; -1 is nobody's."""
+        radius_m = self.cup.radius_m
+        size = 2 * (int(np.ceil(radius_m / STEP_M)) + 1) + 1
+        height, number = np.full((size, size), np.nan), np.full((size, size), -1)
+        for i, (T, kind) in enumerate(zip(T_world_part, part_index, strict=True)):
+            if not is_near(T_world_tool, T, parts[kind], radius_m):
+                continue
+            own = patch_of_mesh(
+                parts[kind].mesh, inverse(T) @ T_world_tool, radius_m=radius_m, step_m=STEP_M
+            ).height_m
+            higher = np.isfinite(own) & ~(own <= height)
+            height[higher], number[higher] = own[higher], i
+        return height, number

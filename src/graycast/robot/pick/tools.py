@@ -1,0 +1,105 @@
+"""What the robot asks of its tool, and the choice of tools that a file has.
+
+The tip's frame is that of `grasp`: origin where the tool touches, z along the axis back towards the
+flange, jaws close along x.
+"""
+
+from collections.abc import Callable, Sequence
+from typing import Annotated, ClassVar, Protocol, runtime_checkable
+
+import numpy as np
+from jaxtyping import Float, Int
+from pydantic import Field
+
+from ...base.frames import rigid
+from ...world.drop import Body
+from ...world.parts import Mesh, Part
+from ..grasp import Grip, SeenGrip
+from .contact import Held, NotHeld
+from .jaw_tool import JawTool
+from .outcome import Outcome
+from .robot import Mounted
+from .suction_tool import SuctionTool
+
+AnyTool = Annotated[SuctionTool | JawTool, Field(discriminator="kind")]
+
+
+@runtime_checkable
+class Tool(Protocol):
+    """A tool at the flange. The rest of the program knows it by these answers alone.
+
+    Attributes:
+        lost: how an attempt ends in which the tool lets go on the way.
+        is_round: whether the tool may be turned about its axis as one likes; otherwise by half a
+            turn alone.
+        reaches_round: whether it stands beside the part: then its shape is another for each grip,
+            and what was measured of the part itself is not in its way.
+    """
+
+    lost: ClassVar[Outcome]
+    is_round: ClassVar[bool]
+    reaches_round: ClassVar[bool]
+
+    @property
+    def length_m(self) -> float:
+        """From the flange to the tip."""
+        ...
+
+    @property
+    def in_depth(self) -> Callable[..., list[SeenGrip]] | None:
+        """The search for grips on a measured surface; None for a tool that needs a known part.
+
+        Its arguments are those of `grasp.suction_in_depth` without the cup.
+        """
+        ...
+
+    @property
+    def ground_m(self) -> float | None:
+        """The radius about the tip within which the measured surface must be the part's.
+
+        None for a tool that does not touch that surface.
+        """
+        ...
+
+    @property
+    def soft(self) -> tuple[Mesh, ...]:
+        """What gives way and collides with nothing, in the tip's frame: for pictures."""
+        ...
+
+    def pieces(
+        self, opening_m: float | None = None, *, closed: bool = False
+    ) -> tuple[Mounted, ...]:
+        """The rigid shapes at the flange.
+
+        Args:
+            opening_m: that of a grip; left out: the tool is as open as it can be.
+            closed: whether the tool is at the part, or comes with some clearance.
+        """
+        ...
+
+    def places(self, part: Part, body: Body, *, count: int) -> list[Grip]:
+        """Where the tool goes on a part, also where it does not hold: `count` places are tried."""
+        ...
+
+    def meet(
+        self,
+        T_world_tool: Float[np.ndarray, "4 4"],
+        parts: Sequence[Part],
+        T_world_part: Float[np.ndarray, "n 4 4"],
+        part_index: Int[np.ndarray, " n"],
+        opening_m: float | None = None,
+    ) -> Held | NotHeld:
+        """What happens when the tip arrives among the true parts, where no rigid shape collides.
+
+        Args:
+            T_world_tool: where the tip is sent.
+            parts: the kinds.
+            T_world_part, part_index: where parts lie, and their kinds.
+            opening_m: that of the grip; left out: the tool is as open as it can be.
+        """
+        ...
+
+
+def T_flange_tip(tool: Tool) -> Float[np.ndarray, "4 4"]:
+    """The tip hangs straight below the flange; both axes z look at each other."""
+    return rigid(np.diag([1.0, -1.0, -1.0]), np.array([0.0, 0.0, tool.length_m]))

@@ -1,0 +1,91 @@
+"""The true contact of a tool at its target: the part, its neighbours, or nothing.
+
+Only this module and `Tool.meet` use the true poses of the parts. What stands in the way of a tool's
+stiff pieces by more than `PUSHED_M` is a collision that the scanner did not show.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from ...base.frames import inverse
+from ...world.drop import Body
+from ...world.parts import Part
+from .contact import Held, NotHeld
+from .obstacles import hull
+from .outcome import Outcome
+from .tools import T_flange_tip, Tool
+
+PUSHED_M = 2e-3  # parts are nudged aside by less
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Kind:
+    """A kind of part as a tool meets it: its surface, and its hulls as Coal knows them."""
+
+    part: Part
+    hulls: tuple[Any, ...]
+
+    @staticmethod
+    def of(part: Part, body: Body) -> "Kind":
+        return Kind(part=part, hulls=tuple(hull(vertices) for vertices, _ in body.hulls))
+
+
+def touch(
+    tool: Tool,
+    T_world_tool: Float[np.ndarray, "4 4"],
+    kinds: Sequence[Kind],
+    T_world_part: Float[np.ndarray, "n 4 4"],
+    part_index: Int[np.ndarray, " n"],
+    *,
+    opening_m: float | None = None,
+) -> Held | NotHeld:
+    """Move a tool to its target among the true parts.
+
+    Args:
+        T_world_tool: where its tip is sent.
+        kinds: of parts.
+        T_world_part, part_index: where parts lie, and their kinds.
+        opening_m: that of the grip; left out: the tool is as open as it can be.
+    """
+    pushed = _pushed(tool, T_world_tool, kinds, T_world_part, part_index, opening_m)
+    if pushed is not None:
+        return pushed
+    parts = [kind.part for kind in kinds]
+    return tool.meet(T_world_tool, parts, T_world_part, part_index, opening_m)
+
+
+def _pushed(
+    tool: Tool,
+    T_world_tool: Float[np.ndarray, "4 4"],
+    kinds: Sequence[Kind],
+    T_world_part: Float[np.ndarray, "n 4 4"],
+    part_index: Int[np.ndarray, " n"],
+    opening_m: float | None,
+) -> NotHeld | None:
+    """Collisions of the rigid shapes of a tool with the parts; None if there is none."""
+    import coal
+
+    T_world_flange = T_world_tool @ inverse(T_flange_tip(tool))
+    request = coal.CollisionRequest()
+    request.enable_contact = True
+    for piece in tool.pieces(opening_m):
+        T_piece = T_world_flange @ piece.T_flange_shape
+        here = coal.Transform3s(T_piece[:3, :3], T_piece[:3, 3])
+        for i, (T, index) in enumerate(zip(T_world_part, part_index, strict=True)):
+            there = coal.Transform3s(T[:3, :3], T[:3, 3])
+            for shape in kinds[index].hulls:
+                result = coal.CollisionResult()
+                if not coal.collide(piece.shape, here, shape, there, request, result):
+                    continue
+                deep_m = abs(result.getContact(0).penetration_depth)
+                if deep_m > PUSHED_M:
+                    return NotHeld(
+                        outcome=Outcome.COLLISION_UNSEEN,
+                        detail=f"the {piece.name} is pressed {1e3 * deep_m:.0f} mm into a part",
+                        part=i,
+                    )
+    return None

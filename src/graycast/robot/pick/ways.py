@@ -1,0 +1,258 @@
+"""The arm's paths of one pick: to the approach, down, up, and away to the place of parts."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float
+
+from ...base.frames import axis_rotation, inverse, rigid
+from ..grasp import CARRIED_M_S2
+from .motion import Trajectory, drive, plan, straight
+from .outcome import Outcome
+from .robot import Joints, Mounted, Obstacle, Robot
+
+TURNS = 4  # of a round cup about its axis, which all hold alike
+OFF_M = 0.01  # on which the load comes on the tool: bellows stretch by less
+Lines = dict[str, Float[np.ndarray, "k joints"]]  # straight motions by their names
+ELBOWS = 3  # ways to hold the arm that are tried before a grip
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Ways:
+    """`to` ends before the grip, `down` at it; `off`, `up` and `away` carry the part.
+
+    `off` is a short and slow way: a tool that is fast when the part's weight comes on it has to
+    pull it along with a jerk. A leaning tool is set upright at the end of its way up, or meanwhile
+    if the arm cannot reach so high while it leans: a heavy part would turn it out of its seal.
+    """
+
+    to: Trajectory
+    down: Trajectory
+    off: Trajectory
+    up: Trajectory
+    away: Trajectory
+
+    @property
+    def loaded(self) -> tuple[Trajectory, ...]:
+        return (self.off, self.up, self.away)
+
+    @property
+    def all(self) -> tuple[Trajectory, ...]:
+        return (self.to, self.down, *self.loaded)
+
+    @property
+    def seconds(self) -> float:
+        return sum(way.seconds for way in self.all)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Load:
+    """How far a held part may reach from the tip: below it along the tool's axis, and aside."""
+
+    below_m: float
+    aside_m: float
+
+    def piece(self, T_flange_tip: Float[np.ndarray, "4 4"]) -> Mounted:
+        """A cylinder that holds all of it."""
+        import coal
+
+        below = T_flange_tip @ rigid(np.eye(3), np.array([0.0, 0.0, -self.below_m / 2]))
+        shape = coal.Cylinder(self.aside_m, self.below_m)
+        return Mounted(name="the part", shape=shape, T_flange_shape=below)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Blocked:
+    """The reason why no path was found, and the places of the grips [m] to which one was sought."""
+
+    outcome: Outcome
+    detail: str = ""
+    places_m: tuple[Float[np.ndarray, "3"], ...] = ()
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Surroundings:
+    """The fixed surroundings in planning; flange poses are in the robot's base frame."""
+
+    T_base_world: Float[np.ndarray, "4 4"]
+    T_flange_tip: Float[np.ndarray, "4 4"]
+    standing: tuple[Obstacle, ...]
+    q_place: Joints
+    approach_m: float
+    straight_m_s: float
+    lift_off_m_s: float
+
+    def flange(self, T_world_tip: Float[np.ndarray, "4 4"]) -> Float[np.ndarray, "4 4"]:
+        """`T_base_flange` that brings the tip there."""
+        return self.T_base_world @ T_world_tip @ inverse(self.T_flange_tip)
+
+
+def ways(
+    robot: Robot,
+    here: Surroundings,
+    q: Joints,
+    T_world_tip: Float[np.ndarray, "4 4"],
+    heap: Obstacle,
+    *,
+    up_m: float,
+    load: Load,
+    round_tool: bool,
+    seed: int,
+) -> Ways | Blocked:
+    """From joint angles to a grip and away with the part; or why not.
+
+    Args:
+        robot: with its tool.
+        T_world_tip: the grip.
+        heap: what was measured; the way down and up again must keep out of it, too.
+        up_m: how far the tip is raised before it is carried away.
+        load: the part on its way.
+        round_tool: whether it may be turned about its axis.
+        seed: of starts and planner.
+    """
+    search = _Search(
+        robot=robot,
+        here=here,
+        obstacles=(*here.standing, heap),
+        up_m=up_m,
+        load=load,
+        seed=seed,
+    )
+    turns = TURNS if round_tool else 2
+    found: Ways | Blocked = Blocked(outcome=Outcome.UNREACHABLE)
+    for turn in range(turns):
+        turned = rigid(axis_rotation("z", 2 * np.pi * turn / turns), np.zeros(3))
+        found = search.ways(q, T_world_tip @ turned)
+        if isinstance(found, Ways):
+            break
+    return found
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Search:
+    """The values common to all arm configurations and tool rotations; see `ways`."""
+
+    robot: Robot
+    here: Surroundings
+    obstacles: tuple[Obstacle, ...]
+    up_m: float
+    load: Load
+    seed: int
+
+    def ways(self, q: Joints, tip: Float[np.ndarray, "4 4"]) -> Ways | Blocked:
+        here, robot = self.here, self.robot
+        before = tip.copy()
+        before[:3, 3] += here.approach_m * tip[:3, 2]
+        reached = robot.reach(here.flange(before), here.q_place, seed=self.seed)
+        if not reached:
+            return Blocked(
+                outcome=Outcome.UNREACHABLE,
+                detail="no joint angles reach the start of the approach",
+            )
+        hits = [robot.touches(each, self.obstacles) for each in reached]
+        free = [each for each, hit in zip(reached, hits, strict=True) if hit is None]
+        if not free:
+            return Blocked(
+                outcome=Outcome.COLLISION_SEEN, detail=f"the arm would collide with {hits[0]}"
+            )
+        found: Ways | Blocked = Blocked(outcome=Outcome.UNREACHABLE)
+        for q_before in free[:ELBOWS]:
+            found = self._by(q, q_before, tip)
+            if isinstance(found, Ways):
+                break
+        return found
+
+    def _by(self, q: Joints, q_before: Joints, tip: Float[np.ndarray, "4 4"]) -> Ways | Blocked:
+        """Plan with this arm configuration at the approach."""
+        here, robot = self.here, self.robot
+        off, raised = tip.copy(), tip.copy()
+        off[2, 3] += OFF_M
+        raised[2, 3] += max(self.up_m, OFF_M)
+        upright = _upright(raised)
+        closing = {"down": tip, "off": off}
+        near = self._straights(q_before, closing)
+        if len(near) < len(closing):
+            return self._why(q_before, near, closing)
+        q_off = near["off"][-1]
+        rising = {"up": raised, "upright": upright}
+        rise = self._straights(q_off, rising)
+        if len(rise) < len(rising):
+            turning = self._straights(q_off, {"upright": upright})
+            if not turning:
+                return self._why(q_off, rise, rising)
+            rise = turning
+        first, *rest = rise.values()
+        up = np.concatenate([first, *(line[1:] for line in rest)])
+        last = up[-1]
+        to = plan(robot, q, q_before, self.obstacles, seed=self.seed)
+        if to is None:
+            return Blocked(outcome=Outcome.UNREACHABLE, detail="no collision-free path to the grip")
+        loaded = robot.mount((self.load.piece(here.T_flange_tip),))
+        away = plan(loaded, last, here.q_place, self.obstacles, seed=self.seed)
+        if away is None:
+            return Blocked(
+                outcome=Outcome.UNREACHABLE, detail="no collision-free path with the part"
+            )
+        down_s, up_s = here.approach_m / here.straight_m_s, self.up_m / here.straight_m_s
+        return Ways(
+            to=drive(robot, to),
+            down=_slowly(drive(robot, near["down"]), down_s),
+            off=_slowly(drive(robot, near["off"]), OFF_M / here.lift_off_m_s),
+            up=_gently(robot, here, _slowly(drive(robot, up), up_s), self.load),
+            away=_gently(robot, here, drive(robot, away), self.load),
+        )
+
+    def _straights(self, q: Joints, ends: Mapping[str, Float[np.ndarray, "4 4"]]) -> Lines:
+        """Straight motions of the tip, one after the other, up to the first that there is not."""
+        lines: Lines = {}
+        for name, end in ends.items():
+            line = straight(self.robot, q, self.here.flange(end), self.obstacles)
+            if line is None:
+                break
+            lines[name], q = line, line[-1]
+        return lines
+
+    def _why(
+        self, q: Joints, lines: Lines, ends: Mapping[str, Float[np.ndarray, "4 4"]]
+    ) -> Blocked:
+        """The reason why the next straight path fails: a collision, or the limits of the arm."""
+        name, end = list(ends.items())[len(lines)]
+        q = [q, *(line[-1] for line in lines.values())][-1]
+        T_base_flange = self.here.flange(end)
+        if straight(self.robot, q, T_base_flange, ()) is not None:
+            for obstacle in self.obstacles:
+                if straight(self.robot, q, T_base_flange, (obstacle,)) is None:
+                    detail = f"the path {name} collides with {obstacle.name}"
+                    return Blocked(outcome=Outcome.COLLISION_SEEN, detail=detail)
+        return Blocked(outcome=Outcome.UNREACHABLE, detail=f"no straight path {name}")
+
+
+def _upright(T: Float[np.ndarray, "4 4"]) -> Float[np.ndarray, "4 4"]:
+    """The pose with the tool's axis vertical, by the smallest rotation."""
+    x = np.cross(T[:3, 1], [0.0, 0.0, 1.0])
+    x /= np.linalg.norm(x)
+    return rigid(np.stack([x, np.cross([0.0, 0.0, 1.0], x), [0.0, 0.0, 1.0]], axis=1), T[:3, 3])
+
+
+def _slowly(way: Trajectory, least_s: float) -> Trajectory:
+    """The same path in at least the given number of seconds."""
+    stretch = max(1.0, least_s / max(way.seconds, 1e-9))
+    return Trajectory(time_s=way.time_s * stretch, q=way.q.copy())
+
+
+def _gently(robot: Robot, here: Surroundings, way: Trajectory, load: Load) -> Trajectory:
+    """The same way, so slowly that a carried part is accelerated as grips are judged by.
+
+    At the tip, and as far below it as the part reaches.
+    """
+    if len(way.q) < 3:
+        return way
+    step_s = float(way.time_s[1] - way.time_s[0])
+    tip = [robot.flange(q) @ here.T_flange_tip for q in way.q]
+    fastest = 0.0
+    for reach_m in (0.0, -load.below_m):
+        place = np.stack([T[:3, 3] + reach_m * T[:3, 2] for T in tip])
+        second = np.diff(place, n=2, axis=0) / step_s**2
+        fastest = max(fastest, float(np.linalg.norm(second, axis=1).max()))
+    return _slowly(way, way.seconds * np.sqrt(fastest / CARRIED_M_S2))

@@ -1,0 +1,253 @@
+"""From a detection and a depth map to the part's pose."""
+
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Bool, Float, Float32
+
+from ...camera.crop import Crop, crop
+from ...rig.optics import Optics
+from ...world.parts.symmetry import nearest_member
+from . import agreement
+from .closest import settle
+from .model import PoseModel
+from .pairs import votes
+from .trying import Judged, Trials
+
+WINDOW = 0.035  # half width of the windows of normals, as a share of the diameter
+REACH = 0.75  # of the diameter around a detection is looked at
+LEAST_POINTS = 30  # with normals that a detection must have
+SCENE_POINTS = 220  # of a detection take part in voting at least, four times as many at most
+REFERENCES = 90  # of them vote for poses
+CORE = 0.6  # of a box, from its middle, that reference points are taken from
+PEAKS = 6  # poses from each reference point
+ALIKE = 0.15  # as a share of the diameter: poses whose key points are nearer are one
+KEPT = 200  # poses that are laid on the depth by ICP and drawn
+CHOSEN = 16  # poses that are aligned
+GATES = (0.12, 0.06, 0.03)  # of the diameter, of ICP, with so many rounds each
+ROUNDS = 5
+SURE = 0.9  # a score at which no other way to put the part is tried
+TRIES = 3  # how often the best pose's other ways are tried anew
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PoseFound:
+    """A part's pose and its evidence: counts of pixels of the drawn part, except `missed`.
+
+    Attributes:
+        T_cam_part: None if there was too little depth to look for one.
+        score: 0 to 1.
+        visible: measured on the part.
+        touching: so too, but outside the detection.
+        hidden: something is in front.
+        contradicted: something was measured behind.
+        unknown: nothing was measured.
+        missed: pixels of the detection that the part does not cover.
+    """
+
+    T_cam_part: Float[np.ndarray, "4 4"] | None
+    score: float
+    visible: int = 0
+    touching: int = 0
+    hidden: int = 0
+    contradicted: int = 0
+    unknown: int = 0
+    missed: int = 0
+
+    def __post_init__(self) -> None:
+        if self.T_cam_part is not None:
+            self.T_cam_part.flags.writeable = False
+
+
+NOTHING = PoseFound(T_cam_part=None, score=0.0)
+
+
+def find_pose(
+    model: PoseModel,
+    depth_m: Float[np.ndarray, "h w"] | Float32[np.ndarray, "h w"],
+    camera: Optics,
+    mask: Bool[np.ndarray, "h w"],
+    *,
+    near: Float[np.ndarray, "4 4"] | None = None,
+) -> PoseFound:
+    """The pose of the part whose visible outline is known.
+
+    Of the poses that the symmetry of `pose_model` makes alike, the result is the one nearest to
+    `near`, or the standard one without it: `graycast.world.parts.symmetry.nearest_member`.
+
+    Args:
+        depth_m: z [m], NaN where the scanner has none.
+        mask: the part's visible pixels, those without depth too.
+        near: a pose, such as that of the previous picture; only its orientation matters.
+
+    Raises:
+        ValueError: depth, camera and mask are not of one size.
+    """
+    return _found(model, depth_m, camera, mask, tight=True, near=near)
+
+
+def find_pose_in_box(
+    model: PoseModel,
+    depth_m: Float[np.ndarray, "h w"] | Float32[np.ndarray, "h w"],
+    camera: Optics,
+    box_px: Float[np.ndarray, "4"],
+    *,
+    near: Float[np.ndarray, "4 4"] | None = None,
+) -> PoseFound:
+    """The pose of the part that a box is around: [x, y, columns, rows] as in `Detections`.
+
+    `near` is that of `find_pose`.
+    """
+    inside = np.zeros(depth_m.shape, dtype=bool)
+    left, top = np.maximum(np.rint(box_px[:2]).astype(int), 0)
+    right, bottom = np.maximum(np.rint(box_px[:2] + box_px[2:]).astype(int), 0)
+    inside[top:bottom, left:right] = True
+    return _found(model, depth_m, camera, inside, tight=False, near=near)
+
+
+def find_poses(
+    model: PoseModel,
+    depth_m: Float[np.ndarray, "h w"] | Float32[np.ndarray, "h w"],
+    camera: Optics,
+    masks: Sequence[Bool[np.ndarray, "h w"]] | Bool[np.ndarray, "n h w"],
+    *,
+    threads: int = 1,
+) -> list[PoseFound]:
+    """The poses of several instances of a part in one picture, each found by itself.
+
+    The slow steps are compiled and run in parallel threads; the result does not depend on their
+    number.
+    """
+    with ThreadPoolExecutor(threads) as pool:
+        return list(pool.map(lambda mask: find_pose(model, depth_m, camera, mask), masks))
+
+
+def _found(
+    model: PoseModel,
+    depth_m: np.ndarray,
+    camera: Optics,
+    inside: Bool[np.ndarray, "h w"],
+    *,
+    tight: bool,
+    near: Float[np.ndarray, "4 4"] | None,
+) -> PoseFound:
+    if depth_m.shape != (camera.height_px, camera.width_px) or inside.shape != depth_m.shape:
+        raise ValueError(
+            f"the depth is {depth_m.shape[1]} x {depth_m.shape[0]} px, the mask {inside.shape[1]} "
+            f"x {inside.shape[0]}, the camera {camera.width_px} x {camera.height_px}: give depth, "
+            "mask and camera of one picture"
+        )
+    seen = crop(
+        depth_m,
+        camera,
+        inside,
+        tight=tight,
+        reach_m=REACH * model.diameter_m,
+        window_m=WINDOW * model.diameter_m,
+    )
+    if seen is None:
+        return NOTHING
+    point, normal = _scene_points(seen)
+    if len(point) < LEAST_POINTS:
+        return NOTHING
+    guesses = _guesses(model, seen, point, normal)
+    surface = model.surface
+    settle(
+        guesses, point, normal, surface.point, surface.normal, surface.low_m, surface.cell_m,
+        surface.nearest, np.array(GATES) * model.diameter_m, ROUNDS,
+    )  # fmt: skip
+    best = _best(model, seen, guesses)
+    return _told(best, nearest_member(best.T, model.symmetry, near=near))
+
+
+def _scene_points(seen: Crop) -> tuple[np.ndarray, np.ndarray]:
+    """Places of the detection with normals, spread evenly over its pixels."""
+    usable = seen.inside & np.isfinite(seen.smooth)
+    i, j = np.nonzero(usable)
+    chosen = np.linspace(0, len(i) - 1, min(SCENE_POINTS, len(i))).astype(int)
+    stride = max(int(np.sqrt(len(i) / SCENE_POINTS)), 1)
+    even = np.flatnonzero((i % stride == 0) & (j % stride == 0))
+    chosen = even if len(even) >= LEAST_POINTS else chosen
+    i, j = i[chosen], j[chosen]
+    z = seen.smooth[i, j]
+    point = np.column_stack([seen.ray[i, j] * z[:, None], z])
+    return point, np.ascontiguousarray(seen.normal[i, j])
+
+
+def _guesses(model: PoseModel, seen: Crop, point: np.ndarray, normal: np.ndarray) -> np.ndarray:
+    """Poses by votes, the best of each bundle of like ones, best bundle first."""
+    references = np.arange(len(point))
+    if not seen.tight:
+        i, j = np.nonzero(seen.inside)
+        middle = seen.ray[(i.min() + i.max()) // 2, (j.min() + j.max()) // 2]
+        low, high = seen.ray[i.min(), j.min()], seen.ray[i.max(), j.max()]
+        half = np.maximum((high - low) / 2, 1e-9)
+        away = (point[:, :2] / point[:, 2:] - middle) / half
+        core = np.flatnonzero(np.square(away).sum(axis=1) < CORE**2)
+        references = core if len(core) >= 10 else references
+    chosen = np.linspace(0, len(references) - 1, min(REFERENCES, len(references))).astype(int)
+    references = references[chosen]
+    pairs = model.pairs
+    T, weight = votes(
+        point, normal, references, model.point, model.normal, pairs.start, pairs.first,
+        pairs.turn_rad, pairs.step_m, pairs.distances, PEAKS,
+    )  # fmt: skip
+    return _bundled(model, T, weight)[:KEPT]
+
+
+def _bundled(model: PoseModel, T: np.ndarray, weight: np.ndarray) -> np.ndarray:
+    order = np.argsort(-weight, kind="stable")
+    T, weight = T[order], weight[order]
+    heads: list[int] = []
+    total = np.zeros(len(T))
+    place = np.einsum("nij,sjk,pk->nspi", T[:, :3, :3], model.alike[:, :3, :3], model.key_m)
+    shift = np.einsum("nij,sj->nsi", T[:, :3, :3], model.alike[:, :3, 3]) + T[:, None, :3, 3]
+    place = place + shift[:, :, None]
+    for i in range(len(T)):
+        if heads:
+            apart = np.abs(place[heads, 0][:, None] - place[i][None]).max(axis=(2, 3)).min(axis=1)
+            near = int(np.argmin(apart))
+            if apart[near] < ALIKE * model.diameter_m:
+                total[heads[near]] += weight[i]
+                continue
+        heads.append(i)
+        total[i] = weight[i]
+    best = sorted(heads, key=lambda head: -total[head])
+    return np.ascontiguousarray(T[best])
+
+
+def _best(model: PoseModel, seen: Crop, guesses: Float[np.ndarray, "n 4 4"]) -> Judged:
+    """Compare the guesses with the depth, align the best, and try equivalent alternatives."""
+    trials = Trials(model, seen)
+    first = np.array([trials.judge(T).worth for T in guesses])
+    tried = (
+        trials.judge(T)
+        for k in np.argsort(-first, kind="stable")[:CHOSEN]
+        for T in (trials.align(guesses[k]), guesses[k])
+    )
+    best = max(tried, key=lambda judged: judged.worth)  # the first of equals
+    for _ in range(TRIES):
+        before = best
+        for turn in model.turns[1:]:
+            T = trials.placed(before.T @ turn)
+            if T is not None:
+                best = trials.judge(trials.align(T)).better_of(best)
+        if best is before or best.worth > SURE:
+            break
+    return best
+
+
+def _told(best: Judged, T_cam_part: Float[np.ndarray, "4 4"]) -> PoseFound:
+    number = best.number
+    return PoseFound(
+        T_cam_part=T_cam_part,
+        score=float(np.clip(best.worth, 0, 1)),
+        visible=int(number[agreement.VISIBLE]),
+        touching=int(number[agreement.TOUCHING]),
+        hidden=int(number[agreement.HIDDEN]),
+        contradicted=int(number[agreement.CONTRADICTED]),
+        unknown=int(number[agreement.UNKNOWN]),
+        missed=int(number[agreement.MISSED] + number[agreement.MISSED_UNKNOWN]),
+    )

@@ -1,0 +1,86 @@
+"""The model of a part for the search, which is prepared once."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from ...base.frames import rigid
+from ...world.parts import Mesh, Symmetry
+from ...world.parts.sampling import dense_points, surface_points
+from ...world.parts.symmetry import axis_rotations, motions
+from .closest import Closest, closest
+from .pairs import PairTable, pair_table
+
+STEP = 0.05  # spacing of the points of pairs, and bin of distance, as a share of the diameter
+MOST_POINTS = 700  # of them: pairs grow with the square
+DENSE_STEP = 0.008  # spacing of the points that depth is laid on
+MOST_DENSE = 40_000
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PoseModel:
+    """The data of a part for the search, in the part's frame.
+
+    Attributes:
+        diameter_m: the largest distance between two of its vertices, but for a little.
+        point, normal: for pairs, far apart.
+        pairs: the table of their features.
+        surface: the nearest place for any point near.
+        key_m: points that a motion moves unless it leaves the part as it is.
+        alike: the discrete motions that leave it, the identity first.
+        symmetry: all motions that leave it.
+    """
+
+    vertices_m: Float[np.ndarray, "v 3"]
+    faces: Int[np.ndarray, "f 3"]
+    face_normal: Float[np.ndarray, "f 3"]
+    diameter_m: float
+    point: Float[np.ndarray, "n 3"]
+    normal: Float[np.ndarray, "n 3"]
+    pairs: PairTable
+    surface: Closest
+    key_m: Float[np.ndarray, "k 3"]
+    alike: Float[np.ndarray, "s 4 4"]
+    symmetry: Symmetry
+    turns: Float[np.ndarray, "t 4 4"]
+
+    def __post_init__(self) -> None:
+        for name in ("vertices_m", "faces", "face_normal", "point", "normal", "key_m", "alike"):
+            getattr(self, name).flags.writeable = False
+
+
+def pose_model(mesh: Mesh, symmetry: Symmetry) -> PoseModel:
+    """Prepare a closed mesh; about a second."""
+    corners = mesh.bounds_m
+    used = mesh.vertices_m[np.unique(mesh.faces)].astype(np.float64)
+    middle = corners.mean(axis=0)
+    diameter_m = 2 * float(np.linalg.norm(used - middle, axis=1).max())
+    point, normal = surface_points(mesh, STEP * diameter_m, most=MOST_POINTS)
+    dense, dense_normal = dense_points(mesh, DENSE_STEP * diameter_m, most=MOST_DENSE)
+    return PoseModel(
+        vertices_m=np.ascontiguousarray(mesh.vertices_m, dtype=np.float64),
+        faces=np.ascontiguousarray(mesh.faces),
+        face_normal=mesh.face_normal,
+        diameter_m=diameter_m,
+        point=point,
+        normal=normal,
+        pairs=pair_table(point, normal, STEP * diameter_m),
+        surface=closest(dense, dense_normal, diameter_m),
+        key_m=_keys(symmetry, middle, diameter_m),
+        alike=motions(Symmetry(discrete=symmetry.discrete)),
+        symmetry=symmetry,
+        turns=np.stack([rigid(R, middle - R @ middle) for R in axis_rotations()]),
+    )
+
+
+def _keys(
+    symmetry: Symmetry, middle: Float[np.ndarray, "3"], diameter_m: float
+) -> Float[np.ndarray, "k 3"]:
+    """Two points on the axis of a turned part; else the ends of a cross and its middle."""
+    if symmetry.continuous:
+        axis, offset = (np.array(one, dtype=np.float64) for one in symmetry.continuous[0])
+        axis = axis / np.linalg.norm(axis)
+        foot = offset + axis * (axis @ (middle - offset))
+        return np.stack([foot - axis * diameter_m / 2, foot + axis * diameter_m / 2])
+    return np.vstack([middle, middle + np.eye(3) * diameter_m / 2])

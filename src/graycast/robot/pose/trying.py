@@ -1,0 +1,96 @@
+"""Drawing, scoring and alignment of the candidate poses of one detection."""
+
+from dataclasses import dataclass
+from typing import final
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from ...camera.crop import Crop
+from .agreement import score
+from .aligning import align
+from .drawing import draw, lens
+from .model import PoseModel
+
+TOLERANCE = 0.02  # as a share of the diameter that a measurement may be off the part, or
+TOLERANCE_SIGMAS = 3.5  # times the noise, if that is more
+# In tolerances: within which a pixel's depth pulls at the pose, step by step. The first reaches
+# as far as ICP may have left the pose, the last is what counts as visible and a half.
+GATES = (6.0, 5.0, 4.0, 3.0, 2.0, 2.0, 1.5, 1.5)
+EDGE = 3.0  # tolerances between a part and what is behind its outline
+OUTLINE_WEIGHT = 1.0  # of a pixel of the outline against one of the surface
+LEAST_PIXELS = 30  # on which a pose that is put otherwise is placed
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Judged:
+    """A pose, its score (at most 1), and its pixels by kind (`checking`)."""
+
+    T: Float[np.ndarray, "4 4"]
+    worth: float
+    number: Int[np.ndarray, " kinds"]
+
+    def better_of(self, other: "Judged") -> "Judged":
+        return self if self.worth > other.worth else other
+
+
+@final
+class Trials:
+    """Poses of a part tried in one detection's window."""
+
+    def __init__(self, model: PoseModel, seen: Crop) -> None:
+        noise_m = seen.noise_m if np.isfinite(seen.noise_m) else 0.0
+        self.tolerance_m = max(TOLERANCE * model.diameter_m, TOLERANCE_SIGMAS * noise_m)
+        self._model, self._seen = model, seen
+        self._lens = lens(seen.camera)
+        self._drawn = np.empty(seen.z.shape)
+        self._face = np.empty(seen.z.shape, np.int64)
+        i, j = np.nonzero(seen.inside)
+        self._middle = np.array([j.mean(), i.mean()])
+        self._box = np.array([j.min(), i.min(), j.max(), i.max()])
+
+    def judge(self, T: Float[np.ndarray, "4 4"]) -> Judged:
+        model, seen = self._model, self._seen
+        worth, number = score(
+            T, model.vertices_m, model.faces, self._lens, seen.ray, seen.left_px, seen.top_px,
+            seen.z, seen.inside, seen.tight, self._box, self.tolerance_m, self._drawn, self._face,
+        )  # fmt: skip
+        return Judged(T=T, worth=float(worth), number=number)
+
+    def align(self, T: Float[np.ndarray, "4 4"]) -> Float[np.ndarray, "4 4"]:
+        """The pose moved so that surface and outline lie on what is measured."""
+        model, seen, moved = self._model, self._seen, T.copy()
+        align(
+            moved, model.vertices_m, model.faces, model.face_normal, self._lens, seen.ray,
+            seen.left_px, seen.top_px, seen.z, seen.inside, seen.tight,
+            np.array(GATES) * self.tolerance_m, EDGE * self.tolerance_m, OUTLINE_WEIGHT,
+            self._drawn, self._face,
+        )  # fmt: skip
+        return moved
+
+    def placed(self, T: Float[np.ndarray, "4 4"]) -> Float[np.ndarray, "4 4"] | None:
+        """The pose shifted to the detection's place and depth; None if it covers too little.
+
+        Twice: a shift along the ray changes what is covered.
+        """
+        seen, moved = self._seen, T.copy()
+        for _ in range(2):
+            draw(
+                moved, self._model.vertices_m, self._model.faces, self._lens, seen.ray,
+                seen.left_px, seen.top_px, self._drawn, self._face,
+            )  # fmt: skip
+            covered = np.isfinite(self._drawn)
+            off_m = (seen.z - self._drawn)[seen.inside & covered & np.isfinite(seen.z)]
+            if len(off_m) < LEAST_PIXELS:
+                return None
+            hidden = (seen.z < self._drawn - self.tolerance_m) & ~seen.inside
+            i, j = np.nonzero(covered & ~hidden)
+            if seen.tight:
+                off_px = self._middle - [j.mean(), i.mean()]
+            else:
+                corners = np.array([j.min(), i.min(), j.max(), i.max()])
+                off_px = (self._box - corners).reshape(2, 2).mean(axis=0)
+            moved[:3, 3] += moved[:3, 3] / moved[2, 3] * np.median(off_m)
+            moved[:2, 3] += off_px * moved[2, 3] / self._lens[:2]
+        return moved

@@ -1,0 +1,9 @@
+"""What is measured and compared.
+
+Each imports only from those above it:
+
+    metrology        the accuracy of a virtual scanner, as a certificate
+    evaluate         scores of detections, poses and depth; imports nothing that it scores
+    merge            several views of a scene as one cloud, and what each of them adds
+    design           comparison of scanners and their poses on the same heaps
+"""

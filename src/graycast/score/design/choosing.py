@@ -1,0 +1,226 @@
+"""Which setting to take: figures over all heaps, the Pareto front, and a sentence that says it."""
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, final
+
+import numpy as np
+from jaxtyping import Float
+from scipy import stats
+
+from ...rig.pair import PRESETS
+from ..evaluate.intervals import LEVEL, Interval
+from .point_fates import FATES, Fate
+from .setting import Placed
+from .study import DesignSpec
+
+FIGURES = ("of_seen", "sigma_m", "bias_m", "pixel_m", "feature_m", "seconds")
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Row:
+    """A setting's figures: the mean over the heaps, and the measured share of each of them.
+
+    Figures are NaN where no heap has them. `front` says that no other setting measures as much or
+    more with as small a sigma and as few seconds, and is better in one of them.
+    """
+
+    name: str
+    placed: Placed
+    measured_by_heap: Float[np.ndarray, " heaps"]  # NaN where a heap could not be made
+    figure: Mapping[str, float]
+    share: Mapping[str, float]
+    front: bool = False
+
+    def __post_init__(self) -> None:
+        self.measured_by_heap.flags.writeable = False
+
+    @property
+    def measured(self) -> Interval:
+        return mean_interval(self.measured_by_heap)
+
+    def missing(self) -> list[tuple[Fate, float]]:
+        """The unmeasured shares by reason, largest first."""
+        lost = [(fate, self.share[fate]) for fate in FATES if fate is not Fate.MEASURED]
+        return sorted((pair for pair in lost if pair[1] > 0), key=lambda pair: -pair[1])
+
+
+def mean_interval(value: Float[np.ndarray, " n"]) -> Interval:
+    """A mean with its 95 % interval by Student's t; values that are NaN are left out."""
+    value = value[np.isfinite(value)]
+    if not len(value):
+        return Interval(value=math.nan, low=math.nan, high=math.nan)
+    mean = float(value.mean())
+    if len(value) < 2:
+        return Interval(value=mean, low=math.nan, high=math.nan)
+    t = float(stats.t.ppf((1 + LEVEL) / 2, len(value) - 1))
+    half = t * float(value.std(ddof=1)) / math.sqrt(len(value))
+    return Interval(value=mean, low=mean - half, high=mean + half)
+
+
+def row_of(placed: Placed, heaps: Sequence[Mapping[str, Any] | None]) -> Row:
+    """A setting's row from its figures by heap; None where a heap could not be made."""
+    made = [heap for heap in heaps if heap is not None]
+    return Row(
+        name=placed.setting.name,
+        placed=placed,
+        measured_by_heap=np.array(
+            [math.nan if heap is None else heap["measured"] for heap in heaps], dtype=np.float64
+        ),
+        figure={name: _mean([heap[name] for heap in made]) for name in FIGURES},
+        share={fate: _mean([heap["share"][fate] for heap in made]) for fate in FATES},
+    )
+
+
+def _mean(values: Sequence[float | None]) -> float:
+    held = [value for value in values if value is not None]
+    return float(np.mean(held)) if held else math.nan
+
+
+def on_front(values: Float[np.ndarray, "n figures"]) -> list[bool]:
+    """Which rows no other row beats: in no figure worse, in one better. Less is better.
+
+    A row with NaN is beaten.
+    """
+    beaten = np.isnan(values).any(axis=1)
+    for i, own in enumerate(values):
+        no_worse = (values <= own).all(axis=1) & (values < own).any(axis=1)
+        beaten[i] |= bool(no_worse.any())
+    return [not each for each in beaten]
+
+
+def cost(row: Row) -> tuple[float, float, float]:
+    """The quantities to minimise, rounded as printed: unmeasured share, sigma [mm], seconds."""
+    sigma_mm, seconds = 1e3 * row.figure["sigma_m"], row.figure["seconds"]
+    return round(1 - row.measured.value, 3), round(sigma_mm, 2), round(seconds, 2)
+
+
+def choose(spec: DesignSpec, rows: Sequence[Row]) -> Row | None:
+    """The setting that measures most among those that meet the study's needs."""
+    fit = [row for row in rows if meets(spec, row) and math.isfinite(row.measured.value)]
+    return max(fit, key=lambda row: row.measured.value, default=None)
+
+
+def meets(spec: DesignSpec, row: Row) -> bool:
+    wanted = spec.needs.model_dump(exclude_none=True)
+    return all(row.figure[name] <= most for name, most in wanted.items())
+
+
+def unlike(rows: Sequence[Row], best: Row) -> Mapping[str, Interval]:
+    """The difference of the measured share between the best row and each other row."""
+    return {
+        row.name: mean_interval(best.measured_by_heap - row.measured_by_heap)
+        for row in rows
+        if row is not best
+    }
+
+
+def sentences(spec: DesignSpec, rows: Sequence[Row]) -> str:
+    """The recommendation in sentences."""
+    best = choose(spec, rows)
+    if best is None:
+        return f"None of the {len(rows)} settings {_wanted(spec)}. {_nearest(spec, rows)}"
+    told = (
+        f"{where(best)} measures {_percent(best.measured)} of the open surface of the parts, with "
+        f"a sigma of {1e3 * best.figure['sigma_m']:.2f} mm and a bias of "
+        f"{1e3 * best.figure['bias_m']:+.2f} mm. It resolves features from "
+        f"{1e3 * best.figure['feature_m']:.1f} mm and takes {best.figure['seconds']:.2f} s a scan."
+    )
+    lost = [f"{share:.1%} {_WORDS[fate]}" for fate, share in best.missing()[:3]]
+    if lost:
+        told += f" Most of what it misses is {_list(lost)}."
+    told += f" Of the {len(rows)} settings it measures most"
+    told += f" among those of which each {_wanted(spec)}." if _needs(spec) else "."
+    fit = [row for row in rows if meets(spec, row) and row is not best]
+    like = [name for name, less in unlike(fit, best).items() if not less.low > 0]
+    if like and spec.layouts > 1:
+        told += (
+            f" On these {spec.layouts} heaps its difference is not significant from {_list(like)}."
+        )
+    return told
+
+
+def where(row: Row) -> str:
+    """A setting in words: the rig, its place, and what else was chosen."""
+    setting, cell = row.placed.setting, row.placed.cell
+    view, rig = cell.config.view, cell.scene.rig
+    words = _title(rig.name)
+    if setting.baseline_m is not None:
+        words += f" with a baseline of {setting.baseline_m:g} m"
+    if view.distance_m is not None:
+        words += f" at {view.distance_m:g} m"
+    words += f" tilted {view.tilt_deg:g} degrees" if view.tilt_deg else " looking straight down"
+    if view.azimuth_deg:
+        words += f", turned {view.azimuth_deg:g} degrees about the vertical,"
+    chosen = {
+        "the code": setting.code,
+        "the exposure": setting.exposure,
+        "the bin": setting.bin,
+        "the resolution": setting.resolution,
+    }
+    named = [f"{key} {value}" for key, value in chosen.items() if value is not None]
+    return f"{words} with {_list(named)}" if named else words
+
+
+def _title(rig: str) -> str:
+    """The name that is printed on a preset's device; any other rig by its own name."""
+    return f"PhoXi-{rig[6:].upper()}" if rig in PRESETS and rig != "paper" else f"The rig {rig}"
+
+
+_WORDS = {
+    Fate.OUTSIDE_PICTURE: "outside the picture",
+    Fate.HIDDEN_BY_WALL: "hidden from the camera by the bin",
+    Fate.HIDDEN_BY_PARTS: "hidden from the camera by parts",
+    Fate.OUTSIDE_PROJECTOR: "beyond the projector's picture",
+    Fate.WALL_SHADOW: "in the bin's shadow",
+    Fate.PART_SHADOW: "in the shadow of parts",
+    Fate.EDGE: "at edges finer than the pixels",
+    Fate.DARK: "too dark",
+    Fate.GLARE: "glaring",
+    Fate.INTERREFLECTION: "lost to interreflections",
+    Fate.FILTERED: "taken out by filters",
+    Fate.OUT_OF_RANGE: "out of the rig's range",
+    Fate.WRONG: "measured wrongly",
+}
+_UNIT = {"sigma_m": ("sigma", "mm", 1e3), "feature_m": ("feature", "mm", 1e3)}
+_UNIT |= {"seconds": ("scan time", "s", 1.0)}
+
+
+def _needs(spec: DesignSpec) -> list[str]:
+    wanted = spec.needs.model_dump(exclude_none=True)
+    found = []
+    for name, most in wanted.items():
+        words, unit, factor = _UNIT[name]
+        found.append(f"a {words} of at most {factor * most:g} {unit}")
+    return found
+
+
+def _wanted(spec: DesignSpec) -> str:
+    return f"has {_list(_needs(spec))}"
+
+
+def _nearest(spec: DesignSpec, rows: Sequence[Row]) -> str:
+    """The smallest value that any setting has of a required quantity."""
+    found = []
+    for name in spec.needs.model_dump(exclude_none=True):
+        held = [row for row in rows if math.isfinite(row.figure[name])]
+        if held:
+            row = min(held, key=lambda row: row.figure[name])
+            words, unit, factor = _UNIT[name]
+            found.append(
+                f"The least {words} is {factor * row.figure[name]:.3g} {unit}, of {row.name}."
+            )
+    return " ".join(found) or "Nothing was measured at all."
+
+
+def _percent(interval: Interval) -> str:
+    text = f"{interval.value:.1%}"
+    if math.isnan(interval.low):
+        return text
+    return f"{text} (95 % interval {max(interval.low, 0):.1%} to {min(interval.high, 1):.1%})"
+
+
+def _list(words: Sequence[str]) -> str:
+    return ", ".join(words[:-1]) + " and " + words[-1] if len(words) > 1 else "".join(words)

@@ -1,0 +1,217 @@
+"""All settings of a study on all its heaps, by workers wherever they are."""
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from ...base.progress import UNWATCHED, ProgressMeter
+from ...base.usage import rss_bytes
+from ...camera.picture import gray_picture
+from ...camera.scanner import measure, scan_seconds, take
+from ...cell.config import resolve_quality
+from ...cell.engine import Failed, Job, KeptRenderer, Made, make_each, open_pool
+from ...cell.generate import Workers
+from ...render import Rendering, choose_device
+from ...world.drop import prepare
+from .fate_picture import picture_png
+from .heap import Heap, make_heap
+from .point_fates import figures, judge, view_of
+from .result_files import heap_files, open_design
+from .setting import Placed, Setting, lights_of, place_settings, settings_of
+from .study import DesignSpec
+
+ALONE = Workers()
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class DesignTask(Job):
+    """What a worker needs to know: with n lights its scene k is heap `k // n` in light `k % n`.
+
+    Heap by heap, so that a worker holds one of them and a stopped study has some of each setting.
+    """
+
+    spec: DesignSpec
+    lights: tuple[tuple[Placed, ...], ...]
+
+    def named(self, scene_id: int) -> tuple[tuple[Placed, ...], int]:
+        """The settings of a scene, which share their light, and the number of its heap."""
+        layout, light = divmod(scene_id, len(self.lights))
+        return self.lights[light], layout
+
+    def open(
+        self,
+        *,
+        threads: int | None = None,
+        progress: ProgressMeter = UNWATCHED,
+    ) -> "Comparer":
+        return Comparer(self, threads=threads, progress=progress)
+
+
+class Comparer:
+    """Scans heaps of one study; the renderer and the heaps of each bin are kept."""
+
+    def __init__(
+        self,
+        task: DesignTask,
+        *,
+        threads: int | None,
+        progress: ProgressMeter,
+    ) -> None:
+        self._task, self._progress = task, progress
+        self._kept = KeptRenderer(device=task.device, threads=threads, progress=progress)
+        self._heaps: dict[tuple[str | None, int], Heap] = {}
+
+    def make(self, scene_id: int) -> Made:
+        """One heap in one light, by all codes and exposures.
+
+        Raises:
+            DropError, ValueError: this heap cannot be made or lit; the next one may be.
+        """
+        start = time.perf_counter()
+        group, number = self._task.named(scene_id)
+        heap, scene = self._heap(group[0], number), group[0].cell.scene
+        rendering, own = self._light(group, heap)
+        view = view_of(scene, heap.layout, heap.surface)
+        files: list[tuple[str, bytes]] = []
+        measured = {}
+        for placed, patterns in zip(group, own, strict=True):
+            scanner, name = placed.cell.scanner, placed.setting.name
+            radiance = replace(rendering.radiance, pattern=rendering.radiance.pattern[patterns])
+            capture = take(scanner, radiance, seed=heap.noise_seed)
+            _, depth = measure(scanner, capture)
+            judged = judge(
+                view, heap.surface, rendering.truth, depth, wrong_m=self._task.spec.wrong_m
+            )
+            seconds = scan_seconds(scanner, capture, readout_s=self._task.spec.readout_s)
+            told = figures(scene, view, heap.surface, judged, seconds=seconds)
+            measured[name] = told["measured"]
+            picture = None
+            if number == 0:
+                picture = picture_png(gray_picture(capture), view, heap.surface, judged)
+            files += heap_files(name, number, told, picture)
+        return Made(
+            scene_id=scene_id,
+            files=tuple(files),
+            seconds=time.perf_counter() - start,
+            reasons=measured,
+            rss_bytes=rss_bytes(),
+        )
+
+    def _heap(self, placed: Placed, number: int) -> Heap:
+        """The heap of a bin, dropped once for all settings that have this bin."""
+        key = placed.setting.bin, number
+        if key not in self._heaps:
+            self._heaps = {other: heap for other, heap in self._heaps.items() if other[1] == number}
+            self._heaps[key] = make_heap(
+                placed.cell, self._task.spec, number, progress=self._progress
+            )
+        return self._heaps[key]
+
+    def _light(self, group: tuple[Placed, ...], heap: Heap) -> tuple[Rendering, list[slice]]:
+        """One rendering of the patterns of all codes, and where each setting's own are in it."""
+        cell = group[0].cell
+        shown = {placed.cell.scanner.code: placed.cell.patterns() for placed in group}
+        ends = np.cumsum([len(patterns) for patterns in shown.values()]).tolist()
+        own = {
+            code: slice(end - len(patterns), end)
+            for (code, patterns), end in zip(shown.items(), ends, strict=True)
+        }
+        self._progress.stage(f"{cell.config.render.backend} renders {group[0].setting.lit.name}")
+        with self._kept.of(cell) as renderer:
+            rendering = renderer.render(
+                cell.scene,
+                heap.layout,
+                np.concatenate(list(shown.values())),
+                quality=resolve_quality(cell.config),
+                seed=heap.render_seed,
+            )
+        return rendering, [own[placed.cell.scanner.code] for placed in group]
+
+    def close(self) -> None:
+        self._kept.close()
+
+
+def run_design(
+    spec: DesignSpec,
+    out: Path,
+    *,
+    device: str = "auto",
+    workers: Workers = ALONE,
+    on_made: Callable[[str, int, Made], None] = lambda name, layout, made: None,
+    on_failed: Callable[[str, int, Failed], None] = lambda name, layout, failed: None,
+    progress: ProgressMeter = UNWATCHED,
+) -> tuple[str, ...]:
+    """Scan what is not scanned yet.
+
+    Args:
+        out: the study's folder. The same study goes on in it, also with more settings or heaps.
+        device: of the renderer.
+        on_made, on_failed: take results with the name of a rendering, and the number of its heap.
+
+    Returns:
+        The renderings that could not be made, by name and heap.
+
+    Raises:
+        ConfigError: a setting makes no cell; said before anything is scanned.
+        DatasetError: the folder is in use, or its figures are of other values.
+        DeviceError: no such device here.
+        GraycastError, ValueError: nothing came out, for this reason.
+    """
+    placed = place_settings(spec, settings_of(spec), progress=progress)
+    backend = placed[0].cell.config.render.backend
+    chosen = device if workers.engine == "ray" else choose_device(backend, device)
+    task = DesignTask(spec=spec, lights=lights_of(placed), seed=spec.seed, device=chosen)
+
+    def named(scene_id: int) -> tuple[str, int]:
+        group, layout = task.named(scene_id)
+        return _light_name(group), layout
+
+    def keep(made: Made) -> None:
+        folder.write(made.files)
+        on_made(*named(made.scene_id), made)
+
+    with open_design(out) as folder:
+        for one in placed:
+            folder.claim(one, one.described(spec))
+        todo = [
+            scene_id
+            for scene_id in range(len(task.lights) * spec.layouts)
+            if not _all_there(folder.finished, *task.named(scene_id))
+        ]
+        total = len(task.lights) * spec.layouts
+        progress.count("scans", total - len(todo), total)
+        if not todo:
+            return ()
+        prepare(placed[0].cell.scene.parts, progress=progress)  # once, not by every worker
+        pool = open_pool(
+            task,
+            engine=workers.engine,
+            workers=min(workers.count, len(todo)),
+            threads=workers.threads,
+            address=workers.address,
+            progress=progress,
+        )
+        lost = make_each(
+            pool,
+            todo,
+            what="scans",
+            total=total,
+            progress=progress,
+            on_made=keep,
+            on_failed=lambda failed: on_failed(*named(failed.scene_id), failed),
+        )
+    return tuple("{}/{:03d}".format(*named(scene_id)) for scene_id in lost)
+
+
+def _light_name(group: tuple[Placed, ...]) -> str:
+    lit: Setting = group[0].setting
+    return lit.name if len(group) == 1 else lit.lit.name
+
+
+def _all_there(
+    finished: Callable[[str, int], bool], group: tuple[Placed, ...], layout: int
+) -> bool:
+    return all(finished(placed.setting.name, layout) for placed in group)

@@ -1,0 +1,184 @@
+"""A design study's figures as tables for readers and spreadsheets, and as pictures."""
+
+import csv
+import io
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+from matplotlib.axes import Axes
+
+from ...base.folder import write_whole
+from ...base.plotting import ACCENT, INK, SECOND, SOFT, caption, plain_figure, save_png
+from ...dataset.json_text import json_bytes
+from ..evaluate.intervals import Interval
+from .choosing import FIGURES, Row, choose, cost, on_front, row_of, sentences
+from .point_fates import FATE_COLOR, FATES, Fate
+from .result_files import PICTURE, SETTINGS, read_heaps
+from .setting import place_settings, settings_of
+from .study import DesignSpec
+
+_HEADS = {
+    "of_seen": ("of what it sees", 100.0, 1),
+    "sigma_m": ("sigma mm", 1e3, 2),
+    "bias_m": ("bias mm", 1e3, 2),
+    "feature_m": ("feature mm", 1e3, 1),
+    "seconds": ("seconds", 1.0, 2),
+}
+
+
+def write_design(spec: DesignSpec, out: Path) -> str:
+    """Write `table.md`, `table.csv`, `design.json`, `pareto.png` and `missing.png` to `out`.
+
+    Returns:
+        What to buy and where to put it.
+
+    Raises:
+        GraycastError: figures are damaged, or the disk refuses.
+    """
+    rows = rows_of(spec, out)
+    said = sentences(spec, rows)
+    write_whole(out / "table.md", _markdown(spec, rows, said).encode())
+    write_whole(out / "table.csv", _csv(rows).encode())
+    content = {"title": spec.title, "says": said, "rows": [_record(row) for row in rows]}
+    write_whole(out / "design.json", json_bytes(content))
+    _draw_pareto(spec, rows, out / "pareto.png")
+    _draw_missing(spec, rows, out / "missing.png")
+    return said
+
+
+def rows_of(spec: DesignSpec, out: Path) -> list[Row]:
+    """The settings' rows, the one that measures most first."""
+    placed = place_settings(spec, settings_of(spec))
+    rows = [row_of(one, read_heaps(out, one.setting.name, spec)) for one in placed]
+    front = on_front(np.array([cost(row) for row in rows]))
+    rows = [replace(row, front=here) for row, here in zip(rows, front, strict=True)]
+    return sorted(rows, key=lambda row: np.nan_to_num(-row.measured.value, nan=math.inf))
+
+
+def _record(row: Row) -> dict[str, str | float | bool]:
+    interval = row.measured
+    return {
+        "setting": row.name,
+        "front": row.front,
+        "measured": interval.value,
+        "measured_low": interval.low,
+        "measured_high": interval.high,
+        **{name: row.figure[name] for name in FIGURES},
+        **{str(fate): row.share[fate] for fate in FATES if fate is not Fate.MEASURED},
+    }
+
+
+def _csv(rows: Sequence[Row]) -> str:
+    text = io.StringIO()
+    records = [_record(row) for row in rows]
+    table = csv.DictWriter(text, list(records[0]), lineterminator="\n")
+    table.writeheader()
+    table.writerows(records)
+    return text.getvalue()
+
+
+def _markdown(spec: DesignSpec, rows: Sequence[Row], said: str) -> str:
+    heads = ["setting", "measured %", *(head for head, _, _ in _HEADS.values()), "front"]
+    lines = [f"# {spec.title}", "", said, "", _head(heads)]
+    for row in rows:
+        cells = [f"[{row.name}]({SETTINGS}/{row.name}/{PICTURE})", _share(row.measured)]
+        cells += [
+            _number(factor * row.figure[name], digits)
+            for name, (_, factor, digits) in _HEADS.items()
+        ]
+        lines.append(_line([*cells, "x" if row.front else ""]))
+    lines += ["", _EXPLAINED.format(cone=spec.cone_deg, wrong=1e3 * spec.wrong_m), ""]
+    lost = [fate for fate in FATES if any(row.share[fate] > 0 for row in rows)]
+    lost = [fate for fate in lost if fate is not Fate.MEASURED]
+    lines += ["## What is missing, in % of the open surface", ""]
+    lines.append(_head(["setting", *(fate.replace("_", " ") for fate in lost)]))
+    for row in rows:
+        lines.append(_line([row.name, *(_number(100 * row.share[fate], 1) for fate in lost)]))
+    return "\n".join(lines) + "\n"
+
+
+_EXPLAINED = """\
+Measured is the share of the open surface of the parts, with 95 % intervals over the heaps, which
+are the same for all settings. The open surface is what can be seen from a direction that leans at
+most {cone:g} degrees from the vertical, and a place counts as much as it shows in such views.
+Depth counts as measured where it is within {wrong:g} mm of the truth. A setting is marked as front
+if no other measures as much with as small a sigma and in as few seconds, and is better in one."""
+
+
+def _head(heads: Sequence[str]) -> str:
+    return _line(heads) + "\n|" + "---|" * len(heads)
+
+
+def _line(cells: Sequence[str]) -> str:
+    return "| " + " | ".join(cells) + " |"
+
+
+def _number(value: float, digits: int) -> str:
+    return "-" if math.isnan(value) else f"{value:.{digits}f}"
+
+
+def _share(interval: Interval) -> str:
+    text = _number(100 * interval.value, 1)
+    if math.isnan(interval.low):
+        return text
+    return f"{text} [{100 * interval.low:.1f}, {100 * interval.high:.1f}]"
+
+
+def _draw_pareto(spec: DesignSpec, rows: Sequence[Row], path: Path) -> None:
+    """Measured share over sigma, and over seconds; who is beaten in these two is pale."""
+    best = choose(spec, rows)
+    figure, axes = plain_figure(11.0, 4.6, (1, 1))
+    for ax, column, words in zip(axes, (1, 2), ("sigma [mm]", "seconds of a scan"), strict=True):
+        _draw_front(ax, rows, best, column)
+        caption(ax, spec.title, words, "measured share of the open surface [%]")
+    save_png(figure, path, dpi=110)
+
+
+def _draw_front(ax: Axes, rows: Sequence[Row], best: Row | None, column: int) -> None:
+    """Measured share over one of the costs, the front as a line; of close names one is written."""
+    costs = np.array([cost(row) for row in rows])
+    front = np.array(on_front(costs[:, [0, column]]))
+    x, y = costs[:, column], 100 * (1 - costs[:, 0])
+    ax.scatter(x[~front], y[~front], s=18, color=SOFT)
+    order = np.argsort(x[front], kind="stable")
+    ax.plot(x[front][order], y[front][order], "o-", ms=5, lw=0.8, color=ACCENT)
+    apart = 0.04 * np.ptp(y[np.isfinite(y)]) if np.isfinite(y).any() else 0.0
+    written: list[float] = []
+    for row, here, at_x, at_y in zip(rows, front.tolist(), x.tolist(), y.tolist(), strict=True):
+        if row is best:
+            ax.scatter([at_x], [at_y], s=90, facecolors="none", edgecolors=SECOND, lw=1.6)
+        if (here or row is best) and all(abs(at_y - other) > apart for other in written):
+            written.append(at_y)
+            right = at_x > np.nanmean(x)
+            ax.annotate(
+                row.name.replace("_", " "),
+                (at_x, at_y),
+                xytext=(-6 if right else 6, -9),
+                ha="right" if right else "left",
+                textcoords="offset points",
+                fontsize=6,
+                color=SECOND if row is best else INK,
+            )
+
+
+def _draw_missing(spec: DesignSpec, rows: Sequence[Row], path: Path) -> None:
+    """A bar for each setting: what became of the open surface."""
+    figure, (ax,) = plain_figure(10.0, 1.6 + 0.24 * len(rows), (1,), grid="x")
+    left = np.zeros(len(rows))
+    for fate in FATES:
+        width = 100 * np.array([np.nan_to_num(row.share[fate]) for row in rows])
+        if width.any():
+            label = fate.replace("_", " ")
+            ax.barh(
+                range(len(rows)), width, left=left, height=0.8, color=FATE_COLOR[fate], label=label
+            )
+        left += width
+    ax.set_yticks(range(len(rows)), [row.name.replace("_", " ") for row in rows], fontsize=7)
+    ax.invert_yaxis()
+    ax.set_xlim(0, 100)
+    ax.legend(fontsize=7, frameon=False, loc="upper left", bbox_to_anchor=(1.0, 1.0))
+    caption(ax, spec.title, "share of the open surface [%]")
+    save_png(figure, path, dpi=110)

@@ -1,0 +1,192 @@
+"""The surface of a heap's parts as points, and the visibility of these points.
+
+The points belong to the heap, not to a scanner: all settings are asked about the same places. What
+hides a point is found by rasterising all meshes from the eye, without any renderer.
+"""
+
+from dataclasses import dataclass, replace
+from enum import IntEnum
+from typing import final
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+from ...base.frames import inverse, look_at, transform_points
+from ...rig.meshdepth import rasterize
+from ...rig.optics import Optics, project
+from ...world.parts import Mesh
+from ...world.parts.sampling import spread_points
+from ...world.scene import Bin, Layout, Scene, bin_mesh, bin_of
+
+LEAST_PX = 1000  # of the longer side of a picture in which points are looked for
+SLACK_M = 0.5e-3  # by which parts may press into each other, and their meshes lie off
+RINGS = ((1, 0.0), (6, 0.5), (12, 1.0))  # directions, and how far they lean, of the cone
+
+
+class Sight(IntEnum):
+    """Whether a point is visible from an eye position, and what hides it otherwise."""
+
+    SEEN = 0
+    OUTSIDE = 1  # of its picture
+    BY_PARTS = 2  # a part is before it, or it looks away, so that its own part is
+    BY_BIN = 3
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Surface:
+    """Points on parts as they lie, each of about the same area, in world coordinates.
+
+    `weight` is how much a point shows in views from above: the mean, over the directions of a cone,
+    of the cosine at which it is seen, 0 where it is hidden. Where it is above 0 the surface is
+    open. `instance` is the layout's.
+    """
+
+    point_m: Float[np.ndarray, "n 3"]
+    normal: Float[np.ndarray, "n 3"]
+    instance: Int[np.ndarray, " n"]
+    weight: Float[np.ndarray, " n"]
+
+    @property
+    def opened(self) -> Bool[np.ndarray, " n"]:
+        return self.weight > 0
+
+    def __post_init__(self) -> None:
+        for array in (self.point_m, self.normal, self.instance, self.weight):
+            array.flags.writeable = False
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Obstacles:
+    """Everything that can hide a point, as one mesh; `is_bin` marks the faces of the bin."""
+
+    mesh: Mesh
+    is_bin: Bool[np.ndarray, " f"]
+
+    def __post_init__(self) -> None:
+        self.is_bin.flags.writeable = False
+
+
+def spread_surface(scene: Scene, layout: Layout, *, points: int, cone_deg: float) -> Surface:
+    """So many points over all parts of a heap, and how much of them the cone above it sees.
+
+    No chance is involved: one heap has the same points in every setting.
+    """
+    area = [float(part.mesh.face_area_m2.sum()) for part in scene.parts]
+    total = sum(area[kind] for kind in layout.part_index)
+    place, normal, instance = [], [], []
+    for number, kind in enumerate(layout.part_index.tolist()):
+        count = max(1, round(points * area[kind] / total))
+        own, facing = spread_points(scene.parts[kind].mesh, count)
+        T = layout.T_world_part[number]
+        place.append(transform_points(T, own))
+        normal.append(facing @ T[:3, :3].T)
+        instance.append(np.full(count, number))
+    point_m, normals = np.concatenate(place), np.concatenate(normal)
+    box, obstacles = bin_of(scene), obstacles_of(scene, layout)
+    eyes = _cone(box, cone_deg)
+    weight = np.zeros(len(point_m))
+    for eye, T_world_eye in eyes:
+        seen = sight(obstacles, eye, T_world_eye, point_m, normals) == Sight.SEEN
+        weight += np.where(seen, -(normals @ T_world_eye[:3, 2]), 0.0).clip(0.0) / len(eyes)
+    return Surface(
+        point_m=point_m, normal=normals, instance=np.concatenate(instance), weight=weight
+    )
+
+
+def obstacles_of(scene: Scene, layout: Layout) -> Obstacles:
+    box = bin_mesh(bin_of(scene))
+    meshes = [scene.parts[kind].mesh for kind in layout.part_index]
+    vertices, faces, first = [box.vertices_m], [box.faces], len(box.vertices_m)
+    for mesh, T in zip(meshes, layout.T_world_part, strict=True):
+        vertices.append(transform_points(T, mesh.vertices_m.astype(np.float64)))
+        faces.append(mesh.faces + first)
+        first += len(mesh.vertices_m)
+    whole = Mesh(vertices_m=np.concatenate(vertices), faces=np.concatenate(faces))
+    return Obstacles(mesh=whole, is_bin=np.arange(len(whole.faces)) < len(box.faces))
+
+
+def sight(
+    obstacles: Obstacles,
+    optics: Optics,
+    T_world_eye: Float[np.ndarray, "4 4"],
+    point_m: Float[np.ndarray, "n 3"],
+    normal: Float[np.ndarray, "n 3"],
+) -> Int[np.ndarray, " n"]:
+    """What a camera or a projector sees of points on the parts: of each a `Sight`.
+
+    A point is hidden where the nearest surface, both at its pixel's centre and where its plane
+    meets the point's own ray, lies before it by more than `SLACK_M`. The picture is made as large
+    as `LEAST_PX`, whatever the device's own is: half a pixel is how far an edge may be off.
+    """
+    eye = _enlarged(optics)
+    T_eye_world = inverse(T_world_eye)
+    vertices = transform_points(T_eye_world, obstacles.mesh.vertices_m.astype(np.float64))
+    face, z_m = rasterize(vertices, obstacles.mesh.faces, eye).over(eye)
+    at = transform_points(T_eye_world, point_m)
+    pixel = project(eye, at)
+    column, row = np.rint(np.nan_to_num(pixel, nan=-1.0)).clip(-1, 2**30).astype(np.int64).T
+    inside = (at[:, 2] > 0) & (column >= 0) & (column < eye.width_px)
+    inside &= (row >= 0) & (row < eye.height_px)
+    seen = np.full(len(point_m), int(Sight.OUTSIDE))
+    column, row = column[inside], row[inside]
+    hit, own = face[row, column], at[inside]
+    nearest_m = np.maximum(z_m[row, column], _on_plane(vertices, obstacles, hit, own))
+    hidden = (hit >= 0) & (own[:, 2] - nearest_m > SLACK_M)
+    by_bin = hidden & obstacles.is_bin[hit]
+    towards = -(own * (normal[inside] @ T_eye_world[:3, :3].T)).sum(axis=-1)
+    found = np.where(hidden | (towards <= 0), int(Sight.BY_PARTS), int(Sight.SEEN))
+    # What looks away would be hidden by its own part without any bin.
+    seen[inside] = np.where(by_bin & (towards > 0), int(Sight.BY_BIN), found)
+    return seen
+
+
+def _on_plane(
+    vertices: Float[np.ndarray, "v 3"],
+    obstacles: Obstacles,
+    hit: Int[np.ndarray, " n"],
+    point: Float[np.ndarray, "n 3"],
+) -> Float[np.ndarray, " n"]:
+    """z at which each point's ray meets the plane of a face: `z = z_point (m . a) / (m . p)`."""
+    a, b, c = np.moveaxis(vertices[obstacles.mesh.faces[hit]], 1, 0)
+    normal = np.cross(b - a, c - a)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        z = point[:, 2] * (normal * a).sum(axis=-1) / (normal * point).sum(axis=-1)
+    return np.where(np.isfinite(z), z, np.inf)
+
+
+def _enlarged(optics: Optics) -> Optics:
+    """The same view in a picture of at least `LEAST_PX`."""
+    times = -(-LEAST_PX // max(optics.width_px, optics.height_px))
+    return replace(
+        optics,
+        width_px=times * optics.width_px,
+        height_px=times * optics.height_px,
+        fx_px=times * optics.fx_px,
+        fy_px=times * optics.fy_px,
+        cx_px=times * (optics.cx_px + 0.5) - 0.5,
+        cy_px=times * (optics.cy_px + 0.5) - 0.5,
+    )
+
+
+def _cone(box: Bin, cone_deg: float) -> list[tuple[Optics, Float[np.ndarray, "4 4"]]]:
+    """Far eyes above the bin, from all sides and up to `cone_deg` from the vertical."""
+    low, high = box.bounds_m
+    middle, radius_m = (low + high) / 2, float(np.linalg.norm(high - low)) / 2
+    away_m = 10 * radius_m  # nearly parallel rays
+    f_px = 0.5 * LEAST_PX * away_m / (1.15 * radius_m)  # parts may stick out at the top
+    centre_px = (LEAST_PX - 1) / 2
+    eye = Optics(
+        width_px=LEAST_PX, height_px=LEAST_PX, fx_px=f_px, fy_px=f_px, cx_px=centre_px,
+        cy_px=centre_px,
+    )  # fmt: skip
+    found = []
+    for count, share in RINGS if cone_deg > 0 else RINGS[:1]:
+        lean = np.radians(share * cone_deg)
+        for turn in 2 * np.pi * np.arange(count) / count:
+            side = np.array([np.cos(turn), np.sin(turn), 0.0])
+            away = np.sin(lean) * side + np.array([0.0, 0.0, np.cos(lean)])
+            down = np.cos(lean) * side - np.array([0.0, 0.0, np.sin(lean)])
+            found.append((eye, look_at(middle + away_m * away, middle, down)))
+    return found

@@ -1,0 +1,199 @@
+"""The result of one setting on one heap: the fate and the depth error of each surface point."""
+
+from dataclasses import dataclass
+from enum import StrEnum
+from typing import Any, final
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+from ...base.frames import inverse, transform_points
+from ...camera.decode import DepthMap, Reason
+from ...render import GroundTruth
+from ...rig.optics import project
+from ...world.scene import Layout, Scene
+from .heap_surface import Sight, Surface, obstacles_of, sight
+
+FEATURE_PX = 3  # a feature is as wide as so many pixels
+FEATURE_SIGMAS = 3  # and as high as so many standard deviations
+
+
+class Fate(StrEnum):
+    """The fate of a point on the open surface.
+
+    What the camera does not see is not measured; what it sees and has depth for is, or is `WRONG`.
+    Of the rest geometry comes first (no light can reach it), then the decoder's own reason.
+    """
+
+    MEASURED = "measured"
+    OUTSIDE_PICTURE = "outside_picture"  # of the camera
+    HIDDEN_BY_WALL = "hidden_by_wall"  # from the camera, by the bin
+    HIDDEN_BY_PARTS = "hidden_by_parts"  # from the camera: by others, or it looks away
+    OUTSIDE_PROJECTOR = "outside_projector"
+    WALL_SHADOW = "wall_shadow"  # the camera sees it; the bin keeps the projector's light off
+    PART_SHADOW = "part_shadow"
+    EDGE = "edge"  # its pixel's centre looks at another surface: the pixels are too coarse
+    DARK = "dark"  # it is lit, but too little of the light comes back: dark, or gloss turned away
+    GLARE = "glare"  # the pixel is saturated
+    INTERREFLECTION = "interreflection"  # light from elsewhere contradicts the code
+    FILTERED = "filtered"  # taken out as an outlier
+    OUT_OF_RANGE = "out_of_range"
+    WRONG = "wrong"  # there is depth, farther off the truth than the study allows
+
+
+FATE_COLOR = {
+    Fate.MEASURED: "#dcdad2",
+    Fate.OUTSIDE_PICTURE: "#1d6f42",
+    Fate.HIDDEN_BY_WALL: "#9aa5b1",
+    Fate.HIDDEN_BY_PARTS: "#c8ced6",
+    Fate.OUTSIDE_PROJECTOR: "#3b8ea5",
+    Fate.WALL_SHADOW: "#25283d",
+    Fate.PART_SHADOW: "#565a7a",
+    Fate.EDGE: "#d4b483",
+    Fate.DARK: "#6b4226",
+    Fate.GLARE: "#f2b134",
+    Fate.INTERREFLECTION: "#c8385a",
+    Fate.FILTERED: "#4f9d69",
+    Fate.OUT_OF_RANGE: "#7d5ba6",
+    Fate.WRONG: "#e8590c",
+}
+_OF_REASON = {
+    Reason.SHADOW: Fate.DARK,
+    Reason.LOW_MODULATION: Fate.DARK,
+    Reason.SATURATED: Fate.GLARE,
+    Reason.CONTRADICTORY: Fate.INTERREFLECTION,
+    Reason.INTERREFLECTION: Fate.INTERREFLECTION,
+    Reason.OUTSIDE_PROJECTOR: Fate.OUTSIDE_PROJECTOR,
+    Reason.OUT_OF_RANGE: Fate.OUT_OF_RANGE,
+    Reason.OUTLIER: Fate.FILTERED,
+}
+FATES = tuple(Fate)
+_NUMBER = {fate: number for number, fate in enumerate(FATES)}
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SurfaceView:
+    """What camera and projector of a setting see of a heap's points; codes do not change it."""
+
+    camera: Int[np.ndarray, " n"]  # a `Sight` each
+    projector: Int[np.ndarray, " n"]
+    row: Int[np.ndarray, " n"]  # of the camera's pixel; 0 where a point is outside the picture
+    column: Int[np.ndarray, " n"]
+    z_m: Float[np.ndarray, " n"]  # of the camera
+    z_projector_m: Float[np.ndarray, " n"]
+
+    def __post_init__(self) -> None:
+        for name in self.__dataclass_fields__:
+            getattr(self, name).flags.writeable = False
+
+
+def view_of(scene: Scene, layout: Layout, surface: Surface) -> SurfaceView:
+    """Where the scene's camera and projector see the surface's points."""
+    obstacles, rig = obstacles_of(scene, layout), scene.rig
+    T_world_proj = scene.T_world_cam @ rig.T_cam_proj
+    at = transform_points(inverse(scene.T_world_cam), surface.point_m)
+    to_projector = transform_points(inverse(T_world_proj), surface.point_m)
+    camera = sight(obstacles, rig.camera, scene.T_world_cam, surface.point_m, surface.normal)
+    pixel = np.rint(project(rig.camera, at))
+    inside = camera != Sight.OUTSIDE
+    # An enlarged picture ends where the camera's own does, but rounds half pixels by itself.
+    last = np.array([rig.camera.width_px - 1, rig.camera.height_px - 1])
+    column, row = np.where(inside[:, None], pixel, 0.0).clip(0, last).astype(np.int64).T
+    return SurfaceView(
+        camera=camera,
+        projector=sight(obstacles, rig.projector, T_world_proj, surface.point_m, surface.normal),
+        row=row,
+        column=column,
+        z_m=at[:, 2],
+        z_projector_m=to_projector[:, 2],
+    )
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Judged:
+    """The fate of each point, as its number in `FATES`, and depth less truth where measured [m]."""
+
+    fate: Int[np.ndarray, " n"]
+    error_m: Float[np.ndarray, " n"]
+
+    def __post_init__(self) -> None:
+        self.fate.flags.writeable = False
+        self.error_m.flags.writeable = False
+
+
+def judge(
+    view: SurfaceView, surface: Surface, truth: GroundTruth, depth: DepthMap, *, wrong_m: float
+) -> Judged:
+    """The fate of each point of a surface. Its error is the error of the pixel that sees it."""
+    pixel = (view.row, view.column)
+    own = truth.instance[pixel] == surface.instance
+    error_m = np.where(own, depth.depth_m[pixel] - truth.depth_m[pixel], np.nan)
+    measured = own & (np.abs(error_m) <= wrong_m)
+    reason = depth.reason[pixel]
+    decided: list[tuple[Fate, Bool[np.ndarray, " n"]]] = [
+        (Fate.OUTSIDE_PICTURE, view.camera == Sight.OUTSIDE),
+        (Fate.HIDDEN_BY_WALL, view.camera == Sight.BY_BIN),
+        (Fate.HIDDEN_BY_PARTS, view.camera == Sight.BY_PARTS),
+        (Fate.MEASURED, measured),
+        (Fate.OUTSIDE_PROJECTOR, view.projector == Sight.OUTSIDE),
+        (Fate.WALL_SHADOW, view.projector == Sight.BY_BIN),
+        (Fate.PART_SHADOW, view.projector == Sight.BY_PARTS),
+        (Fate.EDGE, ~own),
+        *((fate, reason == number) for number, fate in _OF_REASON.items()),
+    ]
+    fate = np.select(
+        [where for _, where in decided],
+        [_NUMBER[fate] for fate, _ in decided],
+        default=_NUMBER[Fate.WRONG],
+    )
+    return Judged(fate=fate, error_m=np.where(fate == _NUMBER[Fate.MEASURED], error_m, np.nan))
+
+
+def figures(
+    scene: Scene, view: SurfaceView, surface: Surface, judged: Judged, *, seconds: float
+) -> dict[str, Any]:
+    """A setting's figures over the open surface of one heap; None where nothing was measured.
+
+    Each place counts by the surface's `weight`: as much as it shows in views from above.
+
+    `sigma_m` is half the range of the errors' middle 68.3 %, so that a few wrong ones do not count;
+    `bias_m` their median. `pixel_m` is what a pixel of the coarser device covers, the median over
+    what is measured, and `feature_m` the side of the smallest cube on a flat surface that is seen:
+    as wide as `FEATURE_PX` pixels and as high as `FEATURE_SIGMAS` sigma.
+    """
+    weight = surface.weight / surface.weight.sum()
+    share = dict(zip(FATES, np.bincount(judged.fate, weight, len(FATES)).tolist(), strict=True))
+    unseen = (Fate.OUTSIDE_PICTURE, Fate.HIDDEN_BY_WALL, Fate.HIDDEN_BY_PARTS)
+    seen = 1 - sum(share[fate] for fate in unseen)
+    told: dict[str, Any] = {
+        "points": int(surface.opened.sum()),
+        "share": {str(name): value for name, value in share.items()},
+        "measured": share[Fate.MEASURED],
+        "of_seen": share[Fate.MEASURED] / seen if seen > 0 else None,
+        "seconds": seconds,
+    }
+    here = surface.opened & np.isfinite(judged.error_m)
+    if not here.any():
+        return told | dict.fromkeys(("sigma_m", "bias_m", "pixel_m", "feature_m"))
+    low, bias_m, high = _quantiles(judged.error_m[here], weight[here], (0.1587, 0.5, 0.8413))
+    sigma_m = (high - low) / 2
+    camera, projector = scene.rig.camera, scene.rig.projector
+    pixel_m = max(
+        _quantiles(z_m[here], weight[here], (0.5,))[0] / min(device.fx_px, device.fy_px)
+        for device, z_m in ((camera, view.z_m), (projector, view.z_projector_m))
+    )
+    return told | {
+        "sigma_m": sigma_m,
+        "bias_m": bias_m,
+        "pixel_m": pixel_m,
+        "feature_m": max(FEATURE_PX * pixel_m, FEATURE_SIGMAS * sigma_m),
+    }
+
+
+def _quantiles(
+    value: Float[np.ndarray, " n"], weight: Float[np.ndarray, " n"], shares: tuple[float, ...]
+) -> list[float]:
+    found = np.quantile(value, shares, weights=weight, method="inverted_cdf")
+    return np.asarray(found, dtype=np.float64).tolist()

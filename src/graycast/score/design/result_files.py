@@ -1,0 +1,119 @@
+"""Results of a design study on disk: a folder for each setting, a file for each of its heaps.
+
+design.json           figures of all settings, and what the study says of them
+table.md, table.csv   the same as tables
+pareto.png, missing.png
+settings/NAME/
+    setting.json      all that the figures depend on: other values are refused
+    000.json          figures of one heap
+    picture.png       what became of the surface of the first heap
+"""
+
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, final
+
+from ...base.errors import DatasetError, GraycastError
+from ...base.file_limits import parse_json
+from ...base.folder import claimed_folder, refuse_foreign, write_whole
+from ...dataset.claim import difference
+from ...dataset.json_text import json_bytes, plain
+from .setting import Placed
+from .study import DesignSpec
+
+SETTINGS, SETTING, PICTURE = "settings", "setting.json", "picture.png"
+_LOCK = ".lock"
+
+
+def heap_file(layout: int) -> str:
+    return f"{layout:03d}.json"
+
+
+def heap_files(
+    name: str, layout: int, figures: Mapping[str, Any], picture: bytes | None
+) -> list[tuple[str, bytes]]:
+    """What a setting's scan of a heap comes to: (path, content), the figures last."""
+    files = [] if picture is None else [(f"{name}/{PICTURE}", picture)]
+    return [*files, (f"{name}/{heap_file(layout)}", json_bytes(figures))]
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True)
+class DesignFolder:
+    """An open folder of a study, locked against other runs."""
+
+    out: Path
+
+    def finished(self, name: str, layout: int) -> bool:
+        return (self.out / SETTINGS / name / heap_file(layout)).exists()
+
+    def write(self, files: Sequence[tuple[str, bytes]]) -> None:
+        """A heap's figures say that all of it is there: its picture stands before them.
+
+        Raises:
+            GraycastError: the disk refuses.
+        """
+        for name, content in files:
+            write_whole(self.out / SETTINGS / name, content)
+
+    def claim(self, placed: Placed, described: Mapping[str, Any]) -> None:
+        """Make a setting's folder, or see that it was begun with the same values.
+
+        Raises:
+            DatasetError: it was measured with other values; says where they differ.
+            GraycastError: the disk refuses.
+        """
+        folder = self.out / SETTINGS / placed.setting.name
+        path = folder / SETTING
+        if not path.exists():
+            folder.mkdir(parents=True, exist_ok=True)
+            write_whole(path, json_bytes(described))
+            return
+        try:
+            held = parse_json(path.read_bytes())
+        except ValueError as error:
+            raise DatasetError(f"{path} cannot be read ({error}): remove its folder") from error
+        told = plain(described)
+        where = next(
+            (
+                found
+                for key in sorted({*held, *told})
+                if (found := difference(held.get(key), told.get(key), key)) is not None
+            ),
+            None,
+        )
+        if where is not None:
+            raise DatasetError(
+                f"{folder} was measured with other values, which differ in {where}: choose another "
+                "folder, or remove this one"
+            )
+
+
+@contextmanager
+def open_design(out: Path) -> Iterator[DesignFolder]:
+    """Make a study's folder, or go on with one.
+
+    Raises:
+        GraycastError: it is a file, holds something else, is in use, or cannot be written.
+    """
+    refuse_foreign(out, SETTINGS)
+    with claimed_folder(out, SETTINGS, _LOCK):
+        yield DesignFolder(out=out)
+
+
+def read_heaps(out: Path, name: str, spec: DesignSpec) -> list[dict[str, Any] | None]:
+    """A setting's figures by heap; None for heaps that could not be made.
+
+    Raises:
+        GraycastError: a file is damaged.
+    """
+    found: list[dict[str, Any] | None] = []
+    for layout in range(spec.layouts):
+        path = out / SETTINGS / name / heap_file(layout)
+        try:
+            found.append(parse_json(path.read_bytes()) if path.exists() else None)
+        except ValueError as error:
+            raise GraycastError(f"{path}: cannot be read ({error}): remove this file") from error
+    return found

@@ -1,0 +1,200 @@
+"""The settings of a design study, and the cell that each of them makes."""
+
+from collections import Counter
+from collections.abc import Iterator
+from dataclasses import astuple, dataclass, replace
+from itertools import product
+from pathlib import Path
+from typing import Any, final
+
+import numpy as np
+from jaxtyping import Float
+
+from ...base.errors import ConfigError, GraycastError
+from ...base.frames import inverse, transform_points
+from ...base.progress import UNWATCHED, ProgressMeter
+from ...cell.config import Config, file_digests, load_config, resolve_bin, resolve_scanner
+from ...cell.generate import described_scanner
+from ...cell.resolve import Cell, refuse_several, resolve_cell
+from ...cell.views import hang
+from ...dataset import described_values
+from ...rig.pair import PRESETS, Rig, aimed, standoff_m
+from ...world.scene import bin_of
+from .study import DesignSpec, SweepSection
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Setting:
+    """One combination of a sweep; None is as the cell has it."""
+
+    rig: str | None = None
+    resolution: str | None = None
+    baseline_m: float | None = None
+    distance_m: float | None = None
+    tilt_deg: float | None = None
+    azimuth_deg: float | None = None
+    code: str | None = None
+    exposure: str | None = None
+    bin: str | None = None
+
+    @property
+    def name(self) -> str:
+        """Of its folder."""
+        rig = self.rig if self.rig is None or self.rig in PRESETS else Path(self.rig).stem
+        words = [rig, self.resolution]
+        for value, form in (
+            (self.baseline_m, "baseline{:g}m"),
+            (self.distance_m, "{:g}m"),
+            (self.tilt_deg, "tilt{:g}"),
+            (self.azimuth_deg, "azimuth{:g}"),
+        ):
+            words.append(None if value is None else form.format(value))
+        words += [self.code, self.exposure, self.bin]
+        return "_".join(word for word in words if word) or "cell"
+
+    @property
+    def lit(self) -> "Setting":
+        """The setting without code and exposure, on which the rendered light does not depend."""
+        return replace(self, code=None, exposure=None)
+
+
+def settings_of(spec: DesignSpec) -> tuple[Setting, ...]:
+    """All settings of a study, in the order of its file.
+
+    Raises:
+        ConfigError: two settings have one name.
+    """
+    found = tuple(setting for sweep in spec.sweeps for setting in _combinations(sweep))
+    name, times = Counter(setting.name for setting in found).most_common(1)[0]
+    if times > 1:
+        raise ConfigError(
+            f"the setting {name} comes {times} times: remove it from one sweep, or rename a rig "
+            "file"
+        )
+    return found
+
+
+def _combinations(sweep: SweepSection) -> Iterator[Setting]:
+    lists = {key: getattr(sweep, key) or (None,) for key in SweepSection.model_fields}
+    for values in product(*lists.values()):
+        yield Setting(**dict(zip(lists, values, strict=True)))
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Placed:
+    """A setting with its cell, which has its rig, place, code, exposure and bin."""
+
+    setting: Setting
+    cell: Cell
+
+    def described(self, spec: DesignSpec) -> dict[str, Any]:
+        """Everything that the figures depend on, for JSON; it is compared with earlier results.
+
+        The number of layouts is none of it: more of them may be added later.
+        """
+        cell = self.cell
+        beside = {"cell", "title", "layouts", "codes", "exposures", "bins", "sweeps", "needs"}
+        return {
+            "study": spec.model_dump(mode="json", exclude=beside),
+            "config": cell.config.model_dump(mode="json", exclude={"scenes", "seed"}),
+            "files": cell.file_digests,
+            "rig": described_values(cell.scene.rig),
+            "scanner": described_scanner(cell.scanner),
+            "T_world_cam": cell.scene.T_world_cam,
+        }
+
+
+def place_settings(
+    spec: DesignSpec, settings: tuple[Setting, ...], *, progress: ProgressMeter = UNWATCHED
+) -> tuple[Placed, ...]:
+    """The cells of a study's settings.
+
+    Raises:
+        ConfigError: the cell's file or a setting cannot be used; the text names it.
+    """
+    config = load_config(spec.cell)
+    if config.domain is not None:
+        raise ConfigError(
+            f"{spec.cell}: domain varies the scenes, but a study compares settings on the same "
+            "heaps: remove it"
+        )
+    try:
+        base = resolve_cell(config, spec.cell.parent, progress=progress)
+        refuse_several(base, "graycast design")
+    except (GraycastError, ValueError, OSError) as error:
+        raise ConfigError(f"{spec.cell}: {error}") from error
+    found = []
+    for setting in settings:
+        try:
+            cell = _cell(spec, base, setting)
+        except (GraycastError, ValueError, OSError) as error:
+            raise ConfigError(f"the setting {setting.name}: {error}") from error
+        found.append(Placed(setting=setting, cell=cell))
+    return tuple(found)
+
+
+def _cell(spec: DesignSpec, base: Cell, setting: Setting) -> Cell:
+    config, folder = _config(spec, base.config, setting), spec.cell.parent
+    box = bin_of(base.scene) if setting.bin is None else resolve_bin(config.bin, folder)[0]
+    scanner = resolve_scanner(config, folder)
+    rig = scanner.rig
+    if setting.baseline_m is not None:
+        distance_m = config.view.distance_m or standoff_m(rig)
+        rig = aimed(rig, baseline_m=setting.baseline_m, distance_m=distance_m)
+        config = config.model_copy(
+            update={"view": config.view.model_copy(update={"distance_m": distance_m})}
+        )
+    T_world_cam = hang(config.view, rig, box)
+    _refuse_out_of_range(rig, T_world_cam, box.bounds_m)
+    return replace(
+        base,
+        config=config,
+        scene=replace(base.scene, rig=rig, T_world_cam=T_world_cam, bin=box),
+        scanner=replace(scanner, rig=rig),
+        file_digests=file_digests(config, folder),
+    )
+
+
+def _config(spec: DesignSpec, config: Config, setting: Setting) -> Config:
+    keys = ("distance_m", "tilt_deg", "azimuth_deg")
+    view = {key: getattr(setting, key) for key in keys if getattr(setting, key) is not None}
+    if config.view.T_world_cam is not None and (view or setting.baseline_m is not None):
+        given = next(iter(view), "baseline_m")
+        raise ConfigError(
+            f"the cell's view.T_world_cam is the whole pose: remove it there, or {given} here"
+        )
+    changes: dict[str, Any] = {"view": config.view.model_copy(update=view)}
+    if setting.rig is not None:
+        changes["rig"] = setting.rig
+    if setting.resolution is not None:
+        changes["resolution"] = setting.resolution
+    if setting.code is not None:
+        changes["code"] = spec.codes[setting.code]
+    if setting.exposure is not None:
+        changes["exposure"] = spec.exposures[setting.exposure]
+    if setting.bin is not None:
+        changes["bin"] = spec.bins[setting.bin]
+    return config.model_copy(update=changes)
+
+
+def _refuse_out_of_range(
+    rig: Rig, T_world_cam: Float[np.ndarray, "4 4"], bounds_m: Float[np.ndarray, "2 3"]
+) -> None:
+    """Refuse a bin that is completely outside of the rig's working range."""
+    corners = np.stack(np.meshgrid(*bounds_m.T), axis=-1).reshape(-1, 3)
+    z_m = transform_points(inverse(T_world_cam), corners)[:, 2]
+    if z_m.max() < rig.near_m or z_m.min() > rig.far_m:
+        raise ConfigError(
+            f"the bin lies {z_m.min():.3g} to {z_m.max():.3g} m from the camera, but the working "
+            f"range of {rig.name} is {rig.near_m:g} to {rig.far_m:g} m: give another distance_m"
+        )
+
+
+def lights_of(placed: tuple[Placed, ...]) -> tuple[tuple[Placed, ...], ...]:
+    """Groups of settings that differ only in code and exposure, which share one rendering."""
+    groups: dict[tuple[object, ...], list[Placed]] = {}
+    for one in placed:
+        groups.setdefault(astuple(one.setting.lit), []).append(one)
+    return tuple(tuple(group) for group in groups.values())

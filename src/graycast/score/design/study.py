@@ -1,0 +1,181 @@
+"""What the YAML file of a design study says: one cell, and the scanners and places to compare."""
+
+import os
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+from pydantic import Field, StringConstraints, model_validator
+
+from ...base.errors import ConfigError
+from ...base.settings import Level, Positive, ReadAs, Settings, read_settings
+from ...camera.rig_file.scanner_sections import CodeSection, ExposureSection
+from ...cell.config import BinSection
+from ...rig.pair import PRESETS
+from ...world.parts.part_sections import MaterialSection
+
+Name = Annotated[str, StringConstraints(pattern=r"^[A-Za-z0-9.-]+$")]  # it becomes part of a path
+Code = Annotated[Settings, ReadAs(CodeSection)]
+Exposure = Annotated[Settings, ReadAs(ExposureSection)]
+Tilt = Annotated[float, Field(ge=0, le=80)]
+
+
+class SweepSection(Settings):
+    """All combinations of its lists are compared. A key that is left out is as in the cell."""
+
+    rig: tuple[str, ...] | None = Field(
+        None, min_length=1, description="The rigs: names of presets, or rig files."
+    )
+    resolution: tuple[Literal["small", "low", "full"], ...] | None = Field(
+        None, min_length=1, description="The resolutions of a preset's pictures."
+    )
+    baseline_m: tuple[Positive, ...] | None = Field(
+        None,
+        min_length=1,
+        description="The distances between camera and projector in metres. Both are turned "
+        "so that their optical axes meet at the target. Without this key, the "
+        "rig keeps its own baseline and angle.",
+    )
+    distance_m: tuple[Positive, ...] | None = Field(
+        None,
+        min_length=1,
+        description="The distances from the middle of the baseline to the target in metres.",
+    )
+    tilt_deg: tuple[Tilt, ...] | None = Field(
+        None, min_length=1, description="The angles of the rig from the vertical in degrees."
+    )
+    azimuth_deg: tuple[float, ...] | None = Field(
+        None, min_length=1, description="The angles of the rig about the vertical in degrees."
+    )
+    code: tuple[Name, ...] | None = Field(
+        None, min_length=1, description="Names of entries in codes."
+    )
+    exposure: tuple[Name, ...] | None = Field(
+        None, min_length=1, description="Names of entries in exposures."
+    )
+    bin: tuple[Name, ...] | None = Field(
+        None, min_length=1, description="Names of entries in bins."
+    )
+
+
+class NeedsSection(Settings):
+    """The most that a setting may have to be chosen."""
+
+    sigma_m: Positive | None = None
+    feature_m: Positive | None = None
+    seconds: Positive | None = None
+
+
+class DesignSpec(Settings):
+    """A design study: each setting of its sweeps scans the same heaps of parts.
+
+    Relative paths start at the file's folder.
+    """
+
+    title: str = Field("Design study", description="The title of the table.")
+    cell: Path = Field(description="The configuration of the cell: parts, bin, light, rendering.")
+    layouts: int = Field(
+        4,
+        ge=1,
+        le=1000,
+        description="The number of heaps that each setting scans. All "
+        "settings scan the same heaps.",
+    )
+    seed: int = Field(0, ge=0, description="The seed of the heaps and of the noise.")
+    points: int = Field(
+        20_000,
+        ge=1000,
+        le=1_000_000,
+        description="The number of sample points on the surface of the parts of a heap.",
+    )
+    cone_deg: float = Field(
+        30.0,
+        ge=0,
+        le=80,
+        description="The open surface is the surface that is visible from a direction at "
+        "most this angle from the vertical, in degrees.",
+    )
+    wrong_m: Positive = Field(
+        0.005,
+        description="The largest depth error in metres. Depth with a larger error "
+        "counts as wrong, not as measured.",
+    )
+    readout_s: Level = Field(
+        0.010,
+        description="The time that the scanner needs to read out a frame, in seconds, "
+        "in addition to the exposure.",
+    )
+    codes: dict[Name, Code] = Field({}, description="Codes by name.")
+    exposures: dict[Name, Exposure] = Field({}, description="Exposures by name.")
+    bins: dict[Name, BinSection] = Field({}, description="Bins by name.")
+    sweeps: tuple[SweepSection, ...] = Field(
+        min_length=1, description="The sweeps, whose settings together make up the study."
+    )
+    needs: NeedsSection = NeedsSection()
+
+    @model_validator(mode="after")
+    def _known_names(self) -> "DesignSpec":
+        for key in ("code", "exposure", "bin"):
+            known = getattr(self, f"{key}s")
+            for name in (name for sweep in self.sweeps for name in getattr(sweep, key) or ()):
+                if name not in known:
+                    those = f"{key}s has {', '.join(known)}" if known else f"{key}s has none"
+                    raise ValueError(
+                        f"a sweep names the {key} {name!r}, but {those}: add it to {key}s"
+                    )
+        return self
+
+
+def read_design(path: Path) -> DesignSpec:
+    """Read and check a design study; its paths become absolute.
+
+    Raises:
+        ConfigError: the file is missing, has an unknown, missing or wrong key, or names no rig.
+    """
+    said = read_settings(path, DesignSpec)
+    base = Path(os.path.normpath(path.parent.absolute()))
+
+    def rig(name: str) -> str:
+        if name in PRESETS:
+            return name
+        if not (base / name).is_file():
+            raise ConfigError(
+                f"{path}: sweeps: no rig {name!r}: choose one of {', '.join(PRESETS)}, or name a "
+                f"file in {base}"
+            )
+        return str(_from(base, Path(name)))
+
+    changes: dict[str, Any] = {
+        "cell": _from(base, said.cell),
+        "bins": {name: _bin_from(base, section) for name, section in said.bins.items()},
+        "sweeps": tuple(
+            sweep.model_copy(update={"rig": sweep.rig and tuple(map(rig, sweep.rig))})
+            for sweep in said.sweeps
+        ),
+    }
+    return said.model_copy(update=changes)
+
+
+def _from(base: Path, path: Path) -> Path:
+    return Path(os.path.normpath(base / path))
+
+
+def _bin_from(base: Path, section: BinSection) -> BinSection:
+    """A bin's section whose files are named by absolute paths."""
+    changes: dict[str, Any] = {}
+    if section.mesh is not None:
+        changes["mesh"] = _from(base, section.mesh)
+    surfaces: Mapping[str, MaterialSection | None] = {
+        "material": section.material,
+        "floor": section.floor,
+    }
+    for name, material in surfaces.items():
+        if material is not None and material.texture is not None:
+            texture = _from(base, material.texture)
+            changes[name] = material.model_copy(update={"texture": texture})
+    return section.model_copy(update=changes)
+
+
+def design_schema() -> dict[str, Any]:
+    """JSON Schema of a design study's file, from which editors complete."""
+    return DesignSpec.model_json_schema()

@@ -1,0 +1,238 @@
+"""A judgement as files: figures as JSON, CSV and Markdown, plots, and pictures of mistakes."""
+
+import csv
+import io
+import json
+from collections import Counter
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ...dataset.json_text import plain
+from .intervals import Interval
+from .judging import Judgement, Protocol
+from .matching import THRESHOLDS
+from .mistakes import AT_HALF
+from .precision_plots import draw_groups, draw_precision_recall
+from .results import Run
+from .scores import FIGURES
+from .sheets import Picture, draw_false_alarms, draw_misses
+
+EVALUATION = "evaluation.json"
+_TITLES = {"ap": "AP", "ap50": "AP50", "ap75": "AP75", "ar": "AR"}
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Evaluation:
+    """An evaluation: its subject, its settings and its results."""
+
+    dataset: str
+    split: str
+    run: Run
+    against: Run | None
+    categories: Mapping[int, str]
+    protocol: Protocol
+    judgements: tuple[Judgement, ...]
+    notes: tuple[str, ...]  # what a reader of the figures must know of the results
+
+
+def write_evaluation(evaluation: Evaluation, picture: Picture, folder: Path) -> None:
+    """Fill a folder; without mistakes of a kind there is no sheet of them.
+
+    Args:
+        picture: reads a scene's picture.
+
+    Raises:
+        GraycastError: the folder cannot be written.
+    """
+    text = json.dumps(evaluation_json(evaluation), indent=1, allow_nan=False)
+    (folder / EVALUATION).write_text(text + "\n", encoding="utf-8")
+    (folder / "figures.csv").write_text(_csv(evaluation), encoding="utf-8")
+    (folder / "figures.md").write_text(figures_markdown(evaluation), encoding="utf-8")
+    judgements = evaluation.judgements
+    draw_precision_recall(judgements, evaluation.categories, folder / "precision_recall.png")
+    draw_groups(judgements, folder / "groups.png")
+    for judgement in judgements:
+        draw_misses(judgement, picture, folder / f"misses_{judgement.kind}.png")
+        draw_false_alarms(judgement, picture, folder / f"false_alarms_{judgement.kind}.png")
+
+
+def evaluation_json(evaluation: Evaluation) -> dict[str, Any]:
+    """All figures; NaN is null."""
+    protocol, run, known = evaluation.protocol, evaluation.run, evaluation.judgements[0].known
+    return plain(
+        {
+            "dataset": evaluation.dataset,
+            "split": evaluation.split,
+            "results": run.name,
+            "model": run.model,
+            "input": run.input,
+            "against": None if evaluation.against is None else evaluation.against.name,
+            "median_ms_per_picture": run.median_ms,
+            "scene_ids": [one.scene_id for one in known.labels],
+            "instances": sum(map(len, known.labels)),
+            "ignored": sum(int(one.ignored.sum()) for one in known.labels),
+            "detections": sum(map(len, known.found)),
+            "protocol": {
+                "thresholds": THRESHOLDS.round(2),
+                "min_visibility": protocol.min_visibility,
+                "most_detections": protocol.most,
+                "draws": protocol.draws,
+                "seed": protocol.seed,
+            },
+            "notes": list(evaluation.notes),
+            "kinds": {one.kind: _judgement_json(one) for one in evaluation.judgements},
+        }
+    )
+
+
+def figures_markdown(evaluation: Evaluation) -> str:
+    """A table of every figure with its interval, and the sentences around it."""
+    return "\n\n".join(_paragraphs(evaluation)) + "\n"
+
+
+def summary(evaluation: Evaluation) -> str:
+    """The figures of all instances, for the terminal."""
+    lines = [_what(evaluation)]
+    for one in evaluation.judgements:
+        told = ", ".join(f"{_TITLES[n]} {_told(f)}" for n, f in one.rows[0].figures.items())
+        lines.append(f"{one.kind:5} {told}")
+        if one.against is not None:
+            told = ", ".join(f"{_TITLES[n]} {_told(f, '+')}" for n, f in one.against.items())
+            lines.append(f"      difference: {told}")
+        lines.append(f"      {_point(one)}")
+    lines += [f"note: {note}" for note in evaluation.notes]
+    return "\n".join(lines)
+
+
+def _paragraphs(evaluation: Evaluation) -> Iterator[str]:
+    yield "# " + evaluation.run.name
+    yield _what(evaluation)
+    yield from evaluation.notes
+    for one in evaluation.judgements:
+        yield f"## {one.kind.capitalize()}"
+        yield _point(one)
+        yield _mistakes(one)
+        yield "\n".join(_table(one))
+        if one.against is not None and evaluation.against is not None:
+            yield (
+                f"Difference from the results of {evaluation.against.name}, on the same draws of "
+                "scenes:"
+            )
+            yield "\n".join(
+                [
+                    "| " + " | ".join(_TITLES[name] for name in FIGURES) + " |",
+                    "|" + "---|" * len(FIGURES),
+                    "| " + " | ".join(_told(one.against[name], "+") for name in FIGURES) + " |",
+                ]
+            )
+
+
+def _what(evaluation: Evaluation) -> str:
+    known, run = evaluation.judgements[0].known, evaluation.run
+    empty = sum(not len(one) for one in known.found)
+    seen = sum(map(len, known.labels))
+    ignored = sum(int(one.ignored.sum()) for one in known.labels)
+    made = "" if run.model is None else f" of {run.model} on {run.input}"
+    speed = "" if np.isnan(run.median_ms) else f" {run.median_ms:.0f} ms a picture (median)."
+    return (
+        f"{sum(map(len, known.found))} detections{made} in {len(known.labels)} scenes of "
+        f"{evaluation.dataset} (set {evaluation.split}; nothing was found in {empty}), "
+        f"{seen - ignored} instances to find; {ignored} of less than "
+        f"{evaluation.protocol.min_visibility:.0%} visibility are ignored.{speed}"
+    )
+
+
+def _point(one: Judgement) -> str:
+    if np.isnan(one.point.score):
+        return "Nothing was found, so there is no recommended threshold on the score."
+    return (
+        f"From a score of {one.point.score:.2f} on (best F1 at an overlap of 0.5): "
+        f"{one.point.recall:.1%} are found, {one.point.precision:.1%} of the detections are right."
+    )
+
+
+def _mistakes(one: Judgement) -> str:
+    why = Counter(alarm.why for alarm in one.false_alarms)
+    told = ", ".join(f"{count} {name}" for name, count in why.most_common())
+    return (
+        f"There {len(one.misses)} are missed, {len(one.false_alarms)} alarms are false"
+        f"{f' ({told})' if told else ''}."
+    )
+
+
+def _table(one: Judgement) -> Iterator[str]:
+    yield "| by | which | to find | " + " | ".join(_TITLES[name] for name in FIGURES) + " |"
+    yield "|---|---|---|" + "---|" * len(FIGURES)
+    for row in one.rows:
+        cells = [row.by, row.name, str(row.to_find), *(_told(row.figures[n]) for n in FIGURES)]
+        yield "| " + " | ".join(cells) + " |"
+
+
+def _told(figure: Interval, sign: str = "") -> str:
+    if np.isnan(figure.value):
+        return "none to find"
+    if np.isnan(figure.low):
+        return f"{figure.value:{sign}.3f}"
+    return f"{figure.value:{sign}.3f} ({figure.low:{sign}.3f} to {figure.high:{sign}.3f})"
+
+
+def _judgement_json(one: Judgement) -> dict[str, Any]:
+    return {
+        "figures": [
+            {"by": row.by, "name": row.name, "to_find": row.to_find, **_intervals(row.figures)}
+            for row in one.rows
+        ],
+        "difference": None if one.against is None else _intervals(one.against),
+        "working_point": {
+            "score": one.point.score,
+            "precision": one.point.precision,
+            "recall": one.point.recall,
+            "missed": len(one.misses),
+            "false_alarms": dict(Counter(alarm.why for alarm in one.false_alarms)),
+        },
+        "scenes": list(_scenes(one)),
+    }
+
+
+def _intervals(figures: Mapping[str, Interval]) -> dict[str, Any]:
+    return {n: {"value": f.value, "low": f.low, "high": f.high} for n, f in figures.items()}
+
+
+def _scenes(one: Judgement) -> Iterator[dict[str, Any]]:
+    """What is found, missed and false in each scene at the working point."""
+    hits: Counter[int] = Counter()
+    for held in one.scores.matches.values():
+        at_work = held.hit[AT_HALF] & (held.score >= one.point.score)
+        hits.update(held.scene[at_work].tolist())
+    missed = Counter(miss.scene for miss in one.misses)
+    false = Counter(alarm.scene for alarm in one.false_alarms)
+    for scene, labels in enumerate(one.known.labels):
+        yield {
+            "scene_id": labels.scene_id,
+            "found": hits[scene],
+            "missed": missed[scene],
+            "false": false[scene],
+        }
+
+
+def _csv(evaluation: Evaluation) -> str:
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(["kind", "by", "name", "to_find", "figure", "value", "low", "high"])
+    for one in evaluation.judgements:
+        for row in one.rows:
+            for name, figure in row.figures.items():
+                head = [one.kind, row.by, row.name, row.to_find, name]
+                writer.writerow([*head, *_cells(figure)])
+        for name, figure in (one.against or {}).items():
+            to_find = one.rows[0].to_find
+            writer.writerow([one.kind, "difference", "all", to_find, name, *_cells(figure)])
+    return text.getvalue()
+
+
+def _cells(figure: Interval) -> Sequence[str]:
+    return ["" if np.isnan(v) else f"{v:.6f}" for v in (figure.value, figure.low, figure.high)]

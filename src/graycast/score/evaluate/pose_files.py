@@ -1,0 +1,330 @@
+"""From a file of estimated poses and a dataset to figures, and the files that hold them."""
+
+import csv
+import io
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from ...base.errors import GraycastError
+from ...base.progress import UNWATCHED, ProgressMeter
+from ...dataset.example import Example
+from ...dataset.export.split import Split
+from ...dataset.json_text import plain
+from ...dataset.models_read import read_models
+from ...dataset.pose_results import PoseEstimate, read_pose_results
+from ...dataset.training import Examples, open_examples
+from ...rig.optics import Optics, optics_of
+from .intervals import Interval, draw_scenes, interval_of
+from .judging import Protocol
+from .pose_recall import Counts, Truth, count_picture, solid_of
+
+POSES = "poses.json"
+FIGURES = (
+    "AR",
+    "AR_VSD",
+    "AR_MSSD",
+    "AR_MSPD",
+    "within_5deg_3mm",
+    "rotation_deg",
+    "translation_mm",
+)
+_SHARES = FIGURES[:5]
+_UNIT = 10.0  # by which the distances of estimates and parts differ at most, in the same unit
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PoseRow:
+    """Figures of all parts or of one, with their intervals; the last two are medians."""
+
+    name: str
+    to_find: int
+    figures: Mapping[str, Interval]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PoseEvaluation:
+    """Everything about one file of poses.
+
+    Attributes:
+        seconds: the median time of a picture; NaN where the file does not tell.
+    """
+
+    results: str
+    dataset: str
+    split: str
+    scenes: int
+    estimates: int
+    seconds: float
+    protocol: Protocol
+    rows: tuple[PoseRow, ...]
+
+
+def evaluate_poses(
+    results: Path,
+    dataset: Path,
+    *,
+    split: str = "train",
+    division: Split | None = None,
+    protocol: Protocol,
+    progress: ProgressMeter = UNWATCHED,
+) -> PoseEvaluation:
+    """Judge a file of BOP's results by a dataset's poses.
+
+    Raises:
+        GraycastError: the file or the dataset is missing or damaged, or they do not fit together.
+    """
+    estimates = read_pose_results(results)
+    models = read_models(dataset)
+    solids = {k: solid_of(m.mesh, m.symmetry, m.diameter_m) for k, m in models.items()}
+    examples = open_examples(dataset, split=split, division=division)
+    of_picture = _by_picture(results, estimates, _of_first_scanner(examples), solids)
+    counts: list[Counts] = []
+    checked = False
+    for done, picture in enumerate(of_picture, start=1):
+        truth = _truth(dataset, examples.read(picture), protocol.min_visibility)
+        if not checked and len(truth.T_cam_part):
+            _check_unit(results, estimates, truth)
+            checked = True
+        counts += count_picture(truth, of_picture[picture], solids)
+        progress.count("scenes", done, len(of_picture))
+    scene_of = {picture: examples.place_of[picture][0] for picture in of_picture}
+    times = {(one.scene_id, one.im_id): one.time_s for one in estimates if one.time_s >= 0}
+    return PoseEvaluation(
+        results=results.name,
+        dataset=dataset.resolve().name,
+        split=split,
+        scenes=len(set(scene_of.values())),
+        estimates=len(estimates),
+        seconds=float(np.median(list(times.values()))) if times else float("nan"),
+        protocol=protocol,
+        rows=pose_rows(counts, scene_of, dict(examples.categories), protocol),
+    )
+
+
+def pose_rows(
+    counts: Sequence[Counts],
+    scene_of: Mapping[int, int],
+    categories: Mapping[int, str],
+    protocol: Protocol,
+) -> tuple[PoseRow, ...]:
+    """Figures of all parts, then of each where there are several; scenes are drawn together.
+
+    `scene_of` is the scene of each picture, by the numbers of the pictures that `counts` have.
+    """
+    times = draw_scenes(list(scene_of.values()), seed=protocol.seed, draws=protocol.draws)
+    rows = [_row("all", counts, scene_of, times)]
+    present = sorted({one.obj_id for one in counts})
+    if len(present) > 1:
+        for obj_id in present:
+            mine = [one for one in counts if one.obj_id == obj_id]
+            rows.append(_row(categories.get(obj_id, str(obj_id)), mine, scene_of, times))
+    return tuple(rows)
+
+
+def _row(
+    name: str,
+    counts: Sequence[Counts],
+    scene_of: Mapping[int, int],
+    times: Int[np.ndarray, "draws pictures"],
+) -> PoseRow:
+    scenes = len(set(scene_of.values()))
+    found, to_find = np.zeros((len(scene_of), 4)), np.zeros(len(scene_of))
+    angle: list[list[float]] = [[] for _ in scene_of]
+    shift: list[list[float]] = [[] for _ in scene_of]
+    place = {picture: k for k, picture in enumerate(scene_of)}
+    for one in counts:
+        k = place[one.scene_id]
+        to_find[k] += one.to_find
+        found[k] += [one.vsd.mean(), one.mssd.mean(), one.mspd.mean(), one.near]
+        angle[k] += np.degrees(one.angle_rad).tolist()
+        shift[k] += (1000 * one.shift_m).tolist()
+
+    def recalls(weight: Float[np.ndarray, "draws pictures"]) -> Float[np.ndarray, "draws 5"]:
+        with np.errstate(invalid="ignore"):
+            each = (weight @ found) / (weight @ to_find)[:, None]
+        return np.column_stack([each[:, :3].mean(axis=1), each])
+
+    value, drawn = recalls(np.ones((1, len(scene_of))))[0], recalls(times.astype(float))
+    figures = {
+        figure: interval_of(float(value[k]), drawn[:, k], scenes)
+        for k, figure in enumerate(_SHARES)
+    }
+    figures["rotation_deg"] = _median(angle, times, scenes)
+    figures["translation_mm"] = _median(shift, times, scenes)
+    return PoseRow(name=name, to_find=int(to_find.sum()), figures=figures)
+
+
+def _median(
+    of_picture: list[list[float]], times: Int[np.ndarray, "draws pictures"], scenes: int
+) -> Interval:
+    """The median of all found, each picture's as often as its scene is drawn."""
+    values = np.array([x for held in of_picture for x in held])
+    if not len(values):
+        return Interval(value=float("nan"), low=float("nan"), high=float("nan"))
+    picture = np.repeat(np.arange(len(of_picture)), [len(held) for held in of_picture])
+    order = np.argsort(values, kind="stable")
+    total = np.cumsum(times[:, picture[order]], axis=1)
+    place = (2 * total >= total[:, -1:]).argmax(axis=1)
+    drawn = np.where(total[:, -1] > 0, values[order][place], np.nan)
+    return interval_of(float(np.median(values)), drawn, scenes)
+
+
+def _of_first_scanner(examples: Examples) -> dict[tuple[int, int], int]:
+    """The pictures by scene and image; a file of results has no word for further scanners."""
+    sensors = [sensor for _, sensor, _ in examples.place_of.values()]
+    return {
+        (scene_id, image): picture
+        for picture, (scene_id, sensor, image) in examples.place_of.items()
+        if sensor == sensors[0]
+    }
+
+
+def _by_picture(
+    results: Path,
+    estimates: Sequence[PoseEstimate],
+    pictures: Mapping[tuple[int, int], int],
+    solids: Mapping[int, object],
+) -> dict[int, list[PoseEstimate]]:
+    of_picture: dict[int, list[PoseEstimate]] = {picture: [] for picture in pictures.values()}
+    for one in estimates:
+        if (one.scene_id, one.im_id) not in pictures:
+            raise GraycastError(
+                f"{results}: has scene {one.scene_id}, image {one.im_id}, which the dataset's set "
+                "does not have: give results of the same dataset and set (only images of the "
+                "first scanner are judged)"
+            )
+        if one.obj_id not in solids:
+            raise GraycastError(
+                f"{results}: has object {one.obj_id}, the dataset has "
+                f"{', '.join(map(str, sorted(solids)))}: give results of this dataset"
+            )
+        of_picture[pictures[one.scene_id, one.im_id]].append(one)
+    return of_picture
+
+
+def _check_unit(results: Path, estimates: Sequence[PoseEstimate], truth: Truth) -> None:
+    """Refuse poses whose distances from the camera are of another unit than the parts'."""
+    if not estimates:
+        return
+    estimated_m = np.median([np.linalg.norm(one.T_cam_part[:3, 3]) for one in estimates])
+    true_m = np.median(np.linalg.norm(truth.T_cam_part[:, :3, 3], axis=1))
+    if true_m / _UNIT <= estimated_m <= true_m * _UNIT:
+        return
+    unit = "metres" if true_m / 2000 < estimated_m < true_m / 500 else "another unit or frame"
+    raise GraycastError(
+        f"{results}: the poses have a median distance of {1000 * estimated_m:.4g} mm from the "
+        f"camera, and the parts {1000 * true_m:.4g} mm: t seems to be in {unit}; write it in "
+        "millimetres, in the camera's frame"
+    )
+
+
+def _truth(dataset: Path, example: Example, min_visibility: float) -> Truth:
+    measured = example.scanner_depth_m if example.scanner_depth_m is not None else example.depth_m
+    if example.obj_id is None or example.T_cam_part is None or measured is None:
+        raise GraycastError(
+            f"{dataset}: scene {example.scene_id} has no poses or no depth: give a dataset that "
+            "graycast generate made"
+        )
+    return Truth(
+        scene_id=example.scene_id,
+        camera=camera_of(example),
+        measured_m=measured.astype(np.float64),
+        obj_id=example.obj_id,
+        T_cam_part=example.T_cam_part,
+        to_find=~example.hidden(min_visibility),
+    )
+
+
+def camera_of(example: Example) -> Optics:
+    """The camera that an example's depth is of.
+
+    Raises:
+        GraycastError: the example has no depth or no intrinsics.
+    """
+    depth = example.scanner_depth_m if example.scanner_depth_m is not None else example.depth_m
+    if example.K is None or depth is None:
+        raise GraycastError(
+            f"scene {example.scene_id} has no depth or no intrinsics: give a dataset that graycast "
+            "generate made"
+        )
+    return optics_of(example.K, depth.shape, example.distortion or (0.0,) * 5)
+
+
+# --- files ----------------------------------------------------------------------------------------
+
+
+def write_poses(evaluation: PoseEvaluation, folder: Path) -> None:
+    """Fill a folder with `poses.json`, `poses.csv` and `poses.md`."""
+    content = plain(
+        {
+            "results": evaluation.results,
+            "dataset": evaluation.dataset,
+            "split": evaluation.split,
+            "scenes": evaluation.scenes,
+            "estimates": evaluation.estimates,
+            "median_s": evaluation.seconds,
+            "min_visibility": evaluation.protocol.min_visibility,
+            "draws": evaluation.protocol.draws,
+            "seed": evaluation.protocol.seed,
+            "rows": [
+                {"name": row.name, "to_find": row.to_find}
+                | {
+                    n: {"value": f.value, "low": f.low, "high": f.high}
+                    for n, f in row.figures.items()
+                }
+                for row in evaluation.rows
+            ],
+        }
+    )
+    text = json.dumps(content, indent=1, allow_nan=False)
+    (folder / POSES).write_text(text + "\n", encoding="utf-8")
+    (folder / "poses.csv").write_text(_csv(evaluation), encoding="utf-8")
+    (folder / "poses.md").write_text(poses_markdown(evaluation), encoding="utf-8")
+
+
+def poses_markdown(evaluation: PoseEvaluation) -> str:
+    """A sentence and a table."""
+    time = (
+        "" if np.isnan(evaluation.seconds) else f" {evaluation.seconds:.2f} s a picture (median)."
+    )
+    lines = [
+        f"{evaluation.estimates} poses of {evaluation.results} in {evaluation.scenes} scenes of "
+        f"{evaluation.dataset} (set {evaluation.split}), {evaluation.rows[0].to_find} instances to "
+        f"find; those of less than {evaluation.protocol.min_visibility:.0%} visibility are "
+        f"ignored.{time}",
+        "",
+        "| part | to find | AR | AR_VSD | AR_MSSD | AR_MSPD | within 5 deg, 3 mm "
+        "| rotation (median) | translation (median) |",
+        "|---|---|---|---|---|---|---|---|---|",
+    ]
+    for row in evaluation.rows:
+        cells = [_told(row.figures[name], 3, "") for name in _SHARES]
+        cells += [_told(row.figures["rotation_deg"], 2, " deg")]
+        cells += [_told(row.figures["translation_mm"], 2, " mm")]
+        lines.append(f"| {row.name} | {row.to_find} | " + " | ".join(cells) + " |")
+    return "\n".join(lines) + "\n"
+
+
+def _told(figure: Interval, digits: int, unit: str) -> str:
+    if np.isnan(figure.value):
+        return "none"
+    if np.isnan(figure.low):
+        return f"{figure.value:.{digits}f}{unit}"
+    return f"{figure.value:.{digits}f}{unit} ({figure.low:.{digits}f} to {figure.high:.{digits}f})"
+
+
+def _csv(evaluation: PoseEvaluation) -> str:
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(["part", "to_find", "figure", "value", "low", "high"])
+    for row in evaluation.rows:
+        for name, figure in row.figures.items():
+            held = (figure.value, figure.low, figure.high)
+            cells = ["" if np.isnan(x) else f"{x:.6f}" for x in held]
+            writer.writerow([row.name, row.to_find, name, *cells])
+    return text.getvalue()

@@ -1,0 +1,184 @@
+"""Recalls of estimated poses as BOP counts them, picture by picture.
+
+Source: as `pose_errors`; section 2.3 of BOP 2020 for the counting: of each object the estimates of
+the highest scores, as many as there are instances to find, take instances in that order; an
+instance is to be found if at least 10 % of it are visible.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from ...dataset.pose_results import PoseEstimate
+from ...rig.meshdepth import rasterize
+from ...rig.optics import Optics, rays
+from ...world.parts import Mesh, Symmetry
+from ...world.parts.symmetry import motions
+from .pose_errors import mspd, mssd, rotation_translation, vsd
+
+# BOP 2020, section 2.4: thresholds of correctness.
+TAU = np.arange(1, 11) * 0.05  # VSD's tolerance, of the diameter
+THETA_VSD = np.arange(1, 11) * 0.05  # of VSD itself
+THETA_MSSD = np.arange(1, 11) * 0.05  # of the diameter
+THETA_MSPD_PX = np.arange(1, 11) * 5.0  # of a picture 640 wide
+NEAR_RAD, NEAR_M = np.radians(5.0), 0.003  # the plain criterion beside BOP's
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Truth:
+    """What is to be found in one picture.
+
+    Attributes:
+        measured_m: the scanner's z [m], NaN where there is none.
+        to_find: whether an instance counts (visible enough).
+    """
+
+    scene_id: int
+    camera: Optics
+    measured_m: Float[np.ndarray, "h w"]
+    obj_id: Int[np.ndarray, " n"]
+    T_cam_part: Float[np.ndarray, "n 4 4"]
+    to_find: np.ndarray
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Solid:
+    """A part for the scoring: its shape [m], diameter and symmetry motions."""
+
+    vertices_m: Float[np.ndarray, "v 3"]
+    faces: Int[np.ndarray, "f 3"]
+    diameter_m: float
+    motions: Float[np.ndarray, "s 4 4"]
+    middle_m: Float[np.ndarray, "3"]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Counts:
+    """Of one object in one picture: instances to find, found by each criterion, and their errors.
+
+    Attributes:
+        vsd: found, by tolerance and threshold; `mssd`, `mspd`: by threshold.
+        near: found within 5 degrees and 3 mm.
+        angle_rad, shift_m: of the estimates matched by MSSD within half a diameter.
+    """
+
+    scene_id: int
+    obj_id: int
+    to_find: int
+    vsd: Int[np.ndarray, "10 10"]
+    mssd: Int[np.ndarray, " 10"]
+    mspd: Int[np.ndarray, " 10"]
+    near: int
+    angle_rad: Float[np.ndarray, " m"]
+    shift_m: Float[np.ndarray, " m"]
+
+
+def solid_of(mesh: Mesh, symmetry: Symmetry, diameter_m: float) -> Solid:
+    """A part's shape, with BOP's steps of continuous symmetries."""
+    used, faces = np.unique(mesh.faces, return_inverse=True)
+    vertices = mesh.vertices_m[used].astype(np.float64)
+    return Solid(
+        vertices_m=vertices,
+        faces=faces.reshape(mesh.faces.shape),
+        diameter_m=diameter_m,
+        motions=motions(symmetry),
+        middle_m=mesh.bounds_m.mean(axis=0),
+    )
+
+
+def count_picture(
+    truth: Truth, estimates: Sequence[PoseEstimate], solids: Mapping[int, Solid]
+) -> list[Counts]:
+    """The counts of each object that the picture has to find."""
+    made = []
+    for obj_id in np.unique(truth.obj_id[truth.to_find]).tolist():
+        there = np.flatnonzero((truth.obj_id == obj_id) & truth.to_find)
+        mine = [one for one in estimates if one.obj_id == obj_id]
+        mine.sort(key=lambda one: -one.score)  # stable: equal scores in the file's order
+        made.append(_counted(truth, there, mine[: len(there)], solids[obj_id], obj_id))
+    return made
+
+
+def _counted(
+    truth: Truth,
+    there: Int[np.ndarray, " n"],
+    estimates: Sequence[PoseEstimate],
+    solid: Solid,
+    obj_id: int,
+) -> Counts:
+    poses = truth.T_cam_part[there]
+    shape = (len(estimates), len(there))
+    e_mssd, e_mspd, angle, shift = (np.zeros(shape) for _ in range(4))
+    for i, one in enumerate(estimates):
+        for j, T in enumerate(poses):
+            e_mssd[i, j] = mssd(one.T_cam_part, T, solid.vertices_m, solid.motions)
+            e_mspd[i, j] = mspd(one.T_cam_part, T, solid.vertices_m, solid.motions, truth.camera)
+            angle[i, j], shift[i, j] = rotation_translation(
+                one.T_cam_part, T, solid.motions, middle_m=solid.middle_m
+            )
+    near = np.maximum(angle / NEAR_RAD, shift / NEAR_M)
+    e_vsd = _vsd_of_pairs(truth, poses, estimates, solid)
+    taken = matched(e_mssd, 0.5 * solid.diameter_m)
+    return Counts(
+        scene_id=truth.scene_id,
+        obj_id=obj_id,
+        to_find=len(there),
+        vsd=np.array([[len(matched(e, theta)) for theta in THETA_VSD] for e in e_vsd]),
+        mssd=np.array([len(matched(e_mssd, t * solid.diameter_m)) for t in THETA_MSSD]),
+        mspd=np.array([len(matched(e_mspd, t)) for t in THETA_MSPD_PX]),
+        near=len(matched(near, np.nextafter(1.0, 2.0))),
+        angle_rad=np.array([angle[pair] for pair in taken]),
+        shift_m=np.array([shift[pair] for pair in taken]),
+    )
+
+
+def matched(error: Float[np.ndarray, "e n"], threshold: float) -> list[tuple[int, int]]:
+    """Estimates, best score first, each take the free instance with the least error below it."""
+    free = np.ones(error.shape[1], bool)
+    pairs = []
+    for i, row in enumerate(error):
+        open_ = np.where(free, row, np.inf)
+        if len(open_) and open_.min() < threshold:
+            j = int(np.argmin(open_))
+            free[j] = False
+            pairs.append((i, j))
+    return pairs
+
+
+def _vsd_of_pairs(
+    truth: Truth,
+    poses: Float[np.ndarray, "n 4 4"],
+    estimates: Sequence[PoseEstimate],
+    solid: Solid,
+) -> Float[np.ndarray, "10 e n"]:
+    """VSD by tolerance. Silhouettes that share no pixel have an error of 1 without being drawn."""
+    height, width = truth.measured_m.shape
+    y, x = np.mgrid[:height, :width].astype(np.float64)
+    length = np.linalg.norm(rays(truth.camera, np.stack([x, y], axis=-1)), axis=-1)
+    mine = [_distance(one.T_cam_part, solid, truth.camera, length) for one in estimates]
+    its = [_distance(T, solid, truth.camera, length) for T in poses]
+    measured = truth.measured_m * length
+    error = np.ones((len(TAU), len(mine), len(its)))
+    for i, (a, box_a) in enumerate(mine):
+        for j, (b, box_b) in enumerate(its):
+            low, high = np.minimum(box_a[0], box_b[0]), np.maximum(box_a[1], box_b[1])
+            apart = (np.maximum(box_a[0], box_b[0]) >= np.minimum(box_a[1], box_b[1])).any()
+            if not apart:
+                held = np.s_[low[0] : high[0], low[1] : high[1]]
+                error[:, i, j] = vsd(a[held], b[held], measured[held], TAU * solid.diameter_m)
+    return error
+
+
+def _distance(
+    T: Float[np.ndarray, "4 4"], solid: Solid, camera: Optics, length: Float[np.ndarray, "h w"]
+) -> tuple[Float[np.ndarray, "h w"], np.ndarray]:
+    """The drawn part's distances from the camera's centre, and the rows and columns it spans."""
+    vertices = solid.vertices_m @ T[:3, :3].T + T[:3, 3]
+    z = rasterize(vertices, solid.faces, camera).over(camera)[1]
+    rows, columns = np.nonzero(np.isfinite(z))
+    if not len(rows):
+        return z, np.zeros((2, 2), int)
+    box = np.array([[rows.min(), columns.min()], [rows.max() + 1, columns.max() + 1]])
+    return z * length, box

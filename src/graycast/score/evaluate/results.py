@@ -1,0 +1,112 @@
+"""Results to judge: a file of COCO results, or a folder that `graycast detect` wrote."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ...base.errors import GraycastError
+from ...base.file_limits import parse_json
+from ...dataset.detections import LOOKED, RESULTS, Detections, read_results
+from ...dataset.export.split import Split
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Run:
+    """The content of `detect.json`; fields are None for a single file of results.
+
+    Attributes:
+        path: of the results.
+        scene_ids: the scenes that were looked at.
+        split: the set that they are of, and `division`, how the dataset was divided.
+        ms_per_picture: in the order of the scenes.
+    """
+
+    path: Path
+    scene_ids: tuple[int, ...] | None = None
+    split: str | None = None
+    division: Split | None = None
+    model: str | None = None
+    input: str | None = None
+    ms_per_picture: tuple[float, ...] = ()
+
+    @property
+    def name(self) -> str:
+        """Of the folder that `graycast detect` wrote, or of the file."""
+        path = self.path.resolve()
+        return path.parent.name if self.scene_ids is not None else path.name
+
+    @property
+    def median_ms(self) -> float:
+        return float(np.median(self.ms_per_picture)) if self.ms_per_picture else float("nan")
+
+
+def open_run(path: Path) -> Run:
+    """Results and what is known of them.
+
+    Raises:
+        GraycastError: there are none, or `detect.json` is missing or damaged.
+    """
+    if not path.is_dir():
+        return Run(path=path)
+    if not (path / RESULTS).is_file():
+        raise GraycastError(
+            f"{path}: has no {RESULTS}: give a folder that graycast detect wrote, or a file of "
+            "COCO results"
+        )
+    if not (path / LOOKED).is_file():
+        raise GraycastError(
+            f"{path}: has no {LOOKED}, which lists the scenes of the detections: give "
+            f"{path / RESULTS} itself, and state its set of scenes with --split"
+        )
+    return _run(path / RESULTS, path / LOOKED)
+
+
+def read_found(
+    run: Run, scene_ids: Sequence[int], categories: Mapping[int, str]
+) -> list[Detections]:
+    """The run's detections of some of its scenes.
+
+    Raises:
+        GraycastError: the results are damaged, or of other scenes or objects.
+    """
+    looked_at = scene_ids if run.scene_ids is None else run.scene_ids
+    if odd := set(scene_ids) - set(looked_at):
+        raise GraycastError(
+            f"{run.path}: scene {min(odd)} was not used by graycast detect: score the set of "
+            "scenes that it used"
+        )
+    found = read_results(run.path, looked_at, obj_ids=set(categories))
+    wanted = set(scene_ids)
+    return [one for one in found if one.scene_id in wanted]
+
+
+def _run(results: Path, said: Path) -> Run:
+    try:
+        told = parse_json(said.read_bytes())
+        division = told["division"]
+        return Run(
+            path=results,
+            scene_ids=tuple(_whole(scene_id) for scene_id in told["scene_ids"]),
+            split=told["split"],
+            division=None
+            if division is None
+            else Split(shares=tuple(division["shares"]), seed=_whole(division["seed"])),
+            model=told["model"],
+            input=told["input"],
+            ms_per_picture=tuple(float(ms) for ms in told["ms_per_picture"]),
+        )
+    except OSError as error:
+        raise GraycastError(f"{said}: cannot be read ({error.strerror})") from error
+    except KeyError as error:
+        raise GraycastError(f"{said}: lacks {error}: run graycast detect again") from error
+    except (ValueError, TypeError) as error:
+        raise GraycastError(f"{said}: is damaged ({error}): run graycast detect again") from error
+
+
+def _whole(value: Any) -> int:
+    if type(value) is not int:
+        raise ValueError(f"{value!r} is not a whole number")
+    return value

@@ -1,0 +1,151 @@
+"""The worst mistakes as crops of the pictures, with the outlines of both sides."""
+
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from jaxtyping import Bool, Float, UInt8
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+from matplotlib.patches import Rectangle
+from pycocotools import mask as coco_mask
+
+from ...base.plotting import INK, save_png
+from .judging import Judgement
+from .mistakes import NEAR, FalseAlarm, Miss
+
+SHOWN = 20
+TRUTH_COLOR, FOUND_COLOR = "#3ddc84", "#ff4d4d"
+_COLUMNS = 5
+_MARGIN = 0.6  # as a share of the longer side of what is shown, on each side
+_LEAST_PX = 48
+
+Picture = Callable[[int], UInt8[np.ndarray, "h w 3"]]
+
+
+def draw_misses(judgement: Judgement, picture: Picture, path: Path) -> bool:
+    """Draw the most visible instances that were missed; False if there are none.
+
+    Raises:
+        GraycastError: the file cannot be written.
+    """
+    shown = judgement.misses[:SHOWN]
+    least = judgement.point.score
+    told = "" if np.isnan(least) else f"; red: what was found from a score of {least:.2f} on"
+    figure, axes = _sheet(len(shown), f"{len(judgement.misses)} missed (green){told}")
+    for ax, miss in zip(axes, shown, strict=True):
+        labels = judgement.known.labels[miss.scene]
+        known = "" if labels.visib_fract is None else f", {labels.visib_fract[miss.instance]:.0%}"
+        title = f"scene {labels.scene_id}{known}{' visible' if known else ''}\n{_nearest(miss)}"
+        _draw(ax, judgement, miss, picture, title)
+    return _save(figure, path, shown)
+
+
+def draw_false_alarms(judgement: Judgement, picture: Picture, path: Path) -> bool:
+    """Draw the detections with the highest scores that found nothing; False if there are none.
+
+    Raises:
+        GraycastError: the file cannot be written.
+    """
+    shown = judgement.false_alarms[:SHOWN]
+    told = f"{len(judgement.false_alarms)} false alarms (red); green: what is there"
+    figure, axes = _sheet(len(shown), told)
+    for ax, alarm in zip(axes, shown, strict=True):
+        scene_id = judgement.known.labels[alarm.scene].scene_id
+        title = (
+            f"scene {scene_id}, score {alarm.score:.2f}\n{alarm.why}, overlap {alarm.overlap:.2f}"
+        )
+        _draw(ax, judgement, alarm, picture, title)
+    return _save(figure, path, shown)
+
+
+def _nearest(miss: Miss) -> str:
+    if miss.overlap < NEAR:
+        return "nothing was found near it"
+    return f"nearest: overlap {miss.overlap:.2f}, score {miss.score:.2f}"
+
+
+def _sheet(count: int, title: str) -> tuple[Figure, list[Axes]]:
+    rows = max(-(-count // _COLUMNS), 1)
+    figure = Figure(figsize=(2.3 * _COLUMNS, 2.6 * rows + 0.5), layout="constrained")
+    FigureCanvasAgg(figure)
+    axes = figure.subplots(rows, _COLUMNS, squeeze=False).ravel().tolist()
+    for ax in axes:
+        ax.set_axis_off()
+    figure.suptitle(title, fontsize=9, color=INK, x=0.01, ha="left")
+    return figure, axes[:count]
+
+
+def _save(figure: Figure, path: Path, shown: Sequence[Any]) -> bool:
+    if shown:
+        save_png(figure, path, dpi=90)
+    return bool(shown)
+
+
+def _draw(
+    ax: Axes, judgement: Judgement, mistake: Miss | FalseAlarm, picture: Picture, title: str
+) -> None:
+    known = judgement.known
+    labels, found = known.labels[mistake.scene], known.found[mistake.scene]
+    image = picture(labels.scene_id)
+    if isinstance(mistake, Miss):
+        center = labels.box_px[mistake.instance]
+    else:
+        center = found.box_px[mistake.detection]
+    left, top, right, bottom = _window(center.astype(float), image.shape[:2])
+    ax.imshow(image[top:bottom, left:right], extent=(left, right, bottom, top))
+    least = judgement.point.score
+    seen = np.flatnonzero(~(found.score < least)) if not np.isnan(least) else np.arange(0)
+    for i in seen.tolist():
+        own = isinstance(mistake, FalseAlarm) and i == mistake.detection
+        if own or isinstance(mistake, Miss):
+            _outline(ax, found.box_px[i], _mask_of(found.mask, i, judgement), FOUND_COLOR, own)
+    for i in range(len(labels)):
+        own = isinstance(mistake, Miss) and i == mistake.instance
+        if own or isinstance(mistake, FalseAlarm):
+            _outline(ax, labels.box_px[i], _mask_of(labels.mask, i, judgement), TRUTH_COLOR, own)
+    ax.set_xlim(left, right)
+    ax.set_ylim(bottom, top)
+    ax.set_title(title, fontsize=7, color=INK)
+
+
+def _mask_of(
+    masks: tuple[Mapping[str, Any], ...] | None, i: int, judgement: Judgement
+) -> Mapping[str, Any] | None:
+    return masks[i] if judgement.kind == "mask" and masks is not None else None
+
+
+def _window(box: Float[np.ndarray, "4"], size_px: tuple[int, ...]) -> tuple[int, int, int, int]:
+    """Left, top, right, bottom of a square around a box, cut off where the picture ends."""
+    side = max(box[2], box[3]) * (1 + 2 * _MARGIN)
+    half = max(side, _LEAST_PX) / 2
+    x, y = box[0] + box[2] / 2, box[1] + box[3] / 2
+    height_px, width_px = size_px
+    left, top = int(max(x - half, 0)), int(max(y - half, 0))
+    left, top = min(left, width_px - 1), min(top, height_px - 1)
+    right, bottom = int(min(x + half, width_px)), int(min(y + half, height_px))
+    return left, top, max(right, left + 1), max(bottom, top + 1)
+
+
+def _outline(
+    ax: Axes,
+    box: Float[np.ndarray, "4"],
+    mask: Mapping[str, Any] | None,
+    color: str,
+    own: bool,
+) -> None:
+    width = 1.8 if own else 0.9
+    if mask is None:
+        ax.add_patch(
+            Rectangle(
+                (box[0], box[1]), box[2], box[3], fill=False, edgecolor=color, linewidth=width
+            )
+        )
+        return
+    drawn: Bool[np.ndarray, "h w"] = coco_mask.decode(dict(mask)).astype(bool)
+    if drawn.any():
+        height_px, width_px = drawn.shape
+        x, y = np.arange(width_px) + 0.5, np.arange(height_px) + 0.5
+        ax.contour(x, y, drawn, levels=[0.5], colors=color, linewidths=width)

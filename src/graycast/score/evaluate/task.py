@@ -1,0 +1,146 @@
+"""From a results' path and a dataset's to an evaluation."""
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import lru_cache
+from pathlib import Path
+from typing import TypeVar
+
+import numpy as np
+from jaxtyping import UInt8
+
+from ...base.errors import GraycastError
+from ...base.progress import UNWATCHED, ProgressMeter
+from ...dataset.detections import Detections
+from ...dataset.example import shown
+from ...dataset.export.record import RECORD, read_record
+from ...dataset.export.split import Split
+from ...dataset.training import Examples, open_examples
+from .judgement_files import Evaluation
+from .judging import Protocol, judge, kinds_of
+from .labels import Labels, labels_of
+from .matching import Kind
+from .notes import notes
+from .results import Run, open_run, read_found
+from .sheets import Picture
+
+_Either = TypeVar("_Either", Labels, Detections)
+_ONE_CLASS = 1  # the object id of everything where classes do not matter
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Task:
+    """The results and the labels to compare; a `split` or `division` of None is the results' own.
+
+    `one_class` treats all parts as one class.
+    """
+
+    results: Path
+    dataset: Path
+    split: str | None = None
+    division: Split | None = None
+    against: Path | None = None
+    kind: Kind | None = None
+    one_class: bool = False
+    protocol: Protocol
+
+
+def evaluate(task: Task, *, progress: ProgressMeter = UNWATCHED) -> tuple[Evaluation, Picture]:
+    """All figures of results, and a function that reads the pictures they are of.
+
+    Args:
+        progress: counts scenes as they are read.
+
+    Raises:
+        GraycastError: the dataset or the results are missing, damaged, or do not fit together.
+    """
+    run = open_run(task.results)
+    against = None if task.against is None else open_run(task.against)
+    sets = _sets(task, run)
+    held = {scene_id: examples for examples in sets for scene_id in examples.scene_ids}
+    categories = dict(sets[0].categories)
+    scene_ids = _scene_ids(task, run, held)
+    found = read_found(run, scene_ids, categories)
+    other = None if against is None else read_found(against, scene_ids, categories)
+    labels = list(_labels(task, held, scene_ids, progress))
+    if task.one_class:
+        labels, found = [as_one_class(one) for one in labels], [as_one_class(one) for one in found]
+        other = None if other is None else [as_one_class(one) for one in other]
+        categories = {_ONE_CLASS: "any part"}
+    kinds = kinds_of(labels, [*found, *(other or [])]) if task.kind is None else (task.kind,)
+    judgements = tuple(
+        judge(
+            labels,
+            found,
+            kind=kind,
+            categories=categories,
+            protocol=task.protocol,
+            against=other,
+        )
+        for kind in kinds
+    )
+    evaluation = Evaluation(
+        dataset=task.dataset.resolve().name,
+        split=", ".join(examples.split for examples in sets),
+        run=run,
+        against=against,
+        categories=categories,
+        protocol=task.protocol,
+        judgements=judgements,
+        notes=tuple(notes(judgements)),
+    )
+    return evaluation, _pictures(held)
+
+
+def _sets(task: Task, run: Run) -> list[Examples]:
+    """The set that is judged; all sets of an export where the results are of all."""
+    split = task.split or run.split
+    if not (task.dataset / RECORD).is_file():
+        division = task.division or run.division
+        return [open_examples(task.dataset, split=split or "train", division=division)]
+    if split is None and run.scene_ids is not None:
+        splits = read_record(task.dataset).splits
+        return [open_examples(task.dataset, split=name) for name in splits]
+    return [open_examples(task.dataset, split=split or "train", division=task.division)]
+
+
+def _scene_ids(task: Task, run: Run, held: Mapping[int, Examples]) -> tuple[int, ...]:
+    """Those that were looked at or, where the set is named, all of the set."""
+    if run.scene_ids is None or task.split is not None:
+        return tuple(held)
+    if odd := set(run.scene_ids) - set(held):
+        split = next(iter(held.values())).split
+        raise GraycastError(
+            f"{run.path}: has detections in scene {min(odd)}, which the set {split} of "
+            f"{task.dataset} does not have: give the dataset of the detections with --on"
+        )
+    return run.scene_ids
+
+
+def _labels(
+    task: Task,
+    held: Mapping[int, Examples],
+    scene_ids: Sequence[int],
+    progress: ProgressMeter,
+) -> Iterator[Labels]:
+    for done, scene_id in enumerate(scene_ids, start=1):
+        example = held[scene_id].read(scene_id)
+        yield labels_of(
+            example,
+            min_visibility=task.protocol.min_visibility,
+            scene=held[scene_id].place_of[scene_id][0],
+        )
+        progress.count("scenes", done, len(scene_ids))
+
+
+def as_one_class(one: _Either) -> _Either:
+    """Labels or detections in which all parts are one."""
+    return replace(one, obj_id=np.full(len(one), _ONE_CLASS))
+
+
+def _pictures(held: Mapping[int, Examples]) -> Picture:
+    @lru_cache(maxsize=64)
+    def picture(scene_id: int) -> UInt8[np.ndarray, "h w 3"]:
+        return shown(held[scene_id].read(scene_id))
+
+    return picture

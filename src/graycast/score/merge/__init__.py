@@ -1,0 +1,23 @@
+"""Several views of one scene as one cloud: what they agree on, and what each of them adds."""
+
+from .adding import best_order
+from .fuse import HIDDEN, OUTSIDE, THROUGH, Fused, FusedCloud, fuse
+from .merging import merge, merged_ply
+from .stored_views import read_view
+from .told import described
+from .view import MeasuredView
+
+__all__ = [
+    "HIDDEN",
+    "OUTSIDE",
+    "THROUGH",
+    "Fused",
+    "FusedCloud",
+    "MeasuredView",
+    "best_order",
+    "described",
+    "fuse",
+    "merge",
+    "merged_ply",
+    "read_view",
+]

@@ -1,0 +1,180 @@
+"""Views of one scene to one cloud, each place once, with what is left of its noise.
+
+A point is looked up in every other view: at the pixel where it would be seen, that view measured
+the same surface (and agrees), something before it (which hides the point), something behind it (so
+that it saw through the point), or nothing. What agrees is averaged along the surface's normal, each
+weighed by its inverse variance: of N equal views sigma falls to sigma / sqrt(N). docs/merge.md has
+the equations.
+
+Leaves out: errors that views share (of a calibration, of light between parts) do not average out,
+so the stated sigma is that of noise alone; poses of the views are taken as exact, and only checked.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import final
+
+import numpy as np
+from jaxtyping import Bool, Float, Int, UInt8
+
+from .looking import Looked, Measured, at, look
+from .view import MeasuredView, points_of
+from .view_poses import pose_doubts
+
+# Beside a dataset's reasons, why the first view has no such point: it measured something behind
+# the place, or before it; the place is not in its picture.
+THROUGH, HIDDEN, OUTSIDE = 253, 254, 255
+MOST = 250  # views
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True)
+class FusedCloud:
+    """Points of a scene in the world, in the order of their views and pixels.
+
+    Attributes:
+        normal: towards the camera of `view`; where no plane fits, the way to that camera.
+        sigma_m: standard deviation along the normal.
+        view: whose pixel the point stands at.
+        pixel: of that view, row and column.
+        views: how many views measured the place, that one among them.
+        against: how many saw through it; never more than the others that confirm it.
+        first_reason: why the first view has no point there, as its reasons are numbered, or one of
+            THROUGH, HIDDEN, OUTSIDE; 0 where it has one.
+    """
+
+    point_m: Float[np.ndarray, "n 3"]
+    normal: Float[np.ndarray, "n 3"]
+    color: UInt8[np.ndarray, "n 3"]
+    sigma_m: Float[np.ndarray, " n"]
+    view: UInt8[np.ndarray, " n"]
+    pixel: Int[np.ndarray, "n 2"]
+    views: UInt8[np.ndarray, " n"]
+    against: UInt8[np.ndarray, " n"]
+    first_reason: UInt8[np.ndarray, " n"]
+
+    def __post_init__(self) -> None:
+        for name in self.__dataclass_fields__:
+            getattr(self, name).flags.writeable = False
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Fused:
+    """The cloud, and what became of each view's measured pixels.
+
+    `doubts` are sentences about views that do not agree with the others: see `pose_doubts`.
+    """
+
+    cloud: FusedCloud
+    doubts: tuple[str, ...]
+    measured_px: tuple[int, ...]
+    confirmed_px: tuple[int, ...]  # by another view
+    rejected_px: tuple[int, ...]  # more views saw through them than confirmed them
+
+
+def fuse(views: Sequence[MeasuredView]) -> Fused:
+    """The cloud of all views. A place stands where the view stands that has most pixels on it.
+
+    Raises:
+        ValueError: there is no view, or there are more than `MOST`.
+    """
+    if not 1 <= len(views) <= MOST:
+        raise ValueError(f"there are {len(views)} views to merge: give 1 to {MOST}")
+    points = [points_of(view) for view in views]
+    own = [at(held, np.argwhere(held.known)) for held in points]
+    looked = [
+        {j: look(own[i], views[j], points[j]) for j in range(len(views)) if j != i}
+        for i in range(len(views))
+    ]
+    rejected = [
+        _count(answers, "through", len(one.pixel)) > _count(answers, "agrees", len(one.pixel))
+        for answers, one in zip(looked, own, strict=True)
+    ]
+    wrong = [_picture(v, one, bad) for v, one, bad in zip(views, own, rejected, strict=True)]
+    kept = [
+        ~rejected[i] & ~_stood_for(i, own[i], looked[i], wrong) for i in range(len(views))
+    ]  # fmt: skip
+    pieces = [_piece(i, own[i], looked[i], views, kept[i]) for i in range(len(views))]
+    confirmed = (_count(looked[i], "agrees", len(own[i].pixel)) > 0 for i in range(len(views)))
+    return Fused(
+        cloud=FusedCloud(
+            **{name: np.concatenate([piece[name] for piece in pieces]) for name in pieces[0]}
+        ),
+        doubts=pose_doubts(views, points),
+        measured_px=tuple(len(one.pixel) for one in own),
+        confirmed_px=tuple(int(each.sum()) for each in confirmed),
+        rejected_px=tuple(int(bad.sum()) for bad in rejected),
+    )
+
+
+def _count(answers: Mapping[int, Looked], name: str, points: int) -> Int[np.ndarray, " n"]:
+    """How many views answer so, of each point."""
+    total = np.zeros(points, dtype=np.int64)
+    for answer in answers.values():
+        total += getattr(answer, name)
+    return total
+
+
+def _picture(
+    view: MeasuredView, own: Measured, chosen: Bool[np.ndarray, " n"]
+) -> Bool[np.ndarray, "h w"]:
+    where = np.zeros(view.depth_m.shape, dtype=bool)
+    where[tuple(own.pixel[chosen].T)] = True
+    return where
+
+
+def _stood_for(
+    i: int,
+    own: Measured,
+    answers: Mapping[int, Looked],
+    wrong: Sequence[Bool[np.ndarray, "_ _"]],
+) -> Bool[np.ndarray, " n"]:
+    """Whether a view with smaller pixels on the surface has the place; of equals the first."""
+    found = np.zeros(len(own.pixel), dtype=bool)
+    for j, answer in answers.items():
+        theirs = answer.there.area_m2
+        finer = (theirs < own.area_m2) | ((theirs == own.area_m2) & (j < i))
+        found |= answer.agrees & finer & ~wrong[j][tuple(answer.there.pixel.T)]
+    return found
+
+
+def _piece(
+    i: int,
+    own: Measured,
+    answers: Mapping[int, Looked],
+    views: Sequence[MeasuredView],
+    kept: Bool[np.ndarray, " n"],
+) -> dict[str, np.ndarray]:
+    """The fields of `FusedCloud` for the points that stand at a view's pixels."""
+    weight = 1 / own.variance_along(own.normal)
+    moved = np.zeros_like(weight)
+    for answer in answers.values():
+        one = np.where(answer.agrees, 1 / answer.variance_m2, 0.0)
+        moved += np.where(answer.agrees, answer.offset_m, 0.0) * one
+        weight = weight + one
+    place = own.point_m + (moved / weight)[:, None] * own.normal
+    first = np.zeros(len(kept), dtype=np.uint8) if i == 0 else _first_reason(answers[0], views[0])
+    row, column = own.pixel.T
+    count = {name: _count(answers, name, len(kept)) for name in ("agrees", "through")}
+    found = {
+        "point_m": place,
+        "normal": own.normal,
+        "color": views[i].color[row, column],
+        "sigma_m": 1 / np.sqrt(weight),
+        "view": np.full(len(kept), i, dtype=np.uint8),
+        "pixel": own.pixel,
+        "views": (1 + count["agrees"]).astype(np.uint8),
+        "against": count["through"].astype(np.uint8),
+        "first_reason": first,
+    }
+    return {name: values[kept] for name, values in found.items()}
+
+
+def _first_reason(answer: Looked, first: MeasuredView) -> UInt8[np.ndarray, " n"]:
+    reason = first.reason[tuple(answer.there.pixel.T)]
+    unknown = ~np.isfinite(answer.there.sigma_m)
+    cases = [answer.agrees, ~answer.inside, unknown, answer.before]
+    return np.select(
+        cases, [np.uint8(0), np.uint8(OUTSIDE), reason, np.uint8(HIDDEN)], np.uint8(THROUGH)
+    )

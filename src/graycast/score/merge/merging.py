@@ -1,0 +1,103 @@
+"""`graycast merge`: the clouds of a dataset's scenes, and what their views add, as files."""
+
+from itertools import groupby
+from pathlib import Path
+from typing import Any
+
+from ...base.errors import DatasetError, GraycastError
+from ...base.folder import new_folder
+from ...base.ply import WORLD_FRAME, cloud_bytes
+from ...base.progress import UNWATCHED, ProgressMeter
+from ...dataset.json_text import json_bytes
+from ...dataset.models_read import read_models
+from ...dataset.places import CLAIM
+from ...dataset.stored import StoredDataset, StoredScene, open_dataset
+from .fuse import FusedCloud, fuse
+from .stored_views import read_surface, read_view
+from .view_figures import SurfaceSeen, cloud_figures, joined, surface_figures, surface_seen
+
+RECORD = "merge.json"
+
+
+def merge(source: Path, out: Path, *, progress: ProgressMeter = UNWATCHED) -> dict[str, Any]:
+    """Write a cloud and its figures for each scene, `train-000000.ply` and `.json`.
+
+    Args:
+        source: a dataset, or one scene's folder in it.
+        out: the folder to write; it is new or empty.
+        progress: counts scenes.
+
+    Returns:
+        What `merge.json` in `out` says: the surface's figures over all scenes, and doubts about the
+        poses of views.
+
+    Raises:
+        GraycastError: `out` cannot be written; the dataset holds real pictures, or is damaged.
+    """
+    stored, scenes = _scenes(source)
+    if out.absolute().is_relative_to(stored.folder.absolute()):
+        raise GraycastError(f"{out}: lies in the dataset: choose a folder outside of it")
+    models = read_models(stored.folder)
+    seen: dict[tuple[str, ...], list[SurfaceSeen]] = {}
+    told: dict[int, str] = {}
+    doubts: list[str] = []
+    with new_folder(out) as folder:
+        for done, shots in enumerate(scenes, start=1):
+            names = tuple(shot.image_name for shot in shots)
+            views = [read_view(stored, shot) for shot in shots]
+            told |= views[0].reason_name
+            fused = fuse([held.view for held in views])
+            surface = surface_seen(read_surface(models, shots[0]), views)
+            figures = {
+                "scene": shots[0].scene_key,
+                "surface": surface_figures(surface, names, told),
+                "cloud": cloud_figures(fused, views, told),
+                "doubts": fused.doubts,
+            }
+            doubts += [f"scene {shots[0].scene_key}: {doubt}" for doubt in fused.doubts]
+            (folder / f"{shots[0].scene_key}.json").write_bytes(json_bytes(figures))
+            (folder / f"{shots[0].scene_key}.ply").write_bytes(merged_ply(fused.cloud))
+            seen.setdefault(names, []).append(surface)
+            progress.count("scenes", done, len(scenes))
+        record = {
+            "dataset": str(stored.folder),
+            "fingerprint": stored.claim.get("fingerprint", ""),
+            "scenes": [shots[0].scene_key for shots in scenes],
+            "doubts": doubts,
+            "reasons": {str(k): name for k, name in sorted(told.items())},
+            "surfaces": [
+                {"scenes": len(held)} | surface_figures(joined(held), names, told)
+                for names, held in seen.items()
+            ],
+        }
+        (folder / RECORD).write_bytes(json_bytes(record))
+    return record
+
+
+def merged_ply(cloud: FusedCloud) -> bytes:
+    """A binary PLY in the world frame, with all that is known of each point."""
+    more = {
+        "nx": cloud.normal[:, 0],
+        "ny": cloud.normal[:, 1],
+        "nz": cloud.normal[:, 2],
+        "sigma": cloud.sigma_m,
+        "views": cloud.views,
+        "view": cloud.view,
+        "against": cloud.against,
+        "first_reason": cloud.first_reason,
+    }
+    return cloud_bytes(cloud.point_m, cloud.color, more=more, frame=WORLD_FRAME)
+
+
+def _scenes(source: Path) -> tuple[StoredDataset, list[list[StoredScene]]]:
+    """The dataset, and the pictures of each of its scenes, or of the one that is meant."""
+    one = source.name.isdecimal() and not (source / CLAIM).exists()
+    stored = open_dataset(source.parent.parent if one else source)
+    shots = [shot for shot in stored.pictures if not one or _same(shot.folder, source)]
+    if not shots:
+        raise DatasetError(f"{source}: is no finished scene of {stored.folder}: give one of them")
+    return stored, [list(held) for _, held in groupby(shots, key=lambda shot: shot.folder)]
+
+
+def _same(a: Path, b: Path) -> bool:
+    return a.absolute() == b.absolute()

@@ -1,0 +1,147 @@
+"""A scene's views in figures: what each measured, what it adds, and how good the cloud is."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, final
+
+import numpy as np
+from jaxtyping import Bool, Float, UInt8
+
+from ...base.frames import transform_points
+from ...rig.optics import points
+from .adding import WRONG, WRONG_M, Surface, best_order, why_not
+from .fuse import HIDDEN, OUTSIDE, THROUGH, Fused, FusedCloud
+from .stored_views import StoredView
+from .view import points_of
+
+OWN_NAMES = {
+    WRONG: "wrong", THROUGH: "seen_through", HIDDEN: "hidden", OUTSIDE: "outside_picture"
+}  # fmt: skip
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SurfaceSeen:
+    """Why each view has no depth of each visible place; 0 where it has. `of` counts all places."""
+
+    why: UInt8[np.ndarray, "views n"]
+    of: int
+
+    def __post_init__(self) -> None:
+        self.why.flags.writeable = False
+
+    @property
+    def has(self) -> Bool[np.ndarray, "views n"]:
+        return self.why == 0
+
+
+def surface_seen(surface: Surface, views: Sequence[StoredView]) -> SurfaceSeen:
+    """Ask every view about the surface; what no camera sees is left out."""
+    why = np.stack([why_not(surface, v.view, points_of(v.view), v.truth) for v in views])
+    visible = ((why != HIDDEN) & (why != OUTSIDE)).any(axis=0)
+    return SurfaceSeen(why=why[:, visible], of=why.shape[1])
+
+
+def joined(seen: Sequence[SurfaceSeen]) -> SurfaceSeen:
+    """Several scenes' surfaces, looked at by views of the same names, as one."""
+    return SurfaceSeen(
+        why=np.concatenate([one.why for one in seen], axis=1), of=sum(one.of for one in seen)
+    )
+
+
+def surface_figures(
+    seen: SurfaceSeen, names: Sequence[str], reason_name: dict[int, str]
+) -> dict[str, Any]:
+    """Shares of the surface that at least one camera sees; `best_order` is the greedy one."""
+    has, places = seen.has, max(seen.why.shape[1], 1)
+    some = has.any(axis=0)
+    told = reason_name | OWN_NAMES
+    views = [
+        {
+            "view": name,
+            "measured": float(row.sum() / places),
+            "only_this_view": float((row & (has.sum(axis=0) == 1)).sum() / places),
+            "filled_by_others": _shares(seen.why[i][some & ~row], told, places),
+            "missing": _shares(seen.why[i][~row], told, places),
+        }
+        for i, (name, row) in enumerate(zip(names, has, strict=True))
+    ]
+    order, gains = best_order(has)
+    total = np.cumsum(gains)
+    return {
+        "points": seen.of,
+        "visible": float(seen.why.shape[1] / max(seen.of, 1)),
+        "wrong_m": WRONG_M,
+        "measured": float(some.sum() / places),
+        "views": views,
+        "best_order": [
+            {"view": names[i], "adds": gain / places, "together": float(total[k] / places)}
+            for k, (i, gain) in enumerate(zip(order, gains, strict=True))
+        ],
+    }
+
+
+def cloud_figures(
+    fused: Fused, views: Sequence[StoredView], reason_name: dict[int, str]
+) -> dict[str, Any]:
+    """What became of the measurements; errors are along the normals, by how many views agreed."""
+    cloud = fused.cloud
+    error_m = cloud_errors_m(cloud, views)
+    counts = sorted(set(cloud.views.tolist()))
+    return {
+        "points": len(cloud.views),
+        "doubtful": int((cloud.against > 0).sum()),
+        "first_reason": _shares(cloud.first_reason, reason_name | OWN_NAMES, len(cloud.views)),
+        "by_views": [
+            {"views": count, **_noise(cloud.sigma_m[chosen], error_m[chosen])}
+            for count, chosen in ((count, cloud.views == count) for count in counts)
+        ],
+        "views": [
+            {
+                "view": one.view.name,
+                "noise_from": one.noise,
+                "measured_px": fused.measured_px[i],
+                "confirmed_px": fused.confirmed_px[i],
+                "rejected_px": fused.rejected_px[i],
+            }
+            for i, one in enumerate(views)
+        ],
+    }
+
+
+def cloud_errors_m(cloud: FusedCloud, views: Sequence[StoredView]) -> Float[np.ndarray, " n"]:
+    """How far each point lies off the true surface of its pixel, along its normal; NaN if unknown.
+
+    The true surface is taken for a plane about the pixel.
+    """
+    error_m = np.full(len(cloud.view), np.nan)
+    for i, one in enumerate(views):
+        own, camera = cloud.view == i, one.view.camera
+        true_m = transform_points(one.view.T_world_cam, points(camera, one.truth.depth_m))
+        apart = cloud.point_m[own] - true_m[tuple(cloud.pixel[own].T)]
+        error_m[own] = (apart * cloud.normal[own]).sum(axis=-1)
+    return error_m
+
+
+def _noise(
+    sigma_m: Float[np.ndarray, " n"], error_m: Float[np.ndarray, " n"]
+) -> dict[str, float | int | None]:
+    """Stated and true; the true sigma is half of what holds the middle 68.27 % of the errors."""
+    known = np.isfinite(error_m)
+    figures: dict[str, float | int | None] = {
+        "points": len(sigma_m),
+        "sigma_m": float(np.median(sigma_m)),
+    }
+    if not known.any():
+        return figures | {"error_median_m": None, "error_sigma_m": None, "within_3_sigma": None}
+    low, middle, high = np.quantile(error_m[known], (0.15866, 0.5, 0.84134))
+    return figures | {
+        "error_median_m": float(middle),
+        "error_sigma_m": float((high - low) / 2),
+        "within_3_sigma": float((np.abs(error_m[known]) <= 3 * sigma_m[known]).mean()),
+    }
+
+
+def _shares(reason: UInt8[np.ndarray, " n"], told: dict[int, str], of: int) -> dict[str, float]:
+    number, count = np.unique(reason, return_counts=True)
+    return {told[int(k)]: float(c / max(of, 1)) for k, c in zip(number, count, strict=True)}

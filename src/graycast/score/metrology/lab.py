@@ -1,0 +1,177 @@
+"""The virtual lab: the rig as it is built lights a scene, the scanner as it is scans it."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from jaxtyping import Bool, Float, UInt8
+from scipy.ndimage import binary_erosion
+
+from ...base.frames import transform_points
+from ...camera.decode import DepthMap, Reason
+from ...camera.light import camera_light
+from ...camera.scanner import Scanner, measure, take
+from ...camera.sensor import auto_exposure_s
+from ...render import Quality, Renderer, Rendering
+from ...rig.optics import picture_rays
+from ...rig.pair import Rig, grey_levels
+from ...rig.pattern import Code
+from ...world.parts import Material
+from ...world.scene import EMPTY_LAYOUT, Environment, Quad, Scene, Sphere
+from .artefacts import Volume, in_view, working_volume
+from .certificate import Scope
+
+ERODED_PX = 3  # off the outline of every artefact
+# as a share of an artefact's pixels: fewer say more of the settings than of its shape
+MIN_DECODED = 0.05
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Lab:
+    """What stays the same from scene to scene. `rig` is the truth, `scanner.rig` the calibration.
+
+    `ray` are the directions of the pixels through the true camera, `scanner_ray` those that the
+    scanner believes in.
+    """
+
+    scanner: Scanner
+    rig: Rig
+    renderer: Renderer
+    scope: Scope
+    volume: Volume
+    code: Code
+    pattern: UInt8[np.ndarray, "n ph pw"]
+    material: Material
+    ray: Float[np.ndarray, "h w 3"]
+    scanner_ray: Float[np.ndarray, "h w 3"]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Shots:
+    """One scene: its truth, the light of each frame, and what the scanner measured in each shot.
+
+    `where` are the pixels in both fields and in the working range, away from outlines.
+    """
+
+    truth_m: Float[np.ndarray, "h w"]
+    normal: Float[np.ndarray, "h w 3"]
+    light: Float[np.ndarray, "n h w"]
+    where: Bool[np.ndarray, "h w"]
+    exposure_s: float
+    depth_m: Float[np.ndarray, "captures h w"]
+    sigma_m: Float[np.ndarray, "h w"]
+
+
+def open_lab(scanner: Scanner, rig: Rig, scope: Scope, renderer: Renderer) -> Lab:
+    """Raises ValueError where camera and projector share no field."""
+    code = scanner.light_code()
+    return Lab(
+        scanner=scanner,
+        rig=rig,
+        renderer=renderer,
+        scope=scope,
+        volume=working_volume(rig),
+        code=code,
+        pattern=code.render(lambda share: grey_levels(scanner.rig, share)),
+        material=Material(base_color=(scope.albedo,) * 3, specular=0.0),
+        ray=picture_rays(rig.camera),
+        scanner_ray=picture_rays(scanner.rig.camera),
+    )
+
+
+def shoot(lab: Lab, surfaces: tuple[Quad | Sphere, ...], *, captures: int, seed: int) -> Shots:
+    """Render a scene once and scan it so many times: the shots differ by the sensor's noise alone.
+
+    Raises:
+        ValueError: nothing of the artefacts lies in the volume.
+    """
+    seeds = np.random.SeedSequence(seed).generate_state(captures + 1).tolist()
+    rendering = _render(lab, surfaces, seeds[0])
+    where = _in_volume(lab, rendering)
+    metered, exposure_s = _metered(lab, rendering, where)
+    # All shots share the error of the light's paths, so it is no part of the noise they show.
+    light = replace(rendering.radiance, path_noise=None)
+    scans = [measure(metered, take(metered, light, seed=own))[1] for own in seeds[1:]]
+    _check_decoded(scans[0], where, exposure_s)
+    return Shots(
+        truth_m=rendering.truth.depth_m,
+        normal=rendering.truth.normal,
+        light=camera_light(rendering.radiance, lab.rig)[0],
+        where=where,
+        exposure_s=exposure_s,
+        depth_m=np.stack([scan.depth_m for scan in scans]),
+        sigma_m=scans[0].sigma_m,
+    )
+
+
+def _check_decoded(scan: DepthMap, where: Bool[np.ndarray, "h w"], exposure_s: float) -> None:
+    share = float(np.isfinite(scan.depth_m[where]).mean())
+    if share < MIN_DECODED:
+        counts = np.bincount(scan.reason[where], minlength=len(Reason))
+        why = Reason(int(counts[1:].argmax()) + 1).label
+        raise ValueError(
+            f"{share:.1%} of an artefact has depth, and most of the rest is {why} at an exposure "
+            f"of {1e3 * exposure_s:.3g} ms: change the exposure, the code or the filters"
+        )
+
+
+def _render(lab: Lab, surfaces: tuple[Quad | Sphere, ...], seed: int) -> Rendering:
+    scope = lab.scope
+    scene = Scene(
+        rig=lab.rig,
+        T_world_cam=np.eye(4),  # the world is the camera's frame
+        surfaces=surfaces,
+        environment=Environment(radiance=(scope.ambient_w_sr_m2,) * 3),
+    )
+    quality = Quality(samples=scope.samples, depth=scope.depth)
+    return lab.renderer.render(scene, EMPTY_LAYOUT, lab.pattern, quality=quality, seed=seed)
+
+
+def _in_volume(lab: Lab, rendering: Rendering) -> Bool[np.ndarray, "h w"]:
+    truth_m = rendering.truth.depth_m
+    with np.errstate(invalid="ignore"):  # NaN: no surface
+        inside = (truth_m > lab.volume.near_m) & (truth_m < lab.volume.far_m)
+    inside[inside] &= in_view(lab.rig, lab.ray[inside] * truth_m[inside][:, None])
+    return binary_erosion(inside, iterations=ERODED_PX)
+
+
+def _metered(
+    lab: Lab, rendering: Rendering, where: Bool[np.ndarray, "h w"]
+) -> tuple[Scanner, float]:
+    """The scanner with the exposure that suits the artefact, as its operator would set it.
+
+    Its own automatic looks at the whole picture, which a small sphere does not fill.
+    """
+    if not where.any():
+        raise ValueError(
+            f"an artefact has no pixel in the volume of rig {lab.rig.name}: is the camera's "
+            f"resolution, {lab.rig.camera.width_px} px, may be too low"
+        )
+    exposure = lab.scanner.exposure
+    if exposure.exposure_s is not None:
+        return lab.scanner, exposure.exposure_s
+    stack, background = camera_light(rendering.radiance, lab.scanner.rig)
+    light = stack[lab.scanner.light_code().brightest] + background
+    exposure_s = auto_exposure_s(
+        light[where],
+        lab.scanner.sensor,
+        percentile=exposure.percentile,
+        target=exposure.target,
+    )
+    return replace(lab.scanner, exposure=replace(exposure, exposure_s=exposure_s)), exposure_s
+
+
+def incidence_rad(lab: Lab, shots: Shots) -> Float[np.ndarray, "h w"]:
+    """Angle of incidence of the camera's ray or of the projector's, the steeper one."""
+    point = lab.ray * shots.truth_m[..., None]
+    to_projector = transform_points(lab.rig.T_proj_cam, point)
+    normal_proj = shots.normal @ lab.rig.T_cam_proj[:3, :3]
+    cosine = [
+        -(way * normal).sum(axis=-1) / np.linalg.norm(way, axis=-1)
+        for way, normal in ((point, shots.normal), (to_projector, normal_proj))
+    ]
+    return np.arccos(np.clip(np.minimum(*cosine), -1.0, 1.0))
+
+
+def measured_points(lab: Lab, depth_m: Float[np.ndarray, "h w"]) -> Float[np.ndarray, "h w 3"]:
+    """The scanner's points, camera frame; NaN where it has no depth."""
+    return lab.scanner_ray * depth_m[..., None].astype(np.float64)

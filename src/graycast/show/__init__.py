@@ -1,0 +1,7 @@
+"""What a person looks at.
+
+Each imports only from those above it:
+
+    report           pictures of inputs and results, and the web page
+    live             a cell in the browser, whose settings can be changed
+"""

@@ -1,0 +1,275 @@
+"""The controls of the page: what each one sets, between which bounds, and what it costs."""
+
+from collections.abc import Iterator, Mapping
+from dataclasses import asdict, dataclass, replace
+from typing import Any, Literal
+
+from ...cell.config import Config
+from ...cell.resolve import Cell
+from ...rig.pair import PRESETS, RESOLUTIONS, standoff_m
+from ...rig.pattern import CODECS
+from ...world.parts import BUILTIN, Material
+from .asking import Ask
+
+Cost = Literal["free", "light", "physics"]
+Number = float | int
+MOST_PARTS = 6  # kinds of parts that have controls of their own; the text has all
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Control:
+    """One value that a user may set.
+
+    `whole` is what is sent, where it is not the value alone: a list or a section, of which `key`
+    names a place. A `grey` value stands for three equal ones. A control without bounds is a choice.
+    """
+
+    key: str
+    label: str
+    group: str
+    cost: Cost
+    low: Number | None = None
+    high: Number | None = None
+    step: Number | None = None  # of a slider; None: by equal ratios
+    unit: str = ""
+    scale: float = 1.0  # what is shown, over what is set
+    choices: tuple[Any, ...] = ()
+    whole: str | None = None
+    grey: bool = False
+
+
+def described_controls(cell: Cell, ask: Ask) -> dict[str, Any]:
+    """All controls of a cell as JSON, and the values that they have now."""
+    listed = list(_controls(cell))
+    return {
+        "controls": [_described(control) for control in listed],
+        "values": _values(cell, ask),
+    }
+
+
+def _described(control: Control) -> dict[str, Any]:
+    plain = Control(key="", label="", group="", cost="free")
+    return {
+        name: value
+        for name, value in asdict(control).items()
+        if name in ("key", "label", "group", "cost") or value != getattr(plain, name)
+    }
+
+
+def _controls(cell: Cell) -> Iterator[Control]:
+    yield from _FREE
+    yield from _RIG
+    for index, part in list(enumerate(cell.config.parts))[:MOST_PARTS]:
+        name = cell.scene.parts[index].name if index < len(cell.scene.parts) else str(index)
+        yield from _surface(f"parts.{index}.material", name)
+        if part.builtin is not None:
+            yield Control(
+                key=f"parts.{index}.builtin",
+                label=f"{name}: another part",
+                group="Parts",
+                cost="physics",
+                choices=BUILTIN,
+            )
+    yield from _surface("bin.material", "bin")
+    yield from _surface("table", "table")
+    for index in range(len(cell.config.light.lamps)):
+        yield from _lamp(index)
+    yield from _LIGHT
+    yield from _PHYSICS
+
+
+def _free(
+    key: str,
+    label: str,
+    low: Number,
+    high: Number,
+    step: Number | None = None,
+    *,
+    unit: str = "",
+    scale: float = 1.0,
+) -> Control:
+    group = {"exposure": "Exposure", "sensor": "Sensor", "decode": "Decoder", "filters": "Filters"}
+    return Control(
+        key=key, label=label, group=group[key.split(".")[0]], cost="free", low=low, high=high,
+        step=step, unit=unit, scale=scale,
+    )  # fmt: skip
+
+
+_FREE = (
+    _free("exposure.target", "automatic: share of the range", 0.05, 1, 0.01),
+    _free("exposure.exposure_s", "fixed time", 1e-4, 0.2, unit="ms", scale=1e3),
+    Control(
+        key="exposure.factors", label="exposures taken", group="Exposure", cost="free",
+        choices=((1.0,), (1.0, 0.25), (1.0, 0.25, 0.0625), (1.0, 4.0)),
+    ),
+    Control(
+        key="ambient", label="ambient light, times", group="Exposure", cost="free",
+        low=0.02, high=50,
+    ),
+    Control(
+        key="rig.power", label="projector's power, times", group="Exposure", cost="free",
+        low=0.02, high=50,
+    ),
+    _free("sensor.read_noise_e", "read noise", 0, 60, 0.5, unit="e\N{MINUS SIGN}"),
+    _free("sensor.bit_depth", "bit depth", 7, 16, 1, unit="bit"),
+    _free("sensor.gain_dn_per_e", "gain", 0.02, 4, unit="DN/e\N{MINUS SIGN}"),
+    _free("sensor.full_well_e", "full well", 1000, 100_000, unit="e\N{MINUS SIGN}"),
+    _free("sensor.quantum_efficiency", "quantum efficiency", 0.05, 1, 0.01),
+    _free("sensor.dark_current_e_s", "dark current", 0, 2000, 1, unit="e\N{MINUS SIGN}/s"),
+    _free("sensor.prnu", "pixels' gains differ by", 0, 0.1, 0.001),
+    _free("sensor.dsnu_e", "pixels' offsets differ by", 0, 60, 0.5, unit="e\N{MINUS SIGN}"),
+    _free("decode.min_contrast", "least contrast", 0.002, 0.5),
+    _free("decode.doubt", "doubt", 0, 0.9, 0.01),
+    _free("decode.fine_bits", "fine bits", 0, 8, 1),
+    _free("decode.max_epipolar_px", "farthest off the epipolar line", 0, 5, 0.05, unit="px"),
+    _free("filters.flying_angle_deg", "flying pixels from", 0, 89, 1, unit="\N{DEGREE SIGN}"),
+    _free("filters.outlier_sigmas", "outliers from", 0, 12, 0.25, unit="\N{GREEK SMALL LETTER SIGMA}"),  # noqa: E501
+    _free("filters.outlier_share", "and a share of depth", 0, 0.02, 0.0005),
+    _free("filters.island_px", "islands up to", 0, 400, 5, unit="px"),
+    _free("filters.smoothing_px", "smoothing", 0, 4, 0.05, unit="px"),
+    _free("filters.step_angle_deg", "two surfaces from", 1, 89, 1, unit="\N{DEGREE SIGN}"),
+)  # fmt: skip
+
+_RIG = (
+    Control(
+        key="view.distance_m", label="distance", group="Rig", cost="light", low=0.15, high=4,
+        unit="mm", scale=1e3,
+    ),
+    Control(
+        key="view.tilt_deg", label="tilt", group="Rig", cost="light", low=0, high=80, step=0.5,
+        unit="\N{DEGREE SIGN}",
+    ),
+    Control(
+        key="view.azimuth_deg", label="azimuth", group="Rig", cost="light", low=-180, high=180,
+        step=1, unit="\N{DEGREE SIGN}",
+    ),
+    *(
+        Control(
+            key=f"view.target_m.{k}", label=f"looks at {axis}", group="Rig", cost="light",
+            low=-0.5, high=0.5, step=0.005, unit="mm", scale=1e3, whole="view.target_m",
+        )
+        for k, axis in enumerate("xyz")
+    ),
+    Control(
+        key="rig.toe_in_deg", label="toe-in, more by", group="Rig", cost="light", low=-15,
+        high=15, step=0.25, unit="\N{DEGREE SIGN}",
+    ),
+    Control(
+        key="rig.baseline", label="baseline, times", group="Rig", cost="light", low=0.2, high=3,
+    ),
+    Control(key="rig", label="rig", group="Rig", cost="light", choices=PRESETS),
+    Control(
+        key="resolution", label="resolution", group="Rig", cost="light", choices=RESOLUTIONS
+    ),
+    Control(key="code.codec", label="code", group="Rig", cost="light", choices=CODECS),
+)  # fmt: skip
+
+
+def _surface(whole: str, name: str) -> Iterator[Control]:
+    """A surface in its physical words; a picture on it gives way to a plain grey."""
+    words = (("base_color", "grey", 0.0), ("metallic", "metallic", 0.0),
+             ("roughness", "roughness", 0.05), ("specular", "specular", 0.0))  # fmt: skip
+    for word, label, low in words:
+        yield Control(
+            key=f"{whole}.{word}", label=f"{name}: {label}", group="Surfaces", cost="light",
+            low=low, high=1, step=0.01, whole=whole, grey=word == "base_color",
+        )  # fmt: skip
+
+
+def _lamp(index: int) -> Iterator[Control]:
+    lamp = Control(
+        key=f"light.lamps.{index}", label=f"lamp {index}", group="Light", cost="light",
+        whole="light.lamps", unit="mm", scale=1e3,
+    )  # fmt: skip
+    for k, axis in enumerate("xyz"):
+        key, label = f"{lamp.key}.center_m.{k}", f"{lamp.label}: {axis}"
+        yield replace(lamp, key=key, label=label, low=-2.5, high=2.5, step=0.05)
+    yield replace(lamp, key=f"{lamp.key}.size_m", label=f"{lamp.label}: side", low=0.02, high=2.0)
+    yield replace(
+        lamp, key=f"{lamp.key}.radiance", label=f"{lamp.label}: radiance", low=0.05, high=500.0,
+        unit=_RADIANCE, scale=1.0, grey=True,
+    )  # fmt: skip
+
+
+_RADIANCE = "W/(sr m\N{SUPERSCRIPT TWO})"
+_LIGHT = (
+    Control(
+        key="light.environment.radiance", label="from all around", group="Light", cost="light",
+        low=0.002, high=50, unit=_RADIANCE, grey=True,
+    ),
+    Control(
+        key="render.samples", label="samples", group="Light", cost="light",
+        choices=(1, 4, 8, 16, 32, 64, 128, 256),
+    ),
+    Control(
+        key="render.depth", label="surfaces that a path meets", group="Light", cost="light",
+        low=1, high=16, step=1,
+    ),
+)  # fmt: skip
+
+_PHYSICS = (
+    Control(key="count", label="parts", group="Parts", cost="physics", low=1, high=255, step=1),
+    Control(key="seed", label="seed", group="Parts", cost="physics", low=0, high=999, step=1),
+    *(
+        Control(
+            key=f"bin.inner_m.{k}", label=f"bin: {word}", group="Parts", cost="physics", low=0.05,
+            high=1.2, step=0.01, unit="mm", scale=1e3, whole="bin.inner_m",
+        )
+        for k, word in enumerate(("length", "width", "height"))
+    ),
+    Control(
+        key="bin.friction", label="bin: friction", group="Parts", cost="physics", low=0, high=1.5,
+        step=0.05,
+    ),
+)  # fmt: skip
+
+
+def _values(cell: Cell, ask: Ask) -> dict[str, Any]:
+    """What every control shows: what is in force, said or not."""
+    config, scanner, scene = cell.config, cell.scanner, cell.scene
+    values: dict[str, Any] = {}
+    for section in ("exposure", "sensor", "decode", "filters"):
+        for name, value in asdict(getattr(scanner, section)).items():
+            values[f"{section}.{name}"] = value
+    values |= _view_values(config, cell)
+    for index, part in list(enumerate(scene.parts[: len(config.parts)]))[:MOST_PARTS]:
+        values[f"parts.{index}.material"] = _material(part.material)
+        values[f"parts.{index}.builtin"] = config.parts[index].builtin
+    box = scene.bin
+    if box is not None:
+        values["bin.material"] = _material(box.material)
+        values["bin.inner_m"] = list(box.inner_m)
+        values["bin.friction"] = box.friction
+    low, high = config.count_range
+    light = ask.unturned.light.model_dump(mode="json", exclude_none=True)
+    return values | {
+        "table": _material(scene.table),
+        "light.lamps": light["lamps"],
+        "light.environment.radiance": light["environment"]["radiance"],
+        "render.samples": config.render.samples,
+        "render.depth": config.render.depth,
+        "count": low if low == high else [low, high],
+        "seed": config.seed,
+        "code.codec": scanner.code.codec,
+    }
+
+
+def _view_values(config: Config, cell: Cell) -> dict[str, Any]:
+    view, box = config.view, cell.scene.bin
+    height_m = 0.0 if box is None else box.inner_m[2]
+    return {
+        "view.distance_m": view.distance_m or standoff_m(cell.scanner.rig),
+        "view.tilt_deg": view.tilt_deg,
+        "view.azimuth_deg": view.azimuth_deg,
+        "view.target_m": list(view.target_m or (0.0, 0.0, height_m / 3)),
+    }
+
+
+def _material(material: Material) -> Mapping[str, Any]:
+    """The words of a surface without its picture, as a configuration says them."""
+    words = {name: getattr(material, name) for name in ("metallic", "roughness", "specular")}
+    return {"base_color": list(material.base_color), **words} | (
+        {}
+        if material.projector_reflectance is None
+        else {"projector_reflectance": material.projector_reflectance}
+    )

@@ -1,0 +1,179 @@
+"""What is set in a live session: a configuration's own words, and a few things turned beside them.
+
+Ambient light and the rig have no single key of a configuration. They are turned here, and become
+words when the cell is asked for: scaled radiances, and a rig file of its own.
+"""
+
+from collections.abc import Mapping
+from copy import deepcopy
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import yaml
+
+from ...base.errors import ConfigError
+from ...base.frames import axis_rotation
+from ...base.settings import check_settings
+from ...camera.decode import triangulation_axis
+from ...camera.rig_file import named_scanner, scanner_text
+from ...cell.config import Config
+from ...rig.pair import Rig
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RigChange:
+    """What is turned at a rig: factors of its own values, and a turn added to its toe-in."""
+
+    power: float = 1.0  # of the projector
+    baseline: float = 1.0
+    toe_in_deg: float = 0.0
+
+    def __post_init__(self) -> None:
+        for name in ("power", "baseline"):
+            if not 0 < getattr(self, name) <= 1000:
+                raise ConfigError(
+                    f"rig.{name} is {getattr(self, name)}: give a factor greater than 0 and at "
+                    "most 1000"
+                )
+        if not -60 <= self.toe_in_deg <= 60:
+            raise ConfigError(f"rig.toe_in_deg is {self.toe_in_deg}: give degrees from -60 to 60")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Document:
+    """One state of a session; nothing in it changes, so that undo is an earlier one."""
+
+    content: Mapping[str, Any]  # as the YAML file says it
+    ambient: float = 1.0  # factor of the environment and of all lamps
+    rig: RigChange = field(default_factory=RigChange)
+
+    def __post_init__(self) -> None:
+        if not 0 <= self.ambient <= 1000:
+            raise ConfigError(f"ambient is {self.ambient}: give a factor from 0 to 1000")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Written:
+    """A document as files: what the configuration holds, and its own rig file where it has one."""
+
+    content: Mapping[str, Any]
+    rig_text: str | None
+
+
+def changed(document: Document, key: str, value: Any) -> Document:
+    """The document with another value; None takes a key away, so that it is as if left out.
+
+    Args:
+        key: `ambient`, one of `RigChange` after `rig.`, or a key of the configuration with dots,
+            such as `exposure.target` and `parts.0.material`.
+
+    Raises:
+        ConfigError: there is no such place in the configuration, or a factor is out of its range.
+    """
+    try:
+        if key == "ambient":
+            return replace(document, ambient=float(1.0 if value is None else value))
+        if key.startswith("rig."):
+            name = key.removeprefix("rig.")
+            if name not in RigChange.__dataclass_fields__:
+                known = ", ".join(RigChange.__dataclass_fields__)
+                raise ConfigError(f"the key {key} does not exist: the keys are {known}")
+            given = getattr(RigChange(), name) if value is None else float(value)
+            return replace(document, rig=replace(document.rig, **{name: given}))
+    except (TypeError, ValueError) as error:
+        raise ConfigError(f"{key} is {value!r}: give a number") from error
+    content = deepcopy(dict(document.content))
+    _put(content, key, value)
+    return replace(document, content=content)
+
+
+def _put(content: dict[str, Any], key: str, value: Any) -> None:
+    *way, last = key.split(".")
+    node: Any = content
+    for step in way:
+        if isinstance(node, list):
+            node = _item(node, step, key)
+        else:
+            if not isinstance(node.get(step), dict | list):
+                node[step] = {}
+            node = node[step]
+    if isinstance(node, list):
+        _item(node, last, key)
+        node[int(last)] = value
+    elif value is None:
+        node.pop(last, None)
+    else:
+        node[last] = value
+
+
+def _item(node: list[Any], step: str, key: str) -> Any:
+    if not step.isdecimal() or int(step) >= len(node):
+        raise ConfigError(f"{key}: the list has {len(node)} entries, and {step} is not one of them")
+    return node[int(step)]
+
+
+def checked(document: Document, path: Path) -> Config:
+    """The configuration that the document's own words are, without what is turned beside them.
+
+    Raises:
+        ConfigError: as in `load_config`; the text names the file.
+    """
+    return check_settings(document.content, Config, path)
+
+
+def written(document: Document, path: Path, *, rig_name: str) -> Written:
+    """The document as files that `graycast preview` reads.
+
+    Args:
+        path: of the configuration; its relative paths start in that folder.
+        rig_name: what the configuration calls the document's own rig file.
+
+    Raises:
+        ConfigError: the words are refused, or the rig cannot be read or turned like that.
+    """
+    config = checked(document, path)
+    content = deepcopy(dict(document.content))
+    if document.ambient != 1:
+        content["light"] = _brightened(config, document.ambient)
+    if document.rig == RigChange():
+        return Written(content=content, rig_text=None)
+    named = named_scanner(config.rig, folder=path.parent, resolution=config.resolution)
+    try:
+        turned = replace(named, rig=turned_rig(named.rig, document.rig))
+    except ValueError as error:
+        raise ConfigError(f"{path}: rig: {error}") from error
+    content["rig"] = rig_name
+    content.pop("resolution", None)  # a rig file states its own
+    return Written(content=content, rig_text=scanner_text(turned))
+
+
+def _brightened(config: Config, factor: float) -> dict[str, Any]:
+    light = config.light.model_dump(mode="json", exclude_none=True)
+    for source in (light["environment"], *light["lamps"]):
+        source["radiance"] = [factor * value for value in source["radiance"]]
+    return light
+
+
+def turned_rig(rig: Rig, change: RigChange) -> Rig:
+    """The rig with a brighter projector, farther from the camera, turned more towards its axis.
+
+    Raises:
+        ValueError: the baseline is none, or longer than rigs are.
+    """
+    across = 0 if triangulation_axis(rig) == "column" else 1
+    side = 1.0 if rig.T_cam_proj[across, 3] >= 0 else -1.0
+    # About y a turn by +a moves the axis towards +x, about x towards -y.
+    sense = -side if across == 0 else side
+    T_cam_proj = rig.T_cam_proj.copy()
+    turn = axis_rotation("xy"[1 - across], sense * np.radians(change.toe_in_deg))
+    if change.toe_in_deg:
+        T_cam_proj[:3, :3] = T_cam_proj[:3, :3] @ turn
+    T_cam_proj[:3, 3] *= change.baseline
+    return replace(rig, T_cam_proj=T_cam_proj, intensity_w_sr=rig.intensity_w_sr * change.power)
+
+
+def document_text(content: Mapping[str, Any]) -> str:
+    """A configuration as YAML."""
+    return yaml.safe_dump(dict(content), sort_keys=False, default_flow_style=None, width=100)

@@ -1,0 +1,317 @@
+"""The whole line kept open: what is asked for is made from what is there as far as that goes.
+
+Every product stays with what it was made from. A change of what comes after the light alone
+(exposure, sensor, decoder, filters, faults) is measured again from the kept radiance, which is
+linear: so are the projector's power and the ambient light, whose factors scale it. Another light is
+rendered, roughly first, then as configured. Only what falls otherwise is dropped again.
+
+What is finished is what `make_scene` makes of the same configuration, bit for bit: the stages and
+their seeds are the same. A scaled radiance differs in its last bits, so it is shown at once, and
+rendered anew while one waits.
+"""
+
+import hashlib
+import time
+from collections.abc import Callable, Hashable, Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float, UInt8
+
+from ...base.progress import Stages
+from ...camera.picture import color_light, developed
+from ...camera.scanner import measure, take
+from ...camera.sensor import Capture
+from ...cell.config import Config, resolve_quality, resolve_scanner
+from ...cell.resolve import Cell, open_cell_renderer, resolve_cell
+from ...cell.simulate import cell_seeds, varied, with_field
+from ...render import Quality, Renderer, Rendering
+from ...world.drop import DropLimits, drop
+from ...world.scene import Layout, Scene
+from .asking import Answer, Ask
+from .showing import Shown, picture_answer, world_answer, world_key
+
+FREE_SECTIONS = ("exposure", "sensor", "decode", "filters", "faults", "store", "scenes")
+ROUGH = (1, 4)  # samples of the pictures before the configured ones
+
+Emit = Callable[[Answer], None]
+
+
+class Superseded(Exception):
+    """Something else has been asked for: what is being made is of no use any more."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Lit:
+    """A rendering, and the light that it was made with."""
+
+    key: Hashable  # of all that the light depends on but the two factors
+    number: int  # no two renderings have the same
+    ambient: float
+    power: float
+    quality: Quality
+    final: bool  # of as many samples as configured
+    rendering: Rendering
+
+
+class Line:
+    """Keeps the last product of every stage. One thread calls it, for Mitsuba's sake."""
+
+    def __init__(
+        self,
+        *,
+        folder: Path,
+        scene_id: int,
+        device: str,
+        emit: Emit,
+        superseded: Callable[[], bool],
+    ) -> None:
+        """Keep nothing yet.
+
+        Args:
+            folder: where the configuration's relative paths start.
+            emit: is given every answer.
+            superseded: whether something else has been asked for meanwhile.
+        """
+        self._folder, self._scene_id, self._device = folder, scene_id, device
+        self._emit, self._superseded = emit, superseded
+        self._cell: Cell | None = None
+        self._renderer: tuple[Hashable, Renderer] | None = None
+        self._lain: tuple[Hashable, Layout] | None = None
+        self._lit: Lit | None = None
+        self._taken: tuple[Hashable, Capture] | None = None
+        self._linear: tuple[Hashable, Float[np.ndarray, "h w 3"]] | None = None
+        self._rgb: tuple[Hashable, UInt8[np.ndarray, "h w 3"]] | None = None
+        self._world = ""
+        self._count = 0
+        self.shown: Shown | None = None
+
+    def close(self) -> None:
+        if self._renderer is not None:
+            self._renderer[1].close()
+
+    def show(self, ask: Ask) -> None:
+        """Make what is asked for and emit it, roughly first where it takes long.
+
+        Raises:
+            Superseded: before it was finished.
+            GraycastError, ValueError, OSError: as in `resolve_cell` and `make_scene`.
+        """
+        start = time.perf_counter()
+        cell = self._resolved(ask.config)
+        seeds = cell_seeds(cell, self._scene_id, seed=ask.config.seed)
+        variation = varied(cell, self._scene_id, seeds)
+        scene = variation.scene
+        physics = _physics_key(scene, variation.counts, seeds["drop"], ask.config.drop)
+        layout, fell = self._layout(physics, scene, variation.counts, seeds["drop"], ask)
+        run = _Run(ask=ask, cell=cell, scene=scene, layout=layout, seeds=seeds, start=start)
+        key = (_light_key(ask.unturned), physics)
+        kept = self._lit if self._lit is not None and self._lit.key == key else None
+        if kept is not None:
+            exact = kept.final and (kept.ambient, kept.power) == (ask.ambient, ask.power)
+            self._finish(run, kept, kind="free", exact=exact, first=True)
+            if exact:
+                return
+        first = kept is None
+        for quality in _qualities(resolve_quality(ask.config), kept):
+            if self._superseded():
+                raise Superseded
+            final = quality == resolve_quality(ask.config)
+            rendering = self._render(run, quality)
+            self._count += 1
+            self._lit = Lit(
+                key=key,
+                number=self._count,
+                ambient=ask.ambient,
+                power=ask.power,
+                quality=quality,
+                final=final,
+                rendering=rendering,
+            )
+            kind = "physics" if fell else "light" if kept is None else "free"
+            self._finish(run, self._lit, kind=kind, exact=final, first=first)
+            first = False
+
+    def look(self, ask: Ask) -> None:
+        """What is shown once more, with another of its captured frames."""
+        if self.shown is not None:
+            self._emit(picture_answer(ask, self.shown, kind="look", ms=0.0, first=False))
+
+    # --- the stages ---------------------------------------------------------------------------
+
+    def _resolved(self, config: Config) -> Cell:
+        """The cell; its files are read again only where more has changed than the free sections."""
+        held = self._cell
+        if held is not None and _light_key(config) == _light_key(held.config):
+            scanner = resolve_scanner(config, self._folder)
+            self._cell = replace(held, config=config, scanner=scanner)
+        else:
+            self._cell = resolve_cell(config, self._folder, progress=Stages(self._stage))
+        return self._cell
+
+    def _stage(self, stage: str) -> None:
+        if self._superseded():
+            raise Superseded
+        self._emit(Answer(kind="stage", number=-1, header={"stage": stage}, arrays={}))
+
+    def _layout(
+        self, key: Hashable, scene: Scene, counts: tuple[int, ...], seed: int, ask: Ask
+    ) -> tuple[Layout, bool]:
+        """Where the parts lie, and whether they had to fall for it."""
+        if self._lain is not None and self._lain[0] == key:
+            return self._lain[1], False
+        limits = ask.config.drop
+        layout = drop(scene, counts, seed=seed, limits=limits, progress=Stages(self._stage))
+        self._lain = key, layout
+        return layout, True
+
+    def _render(self, run: "_Run", quality: Quality) -> Rendering:
+        config = run.ask.config
+        self._stage(f"{config.render.backend} renders {quality.samples} samples")
+        renderer = self._opened(run.cell)
+        return renderer.render(
+            run.scene, run.layout, run.cell.patterns(), quality=quality, seed=run.seeds["render"]
+        )
+
+    def _opened(self, cell: Cell) -> Renderer:
+        render = cell.config.render
+        key = (render.backend, render.cycles.patterns_per_render)
+        if self._renderer is None or self._renderer[0] != key:
+            if self._renderer is not None:
+                self._renderer[1].close()
+            renderer = open_cell_renderer(cell, device=self._device, on_pass=self._passed)
+            self._renderer = key, renderer
+        return self._renderer[1]
+
+    def _passed(self, done: int, total: int) -> None:
+        """A finished rough picture is worth its time, so only the long ones are broken off."""
+        if total > max(ROUGH) and done < total and self._superseded():
+            raise Superseded
+
+    def _finish(self, run: "_Run", lit: Lit, *, kind: str, exact: bool, first: bool) -> None:
+        """From light to what the page shows; the colour picture follows where it takes longer."""
+        scanner, ask = run.cell.scanner, run.ask
+        light = (lit.number, ask.power / lit.power, ask.ambient / (lit.ambient or 1.0))
+        rendering = _scaled(lit, ask)
+        key = (light, scanner.sensor, scanner.exposure, run.seeds["noise"])
+        if self._taken is None or self._taken[0] != key:
+            capture = take(scanner, rendering.radiance, seed=run.seeds["noise"])
+            self._taken = key, capture
+        codes, depth = measure(scanner, self._taken[1])
+        depth = with_field(run.scene.rig, rendering.truth, codes, depth)
+        look = (light, exact, scanner.sensor, run.seeds["picture"])
+        rgb = self._rgb[1] if self._rgb is not None and self._rgb[0] == look else None
+        self.shown = Shown(
+            cell=run.cell,
+            scene=run.scene,
+            layout=run.layout,
+            rendering=rendering,
+            samples=lit.quality.samples,
+            exact=exact and rgb is not None,
+            capture=self._taken[1],
+            codes=codes,
+            depth=depth,
+            rgb=rgb,
+        )
+        self._emit(picture_answer(ask, self.shown, kind=kind, ms=run.ms, first=first))
+        self._tell_world(ask)
+        if rgb is not None:
+            return
+        if self._superseded():
+            raise Superseded
+        linear = self._color_light(run, rendering, (light, exact))
+        rgb = developed(linear, scanner, seed=run.seeds["picture"])
+        self._rgb = look, rgb
+        self.shown = replace(self.shown, rgb=rgb, exact=exact)
+        self._emit(picture_answer(ask, self.shown, kind=kind, ms=run.ms, first=False))
+
+    def _tell_world(self, ask: Ask) -> None:
+        """The bodies of the 3D view, where they are other ones."""
+        assert self.shown is not None
+        key = world_key(self.shown)
+        if key != self._world:
+            self._world = key
+            self._emit(world_answer(ask, self.shown))
+
+    def _color_light(
+        self, run: "_Run", rendering: Rendering, key: tuple[Hashable, bool]
+    ) -> Float[np.ndarray, "h w 3"]:
+        """Cleaned once for a finished rendering; others are shown as they are."""
+        quality = resolve_quality(run.ask.config)
+        noisy = run.ask.config.render.denoise and quality.denoise == "none"
+        denoiser = self._opened(run.cell).denoiser if noisy and key[1] else None
+        if self._linear is None or self._linear[0] != (key, denoiser):
+            light = color_light(run.cell.scanner.rig, rendering, denoiser=denoiser)
+            self._linear = (key, denoiser), light
+        return self._linear[1]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Run:
+    """What all pictures of one asking have in common."""
+
+    ask: Ask
+    cell: Cell
+    scene: Scene
+    layout: Layout
+    seeds: Mapping[str, int]
+    start: float
+
+    @property
+    def ms(self) -> float:
+        return 1e3 * (time.perf_counter() - self.start)
+
+
+def _light_key(config: Config) -> str:
+    """All that a configuration says of the world and its light, as text."""
+    return config.model_dump_json(exclude=set(FREE_SECTIONS))
+
+
+def _qualities(wanted: Quality, kept: Lit | None) -> list[Quality]:
+    """Rough pictures first, but none that is no better than what is there."""
+    there = kept.quality.samples if kept is not None else 0
+    rough = [replace(wanted, samples=n) for n in ROUGH if there < n < wanted.samples]
+    return [*rough, wanted]
+
+
+def _scaled(kept: Lit, ask: Ask) -> Rendering:
+    """The rendering under another power of the projector and another ambient light.
+
+    A light that was dark says nothing of a brighter one: what it would add is left out until it
+    is rendered.
+    """
+    power, ambient = ask.power / kept.power, ask.ambient / (kept.ambient or 1.0)
+    if power == ambient == 1:
+        return kept.rendering
+    light = kept.rendering.radiance
+    radiance = replace(
+        light,
+        pattern=_times(light.pattern, power),
+        white=_times(light.white, power),
+        ambient=_times(light.ambient, ambient),
+        white_rgb=_times(light.white_rgb, power),
+        ambient_rgb=_times(light.ambient_rgb, ambient),
+    )
+    return replace(kept.rendering, radiance=radiance)
+
+
+def _times(light: Float[np.ndarray, "..."], factor: float) -> Float[np.ndarray, "..."]:
+    """A turn of one light copies no other: the patterns' stack alone is 15 ms of a wait."""
+    return light if factor == 1 else light * np.float32(factor)
+
+
+def _physics_key(scene: Scene, counts: tuple[int, ...], seed: int, limits: DropLimits) -> Hashable:
+    """By value, all that `drop` is given and looks at: shapes, weights, friction."""
+    box = scene.bin
+    assert box is not None  # a cell has one
+
+    def solid(mesh: Any) -> str:
+        digest = hashlib.sha256(np.ascontiguousarray(mesh.vertices_m).tobytes())
+        digest.update(np.ascontiguousarray(mesh.faces).tobytes())
+        return digest.hexdigest()
+
+    room = solid(box.mesh) if box.mesh is not None else (box.inner_m, box.wall_m)
+    parts = tuple((solid(p.mesh), p.density_kg_m3, p.friction) for p in scene.parts)
+    return room, box.friction, parts, counts, seed, limits

@@ -1,0 +1,162 @@
+"""The process that makes the pictures, so that all its memory and threads go when it ends."""
+
+import faulthandler
+import signal
+from collections.abc import Callable
+from contextlib import suppress
+from multiprocessing import get_context
+from multiprocessing.connection import Connection
+from pathlib import Path
+from threading import Lock, Thread
+
+from ...base.errors import GraycastError, told
+from .asking import Answer, Ask
+
+STOP_S = 3.0  # within which it ends by itself; a rendering that is not broken off is killed
+
+
+def _work(connection: Connection, folder: Path, scene_id: int, device: str) -> None:
+    """Answer what comes in until nothing more does; of several asks the last one counts."""
+    from .line import Line, Superseded
+
+    faulthandler.enable()  # where native code crashes, standard error says where it was called
+    line = Line(
+        folder=folder,
+        scene_id=scene_id,
+        device=device,
+        emit=connection.send,
+        superseded=connection.poll,
+    )
+    with suppress(EOFError, BrokenPipeError, KeyboardInterrupt):
+        done: Ask | None = None
+        while (ask := _last(connection)) is not None:
+            try:
+                if done is not None and _same_but_frame(ask, done):
+                    line.look(ask)
+                else:
+                    done = None
+                    line.show(ask)
+                    done = ask
+            except Superseded:
+                continue
+            except (GraycastError, ValueError, OSError, MemoryError) as error:
+                connection.send(_refusal(ask, told(error)))
+            except Exception as error:  # the page must hear of what nobody foresaw
+                text = f"{type(error).__name__} {told(error)}"
+                connection.send(
+                    _refusal(ask, f"{text}: this is an error in Graycast or in the machine")
+                )
+    line.close()
+
+
+def _last(connection: Connection) -> Ask | None:
+    """What was asked for last; None where the session is over."""
+    while True:
+        ask: Ask | None = connection.recv()
+        if ask is None:
+            return None
+        connection.send(Answer(kind="taken", number=ask.number, header={}, arrays={}))
+        if not connection.poll():
+            return ask
+
+
+def _same_but_frame(ask: Ask, done: Ask) -> bool:
+    return (ask.config, ask.unturned, ask.ambient, ask.power) == (
+        done.config, done.unturned, done.ambient, done.power,
+    )  # fmt: skip
+
+
+def _refusal(ask: Ask, text: str) -> Answer:
+    return Answer(kind="error", number=ask.number, header={"error": text}, arrays={})
+
+
+class Maker:
+    """The running process, and a thread that hands its answers on."""
+
+    def __init__(
+        self,
+        *,
+        folder: Path,
+        scene_id: int,
+        device: str,
+        on_answer: Callable[[Answer], None],
+        on_end: Callable[[str], None],
+    ) -> None:
+        """Start it.
+
+        Args:
+            on_answer: called in the thread with every answer.
+            on_end: called in the thread with what ended the process, if `stop` did not.
+        """
+        context = get_context("spawn")
+        self._connection, theirs = context.Pipe()
+        self._process = context.Process(
+            target=_work, args=(theirs, folder, scene_id, device), daemon=True
+        )
+        self._process.start()
+        theirs.close()
+        self._on_answer, self._on_end = on_answer, on_end
+        self._lock = Lock()  # of the three below, and of the pipe's one end
+        self._on_the_way = self._stopping = False
+        self._waiting: Ask | None = None
+        self._thread = Thread(target=self._listen, daemon=True)
+        self._thread.start()
+
+    @property
+    def pid(self) -> int | None:
+        return self._process.pid
+
+    def ask(self, ask: Ask) -> None:
+        """Ask for a cell; of several that wait, the process sees the last alone."""
+        with self._lock:
+            if self._on_the_way:
+                self._waiting = ask
+            else:
+                self._send(ask)
+
+    def _send(self, ask: Ask) -> None:
+        self._on_the_way, self._waiting = True, None
+        with suppress(BrokenPipeError, OSError):  # `on_end` tells of it
+            self._connection.send(ask)
+
+    def _taken(self) -> None:
+        with self._lock:
+            self._on_the_way = False
+            if self._waiting is not None:
+                self._send(self._waiting)
+
+    def stop(self) -> None:
+        """End it, and with it all that it holds."""
+        with self._lock, suppress(BrokenPipeError, OSError):
+            self._stopping, self._waiting = True, None
+            self._connection.send(None)
+        self._thread.join(STOP_S)
+        if self._thread.is_alive():
+            self._process.kill()
+            self._thread.join()
+        self._connection.close()
+        self._process.close()
+
+    def _listen(self) -> None:
+        with suppress(EOFError, OSError):
+            while True:
+                answer: Answer = self._connection.recv()
+                if answer.kind == "taken":
+                    self._taken()
+                else:
+                    self._on_answer(answer)
+        self._process.join(STOP_S)
+        if self._process.is_alive():
+            self._process.kill()
+            self._process.join()
+        with self._lock:
+            stopping = self._stopping
+        if not stopping:
+            self._on_end(_end_of(self._process.exitcode or 0))
+
+
+def _end_of(exit_code: int) -> str:
+    """What ended a process, in words."""
+    if exit_code >= 0:
+        return f"exit code {exit_code}"
+    return signal.Signals(-exit_code).name

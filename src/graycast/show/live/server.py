@@ -1,0 +1,303 @@
+"""The page's server: this machine alone reaches it, and only pages of its own may speak to it.
+
+It listens on the loopback address. What comes from elsewhere under another name (a page of the
+internet whose name was made to point here) is refused by its Host, and a page of another origin by
+its Origin. There is no password: whoever has an account on this machine may open the page.
+"""
+
+import json
+import select
+import socket
+import struct
+import threading
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager, suppress
+from http import HTTPStatus
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from importlib import resources
+from pathlib import Path
+from queue import Empty, SimpleQueue
+from typing import Any, ClassVar
+
+from ...base.errors import GraycastError, told
+from ...base.file_limits import parse_json
+from .page import about
+from .session import Held, Message, Session
+
+HOST = "127.0.0.1"
+GRACE_S = 2.0  # that a page may take to be loaded again, before all it needs is given back
+MOST_BYTES = 1_000_000  # of what a page sends
+_BEAT_S = 0.25  # at which a page's stream looks whether the page is still there
+
+# The report page's own scripts, and those of this page.
+_SHARED = ("core.js", "geometry.js", "paint.js", "viewer.js", "shapes.js", "cloud.js", "style.css")
+_OWN = ("index.html", "live.css", "live.js", "controls.js", "world.js")
+_TYPES = {".html": "text/html", ".js": "text/javascript", ".css": "text/css"}
+_POLICY = "default-src 'self'; img-src 'self' data:; style-src 'self' 'unsafe-inline'"
+
+
+class Server:
+    """Serves one session to the pages that are open; without any, nothing is kept made."""
+
+    def __init__(self, path: Path, *, port: int = 0, scene_id: int = 0, device: str = "auto"):
+        """Read the configuration and take the port.
+
+        Raises:
+            ConfigError: as in `load_config`.
+            GraycastError: the port is taken.
+        """
+        self.session = Session(path, scene_id=scene_id, device=device, on_message=self._tell)
+        self._pages: list[SimpleQueue[Message]] = []
+        self._lock = threading.Lock()
+        self._turn = threading.Lock()  # opening and pausing take their turns
+        self._pause: threading.Timer | None = None
+        try:
+            self._http = _Http((HOST, port), _handler(self))
+        except OSError as error:
+            self.session.close()
+            raise GraycastError(
+                f"port {port} of this machine cannot be opened ({error.strerror}): give another "
+                "--port, or end the program that uses it"
+            ) from error
+        self.port = self._http.server_address[1]
+        self.url = f"http://{HOST}:{self.port}/"
+
+    def run(self) -> None:
+        """Serve until `close` is called, or the program is interrupted."""
+        self._http.serve_forever(poll_interval=_BEAT_S)
+
+    def close(self) -> None:
+        """End `run`, which another thread is in."""
+        self._http.shutdown()
+        self.release()
+
+    def release(self) -> None:
+        """Give all back, once `run` has ended."""
+        self._http.server_close()
+        with self._turn:
+            if self._pause is not None:
+                self._pause.cancel()
+            self.session.close()
+
+    # --- pages --------------------------------------------------------------------------------
+
+    @contextmanager
+    def page(self) -> Iterator["SimpleQueue[Message]"]:
+        """One page that listens: the first one opens the session, the last one closes it."""
+        queue: SimpleQueue[Message] = SimpleQueue()
+        with self._turn:
+            if self._pause is not None:
+                self._pause.cancel()
+            self.session.open()
+            queue.put(Message(kind="state", content=self.session.state()))
+            for held in self.session.newer(0):
+                queue.put(Message(kind=held.answer.kind, content={"version": held.version}))
+            if (refusal := self.session.refusal) is not None:
+                queue.put(refusal)
+            with self._lock:
+                self._pages.append(queue)
+        try:
+            yield queue
+        finally:
+            with self._lock:
+                self._pages.remove(queue)
+                left = len(self._pages)
+            if not left:
+                self._pause = threading.Timer(GRACE_S, self._pause_if_alone)
+                self._pause.daemon = True
+                self._pause.start()
+
+    def _pause_if_alone(self) -> None:
+        with self._turn:
+            with self._lock:
+                alone = not self._pages
+            if alone:
+                self.session.pause()
+
+    def _tell(self, message: Message) -> None:
+        with self._lock:
+            for queue in self._pages:
+                queue.put(message)
+
+    # --- what a page asks ---------------------------------------------------------------------
+
+    def do(self, command: Any) -> dict[str, Any]:
+        """One thing that a user did; what it gives back goes to his page.
+
+        Raises:
+            GraycastError, ValueError: it cannot be done; nothing has changed.
+        """
+        session = self.session
+        match command:
+            case {"do": "set", "key": str(key), "value": value}:
+                session.set(key, value, draft=command.get("draft") is True)
+            case {"do": "rewrite", "text": str(text)}:
+                session.rewrite(text)
+            case {"do": "undo"}:
+                session.undo()
+            case {"do": "redo"}:
+                session.undo(-1)
+            case {"do": "return", "number": int(number)}:
+                session.return_to(number)
+            case {"do": "look", "frame": int(frame)}:
+                session.look(frame)
+            case {"do": "save", "name": str(name)}:
+                return {"saved": str(session.save(name))}
+            case _:
+                raise GraycastError(f"the page asked for {json.dumps(command)[:200]}: reload it")
+        return {"number": session.number}
+
+
+@contextmanager
+def serve(path: Path, *, port: int, scene_id: int, device: str) -> Iterator[Server]:
+    """A server that runs in the block, in a thread of its own."""
+    server = Server(path, port=port, scene_id=scene_id, device=device)
+    thread = threading.Thread(target=server.run, daemon=True)
+    thread.start()
+    try:
+        yield server
+    finally:
+        server.close()
+        thread.join()
+
+
+class _Http(ThreadingHTTPServer):
+    daemon_threads = True
+    block_on_close = False  # a stream ends when its page or the program does
+
+    def handle_error(self, request: Any, client_address: Any) -> None:
+        """A page that went away in the middle of an answer is no error."""
+
+
+def _handler(server: Server) -> type[BaseHTTPRequestHandler]:
+    class Handler(_Handler):
+        live = server
+
+    return Handler
+
+
+class _Handler(BaseHTTPRequestHandler):
+    """One request of a browser."""
+
+    live: ClassVar[Server]
+    protocol_version = "HTTP/1.1"
+    disable_nagle_algorithm = True
+
+    def do_GET(self) -> None:
+        if not self._is_ours():
+            return
+        name, _, query = self.path.partition("?")
+        name = name.lstrip("/") or "index.html"
+        if name == "events":
+            self._stream()
+        elif name == "newer" and query.isdecimal():
+            self._send(_packed(self.live.session.newer(int(query))), "application/octet-stream")
+        elif name == "about.js":
+            self._send(about().encode(), _TYPES[".js"])
+        elif name in _OWN or name in _SHARED:
+            package = "graycast.show.report.page" if name in _SHARED else "graycast.show.live"
+            body = resources.files(package).joinpath("web", name).read_bytes()
+            self._send(body, _TYPES[Path(name).suffix])
+        else:
+            self._refuse(HTTPStatus.NOT_FOUND, f"the page has no file {name}")
+
+    def do_POST(self) -> None:
+        if not self._is_ours():
+            return
+        length = self.headers.get("Content-Length", "")
+        if not length.isdecimal() or int(length) > MOST_BYTES:
+            self.close_connection = True
+            self._refuse(HTTPStatus.REQUEST_ENTITY_TOO_LARGE, "too much was sent")
+            return
+        body = self.rfile.read(int(length))
+        if self.path != "/do" or self.headers.get_content_type() != "application/json":
+            self._refuse(HTTPStatus.NOT_FOUND, "send JSON to /do")
+            return
+        try:
+            answer = self.live.do(_command(body))
+        except (GraycastError, ValueError, OSError) as error:
+            answer = {"error": told(error)}
+        self._send(json.dumps(answer).encode(), "application/json")
+
+    def _is_ours(self) -> bool:
+        """Whether a page of this server asks, under the name that it was opened with."""
+        names = {f"{name}:{self.live.port}" for name in (HOST, "localhost")}
+        host, origin = self.headers.get("Host"), self.headers.get("Origin")
+        if host in names and origin in (None, f"http://{host}"):
+            return True
+        self.close_connection = True
+        self._refuse(HTTPStatus.FORBIDDEN, f"open {self.live.url}")
+        return False
+
+    def _stream(self) -> None:
+        """Everything that happens, line by line, for as long as the page is there."""
+        self.close_connection = True
+        self._head(HTTPStatus.OK, "text/event-stream", None)
+        with self.live.page() as queue, suppress(OSError):
+            while not _is_gone(self.connection):
+                with suppress(Empty):
+                    message = queue.get(timeout=_BEAT_S)
+                    text = json.dumps({"kind": message.kind, **_kindless(message.content)})
+                    self.wfile.write(f"data: {text}\n\n".encode())
+
+    def _send(self, body: bytes, content_type: str) -> None:
+        self._head(HTTPStatus.OK, content_type, len(body))
+        self.wfile.write(body)
+
+    def _refuse(self, status: HTTPStatus, text: str) -> None:
+        body = text.encode()
+        self._head(status, "text/plain", len(body))
+        self.wfile.write(body)
+
+    def _head(self, status: HTTPStatus, content_type: str, length: int | None) -> None:
+        self.send_response(status)
+        self.send_header("Content-Type", f"{content_type}; charset=utf-8")
+        if length is not None:
+            self.send_header("Content-Length", str(length))
+        self.send_header("Cache-Control", "no-store")
+        self.send_header("Content-Security-Policy", _POLICY)
+        self.send_header("X-Content-Type-Options", "nosniff")
+        self.end_headers()
+
+    def log_message(self, format: str, *args: Any) -> None:
+        """Nothing is printed for a request."""
+
+
+def _command(body: bytes) -> Any:
+    try:
+        return parse_json(body)
+    except ValueError as error:
+        raise GraycastError(f"what the page sent is not JSON ({error}): reload it") from error
+
+
+def _kindless(content: Mapping[str, Any]) -> dict[str, Any]:
+    """A picture's own kind (free, light, physics) gives way to the message's."""
+    return {("change" if key == "kind" else key): value for key, value in content.items()}
+
+
+def _is_gone(connection: socket.socket) -> bool:
+    """Whether the other side has closed: a browser sends nothing more on a stream."""
+    readable, _, _ = select.select([connection], [], [], 0)
+    return bool(readable) and connection.recv(1, socket.MSG_PEEK) == b""
+
+
+def _packed(answers: list[Held]) -> bytes:
+    """Answers as one piece: the length of a head, the head as JSON, and every array's bytes.
+
+    Arrays begin at multiples of 8 bytes, so that a browser looks at them where they are.
+    """
+    places: list[dict[str, Any]] = []
+    pieces: list[bytes] = []
+    at = 0
+    for held in answers:
+        arrays = {}
+        for name, data in held.answer.arrays.items():
+            arrays[name] = [at, len(data)]
+            pieces += [data, b"\0" * (-len(data) % 8)]
+            at += len(data) + (-len(data) % 8)
+        header = held.answer.header
+        places.append({"kind": held.answer.kind, "version": held.version, "arrays": arrays,
+                       "header": header})  # fmt: skip
+    head = json.dumps(places).encode()
+    head += b" " * (-(len(head) + 4) % 8)
+    return struct.pack("<I", len(head)) + head + b"".join(pieces)

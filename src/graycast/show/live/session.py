@@ -1,0 +1,340 @@
+"""A session: what is set, what was set before, what is saved; and the process that shows it."""
+
+import hashlib
+import re
+import shutil
+import tempfile
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from threading import RLock
+from typing import Any
+
+from ...base.errors import ConfigError, GraycastError
+from ...base.folder import write_whole
+from ...base.settings import check_settings, parse_yaml, read_text
+from ...cell.config import Config, resolve_scanner
+from .asking import Answer, Ask
+from .document import Document, RigChange, Written, changed, checked, document_text, written
+from .picture_process import Maker
+
+MOST_UNDO = 500
+_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,80}\.ya?ml")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Message:
+    """What a page is told: a kind, and what belongs to it. Pictures are fetched by their number."""
+
+    kind: str
+    content: Mapping[str, Any]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Held:
+    """The last answer of a kind, for pages to fetch."""
+
+    version: int
+    answer: Answer
+
+
+class Session:
+    """The state behind the page. Its methods may be called by any thread."""
+
+    def __init__(
+        self,
+        path: Path,
+        *,
+        scene_id: int = 0,
+        device: str = "auto",
+        on_message: Callable[[Message], None] = lambda message: None,
+    ) -> None:
+        """Read and check a configuration; nothing is made before `open`.
+
+        Args:
+            path: of the configuration. Nothing is ever written there.
+            on_message: called for everything that a page shall hear.
+
+        Raises:
+            ConfigError: as in `load_config`.
+        """
+        self._path, self._scene_id, self._device = path, scene_id, device
+        self._on_message = on_message
+        document = Document(content=dict(parse_yaml(read_text(path), path)))
+        checked(document, path)
+        self._states, self._at, self._draft = [document], 0, False
+        self._frame = 2
+        self._number = self._version = 0
+        self._asked: dict[int, Document] = {}
+        self._asked_at: dict[int, float] = {}
+        self._held: dict[str, Held] = {}
+        self._refusal: Message | None = None
+        self._own: set[Path] = set()  # files that this session has written
+        self._lock = RLock()
+        self._maker: Maker | None = None
+        self._has_finished = False  # whether the running process has finished a picture
+        self._folder = Path(tempfile.mkdtemp(prefix="graycast-live-"))
+
+    # --- opening and closing ------------------------------------------------------------------
+
+    @property
+    def pid(self) -> int | None:
+        """Of the process that makes the pictures; None where none runs."""
+        with self._lock:
+            return None if self._maker is None else self._maker.pid
+
+    @property
+    def number(self) -> int:
+        """Of what was asked for last."""
+        with self._lock:
+            return self._number
+
+    def open(self) -> None:
+        """Begin to make pictures, if that is not done already."""
+        with self._lock:
+            if self._maker is None:
+                self._has_finished = False
+                self._maker = Maker(
+                    folder=self._path.parent,
+                    scene_id=self._scene_id,
+                    device=self._device,
+                    on_answer=self._answered,
+                    on_end=self._ended,
+                )
+                self._show()
+
+    def pause(self) -> None:
+        """Give back all memory and threads; what is set, and what it was before, stays."""
+        with self._lock:
+            maker, self._maker = self._maker, None
+            self._held.clear()
+        if maker is not None:
+            maker.stop()
+
+    def close(self) -> None:
+        self.pause()
+        shutil.rmtree(self._folder, ignore_errors=True)
+
+    # --- what a user does ---------------------------------------------------------------------
+
+    def set(self, key: str, value: Any, *, draft: bool = False) -> None:
+        """Set one value, as in `document.changed`; drafts in a row are one step of undo.
+
+        Raises:
+            ConfigError: the configuration would be refused; what was set stays.
+        """
+        with self._lock:
+            self._take(changed(self._now, key, value), draft=draft)
+
+    def rewrite(self, text: str) -> None:
+        """Take another text for the configuration; what is turned beside it stays.
+
+        Raises:
+            ConfigError: it would be refused; what was set stays.
+        """
+        with self._lock:
+            content = dict(parse_yaml(text, self._path))
+            self._take(replace(self._now, content=content), draft=False)
+
+    def undo(self, steps: int = 1) -> None:
+        """Go back, or with a negative number forth again; at either end nothing happens."""
+        with self._lock:
+            self._draft = False
+            self._at = min(max(self._at - steps, 0), len(self._states) - 1)
+            self._show()
+
+    def return_to(self, number: int) -> None:
+        """Set all as it was when the picture of that number was asked for."""
+        with self._lock:
+            if number not in self._asked:
+                raise ConfigError(f"picture {number} is no longer stored: set its values by hand")
+            self._take(self._asked[number], draft=False)
+
+    def look(self, frame: int) -> None:
+        """Look at another of the captured frames."""
+        with self._lock:
+            self._frame = frame
+            self._show()
+
+    def save(self, name: str) -> Path:
+        """Write what is set beside the configuration, for `graycast preview` and all others.
+
+        Returns:
+            The file. A rig that was turned is a file of its own beside it.
+
+        Raises:
+            GraycastError: the name is none, is taken by a file that this session has not written,
+                or the disk refuses.
+        """
+        if not _NAME.fullmatch(name):
+            raise ConfigError(
+                f"{name!r} is not a valid file name: give letters, digits, dots and dashes, with "
+                ".yaml at the end"
+            )
+        with self._lock:
+            path = self._path.parent / name
+            rig_path = path.with_name(f"{path.stem}_rig.yaml")
+            now = written(self._now, self._path, rig_name=rig_path.name)
+            files = {path: document_text(now.content)}
+            if now.rig_text is not None:
+                files[rig_path] = now.rig_text
+            for file in files:
+                if file.exists() and file not in self._own:
+                    raise GraycastError(f"{file} exists already: give another name")
+            for file, text in files.items():
+                write_whole(file, text.encode())
+                self._own.add(file)
+        return path
+
+    # --- what a page shows --------------------------------------------------------------------
+
+    def state(self) -> dict[str, Any]:
+        """What is set, for a page: words, what is turned, whether there is something to undo."""
+        with self._lock:
+            now = self._now
+            config = checked(now, self._path)
+            return {
+                "path": str(self._path),
+                "text": document_text(now.content),
+                "values": {
+                    "ambient": now.ambient,
+                    **{
+                        f"rig.{name}": getattr(now.rig, name)
+                        for name in RigChange.__dataclass_fields__
+                    },
+                    "rig": config.rig,
+                    "resolution": config.resolution,
+                },
+                "said": _said(now.content) + _turned(now),
+                "undo": self._at,
+                "redo": len(self._states) - 1 - self._at,
+                "number": self._number,
+            }
+
+    def newer(self, version: int) -> list[Held]:
+        """The last answers of each kind that are newer than a version."""
+        with self._lock:
+            return [held for held in self._held.values() if held.version > version]
+
+    @property
+    def refusal(self) -> Message | None:
+        """Why there is no picture of what is set; None unless it was refused."""
+        with self._lock:
+            return self._refusal
+
+    # --- within -------------------------------------------------------------------------------
+
+    @property
+    def _now(self) -> Document:
+        return self._states[self._at]
+
+    def _take(self, document: Document, *, draft: bool) -> None:
+        config = self._config(document)  # refuse it before it counts
+        resolve_scanner(config, self._path.parent)
+        if self._draft and self._at > 0:
+            self._states[self._at] = document
+            del self._states[self._at + 1 :]
+        else:
+            del self._states[self._at + 1 :]
+            self._states.append(document)
+            del self._states[: max(len(self._states) - MOST_UNDO, 0)]
+            self._at = len(self._states) - 1
+        self._draft = draft
+        self._show()
+
+    def _show(self) -> None:
+        """Tell the page what is set, and ask for its picture."""
+        self._number += 1
+        self._refusal = None
+        self._asked_at[self._number] = time.perf_counter()
+        self._asked[self._number] = self._now
+        for old in [n for n in self._asked if n <= self._number - MOST_UNDO]:
+            del self._asked[old], self._asked_at[old]
+        self._on_message(Message(kind="state", content=self.state()))
+        if self._maker is not None:
+            now, unturned = self._now, replace(self._now, ambient=1.0)
+            unturned = replace(unturned, rig=replace(now.rig, power=1.0))
+            self._maker.ask(
+                Ask(
+                    number=self._number,
+                    config=self._config(now),
+                    unturned=self._config(unturned),
+                    ambient=now.ambient,
+                    power=now.rig.power,
+                    frame=self._frame,
+                )
+            )
+
+    def _config(self, document: Document) -> Config:
+        """The document's whole configuration; its rig file, if any, is among the session's own."""
+        plain = written(document, self._path, rig_name="rig.yaml")
+        return check_settings(self._with_rig(plain), Config, self._path)
+
+    def _with_rig(self, plain: Written) -> Mapping[str, Any]:
+        if plain.rig_text is None:
+            return plain.content
+        digest = hashlib.sha256(plain.rig_text.encode()).hexdigest()[:16]
+        file = self._folder / f"rig-{digest}.yaml"
+        if not file.exists():
+            write_whole(file, plain.rig_text.encode())
+        return {**plain.content, "rig": str(file)}
+
+    def _answered(self, answer: Answer) -> None:
+        with self._lock:
+            asked_at = self._asked_at.get(answer.number)
+            waited_ms = None if asked_at is None else 1e3 * (time.perf_counter() - asked_at)
+            content = dict(answer.header)
+            self._has_finished |= content.get("exact", False)
+            if answer.arrays:
+                self._version += 1
+                self._held[answer.kind] = Held(version=self._version, answer=answer)
+                told = ("number", "kind", "first", "samples", "of", "exact")
+                content = {name: content[name] for name in told if name in content}
+                content |= {"version": self._version, "waited_ms": waited_ms}
+            if answer.kind == "error":
+                content["number"] = answer.number
+            message = Message(kind=answer.kind, content=content)
+            if answer.kind == "error" and answer.number == self._number:
+                self._refusal = message
+        self._on_message(message)
+
+    def _ended(self, by: str) -> None:
+        """The process is gone, and nobody stopped it: another one makes the picture.
+
+        A process that did not finish one picture has no successor, as it would end likewise.
+        """
+        with self._lock:
+            if self._maker is None:  # `pause` was quicker
+                return
+            self._maker = None
+            text = f"the process that makes the pictures was ended by {by}"
+            if self._has_finished:
+                self.open()
+                text += ": it was started again, and nothing that you set is lost"
+                message = Message(kind="error", content={"error": text})
+            else:
+                text += " before it finished a picture: undo the last change, then reload the page"
+                message = Message(kind="error", content={"error": text, "number": self._number})
+                self._refusal = message
+        self._on_message(message)
+
+
+def _turned(document: Document) -> list[str]:
+    """What is turned beside the configuration's words."""
+    as_it_is = asdict(RigChange())
+    names = [
+        f"rig.{name}" for name, value in asdict(document.rig).items() if value != as_it_is[name]
+    ]
+    return names + (["ambient"] if document.ambient != 1 else [])
+
+
+def _said(content: Mapping[str, Any], before: str = "") -> list[str]:
+    """Every key that the configuration's own text holds, with dots."""
+    keys = []
+    for name, value in content.items():
+        key = f"{before}{name}"
+        keys.append(key)
+        if isinstance(value, Mapping):
+            keys += _said(value, f"{key}.")
+    return keys

@@ -1,0 +1,263 @@
+"""What is made, as the page takes it: maps as bytes, and a header that says what they are."""
+
+import hashlib
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float, Num, UInt8, UInt16
+
+from ...base.frames import inverse, transform_points
+from ...base.robust import robust_sigma
+from ...camera.decode import CodeMap, DepthMap, Reason, triangulation_axis
+from ...camera.sensor import Capture
+from ...cell.generate import depth_step_mm
+from ...cell.resolve import Cell
+from ...render import Rendering
+from ...rig.optics import Optics
+from ...rig.pair import Rig
+from ...world.parts import Mesh
+from ...world.scene import Layout, Scene, bin_mesh
+from ..report.rig_picture import common_field, footprint_m
+from .asking import Answer, Ask
+from .controls import described_controls
+
+MM_PER_M = 1000.0
+DEPTH_MAX = 65535
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Shown:
+    """What is on the page: everything that a picture of it needs."""
+
+    cell: Cell
+    scene: Scene
+    layout: Layout
+    rendering: Rendering
+    samples: int
+    exact: bool  # what `make_scene` gives
+    capture: Capture
+    codes: CodeMap
+    depth: DepthMap
+    rgb: UInt8[np.ndarray, "h w 3"] | None  # not made yet
+
+
+def picture_answer(ask: Ask, shown: Shown, *, kind: str, ms: float, first: bool) -> Answer:
+    """All maps of what is shown; the colour picture is among them once it is made."""
+    cell, depth, truth = shown.cell, shown.depth, shown.rendering.truth
+    scale_mm = depth_step_mm(cell)
+    axis = triangulation_axis(cell.scanner.rig)
+    codes = shown.codes
+    place, spread = (
+        (codes.column, codes.sigma_column) if axis == "column" else (codes.row, codes.sigma_row)
+    )
+    frame = ask.frame % len(shown.capture.frames)
+    arrays = {
+        "depth": _steps(truth.depth_m, scale_mm),
+        "scanner": _steps(depth.depth_m, scale_mm),
+        "sigma": (MM_PER_M * depth.sigma_m).astype(np.float32),
+        "reason": depth.reason,
+        "instance": (truth.instance + 1).astype(np.uint16),
+        "place": place.astype(np.float32),
+        "place_sigma": spread.astype(np.float32),
+        "white": _levels(shown, cell.code.brightest),
+        "frame": _levels(shown, frame),
+    }
+    if shown.rgb is not None:
+        arrays["rgb"] = shown.rgb
+    header = {
+        "number": ask.number,
+        "kind": kind,
+        "first": first,
+        "ms": round(ms, 1),
+        "samples": shown.samples,
+        "of": cell.config.render.samples,
+        "exact": shown.exact,
+        "frame": frame,
+        "axis": axis,
+        "depth_scale_mm": scale_mm,
+        **_camera(shown),
+        **_capture(shown),
+        "figures": _figures(shown),
+        "rig": _rig(cell.scanner.rig),
+        "lines": _lines(cell.scanner.rig, shown.scene.T_world_cam),
+        "target": _target(shown),
+        "notes": list(cell.notes),
+        **described_controls(cell, ask),
+    }
+    return Answer(
+        kind="picture",
+        number=ask.number,
+        header=header,
+        arrays={name: np.ascontiguousarray(array).tobytes() for name, array in arrays.items()},
+    )
+
+
+def world_answer(ask: Ask, shown: Shown) -> Answer:
+    """The bodies of the 3D view: meshes of the bin and of every kind of part, and their places."""
+    scene, layout = shown.scene, shown.layout
+    kinds = sorted({int(kind) for kind in layout.part_index})
+    meshes = {f"part{kind}": scene.parts[kind].mesh for kind in kinds}
+    if scene.bin is not None:
+        meshes["bin"] = bin_mesh(scene.bin)
+    arrays = {}
+    for name, mesh in meshes.items():
+        arrays[f"{name}.vertices"] = (MM_PER_M * mesh.vertices_m).astype(np.float32).tobytes()
+        arrays[f"{name}.faces"] = mesh.faces.astype(np.uint32).tobytes()
+    places = layout.T_world_part.copy()
+    places[:, :3, 3] *= MM_PER_M
+    by_columns = np.swapaxes(places, 1, 2).reshape(len(places), 16)
+    arrays["places"] = by_columns.astype(np.float32).tobytes()
+    header = {
+        "meshes": list(meshes),
+        "kinds": [int(kind) for kind in layout.part_index],
+        "names": [scene.parts[int(kind)].name for kind in layout.part_index],
+    }
+    return Answer(kind="world", number=ask.number, header=header, arrays=arrays)
+
+
+def world_key(shown: Shown) -> str:
+    """Changes when the bodies of the 3D view do."""
+    scene, layout = shown.scene, shown.layout
+    digest = hashlib.sha256(layout.T_world_part.tobytes())
+    meshes: list[Mesh] = [part.mesh for part in scene.parts]
+    if scene.bin is not None:
+        meshes.append(bin_mesh(scene.bin))
+    for mesh in meshes:
+        digest.update(mesh.vertices_m.tobytes())
+    return digest.hexdigest()
+
+
+def _steps(depth_m: Float[np.ndarray, "h w"], scale_mm: float) -> UInt16[np.ndarray, "h w"]:
+    """As depth pictures store it; 0 where there is none, or beyond 16 bits."""
+    step = np.rint(np.nan_to_num(depth_m) * (MM_PER_M / scale_mm))
+    return np.where((step > 0) & (step <= DEPTH_MAX), step, 0).astype(np.uint16)
+
+
+def _levels(shown: Shown, index: int) -> UInt8[np.ndarray, "h w"]:
+    """A captured frame over the sensor's range, dark level to saturation, linear."""
+    low_dn, high_dn = _range_dn(shown)
+    share = (shown.capture.frames[index].astype(np.float32) - low_dn) / (high_dn - low_dn)
+    return np.rint(255 * np.clip(share, 0, 1)).astype(np.uint8)
+
+
+def _range_dn(shown: Shown) -> tuple[float, float]:
+    sensor = shown.capture.sensor
+    return sensor.offset_dn, sensor.saturation_dn
+
+
+def _capture(shown: Shown) -> dict[str, Any]:
+    low_dn, high_dn = _range_dn(shown)
+    return {
+        "bits": shown.capture.sensor.bit_depth,
+        "low_dn": low_dn,
+        "high_dn": high_dn,
+        "merged": isinstance(shown.capture.exposure_s, np.ndarray),
+        "frames": [frame.name for frame in shown.cell.code.frames],
+    }
+
+
+def _camera(shown: Shown) -> dict[str, Any]:
+    camera: Optics = shown.cell.scanner.rig.camera
+    T_cam_world = inverse(shown.scene.T_world_cam)
+    return {
+        "width": camera.width_px,
+        "height": camera.height_px,
+        "view": {
+            "cam_K": camera.K.ravel().tolist(),
+            "distortion": list(camera.distortion),
+            "cam_R_w2c": T_cam_world[:3, :3].ravel().tolist(),
+            "cam_t_w2c": (MM_PER_M * T_cam_world[:3, 3]).tolist(),
+        },
+    }
+
+
+def _rig(rig: Rig) -> dict[str, Any]:
+    lens = asdict(rig.projector)
+    kept = ("width_px", "height_px", "fx_px", "fy_px", "cx_px", "cy_px", "distortion")
+    return {
+        "projector": {name: lens[name] for name in kept},
+        "T_cam_proj": rig.T_cam_proj.tolist(),
+        "baseline_mm": MM_PER_M * rig.baseline_m,
+        "axes_deg": float(np.degrees(rig.axes_angle_rad)),
+    }
+
+
+def _figures(shown: Shown) -> dict[str, Any]:
+    """What stands beside the picture, in numbers."""
+    depth, truth = shown.depth, shown.rendering.truth
+    on_part = truth.instance >= 0
+    error_mm = MM_PER_M * (depth.depth_m - truth.depth_m)
+    known = error_mm[on_part & np.isfinite(error_mm)]
+    return {
+        "reasons": {r.name.lower(): float((depth.reason == r).mean()) for r in Reason},
+        "part_decoded": _mean(depth.reason[on_part] == Reason.DECODED),
+        "bias_mm": float(np.median(known)) if known.size else None,
+        "sigma_mm": float(robust_sigma(known - np.median(known))) if known.size else None,
+        "exposure_ms": 1e3 * float(np.max(shown.capture.exposure_s)),
+        "saturated": _mean(shown.capture.frames[0] >= shown.capture.sensor.saturation_dn),
+    }
+
+
+def _mean(values: Num[np.ndarray, "*n"] | Any) -> float | None:
+    return float(np.mean(values)) if np.size(values) else None
+
+
+def _target(shown: Shown) -> list[float]:
+    """What the rig turns about when it is dragged, in the world [mm]."""
+    view, box = shown.cell.config.view, shown.scene.bin
+    height_m = 0.0 if box is None else box.inner_m[2]
+    return [MM_PER_M * v for v in view.target_m or (0.0, 0.0, height_m / 3)]
+
+
+def _lines(rig: Rig, T_world_cam: Float[np.ndarray, "4 4"]) -> Mapping[str, list[float]]:
+    """Segments in the world [mm]: both fields to the far end of the range, what they share."""
+    middle_m = 0.5 * (rig.near_m + rig.far_m)
+    lines = {
+        "camera": _field(rig.camera, np.eye(4), rig.far_m),
+        "projector": _field(rig.projector, rig.T_cam_proj, rig.far_m),
+        "baseline": [np.stack([np.zeros(3), rig.T_cam_proj[:3, 3]])],
+        "common": _volume([_common(rig, z_m) for z_m in (rig.near_m, middle_m, rig.far_m)]),
+    }
+    return {
+        name: _flat(transform_points(T_world_cam, np.concatenate(segments)) if segments else None)
+        for name, segments in lines.items()
+    }
+
+
+def _flat(points_m: Float[np.ndarray, "n 3"] | None) -> list[float]:
+    return [] if points_m is None else np.round(MM_PER_M * points_m, 2).ravel().tolist()
+
+
+def _field(
+    optics: Optics, T_cam_device: Float[np.ndarray, "4 4"], z_m: float
+) -> list[Float[np.ndarray, "2 3"]]:
+    outline = footprint_m(optics, T_cam_device, z_m)
+    if not len(outline):
+        return []
+    corners = np.column_stack([outline, np.full(len(outline), z_m)])
+    each = len(corners) // 4
+    sides = [np.stack([T_cam_device[:3, 3], corners[each * k]]) for k in range(4)]
+    return [*sides, *_around(corners[::each] if not optics.has_distortion else corners)]
+
+
+def _common(rig: Rig, z_m: float) -> Float[np.ndarray, "n 3"]:
+    outline = common_field(rig, z_m)
+    return np.column_stack([outline, np.full(len(outline), z_m)])
+
+
+def _around(corners: Float[np.ndarray, "n 3"]) -> list[Float[np.ndarray, "2 3"]]:
+    return list(np.stack([corners, np.roll(corners, -1, axis=0)], axis=1))
+
+
+def _volume(outlines: list[Float[np.ndarray, "_ 3"]]) -> list[Float[np.ndarray, "2 3"]]:
+    """Outlines one behind the other, and edges between their outermost corners."""
+    segments = [segment for corners in outlines for segment in _around(corners)]
+    seen = [corners for corners in outlines if len(corners)]
+    for front, back in pairwise(seen):
+        for x, y in ((1, 1), (1, -1), (-1, 1), (-1, -1)):
+            ends = [corners[np.argmax(corners[:, :2] @ [x, y])] for corners in (front, back)]
+            segments.append(np.stack(ends))
+    return segments

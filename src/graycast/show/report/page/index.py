@@ -1,0 +1,158 @@
+"""What all pages share, as one script: the dataset, its statistics, a row per scene."""
+
+import base64
+import json
+from collections.abc import Iterable, Iterator, Mapping
+from typing import Any
+
+import numpy as np
+
+from .... import __version__
+from ....camera.decode import Reason
+from ....dataset.stats import SceneFigures, Statistics, statistics_json, tally
+from ....dataset.stats.gather import error_figures
+from ....dataset.stats.scene_statistics import DEPTH_BIN_MM
+from ....dataset.stored import NO_REASON, StoredDataset
+from ....rig.pattern import Code, CodeSpec
+from .packing import color_table
+from .scene_files import MISSING_COLOR
+
+# Depth, column, difference as in previews; captured frames.
+_COLORMAPS = ("viridis_r", "viridis", "RdBu_r", "gray")
+
+
+def index_script(
+    stored: StoredDataset,
+    figures: Iterable[SceneFigures],
+    detections: Mapping[str, Any] | None = None,
+) -> tuple[str, Statistics]:
+    """`index.js`, and the statistics that it holds; figures may come from a generator.
+
+    Args:
+        detections: what `found_index` gives; None where no results were judged.
+    """
+    rows: list[list[Any]] = []
+
+    def passing() -> Iterator[SceneFigures]:
+        for one in figures:
+            rows.append(_row(one))
+            yield one
+
+    statistics = tally(passing(), stored.categories)
+    content = {
+        "name": stored.folder.resolve().name,
+        "fingerprint": stored.claim.get("fingerprint", ""),
+        "graycast": __version__,
+        "claim": _claim(stored.claim),
+        "classes": {str(one.obj_id): one.name for one in statistics.classes},
+        "reasons": _reasons(statistics),
+        "colormaps": {name: color_table(name) for name in _COLORMAPS},
+        "scanners": _scanners(stored),
+        "statistics": statistics_json(statistics),
+        "columns": _COLUMNS,
+        "scenes": rows,
+        "detections": detections,
+    }
+    text = json.dumps(content, allow_nan=False, separators=(",", ":"))
+    return f"Graycast.report = {text};\n", statistics
+
+
+_COLUMNS = (
+    "split", "id", "picture", "objects", "instances", "visibility", "decoded", "part_decoded",
+    "reasons", "depth_mm", "sigma_mm", "bias_mm", "brightness",
+)  # fmt: skip
+
+
+def _row(one: SceneFigures) -> list[Any]:
+    """The row of a scene for filters and sorting; it is short because thousands are loaded."""
+    error = error_figures(one.part_error_step or one.error_step, one.depth_scale_mm)
+    parts = max(sum(one.part_reason_px.values()), 1)
+    counts: dict[int, int] = {}
+    for obj_id in one.obj_id:
+        counts[obj_id] = counts.get(obj_id, 0) + 1
+    return [
+        one.split,
+        one.scene_id,
+        one.picture,
+        counts,
+        len(one.obj_id),
+        _short(_average([share for share in one.visib_fract if share is not None])),
+        _short(one.decoded_share),
+        _short(one.part_reason_px.get("decoded", 0) / parts),
+        {name: _short(px / one.pixels) for name, px in one.reason_px.items() if px},
+        _short(_median_depth_mm(one), 1),
+        _short(error.sigma_mm),
+        _short(error.median_mm),
+        _short(_mean(one.gray), 1),
+    ]
+
+
+def _short(value: float | None, digits: int = 4) -> float | None:
+    return None if value is None or np.isnan(value) else round(value, digits)
+
+
+def _average(values: list[float]) -> float | None:
+    return sum(values) / len(values) if values else None
+
+
+def _mean(counts: dict[int, int]) -> float | None:
+    total = sum(counts.values())
+    return sum(k * n for k, n in counts.items()) / total if total else None
+
+
+def _median_depth_mm(one: SceneFigures) -> float | None:
+    if not one.depth_bin:
+        return None
+    bins = np.array(sorted(one.depth_bin))
+    total = np.cumsum([one.depth_bin[int(k)] for k in bins])
+    return float(bins[np.searchsorted(total, total[-1] / 2)] + 0.5) * DEPTH_BIN_MM
+
+
+def _claim(said: Mapping[str, Any]) -> dict[str, Any]:
+    """The claim without digests."""
+    kept = ("config", "seed", "depth_scale_mm", "rig", "sources", "versions")
+    claim = {key: said[key] for key in kept if key in said}
+    if "config" in claim:
+        claim["config"] = {k: v for k, v in claim["config"].items() if k != "files"}
+    return claim
+
+
+def _reasons(statistics: Statistics) -> list[dict[str, Any]]:
+    listed = [
+        {
+            "number": int(reason),
+            "name": reason.label,
+            "color": reason.color,
+            "meaning": reason.meaning,
+        }
+        for reason in Reason
+    ]
+    if "missing" in statistics.reason:
+        meaning = "no scanner depth; the dataset does not say why"
+        listed.append(
+            {"number": NO_REASON, "name": "missing", "color": MISSING_COLOR, "meaning": meaning}
+        )
+    return listed
+
+
+def _scanners(stored: StoredDataset) -> dict[str, Any]:
+    """What took the pictures, by its name: its rig and code, None where they are not known."""
+    takers = {sensor: stored.taker(sensor) for sensor in stored.sizes_px}
+    return {name: {"rig": taker.get("rig"), "code": _code(taker)} for name, taker in takers.items()}
+
+
+def _code(taker: Mapping[str, Any]) -> dict[str, Any] | None:
+    """The projected frames, each as its levels along its own axis; None where none are known."""
+    rig, told = taker.get("rig"), taker.get("scanner", {}).get("code")
+    if not rig or not told:
+        return None
+    spec = CodeSpec(**{**told, "axes": tuple(told["axes"])})
+    code = spec.code(rig["projector"]["width_px"], rig["projector"]["height_px"])
+    return {"codec": spec.codec, "frames": list(_frames(code))}
+
+
+def _frames(code: Code) -> Iterator[dict[str, Any]]:
+    for frame, image in zip(code.frames, code.render(), strict=True):
+        level = image[:, 0] if frame.axis == "row" else image[0]
+        text = base64.b64encode(np.ascontiguousarray(level).tobytes()).decode()
+        yield {"name": frame.name, "axis": frame.axis, "levels": text}

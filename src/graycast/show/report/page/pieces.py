@@ -1,0 +1,184 @@
+"""A page in pieces, one for each scene or bin: only those are made that are new or changed."""
+
+import hashlib
+import shutil
+from collections.abc import Iterable, Iterator, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from contextlib import contextmanager
+from dataclasses import dataclass
+from functools import partial
+from importlib import resources
+from multiprocessing import get_context
+from pathlib import Path
+from string import Template
+from typing import Protocol, runtime_checkable
+
+from ....base.errors import GraycastError
+from ....base.folder import beside, remove_left, write_whole
+from ....base.progress import UNWATCHED, ProgressMeter
+
+PIECES = "scenes"  # the folder in which the page's scripts look for them
+_STAMP = "stamp"
+_MARK = "graycast-report"
+
+
+@runtime_checkable
+class Piece(Protocol):
+    """A part of the page with its own files; it is sent to the process that makes them."""
+
+    @property
+    def key(self) -> str: ...
+
+    def stamp(self) -> str:
+        """A text that changes when the files must be made again."""
+        ...
+
+    def files(self) -> Iterator[tuple[str, bytes]]:
+        """(name, content)."""
+        ...
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ReportSummary:
+    """What a build did; `page` is what a browser opens."""
+
+    page: Path
+    built: int
+    kept: int
+    removed: int
+
+
+def stamp_of(said: str, folder: Path, names: Iterable[str]) -> str:
+    """Changes with the words, and when a file does; files that are not there are left out."""
+    digest = hashlib.sha256(said.encode())
+    for name in names:
+        path = folder / name
+        if path.exists():
+            state = path.stat()
+            digest.update(f"{name} {state.st_size} {state.st_mtime_ns}".encode())
+    return digest.hexdigest()
+
+
+@contextmanager
+def writing_page(out: Path, source: Path) -> Iterator[None]:
+    """Open the page's folder; what is written inside says where the disk refuses.
+
+    Args:
+        out: new, empty, or with an earlier report.
+        source: the folder that the page tells of.
+
+    Raises:
+        GraycastError: `out` holds something else, or cannot be written.
+    """
+    _open_folder(out, source)
+    try:
+        (out / PIECES).mkdir(exist_ok=True)
+        yield
+    except OSError as error:
+        why = error.strerror or str(error)
+        raise GraycastError(
+            f"{out}: cannot be written ({why}): free disk space or choose another folder, and run "
+            "the same command again; the finished scenes are kept"
+        ) from error
+
+
+def write_pieces(
+    out: Path,
+    pieces: Sequence[Piece],
+    *,
+    workers: int,
+    what: str,
+    progress: ProgressMeter = UNWATCHED,
+) -> ReportSummary:
+    """Make the pieces that are new or changed, and remove those that are gone.
+
+    Args:
+        out: the page's folder, opened.
+        workers: processes that make them.
+        what: of which kind the pieces are, for `progress`, which counts them.
+    """
+    folder = out / PIECES
+    remove_left(folder)
+    todo = [piece for piece in pieces if not _is_current(folder, piece)]
+    kept = len(pieces) - len(todo)
+    progress.count(what, kept, len(pieces))
+    for done, _ in enumerate(_made(todo, folder, workers), start=kept + 1):
+        progress.count(what, done, len(pieces))
+    gone = {entry.name for entry in folder.iterdir()} - {piece.key for piece in pieces}
+    for key in gone:
+        shutil.rmtree(folder / key)
+    return ReportSummary(page=out / "index.html", built=len(todo), kept=kept, removed=len(gone))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Web:
+    """The files that a browser loads, and the values of the page template.
+
+    `styles` and `scripts` are files of the `web` folder of `package`, or else of this one, in the
+    order of their loading. The template itself names what every page has: style.css, core.js and
+    index.js first, app.js last.
+    """
+
+    package: str
+    title: str
+    home: str  # what the browser says of the link to the overview
+    styles: tuple[str, ...] = ()
+    scripts: tuple[str, ...]
+
+
+def write_web(out: Path, web: Web) -> None:
+    """Write what a browser runs, but for index.js, which holds the page's content."""
+    held = [resources.files(name).joinpath("web") for name in (web.package, __package__)]
+    for name in ("style.css", "core.js", "app.js", *web.styles, *web.scripts):
+        found = next(folder for folder in held if folder.joinpath(name).is_file())
+        write_whole(out / name, found.joinpath(name).read_bytes())
+    template = Template(held[-1].joinpath("index.html").read_text(encoding="utf-8"))
+    page = template.substitute(
+        title=web.title,
+        home=web.home,
+        styles="".join(f'    <link rel="stylesheet" href="{name}" />\n' for name in web.styles),
+        scripts="".join(f'    <script src="{name}"></script>\n' for name in web.scripts),
+    )
+    write_whole(out / "index.html", page.encode())
+
+
+def _open_folder(out: Path, source: Path) -> None:
+    if out.resolve() == source.resolve():
+        raise GraycastError(f"{out} is the dataset itself: give another folder for the page")
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+        entries = [entry.name for entry in out.iterdir()]
+        if entries and _MARK not in entries:
+            raise GraycastError(
+                f"{out} is not empty and holds no report (it has {min(entries)}): choose another "
+                "folder"
+            )
+        (out / _MARK).write_text("made by graycast report; safe to remove with its folder\n")
+    except OSError as error:
+        why = error.strerror or str(error)
+        raise GraycastError(f"{out}: cannot be written ({why}): choose another folder") from error
+
+
+def _is_current(folder: Path, piece: Piece) -> bool:
+    stamp = folder / piece.key / _STAMP
+    return stamp.exists() and stamp.read_text() == piece.stamp()
+
+
+def _made(todo: Sequence[Piece], folder: Path, workers: int) -> Iterator[str]:
+    make = partial(_make, folder=folder)
+    if workers == 1 or len(todo) < 2:
+        yield from map(make, todo)
+        return
+    with ProcessPoolExecutor(workers, mp_context=get_context("spawn")) as pool:
+        yield from pool.map(make, todo, chunksize=2)
+
+
+def _make(piece: Piece, *, folder: Path) -> str:
+    stamp = piece.stamp()  # before reading: a piece changed meanwhile is made again
+    with beside(folder / piece.key) as aside:
+        aside.mkdir()
+        for name, data in piece.files():
+            (aside / name).write_bytes(data)
+        (aside / _STAMP).write_text(stamp)
+        shutil.rmtree(folder / piece.key, ignore_errors=True)
+    return piece.key

@@ -1,0 +1,98 @@
+"""Meshes and places of bodies for the page and the film."""
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+from scipy.spatial.transform import Rotation
+
+from ....robot.pick.replay import Replay
+from ....robot.pick.solids import joined
+from ....world.parts import Mesh
+from ....world.scene import bin_mesh
+from ..page.packing import pack_bytes
+
+UPRIGHT = 0.9  # cosine to the vertical from which a face looks up
+TABLE_BEYOND_M = 0.25
+# Colours of films (RGB from 0 to 1); the page has its own, which follow light and dark.
+TINT = {
+    "arm": (0.66, 0.70, 0.76),
+    "tool": (0.19, 0.21, 0.25),
+    "bin": (0.72, 0.58, 0.40),
+    "table": (0.83, 0.83, 0.81),
+    "part": (0.89, 0.35, 0.62),
+    "point": (0.69, 0.70, 0.71),
+    "sky": (0.93, 0.94, 0.95),
+}
+
+
+def open_bin(replay: Replay) -> Mesh:
+    """The bin without its outer sides: seen from any side one looks in."""
+    whole = bin_mesh(replay.cell.box)
+    corner = whole.vertices_m[whole.faces].astype(np.float64)
+    normal = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
+    normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-15)
+    low, high = whole.bounds_m
+    middle = np.array([*(low + high)[:2] / 2, high[2]])
+    inwards = np.einsum("fi,fi->f", normal, middle - corner.mean(axis=1)) > 0
+    kept = inwards | (normal[:, 2] > UPRIGHT)
+    return Mesh(vertices_m=whole.vertices_m, faces=whole.faces[kept])
+
+
+def table(replay: Replay) -> Mesh:
+    """The part of the table on which the bin, the robot and the place of parts stand."""
+    box, config = replay.cell.box, replay.cell.config
+    low, high = box.bounds_m
+    stands = np.array([low, high, config.robot.base_m, config.picking.place_m])[:, :2]
+    (x0, y0), (x1, y1) = stands.min(axis=0) - TABLE_BEYOND_M, stands.max(axis=0) + TABLE_BEYOND_M
+    z = -box.floor_m - 1e-3  # below the bin's own floor
+    corners = np.array([[x0, y0, z], [x1, y0, z], [x1, y1, z], [x0, y1, z]])
+    return Mesh(vertices_m=corners, faces=np.array([[0, 1, 2], [0, 2, 3]]))
+
+
+def look(replay: Replay) -> dict[str, Any]:
+    """The viewpoint: opposite the robot, slightly from the side where parts are placed."""
+    config, box = replay.cell.config, replay.cell.box
+    base, place = np.array(config.robot.base_m[:2]), np.array(config.picking.place_m[:2])
+    home = zip(replay.limbs, replay.T_world_limb(replay.robot.home), strict=True)
+    top_m = float(joined(home).bounds_m[1, 2])  # tall arms are looked at from farther away
+    far = max(float(np.linalg.norm(base)), 0.75 * top_m, 0.3)
+    aside = -base / max(float(np.linalg.norm(base)), 1e-9)
+    aside = aside + 0.6 * place / max(float(np.linalg.norm(place)), 1e-9)
+    high_m = float(box.bounds_m[1, 2])
+    return {
+        "middle": (1e3 * np.array([*(base + place) / 4, 0.45 * top_m])).tolist(),
+        "bin": (1e3 * np.array([0.0, 0.0, high_m / 2])).tolist(),
+        "yaw": float(np.arctan2(aside[1], aside[0])),
+        "reach": 1e3 * far,
+    }
+
+
+def packed_mesh(mesh: Mesh) -> dict[str, Any]:
+    """Vertices [mm] and faces as the page unpacks them."""
+    mesh = replace(mesh, corner_uv=None, corner_normals=None)
+    return {
+        "vertices": _packed((1e3 * mesh.vertices_m).astype("<f4")),
+        "faces": _packed(mesh.faces.astype("<u4")),
+    }
+
+
+def placed(T: Float[np.ndarray, "*n 4 4"]) -> Float[np.ndarray, "*n 7"]:
+    """Places as (x, y, z) [mm] and a unit quaternion (x, y, z, w)."""
+    flat = T.reshape(-1, 4, 4)
+    turn = Rotation.from_matrix(flat[:, :3, :3]).as_quat()
+    return np.column_stack([1e3 * flat[:, :3, 3], turn]).reshape(*T.shape[:-2], 7)
+
+
+def packed_places(T: Float[np.ndarray, "t limbs 4 4"]) -> str:
+    """Places over time; from one time to the next quaternions keep their sign."""
+    places = placed(T)
+    turn = places[..., 3:]
+    flips = np.where((turn[1:] * turn[:-1]).sum(axis=-1) < 0, -1.0, 1.0)
+    turn[1:] *= np.cumprod(flips, axis=0)[..., None]
+    return _packed(places.reshape(len(places), -1).astype("<f4"))
+
+
+def _packed(values: np.ndarray) -> str:
+    return pack_bytes(np.ascontiguousarray(values).view(np.uint8))

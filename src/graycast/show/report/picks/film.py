@@ -1,0 +1,313 @@
+"""One bin as a film: what the page shows from behind the bin, attempt after attempt.
+
+Drawn by the project's own rasteriser. Leaves out what the page leaves out, too: shadows, and how a
+part that was let go falls; it is shown where it was found next.
+"""
+
+import io
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+from jaxtyping import Bool, Float, UInt8
+from PIL import Image, ImageDraw, ImageFont
+
+from ....base.errors import GraycastError
+from ....base.folder import write_whole
+from ....base.frames import inverse, look_at, transform_points
+from ....base.progress import UNWATCHED, ProgressMeter
+from ....rig.meshdepth import rasterize
+from ....rig.optics import Optics, picture_rays, points, project
+from ....robot.pick import StoredEpisode, read_episodes
+from ....robot.pick.outcome import Outcome
+from ....robot.pick.pick_files import BINS, DEPTH_STEP_M
+from ....robot.pick.replay import Motion, Replay, open_replay, read_motions
+from ....robot.pick.solids import joined
+from ....world.parts import Mesh
+from .bin_files import read_image
+from .bodies import TINT, look, open_bin, table
+from .words import OUTCOME_COLOR
+
+KINDS = {".gif": "GIF", ".webp": "WEBP"}
+WIDTH_PX, LEAST_PX = 480, 280  # narrower, the words would lie over each other
+FRAME_MS = 100  # GIF counts hundredths of a second
+_END_FRAMES = 8  # for which an attempt's outcome stands
+_FIELD_RAD = 0.55  # as the page's
+_PITCH_RAD, _DISTANCE = 0.42, 4.2  # the distance in `reach` of `look`
+_BAND_PX = 26  # below the picture, for words
+_ON_SURFACE_M = 2e-3  # points of the scan that lie on a body are drawn
+_PALETTE_FRAMES = 12
+_SMOOTH_PX = 5  # over which the slope of what was measured is averaged, for shading alone
+
+Colors = UInt8[np.ndarray, "h w 3"]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Eye:
+    camera: Optics
+    T_world_eye: Float[np.ndarray, "4 4"]
+
+    def sees(self, mesh: Mesh) -> Float[np.ndarray, "v 3"]:
+        return transform_points(inverse(self.T_world_eye), mesh.vertices_m.astype(np.float64))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Layer:
+    """Colours and z [m] of what is seen; z is infinite where there is nothing."""
+
+    color: Float[np.ndarray, "h w 3"]
+    z: Float[np.ndarray, "h w"]
+
+    def over(self, other: "_Layer") -> "_Layer":
+        """Both, the nearer in front."""
+        mine = self.z < other.z
+        color = np.where(mine[..., None], self.color, other.color)
+        return _Layer(color=color, z=np.where(mine, self.z, other.z))
+
+
+def write_film(
+    picks: Path,
+    bin_id: int,
+    out: Path,
+    *,
+    cell_folder: Path,
+    speed: float = 2.0,
+    width_px: int = WIDTH_PX,
+    progress: ProgressMeter = UNWATCHED,
+) -> int:
+    """Draw a bin's attempts into one file.
+
+    Args:
+        out: its suffix, .gif or .webp, says of which kind.
+        cell_folder: as `folder` of `open_replay`.
+        speed: how much faster than the robot.
+        width_px: of the picture; its height is three quarters of it, and a line of words.
+        progress: counts attempts.
+
+    Returns:
+        The number of pictures.
+
+    Raises:
+        GraycastError: no such bin, a damaged one, a file of another kind, or too small a picture.
+    """
+    if out.suffix.lower() not in KINDS:
+        raise GraycastError(f"{out}: give a file name that ends with {' or '.join(KINDS)}")
+    if width_px < LEAST_PX:
+        raise GraycastError(
+            f"a width of {width_px} pixels is too small for the captions: give at least {LEAST_PX}"
+        )
+    episodes = {episode.bin_id: episode for episode in read_episodes(picks)}
+    if bin_id not in episodes:
+        held = f"it has {min(episodes)} to {max(episodes)}" if episodes else "none is finished yet"
+        raise GraycastError(f"{picks}: bin {bin_id} does not exist: {held}")
+    replay = open_replay(picks, folder=cell_folder)
+    episode = episodes[bin_id]
+    frames = []
+    attempts = _attempts(replay, episode, _eye(replay, width_px), speed)
+    for done, attempt in enumerate(attempts, start=1):
+        frames += attempt
+        progress.count("attempts", done, len(episode.attempts))
+    try:
+        write_whole(out, _encoded(frames, KINDS[out.suffix.lower()]))
+    except OSError as error:
+        raise GraycastError(f"{out}: cannot be written ({error.strerror or error})") from error
+    return len(frames)
+
+
+def _eye(replay: Replay, width_px: int) -> _Eye:
+    height_px = round(0.75 * width_px)
+    f_px = height_px / 2 / np.tan(_FIELD_RAD / 2)
+    camera = Optics(
+        width_px=width_px, height_px=height_px, fx_px=f_px, fy_px=f_px,
+        cx_px=(width_px - 1) / 2, cy_px=(height_px - 1) / 2,
+    )  # fmt: skip
+    view = look(replay)
+    yaw, middle = view["yaw"], 1e-3 * np.array(view["middle"])
+    out = np.array([np.cos(_PITCH_RAD) * np.cos(yaw), np.cos(_PITCH_RAD) * np.sin(yaw), 0.0])
+    out[2] = np.sin(_PITCH_RAD)
+    eye_m = middle + _DISTANCE * 1e-3 * view["reach"] * out
+    return _Eye(camera=camera, T_world_eye=look_at(eye_m, middle, np.array([0.0, 0.0, -1.0])))
+
+
+def _attempts(
+    replay: Replay, episode: StoredEpisode, eye: _Eye, speed: float
+) -> Iterator[list[Image.Image]]:
+    kinds, motions = replay.kinds(episode), read_motions(replay, episode)
+    ground = _ground(replay, eye)
+    still = replay.T_world_limb(replay.robot.home)
+    for number, (attempt, motion) in enumerate(zip(episode.attempts, motions, strict=True)):
+        following = episode.attempts[number + 1 :][:1]
+        scene = _points(replay, episode, number, eye, ground)
+        words = f"bin {episode.bin_id}, attempt {number + 1} of {len(episode.attempts)}"
+        steps = [-1] if motion is None else _steps(motion, 1e-3 * FRAME_MS * speed)
+        frames = []
+        for i in steps:
+            limbs = still if motion is None else motion.T_world_limb[i]
+            layer = _robot(replay, eye, limbs)
+            if motion is not None and motion.part is not None:
+                T = _part_place(attempt, following, motion, i)
+                if T is not None:
+                    layer = layer.over(_part(replay, eye, kinds, motion.part, T))
+            frames.append(_picture(layer.over(scene), words, None))
+        frames += [_picture(layer.over(scene), words, attempt)] * _END_FRAMES
+        yield frames
+        still = still if motion is None else motion.T_world_limb[-1]
+
+
+def _steps(motion: Motion, step_s: float) -> list[int]:
+    """The times that are shown, the last one with them."""
+    wanted = np.arange(0.0, motion.time_s[-1], step_s)
+    nearest = np.abs(motion.time_s[None] - wanted[:, None]).argmin(axis=1)
+    return [*nearest.tolist(), len(motion.time_s) - 1]
+
+
+def _part_place(
+    attempt: Mapping[str, Any], following: Sequence[Mapping[str, Any]], motion: Motion, i: int
+) -> Float[np.ndarray, "4 4"] | None:
+    """Of the part that the tool met; after it was let go as it was found next, if it was."""
+    place = attempt["present"].index(motion.part)
+    before = np.array(attempt["T_world_part"][place])
+    carried = motion.T_world_part(i, before)
+    if carried is not None:
+        return carried
+    if motion.held_until_s is None or motion.time_s[i] <= motion.held_until_s:
+        return before
+    for one in following:
+        if motion.part in one["present"]:
+            return np.array(one["T_world_part"][one["present"].index(motion.part)])
+    return None
+
+
+# --- layers ---------------------------------------------------------------------------------------
+
+
+def _ground(replay: Replay, eye: _Eye) -> _Layer:
+    """The table and the inside of the bin; of the bin only what faces the eye."""
+    box = open_bin(replay)
+    corner = eye.sees(box)[box.faces]
+    normal = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
+    facing = np.einsum("fi,fi->f", normal, corner[:, 0]) < 0
+    front = Mesh(vertices_m=box.vertices_m, faces=box.faces[facing])
+    size = (eye.camera.height_px, eye.camera.width_px)
+    sky = _Layer(color=np.full((*size, 3), TINT["sky"]), z=np.full(size, np.inf))
+    bin_ = _drawn(eye, front, np.array(TINT["bin"]))
+    return bin_.over(_drawn(eye, table(replay), np.array(TINT["table"]))).over(sky)
+
+
+def _robot(replay: Replay, eye: _Eye, T_world_limb: Float[np.ndarray, "limbs 4 4"]) -> _Layer:
+    arm = replay.arm_limbs
+    pairs = list(zip(replay.limbs, T_world_limb, strict=True))
+    body = _drawn(eye, joined(pairs[:arm]), np.array(TINT["arm"]))
+    return body.over(_drawn(eye, joined(pairs[arm:]), np.array(TINT["tool"])))
+
+
+def _part(
+    replay: Replay, eye: _Eye, kinds: tuple[int, ...], number: int, T: Float[np.ndarray, "4 4"]
+) -> _Layer:
+    mesh = replay.cell.cell.scene.parts[kinds[number]].mesh
+    return _drawn(eye, joined([(mesh, T)]), np.array(TINT["part"]))
+
+
+def _drawn(eye: _Eye, mesh: Mesh, tint: Float[np.ndarray, "3"]) -> _Layer:
+    """A mesh in one colour, as bright as it faces the eye."""
+    seen = eye.sees(mesh)
+    face, z = rasterize(seen, mesh.faces.astype(np.int64), eye.camera).over(eye.camera)
+    corner = seen[mesh.faces]
+    normal = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
+    camera = eye.camera
+    shade = _shade(normal[face], picture_rays(camera))
+    return _Layer(color=shade[..., None] * tint, z=np.where(face >= 0, z, np.inf))
+
+
+def _shade(
+    normal: Float[np.ndarray, "*n 3"], place: Float[np.ndarray, "*n 3"]
+) -> Float[np.ndarray, "*n"]:
+    """As the page's bodies: darker as they turn away."""
+    long = np.linalg.norm(normal, axis=-1) * np.linalg.norm(place, axis=-1)
+    return 0.45 + 0.55 * np.abs((normal * place).sum(axis=-1)) / np.maximum(long, 1e-15)
+
+
+def _points(
+    replay: Replay, episode: StoredEpisode, number: int, eye: _Eye, ground: _Layer
+) -> _Layer:
+    """What the robot acted on, over table and bin."""
+    path = replay.folder / BINS / f"{episode.bin_id:06d}" / "depth" / f"{number:03d}.png"
+    step = read_image(path)
+    scene = replay.cell.cell.scene
+    world = transform_points(scene.T_world_cam, points(scene.rig.camera, step * DEPTH_STEP_M))
+    point = transform_points(inverse(eye.T_world_eye), world)
+    known = step > 0
+    for axis in (0, 1):  # a slope over a gap is none
+        known &= (np.roll(step, 1, axis) > 0) & (np.roll(step, -1, axis) > 0)
+    normal = np.cross(np.gradient(point, axis=1), np.gradient(point, axis=0))
+    long = np.maximum(np.linalg.norm(normal, axis=-1, keepdims=True), 1e-15)
+    normal = cv2.blur(np.where(known[..., None], normal / long, 0.0), (_SMOOTH_PX, _SMOOTH_PX))
+    return _scattered(eye, point[known], _shade(normal, point)[known], ground)
+
+
+def _scattered(
+    eye: _Eye, point: Float[np.ndarray, "p 3"], shade: Float[np.ndarray, " p"], ground: _Layer
+) -> _Layer:
+    """Points of a pixel each, far ones first so that near ones stay."""
+    column, row = np.rint(project(eye.camera, point)).astype(int).T
+    height, width = ground.z.shape
+    order = np.argsort(-point[:, 2])
+    order = order[_inside(row[order], column[order], (height, width))]
+    row, column, z = row[order], column[order], point[order, 2]
+    seen = z < ground.z[row, column] + _ON_SURFACE_M
+    row, column, z = row[seen], column[seen], z[seen]
+    color, depth = ground.color.copy(), ground.z.copy()
+    color[row, column] = shade[order][seen][:, None] * np.array(TINT["point"])
+    depth[row, column] = z
+    return _Layer(color=color, z=depth)
+
+
+def _inside(row: np.ndarray, column: np.ndarray, size: tuple[int, int]) -> Bool[np.ndarray, " p"]:
+    return (row >= 0) & (column >= 0) & (row < size[0]) & (column < size[1])
+
+
+# --- pictures -------------------------------------------------------------------------------------
+
+
+def _picture(layer: _Layer, words: str, ended: Mapping[str, Any] | None) -> Image.Image:
+    """The layer, and below it which attempt it is and, once it has ended, how."""
+    color: Colors = np.rint(255 * layer.color).clip(0, 255).astype(np.uint8)
+    height, width = color.shape[:2]
+    image = Image.new("RGB", (width, height + _BAND_PX), "white")
+    image.paste(Image.fromarray(color), (0, 0))
+    draw = ImageDraw.Draw(image)
+    font = ImageFont.load_default(14)
+    draw.text((8, height + 4), words, fill="#1d2228", font=font)
+    if ended is not None:
+        ink = OUTCOME_COLOR[Outcome(ended["outcome"])]
+        right = width - 8 - draw.textlength(ended["outcome"], font=font)
+        draw.rectangle((right - 18, height + 8, right - 8, height + 18), fill=ink)
+        draw.text((right, height + 4), ended["outcome"], fill="#1d2228", font=font)
+    return image
+
+
+def _palette(frames: list[Image.Image]) -> Image.Image:
+    """The most frequent colours of some pictures, and those of the outcomes, which are rare."""
+    every = max(len(frames) // _PALETTE_FRAMES, 1)
+    some = np.vstack([np.asarray(frame) for frame in frames[::every]])
+    rare = [value for ink in OUTCOME_COLOR.values() for value in bytes.fromhex(ink[1:])]
+    often = Image.fromarray(some).quantize(255 - len(OUTCOME_COLOR), dither=Image.Dither.NONE)
+    palette = Image.new("P", (1, 1))
+    palette.putpalette([*(often.getpalette() or []), *rare])
+    return palette
+
+
+def _encoded(frames: list[Image.Image], kind: str) -> bytes:
+    """All pictures of a GIF have one palette, so that what stands still costs nothing."""
+    if kind == "GIF":
+        palette = _palette(frames)
+        frames = [frame.quantize(palette=palette, dither=Image.Dither.NONE) for frame in frames]
+    told = {"quality": 70, "method": 4} if kind == "WEBP" else {"optimize": False}
+    file = io.BytesIO()
+    frames[0].save(
+        file, kind, save_all=True, append_images=frames[1:], duration=FRAME_MS, loop=0, **told
+    )
+    return file.getvalue()

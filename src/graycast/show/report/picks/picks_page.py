@@ -1,0 +1,124 @@
+"""Builds the page of a folder of picks: what all bins share, and a piece for each bin."""
+
+import json
+from collections.abc import Sequence
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+from .... import __version__
+from ....base.folder import write_whole
+from ....base.frames import inverse
+from ....base.progress import UNWATCHED, ProgressMeter
+from ....robot.pick import StoredEpisode, read_episodes, summarize
+from ....robot.pick.replay import Replay, open_replay
+from ..page import WIDTH_PX, ReportSummary
+from ..page.packing import color_table
+from ..page.pieces import Web, write_pieces, write_web, writing_page
+from .bin_files import BinPiece, bin_key
+from .bodies import look, open_bin, packed_mesh, table
+from .words import outcome_words
+
+_WEB = Web(
+    package=__package__,
+    title="Graycast picks",
+    home="all bins (Esc)",
+    styles=("picks.css",),
+    scripts=(
+        *("geometry.js", "paint.js", "shapes.js", "cloud.js"),  # of the page of a dataset
+        *("outcomes.js", "bins.js", "bodies.js", "replay.js"),
+    ),
+)
+
+
+def write_pick_report(
+    picks: Path,
+    out: Path,
+    *,
+    cell_folder: Path,
+    workers: int = 1,
+    width_px: int = WIDTH_PX,
+    progress: ProgressMeter = UNWATCHED,
+) -> ReportSummary:
+    """Write the page of a folder of picks, or bring it up to date; see `write_report`.
+
+    Args:
+        cell_folder: as `folder` of `open_replay`.
+
+    Raises:
+        GraycastError: no bin yet, a damaged one, or `out` holds something else.
+    """
+    episodes = read_episodes(picks)
+    summary = summarize(episodes)
+    replay = open_replay(picks, folder=cell_folder)
+    pieces = [
+        BinPiece(out=picks, cell_folder=cell_folder, episode=episode, width_px=width_px)
+        for episode in episodes
+    ]
+    with writing_page(out, picks):
+        done = write_pieces(out, pieces, workers=workers, what="bins", progress=progress)
+        content = {
+            "name": picks.resolve().name,
+            "graycast": __version__,
+            "claim": _claim(replay),
+            "colormaps": {name: color_table(name) for name in ("viridis_r", "RdBu_r")},
+            "reasons": [],
+            "outcomes": outcome_words(),
+            "summary": {
+                **asdict(summary),
+                "thinking_s": summary.thinking_s,
+                "picks_per_hour": summary.picks_per_hour,
+            },
+            **_cell(replay),
+            "bins": _bins(episodes),
+        }
+        text = json.dumps(content, allow_nan=False, separators=(",", ":"))
+        write_whole(out / "index.js", f"Graycast.report = {text};\n".encode())
+        write_web(out, _WEB)
+    return done
+
+
+def _claim(replay: Replay) -> dict[str, Any]:
+    kept = ("config", "seed", "versions")
+    claim = {key: replay.claim[key] for key in kept}
+    return {**claim, "rig": replay.cell.cell.scene.rig.name}
+
+
+def _cell(replay: Replay) -> dict[str, Any]:
+    """What stands still, what the bodies are, and where the scanner and the viewer stand."""
+    scene = replay.cell.cell.scene
+    T_cam_world = inverse(scene.T_world_cam)
+    camera, arm = scene.rig.camera, replay.arm_limbs
+    return {
+        "view": {
+            "cam_K": camera.K.ravel().tolist(),
+            "distortion": list(camera.distortion),
+            "cam_R_w2c": T_cam_world[:3, :3].ravel().tolist(),
+            "cam_t_w2c": (1e3 * T_cam_world[:3, 3]).tolist(),
+        },
+        "limbs": [
+            {"is_tool": i >= arm, **packed_mesh(limb)} for i, limb in enumerate(replay.limbs)
+        ],
+        "parts": [{"name": part.name, **packed_mesh(part.mesh)} for part in scene.parts],
+        "bin": packed_mesh(open_bin(replay)),
+        "table": packed_mesh(table(replay)),
+        "look": look(replay),
+    }
+
+
+def _bins(episodes: Sequence[StoredEpisode]) -> list[dict[str, Any]]:
+    """What the list shows; short, as thousands are loaded at once."""
+    names = {one["name"]: i for i, one in enumerate(outcome_words())}
+    return [
+        {
+            "key": bin_key(episode.bin_id),
+            "id": episode.bin_id,
+            "filled": episode.filled,
+            "taken": episode.taken,
+            "left": episode.left,
+            "spilled": episode.spilled,
+            "seconds": round(sum(sum(one["seconds"].values()) for one in episode.attempts), 2),
+            "attempts": [names[one["outcome"]] for one in episode.attempts],
+        }
+        for episode in episodes
+    ]

@@ -1,0 +1,365 @@
+"""A contact sheet of one scene: captured frames, measured depth and ground truth.
+
+Each tile is a picture of the camera with its top-left pixel at the top left. Pictures taken in
+linear light are shown in sRGB, as an eye would see them; maps of numbers bear a colour bar.
+"""
+
+import math
+from colorsys import hls_to_rgb
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float, Int, UInt8
+from matplotlib import colormaps
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.cm import ScalarMappable
+from matplotlib.collections import LineCollection
+from matplotlib.colors import Normalize, to_rgb
+from matplotlib.figure import Figure
+from matplotlib.patches import Rectangle
+
+from ...base.color import srgb
+from ...base.frames import inverse, transform_points
+from ...base.mask_box import mask_box
+from ...base.plotting import save_png
+from ...camera.decode import Reason, triangulation_axis
+from ...cell.simulate import Shot
+from ...dataset import labelled
+from ...render import GroundTruth
+from ...rig.optics import Optics, project
+from ...rig.pair import depth_per_column_m, depth_per_row_m
+from ...rig.pattern import Axis, Code, Frame
+from ...world.parts import Part
+from ...world.scene import Scene
+
+DPI = 100  # lengths in pixels; a point of type is then 1.39 px
+SHEET_WIDTH_PX = 2400
+COLUMNS = 4
+_MARGIN_PX, _GAP_PX, _HEAD_PX = 30, 18, 96
+_ABOVE_PX = 36  # a tile's title
+_BELOW_PX = (14, 52, 84)  # per row: nothing, colour bars, a legend
+_COARSE_RANK = 2  # of an axis's frames: the third Gray bit has a few wide stripes
+_CLOSE_UP = 4  # camera pixels of the finest bit on the sheet: fewer would beat with its stripes
+
+# Unknown is a neutral grey that its map does not hold: dark, but light where the map ends dark.
+_DARK, _LIGHT = (0.20, 0.20, 0.22), (0.66, 0.66, 0.66)
+_CODE_MAP, _DEPTH_MAP, _ERROR_MAP = "viridis", "viridis_r", "RdBu_r"
+_ERROR_COLUMNS, _ERROR_FALLBACK_M = 3.0, 5e-3
+_EDGE_POINTS = 17  # per edge of a box; a lens with distortion bends them
+# Corner k of a unit box is (k & 1, k >> 1 & 1, k >> 2): neighbours differ in one bit.
+_BOX_EDGES = np.array([(k, k | bit) for bit in (1, 2, 4) for k in range(8) if not k & bit])
+
+
+def draw_preview(shot: Shot, code: Code, path: Path) -> None:
+    """Write the contact sheet of one scene as a PNG.
+
+    Args:
+        code: that of the capture's frames.
+        path: of the PNG file; it appears complete or not at all.
+
+    Raises:
+        GraycastError: the file cannot be written.
+        ValueError: the capture has another number of frames than the code.
+    """
+    if len(shot.capture.frames) != len(code.frames):
+        frames = f"{len(shot.capture.frames)} frames, and the code has {len(code.frames)}"
+        raise ValueError(f"the capture has {frames}: give the code of the capture")
+    sheet = _Sheet(shot.sample.scene.rig.camera)
+    _write_head(sheet.figure, shot, code)
+    sheet.picture("colour picture", shot.sample.rgb)
+    _draw_frames(sheet, shot, code)
+    _draw_codes(sheet, shot, code)
+    _draw_depths(sheet, shot)
+    _draw_error(sheet, shot)
+    _draw_reasons(sheet, shot)
+    _draw_instances(sheet, shot)
+    save_png(sheet.figure, path, dpi=DPI)
+
+
+# --- the sheet ---------------------------------------------------------------------------------
+
+
+def pixel_axes(figure: Figure, left: int, top: int, width: int, height: int) -> Axes:
+    """Axes that cover these pixels of a figure, counted from its top left."""
+    sheet_width, sheet_height = figure.get_size_inches() * DPI
+    bottom = sheet_height - top - height
+    return figure.add_axes(
+        (left / sheet_width, bottom / sheet_height, width / sheet_width, height / sheet_height)
+    )
+
+
+class _Sheet:
+    """A grid of equal tiles, filled row by row."""
+
+    def __init__(self, camera: Optics) -> None:
+        width = (SHEET_WIDTH_PX - 2 * _MARGIN_PX - (COLUMNS - 1) * _GAP_PX) // COLUMNS
+        self.tile_px = (width, round(width * camera.height_px / camera.width_px))
+        self._tops = []
+        height_px = _HEAD_PX
+        for below_px in _BELOW_PX:
+            self._tops.append(height_px + _ABOVE_PX)
+            height_px += _ABOVE_PX + self.tile_px[1] + below_px
+        self.figure = Figure(figsize=(SHEET_WIDTH_PX / DPI, height_px / DPI), dpi=DPI)
+        FigureCanvasAgg(self.figure)
+        self._filled = 0
+
+    def picture(self, title: str, image: UInt8[np.ndarray, "h w 3"]) -> Axes:
+        """Show an image in the next tile; the axes' coordinates are its pixels."""
+        self._filled += 1
+        ax = pixel_axes(self.figure, *self._corner(), *self.tile_px)
+        ax.imshow(image, origin="upper", interpolation="antialiased", aspect="auto")
+        ax.set(xticks=[], yticks=[])
+        ax.spines[:].set(color="0.6", lw=0.5)
+        ax.set_title(title, loc="left", fontsize=12, weight="bold", pad=6)
+        return ax
+
+    def color_bar(self, name: str, limits: tuple[float, float], label: str) -> None:
+        """A colour bar under the tile that was filled last."""
+        left, top = self._corner()
+        width, height = self.tile_px
+        bar = pixel_axes(self.figure, left, top + height + 9, width * 11 // 20, 11)
+        mappable = ScalarMappable(Normalize(*limits), colormaps[name])
+        self.figure.colorbar(mappable, cax=bar, orientation="horizontal")
+        bar.tick_params(labelsize=9, length=2, pad=2)
+        bar.annotate(label, (1, 0.5), (14, 0), xycoords="axes fraction",
+                     textcoords="offset pixels", va="center", fontsize=9)  # fmt: skip
+
+    def _corner(self) -> tuple[int, int]:
+        row, column = divmod(self._filled - 1, COLUMNS)
+        return _MARGIN_PX + column * (self.tile_px[0] + _GAP_PX), self._tops[row]
+
+
+def _note(ax: Axes, text: str) -> None:
+    """A few words at the right of a tile's title."""
+    ax.set_title(text, loc="right", fontsize=9, pad=6, color="0.3")
+
+
+def _write_head(figure: Figure, shot: Shot, code: Code) -> None:
+    sample = shot.sample
+    scene, layout, manifest = sample.scene, sample.layout, sample.manifest
+    rig = scene.rig
+    kinds, counts = np.unique(layout.part_index, return_counts=True)
+    names = [f"{n} {scene.parts[kind].name}" for kind, n in zip(kinds, counts, strict=True)]
+    render = manifest["config"]["render"]
+    rest = "at rest" if layout.at_rest else "NOT at rest"
+    words = [
+        f"rig {rig.name}, baseline {1e3 * rig.baseline_m:.0f} mm",
+        f"camera {rig.camera.width_px} x {rig.camera.height_px}, "
+        f"projector {code.width_px} x {code.height_px}, {len(code.frames)} frames",
+        f"{render['samples']} samples, depth {render['depth']}",
+        f"exposure {1e3 * float(np.max(shot.capture.exposure_s)):.3g} ms",
+        f"{rest} after {layout.simulated_s:.2f} s (try {layout.attempt + 1}): "
+        f"last moved {1e3 * layout.last_motion_m:.2g} mm, "
+        f"overlap {1e3 * layout.deepest_penetration_m:.2g} mm, {layout.outside} outside",
+        f"seed {manifest['dataset_seed']}",
+        f"{manifest['backend']} on {manifest['device']}",
+        *([f"domain {manifest['domain']['kind']}"] if "domain" in manifest else []),
+    ]
+    height_px = figure.get_size_inches()[1] * DPI
+    left = _MARGIN_PX / SHEET_WIDTH_PX
+    title = f"scene {manifest['scene_id']}:  {',  '.join(names) or 'no parts'}"
+    figure.text(left, 1 - 34 / height_px, title, fontsize=17, weight="bold", va="center")
+    figure.text(left, 1 - 70 / height_px, "   |   ".join(words), fontsize=10.5, va="center",
+                color="0.25")  # fmt: skip
+
+
+# --- pictures and codes ------------------------------------------------------------------------
+
+
+def _draw_frames(sheet: _Sheet, shot: Shot, code: Code) -> None:
+    """The white frame, a coarse one, and the finest in a close-up from the frame's middle."""
+    axis = triangulation_axis(shot.sample.scene.rig)
+    shown = [k for k, f in enumerate(code.frames) if f.axis == axis and not f.inverse]
+    coarse, finest = shown[min(_COARSE_RANK, len(shown) - 1)], shown[-1]
+    camera = shot.sample.scene.rig.camera
+    width, height = (-(-side // _CLOSE_UP) for side in sheet.tile_px)
+    left, top = (camera.width_px - width) // 2, (camera.height_px - height) // 2
+    white = sheet.picture("white frame", _shown(shot, code.brightest))
+    if left > 0 and top > 0:
+        white.add_patch(_rectangle(left, top, width, height, color="#ffcc33"))
+    sheet.picture(_title(code.frames[coarse]), _shown(shot, coarse))
+    ax = sheet.picture(_title(code.frames[finest]), _shown(shot, finest))
+    if left > 0 and top > 0:
+        ax.images[0].set_interpolation("nearest")
+        ax.set(xlim=(left - 0.5, left + width - 0.5), ylim=(top + height - 0.5, top - 0.5))
+        _note(ax, f"middle, magnified to {_CLOSE_UP} x {_CLOSE_UP} per pixel")
+
+
+def _title(frame: Frame) -> str:
+    if frame.kind == "gray":
+        stripes = f"stripes of {2 ** (frame.bit + 1)} codes"
+        return f"{frame.axis} bit {frame.bit}, " + (stripes if frame.xor_bit < 0 else "XOR")
+    return f"{frame.axis}, {frame.kind}, period {frame.period_px:g} px"
+
+
+def _draw_codes(sheet: _Sheet, shot: Shot, code: Code) -> None:
+    axis: Axis = triangulation_axis(shot.sample.scene.rig)
+    position = shot.codes.column if axis == "column" else shot.codes.row
+    limits = (0.0, float(code.size_px(axis) - 1))
+    sheet.picture(f"decoded {axis}", painted(position, _CODE_MAP, limits))
+    sheet.color_bar(_CODE_MAP, limits, f"projector {axis}")
+
+
+def _shown(shot: Shot, index: int) -> UInt8[np.ndarray, "h w 3"]:
+    """A frame over the sensor's range, dark level to saturation, as a grey picture."""
+    sensor = shot.capture.sensor
+    signal = shot.capture.frames[index].astype(np.float32) - np.float32(sensor.offset_dn)
+    share = signal / np.float32(sensor.saturation_dn - sensor.offset_dn)
+    return np.repeat(srgb(share)[..., None], 3, axis=-1)
+
+
+def painted(
+    value: Float[np.ndarray, "h w"],
+    name: str,
+    limits: tuple[float, float],
+    *,
+    unknown: tuple[float, float, float] = _DARK,
+) -> UInt8[np.ndarray, "h w 3"]:
+    """A map in the colours of `name`; beyond the limits its ends, `unknown` for NaN."""
+    low, high = limits
+    share = np.clip((value - low) / (high - low), 0.0, 1.0)
+    color = colormaps[name](np.nan_to_num(share))[..., :3]
+    color[np.isnan(value)] = unknown
+    return np.round(255 * color).astype(np.uint8)
+
+
+# --- depth -------------------------------------------------------------------------------------
+
+
+def _draw_depths(sheet: _Sheet, shot: Shot) -> None:
+    sample = shot.sample
+    limits = depth_limits_mm(sample.truth)
+    sheet.picture("perfect depth", painted(1e3 * sample.truth.depth_m, _DEPTH_MAP, limits))
+    sheet.color_bar(_DEPTH_MAP, limits, "mm, both depths")
+    scanned = sample.scanner.depth_m
+    ax = sheet.picture("scanner's depth", painted(1e3 * scanned, _DEPTH_MAP, limits))
+    _note(ax, f"{100 * np.isfinite(scanned).mean():.1f} % known")
+    sheet.color_bar(_DEPTH_MAP, limits, "mm, dark where unknown")
+
+
+def depth_limits_mm(truth: GroundTruth) -> tuple[float, float]:
+    """Least and greatest depth worth colours: of the parts and of what lies among them.
+
+    Where no part is seen, of the whole picture.
+    """
+    rows, columns = np.nonzero(truth.instance >= 0)
+    around = truth.depth_m
+    if rows.size:
+        around = around[rows.min() : rows.max() + 1, columns.min() : columns.max() + 1]
+    known = around[np.isfinite(around)]
+    if known.size == 0:
+        return 0.0, 1.0
+    margin_m = max(0.05 * float(np.ptp(known)), 1e-4)
+    return 1e3 * (float(known.min()) - margin_m), 1e3 * (float(known.max()) + margin_m)
+
+
+def _draw_error(sheet: _Sheet, shot: Shot) -> None:
+    sample = shot.sample
+    error_mm = 1e3 * (sample.scanner.depth_m - sample.truth.depth_m)
+    limit_mm = 1e3 * error_limit_m(sample.scene, sample.truth)
+    limits = (-limit_mm, limit_mm)
+    ax = sheet.picture(
+        "scanner minus perfect", painted(error_mm, _ERROR_MAP, limits, unknown=_LIGHT)
+    )
+    known = error_mm[np.isfinite(error_mm)]
+    if known.size:
+        beyond = 100 * (np.abs(known) > limit_mm).mean()
+        _note(
+            ax, f"median |error| {np.median(np.abs(known)):.2f} mm, {beyond:.1f} % beyond the scale"
+        )
+    sheet.color_bar(_ERROR_MAP, limits, "mm, red is too far, grey unknown")
+
+
+def error_limit_m(scene: Scene, truth: GroundTruth) -> float:
+    """Three projector columns' worth of depth (or rows', by the baseline) at the middle depth.
+
+    5 mm where that says nothing.
+    """
+    known = truth.depth_m[np.isfinite(truth.depth_m)]
+    z_m = float(np.median(known)) if known.size else scene.rig.near_m
+    of_axis = {"column": depth_per_column_m, "row": depth_per_row_m}
+    limit_m = _ERROR_COLUMNS * of_axis[triangulation_axis(scene.rig)](scene.rig, z_m)
+    return limit_m if math.isfinite(limit_m) else _ERROR_FALLBACK_M
+
+
+def _draw_reasons(sheet: _Sheet, shot: Shot) -> None:
+    reason = shot.sample.scanner.reason
+    on_part = reason[labelled(shot.sample).truth.instance >= 0]
+    palette = np.array([to_rgb(r.color) for r in Reason])
+    ax = sheet.picture("reasons", np.round(255 * palette[reason]).astype(np.uint8))
+    for r in Reason:
+        of_parts = f"{100 * (on_part == r).mean():.1f} | " if on_part.size else ""
+        words = f"{r.words} {of_parts}{100 * (reason == r).mean():.1f} %"
+        ax.plot([], [], "s", color=r.color, mec="0.4", mew=0.5, ms=9, label=words)
+    ax.legend(title="shares of the parts' pixels | of all pixels", title_fontsize=9,
+              alignment="left", loc="upper left", bbox_to_anchor=(-0.01, -0.005), ncols=3,
+              fontsize=9, frameon=False,
+              borderpad=0.3, handletextpad=0.2, columnspacing=1.2,
+              borderaxespad=0.1)  # fmt: skip
+
+
+# --- instances ---------------------------------------------------------------------------------
+
+
+def _draw_instances(sheet: _Sheet, shot: Shot) -> None:
+    """Visible masks, their boxes, and the oriented boxes of the labels that are seen."""
+    sample = labelled(shot.sample)
+    instance = sample.truth.instance
+    color = instance_colors(len(sample.layout.part_index))
+    seen = np.unique(instance[instance >= 0])
+    width = 1.6 if len(seen) <= 60 else 0.9
+    ax = sheet.picture("visible masks", tinted(_shown(shot, 0), instance, color))
+    _note(ax, f"{len(seen)} instances visible, {len(color) - len(seen)} hidden")
+    ax = sheet.picture("boxes of the visible masks", sample.rgb)
+    for i in seen:
+        ax.add_patch(_rectangle(*mask_box(instance == i), color=color[i], width_pt=width))
+    ax = sheet.picture("oriented boxes", sample.rgb)
+    T_cam_world = inverse(sample.scene.T_world_cam)
+    for i in seen:
+        part = sample.scene.parts[sample.layout.part_index[i]]
+        T_cam_part = T_cam_world @ sample.layout.T_world_part[i]
+        edges = box_edges_px(part, T_cam_part, sample.scene.rig.camera)
+        ax.add_collection(LineCollection(list(edges), colors=[color[i]], linewidths=width))
+
+
+def _rectangle(
+    left: int, top: int, width: int, height: int, *, color: object, width_pt: float = 1.5
+) -> Rectangle:
+    """The outline of whole pixels."""
+    return Rectangle((left - 0.5, top - 0.5), width, height, fc="none", ec=color, lw=width_pt)
+
+
+def instance_colors(n: int) -> Float[np.ndarray, "n 3"]:
+    """Colours that differ most between neighbours: hues a golden section of the circle apart."""
+    hue = (0.07 + np.arange(n) * 0.618033988749895) % 1.0
+    light = np.array([0.52, 0.64, 0.42])[np.arange(n) % 3]
+    colors = [hls_to_rgb(h, level, 0.85) for h, level in zip(hue, light, strict=True)]
+    return np.array(colors, dtype=np.float64).reshape(n, 3)
+
+
+def tinted(
+    picture: UInt8[np.ndarray, "h w 3"],
+    instance: Int[np.ndarray, "h w"],
+    color: Float[np.ndarray, "n 3"],
+) -> UInt8[np.ndarray, "h w 3"]:
+    """A picture with each instance in its colour, still shaded by the picture; -1 is left."""
+    own = np.concatenate([color, np.zeros((1, 3))])[instance]  # index -1 is replaced below
+    shaded = own * (0.6 * 255 + 0.4 * picture)
+    image = np.where(instance[..., None] >= 0, shaded, picture.astype(np.float64))
+    return np.round(image).astype(np.uint8)
+
+
+def box_edges_px(
+    part: Part, T_cam_part: Float[np.ndarray, "4 4"], camera: Optics
+) -> Float[np.ndarray, "12 points 2"]:
+    """The twelve edges of a part's own bounding box as the lens shows them, bent where it bends.
+
+    NaN where a point lies beyond the lens model, as behind the camera.
+    """
+    low, high = part.mesh.bounds_m
+    unit = np.array([[k & 1, k >> 1 & 1, k >> 2] for k in range(8)])
+    corner = transform_points(T_cam_part, low + unit * (high - low))
+    start, end = corner[_BOX_EDGES[:, 0]], corner[_BOX_EDGES[:, 1]]
+    t = np.linspace(0.0, 1.0, _EDGE_POINTS)[:, None]
+    return project(camera, start[:, None] * (1 - t) + end[:, None] * t)

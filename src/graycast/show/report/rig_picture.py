@@ -1,0 +1,231 @@
+"""A rig in a picture and in words: what camera and projector see, alone and together.
+
+All drawings are in the camera frame: x right, y down, z is depth. A field of view is taken from the
+image borders through the lens model, so distortion is in it; occlusion, focus and light are not.
+"""
+
+import math
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float
+from manifold3d import CrossSection, FillRule
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+
+from ...base.plotting import save_png
+from ...camera.decode import triangulation_axis
+from ...rig.optics import Optics, rays
+from ...rig.pair import Rig, depth_per_column_m, depth_per_row_m
+
+_CAMERA, _PROJECTOR, _COMMON = "tab:blue", "tab:red", "tab:purple"
+_BORDER_POINTS = 33  # per side; distorted borders are curved
+_DEPTHS = 61
+
+
+def footprint_m(
+    optics: Optics, T_cam_device: Float[np.ndarray, "4 4"], z_m: float
+) -> Float[np.ndarray, "n 2"]:
+    """Outline (x, y) of what a device sees or lights on the plane at depth `z_m`, camera frame.
+
+    Args:
+        optics: of the camera or projector.
+        T_cam_device: maps the device's coordinates to the camera's.
+        z_m: depth of the plane [m], camera frame.
+
+    Returns:
+        Corners of the outline in order [m]; none where a border ray never meets the plane.
+    """
+    direction = rays(optics, _border_px(optics)) @ T_cam_device[:3, :3].T
+    origin = T_cam_device[:3, 3]
+    reach = (z_m - origin[2]) / np.where(direction[:, 2] > 1e-6, direction[:, 2], np.nan)
+    if not (reach > 0).all():
+        return np.zeros((0, 2))
+    return origin[:2] + reach[:, None] * direction[:, :2]
+
+
+def common_field(rig: Rig, z_m: float) -> Float[np.ndarray, "n 2"]:
+    """Outline (x, y) of what the camera sees and the projector lights at depth `z_m`, camera frame.
+
+    Where distorted outlines meet in several pieces, the largest; no corner where they do not meet.
+    """
+    outlines = (
+        footprint_m(rig.camera, np.eye(4), z_m),
+        footprint_m(rig.projector, rig.T_cam_proj, z_m),
+    )
+    camera, projector = (CrossSection([one], FillRule.NonZero) for one in outlines)
+    common = camera ^ projector
+    if common.is_empty():
+        return np.zeros((0, 2))
+    return max(common.decompose(), key=lambda piece: piece.area()).to_polygons()[0]
+
+
+def describe_rig(rig: Rig) -> str:
+    """The rig's figures as text, one per line; lengths in mm, angles in degrees."""
+    lines = [
+        f"rig {rig.name}",
+        f"  baseline          {1e3 * rig.baseline_m:.1f} mm",
+        f"  toe-in            {math.degrees(rig.axes_angle_rad):.2f} deg between the axes",
+        f"  working range     {1e3 * rig.near_m:.0f} to {1e3 * rig.far_m:.0f} mm",
+        f"  camera            {_optics_words(rig.camera)}",
+        f"  projector         {_optics_words(rig.projector)}",
+        f"  depth           {f'one {triangulation_axis(rig)}':>13}   common field",
+    ]
+    for name, z_m in _stations(rig):
+        line_mm = 1e3 * _depth_per_line_m(rig, z_m)
+        step = "not lit on axis" if math.isnan(line_mm) else f"{line_mm:.3f} mm"
+        lines.append(f"  {name:6} {1e3 * z_m:6.0f} mm  {step:>12}   {_field_words(rig, z_m)}")
+    return "\n".join(lines)
+
+
+def _depth_per_line_m(rig: Rig, z_m: float) -> float:
+    """Per line of the projector's picture that the baseline moves: a column, or a row."""
+    match triangulation_axis(rig):
+        case "column":
+            return depth_per_column_m(rig, z_m)
+        case "row":
+            return depth_per_row_m(rig, z_m)
+
+
+def draw_rig(rig: Rig, path: Path) -> None:
+    """Write a PNG: the rig from above and from the side, depth per column or row, and the fields.
+
+    Raises:
+        GraycastError: the file cannot be written.
+    """
+    figure = Figure(figsize=(15, 10), layout="constrained")
+    FigureCanvasAgg(figure)
+    axes = figure.subplots(2, 3, height_ratios=(1.35, 1))
+    _draw_view(axes[0, 0], rig, across=0)
+    _draw_view(axes[0, 1], rig, across=1)
+    _draw_depth_per_line(axes[0, 2], rig)
+    for ax, (name, z_m) in zip(axes[1], _stations(rig), strict=True):
+        _draw_fields(ax, rig, name, z_m)
+    _share_limits(axes[1])
+    handles, labels = axes[0, 0].get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside lower center", ncols=len(labels))
+    toe_in = f"toe-in {math.degrees(rig.axes_angle_rad):.2f}° between the axes"
+    figure.suptitle(f"{rig.name}: baseline {1e3 * rig.baseline_m:.1f} mm, {toe_in}")
+    save_png(figure, path, dpi=100)
+
+
+def _draw_view(ax: Axes, rig: Rig, *, across: int) -> None:
+    """One view with depth downwards: from above (across is x, 0) or from the side (y, 1)."""
+    bottom_m = rig.far_m + 0.08 * (rig.far_m - rig.near_m)
+    devices = (
+        ("camera", rig.camera, np.eye(4), _CAMERA),
+        ("projector", rig.projector, rig.T_cam_proj, _PROJECTOR),
+    )
+    for name, optics, T_cam_device, color in devices:
+        origin = T_cam_device[:3, 3]
+        edges = _edges(footprint_m(optics, T_cam_device, bottom_m), across)
+        triangle = np.array([[origin[across], origin[2]], *([edge, bottom_m] for edge in edges)])
+        ax.fill(*(1e3 * triangle.T), color=color, alpha=0.12, lw=0, label=f"{name}'s field")
+        ax.plot(*(1e3 * triangle[[1, 0, 2]].T), color=color, lw=1)
+        ax.plot(1e3 * origin[across], 1e3 * origin[2], "o", color=color, ms=8, label=name)
+        direction = T_cam_device[:3, 2]
+        if direction[2] > 0:
+            end = origin + direction * (bottom_m - origin[2]) / direction[2]
+            line = np.stack([origin, end])[:, [across, 2]]
+            ax.plot(*(1e3 * line.T), "--", color=color, lw=1)
+    z_m = np.linspace(rig.near_m, rig.far_m, _DEPTHS)
+    low, high = np.transpose([_edges(common_field(rig, z), across) for z in z_m])
+    ax.fill_betweenx(
+        1e3 * z_m, 1e3 * low, 1e3 * high, lw=0, color=_COMMON, alpha=0.35, label="common volume"
+    )
+    base = np.stack([np.zeros(3), rig.T_cam_proj[:3, 3]])
+    ax.plot(*(1e3 * base[:, [across, 2]].T), color="black", lw=2, label="baseline")
+    for name, z in (("near", rig.near_m), ("far", rig.far_m)):
+        ax.axhline(1e3 * z, color="gray", ls=":")
+        ax.annotate(
+            name, (0.01, 1e3 * z), xycoords=("axes fraction", "data"), va="bottom", color="gray"
+        )
+    ax.set_aspect("equal")
+    ax.invert_yaxis()
+    ax.set(
+        title=("from above (x, z)", "from the side (y, z)")[across],
+        xlabel=("x, right [mm]", "y, down in the image [mm]")[across],
+        ylabel="depth z [mm]",
+    )
+
+
+def _draw_depth_per_line(ax: Axes, rig: Rig) -> None:
+    z_m = np.linspace(rig.near_m, rig.far_m, _DEPTHS)
+    step_m = np.array([_depth_per_line_m(rig, z) for z in z_m])
+    ax.plot(1e3 * z_m, 1e3 * step_m, color="black")
+    for name, z in _stations(rig):
+        here_mm = 1e3 * _depth_per_line_m(rig, z)
+        if math.isfinite(here_mm):
+            ax.plot(1e3 * z, here_mm, "o", color="black")
+            text = f"{name}: {here_mm:.3f} mm"
+            ax.annotate(text, (1e3 * z, here_mm), (6, -12), textcoords="offset points")
+    ax.set(
+        title=f"depth per projector {triangulation_axis(rig)}, camera's axis",
+        xlabel="depth z [mm]",
+        ylabel=f"depth per {triangulation_axis(rig)} [mm]",
+        xlim=(1e3 * rig.near_m, 1e3 * (rig.far_m + 0.4 * (rig.far_m - rig.near_m))),
+    )
+    ax.set_ylim(bottom=0)
+    ax.grid(alpha=0.3)
+
+
+def _draw_fields(ax: Axes, rig: Rig, name: str, z_m: float) -> None:
+    camera = footprint_m(rig.camera, np.eye(4), z_m)
+    projector = footprint_m(rig.projector, rig.T_cam_proj, z_m)
+    for outline, color in ((camera, _CAMERA), (projector, _PROJECTOR)):
+        ax.fill(*(1e3 * outline.T), fc="none", ec=color)
+    ax.fill(*(1e3 * common_field(rig, z_m).T), color=_COMMON, alpha=0.35, lw=0)
+    ax.set_aspect("equal")
+    ax.invert_yaxis()
+    ax.set(
+        title=f"{name}, {1e3 * z_m:.0f} mm: {_field_words(rig, z_m)}",
+        xlabel="x, right [mm]",
+        ylabel="y, down [mm]",
+    )
+
+
+def _share_limits(axes: np.ndarray) -> None:
+    """One scale for the three fields, so that their sizes can be compared."""
+    x = [limit for ax in axes for limit in ax.get_xlim()]
+    y = [limit for ax in axes for limit in ax.get_ylim()]
+    for ax in axes:
+        ax.set_xlim(min(x), max(x))
+        ax.set_ylim(max(y), min(y))
+
+
+def _stations(rig: Rig) -> tuple[tuple[str, float], ...]:
+    middle_m = 0.5 * (rig.near_m + rig.far_m)
+    return ("near", rig.near_m), ("middle", middle_m), ("far", rig.far_m)
+
+
+def _optics_words(optics: Optics) -> str:
+    horizontal, vertical = (math.degrees(angle) for angle in optics.field_of_view_rad)
+    size = f"{optics.width_px} x {optics.height_px} px"
+    lens = "distorted" if optics.has_distortion else "no distortion"
+    return f"{size}, field {horizontal:.2f} x {vertical:.2f} deg, {lens}"
+
+
+def _field_words(rig: Rig, z_m: float) -> str:
+    """Width and height of the common field's enclosing rectangle, or that there is none."""
+    field = common_field(rig, z_m)
+    if not len(field):
+        return "none"
+    width_mm, height_mm = 1e3 * np.ptp(field, axis=0)
+    return f"{width_mm:.0f} x {height_mm:.0f} mm"
+
+
+def _edges(outline: Float[np.ndarray, "n 2"], across: int) -> tuple[float, float]:
+    """Lowest and highest coordinate along an axis; NaN where the outline is empty."""
+    if not len(outline):
+        return math.nan, math.nan
+    return outline[:, across].min(), outline[:, across].max()
+
+
+def _border_px(optics: Optics) -> Float[np.ndarray, "n 2"]:
+    """Points along the outer pixel borders, once around."""
+    right, bottom = optics.width_px - 0.5, optics.height_px - 0.5
+    t = np.linspace(0.0, 1.0, _BORDER_POINTS)[:-1, None]
+    corner = np.array([[-0.5, -0.5], [right, -0.5], [right, bottom], [-0.5, bottom]])
+    following = np.roll(corner, -1, axis=0)
+    return np.concatenate([a + t * (b - a) for a, b in zip(corner, following, strict=True)])

@@ -1,0 +1,9 @@
+"""What is simulated: parts, a bin, the scene, and how the parts fall.
+
+Each imports only from those above it:
+
+    parts            meshes with materials, built in or from the user's files
+    bins             a bin from a mesh file
+    scene            the world before physics and light, and where the parts lie
+    drop             parts fall until they rest: Scene -> Layout
+"""

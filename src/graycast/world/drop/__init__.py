@@ -1,0 +1,25 @@
+"""Parts fall into the bin until they rest: `Scene -> Layout`; and one is lifted out again."""
+
+from .body import Body, parts_outside
+from .decomposition import Decomposition, cache_folder, convex_hulls
+from .lift import Hold, Lift, lift
+from .rest import simulate
+from .settle import DropLimits, drop, flaws, hull_notes, make_bodies, prepare
+
+__all__ = [
+    "Body",
+    "Decomposition",
+    "DropLimits",
+    "Hold",
+    "Lift",
+    "cache_folder",
+    "convex_hulls",
+    "drop",
+    "flaws",
+    "hull_notes",
+    "lift",
+    "make_bodies",
+    "parts_outside",
+    "prepare",
+    "simulate",
+]

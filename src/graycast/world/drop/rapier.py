@@ -1,0 +1,290 @@
+"""The physics engine Rapier 0.36, which only this file uses.
+
+Lengths are scaled by 20 inside, gravity too, because Rapier's contact model is tuned to things
+of a metre; times and masses are not. Rapier's defaults leave 1 mm of overlap or never rest. One
+thread, so that one start gives one end, bit for bit, on one type of machine.
+
+Leaves out: bouncing (restitution is 0), rolling friction, bending, air. Friction of a pair is the
+mean of the two coefficients; the engine's cone gives 86 to 100 % of it, by direction. Flat faces
+come to lie 0.2 mm above the bin and 0.4 mm apart (`SKIN_M`); curved ones, whose hulls were thinned,
+closer or slightly into each other.
+"""
+
+from dataclasses import dataclass
+from itertools import product
+
+import numpy as np
+import rapier3d
+from jaxtyping import Float, Int
+from scipy.spatial.transform import Rotation
+
+from ...base.frames import rotation_from_quaternion
+from ..parts import Mesh
+from ..scene import Bin
+from .body import Body
+from .overlap import overlap_m
+
+SCALE = 20.0
+GRAVITY_M_S2 = 9.81
+STEP_S = 0.004
+LINEAR_DAMPING = 0.2
+ANGULAR_DAMPING = 1.0
+# What falls from the top of the grid would arrive at 5 m/s, pass through the thin wall of another
+# part and stay locked in it. Parts are rather let down, no faster than this.
+SPEED_LIMIT_M_S = 1.0
+# Parts keep this distance: contact is found more steadily between bodies a little apart, and it
+# makes up for what thinning takes from curved hulls: 0.2 mm of a small part, 0.6 mm of a bottle.
+SKIN_M = 0.2e-3
+TRUSTED_DEPTH_M = 0.05e-3  # deeper contacts than this are measured again, exactly
+TABLE_M = 3.0  # half its width
+WALL_M = 0.15  # thickness outwards of what parts collide with: nothing tunnels through
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Terms:
+    """The conditions under which parts move."""
+
+    guided: bool = False  # between walls that stand on the bin's
+    clustered: bool = False  # see `_world`
+    friction: float = 1.0  # the share of it that counts
+    speed_m_s: float = SPEED_LIMIT_M_S  # no part is faster
+    step_s: float = STEP_S
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Kind:
+    """A kind of part as the engine holds it."""
+
+    shape: rapier3d.SharedShape
+    mass: rapier3d.MassProperties
+    friction: float
+
+    @staticmethod
+    def of(body: Body) -> "Kind":
+        return Kind(shape=_shape(body), mass=_mass_properties(body), friction=body.friction)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Block:
+    """A fixed obstacle; each piece is the corners [m] of a convex body."""
+
+    pieces_m: Float[np.ndarray, "p c 3"]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Heap:
+    """A world with a bin and parts that stand still in it; colliders' labels count both."""
+
+    world: rapier3d.PhysicsWorld
+    blocks: list[_Block]
+    parts: list[rapier3d.RigidBodyHandle]
+
+    def run(self, seconds: float) -> None:
+        for _ in range(round(seconds / self.world.integration_parameters.dt)):
+            self.world.step()
+
+    def motion(self, number: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """A part's pose, its origin's velocity [m/s], and how it turns [rad/s], in the world."""
+        body = self.world.rigid_bodies[self.parts[number]]
+        at_origin = body.velocity_at_point(body.position.translation.to_tuple())
+        return _poses([body])[0], _three(at_origin) / SCALE, _three(body.angvel)
+
+    def push(
+        self, number: int, force_n: Float[np.ndarray, "3"], moment_nm: Float[np.ndarray, "3"]
+    ) -> None:
+        """Until the next push, a force on a part's origin and a moment about it."""
+        body = self.world.rigid_bodies[self.parts[number]]
+        body.reset_forces(True)
+        body.reset_torques(True)
+        origin = body.position.translation.to_tuple()
+        body.add_force_at_point(tuple((SCALE * force_n).tolist()), origin, True)
+        body.add_torque(tuple((SCALE**2 * moment_nm).tolist()), True)
+
+    def damp(self, factor: Float[np.ndarray, " n"]) -> None:
+        """Damp each part by this factor times the engine's small damping; 0 is none."""
+        for handle, own in zip(self.parts, factor.tolist(), strict=True):
+            body = self.world.rigid_bodies[handle]
+            body.linear_damping = LINEAR_DAMPING * own
+            body.angular_damping = ANGULAR_DAMPING * own
+
+    def poses(self) -> Float[np.ndarray, "n 4 4"]:
+        return _poses([self.world.rigid_bodies[handle] for handle in self.parts])
+
+
+def open_heap(
+    terms: Terms,
+    box: Bin,
+    kinds: list[Kind],
+    T_world_part: Float[np.ndarray, "n 4 4"],
+    part_index: Int[np.ndarray, " n"],
+) -> Heap:
+    """Open a new world without speeds, forces or contacts of an earlier stage."""
+    world = _world(terms)
+    ceiling_m = float(T_world_part[:, 2, 3].max(initial=0.0)) + 1.0 if terms.guided else None
+    blocks = _add_bin(world, box, ceiling_m, friction=terms.friction)
+    parts = _add_parts(world, kinds, T_world_part, part_index, terms, first_label=len(blocks))
+    return Heap(world=world, blocks=blocks, parts=parts)
+
+
+def _world(terms: Terms) -> rapier3d.PhysicsWorld:
+    world = rapier3d.PhysicsWorld(gravity=(0.0, 0.0, -GRAVITY_M_S2 * SCALE))
+    world.set_num_threads(1)
+    settings = world.integration_parameters
+    settings.dt = terms.step_s
+    settings.num_solver_iterations = 8
+    # Continuous detection against what stands still computes every hull's mass properties anew at
+    # every step, two thirds of all time. No part that moves 4 mm a step gets through `WALL_M`.
+    settings.max_ccd_substeps = 0
+    # Clustering chooses among the contact points of a compound's hulls anew at every step: four
+    # times as fast, but a part on three points rocks from two of them to another two for ever, as
+    # bolts and tubes did. So parts fall with it and come to rest without it.
+    settings.contact_clustering = terms.clustered
+    settings.normalized_prediction_distance = 0.01
+    # The engine's own, cheaper model of friction also resists turning about a contact, as no point
+    # does: in a heap of bottles it held six of ten that another engine saw roll away.
+    settings.friction_model = rapier3d.FrictionModel.COULOMB
+    settings.contact_softness = rapier3d.SpringCoefficients(240.0, 10.0)
+    settings.static_contact_softness = rapier3d.SpringCoefficients(480.0, 10.0)
+    settings.normalized_allowed_linear_error = 0.001
+    settings.normalized_contact_recycle_distance = 0.005
+    settings.normalized_max_linear_velocity = terms.speed_m_s * SCALE
+    return world
+
+
+def _add_bin(
+    world: rapier3d.PhysicsWorld, box: Bin, ceiling_m: float | None, *, friction: float
+) -> list[_Block]:
+    """Floor, walls, table, and invisible walls without friction from the rim to the ceiling."""
+    half_x, half_y, rim_m = box.inner_m[0] / 2, box.inner_m[1] / 2, box.inner_m[2]
+    out_x, out_y, below = half_x + WALL_M, half_y + WALL_M, -max(WALL_M, box.wall_m)
+    sides = [((-out_x, -half_x), (-out_y, out_y)), ((half_x, out_x), (-out_y, out_y))]
+    sides += [((-half_x, half_x), (-out_y, -half_y)), ((-half_x, half_x), (half_y, out_y))]
+    is_box = box.mesh is None
+    spans = [((-out_x, out_x), (-out_y, out_y), (below, 0.0))] if is_box else []
+    table_m = (below - box.floor_m, -box.floor_m)
+    spans += [((-TABLE_M, TABLE_M), (-TABLE_M, TABLE_M), table_m)]
+    spans += [(x, y, (0.0, rim_m)) for x, y in sides] if is_box else []
+    guides = [] if ceiling_m is None else [(x, y, (rim_m, ceiling_m)) for x, y in sides]
+    blocks: list[_Block] = []
+    for span in spans + guides:
+        low, high = np.array(span).T
+        collider = (
+            rapier3d.Collider.cuboid(*map(float, (high - low) / 2 * SCALE))
+            .translation(tuple((high + low) / 2 * SCALE))
+            .friction(0.0 if span in guides else box.friction * friction)
+            .user_data(len(blocks))
+        )
+        world.add_collider(collider)
+        blocks.append(_Block(pieces_m=np.array([list(product(*span))])))
+    if box.mesh is not None:
+        blocks.append(_add_mesh(world, box.mesh, box.friction * friction, label=len(blocks)))
+    return blocks
+
+
+def _add_mesh(world: rapier3d.PhysicsWorld, mesh: Mesh, friction: float, *, label: int) -> _Block:
+    """Add a fixed mesh as triangles."""
+    shape = rapier3d.SharedShape.trimesh(
+        (mesh.vertices_m * SCALE).astype(np.float32),
+        mesh.faces.astype(np.uint32),
+        # What is in the mesh is pushed out of it, and an edge between coplanar faces is none.
+        flags=rapier3d.TriMeshFlags.ORIENTED | rapier3d.TriMeshFlags.FIX_INTERNAL_EDGES,
+    )
+    world.add_collider(rapier3d.Collider.new(shape).friction(friction).user_data(label))
+    return _Block(pieces_m=mesh.vertices_m[mesh.faces])
+
+
+def _add_parts(
+    world: rapier3d.PhysicsWorld,
+    kinds: list[Kind],
+    T_world_part: Float[np.ndarray, "n 4 4"],
+    part_index: Int[np.ndarray, " n"],
+    terms: Terms,
+    *,
+    first_label: int,
+) -> list[rapier3d.RigidBodyHandle]:
+    handles = []
+    for label, (T, index) in enumerate(zip(T_world_part, part_index, strict=True), first_label):
+        kind = kinds[index]
+        builder = (
+            rapier3d.RigidBody.dynamic()
+            .position((tuple(T[:3, 3] * SCALE), _rotation(T[:3, :3])))
+            # Rapier's sleep would freeze parts that still creep.
+            .can_sleep(False)
+        )
+        collider = (
+            rapier3d.Collider.new(kind.shape)
+            .mass_properties(kind.mass)
+            .friction(kind.friction * terms.friction)
+            .contact_skin(SKIN_M * SCALE)
+            .user_data(label)
+        )
+        handles.append(world.add_body(builder, [collider]))
+    return handles
+
+
+def _shape(body: Body) -> rapier3d.SharedShape:
+    hulls = [
+        rapier3d.SharedShape.convex_mesh(
+            (vertices * SCALE).astype(np.float32), faces.astype(np.uint32)
+        )
+        for vertices, faces in body.hulls
+    ]
+    still = ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 1.0))
+    return (
+        hulls[0] if len(hulls) == 1 else rapier3d.SharedShape.compound([(still, h) for h in hulls])
+    )
+
+
+def _mass_properties(body: Body) -> rapier3d.MassProperties:
+    moments, axes = np.linalg.eigh(body.inertia_kg_m2 * SCALE**2)
+    axes[:, 2] *= np.linalg.det(axes)  # a rotation, not a mirror
+    return rapier3d.MassProperties(
+        tuple(body.center_m * SCALE), body.mass_kg, tuple(moments), _rotation(axes)
+    )
+
+
+def _poses(bodies: list[rapier3d.RigidBody]) -> Float[np.ndarray, "n 4 4"]:
+    places = [body.position for body in bodies]
+    turns = [(q.i, q.j, q.k, q.w) for q in (place.rotation for place in places)]
+    T = np.tile(np.eye(4), (len(bodies), 1, 1))
+    T[:, :3, :3] = rotation_from_quaternion(np.array(turns).reshape(-1, 4))
+    at = [place.translation.to_tuple() for place in places]
+    T[:, :3, 3] = np.array(at).reshape(-1, 3) / SCALE
+    return T
+
+
+def _three(vector: rapier3d.Vec3) -> Float[np.ndarray, "3"]:
+    return np.array([vector.x, vector.y, vector.z])
+
+
+def _rotation(matrix: Float[np.ndarray, "3 3"]) -> tuple[float, ...]:
+    return tuple(map(float, Rotation.from_matrix(matrix).as_quat()))  # (x, y, z, w)
+
+
+def _near(one: list[np.ndarray], other: list[np.ndarray]) -> list[list[int]]:
+    """Which pieces of two solids have bounding boxes that meet."""
+    (low, high), (low_b, high_b) = (
+        np.array([[piece.min(axis=0), piece.max(axis=0)] for piece in solid]).swapaxes(0, 1)
+        for solid in (one, other)
+    )
+    apart = (low[:, None] > high_b) | (low_b > high[:, None])
+    return np.argwhere(~apart.any(axis=2)).tolist()
+
+
+def deepest_penetration_m(world: rapier3d.PhysicsWorld, solids: list[list[np.ndarray]]) -> float:
+    """`solids`: by collider label, its convex pieces as vertices [m] in the world."""
+    # Contacts are fresh, not recycled from an earlier step, and belong to the poses read above.
+    world.integration_parameters.contact_recycling = False
+    world.detect_collisions()
+    deepest_m = 0.0
+    for pair in world.narrow_phase.contact_pairs():
+        contact = pair.find_deepest_contact()
+        depth_m = 0.0 if contact is None else -contact.dist / SCALE
+        if not depth_m <= TRUSTED_DEPTH_M:  # NaN too
+            one, other = (
+                solids[world.colliders[handle].user_data]
+                for handle in (pair.collider1, pair.collider2)
+            )
+            depth_m = max((overlap_m(one[i], other[j]) for i, j in _near(one, other)), default=0.0)
+        deepest_m = max(deepest_m, depth_m)
+    return deepest_m

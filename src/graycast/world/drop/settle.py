@@ -1,0 +1,235 @@
+"""Drops a scene's parts, judges the outcome and tries again with the next sub-seed."""
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Annotated
+
+import numpy as np
+from pydantic import Field
+
+from ...base.errors import DropError
+from ...base.progress import UNWATCHED, ProgressMeter
+from ...base.settings import check_fields
+from ...base.streams import stream
+from ..parts import Part
+from ..scene import Bin, Layout, Scene
+from .body import Body, body_of
+from .decomposition import Decomposition, convex_hulls_of
+from .grid import start_poses
+from .rest import simulate
+
+PARTS_MAX = 255  # instance ids of a scene fit eight bits
+PACKING = 0.5  # share of its box that a random heap fills, generously
+HEAP_ABOVE_RIM = 1.5  # no heap holds more than this many bins full
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class DropLimits:
+    """Where parts fall, and the limits of a layout, which must also be at rest, all parts inside.
+
+    `simulated_s` is how long one attempt may fall and settle, in simulated time. `opening_share`
+    is the share of the bin's inner length and of its inner width, about the middle, over which the
+    parts start; a small one makes a heap in the middle.
+    """
+
+    penetration_m: Annotated[
+        float,
+        Field(
+            gt=0,
+            le=0.1,
+            description="The deepest overlap between parts that is accepted, in metres.",
+        ),
+    ] = 0.5e-3
+    attempts: Annotated[
+        int, Field(ge=1, description="The largest number of attempts to drop the parts.")
+    ] = 5
+    simulated_s: Annotated[
+        float,
+        Field(
+            gt=0,
+            le=600,
+            description="The simulated time in which the parts of one attempt must come to "
+            "rest, in seconds.",
+        ),
+    ] = 20.0
+    opening_share: Annotated[
+        float,
+        Field(
+            gt=0,
+            le=1,
+            description="The share of the bin's inner length and width, about its middle, over "
+            "which the parts fall.",
+        ),
+    ] = 1.0
+
+    def __post_init__(self) -> None:
+        check_fields(self)
+
+
+def flaws(layout: Layout, limits: DropLimits) -> tuple[str, ...]:
+    """The defects of a layout in words with numbers; empty if it is acceptable."""
+    found = []
+    if layout.outside:
+        found.append(f"{layout.outside} of {len(layout.part_index)} parts lie outside the bin")
+    if not layout.at_rest:
+        found.append(
+            f"not at rest after {layout.simulated_s:.1f} s "
+            f"(a part still moved by {1e3 * layout.last_motion_m:.2f} mm)"
+        )
+    if not layout.deepest_penetration_m <= limits.penetration_m:  # NaN must fail too
+        found.append(
+            f"parts press {1e3 * layout.deepest_penetration_m:.2f} mm into each other or into the "
+            f"bin, and the limit is {1e3 * limits.penetration_m:.2f} mm"
+        )
+    return tuple(found)
+
+
+def drop(
+    scene: Scene,
+    counts: tuple[int, ...],
+    *,
+    seed: int,
+    limits: DropLimits,
+    hull_folder: Path | None = None,
+    progress: ProgressMeter = UNWATCHED,
+) -> Layout:
+    """Drops `counts[i]` of `scene.parts[i]` into the bin until they lie within the limits.
+
+    Attempt k starts from `stream(seed, k)`; the first layout without `flaws`
+    is returned, with its attempt number. One seed gives one layout, bit for bit.
+
+    Args:
+        scene: its bin and parts are used.
+        counts: 0 or more of each kind, 1 to 255 in all.
+        seed: 0 or more.
+        limits: what is asked of the layout.
+        hull_folder: cache of `convex_hulls`; the user's cache folder if None.
+        progress: hears what begins; each stage may take seconds.
+
+    Raises:
+        ValueError: no bin, wrong counts, a part that does not fit, more than the bin could hold.
+        DropError: no attempt was within the limits; says what the best one came to.
+    """
+    if scene.bin is None:
+        raise ValueError(
+            "the scene has no bin into which parts can be dropped: give Scene(bin=...)"
+        )
+    if len(counts) != len(scene.parts) or min(counts, default=0) < 0:
+        names = ", ".join(part.name for part in scene.parts)
+        raise ValueError(f"counts is {counts}; give a number, 0 or more, for each of: {names}")
+    if not 1 <= sum(counts) <= PARTS_MAX:
+        raise ValueError(f"counts is {counts}, {sum(counts)} in all; 1 to {PARTS_MAX} parts")
+    kinds = np.flatnonzero(counts)  # a kind that is not dropped costs no decomposition
+    parts = tuple(scene.parts[kind] for kind in kinds)
+    number = tuple(counts[kind] for kind in kinds)
+    _check_sizes(scene.bin, parts)
+    bodies = make_bodies(parts, hull_folder=hull_folder, progress=progress)
+    _check_volume(scene.bin, bodies, number)
+    corners_m = tuple(np.vstack([vertices for vertices, _ in body.hulls]) for body in bodies)
+
+    tried = []
+    for attempt in range(limits.attempts):
+        progress.stage(f"parts fall, attempt {attempt + 1} of {limits.attempts}")
+        rng = stream(seed, attempt)
+        start, index = start_poses(
+            scene.bin, corners_m, number, rng, opening_share=limits.opening_share
+        )
+        layout = simulate(
+            scene.bin, bodies, start, index, simulated_s=limits.simulated_s, attempt=attempt
+        )
+        if not flaws(layout, limits):
+            return replace(layout, part_index=kinds[index])
+        tried.append(layout)
+    raise DropError(_failure(scene.bin, sum(counts), tried, limits))
+
+
+def make_bodies(
+    parts: Sequence[Part], *, hull_folder: Path | None = None, progress: ProgressMeter = UNWATCHED
+) -> tuple[Body, ...]:
+    """Each kind of part as the engine needs it.
+
+    Raises:
+        ValueError, GraycastError: as in `convex_hulls` and `body_of`.
+    """
+    prepared = prepare(parts, hull_folder=hull_folder, progress=progress)
+    return tuple(body_of(part, made.hulls) for part, made in zip(parts, prepared, strict=True))
+
+
+def prepare(
+    parts: Iterable[Part], *, hull_folder: Path | None = None, progress: ProgressMeter = UNWATCHED
+) -> tuple[Decomposition, ...]:
+    """The collision hulls of each part, made now where the cache has none; `drop` finds them there.
+
+    Raises:
+        ValueError, GraycastError: as in `convex_hulls_of`.
+    """
+    named = [(part.name, part.mesh) for part in parts]
+    return convex_hulls_of(named, folder=hull_folder, progress=progress)
+
+
+def hull_notes(parts: Iterable[Part], prepared: Iterable[Decomposition]) -> tuple[str, ...]:
+    """Notes on parts whose collision hulls exceed their tolerance."""
+    return tuple(
+        f"{part.name}: its collision hulls are too coarse: they are up to "
+        f"{1e3 * made.error.worst_m:.2f} mm from its surface, and the bound is "
+        f"{1e3 * made.tolerance_m:.2f} mm. Resting parts may be this far apart or inside each "
+        "other. A simpler mesh without the inside of the part helps"
+        for part, made in zip(parts, prepared, strict=True)
+        if made.coarse
+    )
+
+
+def _failure(box: Bin, count: int, tried: list[Layout], limits: DropLimits) -> str:
+    """A text on all failed attempts, with remedies for the defects of the best one."""
+    best = min(tried, key=_badness)
+    what = f"{count} part{'s' if count > 1 else ''} in a bin of {_mm(box.inner_m)}"
+    remedies = []
+    if best.outside:
+        remedies.append("take a larger bin" + (" or fewer parts" if count > 1 else ""))
+    if not best.at_rest:
+        remedies.append(
+            f"give them more time (drop.simulated_s, now {limits.simulated_s:g} s) or more friction"
+        )
+    if not best.deepest_penetration_m <= limits.penetration_m:
+        remedies.append(
+            f"accept more overlap (drop.penetration_m, now {limits.penetration_m:g} m) or check "
+            "the unit of the parts with graycast parts"
+        )
+    if best.at_rest or count > 1:  # another start of one restless part ends as restless
+        remedies.append(f"allow more attempts (drop.attempts, now {limits.attempts})")
+    return (
+        f"{what} came to no acceptable rest in {limits.attempts} attempts; the best: "
+        f"{'; '.join(flaws(best, limits))}. What may help: {'; '.join(remedies)}"
+    )
+
+
+def _badness(layout: Layout) -> tuple[int, bool, float]:
+    return layout.outside, not layout.at_rest, layout.deepest_penetration_m
+
+
+def _check_sizes(box: Bin, parts: tuple[Part, ...]) -> None:
+    opening_m = min(box.inner_m[:2])
+    for part in parts:
+        if part.mesh.extent_m.min() > opening_m:
+            raise ValueError(
+                f"part {part.name} measures {_mm(part.mesh.extent_m)} and does not fit into a bin "
+                f"of {_mm(box.inner_m)}: check its unit, or use a larger bin"
+            )
+
+
+def _check_volume(box: Bin, bodies: tuple[Body, ...], number: tuple[int, ...]) -> None:
+    """Refuse a volume of parts that cannot fit, before any simulation."""
+    volume_m3 = sum(n * body.volume_m3 for n, body in zip(number, bodies, strict=True))
+    bin_m3 = float(np.prod(box.inner_m))
+    if volume_m3 / PACKING > HEAP_ABOVE_RIM * bin_m3:
+        most = int(sum(number) * HEAP_ABOVE_RIM * bin_m3 * PACKING / volume_m3)
+        raise ValueError(
+            f"{sum(number)} parts of {1e3 * volume_m3:.3g} litres in total, in a loose heap, do "
+            f"not fit into a bin of {1e3 * bin_m3:.3g} litres: drop {most} at most, or enlarge "
+            "the bin"
+        )
+
+
+def _mm(size_m: Iterable[float]) -> str:
+    return " x ".join(f"{1e3 * size:.0f}" for size in size_m) + " mm"

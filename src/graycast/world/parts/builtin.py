@@ -1,0 +1,282 @@
+"""The built-in parts: our own counterparts of the paper's five, modelled in code.
+
+Each is centred on its bounding box. Shapes are modelled in millimetres and scaled once. A filled
+package is one solid of uniform density: its mass is right, its centre of mass and its
+moments of inertia are those of an evenly filled body.
+"""
+
+from itertools import pairwise
+
+import numpy as np
+from jaxtyping import Float, Int
+from manifold3d import CrossSection, Manifold
+
+from ...base.frames import axis_rotation, rigid
+from . import printed_labels
+from .normals import crease_normals
+from .part import Material, Mesh, Part, Symmetry
+from .shapes import PANELS, loft, revolve, rounded_box, solid, superellipse, union
+
+BUILTIN: tuple[str, ...] = (
+    "metal_workpiece_1",
+    "metal_workpiece_2",
+    "yellow_salt_cube",
+    "hygiene_spray",
+    "toothpaste",
+)
+
+CREASE_RAD = np.radians(35)  # above the widest facet step (22.5 deg), below the 45 deg chamfers
+_STEEL_KG_M3 = 7800.0
+
+# Half section (r, z) of the ring [mm], counter-clockwise: flange with a groove in its rim, a
+# narrower hub above it with a fillet at its foot, a bore with a counterbore from above.
+RING_PROFILE_MM = (
+    (15.0, 0.0), (24.2, 0.0), (25.0, 0.8), (25.0, 3.0), (23.5, 3.0), (23.5, 5.0), (25.0, 5.0),
+    (25.0, 7.2), (24.2, 8.0), (22.0, 8.0), (21.5, 8.134), (21.134, 8.5), (21.0, 9.0),
+    (21.0, 17.2), (20.2, 18.0), (17.6, 18.0), (17.0, 17.4), (17.0, 13.0), (14.6, 13.0),
+    (14.0, 12.4), (14.0, 1.0),
+)  # fmt: skip
+RING_SEGMENTS = 128  # a rim facet lies 7.5 um inside the circle
+
+
+def builtin_part(name: str) -> Part:
+    """A part known by name.
+
+    Raises:
+        ValueError: the name is not in `BUILTIN`.
+    """
+    match name:
+        case "metal_workpiece_1":
+            return _bracket()
+        case "metal_workpiece_2":
+            return _ring()
+        case "yellow_salt_cube":
+            return _salt_box()
+        case "hygiene_spray":
+            return _spray()
+        case "toothpaste":
+            return _toothpaste()
+        case _:
+            raise ValueError(f"no built-in part {name!r}: choose one of {', '.join(BUILTIN)}")
+
+
+def _mesh(
+    vertices_mm: Float[np.ndarray, "v 3"],
+    faces: Int[np.ndarray, "f 3"],
+    corner_uv: Float[np.ndarray, "f 3 2"] | None = None,
+) -> Mesh:
+    middle_mm = (vertices_mm.min(axis=0) + vertices_mm.max(axis=0)) / 2
+    vertices_m = (vertices_mm - middle_mm) * 1e-3
+    return Mesh(
+        vertices_m=vertices_m,
+        faces=faces,
+        corner_uv=corner_uv,
+        corner_normals=crease_normals(vertices_m, faces, CREASE_RAD),
+    )
+
+
+def _ring() -> Part:
+    """A turned steel ring. Its two ends differ, so only turns about its axis leave it unchanged."""
+    return Part(
+        name="metal_workpiece_2",
+        mesh=_mesh(*revolve(np.array(RING_PROFILE_MM), RING_SEGMENTS)),
+        material=Material(base_color=(0.21, 0.21, 0.215), metallic=1.0, roughness=0.5),
+        density_kg_m3=_STEEL_KG_M3,
+        friction=0.3,
+        symmetry=Symmetry(continuous=(((0.0, 0.0, 1.0), (0.0, 0.0, 0.0)),)),
+    )
+
+
+def _bracket() -> Part:
+    """A milled steel U bracket, 60 x 40 x 30 mm, unchanged by half a turn about its z axis."""
+    body = _extruded_along_y(_u_profile_mm(), 40.0) ^ _chamfered_footprint()
+    cuts = Manifold()
+    for x in (-12.0, 12.0):  # screw holes in the base, countersunk from above
+        hole = Manifold.cylinder(12, 3.3, 3.3, 48).translate((0, 0, -1))
+        # The cone is carried on past the surface, so that no two faces coincide there.
+        sink = Manifold.cylinder(3.2, 3.3, 6.5, 48).translate((0, 0, 5.0))
+        cuts += (hole + sink).translate((x, 0, 0))
+    slot_ends = [Manifold.cylinder(12, 4, 4, 48).translate((0, y, -1)) for y in (-9.0, 9.0)]
+    cuts += Manifold.batch_hull(slot_ends)
+    # One bore through both walls, chamfered on their outer faces.
+    across = Manifold.cylinder(70, 4.5, 4.5, 64, True).rotate((0, 90, 0))
+    cone = Manifold.cylinder(3, 4.0, 7.0, 64).translate((0, 0, 28.5)).rotate((0, 90, 0))
+    cuts += (across + cone + cone.rotate((0, 0, 180))).translate((0, 0, 19))
+    vertices, faces, _ = union({"bracket": body - cuts})
+    half_turn = rigid(axis_rotation("z", np.pi), np.zeros(3))
+    return Part(
+        name="metal_workpiece_1",
+        mesh=_mesh(vertices, faces),
+        material=Material(base_color=(0.22, 0.22, 0.225), metallic=1.0, roughness=0.5),
+        density_kg_m3=_STEEL_KG_M3,
+        friction=0.3,
+        symmetry=Symmetry(discrete=(half_turn,)),
+    )
+
+
+def _u_profile_mm() -> list[tuple[float, float]]:
+    """Half of it written down, (x, z) counter-clockwise; 1.5 mm chamfers, 3 mm inner fillets."""
+    fillet = [(19 + 3 * np.sin(a), 10 - 3 * np.cos(a)) for a in np.pi / 2 * np.arange(7) / 6]
+    right = [(28.5, 0.0), (30.0, 1.5), (30.0, 28.5), (28.5, 30.0), (23.5, 30.0), (22.0, 28.5)]
+    right += fillet[::-1]
+    return right + [(-x, z) for x, z in right[::-1]]
+
+
+def _extruded_along_y(profile_mm: list[tuple[float, float]], length_mm: float) -> Manifold:
+    """A profile in x and z, extruded symmetrically about y = 0."""
+    block = CrossSection([profile_mm]).extrude(length_mm)
+    return block.rotate((90, 0, 0)).translate((0, length_mm / 2, 0))
+
+
+def _chamfered_footprint() -> Manifold:
+    x, y, c = 31.0, 20.0, 4.0  # a little longer than the bracket: its end faces stay its own
+    corner = [(x, y - c), (x - c, y), (-x + c, y), (-x, y - c)]
+    return CrossSection([corner + [(-a, -b) for a, b in corner]]).extrude(40).translate((0, 0, -1))
+
+
+def _carton(
+    name: str,
+    size_mm: tuple[float, float, float],
+    label: printed_labels.Atlas,
+    *,
+    edge_mm: float,
+    density_kg_m3: float,
+    roughness: float,
+) -> Part:
+    """A printed box with slightly rounded edges. The print tells all its sides apart."""
+    vertices, faces, panel = rounded_box(size_mm, edge_mm, steps=3)
+    corner_uv = np.empty((len(faces), 3, 2))
+    for side, (_, right, up) in PANELS.items():
+        chosen = np.array([p == side for p in panel])
+        axes = np.array([right, up])
+        share = vertices[faces[chosen]] @ axes.T / (np.abs(axes) @ np.array(size_mm)) + 0.5
+        corner_uv[chosen] = _into_region(share, label.region[side])
+    return Part(
+        name=name,
+        mesh=_mesh(vertices, faces, corner_uv),
+        material=Material(texture=label.image, metallic=0.0, roughness=roughness, specular=0.5),
+        density_kg_m3=density_kg_m3,
+        friction=0.45,
+    )
+
+
+def _into_region(
+    share: Float[np.ndarray, "*n 2"], region: tuple[float, float, float, float]
+) -> Float[np.ndarray, "*n 2"]:
+    """Positions in a panel (0 to 1 to the right and up) as uv of the atlas."""
+    low, high = np.array(region[:2]), np.array(region[2:])
+    return low + share * (high - low)
+
+
+def _salt_box() -> Part:
+    """A salt box of the size of KIT's `yellowsaltcube`, which is no cube: 61 x 70 x 146 mm.
+
+    Density: 650 g of salt (1.2 kg per litre as poured, the box nine tenths full) and 20 g of
+    carton in 0.607 litres.
+    """
+    return _carton("yellow_salt_cube", printed_labels.SALT_BOX_MM, printed_labels.salt_box(),
+                   edge_mm=2.5, density_kg_m3=1100.0, roughness=0.45)  # fmt: skip
+
+
+def _toothpaste() -> Part:
+    """Density: a 100 ml tube (1.3 kg per litre, 10 g of tube) and a 15 g carton in 0.324 litres."""
+    return _carton("toothpaste", printed_labels.TOOTHPASTE_MM, printed_labels.toothpaste(),
+                   edge_mm=1.0, density_kg_m3=480.0, roughness=0.35)  # fmt: skip
+
+
+_SPRAY_BODY_MM = (58.0, 46.0, 128.0)  # outer size along x, y, and height of the neck's lower end
+
+
+def _spray() -> Part:
+    """A trigger spray bottle, its nozzle along +x and the front of its label towards -y.
+
+    Density: 250 g of liquid and 45 g of plastic in the 0.31 litres that the shape encloses.
+    """
+    body = _spray_body()
+    neck_z = _SPRAY_BODY_MM[2]
+    rim = Manifold.cylinder(2, 15.5, 13, 64).translate((0, 0, 14))
+    collar = Manifold.cylinder(14, 15.5, 15.5, 64) + rim
+    head = collar.translate((0, 0, neck_z)) + _spray_head()
+    trigger = _chain(
+        [(19.0, 158.0), (22.0, 148.0), (26.0, 138.0), (33.0, 129.0)], radius_mm=3.0, width_mm=13.0
+    )
+    vertices, faces, piece = union({"body": solid(body), "head": head, "trigger": trigger})
+    label = printed_labels.spray()
+    corner = vertices[faces]
+    corner_uv = np.empty((len(faces), 3, 2))
+    for name in ("head", "trigger"):
+        chosen = np.array([p == name for p in piece])
+        share = (corner[chosen][..., [0, 2]] - [-40, 100]) / [100, 100]  # plain: anywhere inside
+        corner_uv[chosen] = _into_region(share, label.region[name])
+    chosen = np.array([p == "body" for p in piece])
+    corner_uv[chosen] = _into_region(_wrap(corner[chosen]), label.region["body"])
+    return Part(
+        name="hygiene_spray",
+        mesh=_mesh(vertices, faces, corner_uv),
+        material=Material(texture=label.image, metallic=0.0, roughness=0.3, specular=0.5),
+        density_kg_m3=950.0,
+        friction=0.35,
+    )
+
+
+def _spray_body() -> tuple[Float[np.ndarray, "v 3"], Int[np.ndarray, "f 3"]]:
+    """Superelliptic sections: a rounded foot, a straight body, a shoulder that ends in a neck."""
+    half_x, half_y, neck_z = _SPRAY_BODY_MM[0] / 2, _SPRAY_BODY_MM[1] / 2, _SPRAY_BODY_MM[2]
+    sections = []
+    for a in np.pi / 2 * np.arange(6) / 5:
+        inset, z = 5 * (1 - np.sin(a)), 5 * (1 - np.cos(a))
+        sections.append((half_x - inset, half_y - inset, 3.2, z))
+    for s in np.linspace(0, 1, 15):
+        bend = s * s * (3 - 2 * s)
+        x, y, n = half_x + (13 - half_x) * bend, half_y + (13 - half_y) * bend, 3.2 - 1.2 * bend
+        sections.append((x, y, n, 92 + (neck_z - 92) * s))
+    sections.append((13.0, 13.0, 2.0, neck_z + 4))  # ends inside the collar
+    return loft(np.stack([superellipse(x, y, n, z, 96) for x, y, n, z in sections]))
+
+
+def _spray_head() -> Manifold:
+    def block(low: tuple[int, int, int], high: tuple[int, int, int]) -> list[Manifold]:
+        ball = Manifold.sphere(4, 24)
+        return [ball.translate((x, y, z)) for x in (low[0] + 4, high[0] - 4)
+                for y in (low[1] + 4, high[1] - 4) for z in (low[2] + 4, high[2] - 4)]  # fmt: skip
+
+    rear = block((-21, -11, 149), (4, 11, 172))
+    front = block((8, -9, 158), (30, 9, 180))
+    stem = Manifold.cylinder(20, 10, 10, 48).translate((0, 0, 138))
+    tip = Manifold.cylinder(2, 6, 4.5, 48).translate((0, 0, 10))
+    nozzle = Manifold.cylinder(10, 6, 6, 48) + tip
+    bore = Manifold.cylinder(3, 1.5, 1.5, 24).translate((0, 0, 10))
+    placed = (nozzle - bore).rotate((0, 90, 0)).translate((26, 0, 170))
+    return Manifold.batch_hull(rear + front) + stem + placed
+
+
+def _chain(path_mm: list[tuple[float, float]], *, radius_mm: float, width_mm: float) -> Manifold:
+    """A round-edged strip along a path in x and z, `width_mm` wide in y."""
+    rod = Manifold.cylinder(width_mm, radius_mm, radius_mm, 24, True).rotate((90, 0, 0))
+    rods = [rod.translate((x, 0, z)) for x, z in path_mm]
+    links = [Manifold.batch_hull(list(pair)) for pair in pairwise(rods)]
+    return links[0] + links[1] + links[2]
+
+
+def _wrap(corner_mm: Float[np.ndarray, "f 3 3"]) -> Float[np.ndarray, "f 3 2"]:
+    """Position on the wrapped label, 0 to 1: arc length from the seam at +y, and height.
+
+    The arc length is that of the widest section at the same polar angle. Seen from above it runs
+    counter-clockwise, which a reader in front sees as left to right.
+    """
+    half_x, half_y, height = _SPRAY_BODY_MM[0] / 2, _SPRAY_BODY_MM[1] / 2, _SPRAY_BODY_MM[2]
+    outline = superellipse(half_x, half_y, 3.2, 0.0, 960)[:, :2]
+    step = np.linalg.norm(np.roll(outline, -1, axis=0) - outline, axis=1)
+    arc = np.concatenate([[0], np.cumsum(step)]) / step.sum()
+    turn = np.unwrap(np.arctan2(outline[:, 1], outline[:, 0])) / (2 * np.pi) - 0.25
+    angle = np.arctan2(corner_mm[..., 1], corner_mm[..., 0]) / (2 * np.pi) - 0.25
+    angle = angle % 1.0
+    # A face that ends on the seam has corners at both 0 and 1: bring them to one side.
+    wide = np.ptp(angle, axis=1, keepdims=True) > 0.5
+    angle = np.where(wide & (angle < 0.5), angle + 1, angle)
+    u = np.interp(angle % 1.0, np.append(turn, 1.0), arc) + np.floor(angle)
+    u = u - np.floor(u.mean(axis=1, keepdims=True))
+    wrapped = np.stack([u, np.clip(corner_mm[..., 2] / height, 0, 1)], axis=-1)
+    # The flat bottom cannot be wrapped: it takes the plain plastic under the print.
+    flat = np.all(corner_mm[..., 2] < 1e-6, axis=1)[:, None, None]
+    return np.where(flat, np.array([0.5, 0.06]) + corner_mm[..., :2] / 1000, wrapped)

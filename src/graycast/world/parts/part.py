@@ -1,0 +1,160 @@
+"""A part: a mesh, a material, and the properties that physics and datasets need."""
+
+import math
+from dataclasses import dataclass, field, replace
+from typing import Annotated
+
+import numpy as np
+from jaxtyping import Float, Int, UInt8
+from pydantic import Field
+
+from ...base.settings import Share, check_fields
+
+Color = tuple[Share, Share, Share]  # linear red, green and blue
+Roughness = Annotated[float, Field(ge=0.05, le=1)]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Material:
+    """A surface in a few physical words.
+
+    `base_color` is linear RGB reflectance; where `texture` (8-bit sRGB, row 0 on top, mapped by
+    the mesh's uv with v up) is given it takes the colour's place. `metallic` 0 is a dielectric:
+    diffuse base under a clear rough coat whose normal reflectance is `0.08 * specular` (0.5 is
+    an index of 1.5; 0 has no coat: a perfect Lambertian). `metallic` 1 is a conductor whose normal
+    reflectance is the base colour.
+    `roughness` is perceptual: the GGX alpha is its square; mirrors (below 0.05) are refused, since
+    no path finds the mirror image of a projector's lens.
+
+    `projector_reflectance` takes the place of colour and texture in the light of the measuring
+    camera, whose filter passes the projector's wavelength alone; None leaves it to the bands.
+
+    Leaves out: translucency, anisotropy, spectra finer than three bands and that one line.
+    """
+
+    base_color: Color = (0.5, 0.5, 0.5)
+    texture: UInt8[np.ndarray, "h w 3"] | None = None
+    metallic: Share = 0.0
+    roughness: Roughness = 0.5
+    specular: Share = 0.5
+    projector_reflectance: Share | None = None
+
+    def __post_init__(self) -> None:
+        check_fields(self)
+        if self.texture is not None:
+            self.texture.flags.writeable = False
+
+    @property
+    def ior(self) -> float:
+        """Index of refraction of the coat, by Fresnel's reflectance at normal incidence."""
+        root = math.sqrt(0.08 * self.specular)
+        return (1 + root) / (1 - root)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Mesh:
+    """A triangle mesh [m], counter-clockwise seen from outside.
+
+    uv and shading normals belong to face corners, so seams and sharp edges need no doubled
+    vertices and a watertight mesh stays watertight. Without normals a mesh is shaded flat.
+    """
+
+    vertices_m: Float[np.ndarray, "v 3"]
+    faces: Int[np.ndarray, "f 3"]
+    corner_uv: Float[np.ndarray, "f 3 2"] | None = None
+    corner_normals: Float[np.ndarray, "f 3 3"] | None = None
+
+    def __post_init__(self) -> None:
+        for array in (self.vertices_m, self.faces, self.corner_uv, self.corner_normals):
+            if array is not None:
+                array.flags.writeable = False
+        if len(self.faces) == 0:
+            raise ValueError("the mesh has no faces; give a mesh with triangles")
+        if self.faces.min() < 0 or self.faces.max() >= len(self.vertices_m):
+            span = f"[{self.faces.min()}, {self.faces.max()}]"
+            raise ValueError(
+                f"face indices span {span}, the mesh has {len(self.vertices_m)} vertices"
+            )
+        if not np.isfinite(self.vertices_m).all():
+            raise ValueError("the mesh has vertices that are not finite")
+
+    @property
+    def bounds_m(self) -> Float[np.ndarray, "2 3"]:
+        """Lowest and highest corner of the axis-aligned box."""
+        return np.stack([self.vertices_m.min(axis=0), self.vertices_m.max(axis=0)])
+
+    @property
+    def extent_m(self) -> Float[np.ndarray, "3"]:
+        return np.ptp(self.vertices_m, axis=0)
+
+    @property
+    def face_area_m2(self) -> Float[np.ndarray, " f"]:
+        return np.linalg.norm(self._face_cross_m2, axis=1) / 2
+
+    @property
+    def face_normal(self) -> Float[np.ndarray, "f 3"]:
+        """Outward, of length 1; zero for a face without area."""
+        cross = self._face_cross_m2
+        length = np.linalg.norm(cross, axis=1, keepdims=True)
+        return cross / np.where(length > 0, length, 1.0)
+
+    @property
+    def _face_cross_m2(self) -> Float[np.ndarray, "f 3"]:
+        corner = self.vertices_m[self.faces]
+        return np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Symmetry:
+    """The rigid motions that leave a part looking the same, in its own frame.
+
+    `discrete`: transforms other than the identity. `continuous`: (axis, point on the axis [m]) of
+    rotational symmetry.
+    """
+
+    discrete: tuple[Float[np.ndarray, "4 4"], ...] = ()
+    continuous: tuple[tuple[tuple[float, float, float], tuple[float, float, float]], ...] = ()
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Part:
+    """One kind of part. `source` says where it came from, for datasets and error messages.
+
+    A part that is not `labelled` lies among the others and hides them, but is not annotated.
+    """
+
+    name: str
+    mesh: Mesh
+    material: Material
+    density_kg_m3: float
+    friction: float
+    symmetry: Symmetry = field(default_factory=Symmetry)
+    source: str = "built in"
+    labelled: bool = True
+
+    def __post_init__(self) -> None:
+        if not self.density_kg_m3 > 0:
+            raise ValueError(
+                f"part {self.name}: density_kg_m3 is {self.density_kg_m3}; it must be greater "
+                "than 0"
+            )
+        if not self.friction >= 0:
+            raise ValueError(
+                f"part {self.name}: friction is {self.friction}; it must be at least 0"
+            )
+
+    def scaled(self, factor: float) -> "Part":
+        """The same part `factor` times as large, of the same material."""
+        vertices_m = self.mesh.vertices_m * factor
+        discrete = tuple(np.array(motion) for motion in self.symmetry.discrete)
+        for motion in discrete:
+            motion[:3, 3] *= factor
+        continuous = tuple(
+            (axis, (factor * x, factor * y, factor * z))
+            for axis, (x, y, z) in self.symmetry.continuous
+        )
+        return replace(
+            self,
+            mesh=replace(self.mesh, vertices_m=vertices_m),
+            symmetry=Symmetry(discrete=discrete, continuous=continuous),
+        )

@@ -1,0 +1,180 @@
+"""What a user writes about a part and its surface, and the values that it stands for."""
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+from jaxtyping import UInt8
+from PIL import Image, UnidentifiedImageError
+from pydantic import Field, field_validator, model_validator
+
+from ...base.errors import ConfigError
+from ...base.file_limits import refuse_large_picture
+from ...base.frames import is_rigid
+from ...base.settings import Positive, Settings, Share, Vector
+from .builtin import BUILTIN, builtin_part
+from .meshfile import load_part
+from .part import Color, Material, Part, Roughness, Symmetry
+
+Unit = Literal["m", "cm", "mm", "inch"]
+
+
+class MaterialSection(Settings):
+    """A surface in a few physical words."""
+
+    base_color: Color = Field(
+        (0.5, 0.5, 0.5), description="The linear RGB reflectance; each value is from 0 to 1."
+    )
+    texture: Path | None = Field(
+        None, description="A picture file in sRGB that replaces base_color."
+    )
+    metallic: Share = Field(
+        0.0, description="The kind of surface: 0 is plastic, paint, wood or card; 1 is bare metal."
+    )
+    roughness: Roughness = Field(0.5, description="The roughness: 0.05 is polished, 1 is matt.")
+    specular: Share = Field(
+        0.5,
+        description="The strength of the clear coat: 0 is "
+        "Lambertian, 0.5 is a coat of refractive index "
+        "1.5.",
+    )
+    projector_reflectance: Share | None = Field(
+        None,
+        description="The reflectance at the projector's wavelength. Without this key, "
+        "it follows from base_color and the projector's bands.",
+    )
+
+
+class ContinuousSymmetry(Settings):
+    axis: Vector
+    point_m: Vector = (0.0, 0.0, 0.0)
+
+    @field_validator("axis")
+    @classmethod
+    def _direction(cls, axis: Vector) -> Vector:
+        if not any(axis):
+            raise ValueError("an axis must have a direction, such as [0, 0, 1]")
+        x, y, z = np.array(axis) / np.linalg.norm(axis)  # datasets hold unit vectors
+        return float(x), float(y), float(z)
+
+
+class SymmetrySection(Settings):
+    """Rigid motions that leave the part looking the same, in its own frame."""
+
+    discrete: tuple[tuple[float, ...], ...] = Field(
+        (),
+        description="The discrete symmetries as 4x4 transforms: 16 numbers row by row, "
+        "lengths in metres.",
+    )
+    continuous: tuple[ContinuousSymmetry, ...] = ()
+
+    @model_validator(mode="after")
+    def _sixteen(self) -> "SymmetrySection":
+        for matrix in self.discrete:
+            if len(matrix) != 16:
+                raise ValueError(f"a discrete symmetry has {len(matrix)} numbers; give 16")
+            if not is_rigid(np.reshape(matrix, (4, 4))):
+                raise ValueError("a discrete symmetry is not a rotation and a translation")
+        return self
+
+
+class PartSection(Settings):
+    """A kind of part: one of the built-in ones, or a mesh file of your own."""
+
+    builtin: str | None = Field(
+        None, description=f"The built-in part: one of {', '.join(BUILTIN)}."
+    )
+    mesh: Path | None = Field(None, description="The OBJ, PLY, STL or GLB file of the part.")
+    unit: Unit | None = Field(
+        None,
+        description="The unit of the mesh file. It must be stated if the sizes are not "
+        "plausible in metres.",
+    )
+    scale: Positive = Field(
+        1.0,
+        description="The factor on the size of the file or of the built-in part; 1.005 "
+        "makes parts 0.5 % larger.",
+    )
+    name: str | None = None
+    material: MaterialSection | None = Field(
+        None, description="The material, which replaces the part's own."
+    )
+    density_kg_m3: Positive | None = Field(
+        None, description="The density of a solid mesh in kg/m^3; steel has 7800."
+    )
+    friction: float | None = Field(None, ge=0)
+    symmetry: SymmetrySection | None = None
+
+    @model_validator(mode="after")
+    def _one_source(self) -> "PartSection":
+        if (self.builtin is None) == (self.mesh is None):
+            raise ValueError("give either builtin or mesh, and not both")
+        if self.builtin is not None and (self.unit or self.name or self.symmetry):
+            raise ValueError("unit, name and symmetry belong to a mesh, not to a built-in part")
+        return self
+
+
+def resolve_part(section: PartSection, folder: Path) -> tuple[Part, tuple[str, ...]]:
+    """A part, and what was noticed about its mesh.
+
+    Raises:
+        ConfigError: an unknown built-in part, or a texture that cannot be read.
+        MeshError: a mesh that cannot be a part.
+    """
+    part, noticed = _unscaled(section, folder)
+    return (part if section.scale == 1 else part.scaled(section.scale)), noticed
+
+
+def _unscaled(section: PartSection, folder: Path) -> tuple[Part, tuple[str, ...]]:
+    material = None if section.material is None else resolve_material(section.material, folder)
+    if section.builtin is not None:
+        if section.builtin not in BUILTIN:
+            raise ConfigError(f"no built-in part {section.builtin!r}: choose {', '.join(BUILTIN)}")
+        own = builtin_part(section.builtin)
+        return replace(
+            own,
+            material=material or own.material,
+            density_kg_m3=section.density_kg_m3 or own.density_kg_m3,
+            friction=own.friction if section.friction is None else section.friction,
+        ), ()
+    assert section.mesh is not None  # the section has one of the two
+    symmetry = section.symmetry or SymmetrySection()
+    return load_part(
+        folder / section.mesh,
+        name=section.name,
+        unit=section.unit,
+        material=material,
+        density_kg_m3=section.density_kg_m3 or 1000.0,
+        friction=0.4 if section.friction is None else section.friction,
+        symmetry=Symmetry(
+            discrete=tuple(np.reshape(matrix, (4, 4)) for matrix in symmetry.discrete),
+            continuous=tuple((s.axis, s.point_m) for s in symmetry.continuous),
+        ),
+    )
+
+
+def resolve_material(section: MaterialSection, folder: Path) -> Material:
+    """A material, its texture read.
+
+    Raises:
+        ConfigError: the texture cannot be read.
+    """
+    texture = None if section.texture is None else read_texture(folder / section.texture)
+    return Material(
+        base_color=section.base_color,
+        texture=texture,
+        metallic=section.metallic,
+        roughness=section.roughness,
+        specular=section.specular,
+        projector_reflectance=section.projector_reflectance,
+    )
+
+
+def read_texture(path: Path) -> UInt8[np.ndarray, "h w 3"]:
+    try:
+        refuse_large_picture(path, f"texture {path}", ConfigError)
+        with Image.open(path) as image:
+            return np.array(image.convert("RGB"))
+    except (OSError, UnidentifiedImageError) as error:
+        raise ConfigError(f"texture {path}: {error}; give a PNG or JPEG picture") from error

@@ -1,0 +1,175 @@
+"""Symmetries as sets of rigid motions, and the detection of the symmetry of a shape."""
+
+from itertools import permutations, product
+
+import numpy as np
+from jaxtyping import Float
+from scipy.spatial import cKDTree
+
+from ...base.frames import rigid
+from .part import Mesh, Symmetry
+from .sampling import dense_points
+
+STEP = 0.01  # BOP: the rim of a turned body moves by at most this share of its diameter
+SHAPE_STEP = 0.04  # spacing of the points that a shape is compared by, as a share of its diameter
+SHAPE_TOLERANCE = 0.01  # a motion that moves the surface by less, as a share, leaves the shape
+LEFT = 0.98  # as a share of the points that have to be left on the surface
+FOLDS = (2, 3, 4, 5, 6, 8)  # turns by a full circle over these are tried
+MANY = 36  # turns that a body of revolution has to bear
+# What each axis counts for in the choice of one pose of a symmetric part without a reference. With
+# equal weights the two poses of a part that a half turn maps to itself would be equally near to the
+# camera's axes whenever it lies upside down, and noise would choose.
+AXIS_WEIGHT = (3.0, 2.0, 1.0)
+
+
+def motions(symmetry: Symmetry, *, step: float = STEP) -> Float[np.ndarray, "n 4 4"]:
+    """All motions of a symmetry, the identity first; continuous ones in equal steps.
+
+    A continuous symmetry is taken in `ceil(pi / step)` turns, so that a point on the rim of the
+    diameter, at half a diameter from the axis, moves by at most `2 * step * diameter / 2` from one
+    turn to the next. Discrete motions and turns are combined.
+
+    Source: T. Hodan et al., "BOP Challenge 2020 on 6D Object Localization", ECCVW 2020, and the
+    `max_sym_disc_step` of 0.01 stated there (section 2.3).
+    """
+    discrete = [np.eye(4), *symmetry.discrete]
+    turns = int(np.ceil(np.pi / step))
+    continuous = [
+        _turn(np.array(axis), np.array(offset), 2 * np.pi * k / turns)
+        for axis, offset in symmetry.continuous
+        for k in range(turns)
+    ] or [np.eye(4)]
+    return np.stack([turn @ motion for motion in discrete for turn in continuous])
+
+
+def nearest_member(
+    T: Float[np.ndarray, "4 4"], symmetry: Symmetry, *, near: Float[np.ndarray, "4 4"] | None = None
+) -> Float[np.ndarray, "4 4"]:
+    """Of all poses that look the same, the one whose orientation is nearest to a reference.
+
+    With the motions S of the symmetry it is the T S that makes `trace(W.T R)` greatest, where R is
+    its rotation. For W = the reference's rotation this is the least angle between both. Without a
+    reference W is `diag(AXIS_WEIGHT)`: the part's axes are to point along the frame's.
+
+    Leaves out: continuous axes after the first, which only a ball has. Where two members are
+    equally near, noise chooses; without a reference such poses are rare ones between two sides.
+
+    Args:
+        near: a pose of the same part in the same frame, such as the previous one.
+    """
+    wanted = np.diag(AXIS_WEIGHT) if near is None else near[:3, :3]
+    M = wanted.T @ T[:3, :3]
+    best, most = T, -np.inf
+    for flip in (np.eye(4), *symmetry.discrete):
+        member = flip
+        for axis, offset in symmetry.continuous[:1]:
+            member = _turn(np.array(axis), np.array(offset), _best_turn(axis, flip, M)) @ flip
+        gain = float(np.trace(M @ member[:3, :3]))
+        if gain > most:  # the first of equals
+            best, most = T @ member, gain
+    return best
+
+
+def _best_turn(
+    axis: tuple[float, float, float],
+    flip: Float[np.ndarray, "4 4"],
+    M: Float[np.ndarray, "3 3"],
+) -> float:
+    """The angle t of the turn about the axis that makes `trace(M turn(t) flip)` greatest.
+
+    With N = flip M and the unit vector a, Rodrigues' formula gives the trace as a constant and
+    `cos t (tr N - a N a) + sin t tr([a]x N)`.
+    """
+    a = np.array(axis) / np.linalg.norm(axis)
+    N = flip[:3, :3] @ M
+    return float(np.arctan2(np.trace(_cross(a) @ N), np.trace(N) - a @ N @ a))
+
+
+def shape_symmetry(mesh: Mesh) -> Symmetry:
+    """The proper rotations that leave a shape as it is, its print and colour aside.
+
+    Axes through the middle of the bounding box are tried: those of the box, and those that
+    halve the angles between them. What else a shape may have (an axis that is neither) is not
+    found.
+
+    Returns:
+        One continuous axis and the half turns that reverse it, or the discrete rotations.
+    """
+    diameter_m = float(np.linalg.norm(mesh.extent_m))
+    point, normal = dense_points(mesh, SHAPE_STEP * diameter_m, most=3000)
+    dense, dense_normal = dense_points(mesh, SHAPE_STEP / 6 * diameter_m, most=40_000)
+    tree, middle = cKDTree(dense), mesh.bounds_m.mean(axis=0)
+
+    def share_left(T: Float[np.ndarray, "4 4"], every: int) -> float:
+        moved, turned = point[::every] @ T[:3, :3].T + T[:3, 3], normal[::every] @ T[:3, :3].T
+        near = tree.query(moved, k=8)[1]
+        away = np.abs(np.einsum("nki,nki->nk", dense[near] - moved[:, None], dense_normal[near]))
+        alike = np.einsum("nki,ni->nk", dense_normal[near], turned) > 0.8
+        least = np.where(alike, away, np.inf).min(axis=1)
+        return float(np.mean(least < SHAPE_TOLERANCE * diameter_m))
+
+    def leaves(T: Float[np.ndarray, "4 4"]) -> bool:
+        return share_left(T, 16) > 0.9 and share_left(T, 1) > LEFT
+
+    for axis in np.eye(3):
+        if all(leaves(_turn(axis, middle, 2 * np.pi * k / MANY)) for k in (1, 5, 7, 11, 18)):
+            across = np.roll(axis, 1)
+            flip = _turn(across, middle, np.pi)
+            continuous = ((tuple(axis.tolist()), tuple(middle.tolist())),)
+            return Symmetry(discrete=(flip,) if leaves(flip) else (), continuous=continuous)
+    found: list[np.ndarray] = []
+    for T in _candidates(middle):
+        if not any(np.allclose(T, other, atol=1e-9) for other in found) and leaves(T):
+            found.append(T)
+    return Symmetry(discrete=tuple(found))
+
+
+def joined(first: Symmetry, second: Symmetry) -> Symmetry:
+    """The union of two symmetries; the second's continuous axes apply if the first has none.
+
+    A body has one motion at most for each rotation, so motions are told apart by that alone.
+    """
+    both = [*first.discrete]
+    for T in second.discrete:
+        if not any(np.allclose(T[:3, :3], S[:3, :3], atol=1e-3) for S in both):
+            both.append(T)
+    return Symmetry(discrete=tuple(both), continuous=first.continuous or second.continuous)
+
+
+def _candidates(middle: Float[np.ndarray, "3"]):
+    """Turns about the box's axes, and all rotations that permute them."""
+    for axis, fold in product(np.eye(3), FOLDS):
+        for k in range(1, fold):
+            yield _turn(axis, middle, 2 * np.pi * k / fold)
+    for R in axis_rotations()[1:]:
+        yield _about(R, middle)
+
+
+def axis_rotations() -> Float[np.ndarray, "24 3 3"]:
+    """The rotations that map the coordinate axes to each other, the identity first."""
+    held = []
+    for order in permutations(range(3)):
+        for sign in product((1.0, -1.0), repeat=3):
+            R = np.zeros((3, 3))
+            R[np.arange(3), order] = sign
+            if np.linalg.det(R) > 0:
+                held.append(R)
+    return np.stack(held)
+
+
+def _turn(
+    axis: Float[np.ndarray, "3"], offset: Float[np.ndarray, "3"], angle_rad: float
+) -> Float[np.ndarray, "4 4"]:
+    """A turn about an axis through a point, by Rodrigues' formula."""
+    K = _cross(axis / np.linalg.norm(axis))
+    R = np.eye(3) + np.sin(angle_rad) * K + (1 - np.cos(angle_rad)) * K @ K
+    return _about(R, offset)
+
+
+def _cross(a: Float[np.ndarray, "3"]) -> Float[np.ndarray, "3 3"]:
+    """The matrix of the vector product with a."""
+    return np.array([[0, -a[2], a[1]], [a[2], 0, -a[0]], [-a[1], a[0], 0]])
+
+
+def _about(R: Float[np.ndarray, "3 3"], point: Float[np.ndarray, "3"]) -> Float[np.ndarray, "4 4"]:
+    return rigid(R, point - R @ point)

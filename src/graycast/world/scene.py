@@ -1,0 +1,311 @@
+"""The world before physics and light: parts, bin, surfaces, lights, rig.
+
+World frame: origin in the middle of the bin's inner floor, z up. The bin stands on an endless
+looking table whose top is at `z = -bin.floor_m`.
+"""
+
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Annotated
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+from pydantic import Field
+
+from ..base.frames import is_rigid
+from ..base.settings import Level, Positive, Vector, check_fields
+from ..rig.pair import Rig
+from .parts import Material, Mesh, Part
+
+BandRadiance = tuple[Level, Level, Level]  # [W sr^-1 m^-2] in red, green and blue
+Inner = Annotated[float, Field(ge=0.01, le=5)]  # a side of a bin's room
+Wall = Annotated[float, Field(ge=0.0005, le=0.2)]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Bin:
+    """An open box, or a mesh in its place. The material's texture repeats every `texture_size_m`.
+
+    `floor` is the material of the inner floor alone; None: the same as all else. A `mesh` is in
+    the world frame, `inner_m` says about what room it has inside, and `wall_m` nothing. Where
+    `own_texture`, the material's texture lies as the mesh's uv say.
+    """
+
+    inner_m: tuple[Inner, Inner, Inner]
+    wall_m: Wall = 0.012
+    mesh: Mesh | None = None
+    own_texture: bool = False
+    material: Material = field(default_factory=Material)
+    floor: Material | None = None
+    texture_size_m: float = 0.5
+    friction: Level = 0.5
+
+    def __post_init__(self) -> None:
+        check_fields(self)
+
+    @property
+    def bounds_m(self) -> Float[np.ndarray, "2 3"]:
+        """Lowest and highest corner of all of it."""
+        if self.mesh is not None:
+            return self.mesh.bounds_m
+        x, y = (size / 2 + self.wall_m for size in self.inner_m[:2])
+        return np.array([[-x, -y, -self.wall_m], [x, y, self.inner_m[2]]])
+
+    @property
+    def floor_m(self) -> float:
+        """How high the inner floor is above the table."""
+        return -float(self.bounds_m[0, 2])
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Quad:
+    """A flat rectangle: centre and half edges in world coordinates [m]; lit on one side.
+
+    Its front is `cross(half_u_m, half_v_m)`. A texture is repeated every `texture_size_m`, from
+    the corner at `-half_u_m - half_v_m` on; None spreads it over the whole.
+    """
+
+    center_m: tuple[float, float, float]
+    half_u_m: tuple[float, float, float]
+    half_v_m: tuple[float, float, float]
+    material: Material
+    texture_size_m: float | None = None
+
+    def __post_init__(self) -> None:
+        u, v = np.array(self.half_u_m), np.array(self.half_v_m)
+        if not (u.any() and v.any()) or abs(u @ v) > 1e-6 * np.linalg.norm(u) * np.linalg.norm(v):
+            raise ValueError(
+                f"the two half edges of a quad are {u} and {v}; they must be perpendicular and "
+                "not 0"
+            )
+
+    @property
+    def texture_repeats(self) -> tuple[float, float]:
+        """How often a texture fits along each edge."""
+        if self.texture_size_m is None:
+            return 1.0, 1.0
+        u, v = (2 * float(np.linalg.norm(half)) for half in (self.half_u_m, self.half_v_m))
+        return u / self.texture_size_m, v / self.texture_size_m
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Sphere:
+    center_m: tuple[float, float, float]
+    radius_m: float
+    material: Material
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Environment:
+    """Light from all around: constant `radiance` [W sr^-1 m^-2 per band], or a map scaled by it.
+
+    A map (EXR, HDR) is latitude-longitude with its top row at the world's zenith and its left
+    border towards the world's +y; `rotation_rad` turns it about the world's z by the right-hand
+    rule. A `levelled` map is first divided by its own mean over all directions and bands, so that
+    `radiance` is the mean, whatever unit the file has.
+    """
+
+    radiance: BandRadiance = (0.2, 0.2, 0.2)
+    map_file: Path | None = None
+    rotation_rad: float = 0.0
+    levelled: bool = False
+
+    def __post_init__(self) -> None:
+        check_fields(self)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Lamp:
+    """A square area lamp that looks at `target_m`.
+
+    Its front emits `radiance` [W sr^-1 m^-2 per band] in all directions; its back is black.
+    """
+
+    center_m: Vector
+    target_m: Vector = (0.0, 0.0, 0.0)
+    size_m: Positive = 0.3
+    radiance: BandRadiance = (15.0, 15.0, 15.0)
+
+    def __post_init__(self) -> None:
+        check_fields(self)
+        if self.center_m == self.target_m:
+            raise ValueError(
+                f"the lamp at {self.center_m} has its target at its own position: move target_m"
+            )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Scene:
+    """Everything that light meets but the poses of the dropped parts.
+
+    `parts` are the kinds, those without a label last; a `Layout` says how many of each lie where.
+    `surfaces` are analytic shapes for measurement. Without a bin there is no table either. The
+    table's texture is repeated every `table_texture_m`; None spreads it over the whole table.
+    """
+
+    rig: Rig
+    T_world_cam: Float[np.ndarray, "4 4"]
+    parts: tuple[Part, ...] = ()
+    bin: Bin | None = None
+    table: Material = field(default_factory=lambda: Material(base_color=(0.35, 0.35, 0.36)))
+    table_texture_m: float | None = None
+    surfaces: tuple[Quad | Sphere, ...] = ()
+    environment: Environment = field(default_factory=Environment)
+    lamps: tuple[Lamp, ...] = ()
+
+    def __post_init__(self) -> None:
+        self.T_world_cam.flags.writeable = False
+        if not is_rigid(self.T_world_cam):
+            raise ValueError("T_world_cam is not a rotation and a translation")
+        labelled = [part.labelled for part in self.parts]
+        if labelled != sorted(labelled, reverse=True):  # a label is a place among the parts
+            raise ValueError(f"labelled parts are {labelled}: parts without a label must come last")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Layout:
+    """Where the parts came to lie, and how well: the outcome of a drop.
+
+    `part_index[i]` indexes `Scene.parts`; instance i has the pose `T_world_part[i]`. The numbers
+    are what an acceptance test needs: nobody has judged them yet. `last_motion_m` is how far a
+    point of a part was from its place within the last 0.6 s, or 0.2 s if that showed rest.
+    Penetration is that of the collision hulls, which may lie inside a curved surface by half a
+    millimetre.
+    """
+
+    T_world_part: Float[np.ndarray, "n 4 4"]
+    part_index: Int[np.ndarray, " n"]
+    at_rest: bool = True
+    last_motion_m: float = 0.0
+    deepest_penetration_m: float = 0.0
+    outside: int = 0
+    simulated_s: float = 0.0
+    attempt: int = 0
+
+    def __post_init__(self) -> None:
+        self.T_world_part.flags.writeable = False
+        self.part_index.flags.writeable = False
+
+
+def bin_of(scene: Scene) -> Bin:
+    """The bin, for what makes no sense without one.
+
+    Raises:
+        ValueError: the scene has none.
+    """
+    if scene.bin is None:
+        raise ValueError("this scene has no bin, which this function needs: give Scene(bin=...)")
+    return scene.bin
+
+
+TABLE_HALF_M = 4.0  # of the table's edge: it looks endless
+
+EMPTY_LAYOUT = Layout(T_world_part=np.zeros((0, 4, 4)), part_index=np.zeros(0, dtype=np.int64))
+
+
+def table_quad(scene: Scene) -> Quad | None:
+    """The table that the bin stands on; None without a bin."""
+    if scene.bin is None:
+        return None
+    return Quad(
+        center_m=(0.0, 0.0, -scene.bin.floor_m),
+        half_u_m=(TABLE_HALF_M, 0.0, 0.0),
+        half_v_m=(0.0, TABLE_HALF_M, 0.0),
+        material=scene.table,
+        texture_size_m=scene.table_texture_m,
+    )
+
+
+def quad_mesh(quad: Quad) -> Mesh:
+    """A quad as two triangles, its texture's row 0 along the edge at `+half_v_m`."""
+    center, u, v = (np.array(value) for value in (quad.center_m, quad.half_u_m, quad.half_v_m))
+    corners = np.array([center - u - v, center + u - v, center + u + v, center - u + v])
+    uv = np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]]) * quad.texture_repeats
+    faces = np.array([[0, 1, 2], [0, 2, 3]])
+    return Mesh(vertices_m=corners, faces=faces, corner_uv=uv[faces])
+
+
+def lamp_quad(lamp: Lamp) -> Quad:
+    """A lamp's square, its front towards the target; black but for what it emits."""
+    center, target = np.array(lamp.center_m), np.array(lamp.target_m)
+    direction = (target - center) / np.linalg.norm(target - center)
+    aside = np.cross(direction, np.eye(3)[np.abs(direction).argmin()])
+    aside *= 0.5 * lamp.size_m / np.linalg.norm(aside)
+    return Quad(
+        center_m=lamp.center_m,
+        half_u_m=tuple(aside.tolist()),
+        half_v_m=tuple(np.cross(direction, aside).tolist()),
+        material=Material(base_color=(0.0, 0.0, 0.0), specular=0.0),
+    )
+
+
+def bin_mesh(box: Bin) -> Mesh:
+    """The bin as a watertight mesh, textured in metres along each face's own two axes."""
+    mesh = _box_mesh(box) if box.mesh is None else box.mesh
+    if box.own_texture:
+        return mesh
+    corner = mesh.vertices_m[mesh.faces]
+    axis = np.abs(mesh.face_normal).argmax(axis=1)
+    # Wood grain (u) runs along the longer horizontal direction of each face.
+    u = np.where((axis == 0)[:, None], corner[..., 1], corner[..., 0])
+    v = np.where((axis == 2)[:, None], corner[..., 1], corner[..., 2])
+    return replace(mesh, corner_uv=np.stack([u, v], axis=-1) / box.texture_size_m)
+
+
+def _box_mesh(box: Bin) -> Mesh:
+    inner_x, inner_y, height = box.inner_m
+    outer = np.array([inner_x / 2 + box.wall_m, inner_y / 2 + box.wall_m])
+    inner = np.array([inner_x / 2, inner_y / 2])
+    corners = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]])
+
+    def ring(half: np.ndarray, z: float) -> np.ndarray:
+        return np.column_stack([corners * half, np.full(4, z)])
+
+    # Vertex rings: 0-3 outer bottom, 4-7 outer top, 8-11 inner top, 12-15 inner floor.
+    vertices = np.vstack(
+        [ring(outer, -box.wall_m), ring(outer, height), ring(inner, height), ring(inner, 0.0)]
+    )
+    quads = [[3, 2, 1, 0], [12, 13, 14, 15]]
+    for i in range(4):
+        j = (i + 1) % 4
+        quads += [
+            [i, j, j + 4, i + 4],
+            [i + 4, j + 4, j + 8, i + 8],
+            [i + 8, j + 8, j + 12, i + 12],
+        ]
+    faces = np.array([f for a, b, c, d in quads for f in ((a, b, c), (a, c, d))])
+    return Mesh(vertices_m=vertices, faces=faces)
+
+
+def inner_floor(box: Bin, mesh: Mesh) -> Bool[np.ndarray, " f"]:
+    """Which faces of the bin's mesh are its inner floor: they look up and lie at its height."""
+    corner = mesh.vertices_m[mesh.faces]
+    looks_up = mesh.face_normal[:, 2] > _UPRIGHT
+    low = np.abs(corner[..., 2]).max(axis=1) < max(1e-3, _LOW * box.inner_m[2])
+    within = (np.abs(corner[..., :2].mean(axis=1)) < np.array(box.inner_m[:2]) / 2).all(axis=1)
+    return looks_up & low & within
+
+
+_UPRIGHT, _LOW = 0.9, 0.03  # cosine to z; how far from the floor's height, of the bin's depth
+
+
+def bin_surfaces(box: Bin) -> tuple[tuple[str, Mesh, Material], ...]:
+    """The bin's meshes by name, each of one material: all of it, or walls and inner floor."""
+    whole = bin_mesh(box)
+    if box.floor is None:
+        return (("bin", whole, box.material),)
+    floor = inner_floor(box, whole)
+    return (
+        ("bin", _faces_of(whole, ~floor), box.material),
+        ("floor", _faces_of(whole, floor), box.floor),
+    )
+
+
+def _faces_of(mesh: Mesh, chosen: Bool[np.ndarray, " f"]) -> Mesh:
+    """Some of a mesh's faces. Its vertices stay: those that nobody uses do no harm."""
+    return Mesh(
+        vertices_m=mesh.vertices_m,
+        faces=mesh.faces[chosen],
+        corner_uv=None if mesh.corner_uv is None else mesh.corner_uv[chosen],
+        corner_normals=None if mesh.corner_normals is None else mesh.corner_normals[chosen],
+    )

@@ -1,0 +1,78 @@
+"""Crates as a CAD system would export them, made of a few numbers that tests know."""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import trimesh
+
+from graycast.world.bins import MeshBin, load_bin
+from graycast.world.scene import Bin
+
+
+@dataclass(frozen=True)
+class Crate:
+    """Leaning walls of even thickness, a rim around the top, bars under the floor.
+
+    Lengths in metres; `inner_m` is the floor's length and width, and the depth.
+    """
+
+    inner_m: tuple[float, float, float] = (0.36, 0.26, 0.14)
+    lean: float = 0.07  # how far a wall goes outwards per height: 4 degrees
+    wall_m: float = 0.003
+    floor_m: float = 0.004
+    rim_m: float = 0.012
+    bar_m: float = 0.006
+
+    def half_m(self, height_m: float) -> np.ndarray:
+        """Half of the inside's length and width at a height over the floor."""
+        return np.array(self.inner_m[:2]) / 2 + self.lean * height_m
+
+    @property
+    def middle_m(self) -> tuple[float, float, float]:
+        """The inside as it is half way down."""
+        x, y = (2 * self.half_m(self.inner_m[2] / 2)).tolist()
+        return x, y, self.inner_m[2]
+
+    def solid(self) -> trimesh.Trimesh:
+        """World frame: origin in the middle of the inner floor, z up."""
+        depth = self.inner_m[2]
+        outer = _frustum(self.half_m(0) + self.wall_m, self.half_m(depth) + self.wall_m,
+                         -self.floor_m, depth)  # fmt: skip
+        rim = self.half_m(depth) + self.rim_m
+        parts = [outer, _frustum(rim, rim, depth - self.wall_m, depth)]
+        for x in (-0.3, 0.3):
+            size = (0.03, 1.6 * self.half_m(0)[1], self.bar_m + self.floor_m / 2)
+            bar = trimesh.creation.box(size)
+            middle_m = -self.floor_m / 2 - size[2] / 2
+            bar.apply_translation((x * self.inner_m[0], 0.0, middle_m))
+            parts.append(bar)
+        above = 1.5 * depth
+        room = _frustum(self.half_m(0), self.half_m(above), 0.0, above)
+        body = trimesh.boolean.union(parts, engine="manifold")
+        return trimesh.boolean.difference([body, room], engine="manifold")
+
+    def write(self, path: Path, *, unit_m: float = 1e-3, turn: np.ndarray | None = None) -> Path:
+        """As a file in some unit, its origin somewhere, turned by a rotation."""
+        solid = self.solid()
+        solid.apply_translation((0.1, 0.2, 0.05))
+        if turn is not None:
+            solid.apply_transform(np.block([[turn, np.zeros((3, 1))], [0, 0, 0, 1]]))
+        solid.apply_scale(1 / unit_m)
+        solid.export(path)
+        return path
+
+    def load(self, folder: Path) -> MeshBin:
+        return load_bin(self.write(folder / "crate.stl"), unit="mm", up="z")
+
+    def bin(self, folder: Path) -> Bin:
+        found = self.load(folder)
+        return Bin(inner_m=found.inner_m, mesh=found.mesh, material=found.material)
+
+
+def _frustum(low: np.ndarray, high: np.ndarray, bottom: float, top: float) -> trimesh.Trimesh:
+    corner = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]])
+    points = [
+        np.column_stack([corner * half, np.full(4, z)]) for half, z in ((low, bottom), (high, top))
+    ]
+    return trimesh.convex.convex_hull(np.vstack(points))

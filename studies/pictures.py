@@ -1,0 +1,182 @@
+"""The pictures of docs/report.md and docs/live.md: pages in Chromium, small.
+
+python -m studies.pictures report out/demo_page    the page of the report of docs/report.md
+python -m studies.pictures replay out/picks        the picks of docs/report.md
+python -m studies.pictures live                    graycast live configs/demo.yaml
+
+Each writes its pictures of docs/images anew. Playwright and Chromium are needed, as for the tests
+of the pages.
+"""
+
+import argparse
+import io
+import shutil
+import subprocess
+import sys
+import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+from PIL import Image
+from playwright.sync_api import Page, sync_playwright
+
+from graycast.show.live import serve
+
+ROOT = Path(__file__).resolve().parents[1]
+IMAGES = ROOT / "docs" / "images"
+FLAGS = ["--no-sandbox", "--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"]
+WAIT_MS = 180_000
+REPORT_PX, LIVE_PX = (1320, 830), (1440, 900)
+DETECTIONS_CARD = 1  # among the scenes with something missed or false
+ATTEMPT, AFTER_GRIP_S = "bin-000000/3", 0.45
+FILM_PX, FRAME_MS = 760, 900
+
+
+@contextmanager
+def opened(url: str, size_px: tuple[int, int]) -> Iterator[Page]:
+    """A page in a window of that size, in light colours."""
+    with sync_playwright() as running:
+        browser = running.chromium.launch(executable_path=shutil.which("chromium"), args=FLAGS)
+        width, height = size_px
+        page = browser.new_page(viewport={"width": width, "height": height}, color_scheme="light")
+        page.goto(url)
+        yield page
+
+
+def shot(page: Page) -> Image.Image:
+    return Image.open(io.BytesIO(page.screenshot())).convert("RGB")
+
+
+def save(page: Page, name: str) -> None:
+    page.wait_for_timeout(1500)
+    shot(page).save(IMAGES / f"{name}.jpg", quality=82, progressive=True)
+
+
+def press(page: Page, *keys: str) -> None:
+    for key in keys:
+        page.keyboard.press(key)
+        page.wait_for_timeout(150)
+
+
+def report(folder: Path) -> None:
+    with opened((folder / "index.html").resolve().as_uri(), REPORT_PX) as page:
+        page.wait_for_selector('#main[data-ready="overview"]')
+        save(page, "report_overview")
+        press(page, "ArrowRight", "x", "ArrowRight", "ArrowRight", "x", "ArrowDown", "x", "g")
+        page.keyboard.type("dark")
+        press(page, "Enter", "/")
+        page.keyboard.type("0-13")
+        press(page, "Escape")
+        page.evaluate("scrollTo(0, document.getElementById('grid').offsetTop - 40)")
+        save(page, "report_grid")
+        press(page, "ArrowRight", "Enter", "1", "m", "b")
+        save(page, "report_scene")
+        press(page, "m", "b", "5", "Shift+Digit6")
+        save(page, "report_compare")
+        press(page, "c", "3")
+        save(page, "report_frames")
+        press(page, "9")
+        save(page, "report_3d")
+        if page.evaluate("Graycast.report.detections !== null"):
+            detections(page)
+
+
+def detections(page: Page) -> None:
+    page.keyboard.press("Escape")
+    page.select_option("#pick-found", "wrong")
+    page.locator(".card a").nth(DETECTIONS_CARD).click()
+    page.wait_for_selector(".scene")
+    press(page, "1")
+    page.select_option("#choose-foundKind", "all")
+    for name in ("masks", "boxes"):
+        if page.get_attribute(f"#toggle-{name}", "aria-pressed") == "true":
+            page.click(f"#toggle-{name}")
+    save(page, "report_detections")
+
+
+def replay(folder: Path) -> None:
+    def graycast(*words: object) -> None:
+        subprocess.run([sys.executable, "-m", "graycast.cli", *map(str, words)], check=True)
+
+    with tempfile.TemporaryDirectory() as made:
+        graycast("report", folder, "--out", Path(made) / "page")
+        url = f"{(Path(made) / 'page' / 'index.html').resolve().as_uri()}#/{ATTEMPT}"
+        with opened(url, REPORT_PX) as page:
+            page.wait_for_selector(f'#main[data-ready="{ATTEMPT}"]')
+            page.evaluate(
+                """(after) => {
+                    const { motion } = Graycast.opened().scan;
+                    const slider = document.getElementById("time");
+                    slider.value = motion.time_s[motion.grip] + after;
+                    slider.dispatchEvent(new Event("input"));
+                }""",
+                AFTER_GRIP_S,
+            )
+            press(page, "m")
+            save(page, "replay")
+    graycast("replay", folder, "--bin", "0", "--out", IMAGES / "replay.gif", "--width", "420")
+
+
+def live() -> None:
+    with tempfile.TemporaryDirectory() as folder:
+        cell = shutil.copy(ROOT / "configs" / "demo.yaml", folder)
+        with serve(Path(cell), port=0, scene_id=0, device="auto") as server:
+            server.session.set("resolution", "small")
+            with opened(server.url, LIVE_PX) as page:
+                finished(page)
+                frames = film(page)
+    frames[-1].save(IMAGES / "live.jpg", quality=80)
+    height = round(FILM_PX * frames[0].height / frames[0].width)
+    small = [one.resize((FILM_PX, height)).quantize(96) for one in frames]
+    file, more = IMAGES / "live.gif", small[1:]
+    small[0].save(file, save_all=True, append_images=more, duration=FRAME_MS, loop=0)
+
+
+def film(page: Page) -> list[Image.Image]:
+    """Exposure, then a frozen picture beside it, then the rig moves."""
+    frames = [shot(page)]
+    page.click('[data-view="reasons"]')
+    for target in ("0.4", "0.1"):
+        turn(page, "exposure.target", target)
+        frames.append(shot(page))
+    page.click("#hold")
+    turn(page, "exposure.target", "0.8")
+    frames.append(shot(page))
+    for tilt in ("8", "16"):
+        turn(page, "view.tilt_deg", tilt)
+        frames.append(shot(page))
+    return frames
+
+
+def turn(page: Page, key: str, value: str) -> None:
+    number = page.locator(f'[data-key="{key}"] input[type=number]')
+    number.fill(value)
+    number.press("Enter")
+    page.wait_for_timeout(300)
+    finished(page)
+
+
+def finished(page: Page) -> None:
+    page.wait_for_function(
+        """() => { const d = document.getElementById("main").dataset;
+        return d.exact === "true" && d.shown === d.asked; }""",
+        timeout=WAIT_MS,
+    )
+    page.wait_for_timeout(400)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description="Make the pictures of pages in docs/images anew.")
+    kinds = parser.add_subparsers(required=True)
+    for make, words in ((report, "The page's folder."), (replay, "The folder of picks.")):
+        one = kinds.add_parser(make.__name__)
+        one.add_argument("folder", type=Path, help=words)
+        one.set_defaults(make=make)
+    kinds.add_parser("live").set_defaults(make=live)
+    asked = vars(parser.parse_args())
+    asked.pop("make")(**asked)
+
+
+if __name__ == "__main__":
+    main()

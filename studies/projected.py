@@ -1,0 +1,126 @@
+"""What a camera sees of a coded projector, in one dimension and in closed form; and its noise."""
+
+from collections.abc import Sequence
+
+import numpy as np
+from jaxtyping import Float, Int
+from scipy.signal import fftconvolve
+
+from graycast.camera.decode import Levels
+from graycast.rig.pattern import AXES, Axis, Code, Frame, level_share
+
+LEVELS = Levels(offset_dn=64.0, saturation_dn=4000.0, floor_dn2=1.2**2 + 1 / 12, slope_dn=0.39)
+FINE = 32  # samples per projector pixel
+
+
+def two_phases(
+    width_px: int,
+    height_px: int,
+    *,
+    gray_cell_px: float,
+    periods_px: Sequence[float],
+    steps: int = 3,
+    bits: int | None = None,
+) -> Code:
+    """Columns by the phases of some periods and Gray bits with inverses, in wide cells."""
+    if bits is None:
+        bits = int(np.ceil(np.log2(width_px / gray_cell_px)))
+    phases = [
+        Frame(kind="phase", axis="column", period_px=period_px, step=step, steps=steps)
+        for period_px in periods_px
+        for step in range(steps)
+    ]
+    gray = [
+        Frame(kind="gray", axis="column", bit=bit, inverse=inverse)
+        for bit in reversed(range(bits))
+        for inverse in (False, True)
+    ]
+    return Code(
+        width_px=width_px,
+        height_px=height_px,
+        frames=(*phases, *gray),
+        stride_px=(gray_cell_px, gray_cell_px),
+    )
+
+
+def share_of_white(
+    code: Code,
+    column: Float[np.ndarray, "h w"],
+    row: Float[np.ndarray, "h w"] | None = None,
+    *,
+    camera_px: float = 1.5,
+    disc_px: float = 1.0,
+) -> Float[np.ndarray, "n h w"]:
+    """What each frame sends to projector positions (h, w), as a share of its white light.
+
+    One position alone is that along the code's only axis.
+
+    The projector's square pixels, seen through a camera pixel that covers `camera_px` of them and
+    a projector blurred to discs of radius `disc_px`; 0 for either leaves it out. Beyond the last
+    pixel it is dark.
+    """
+    kernel = _blur(camera_px, disc_px)
+    places: dict[Axis, Float[np.ndarray, "h w"]] = {"column": column}
+    if row is not None:
+        places["row"] = row
+    if row is None and code.axes == ("row",):
+        places = {"row": column}
+
+    def seen(axis: Axis, share: float | Float[np.ndarray, " size"]) -> Float[np.ndarray, "h w"]:
+        margin = 4 + len(kernel) // FINE
+        fine = np.repeat(np.pad(np.broadcast_to(share, code.size_px(axis)), margin), FINE)
+        at = (np.arange(len(fine)) + 0.5) / FINE - 0.5 - margin
+        return np.interp(places[axis], at, fftconvolve(fine, kernel, mode="same"))
+
+    lit = {axis: seen(axis, 1.0) for axis in places}
+    out = []
+    for frame in code.frames:
+        total = np.full(column.shape, float(frame.kind != "black"))
+        for axis, i in zip(AXES, (0, 1), strict=True):
+            if axis in places and frame.axis != axis:
+                total = total * lit[axis]
+            elif axis in places:
+                place = {"offset_px": code.offset_px[i], "stride_px": code.stride_px[i]}
+                total = total * seen(axis, level_share(frame, code.size_px(axis), **place))
+        out.append(total)
+    return np.clip(np.array(out), 0, 1)
+
+
+def _blur(camera_px: float, disc_px: float) -> Float[np.ndarray, " n"]:
+    reach = FINE * int(np.ceil(camera_px / 2 + disc_px + 1))
+    t = np.arange(-reach, reach + 1) / FINE
+    spike = (t == 0).astype(float)
+    box = (np.abs(t) <= camera_px / 2).astype(float) if camera_px else spike
+    disc = np.sqrt(np.maximum(disc_px**2 - t**2, 0)) if disc_px else spike
+    kernel = fftconvolve(box / box.sum(), disc / disc.sum(), mode="same")
+    return kernel / kernel.sum()
+
+
+def frames_of(
+    light_dn: Float[np.ndarray, "n h w"],
+    rng: np.random.Generator | None = None,
+    *,
+    levels: Levels = LEVELS,
+    dtype: type[np.unsignedinteger] = np.uint16,
+) -> np.ndarray:
+    """Pictures of light [DN above offset], with the noise that `levels` says, rounded."""
+    mean = levels.offset_dn + light_dn
+    if rng is not None:
+        variance = levels.floor_dn2 - 1 / 12 + levels.slope_dn * light_dn
+        mean = mean + rng.normal(size=mean.shape) * np.sqrt(np.maximum(variance, 0))
+    return np.clip(np.round(mean), 0, np.iinfo(dtype).max).astype(dtype)
+
+
+def crisp(
+    code: Code,
+    column: Int[np.ndarray, "h w"],
+    row: Int[np.ndarray, "h w"] | None = None,
+    *,
+    dark: float = 20,
+    bright: float = 200,
+    dtype: type[np.unsignedinteger] = np.uint8,
+) -> np.ndarray:
+    """A noiseless stack of a camera whose pixels see whole projector pixels (integers)."""
+    row = np.zeros(column.shape, dtype=int) if row is None else row
+    share = code.render()[:, row, column] / 255
+    return np.ascontiguousarray(np.round(dark + (bright - dark) * share)).astype(dtype)

@@ -1,0 +1,191 @@
+"""Twins of unknown scanners, for docs/twin.md: each scanner is drawn by a seed and scanned.
+
+python -m studies.unknown_scanners --draws 10 --trials 500
+
+A twin of each is made from three scans and compared with it. The twin knows the rig and the scenes,
+as `graycast twin` stages them again, but here without an error of the surfaces. The hidden numbers
+lie anywhere in the middle four fifths of what is fitted, and the code is one of the candidates.
+"""
+
+import argparse
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from graycast.camera.scanner import Scanner, preset
+from graycast.real.realism import DepthScan
+from graycast.real.realism.patches import find_floor
+from graycast.real.twin import PARAMETERS
+from graycast.real.twin.parameters import (
+    BIN_GLOSS,
+    BIN_ROUGHNESS,
+    candidate_codes,
+    values_at,
+    with_values,
+)
+from graycast.real.twin.rows import compare, figures_of, loss_of
+from graycast.real.twin.searching import Found, scans_of, search
+from graycast.real.twin.stage import Lit, in_projector_corner
+from graycast.render import Quality
+from graycast.render.reference import ReferenceRenderer
+from graycast.rig.pair import grey_levels
+from graycast.world.parts import Material
+from graycast.world.scene import EMPTY_LAYOUT, Environment, Quad, Scene, Sphere
+
+from .smaller import shrunk
+
+SCENES = 3
+FITTED = tuple(p for p in PARAMETERS if p.key not in (BIN_GLOSS, BIN_ROUGHNESS))  # nothing shines
+_FLOOR_M, _FLOOR_ALBEDO = 0.47, 0.04
+_MARGIN = 0.1  # of a parameter's range, at either end, where no hidden number lies
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Unknown:
+    """A hidden scanner and what was found of it."""
+
+    period_px: float | None
+    hidden: dict[str, float]
+    own: float  # the misfit of the hidden scanner itself, whose noise is drawn anew
+    found: Found
+
+    @property
+    def inside(self) -> dict[str, bool]:
+        """Of the parameters that the scans decide: whether the hidden number is in the interval."""
+        return {
+            held.parameter.key: held.low <= self.hidden[held.parameter.key] <= held.high
+            for held in self.found.held
+            if held.decided
+        }
+
+
+def study(number: int, lit: Sequence[Lit], *, trials: int) -> Unknown:
+    """Hide a scanner, scan the scenes with it, and search with the same scenes."""
+    start = small_scanner()
+    codes = tuple(lit[0].radiance)
+    rng = np.random.default_rng((15, number))
+    shares = rng.uniform(_MARGIN, 1 - _MARGIN, len(FITTED))
+    hidden = values_at(shares, FITTED)
+    code = codes[int(rng.integers(len(codes)))]
+    scanner = replace(with_values(start, FITTED, hidden), code=code)
+    real, again = (
+        list(scans_of(lit, scanner, hidden, seed=1_000 * k + number, name="real")) for k in (1, 2)
+    )
+    floor = find_floor([scan.depth_m for scan in real])
+    figures = figures_of(real, floor)
+    own = loss_of(compare(figures, figures_of(again, floor)))
+    found = search(start, lit, codes, FITTED, figures, trials=trials, seed=number)
+    return Unknown(period_px=code.period_px, hidden=hidden, own=own, found=found)
+
+
+def small_scanner() -> Scanner:
+    """A PhoXi-S with a quarter of the smallest preset's pixels and sharp lenses."""
+    scanner = preset("phoxi-s", "small")
+    sharp: dict[str, Any] = {"aperture_m": 0.0, "psf_px": 0.0, "natural_vignetting": False}
+    camera, projector = (replace(o, **sharp) for o in (scanner.rig.camera, scanner.rig.projector))
+    half = shrunk(camera, camera.width_px // 2, camera.height_px // 2)
+    return replace(scanner, rig=replace(scanner.rig, camera=half, projector=projector))
+
+
+def light(scanner: Scanner, rng: np.random.Generator) -> Lit:
+    """A dark floor with eight balls on and above it and two leaning boards, for every code."""
+
+    def grey(low: float, high: float) -> Material:
+        return Material(base_color=(float(rng.uniform(low, high)),) * 3, specular=0.0)
+
+    def place(low_m: float, high_m: float) -> tuple[float, float, float]:
+        x, y = rng.uniform(-0.09, 0.09), rng.uniform(-0.07, 0.07)
+        return float(x), float(y), float(rng.uniform(low_m, high_m))
+
+    dark = Material(base_color=(_FLOOR_ALBEDO,) * 3, specular=0.0)
+    things: list[Quad | Sphere] = [board((0.0, 0.0, _FLOOR_M), 0.5, 0.1, 0.05, dark)]
+    for _ in range(8):
+        radius_m = float(rng.uniform(0.012, 0.03))
+        things.append(
+            Sphere(center_m=place(0.42, 0.46), radius_m=radius_m, material=grey(0.1, 0.7))
+        )
+    for _ in range(2):
+        lean_x, lean_y = rng.uniform(-0.8, 0.8, 2).tolist()
+        things.append(board(place(0.43, 0.45), 0.03, lean_x, lean_y, grey(0.1, 0.7)))
+    rig, codes = scanner.rig, candidate_codes(scanner.code)
+    scene = Scene(
+        rig=rig,
+        T_world_cam=np.eye(4),
+        surfaces=tuple(things),
+        environment=Environment(radiance=(0.0, 0.0, 0.0)),
+    )
+    shown = [replace(scanner, code=code).light_code() for code in codes]
+    stack = [one.render(lambda share: grey_levels(rig, share)) for one in shown]
+    made = ReferenceRenderer().render(
+        scene, EMPTY_LAYOUT, np.concatenate(stack), quality=Quality(samples=9, depth=1), seed=0
+    )
+    ends = np.cumsum([len(one) for one in stack])
+    whole, depth_m = made.radiance, made.truth.depth_m.astype(np.float64)
+    return Lit(
+        radiance={
+            code: replace(whole, pattern=whole.pattern[end - len(one) : end].copy())
+            for code, one, end in zip(codes, stack, ends, strict=True)
+        },
+        is_bin=np.abs(whole.albedo[..., 0] - _FLOOR_ALBEDO) < 1e-3,
+        truth=DepthScan(name="perfect", depth_m=depth_m, K=rig.camera.K),
+        corner_share=in_projector_corner(rig, depth_m),
+    )
+
+
+def board(
+    center_m: tuple[float, float, float],
+    half_m: float,
+    lean_x: float,
+    lean_y: float,
+    material: Material,
+) -> Quad:
+    """A square before the camera, leaning by two slopes, its front towards the camera."""
+    u = np.array([1.0, 0.0, lean_x]) / np.hypot(1.0, lean_x)
+    normal = np.array([lean_x, lean_y, -1.0])
+    v = np.cross(normal / np.linalg.norm(normal), u)
+    return Quad(
+        center_m=center_m,
+        half_u_m=tuple((half_m * u).tolist()),
+        half_v_m=tuple((half_m * v).tolist()),
+        material=material,
+    )
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description="Make twins of scanners that are drawn by seeds.")
+    parser.add_argument("--draws", type=int, default=10, help="The number of scanners.")
+    parser.add_argument("--trials", type=int, default=500, help="Simulations of each search.")
+    parser.add_argument("--first", type=int, default=0, help="The seed of the first scanner.")
+    options = parser.parse_args()
+    draws = options.draws
+    scanner = small_scanner()
+    lit = [light(scanner, np.random.default_rng((16, k))) for k in range(SCENES)]
+    told: dict[str, list[bool]] = {p.key: [] for p in FITTED}
+    for number in range(options.first, options.first + draws):
+        one = study(number, lit, trials=options.trials)
+        was = sum(row.is_met for row in one.found.before)
+        right = min(one.found.by_code, key=lambda c: one.found.by_code[c]) == one.period_px
+        print(
+            f"{number}: {was} rows met before, {sum(r.is_met for r in one.found.after)} of "
+            f"{len(one.found.after)} after, misfit {one.found.loss:.2f} (of the scanner itself "
+            f"{one.own:.2f}), the code is "
+            f"{'right' if right else 'another'}; of "
+            f"{len(one.inside)} decided numbers {sum(one.inside.values())} lie within",
+            flush=True,
+        )
+        for held in one.found.held:
+            key = held.parameter.key
+            state = "open" if not held.decided else "in" if one.inside[key] else "OUT"
+            hidden = one.hidden[key]
+            print(f"   {key:28s} {hidden:9.4g} in {held.low:.4g} to {held.high:.4g}: {state}")
+        for key, inside in one.inside.items():
+            told[key].append(inside)
+    print("| key | decided | of these within |\n|---|---|---|")
+    for key, each in told.items():
+        print(f"| `{key}` | {len(each)} of {draws} | {sum(each)} |")
+
+
+if __name__ == "__main__":
+    main()

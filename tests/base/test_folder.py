@@ -1,0 +1,166 @@
+"""Folders of results are whole or not there, and what killed runs left goes."""
+
+import subprocess
+import sys
+
+import pytest
+
+from graycast.base.errors import GraycastError
+from graycast.base.folder import (
+    beside,
+    claimed_folder,
+    new_folder,
+    take_lock,
+    whole_folder,
+    write_whole,
+)
+
+KILLED = """
+import os, signal, sys
+from pathlib import Path
+from graycast.base.folder import new_folder, whole_folder
+with globals()[sys.argv[1]](Path(sys.argv[2])) as folder:
+    (folder / "half").write_text("half")
+    os.kill(os.getpid(), signal.SIGKILL)
+"""
+
+
+def names(folder):
+    return sorted(str(path.relative_to(folder)) for path in folder.rglob("*"))
+
+
+@pytest.mark.parametrize("make", [new_folder, whole_folder])
+def test_what_a_killed_run_left_goes_with_the_next(tmp_path, make):
+    out = tmp_path / "a[b]*"  # a name that is a pattern, too
+    run = [sys.executable, "-c", KILLED, make.__name__, str(out)]
+    assert subprocess.run(run).returncode == -9
+    assert any("part-" in name and name.endswith("/half") for name in names(tmp_path))
+    with make(out) as folder:
+        (folder / "whole").write_text("whole")
+    assert names(tmp_path) == ["a[b]*", "a[b]*/whole"]
+
+
+@pytest.mark.parametrize("make", [new_folder, whole_folder])
+def test_the_folder_of_a_run_that_is_going_on_stays(tmp_path, make):
+    with make(tmp_path / "out") as first:
+        (first / "a").write_text("a")
+        with pytest.raises(RuntimeError), make(tmp_path / "out"):
+            raise RuntimeError
+        assert (first / "a").exists()
+    assert names(tmp_path) == ["out", "out/a"]
+
+
+def test_of_two_runs_the_first_to_end_has_the_new_folder(tmp_path):
+    with pytest.raises(GraycastError, match="out: cannot be written"):
+        with new_folder(tmp_path / "out") as slow:
+            (slow / "slow").write_text("slow")
+            with new_folder(tmp_path / "out") as quick:
+                (quick / "quick").write_text("quick")
+    assert names(tmp_path) == ["out", "out/quick"]
+
+
+KILLED_WRITING = """
+import os, signal, sys
+from pathlib import Path
+from graycast.base.folder import claimed_folder, fill_whole
+def half(file):
+    file.write(b"half")
+    file.flush()
+    os.kill(os.getpid(), signal.SIGKILL)
+with claimed_folder(Path(sys.argv[1]), "inside", ".lock"):
+    Path(sys.argv[2]).parent.mkdir(exist_ok=True)
+    fill_whole(Path(sys.argv[2]), half)
+"""
+
+
+@pytest.mark.parametrize("file", ["table.md", "inside/claim.json", "inside/setting/000.json"])
+def test_what_a_run_was_killed_writing_goes_with_the_next_that_claims_its_folder(tmp_path, file):
+    out = tmp_path / "out"
+    run = [sys.executable, "-c", KILLED_WRITING, str(out), str(out / file)]
+    assert subprocess.run(run).returncode == -9
+    (left,) = [name for name in names(out) if "/.tmp-" in f"/{name}"]
+    (out / "inside/kept.json").write_text("kept")
+    before = {*names(out)}
+    with claimed_folder(out, "inside", ".lock"):
+        assert {*names(out)} == before - {left}
+        (out / left).write_text("half of a file of the run that goes on")
+        with pytest.raises(GraycastError, match="another run is writing"):
+            with claimed_folder(out, "inside", ".lock"):
+                pass
+        assert {*names(out)} == before
+
+
+def test_a_file_is_as_it_was_where_the_new_one_cannot_be_put_there(tmp_path, monkeypatch):
+    file = tmp_path / "figures.json"
+    write_whole(file, b"old")
+    write_whole(file, b"new")
+    assert file.read_bytes() == b"new"
+    with monkeypatch.context() as patch:
+        patch.setattr("os.replace", refuse)
+        with pytest.raises(GraycastError, match="no room"):
+            write_whole(file, b"newer")
+    assert file.read_bytes() == b"new" and names(tmp_path) == ["figures.json"]
+    with pytest.raises(GraycastError, match="nowhere"):
+        write_whole(tmp_path / "nowhere/figures.json", b"new")
+
+
+def refuse(*paths):
+    raise OSError("no room")
+
+
+def test_what_is_made_beside_its_place_is_there_whole_or_not_at_all(tmp_path):
+    """A file takes the place of an earlier one, a folder that of an empty one alone."""
+    with beside(tmp_path / "scene") as folder:
+        folder.mkdir()
+        (folder / "a").write_text("a")
+        assert not (tmp_path / "scene").exists()
+    for error in (KeyError, KeyboardInterrupt):
+        with pytest.raises(error), beside(tmp_path / "file") as file:
+            file.write_text("half")
+            raise error
+        with pytest.raises(error), beside(tmp_path / "other") as folder:
+            (folder / "deep").mkdir(parents=True)
+            raise error
+    with pytest.raises(OSError), beside(tmp_path / "scene") as folder:
+        folder.mkdir()
+        (folder / "b").write_text("b")
+    assert names(tmp_path) == ["scene", "scene/a"]
+
+
+def test_a_folder_inside_takes_the_place_of_an_earlier_one(tmp_path):
+    """All of the earlier one goes, and it is there until the new one is whole."""
+    for picture in ("old", "new"):
+        with whole_folder(tmp_path / "out") as folder:
+            (folder / "pictures").mkdir()
+            (folder / "pictures" / picture).write_text(picture)
+    assert names(tmp_path) == ["out", "out/pictures", "out/pictures/new"]
+    with pytest.raises(KeyError), whole_folder(tmp_path / "out") as folder:
+        (folder / "pictures").mkdir()
+        raise KeyError
+    assert names(tmp_path) == ["out", "out/pictures", "out/pictures/new"]
+
+
+HOLDER = """
+import sys
+from pathlib import Path
+from graycast.base.folder import take_lock
+lock = take_lock(Path(sys.argv[1]))
+print("held", flush=True)
+sys.stdin.read()
+"""
+
+
+def test_a_lock_is_one_process_s_and_dies_with_it(tmp_path):
+    holder = subprocess.Popen(
+        [sys.executable, "-c", HOLDER, str(tmp_path / "lock")],
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        text=True,
+    )
+    with holder:
+        assert holder.stdout.readline() == "held\n"
+        assert take_lock(tmp_path / "lock") is None
+        holder.kill()
+    lock = take_lock(tmp_path / "lock")
+    assert lock is not None and take_lock(tmp_path / "lock") is None
+    lock.close()

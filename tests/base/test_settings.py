@@ -1,0 +1,123 @@
+"""One declaration of a setting serves the value and the file."""
+
+import math
+import pickle
+from dataclasses import dataclass, fields, replace
+from pathlib import Path
+from typing import Annotated
+
+import pytest
+from pydantic import Field, ValidationError
+
+from graycast.base.settings import Positive, Settings, changes_of, check_fields, section_of
+from graycast.camera.decode import DecodeSpec, FilterSpec
+from graycast.camera.faults import FaultSpec
+from graycast.camera.rig_file.own import OpticsModel, RigModel
+from graycast.camera.rig_file.scanner_sections import ScannerSections
+from graycast.camera.scanner import ExposureSpec
+from graycast.camera.sensor import SensorSpec
+from graycast.camera.stack.description import DecodeSection as StackSection
+from graycast.cell.config import load_config
+from graycast.rig.pattern import CodeSpec
+
+CONFIGS = Path(__file__).resolve().parents[2] / "configs"
+
+SPECS = {
+    "code": CodeSpec,
+    "exposure": ExposureSpec,
+    "sensor": SensorSpec,
+    "decode": DecodeSpec,
+    "filters": FilterSpec,
+    "faults": FaultSpec,
+}
+
+
+@dataclass(frozen=True, kw_only=True)
+class Lens:
+    width_px: Annotated[int, Field(ge=1, description="Image width.")]
+    pupil_m: Annotated[float, Field(ge=0, lt=1)] = 0.0
+    focus_m: Positive = math.inf
+    zones_m: tuple[Positive, ...] = (1.0,)
+    name: str = "lens"
+
+    def __post_init__(self):
+        check_fields(self)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (
+            {"width_px": 0},
+            r"^width_px is 0: it should be greater than or equal to 1 \(Image width\)$",
+        ),
+        ({"width_px": 3.0}, "^width_px is 3.0: it should be a valid integer"),
+        ({"pupil_m": 1.0}, "^pupil_m is 1.0: it should be less than 1$"),
+        ({"pupil_m": math.nan}, "^pupil_m is nan: it should be a finite number$"),
+        ({"pupil_m": "0.1"}, "^pupil_m is '0.1': it should be a valid number$"),
+        ({"focus_m": -math.inf}, "^focus_m is -inf: it should be"),
+        ({"zones_m": (1.0, 0.0)}, r"^zones_m is \(1.0, 0.0\): it should be greater than 0$"),
+    ],
+)
+def test_a_value_is_refused_by_its_field_s_own_annotation(change, message):
+    with pytest.raises(ValueError, match=message):
+        replace(Lens(width_px=4), **change)
+
+
+def test_a_file_s_section_has_the_limits_and_the_defaults_of_the_value():
+    section = section_of(
+        Lens, "Lens", module=__name__, about="A lens.", base=Settings, more={"name": None}
+    )
+    assert section(width_px=4).model_dump() == {
+        "width_px": 4, "pupil_m": 0.0, "focus_m": None, "zones_m": (1.0,)
+    }  # fmt: skip
+    with pytest.raises(ValidationError, match="width_px"):
+        section()
+    for wrong in ({"width_px": 0}, {"pupil_m": 1.0}, {"focus_m": math.inf}, {"name": "x"}):
+        with pytest.raises(ValidationError, match=next(iter(wrong))):
+            section(**{"width_px": 4} | wrong)
+    assert section.model_json_schema()["properties"]["width_px"]["description"] == "Image width."
+
+
+def test_in_a_section_of_changes_nothing_must_be_said():
+    section = changes_of(Lens, "Lens", module=__name__, about="What differs of a lens.")
+    assert set(section().model_dump().values()) == {None}
+    assert section(pupil_m=0.5).model_dump(exclude_none=True) == {"pupil_m": 0.5}
+    with pytest.raises(ValidationError, match="less than 1"):
+        section(pupil_m=1.0)
+
+
+def just_outside(schema):
+    """Numbers that a property's JSON Schema forbids by a limit."""
+    for option in schema.get("anyOf", [schema]):
+        number = int if option.get("type") == "integer" else float
+        for limit, off in (("minimum", -1), ("maximum", 1)):
+            if limit in option:
+                yield number(option[limit] + off)
+        for limit in ("exclusiveMinimum", "exclusiveMaximum"):
+            if limit in option:
+                yield number(option[limit])
+
+
+def test_what_a_file_said_goes_to_other_processes():
+    """Workers get the configuration by pickle, which looks a class up where it says it is."""
+    said = load_config(CONFIGS / "demo.yaml")
+    assert pickle.loads(pickle.dumps(said)) == said
+    lens = Lens(width_px=4)
+    assert pickle.loads(pickle.dumps(lens)) == lens  # its focus is another infinity
+    for section in (OpticsModel, RigModel, StackSection):
+        assert pickle.loads(pickle.dumps(section)) is section
+
+
+@pytest.mark.parametrize("name", SPECS)
+def test_what_a_file_may_not_say_of_a_scanner_python_may_not_either(name):
+    """Also of the fields that had other limits in files: pixel_pitch_m, wavelength_m."""
+    spec, limits = SPECS[name](), 0
+    properties = type(getattr(ScannerSections(), name)).model_json_schema()["properties"]
+    assert list(properties) == [field.name for field in fields(spec)]
+    for key, schema in properties.items():
+        for wrong in just_outside(schema):
+            limits += 1
+            with pytest.raises(ValueError, match=rf"\b{key}\b"):
+                replace(spec, **{key: wrong})
+    assert limits > 2

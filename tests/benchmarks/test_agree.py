@@ -1,0 +1,126 @@
+"""The agreement study finds the differences that are there, and no others."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from drawn import axes_of, drawn_by
+
+from benchmarks import agree, plots
+from benchmarks.cells import opened
+from benchmarks.figures import describe
+
+CLASSES = ("diffuse", "metal", "plastic", "bin")
+RATIOS = {"diffuse": 1.013, "metal": 0.961, "plastic": 1.052, "bin": 1.3}
+
+
+def study(first, second, **changes):
+    words = {"scenes": 2, "samples": 64, "size_px": (48, 20), "show": lambda text: None}
+    return agree.study(first, second, **words | changes)
+
+
+def row(figures, light, name):
+    return next(r for r in figures["ratios"] if (r["light"], r["class"]) == (light, name))
+
+
+@pytest.mark.slow
+def test_it_reports_the_ratio_of_each_class_exactly(painted):
+    one = (0.7, 0.4, 0.5, 0.6)
+    other = tuple(light * ratio for light, ratio in zip(one, RATIOS.values(), strict=True))
+    first = painted(white=one)
+    second = painted(name="cycles", white=other, ambient=0.11)
+    figures = study(first, second)
+    for name, ratio in RATIOS.items():
+        found = row(figures, "white", name)
+        assert found["pixels"] == 2 * 20 * 12
+        for word in ("median", "p5", "p95", "of_means"):
+            assert found[word] == pytest.approx(ratio, rel=1e-6)
+            assert row(figures, "ambient", name)[word] == pytest.approx(1.1, rel=1e-6)
+    assert figures["accepted"] == {
+        "diffuse_ratio": True,
+        "metal_ratio": True,
+        "plastic_ratio": False,
+        "depth": True,
+        "valid": True,
+    }
+    assert figures["depth"]["median_abs_columns"] < 1e-3
+    assert (figures["first"], figures["second"]) == ("mitsuba", "cycles")
+
+
+@pytest.mark.parametrize(("shift_px", "kept"), [(0.2, True), (-0.3, False)])
+def test_it_reports_by_how_many_columns_the_second_is_off(painted, shift_px, kept):
+    """0.03: interpolation between projector pixels is no cosine."""
+    figures = study(painted(), painted(name="cycles", shift_px=shift_px))
+    depth = figures["depth"]
+    assert depth["median_columns"] == pytest.approx(shift_px, abs=0.03)
+    assert depth["median_abs_columns"] == pytest.approx(abs(shift_px), abs=0.03)
+    assert depth["over_one_column_share"] == 0
+    assert figures["accepted"]["depth"] is kept
+
+
+def test_it_counts_the_pixels_that_one_alone_could_decode(painted):
+    """The blind one lacks 3 of 20 rows; what is valid in neither would count as alike."""
+    figures = study(painted(), painted(name="cycles", blind=3))
+    depth = figures["depth"]
+    assert depth["valid_in_first_only"] == pytest.approx(3 / 20)
+    assert depth["valid_in_second_only"] == 0
+    assert depth["valid_alike_share"] == pytest.approx(17 / 20)
+    assert figures["accepted"]["valid"] is False
+    both = study(painted(blind=3), painted(name="cycles", blind=3))["depth"]
+    assert both["valid_alike_share"] == 1
+    assert both["valid_in_both"] == pytest.approx(17 / 20)
+
+
+def test_both_get_the_same_scenes_without_footprint(painted):
+    heard = []
+    first, second = painted(), painted(name="cycles")
+    study(first, second, scenes=3, show=heard.append)
+    assert [seed for _, _, seed in second.asked] == [0, 1, 2]
+    assert first.asked[::2] == [
+        (count, replace(quality, samples=8 * 64), seed) for count, quality, seed in second.asked
+    ]
+    assert [quality for _, quality, _ in first.asked[1::2]] == [q for _, q, _ in second.asked]
+    assert not {seed for _, _, seed in first.asked[1::2]} & {0, 1, 2}
+    assert {quality.footprint for _, quality, _ in first.asked} == {False}
+    assert heard[-1] == "scene 3 of 3"
+
+
+def test_what_noise_alone_does_is_told_by_the_first_against_itself(painted):
+    """Another picture by the second changes nothing of it."""
+    noisy = painted(noise=0.5)
+    one = study(noisy, painted(name="cycles", shift_px=3.0))["noise_alone"]
+    assert one == study(noisy, painted(name="cycles"))["noise_alone"]
+    assert 0.01 < one["median_abs_columns"] < 0.5
+    assert study(painted(), painted(name="cycles"))["noise_alone"]["valid_alike_share"] == 1
+
+
+@pytest.mark.slow
+def test_its_figures_are_json_a_text_and_a_picture(painted, tmp_path):
+    figures = json.loads(json.dumps(study(painted(), painted(name="cycles"))))
+    assert "median_abs_columns" in describe(figures)
+    assert len(describe(figures).splitlines()) < 60
+    with drawn_by(plots) as drawn:
+        plots.draw(figures | {"benchmark": "agree"}, tmp_path / "agree.png")
+    axes, counts = axes_of(drawn[0]), figures["histograms"]
+    for title, light in (("Projector's light", "white"), ("All other light", "ambient")):
+        told = [np.array(counts.get(f"{light} {name}", ())) for name in CLASSES]
+        told = [count / count.max() for count in told if count.sum()]
+        shown = [patch.get_data() for patch in axes[title].patches if hasattr(patch, "get_data")]
+        for stairs, share in zip(shown, told, strict=True):
+            assert stairs.values == pytest.approx(share)
+            assert stairs.edges == pytest.approx(counts["ratio_edges"])
+    assert (tmp_path / "agree.png").is_file()
+
+
+@pytest.mark.slow
+def test_cycles_and_mitsuba_agree_on_a_small_scene(cycles_renderer):
+    """Few noisy pixels: the medians of clean surfaces hold, of depth only what noise leaves."""
+    with opened(1) as renderers:
+        figures = study(*renderers, scenes=1, samples=16, size_px=(172, 130))
+    assert np.abs(row(figures, "white", "diffuse")["median"] - 1) < 0.02
+    assert np.abs(row(figures, "white", "metal")["median"] - 1) < 0.05
+    assert np.abs(row(figures, "white", "plastic")["median"] - 1) < 0.05
+    assert figures["depth"]["median_abs_columns"] < 0.25
+    assert figures["truth"]["same_instance_share"] > 0.995
+    assert figures["truth"]["over_a_tenth_mm_share"] < 1e-3

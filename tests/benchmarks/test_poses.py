@@ -1,0 +1,27 @@
+"""The benchmark of poses: its shares, its boxes, and its files."""
+
+import numpy as np
+import pytest
+from simulated_dataset import made, master, samples  # noqa: F401
+
+from benchmarks.poses import CASES, measure, scaled
+from graycast.dataset.pose_results import read_pose_results
+
+
+def test_a_box_grows_about_its_middle():
+    np.testing.assert_allclose(scaled(np.array([10.0, 20, 40, 10]), 1.2), [6, 19, 48, 12])
+    np.testing.assert_allclose(scaled(np.array([10.0, 20, 40, 10]), 0.8), [14, 21, 32, 8])
+
+
+@pytest.mark.slow
+@pytest.mark.filterwarnings("ignore:__array__ implementation:DeprecationWarning")
+def test_poses_are_found_in_a_dataset_and_written(master, tmp_path):  # noqa: F811
+    """Prisms in closed form: perfect depth and masks give their poses, and every file is BOP's."""
+    out = tmp_path / "poses"
+    words = {"datasets": [master], "instances": 6, "min_visibility": 0.9, "out": out}
+    rows = measure(**words, show=lambda text: None)["rows"]
+    assert [(row["depth"], row["region"]) for row in rows] == list(CASES)
+    (best,) = [row for row in rows if (row["depth"], row["region"]) == ("perfect", "mask")]
+    assert best["share"] >= 0.8
+    assert len(list(out.glob("*.csv"))) == len(CASES) and len(list(out.glob("*.png"))) == 1
+    assert all(len(read_pose_results(csv)) <= 6 for csv in out.glob("*.csv"))

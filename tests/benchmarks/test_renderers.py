@@ -1,0 +1,150 @@
+"""The speed study: what is counted is what would have been measured."""
+
+import json
+from dataclasses import dataclass
+
+import numpy as np
+import pytest
+from drawn import axes_of, drawn_by, points_of
+
+from benchmarks import plots, renderers
+from benchmarks.cells import opened
+from benchmarks.figures import describe
+from benchmarks.renderers import Stopwatch, equal_error
+
+WORDS = {"count": 3, "samples": 16, "size_px": (48, 20), "show": lambda text: None}
+
+
+@pytest.fixture
+def clock(monkeypatch):
+    """Time that passes where a renderer says so, wall and processor alike by a factor of 2."""
+
+    class Time:
+        now_s = 0.0
+
+    monkeypatch.setattr(renderers, "time", type("T", (), {"perf_counter": lambda: Time.now_s}))
+    monkeypatch.setattr(renderers, "cpu_s", lambda: 2 * Time.now_s)
+    monkeypatch.setattr(renderers, "ERROR_MOST", 16)
+    return Time
+
+
+def slow(painted, clock, **words):
+    """A painter that takes time: `start_s`, then `per_sample_s` for each render's samples."""
+
+    @dataclass
+    class Slow(painted):
+        start_s: float = 0.0
+        per_sample_s: float = 0.0
+
+        def render(self, scene, layout, pattern, *, quality, seed):
+            heard, self.on_frame = self.on_frame, None
+            result = super().render(scene, layout, pattern, quality=quality, seed=seed)
+            self.on_frame = heard
+            clock.now_s += self.start_s
+            shown = -(-len(pattern) // self.patterns_per_render) if self.name == "cycles" else 1
+            for done in range(1, shown + 1):
+                clock.now_s += quality.samples * self.per_sample_s
+                if heard is not None:
+                    heard(done, shown)
+            return result
+
+    return Slow(**words)
+
+
+def test_a_stack_that_is_counted_takes_as_long_as_one_that_is_rendered(painted, clock):
+    """13 patterns, 11 of them neither white nor black: one pass takes 0.5 + 1.6 s, Cycles
+    7 + 11 * 16 s, and with three per render 7 + 4 * 32 s.
+    """
+    three = slow(painted, clock, name="cycles", start_s=7, per_sample_s=2, patterns_per_render=3)
+    figures = renderers.study(
+        slow(painted, clock, start_s=0.5, per_sample_s=0.1),
+        slow(painted, clock, name="cycles", start_s=7, per_sample_s=1),
+        three,
+        **WORDS,
+    )
+    assert figures["onepass_s"] == pytest.approx(2.1)
+    assert figures["cycles_s"] == pytest.approx(7 + 11 * 16)
+    assert figures["cycles3_s"] == pytest.approx(7 + 4 * 32)
+    assert figures["cycles_over_onepass"] == pytest.approx(183 / 2.1)
+    assert figures["cycles3_over_onepass"] == pytest.approx(135 / 2.1)
+    assert figures["cycles_over_onepass_cpu"] == pytest.approx(183 / 2.1)
+    assert figures["cycles_cpu_s"] == pytest.approx(2 * 183)
+    assert figures["cycles_frame_cpu_s"] == pytest.approx(2 * 16)
+    assert figures["cycles_frame_cpu_s_at_few_samples"] == pytest.approx(2 * 4)
+    assert figures["cycles_renders_timed"] == 3
+    assert len(figures["rounds"]) == 2
+
+
+def test_equal_error_is_told_by_the_law_of_the_error():
+    """Errors 1 / n of one pass and 6 / n of Cycles: 96 samples for 16; frames of 2 + n / 2 s
+    of processors.
+    """
+    rows = [
+        {"renderer": name, "samples": n, "bad_share": factor / n, "depth_rms_right_mm": factor / n}
+        for name, factor in (("mitsuba", 1.0), ("cycles", 6.0))
+        for n in (4, 8, 16, 32, 64, 128)
+    ]
+    timed = {
+        "cycles_frame_s": 9.0,  # one thread for half of the time: not what samples cost
+        "cycles_over_onepass": 99.0,
+        "cycles_frame_cpu_s": 2 + 16 * 0.5,
+        "cycles_frame_cpu_s_at_few_samples": 2 + 4 * 0.5,
+        "cycles_over_onepass_cpu": 70.0,
+        "cycles3_over_onepass_cpu": 30.0,
+    }
+    for row in equal_error(rows, timed, 16):
+        assert row["cycles_samples"] == pytest.approx(96) and row["cycles_side"] == ""
+        assert row["cycles_over_onepass_cpu"] == pytest.approx(70 * 50 / 10)
+        assert row["cycles3_over_onepass_cpu"] == pytest.approx(30 * 50 / 10)
+        assert row["onepass_samples_for_cycles_error"] == 4.0 and row["onepass_side"] == "<"
+
+
+def test_a_frame_that_is_not_steady_does_not_count(clock):
+    """The first frame builds the scene; the median leaves out one that was disturbed."""
+    watch = Stopwatch()
+    for frame_s in (30, 4, 4, 19, 1):
+        clock.now_s += frame_s
+        watch.mark()
+    assert watch.steady(4) == pytest.approx((4, 8))
+
+
+def test_too_few_samples_are_refused(painted):
+    with pytest.raises(ValueError, match="more than 4"):
+        renderers.study(painted(), painted(), painted(), **WORDS | {"samples": 4})
+
+
+@pytest.mark.slow
+def test_its_figures_are_json_a_text_and_a_picture(painted, clock, tmp_path):
+    words = {"name": "cycles", "noise": 0.3, "per_sample_s": 1}
+    figures = renderers.study(
+        slow(painted, clock, per_sample_s=0.1, noise=0.3),
+        slow(painted, clock, **words),
+        slow(painted, clock, patterns_per_render=3, **words),
+        **WORDS,
+    )
+    figures = json.loads(json.dumps(figures))
+    assert "cycles_over_onepass" in describe(figures)
+    with drawn_by(plots) as drawn:
+        plots.draw(figures | {"benchmark": "renderers"}, tmp_path / "r.png")
+    axes = axes_of(drawn[0])
+    for title, y in (
+        ("Wrong, lost or extra pixels", "bad_share"),
+        ("Depth of right pixels", "depth_rms_right_mm"),
+    ):
+        told = sorted((row["samples"], row[y]) for row in figures["errors"] if y in row)
+        assert points_of(axes[title]) == pytest.approx(np.array(told))
+    (bars,) = (ax.patches for title, ax in axes.items() if "patterns" in title)
+    seconds = [figures[f"{name}_s"] for name in ("onepass", "cycles3", "cycles")]
+    assert [bar.get_width() for bar in bars] == pytest.approx(seconds)
+
+
+@pytest.mark.slow
+def test_one_pass_is_many_times_faster_than_a_frame_for_each_pattern(cycles_renderer, monkeypatch):
+    """On a small crop, where starting costs count: the ratio of a whole picture is larger."""
+    monkeypatch.setattr(renderers, "ERROR_MOST", 8)
+    monkeypatch.setattr(renderers, "ERROR_SIZE_PX", (86, 64))
+    with opened(1, 3) as all_three:
+        figures = renderers.study(*all_three, **WORDS | {"count": 30, "size_px": (258, 194)})
+    assert figures["cycles_over_onepass"] > 10
+    assert 1.5 < figures["cycles_over_onepass_cpu"] / figures["cycles3_over_onepass_cpu"] < 3.5
+    assert figures["cycles_peak_rss_bytes"] > 100e6

@@ -1,0 +1,69 @@
+"""Sigma where a surface bends: closed forms of a plane, of folds and of steps."""
+
+import numpy as np
+import pytest
+
+from graycast.camera.decode import DepthMap, Reason, with_bends
+
+SIGMA_M = 1e-4
+
+
+def map_of(inverse):
+    depth_m = (1 / np.asarray(inverse)).astype(np.float32)
+    reason = np.where(np.isnan(depth_m), Reason.SHADOW, Reason.DECODED).astype(np.uint8)
+    sigma_m = np.where(np.isnan(depth_m), np.nan, SIGMA_M).astype(np.float32)
+    return DepthMap(depth_m=depth_m, sigma_m=sigma_m, reason=reason)
+
+
+def grid():
+    return np.meshgrid(np.arange(40.0), np.arange(30.0))
+
+
+@pytest.mark.parametrize("noise_sigmas", [0.0, 0.7])
+def test_a_plane_keeps_its_sigma(noise_sigmas):
+    """A plane is linear in inverse depth, however steep it is; so small a noise is no bend."""
+    x, y = grid()
+    inverse = 0.8 + 3e-3 * x - 2e-3 * y
+    off = noise_sigmas * SIGMA_M * inverse**2 * np.random.default_rng(5).uniform(-1, 1, x.shape)
+    plane = map_of(inverse + off)
+    np.testing.assert_array_equal(with_bends(plane).sigma_m, plane.sigma_m)
+
+
+@pytest.mark.parametrize("turn", [False, True])
+def test_a_fold_widens_sigma_by_a_quarter_of_its_bend(turn):
+    """The bend of a fold is what the slope changes by within a pixel, at the fold alone."""
+    x, _ = grid()
+    change = 4e-3  # of inverse depth per pixel [1/m]
+    inverse = 0.7 + change * np.abs(x - 20)
+    fold = map_of(np.ascontiguousarray(inverse.T) if turn else inverse)
+    sigma_m = with_bends(fold).sigma_m
+    sigma_m, depth_m = (sigma_m.T, fold.depth_m.T) if turn else (sigma_m, fold.depth_m)
+    noise2 = np.square(SIGMA_M * inverse[:, 19:22] ** 2) @ [1, 4, 1]
+    bend = np.sqrt((2 * change) ** 2 - 4 * noise2)  # beyond two standard deviations of noise
+    for beside in (19, 20, 21):
+        expected = np.hypot(SIGMA_M, bend / 4 * depth_m[:, beside] ** 2)
+        np.testing.assert_allclose(sigma_m[:, beside], expected, rtol=1e-3)
+    np.testing.assert_array_equal(np.delete(sigma_m, (19, 20, 21), axis=1), np.float32(SIGMA_M))
+
+
+def test_error_over_sigma_of_pixels_that_a_step_divides_is_that_of_noise():
+    """Each row is divided at a place of its own, and sees both surfaces by their share of it."""
+    rng = np.random.default_rng(7)
+    height, rows = 5e-3, 4000
+    share = rng.uniform(0, 1, rows)
+    depth_m = np.tile(np.where(np.arange(9) < 4, 1.0, 1.0 + height), (rows, 1))
+    true_m = np.where(share > 0.5, 1.0, 1.0 + height)
+    depth_m[:, 4] = 1.0 + (1 - share) * height
+    scan = map_of(1 / (depth_m + SIGMA_M * rng.standard_normal(depth_m.shape)))
+    off = (scan.depth_m[:, 4] - true_m) / with_bends(scan).sigma_m[:, 4]
+    assert 0.8 <= np.sqrt(np.mean(off**2)) <= 1.6
+    assert (np.abs(off) > 5).mean() == 0
+    assert (np.abs(scan.depth_m[:, 4] - true_m) > 5 * SIGMA_M).mean() > 0.5  # without it
+
+
+def test_beside_a_hole_and_at_the_picture_border_nothing_is_added():
+    x, _ = grid()
+    inverse = 0.7 + 4e-3 * np.abs(x - 0.5)  # it folds between the first two columns
+    inverse[:, 2] = np.nan
+    holed = map_of(inverse)
+    np.testing.assert_array_equal(with_bends(holed).sigma_m, holed.sigma_m)

@@ -1,0 +1,372 @@
+"""Filters of depth maps: surfaces stay, whatever their tilt; what hangs between them goes."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy import ndimage, signal
+
+from graycast.base.frames import pixel_grid
+from graycast.camera.decode.filters import FilterSpec, filter_depth
+from graycast.camera.decode.maps import DepthMap, Reason
+from graycast.rig.optics import Optics, rays
+from graycast.rig.pair import preset_rig
+
+# A narrow field, so that a plane's angle of incidence is nearly its tilt: 0.36 mm a pixel at 0.8 m.
+CAMERA = Optics(width_px=240, height_px=200, fx_px=2250.0, fy_px=2250.0, cx_px=119.5, cy_px=99.5)
+RIG = replace(preset_rig("paper"), camera=CAMERA)
+SHAPE = (200, 240)
+SIGMA_M = 1e-4
+ALL = FilterSpec(flying_angle_deg=75.0, outlier_sigmas=4.0, island_px=30, smoothing_px=0.55)
+FLYING = FilterSpec(flying_angle_deg=75.0)
+OUTLIER = FilterSpec(outlier_sigmas=4.0)
+
+
+def plane(tilt_deg=0.0, azimuth_deg=0.0, *, z_m=0.8):
+    """Depth of a plane through the optical axis at `z_m`: z = z_m n_z / (n . ray)."""
+    tilt, azimuth = math.radians(tilt_deg), math.radians(azimuth_deg)
+    n = np.array([math.cos(azimuth), math.sin(azimuth), 0]) * math.sin(tilt)
+    n[2] = math.cos(tilt)
+    return z_m * n[2] / (rays(CAMERA, pixel_grid(*SHAPE)) @ n)
+
+
+def depth_map(z_m, *, sigma_m=SIGMA_M, seed=None):
+    """With white noise of that deviation, if a seed is given; NaN is shadow."""
+    if seed is not None:
+        z_m = z_m + sigma_m * np.random.default_rng(seed).standard_normal(SHAPE)
+    known = np.isfinite(z_m)
+    reason = np.where(known, Reason.DECODED, Reason.SHADOW).astype(np.uint8)
+    sigma = np.where(known, sigma_m, np.nan).astype(np.float32)
+    return DepthMap(depth_m=z_m.astype(np.float32), sigma_m=sigma, reason=reason)
+
+
+def removed(z_m, spec, **noise):
+    return filter_depth(depth_map(z_m, **noise), spec, RIG).reason == Reason.OUTLIER
+
+
+# --- all of them -------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("azimuth_deg", [0, 37, 90])
+@pytest.mark.parametrize("tilt_deg", [0, 45, 70])
+def test_a_plane_stays_whole_whatever_its_tilt(tilt_deg, azimuth_deg):
+    """At four sigmas a normal law loses 6 in 100,000 pixels, here 3, to the outlier filter."""
+    z_m = plane(tilt_deg, azimuth_deg)
+    assert not removed(z_m, ALL).any()
+    assert removed(z_m, ALL, seed=1).sum() < 12
+    assert not removed(z_m, FLYING, seed=1).any()
+
+
+def test_no_filter_is_no_change_and_nothing_is_filled():
+    z_m = plane(30)
+    z_m[50:60, 70:90] = np.nan
+    noisy = depth_map(z_m, seed=1)
+    for off in (FilterSpec(), FilterSpec(flying_angle_deg=0.0, outlier_sigmas=0.0, island_px=0)):
+        same = filter_depth(noisy, off, RIG)
+        assert np.array_equal(same.depth_m, noisy.depth_m, equal_nan=True)
+        assert np.array_equal(same.sigma_m, noisy.sigma_m, equal_nan=True)
+    filtered = filter_depth(noisy, ALL, RIG)
+    gone = filtered.reason != Reason.DECODED
+    assert (filtered.reason[50:60, 70:90] == Reason.SHADOW).all()
+    assert np.array_equal(gone, np.isnan(filtered.depth_m))
+    assert np.array_equal(gone, np.isnan(filtered.sigma_m))
+
+
+def test_maps_that_do_not_fit_are_refused():
+    narrow = Optics(width_px=200, height_px=200, fx_px=1.0, fy_px=1.0, cx_px=0.0, cy_px=0.0)
+    with pytest.raises(ValueError, match="240 x 200 px, the rig's camera 200 x 200"):
+        filter_depth(depth_map(plane()), ALL, replace(RIG, camera=narrow))
+    with pytest.raises(ValueError, match="every depth its sigma_m"):
+        filter_depth(depth_map(plane(), sigma_m=np.nan), ALL, RIG)
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [
+        ("flying_angle_deg", 90.0),
+        ("outlier_sigmas", -1.0),
+        ("outlier_share", math.nan),
+        ("island_px", -3),
+        ("smoothing_px", 11.0),
+        ("hidden_sigmas", -1.0),
+        ("step_angle_deg", 90.0),
+    ],
+)
+def test_impossible_filters_are_refused_by_name(name, value):
+    with pytest.raises(ValueError, match=name):
+        FilterSpec(**{name: value})
+
+
+# --- flying pixels -----------------------------------------------------------------------------
+
+
+def disc_on_ground(rim_px, *, random):
+    """A disc of 60 px, 50 mm before the ground; its rim, `rim_px` wide, lies between the two.
+
+    The rim falls outwards, as blur makes it, by shares that scatter a little; or it is random.
+    """
+    y, x = np.indices(SHAPE)
+    radius = np.hypot(y - 99.5, x - 119.5)
+    rim = (radius >= 60) & (radius < 60 + rim_px)
+    share = np.random.default_rng(1).uniform(0.1, 0.9, SHAPE)
+    if not random:
+        share = 0.1 + 0.7 * (radius - 60) / max(rim_px, 1.0) + 0.1 * share
+    between = np.where(rim, share, (radius >= 60).astype(float))
+    return plane(20) - 0.05 * (1 - between), rim
+
+
+@pytest.mark.parametrize("rim_px", [0.7, 1.5])
+def test_flying_pixels_go_from_a_step_in_any_direction_and_the_step_stays(rim_px):
+    """Both flanks of a pixel are 5 mm or more away: 14 pixels, or 86 degrees."""
+    z_m, rim = disc_on_ground(rim_px, random=False)
+    gone = removed(z_m, FLYING, seed=2)
+    assert gone[rim].mean() > 0.93
+    assert not gone[~rim].any()
+    clean, _ = disc_on_ground(0.0, random=False)
+    assert not removed(clean, FLYING, seed=2).any()
+
+
+def test_all_filters_leave_under_3_percent_of_a_step_flying():
+    z_m, rim = disc_on_ground(1.5, random=True)
+    at_step = ndimage.binary_dilation(rim, iterations=1)
+    filtered = filter_depth(depth_map(z_m, seed=2), ALL, RIG)
+    left = rim & (filtered.reason == Reason.DECODED)
+    assert left.sum() < 0.03 * (at_step & (filtered.reason == Reason.DECODED)).sum()
+
+
+def test_a_pixel_that_hangs_behind_an_edge_before_a_shadow_is_flying():
+    """Behind the edge and with nothing beyond; before a hole of two pixels the ground goes on."""
+    edge = np.full(SHAPE, 0.8)
+    edge[:, 101:140], edge[:, 140:] = np.nan, 0.86
+    hanging = edge.copy()
+    hanging[:, 100] = 0.82
+    for z_m, turned in ((hanging, hanging[:, ::-1]), (hanging[::-1], hanging[:, ::-1])):
+        assert removed(z_m, FLYING)[:, 100].all() and removed(z_m, FLYING).sum() == 200
+        assert removed(turned, FLYING)[:, 139].all() and removed(turned, FLYING).sum() == 200
+    assert not removed(edge, FLYING).any()
+    ground = np.full(SHAPE, 0.8)
+    ground[:, 100:], ground[:, 101:103] = 0.85, np.nan
+    assert not removed(ground, FLYING).any()
+
+
+def test_a_thin_wire_and_a_smooth_slope_beyond_the_limit_are_no_flying_pixels():
+    wire = plane()
+    wire[:, 100] -= 0.02
+    assert not removed(wire, FLYING).any()
+    assert not removed(plane(80), FLYING).any()
+    assert not removed(plane(80), FLYING, seed=3).any()
+
+
+def test_a_flank_of_more_than_a_few_pixels_is_a_surface_and_no_step():
+    """Between two levels at 84 degrees; from four pixels on, its ends lie out of reach."""
+    for width_px, stays in ((2, False), (8, True)):
+        fall = np.clip(np.arange(240) - 100, 0, width_px) * 3.5e-3
+        assert removed(plane() + fall, FLYING).any() != stays
+
+
+def test_coarse_depth_within_its_own_uncertainty_is_not_steep():
+    """Plain Gray code's staircase: 2 mm treads on a slope, sigma 2 mm / sqrt(12)."""
+    stairs = np.round(plane(40) / 2e-3) * 2e-3
+    assert not removed(stairs, FLYING, sigma_m=2e-3 / math.sqrt(12)).any()
+
+
+def test_noise_of_three_deviations_of_a_difference_makes_no_flank_steep():
+    """One pixel hangs in the middle of a step; each flank is the limit and so many deviations.
+
+    The limit is tan(75) times a pixel's width at that depth; two pixels differ by sqrt(2) sigma.
+    """
+    width_m = 0.8 / CAMERA.fx_px
+    for sigmas, goes in ((2.8, False), (3.2, True)):
+        flank_m = math.tan(math.radians(75)) * width_m + sigmas * math.sqrt(2) * SIGMA_M
+        step = plane()
+        step[:, 120] += flank_m
+        step[:, 121:] += 2 * flank_m
+        gone = removed(step, FLYING)
+        assert gone.any() == goes
+        assert not gone[:, :120].any() and not gone[:, 121:].any()
+
+
+# --- outliers ----------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("tilt_deg", [0, 60])
+@pytest.mark.parametrize("spike_sigmas", [-12.0, 9.0, 200.0])
+def test_lone_spikes_go_and_their_neighbours_stay(tilt_deg, spike_sigmas):
+    z_m = plane(tilt_deg, 30)
+    spikes = np.zeros(SHAPE, dtype=bool)
+    spikes[5::13, 7::17] = True
+    gone = removed(z_m + spikes * spike_sigmas * SIGMA_M, OUTLIER, seed=4)
+    assert gone[spikes].mean() > 0.97
+    assert gone[~spikes].mean() < 3e-4
+
+
+def test_a_detail_is_four_pixels_that_bear_each_other_out():
+    """Each of two by two has three others at its depth; of three in a corner each has two."""
+    z_m = plane(30)
+    z_m[40:42, 60:62] -= 0.02
+    assert not removed(z_m, OUTLIER).any()
+    z_m[41, 61] += 0.02
+    assert np.argwhere(removed(z_m, OUTLIER)).tolist() == [[40, 60], [40, 61], [41, 60]]
+
+
+def test_a_spike_smaller_than_the_share_of_depth_stays():
+    z_m = plane()
+    z_m[50, 50] += 2e-4
+    z_m[90, 90] += 4e-4
+    gone = removed(z_m, OUTLIER, sigma_m=1e-6)  # 3e-4 of 0.8 m is 0.24 mm
+    assert not gone[50, 50] and gone[90, 90] and gone.sum() == 1
+
+
+def test_steps_corners_and_wires_are_not_outliers():
+    """But for the last pixel of a wire, which two others support: the same as in a lone clump."""
+    detail = plane(30)
+    detail[40:80, 40:80] -= 0.03  # a block with corners
+    detail[100:180, 100] -= 0.02  # a wire
+    detail[np.arange(100, 150), np.arange(150, 200)] -= 0.02  # one in the diagonal
+    detail[20:23, 200:203] -= 0.01
+    ends = [[100, 100], [100, 150], [149, 199], [179, 100]]
+    assert np.argwhere(removed(detail, OUTLIER)).tolist() == ends
+    assert removed(detail, OUTLIER, seed=5).sum() < 15
+
+
+@pytest.mark.parametrize("tilt_deg", [0, 60])
+def test_repaired_outliers_get_the_surfaces_depth_and_leave_no_pepper(tilt_deg):
+    """200 lone spikes: without repair a hole each. The median of 24 normal numbers scatters by
+    1.25 / sqrt(24) of their deviation, its slopes from neighbours add a little.
+    """
+    clean = plane(tilt_deg, 37)
+    spike = np.zeros(SHAPE, dtype=bool)
+    spike[5:-5:13, 5:-5:17] = True
+    z_m = clean + np.where(spike, 3e-3, 0)
+    spec = FilterSpec(outlier_sigmas=4.0, outlier_repair=True)
+    noisy = depth_map(z_m, seed=3)
+    filtered = filter_depth(noisy, spec, RIG)
+    assert np.isfinite(filtered.depth_m).all()
+    assert (filtered.reason == Reason.DECODED).all()
+    assert np.isnan(filter_depth(noisy, OUTLIER, RIG).depth_m[spike]).all()
+    error_m = (filtered.depth_m - clean)[spike]
+    assert np.abs(error_m).max() < 4 * SIGMA_M
+    assert error_m.std() < 0.5 * SIGMA_M
+    untouched = ~spike & (np.abs(noisy.depth_m - clean) < 3 * SIGMA_M)
+    assert np.array_equal(filtered.depth_m[untouched], noisy.depth_m[untouched])
+
+
+def test_an_outlier_that_no_whole_surface_surrounds_goes_in_spite_of_repair():
+    """At a step there are two depths that it could have."""
+    z_m = plane()
+    z_m[:, 120:] += 0.05
+    z_m[100, 119] += 0.02
+    spec = FilterSpec(outlier_sigmas=4.0, outlier_repair=True)
+    assert removed(z_m, spec)[100, 119] == removed(z_m, OUTLIER)[100, 119]
+    lone = np.full(SHAPE, np.nan)
+    lone[98:103, 118:123] = plane()[98:103, 118:123]
+    lone[98:100] = np.nan
+    lone[100, 120] += 0.02
+    assert removed(lone, OUTLIER)[100, 120] and removed(lone, spec)[100, 120]
+
+
+# --- edges -------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("edge_px", [1.0, 1.5, 3.0])
+def test_edges_go_as_far_as_their_distance_and_the_picture_s_border_stays(edge_px):
+    """Against a distance transform of each surface: a wavy step of 3 cm, and a hole."""
+    row, column = np.indices(SHAPE)
+    near = column < 120 + 10 * np.sin(row / 9)
+    hole = np.hypot(row - 60, column - 60) < 5
+    z_m = np.where(hole, np.nan, np.where(near, 0.8, 0.83))
+    kept = np.isfinite(filter_depth(depth_map(z_m), FilterSpec(edge_px=edge_px), RIG).depth_m)
+    for surface in (near & ~hole, ~near):
+        inner = ndimage.distance_transform_edt(surface) > edge_px
+        assert np.array_equal(kept[surface], inner[surface])
+
+
+# --- islands -----------------------------------------------------------------------------------
+
+
+def small_parts(mask, below_px):
+    label, count = ndimage.label(mask)
+    size = np.bincount(label.ravel(), minlength=count + 1)
+    return mask & (size[label] < below_px)
+
+
+@pytest.mark.parametrize("island_px", [2, 30, 200])
+def test_islands_smaller_than_the_limit_go_and_no_other_pixel(island_px):
+    """Oracle: SciPy's labels of each of two levels of a percolating random pattern."""
+    rng = np.random.default_rng(6)
+    known, high = rng.random(SHAPE) < 0.9, rng.random(SHAPE) < 0.7
+    z_m = np.where(known, np.where(high, plane(10), plane(10) + 0.05), np.nan)
+    expected = small_parts(known & high, island_px) | small_parts(known & ~high, island_px)
+    assert 50 < expected.sum() < 0.9 * known.sum()
+    gone = removed(z_m, FilterSpec(island_px=island_px))
+    assert np.array_equal(gone, expected)
+
+
+# --- smoothing ---------------------------------------------------------------------------------
+
+
+def gauss(smoothing_px):
+    """The kernel as described: a Gaussian down to 1 % of its middle."""
+    y, x = np.indices((41, 41)) - 20
+    kernel = np.exp(-(x**2 + y**2) / (2 * smoothing_px**2))
+    kernel[kernel < 0.01] = 0
+    return kernel / kernel.sum()
+
+
+@pytest.mark.parametrize("smoothing_px", [0.4, 0.55, 1.0])
+@pytest.mark.parametrize("tilt_deg", [0, 60])
+def test_smoothed_white_noise_has_the_variance_and_correlation_of_the_kernel(
+    tilt_deg, smoothing_px
+):
+    """Closed form: variance sum k^2; correlation the kernel's own. Tolerance: 4 standard errors."""
+    z_m = plane(tilt_deg, 20)
+    kernel = gauss(smoothing_px)
+    law = signal.correlate2d(kernel, kernel, mode="full")
+    share, lag_1 = law[40, 40], law[40, 41] / law[40, 40]
+    smooth = filter_depth(depth_map(z_m, seed=7), FilterSpec(smoothing_px=smoothing_px), RIG)
+    inside = (slice(6, -6), slice(6, -6))
+    error = (smooth.depth_m - z_m)[inside]
+    independent = error.size * (kernel**2).sum()  # fewer than pixels, by the kernel's area
+    assert abs(error.mean()) < 4 * SIGMA_M / math.sqrt(error.size)
+    assert abs(error.var() / SIGMA_M**2 / share - 1) < 4 * math.sqrt(2 / independent)
+    pairs = error[:, 1:] * error[:, :-1]
+    assert abs(pairs.mean() / error.var() - lag_1) < 4 / math.sqrt(independent)
+    stated = smooth.sigma_m[inside] / (SIGMA_M * math.sqrt(share))
+    assert abs(np.median(stated) - 1) < 0.01 and np.quantile(np.abs(stated - 1), 0.99) < 0.02
+    if smoothing_px == 0.55:
+        assert 0.2 < lag_1 < 0.5
+
+
+def test_the_stated_sigma_is_that_of_the_error_at_holes_and_borders_too():
+    """Uneven sigma, many holes: error over stated sigma is standard normal."""
+    rng = np.random.default_rng(8)
+    z_m, sigma_m = plane(50, 70), SIGMA_M * rng.uniform(0.5, 2.0, SHAPE)
+    z_m = np.where(rng.random(SHAPE) < 0.3, np.nan, z_m)
+    smooth = filter_depth(
+        depth_map(z_m, sigma_m=sigma_m, seed=9), FilterSpec(smoothing_px=0.8), RIG
+    )
+    score = ((smooth.depth_m - z_m) / smooth.sigma_m)[np.isfinite(z_m)]
+    assert abs(score.mean()) < 0.03 and abs(score.var() - 1) < 0.05
+
+
+@pytest.mark.parametrize("tilt_deg", [0, 60])
+def test_a_plane_is_not_bent_by_its_borders(tilt_deg):
+    """A one-sided mean would pull the border in by a good part of a pixel's slope, 0.3 mm."""
+    z_m = plane(tilt_deg)
+    z_m[:, 100:120] = np.nan
+    smooth = filter_depth(depth_map(z_m), FilterSpec(smoothing_px=1.5), RIG)
+    assert np.nanmax(np.abs(smooth.depth_m - z_m)) < 2e-7
+    assert np.array_equal(np.isnan(smooth.depth_m), np.isnan(z_m))
+
+
+@pytest.mark.parametrize("step_m", [2e-3, 20e-3])
+def test_steps_stay_where_and_as_high_as_they_are(step_m):
+    """Twenty sigmas is a step, however few degrees it makes from pixel to pixel."""
+    z_m = plane()
+    z_m[:, 120:] += step_m
+    smooth = filter_depth(depth_map(z_m, seed=10), FilterSpec(smoothing_px=1.0), RIG)
+    for column in (118, 119, 120, 121):
+        error = smooth.depth_m[:, column] - z_m[:, column]
+        assert abs(error.mean()) < 4 * SIGMA_M / math.sqrt(200 / 4)
+        assert np.abs(error).max() < 5 * SIGMA_M

@@ -1,0 +1,76 @@
+"""Direct and global light taken apart, against a mixture whose parts are known."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from graycast.base.errors import DecodeError
+from graycast.camera.decode.separation import separate
+from graycast.rig.pattern import gray, gray_line_shift, gray_phase, multi_frequency, xor_gray
+from studies.projected import LEVELS, frames_of, share_of_white
+
+CODES = {
+    "phase": gray_phase(512, 384),
+    "three frequencies": multi_frequency(512, 384, period_px=12.0),
+    "lines": gray_line_shift(512, 384),
+    "gray": gray(512, 384, axes=("column",), inverses=True),
+    "combined": xor_gray(512, 384),
+}
+U = np.repeat(np.linspace(60, 450, 391)[None], 3, axis=0)
+
+
+def groove(code, *, camera_px=0.0):
+    """Like a V-groove: a direct part that falls towards the fold, and a global part, the light of
+    a wide patch of the other side, that rises; with a constant light that is not the projector's.
+    """
+    fold = np.abs(U - 255.0) / 195.0
+    direct = 400 + 1600 * fold
+    around = 1200 * (1 - fold) + 100
+    own = share_of_white(code, U, camera_px=camera_px, disc_px=0.0)
+    other = share_of_white(code, 510.0 - U, camera_px=192.0, disc_px=0.0)
+    return direct, around, 150 + direct * own + around * other
+
+
+@pytest.mark.parametrize("name", CODES)
+def test_a_sharp_mixture_comes_apart_into_its_parts(name):
+    """A window of 192 px holds whole periods of all narrow stripes but the phases of odd length,
+    whose remainder is under 2 % of the global light.
+    """
+    code = CODES[name]
+    direct, around, light = groove(code)
+    found_direct, found_around = separate(frames_of(light), code, LEVELS)
+    assert np.abs(found_direct - direct).max() < 0.02 * 1300 + 2
+    assert np.abs(found_around - around).max() < 0.04 * 1300 + 4
+
+
+@pytest.mark.parametrize("name", ["phase", "combined"])
+def test_light_that_is_not_the_projector_s_counts_as_global_only_without_a_black_frame(name):
+    code = CODES[name]
+    _, around, light = groove(code)
+    blackless = replace(code, frames=tuple(f for f in code.frames if f.kind != "black"))
+    keep = [k for k, f in enumerate(code.frames) if f.kind != "black"]
+    found = separate(frames_of(light), code, LEVELS)[1]
+    found_blackless = separate(frames_of(light[keep]), blackless, LEVELS)[1]
+    assert np.allclose(found_blackless - found, 2 * 150, atol=4)
+    assert np.abs(found - around).max() < 60
+
+
+def test_blur_moves_direct_light_to_global_by_the_contrast_that_it_takes():
+    """A box of 4 px takes 1 - sinc(4 / 16) of a cosine of 16 px; what is lost comes back."""
+    code = CODES["phase"]
+    direct, around, light = groove(code, camera_px=4.0)
+    found_direct, found_around = separate(frames_of(light), code, LEVELS)
+    contrast = np.sinc(4 / 16) * np.sinc(1 / 16)
+    assert np.allclose(found_direct / direct, contrast, atol=0.015)
+    assert np.allclose(found_direct + found_around, direct + around, atol=45)
+
+
+def test_wide_stripes_alone_cannot_take_light_apart():
+    code = gray(512, 384, axes=("column",))
+    with pytest.raises(DecodeError, match="period of at most 32 px with their inverses"):
+        separate(frames_of(np.zeros((len(code.frames), 2, 2))), code, LEVELS)
+    whole = gray(512, 384, axes=("column",), inverses=True)
+    code = replace(whole, frames=tuple(f for f in whole.frames if f.bit < 0 or f.bit > 3))
+    with pytest.raises(DecodeError, match="direct and global light need phases"):
+        separate(frames_of(np.zeros((len(code.frames), 2, 2))), code, LEVELS)

@@ -1,0 +1,158 @@
+"""Phase steps that run the other way, or from elsewhere, are found by the Gray code beside them."""
+
+import re
+
+import numpy as np
+import pytest
+
+from graycast.base.errors import ConfigError
+from graycast.camera.stack import decode_stack
+from graycast.rig.pattern import gray_line_shift, gray_phase
+
+from .cluttered import Look, shoot_cluttered
+from .simulated import describe, save, seen, small_rig, write_yaml
+
+FOUR = gray_phase(128, 96, axes=("column", "row"), steps=4)
+THREE = gray_phase(128, 96, steps=3, inverses=True)  # cells of half a period alone
+EIGHT = gray_phase(128, 96, period_px=32.0, steps=8)
+LINE = gray_line_shift(128, 96)
+
+
+def decoded(folder, code, stack, renumber=None):
+    """The stack with each column step `k` of the scanner's own written as `renumber(k)`."""
+    content = describe(code)
+    for e in content["frames"]:
+        if renumber and e["kind"] in ("phase", "line") and e["axis"] == "column":
+            e["step"] = round(renumber(e["step"]) % e["steps"], 6) % e["steps"]
+    save(folder, content, stack)
+    return decode_stack(write_yaml(folder, content))
+
+
+def said(result):
+    """Proposed and stated steps, px by which the first are off, px by which places move."""
+    (warning,) = [w for w in result.warnings if "do not fit the Gray code of the columns" in w]
+    found = re.search(
+        r"With step (.*) of \d+ instead of (.*) they .* within (\S+) px, .* by (\S+) px", warning
+    )
+    after, before = ([float(n) for n in found[k].split(", ")] for k in (1, 2))
+    return after, before, float(found[3]), float(found[4])
+
+
+HARD = Look(squares=0.05, shadow=0.2, indirect=0.1, gain=0.1, read_dn=1.5)
+CASES = [
+    (FOUR, -1, 0.0),
+    (FOUR, -1, 1.0),
+    (FOUR, 1, 2.0),
+    (THREE, -1, 0.75),  # a sine that runs backwards
+    (THREE, 1, 0.75),
+    (EIGHT, 1, 1.0),
+    (EIGHT, -1, 3.5),
+    (LINE, -1, 0.0),
+]
+
+
+@pytest.mark.parametrize(("code", "sign", "by"), CASES)
+def test_a_wrong_sense_or_origin_is_named_with_the_right_one(code, sign, by, tmp_path):
+    """Oracle: the renumbering that was done to the file is known, and undone gives the truth."""
+    stack = shoot_cluttered(code, HARD)
+    steps, period_px = next((f.steps, f.period_px) for f in code.frames if f.steps)
+    result = decoded(tmp_path, code, stack, lambda k: sign * k + by)
+    after, before, off_px, moved_px = said(result)
+    for stated, proposed in zip(before, after, strict=True):
+        true = sign * (stated - by)
+        assert abs((proposed - true + steps / 2) % steps - steps / 2) <= 0.02 * steps
+    assert off_px < 0.06 * period_px < moved_px
+    ways = "the steps run backwards" if sign < 0 else "the steps run from another origin"
+    assert any(ways in warning for warning in result.warnings)
+
+
+@pytest.mark.parametrize("code", [FOUR, THREE, EIGHT, LINE])
+def test_phases_that_run_as_they_should_are_not_warned_of(code, tmp_path):
+    for k, look in enumerate((HARD, Look(gain=0.4, read_dn=3.0, blur_px=1.0))):
+        folder = tmp_path / str(k)
+        folder.mkdir()
+        assert not decoded(folder, code, shoot_cluttered(code, look)).warnings
+
+
+def test_the_proposed_steps_decode_to_the_truth_and_the_stated_ones_do_not(tmp_path):
+    """Oracle: the projection of the wall and the ball. A sine that runs backwards, in 3 steps."""
+    stack = shoot_cluttered(THREE, Look())
+    truth = seen(small_rig()).column
+    miss_px = {}
+    for name, renumber in {
+        "stated": lambda k: 0.75 - k,
+        "proposed": lambda k: k,
+    }.items():
+        folder = tmp_path / name
+        folder.mkdir()
+        column = decoded(folder, THREE, stack, renumber).codes.column
+        off = np.abs(column - truth)[np.isfinite(column)]
+        miss_px[name] = np.median(off)
+    assert miss_px["proposed"] < 0.5 < 2 < miss_px["stated"]
+
+
+def test_a_period_that_is_wrong_is_said_to_agree_in_no_sense(tmp_path):
+    content = describe(FOUR)
+    for e in content["frames"]:
+        if e["kind"] == "phase" and e["axis"] == "column":
+            e["period_px"] = 21.0
+    save(tmp_path, content, shoot_cluttered(FOUR, Look()))
+    warnings = decode_stack(write_yaml(tmp_path, content)).warnings
+    assert any(
+        "period 21 px" in w and "in any direction or from any origin (off by" in w for w in warnings
+    )
+
+
+@pytest.mark.parametrize("first", [0.25, 0.75])
+def test_a_cosine_that_begins_between_steps_is_read_with_fractional_steps(first, tmp_path):
+    """Oracle: the pictures are made by hand from the cosine's own formula, not by the code."""
+    code = gray_phase(128, 96, steps=3)
+    truth = seen(small_rig()).column
+    stack = shoot_cluttered(code, Look(indirect=0.0))
+    for k, frame in enumerate(code.frames):
+        if frame.kind == "phase":
+            turns = truth / 16 - (frame.step + first) / 3
+            share = 0.5 + 0.5 * np.cos(2 * np.pi * turns)
+            stack[k] = np.clip(np.rint(8 + 170 * share), 0, 255)
+    result = decoded(tmp_path, code, stack, lambda k: k + first)
+    lit = (np.abs(truth - 63.5) < 63) & (np.abs(seen(small_rig()).row - 47.5) < 47)
+    off = (result.codes.column - truth)[lit]
+    assert not result.warnings
+    assert np.isfinite(off).mean() > 0.99
+    assert np.nanmax(np.abs(off)) < 0.02  # of 0.5 DN of rounding in 3 frames of amplitude 85
+
+
+@pytest.mark.parametrize(("steps", "worst"), [(3, 1 / 12), (4, 1 / 8), (8, 1 / 16)])
+def test_stripes_given_as_phase_are_off_by_what_docs_stacks_says(steps, worst, tmp_path):
+    """Oracle: the sharp stripes' own formula, and the error of their odd harmonics in closed form.
+
+    Of N shifts only harmonics next to multiples of N are left; the largest error, 1 / (4 N) or
+    1 / (2 N) of odd and of even N, is half of the place that a stripe's edge keeps for itself.
+    """
+    code = gray_phase(128, 96, period_px=32.0, steps=steps, inverses=True)
+    truth = seen(small_rig()).column
+    stack = shoot_cluttered(code, Look(indirect=0.0))
+    for k, frame in enumerate(code.frames):
+        if frame.kind == "phase":
+            stack[k] = np.where(np.cos(2 * np.pi * (truth / 32 - frame.step / steps)) > 0, 180, 8)
+    lit = (np.abs(truth - 63.5) < 60) & (np.abs(seen(small_rig()).row - 47.5) < 47)
+    off = (decoded(tmp_path, code, stack).codes.column - truth)[lit]
+    assert 0.8 * worst * 32 < np.nanmax(np.abs(off)) < 1.03 * worst * 32
+
+
+def test_a_saturation_above_the_cameras_range_says_that_nothing_saturates(tmp_path):
+    code = gray_phase(128, 96, steps=4)
+    content = describe(code) | {"levels": {"saturation_dn": 300.0}}
+    save(tmp_path, content, shoot_cluttered(code, Look(bright=1.4)))
+    assert decode_stack(write_yaml(tmp_path, content)).figures.reasons["saturated"] == 0
+
+
+def test_steps_of_one_period_that_are_not_evenly_spread_are_refused(tmp_path):
+    content = describe(FOUR)
+    steps = [e for e in content["frames"] if e["kind"] == "phase" and e["axis"] == "column"]
+    steps[1]["step"] = 1.5
+    save(tmp_path, content, shoot_cluttered(FOUR, Look()))
+    with pytest.raises(
+        ConfigError, match=r"16 px are 0, 1\.5, 2, 3 of 4: all of them must differ by whole"
+    ):
+        decode_stack(write_yaml(tmp_path, content))

@@ -1,0 +1,152 @@
+"""Uneven projector lines: noise is common along them, obeys the closed form, and is told."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from stage import centred, in_camera, lambert, make_rig, wall
+
+from graycast.camera.line_noise import lines_seen, place_sigma_px, with_line_noise
+from graycast.camera.scanner import ExposureSpec, Scanner, measure, take
+from graycast.camera.sensor import SensorSpec
+from graycast.render import Quality
+from graycast.render.reference import ReferenceRenderer
+from graycast.rig.pattern import CodeSpec
+from graycast.world.scene import EMPTY_LAYOUT
+
+SHARE, PERIOD_PX, STEPS = 0.02, 16.0, 4
+
+
+@pytest.fixture(scope="module")
+def scanner():
+    """Parallel devices whose pixels fit each other: each camera pixel sees one projector line."""
+    rig = make_rig(centred(96, 72, 160.0), centred(192, 144, 160.0), line_noise=SHARE)
+    return Scanner(
+        rig=rig,
+        code=CodeSpec(codec="gray_phase", axes=("column",), period_px=PERIOD_PX, steps=STEPS),
+        exposure=ExposureSpec(target=0.8),
+        sensor=SensorSpec(full_well_e=1e6, gain_dn_per_e=0.0039, read_noise_e=1.0),
+    )
+
+
+@pytest.fixture(scope="module")
+def radiance(scanner):
+    return light_of(scanner)
+
+
+def light_of(scanner):
+    made = ReferenceRenderer().render(
+        in_camera(scanner.rig, wall(1.0, lambert(0.6))),
+        EMPTY_LAYOUT,
+        scanner.light_code().render(),
+        quality=Quality(samples=1, depth=1),
+        seed=0,
+    )
+    return made.radiance
+
+
+def places(scanner, radiance, seeds):
+    """Decoded columns and their stated depth sigma over the code's own, of several captures."""
+    found = [measure(scanner, take(scanner, radiance, seed=seed)) for seed in seeds]
+    inner = np.s_[2:-2, 2:-2]
+    return np.stack([codes.column[inner] for codes, _ in found]), found
+
+
+def test_each_pixel_s_line_is_the_one_that_its_ray_meets(scanner, radiance):
+    """Oracle: similar triangles, u_proj = u_cam - f b / z."""
+    line = lines_seen(radiance.pattern, scanner.light_code(), "column")
+    rig = scanner.rig
+    expected = np.arange(96) - 47.5 - 160.0 * rig.T_cam_proj[0, 3] / 1.0 + 95.5
+    np.testing.assert_array_equal(line, np.broadcast_to(expected.round(), (72, 96)))
+
+
+def test_positions_scatter_by_the_closed_form_and_alike_along_a_line(scanner, radiance):
+    """(p / 2 pi) share sqrt(5 / (2 N)): sums over sin and cos, as in the module, done by hand.
+
+    Half of it, and twice, are refused by far.
+    """
+    column, _ = places(scanner, radiance, range(40))
+    error = column - column.mean(axis=0)
+    expected = PERIOD_PX / (2 * np.pi) * SHARE * np.sqrt(5 / (2 * STEPS))
+    common = error.mean(axis=1)  # over the rows: what a line's pixels share
+    assert common.std() == pytest.approx(expected, rel=0.05)
+    rest = error - common[:, None, :]
+    assert rest.std() < 0.2 * expected  # photons and rounding
+    neighbours = np.corrcoef(common[:, :-1].ravel(), common[:, 1:].ravel())[0, 1]
+    assert abs(neighbours) < 0.1  # lines have errors of their own
+
+
+@pytest.mark.parametrize("length_px", [1.0, 3.0])
+def test_errors_of_a_length_are_alike_near_by_alone(scanner, radiance, length_px):
+    """exp(-(r / l)^2) along a line, nothing across; their scatter stays that of whole lines."""
+    rig = scanner.rig
+    length_m = length_px * (rig.near_m + rig.far_m) / 2 / rig.camera.fx_px
+    short = replace(scanner, rig=replace(rig, line_noise_length_m=length_m))
+    column, _ = places(short, radiance, range(20))
+    error = column - column.mean(axis=0)
+    expected = PERIOD_PX / (2 * np.pi) * SHARE * np.sqrt(5 / (2 * STEPS))
+    assert error.std() == pytest.approx(expected, rel=0.05)
+    for rows in (1, 2, 3, 5):
+        alike = np.corrcoef(error[:, :-rows].ravel(), error[:, rows:].ravel())[0, 1]
+        assert alike == pytest.approx(np.exp(-((rows / length_px) ** 2)), abs=0.03)
+    assert abs(np.corrcoef(error[..., :-1].ravel(), error[..., 1:].ravel())[0, 1]) < 0.03
+
+
+def test_errors_as_long_as_the_picture_scatter_by_their_share():
+    """400 places, 4000 lines: a ring of places cannot hold the law of such lengths as it is."""
+    line = np.broadcast_to(np.arange(4000.0), (400, 4000))
+    for length_px in (100.0, 200.0, 1000.0):
+        noisy = with_line_noise(
+            np.ones((1, 400, 4000)), line, 0.01, axis="column", length_px=length_px, seed=2
+        )
+        assert (noisy - 1).std() == pytest.approx(0.01, rel=0.02)
+
+
+def test_lines_along_rows_have_a_length_as_well(scanner, radiance):
+    line = lines_seen(radiance.pattern, scanner.light_code(), "column")
+    upright = with_line_noise(radiance.pattern, line, 0.1, axis="column", length_px=2.0, seed=1)
+    lying = with_line_noise(
+        radiance.pattern.swapaxes(1, 2), line.T, 0.1, axis="row", length_px=2.0, seed=1
+    )
+    np.testing.assert_array_equal(upright, lying.swapaxes(1, 2))
+
+
+@pytest.mark.parametrize(
+    "words", [{"period_px": 48.0, "fine_period_px": 16.0}, {"codec": "multi_frequency"}]
+)
+def test_several_periods_scatter_less_by_their_mean(scanner, words):
+    scanner = replace(scanner, code=replace(scanner.code, **words))
+    u, _ = places(scanner, light_of(scanner), range(12))
+    stated_px = place_sigma_px(scanner.light_code(), "column", SHARE)
+    assert np.sqrt(u.var(axis=0, ddof=1).mean()) == pytest.approx(stated_px, rel=0.08)
+
+
+def test_sigma_tells_the_error(scanner, radiance):
+    _, found = places(scanner, radiance, range(12))
+    inner = np.s_[2:-2, 2:-2]
+    depth_m = np.stack([depth.depth_m[inner] for _, depth in found])
+    sigma_m = np.stack([depth.sigma_m[inner] for _, depth in found])
+    noise_m = np.sqrt(depth_m.var(axis=0, ddof=1).mean())
+    assert 0.9 < noise_m / np.sqrt((sigma_m**2).mean()) < 1.1
+
+
+def test_a_still_projector_changes_nothing_and_exposures_differ(scanner, radiance):
+    still = replace(scanner, rig=replace(scanner.rig, line_noise=0.0))
+    sensor = replace(scanner, rig=replace(scanner.rig, line_noise=1e-9))
+    np.testing.assert_array_equal(
+        take(still, radiance, seed=3).frames, take(sensor, radiance, seed=3).frames
+    )
+    line = lines_seen(radiance.pattern, scanner.light_code(), "column")
+    first, again, other = (
+        with_line_noise(radiance.pattern, line, 0.1, axis="column", seed=seed) for seed in (1, 1, 2)
+    )
+    np.testing.assert_array_equal(first, again)
+    assert not np.array_equal(first, other)
+
+
+def test_light_of_no_known_line_is_left(scanner, radiance):
+    line = lines_seen(radiance.pattern, scanner.light_code(), "column").copy()
+    line[:, 40:] = np.nan
+    noisy = with_line_noise(radiance.pattern, line, 0.1, axis="column", seed=1)
+    np.testing.assert_array_equal(noisy[..., 40:], radiance.pattern[..., 40:].astype(np.float32))
+    assert not np.array_equal(noisy[..., :40], radiance.pattern[..., :40])

@@ -1,0 +1,208 @@
+"""A scanner from light to depth: what each code is worth on the same rig, and its settings."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy import ndimage
+from stage import in_camera, lambert, leaning_wall
+
+from graycast.camera import scanner as scanner_module
+from graycast.camera.scanner import (
+    ExposureSpec,
+    Scanner,
+    measure,
+    preset,
+    scan,
+    scan_seconds,
+    take,
+)
+from graycast.camera.sensor import Capture, SensorSpec
+from graycast.render import Quality
+from graycast.rig.pair import preset_rig
+from graycast.rig.pattern import CODECS, CodeSpec
+from graycast.world.scene import EMPTY_LAYOUT, Sphere
+
+DISTANCE_M = 0.75
+
+
+@pytest.fixture(scope="module")
+def rig():
+    """A window of the PhoXi M's camera, its lenses real: f/4, and a projector a pixel unsharp."""
+    rig = preset("phoxi-m").rig
+    camera = replace(rig.camera, width_px=200, height_px=160, cx_px=99.5, cy_px=79.5)
+    # Speckle and line noise have tests of their own (test_scanner_speckle.py, test_line_noise.py).
+    quiet = {"speckle_contrast": 0.0, "line_noise": 0.0}
+    return replace(rig, camera=replace(camera, focus_m=DISTANCE_M), **quiet)
+
+
+@pytest.fixture(scope="module")
+def shots(rig, mitsuba_renderer):
+    """Per code: depth map, and its error [m] on smooth lit surfaces (a leaning wall, a ball).
+
+    Sigma is the sensor's noise carried through; the sampling of light adds some 0.005 px at 512
+    paths, and the grid of the projector's pixels as much. A third of the range keeps both below.
+    """
+    grey = lambert(0.6)
+    ball = Sphere(center_m=(0.0, 0.0, DISTANCE_M - 0.12), radius_m=0.07, material=grey)
+    wall = leaning_wall((0.25, 0.15, 1.0), DISTANCE_M, grey, half_m=0.4)
+    scene = in_camera(rig, wall, ball)
+    sensor = replace(preset("phoxi-m").sensor, read_noise_e=5.0)
+    found = {}
+    for codec in CODECS:
+        code = CodeSpec(codec=codec, axes=("column",))
+        scanner = Scanner(rig=rig, code=code, sensor=sensor, exposure=ExposureSpec(target=0.35))
+        rendering = mitsuba_renderer.render(
+            scene,
+            EMPTY_LAYOUT,
+            scanner.light_code().render(),
+            quality=Quality(samples=512, depth=1),
+            seed=1,
+        )
+        depth = scan(scanner, rendering.radiance, seed=3).depth
+        truth_m = rendering.truth.depth_m
+        step_m = ndimage.maximum_filter(truth_m, 5) - ndimage.minimum_filter(truth_m, 5)
+        error_m = np.where(step_m < 0.02, depth.depth_m - truth_m, np.nan)
+        found[codec] = depth, error_m
+    return found
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    "codec", ["gray_phase", "gray_line_shift", "multi_frequency", "micro_phase"]
+)
+def test_a_sub_pixel_code_knows_its_error(shots, codec):
+    """A normal error is within one sigma in 68 % and within two in 95 % of the pixels."""
+    depth, error_m = shots[codec]
+    known = np.isfinite(error_m)
+    assert known.mean() > 0.8
+    ratio = np.abs(error_m / depth.sigma_m)[known]
+    assert 0.60 <= np.mean(ratio < 1) <= 0.76
+    assert 0.93 <= np.mean(ratio < 2) <= 0.975
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("codec", ["gray", "xor_gray"])
+def test_a_binary_code_lies_within_half_a_column(rig, shots, codec):
+    """Half a column, as depth, is sqrt(3) sigma of an even error; a pixel that straddles two
+    columns may take either, and is told by a wider sigma.
+    """
+    depth, error_m = shots[codec]
+    known = np.isfinite(error_m)
+    assert known.mean() > 0.8
+    straddling = np.quantile(depth.sigma_m[known] / depth.depth_m[known] ** 2, 0.5)
+    sure = known & (depth.sigma_m / depth.depth_m**2 < 1.15 * straddling)
+    within = np.abs(error_m / depth.sigma_m)[sure] <= np.sqrt(3)
+    assert within.mean() > 0.97
+    assert np.quantile(np.abs(error_m / depth.sigma_m)[sure], 0.999) < 1.5 * np.sqrt(3)
+
+
+@pytest.mark.slow
+def test_phases_are_ten_times_finer_than_plain_gray(rig, mitsuba_renderer):
+    """On a white wall, well exposed: noise of phases falls with the light, Gray code's does not."""
+    scene = in_camera(rig, leaning_wall((0.25, 0.15, 1.0), DISTANCE_M, lambert(0.8), half_m=0.4))
+    rms_m = {}
+    for codec in ("gray", "gray_phase"):
+        scanner = Scanner(
+            rig=rig,
+            code=CodeSpec(codec=codec, axes=("column",)),
+            sensor=preset("phoxi-m").sensor,
+            exposure=ExposureSpec(target=0.9),
+        )
+        rendering = mitsuba_renderer.render(
+            scene,
+            EMPTY_LAYOUT,
+            scanner.light_code().render(),
+            quality=Quality(samples=128, depth=1),
+            seed=1,
+        )
+        depth = scan(scanner, rendering.radiance, seed=3).depth
+        rms_m[codec] = np.sqrt(np.nanmean(np.square(depth.depth_m - rendering.truth.depth_m)))
+    assert rms_m["gray"] > 10 * rms_m["gray_phase"]
+
+
+@pytest.mark.slow
+def test_exposures_are_merged_where_several_are_asked_for(rig, flat_light):
+    """Ten times the light saturates at the longer time; both come out unsaturated."""
+    exposure = ExposureSpec(exposure_s=2e-3, factors=(1.0, 0.1))
+    scanner = Scanner(rig=preset_rig("paper"), exposure=exposure)
+    bright = flat_light(scanner, dim=5.0, bright=50.0)
+    capture = take(scanner, bright, seed=1)
+    half = capture.frames.shape[2] // 2
+    assert (capture.exposure_s[:, :half] == np.float32(2e-3)).all()
+    assert (capture.exposure_s[:, half:] == np.float32(2e-4)).all()
+    codes, _ = measure(scanner, capture)
+    assert not (codes.reason == 3).any()
+
+
+def test_exposures_are_noisy_each_by_itself(flat_light, monkeypatch):
+    """Oracle: independent noise is not correlated; of 80,000 pixels 0.02 is six errors."""
+    taken = []
+    monkeypatch.setattr(scanner_module, "merge_exposures", lambda one: taken.extend(one) or one[0])
+    exposure = ExposureSpec(exposure_s=2e-3, factors=(1.0, 0.5))
+    scanner = Scanner(rig=preset_rig("paper", "small"), exposure=exposure)
+    take(scanner, flat_light(scanner, dim=5.0, bright=5.0), seed=1)
+    bright, dim = (one.frames[0].ravel()[:80_000].astype(float) for one in taken)
+    assert bright.std() > 3 and dim.std() > 3
+    assert abs(np.corrcoef(bright, dim)[0, 1]) < 0.02
+
+
+def test_auto_exposure_is_for_all_light_on_the_brightest_frame(flat_light):
+    """Lamps give as much as the projector: both together come to the target."""
+    scanner = Scanner(rig=preset_rig("paper", "small"), exposure=ExposureSpec(target=0.6))
+    light = flat_light(scanner, dim=5.0, bright=5.0)
+    light = replace(light, ambient=np.full_like(light.ambient, 5.0))
+    sensor = scanner.sensor
+    white = take(scanner, light, seed=1).frames[scanner.light_code().brightest]
+    share = (white.mean() - sensor.offset_dn) / (sensor.saturation_dn - sensor.offset_dn)
+    assert share == pytest.approx(0.6, abs=0.005)
+
+
+def test_aperture_and_f_number_must_tell_the_same():
+    scanner = preset("phoxi-s")
+    with pytest.raises(ValueError, match=r"f_number is 8, .* makes f/4: give both alike"):
+        replace(scanner, sensor=replace(scanner.sensor, f_number=8.0))
+    pinhole = replace(scanner.rig.camera, aperture_m=0.0)
+    replace(scanner, rig=replace(scanner.rig, camera=pinhole), sensor=SensorSpec(f_number=8.0))
+
+
+@pytest.fixture
+def flat_light():
+    """Light of a scanner's code on two flat halves, each pixel seeing column 100."""
+    from graycast.render import Radiance
+
+    def made(scanner, *, dim, bright):
+        code = scanner.light_code()
+        level = code.render()[:, 100, 100].astype(np.float32) / 255
+        camera = scanner.rig.camera
+        shape = (camera.height_px, camera.width_px)
+        white = np.full(shape, dim, dtype=np.float32)
+        white[:, shape[1] // 2 :] = bright
+        zero = np.zeros(shape, dtype=np.float32)
+        return Radiance(
+            pattern=level[:, None, None] * white,
+            white=white,
+            ambient=zero,
+            white_rgb=np.repeat(white[..., None], 3, axis=-1),
+            ambient_rgb=np.zeros((*shape, 3), dtype=np.float32),
+            albedo=np.zeros((*shape, 3), dtype=np.float32),
+        )
+
+    return made
+
+
+def test_a_scan_lasts_as_long_as_its_frames():
+    """Oracle: counted by hand: 3 frames, each exposed for 2, 8 and 20 ms and read out 3 times."""
+    scanner = Scanner(rig=preset_rig("paper"), exposure=ExposureSpec(factors=(1.0, 4.0, 10.0)))
+    exposure_s = np.full((6, 8), 0.002, dtype=np.float32)
+    exposure_s[2, 3] = 0.020  # the longest that was taken by any pixel
+    frames = np.zeros((3, 6, 8), dtype=np.uint16)
+    capture = Capture(frames=frames, sensor=SensorSpec(), exposure_s=exposure_s)
+    seconds = scan_seconds(scanner, capture, readout_s=0.01)
+    assert seconds == pytest.approx(3 * (0.002 + 0.008 + 0.020 + 3 * 0.01), rel=1e-6)
+
+
+def test_a_preset_s_raster_is_as_many_millimetres_in_small_maps_as_in_those_of_low_resolution():
+    small, low = (preset("phoxi-m", resolution) for resolution in ("small", "low"))
+    place = [s.faults.raster_px / s.rig.camera.fx_px for s in (small, low)]
+    assert place[0] == pytest.approx(place[1], rel=1e-3)

@@ -1,0 +1,116 @@
+"""Light that comes by way of another surface: what the presets make of it, against known places.
+
+No renderer is asked: each pixel gets the light of its own place in the projector's picture and, by
+a share, that of another place, as if a neighbour mirrored it.
+"""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy import ndimage
+
+from graycast.base.frames import pixel_grid, transform_points
+from graycast.camera.decode import Reason
+from graycast.camera.scanner import preset, scan
+from graycast.cell.resolve import patterns_of
+from graycast.render import Radiance
+from graycast.rig.optics import project, rays
+
+SHAPE = (96, 128)
+PATCH_PX = 16  # the other place and its share are the same within a patch
+WRONG_M, WRONG_SIGMAS = 1e-3, 5.0
+
+
+@pytest.fixture(scope="module", params=["phoxi-s", "phoxi-m", "phoxi-l"])
+def scanner(request):
+    """A window of the preset's picture."""
+    whole = preset(request.param, "small")
+    h, w = SHAPE
+    size = {"width_px": w, "height_px": h, "cx_px": (w - 1) / 2, "cy_px": (h - 1) / 2}
+    return replace(whole, rig=replace(whole.rig, camera=replace(whole.rig.camera, **size)))
+
+
+def facing_plane(scanner):
+    """Depth [m] in the middle of the working range, and the places (n, 2) in the projector."""
+    rig = scanner.rig
+    z_m = np.full(SHAPE, (rig.near_m + rig.far_m) / 2)
+    point = rays(rig.camera, pixel_grid(*SHAPE)) * z_m[..., None]
+    return z_m, project(rig.projector, transform_points(rig.T_proj_cam, point))
+
+
+def light(scanner, place, other, share, *, spread_px=1.0):
+    """Each pixel's light: of `place` behind a blur of one pixel, and by a share of `other`, over
+    which a rough surface spreads it by `spread_px`.
+    """
+    stack = []
+    for picture in patterns_of(scanner):
+        along_x = bool((picture == picture[0]).all())
+        line = (picture[0] if along_x else picture[:, 0]) / 255
+        axis = 0 if along_x else 1
+        direct, indirect = (
+            np.interp(at[..., axis], np.arange(len(line)), ndimage.gaussian_filter1d(line, blur_px))
+            for at, blur_px in ((place, 1.0), (other, spread_px))
+        )
+        assert along_x or (picture.T == picture[:, 0]).all()  # a line is enough
+        stack.append((1 - share) * direct + share * indirect)
+    zero, grey = np.zeros(SHAPE, np.float32), np.full((*SHAPE, 3), 0.5, np.float32)
+    return Radiance(
+        pattern=np.array(stack, dtype=np.float32),
+        white=np.ones(SHAPE, np.float32),
+        ambient=zero,
+        white_rgb=np.ones((*SHAPE, 3), np.float32),
+        ambient_rgb=np.zeros((*SHAPE, 3), np.float32),
+        albedo=grey,
+    )
+
+
+def wrong(depth, z_m):
+    """Which pixels have a depth that is off by more than 1 mm and five sigmas."""
+    off_m = np.abs(depth.depth_m - z_m)
+    return (off_m > WRONG_M) & (off_m > WRONG_SIGMAS * depth.sigma_m)
+
+
+def patches(low, high, rng):
+    """Even numbers between two limits, one per patch."""
+    h, w = (side // PATCH_PX for side in SHAPE)
+    return np.kron(rng.uniform(low, high, (h, w)), np.ones((PATCH_PX, PATCH_PX)))
+
+
+def test_a_plane_in_direct_light_has_all_its_depth(scanner):
+    z_m, place = facing_plane(scanner)
+    depth = scan(scanner, light(scanner, place, place, 0.0), seed=1).depth
+    assert np.isfinite(depth.depth_m).mean() > 0.99
+    assert not wrong(depth, z_m).any()
+
+
+def test_a_mirror_image_of_another_place_is_off_its_epipolar_line(scanner):
+    """The pixel has the full contrast of a place 60 columns and 40 rows aside, and nothing else."""
+    _, place = facing_plane(scanner)
+    mirrored = light(scanner, place, place + np.array([60.0, 40.0]), 1.0)
+    result = scan(scanner, mirrored, seed=1)
+    assert (result.codes.reason == Reason.DECODED).mean() > 0.9  # the code alone cannot know it
+    assert not np.isfinite(result.depth.depth_m).any()
+
+
+def test_mixed_light_is_refused_or_right_and_a_plain_decoder_believes_it(scanner):
+    """Another place of any distance up to 200 columns and rows, any share of its light, and a
+    reflection that blurs it by 5 pixels. (A sharp mirror image below a fifth of the light is the
+    limit of what the preset knows: no figure of the pixel tells it.)
+    """
+    rng = np.random.default_rng(2)
+    z_m, place = facing_plane(scanner)
+    away = np.stack([patches(-200, 200, rng), patches(-200, 200, rng)], axis=-1)
+    share = patches(0, 1, rng)
+    depth = scan(scanner, light(scanner, place, place + away, share, spread_px=5.0), seed=1).depth
+    assert wrong(depth, z_m).sum() <= 0.01 * np.isfinite(depth.depth_m).sum()
+    mostly_direct = np.isfinite(depth.depth_m) & (share < 0.02)
+    assert mostly_direct.sum() > 0.3 * (share < 0.02).sum()
+    plain = replace(
+        scanner,
+        code=replace(scanner.code, axes=("column",), fine_period_px=None),
+        decode=replace(scanner.decode, min_visibility=0.0),
+        filters=replace(scanner.filters, edge_px=None),
+    )
+    believed = scan(plain, light(plain, place, place + away, share, spread_px=5.0), seed=1).depth
+    assert wrong(believed, z_m).sum() > 0.3 * np.isfinite(believed.depth_m).sum()

@@ -1,0 +1,122 @@
+"""What a user may write under `domain`, and what he is told about it."""
+
+import numpy as np
+import pytest
+import yaml
+from small_cell import write_cell
+
+from graycast.base.errors import ConfigError
+from graycast.cell.config import Config, file_digests, load_config
+from graycast.cell.domain import AdaptedSection, RandomizedSection
+
+
+def config(domain):
+    return Config.model_validate({"parts": [{"builtin": "toothpaste"}], "domain": domain})
+
+
+def test_a_plain_word_is_the_kind_with_all_its_defaults():
+    assert config("adapted").domain == config({"kind": "adapted"}).domain
+    assert config("randomized").domain == config({"kind": "randomized"}).domain
+    assert isinstance(config("adapted").domain, AdaptedSection)
+    assert isinstance(config("randomized").domain, RandomizedSection)
+    assert config(None).domain is None
+
+
+def test_a_configuration_without_a_domain_is_recorded_as_before_there_were_any():
+    """Its fingerprint is over what is dumped, so datasets begun earlier can go on."""
+    assert "domain" not in config(None).model_dump(mode="json")
+    assert "domain" in config("adapted").model_dump(mode="json")
+
+
+def test_what_is_dumped_is_the_same_configuration_again():
+    written = {
+        "kind": "randomized",
+        "camera": None,
+        "bin": {"textures": "wood", "roughness": [0.2, 0.3]},
+        "distractors": {"count": [1, 2], "parts": [{"builtin": "toothpaste"}]},
+    }
+    once = config(written)
+    assert Config.model_validate(once.model_dump(mode="json")) == once
+
+
+@pytest.mark.parametrize(
+    ("domain", "told"),
+    [
+        ("randomised", r"domain is 'randomised': give adapted or randomized"),
+        ({"bin": {}}, r"domain: give adapted or randomized, or a mapping with one of them"),
+        ({"kind": "adapted", "lmps": 1}, r"unknown key domain\.lmps: did you mean lamps\?"),
+        (
+            {"kind": "randomized", "lamps": {"cuont": [1, 2]}},
+            r"unknown key domain\.lamps\.cuont: did you mean count\?",
+        ),
+        (
+            {"kind": "randomized", "bin": {"color": {"hue": [1, 2]}}},
+            r"unknown key domain\.bin\.color\.hue: did you mean hue_deg\?",
+        ),
+        (
+            {"kind": "randomized", "distractors": {"parts": [{"mash": "a.stl"}]}},
+            r"unknown key domain\.distractors\.parts\.0\.mash: did you mean mesh\?",
+        ),
+        (
+            {"kind": "randomized", "lamps": {"distance_m": [2, 1]}},
+            r"domain\.lamps\.distance_m is \[2, 1\]: give two numbers \[lowest, highest\]",
+        ),
+        ({"kind": "randomized", "camera": {"tilt_deg": [-90, 0]}}, r"domain\.camera\.tilt_deg\.0"),
+        ({"kind": "randomized", "lamps": {"irradiance": [0, 1]}}, r"domain\.lamps\.irradiance\.0"),
+        ({"kind": "adapted", "bin": {"position_m": -1}}, r"domain\.bin\.position_m is -1"),
+    ],
+)
+def test_what_cannot_be_is_refused_with_the_keys_of_the_file(tmp_path, domain, told):
+    path = tmp_path / "cell.yaml"
+    path.write_text(yaml.safe_dump({"parts": [{"builtin": "toothpaste"}], "domain": domain}))
+    with pytest.raises(ConfigError, match=rf"{path}: {told}"):
+        load_config(path)
+
+
+def folder_of(path, *names):
+    path.mkdir()
+    for name in names:
+        (path / name).write_bytes(name.encode())
+
+
+def test_every_file_of_a_domain_has_a_digest_so_that_a_change_is_noticed(tmp_path):
+    folder_of(tmp_path / "skies", "b.exr", "a.hdr", "readme.txt")
+    folder_of(tmp_path / "wood", "oak.png", "ash.JPG")
+    said = {
+        "kind": "randomized",
+        "environment": {"maps": "skies"},
+        "bin": {"textures": "wood"},
+        "table": {"textures": "wood"},
+        "distractors": {"parts": [{"mesh": "bolt.stl", "unit": "mm"}]},
+    }
+    (tmp_path / "bolt.stl").write_bytes(b"bolt")
+    path = write_cell(tmp_path, domain=said)
+    before = file_digests(load_config(path), tmp_path)
+    assert set(before) == {
+        "box.stl", "bolt.stl", "skies/a.hdr", "skies/b.exr", "wood/ash.JPG", "wood/oak.png",
+    }  # fmt: skip
+    for name in ("skies/b.exr", "wood/oak.png", "bolt.stl"):
+        (tmp_path / name).write_bytes(b"changed")
+        after = file_digests(load_config(path), tmp_path)
+        assert {key for key in after if after[key] != before[key]} == {name}
+        before = after
+    (tmp_path / "skies" / "c.exr").write_bytes(b"new")
+    assert "skies/c.exr" in file_digests(load_config(path), tmp_path)
+
+
+@pytest.mark.parametrize("made", [False, True])
+def test_a_folder_that_is_missing_or_empty_is_named(tmp_path, made):
+    if made:
+        folder_of(tmp_path / "skies", "license.txt")
+    said = {"kind": "randomized", "environment": {"maps": "skies"}}
+    path = write_cell(tmp_path, domain=said)
+    with pytest.raises(ConfigError, match=r"domain\.environment\.maps: .*skies"):
+        file_digests(load_config(path), tmp_path)
+
+
+def test_one_more_stream_leaves_the_others_as_they_were():
+    """The seeds of a scene's stages were five; the domain's is a sixth."""
+    for seed, scene_id in ((0, 0), (7, 123), (2**40, 99999)):
+        sequence = np.random.SeedSequence(seed, spawn_key=(scene_id,))
+        five, six = (sequence.generate_state(n, np.uint64) for n in (5, 6))
+        assert (five == six[:5]).all()

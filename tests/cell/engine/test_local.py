@@ -1,0 +1,263 @@
+"""Worker processes of this machine: killed, starved, stopped. What comes out stays the same."""
+
+import multiprocessing
+import os
+import signal
+import subprocess
+import sys
+import threading
+import time
+from dataclasses import dataclass
+from multiprocessing.connection import wait
+from pathlib import Path
+
+import numpy as np
+import pytest
+from small_cell import content, finished, start
+
+from graycast.base.errors import WorkerDied
+from graycast.cell.engine import Failed, Made, SceneTask, make_all
+from graycast.cell.engine import local as local_module
+from graycast.cell.engine.job import Job
+from graycast.cell.engine.local import LocalPool, _deaf_to_interrupts, list_gpus
+from graycast.dataset import validate
+
+
+def workers_of(pid):
+    """Processes that a run has started to make scenes."""
+    found = []
+    for file in Path(f"/proc/{pid}/task").glob("*/children"):
+        for child in file.read_text().split():
+            try:
+                command = Path(f"/proc/{child}/cmdline").read_bytes()
+            except OSError:
+                continue
+            if b"spawn_main" in command:
+                found.append(int(child))
+    return found
+
+
+def alive(pid):
+    try:
+        return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] != "Z"
+    except OSError:
+        return False
+
+
+def test_gpus_are_those_that_the_user_allows(monkeypatch):
+    monkeypatch.setenv("CUDA_VISIBLE_DEVICES", "2, GPU-5a,7")
+    assert list_gpus() == ["2", "GPU-5a", "7"]
+    monkeypatch.setenv("CUDA_VISIBLE_DEVICES", "")
+    assert list_gpus() == []
+
+
+def test_workers_share_threads_and_gpus(task, monkeypatch):
+    monkeypatch.setenv("CUDA_VISIBLE_DEVICES", "4,6")
+    monkeypatch.setattr(os, "sched_getaffinity", lambda pid: range(9))
+    pool = LocalPool(
+        SceneTask(cell=task.cell, seed=0, device="cuda", depth_scale_mm=0.1),
+        workers=3,
+        threads=None,
+    )
+    try:
+        told = [pool._variables(i) for i in range(3)]
+    finally:
+        pool.close()
+    assert [variables["CUDA_VISIBLE_DEVICES"] for variables in told] == ["4", "6", "4"]
+    assert {variables["OIDN_NUM_THREADS"] for variables in told} == {"3"}
+    assert {variables["OIDN_SET_AFFINITY"] for variables in told} == {"0"}
+
+
+def test_ctrl_c_while_a_worker_starts_is_heard_afterwards():
+    with pytest.raises(KeyboardInterrupt):
+        with _deaf_to_interrupts():
+            signal.raise_signal(signal.SIGINT)
+            begun = subprocess.run(["grep", "SigBlk", "/proc/self/status"], capture_output=True)
+    assert int(begun.stdout.split()[1], 16) & 1 << (signal.SIGINT - 1)
+
+
+def test_the_first_worker_of_a_program_does_not_hear_ctrl_c():
+    """Before it, Python starts a process of its own, and lets Ctrl-C through again."""
+    program = (
+        "from graycast.cell.engine.local import _Worker\n"
+        "worker = _Worker(None, 1, {})\n"
+        "worker._start()\n"
+        "print(open(f'/proc/{worker._process.pid}/status').read())\n"
+        "worker.stop()"
+    )
+    told = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True)
+    (blocked,) = [line for line in told.stdout.splitlines() if line.startswith("SigBlk")]
+    assert int(blocked.split()[1], 16) & 1 << (signal.SIGINT - 1), told.stderr
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class HeavyJob(Job):
+    """Its results are larger than what a pipe holds, so they are read while they are written."""
+
+    def open(self, **_ignored):
+        return self
+
+    def make(self, scene_id):
+        return Made(
+            scene_id=scene_id,
+            files=(("large.bin", bytes(16_000_000)),),
+            seconds=0.0,
+            reasons={},
+            rss_bytes=0,
+        )
+
+    def close(self):
+        pass
+
+
+def test_a_worker_that_is_killed_while_it_hands_over_its_scene_keeps_nobody_waiting():
+    pool, outcomes = LocalPool(HeavyJob(seed=0, device="cpu"), workers=1, threads=1), []
+    try:
+        pool.submit(0)
+        assert wait([pool._workers[0].connection], timeout=60)  # it has begun to write, and waits
+        os.kill(pool._workers[0]._process.pid, signal.SIGKILL)
+        listener = threading.Thread(target=lambda: outcomes.append(pool.gather()), daemon=True)
+        listener.start()
+        listener.join(timeout=60)
+        assert not listener.is_alive(), "it waits for the rest of what a dead process wrote"
+        assert pool.free == 1
+        pool.submit(1)
+        made = pool.gather()
+    finally:
+        pool.close()
+    assert isinstance(outcomes[0].error, WorkerDied)
+    assert (made.scene_id, made.files) == (1, (("large.bin", bytes(16_000_000)),))
+
+
+@pytest.mark.slow
+def test_a_worker_that_is_killed_is_replaced_and_its_scene_made_again(task):
+    pool = LocalPool(task, workers=1, threads=1)
+    try:
+        outcomes = []
+        for outcome in make_all(pool, range(3)):
+            outcomes.append(outcome)
+            if len(outcomes) == 1:
+                os.kill(workers_of(os.getpid())[0], signal.SIGKILL)  # it has scene 1 in hand
+    finally:
+        pool.close()
+    (failed,) = [outcome for outcome in outcomes if isinstance(outcome, Failed)]
+    assert isinstance(failed.error, WorkerDied)
+    assert str(failed.error) == (
+        "its worker process was killed (SIGKILL, by a user or "
+        "by the operating system for lack of memory)"
+    )
+    made = [outcome.scene_id for outcome in outcomes if isinstance(outcome, Made)]
+    assert sorted(made) == [0, 1, 2]
+    assert workers_of(os.getpid()) == []
+
+
+@pytest.mark.slow
+def test_a_worker_that_grows_beyond_its_share_is_replaced_between_scenes(task, monkeypatch):
+    def pids(share):
+        monkeypatch.setattr(local_module, "_MEMORY_SHARE", share)
+        pool, seen = LocalPool(task, workers=1, threads=1), []
+        try:
+            for scene_id in range(3):
+                pool.submit(scene_id)
+                # By number: a process that has just been forked does not bear its name yet.
+                seen += [child.pid for child in multiprocessing.active_children()]
+                assert isinstance(pool.gather(), Made)
+        finally:
+            pool.close()
+        return seen
+
+    assert len(set(pids(0.8))) == 1
+    assert len(set(pids(1e-6))) == 3
+
+
+@pytest.mark.slow
+def test_workers_end_with_the_run_that_started_them(config_file, tmp_path):
+    command = ("generate", config_file, "--out", tmp_path / "out", "--scenes", 500)
+    with start(*command, "--workers", 2) as run:
+        while finished(tmp_path / "out") < 2 and run.poll() is None:
+            time.sleep(0.05)
+        workers = workers_of(run.pid)
+        assert len(workers) == 2
+        os.kill(run.pid, signal.SIGKILL)  # the parent alone
+    deadline = time.monotonic() + 10
+    while any(map(alive, workers)) and time.monotonic() < deadline:
+        time.sleep(0.05)
+    assert not any(map(alive, workers))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("word", [signal.SIGINT, signal.SIGTERM])
+def test_a_run_that_is_told_to_stop_leaves_nothing_behind(config_file, tmp_path, monkeypatch, word):
+    out, temporary = tmp_path / "out", tmp_path / "temporary"
+    temporary.mkdir()
+    monkeypatch.setenv("TMPDIR", str(temporary))
+    command = ("generate", config_file, "--out", out, "--scenes", 500, "--workers", 2)
+    with start(*command) as run:
+        while finished(out) < 2 and run.poll() is None:
+            time.sleep(0.05)
+        workers = workers_of(run.pid)
+        run.send_signal(word)
+        begun = time.monotonic()
+        _, complaint = run.communicate()
+    assert (run.returncode, complaint) == (
+        130,
+        "graycast: the command was stopped; the finished scenes are kept; "
+        "run the same command again to continue\n",
+    )
+    assert time.monotonic() - begun < 10
+    assert not any(map(alive, workers))
+    assert not list(out.rglob(".tmp-*"))
+    assert list(temporary.iterdir()) == []
+
+
+SCENES, WORKER_KILLS, RUN_KILLS = 200, 20, 5
+
+
+@pytest.mark.slow
+def test_killed_workers_and_killed_runs_end_in_the_same_dataset(config_file, undisturbed, tmp_path):
+    """`kill -9` of a random worker 20 times, of the whole run 5 times, while it is at work."""
+    rng, out = np.random.default_rng(5), tmp_path / "out"
+    command = ("generate", config_file, "--out", out, "--scenes", SCENES, "--workers", 2)
+    kills = ["run"] * RUN_KILLS + ["worker"] * WORKER_KILLS
+    kills = [str(kind) for kind in rng.permutation(kills)]
+    run = start(*command)
+    for number, kind in enumerate(kills):
+        goal = (number + 1) * (SCENES - 10) // len(kills)  # spread over the whole run
+        while finished(out) < goal and run.poll() is None:
+            time.sleep(0.01)
+        time.sleep(rng.uniform(0, 0.3))
+        assert run.poll() is None, "it was done before all kills"
+        if kind == "run":
+            os.killpg(run.pid, signal.SIGKILL)
+            run.communicate()
+            run = start(*command)
+        else:
+            os.kill(int(rng.choice(workers_of(run.pid))), signal.SIGKILL)
+    _, complaint = run.communicate()
+    assert (run.returncode, complaint) == (0, "")
+    assert content(out) == content(undisturbed(SCENES))
+    assert validate(out) == ()
+
+
+@pytest.mark.slow
+def test_a_scene_whose_worker_is_killed_each_time_is_given_up(task):
+    pool, stop = LocalPool(task, workers=1, threads=1), threading.Event()
+
+    def killer():
+        while not stop.wait(0.01):
+            for worker in workers_of(os.getpid()):
+                os.kill(worker, signal.SIGKILL)
+
+    thread = threading.Thread(target=killer)
+    thread.start()
+    try:
+        outcomes = list(make_all(pool, [0]))
+    finally:
+        stop.set()
+        thread.join()
+        pool.close()
+    assert [(o.scene_id, o.tries, o.final) for o in outcomes] == [
+        (0, 1, False),
+        (0, 2, False),
+        (0, 3, True),
+    ]

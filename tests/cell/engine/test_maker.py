@@ -1,0 +1,62 @@
+"""A worker keeps its renderer from scene to scene, and never after what nobody foresaw."""
+
+import pytest
+
+from graycast.base.errors import DecodeError, DeviceError, DropError
+from graycast.cell.engine import SceneMaker, SceneTask, maker, worker_renderer
+from graycast.render import Renderer
+
+
+class Opened(Renderer):
+    """A renderer that knows whether it is still open."""
+
+    name, versions, device, denoiser = "open", {}, "cpu", "oidn"
+
+    def __init__(self):
+        self.closed = False
+
+    def close(self):
+        self.closed = True
+
+
+def opened_for(task, monkeypatch, *errors):
+    """The renderers that a worker opens for scenes that fail so, in order."""
+    renderers, used, left = [], [], list(errors)
+
+    def open_one(cell, **words):
+        renderers.append(Opened())
+        return renderers[-1]
+
+    def make(cell, scene_id, *, renderer, **words):
+        used.append(renderer)
+        assert not renderer.closed
+        raise left.pop(0)
+
+    monkeypatch.setattr(worker_renderer, "open_cell_renderer", open_one)
+    monkeypatch.setattr(maker, "make_images", make)
+    with SceneMaker(task) as worker:
+        for scene_id, error in enumerate(errors):
+            with pytest.raises(type(error)):
+                worker.make(scene_id)
+    assert all(renderer.closed for renderer in renderers)
+    return [renderers.index(renderer) for renderer in used]
+
+
+@pytest.mark.parametrize("error", [DropError("no rest"), DecodeError("dark"), ValueError("black")])
+def test_a_scene_s_own_failure_leaves_the_renderer_open(task, monkeypatch, error):
+    assert opened_for(task, monkeypatch, error, error, error) == [0, 0, 0]
+
+
+@pytest.mark.parametrize(
+    "error", [RuntimeError("driver lost"), MemoryError(), DeviceError("gone"), KeyboardInterrupt()]
+)
+def test_after_a_surprise_the_renderer_is_opened_anew(task, monkeypatch, error):
+    """It may hold a lost device, or the half of a scene."""
+    assert opened_for(task, monkeypatch, error, DropError("no rest"), error) == [0, 1, 1]
+
+
+def test_a_job_goes_to_another_device_with_all_else(task):
+    """Workers of a cluster get the job so: with another seed or cell they would make others."""
+    there = task.on("cuda")
+    assert isinstance(there, SceneTask) and (there.device, task.device) == ("cuda", "cpu")
+    assert there.cell is task.cell and (there.seed, there.graycast) == (task.seed, task.graycast)

@@ -1,0 +1,457 @@
+"""A dataset depends on its configuration and seed alone: not on restarts, workers or accidents."""
+
+import json
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from dataclasses import fields, replace
+
+import numpy as np
+import pytest
+from metered import Metered
+from PIL import Image
+from small_cell import content, finished, start, write_cell
+
+from graycast.base.errors import DatasetError, DropError
+from graycast.camera.decode import DecodeSpec, FilterSpec
+from graycast.camera.faults import FaultSpec
+from graycast.camera.scanner import ExposureSpec, Scanner
+from graycast.camera.sensor import SensorSpec
+from graycast.cell.config import load_config
+from graycast.cell.engine import SceneMaker
+from graycast.cell.generate import Workers, generate, read_origin, rerender
+from graycast.cell.resolve import resolve_cell
+from graycast.cell.simulate import counts_of
+from graycast.cli import main
+from graycast.dataset import validate
+from graycast.rig.pattern import CodeSpec
+
+
+def run(cell, out, *, scenes, seed=0, workers=1):
+    """`generate`; returns its summary, the scenes found at the start and the ids made, in order."""
+    meter, made = Metered(), []
+    summary = generate(
+        cell,
+        out,
+        scenes=scenes,
+        seed=seed,
+        device="cpu",
+        workers=Workers(count=workers),
+        progress=meter,
+        on_made=lambda scene: made.append(scene.scene_id),
+    )
+    counts = [done for what, done, total in meter.counts if (what, total) == ("scenes", scenes)]
+    assert counts == list(range(counts[0], scenes + 1 - len(summary.set_aside)))
+    return summary, counts[0], made
+
+
+@pytest.fixture(scope="module")
+def config_file(tmp_path_factory):
+    return write_cell(tmp_path_factory.mktemp("cell"))
+
+
+@pytest.fixture(scope="module")
+def cell(config_file):
+    return resolve_cell(load_config(config_file), config_file.parent)
+
+
+@pytest.fixture(scope="module")
+def undisturbed(cell, tmp_path_factory):
+    """Three scenes made in one go."""
+    out = tmp_path_factory.mktemp("undisturbed") / "out"
+    summary, found, made = run(cell, out, scenes=3)
+    assert (summary.written, summary.found, found, made) == (3, 0, 0, [0, 1, 2])
+    return out
+
+
+@pytest.fixture(scope="module")
+def many(config_file, tmp_path_factory):
+    """Twelve scenes made by an undisturbed command, and the seconds that it took."""
+    out, begun = tmp_path_factory.mktemp("many") / "out", time.monotonic()
+    with start("generate", config_file, "--out", out, "--scenes", 12) as run:
+        assert run.wait() == 0, run.stderr.read()
+    return out, time.monotonic() - begun
+
+
+def test_what_is_made_is_a_sound_dataset(undisturbed):
+    assert validate(undisturbed) == ()
+    assert finished(undisturbed) == 3
+
+
+def test_the_same_command_in_another_folder_gives_the_same_files(cell, undisturbed, tmp_path):
+    run(cell, tmp_path / "out", scenes=3)
+    assert content(tmp_path / "out") == content(undisturbed)
+
+
+def test_scenes_differ_from_each_other_and_with_the_seed(cell, undisturbed, tmp_path):
+    run(cell, tmp_path / "out", scenes=1, seed=1)
+    pictures = [
+        (folder / "train" / scene / "rgb" / "000000.png").read_bytes()
+        for folder, scene in (
+            (undisturbed, "000000"),
+            (undisturbed, "000001"),
+            (tmp_path / "out", "000000"),
+        )
+    ]
+    assert len(set(pictures)) == 3
+    poses = [
+        json.loads((folder / "train/000000/scene_gt.json").read_text())["0"][0]["cam_t_m2c"]
+        for folder in (undisturbed, tmp_path / "out")
+    ]
+    assert np.abs(np.subtract(*poses)).max() > 1.0  # millimetres
+
+
+def test_running_again_writes_nothing_and_says_so(cell, undisturbed, tmp_path):
+    shutil.copytree(undisturbed, tmp_path / "out")
+    train = tmp_path / "out" / "train"
+    before = {path: path.stat().st_mtime_ns for path in train.rglob("*")}
+    summary, found, made = run(cell, tmp_path / "out", scenes=3)
+    assert (summary.written, summary.found, found, made) == (0, 3, 3, [])
+    assert {path: path.stat().st_mtime_ns for path in train.rglob("*")} == before
+    assert content(tmp_path / "out") == content(undisturbed)
+
+
+def test_more_scenes_later_are_the_scenes_of_one_go(cell, undisturbed, tmp_path):
+    run(cell, tmp_path / "out", scenes=1)
+    summary, found, made = run(cell, tmp_path / "out", scenes=3)
+    assert (summary.written, summary.found, found, made) == (2, 1, 1, [1, 2])
+    assert content(tmp_path / "out") == content(undisturbed)
+
+
+@pytest.mark.slow
+def test_fewer_scenes_later_leave_all_that_are_there(cell, undisturbed, tmp_path):
+    shutil.copytree(undisturbed, tmp_path / "out")
+    summary, found, made = run(cell, tmp_path / "out", scenes=1)
+    assert (summary.written, summary.found, found, made) == (0, 1, 1, [])
+    assert content(tmp_path / "out") == content(undisturbed)
+
+
+@pytest.mark.slow
+def test_a_scene_that_was_deleted_comes_back_the_same(cell, undisturbed, tmp_path):
+    shutil.copytree(undisturbed, tmp_path / "out")
+    shutil.rmtree(tmp_path / "out" / "train" / "000001")
+    _, _, made = run(cell, tmp_path / "out", scenes=3)
+    assert made == [1]
+    assert content(tmp_path / "out") == content(undisturbed)
+
+
+def test_a_change_of_a_mesh_under_the_same_name_is_noticed(undisturbed, tmp_path, capsys):
+    shutil.copytree(undisturbed, tmp_path / "out")
+    changed = write_cell(tmp_path)
+    stl = bytearray((tmp_path / "box.stl").read_bytes())
+    stl[:4] = b"new "  # the header, which holds no geometry
+    (tmp_path / "box.stl").write_bytes(bytes(stl))
+    assert main(["generate", str(changed), "--out", str(tmp_path / "out")]) == 1
+    assert "differs in config.files.box.stl" in capsys.readouterr().err
+    assert content(tmp_path / "out") == content(undisturbed)
+
+
+SCANNERS = {
+    "code": CodeSpec(codec="gray_phase"),
+    "sensor": SensorSpec(read_noise_e=3.5),
+    "exposure": ExposureSpec(target=0.7),
+    "decode": DecodeSpec(min_contrast=0.1),
+    "filters": FilterSpec(island_px=3),
+    "faults": FaultSpec(raster_px=0.1),
+}
+
+
+@pytest.mark.parametrize("name", SCANNERS)
+def test_a_change_of_what_a_rig_file_says_of_the_scanner_is_noticed(cell, undisturbed, name):
+    assert set(SCANNERS) == {field.name for field in fields(Scanner)} - {"rig"}
+    other = replace(cell, scanner=replace(cell.scanner, **{name: SCANNERS[name]}))
+    with pytest.raises(DatasetError, match=rf"differs in config\.scanner\.{name}\."):
+        rerender(other, undisturbed, 0, seed=0, device="cpu")
+
+
+def test_a_mix_drops_all_kinds_and_else_each_scene_has_one(tmp_path):
+    parts = [{"mesh": "box.stl", "unit": "mm", "name": name} for name in ("a", "b", "c")]
+    rng = np.random.default_rng
+    for mix in (False, True):
+        path = write_cell(tmp_path, parts=parts, mix=mix, count=[20, 40])
+        cell = resolve_cell(load_config(path), tmp_path)
+        drawn = [counts_of(cell, scene_id, rng(scene_id)) for scene_id in range(300)]
+        totals = {sum(counts) for counts in drawn}
+        assert totals == set(range(20, 41))  # 300 draws miss one of 21 in 1e-5 of all cases
+        if mix:
+            assert np.mean(drawn, axis=0) == pytest.approx([10, 10, 10], rel=0.1)
+        else:
+            assert [np.flatnonzero(counts).tolist() for counts in drawn[:4]] == [[0], [1], [2], [0]]
+
+
+# --- accidents ---------------------------------------------------------------------------------
+
+
+def test_what_cannot_be_dropped_leaves_the_folder_to_others(tmp_path):
+    """A folder once kept the claim of a configuration that never made a scene."""
+    out = tmp_path / "out"
+    narrow = {"inner_m": [0.02, 0.02, 0.1], "material": {}}
+    path = write_cell(tmp_path, bin=narrow)
+    with pytest.raises(ValueError, match="does not fit into a bin"):
+        run(resolve_cell(load_config(path), tmp_path), out, scenes=1)
+    assert {entry.name for entry in out.iterdir()} <= {".lock"}
+    path = write_cell(tmp_path)
+    run(resolve_cell(load_config(path), tmp_path), out, scenes=1)
+    assert validate(out) == ()
+
+
+def test_a_run_that_is_stopped_keeps_the_finished_scenes(cell, undisturbed, tmp_path):
+    def stop(made):
+        if made.scene_id == 1:
+            raise KeyboardInterrupt
+
+    out = tmp_path / "out"
+    with pytest.raises(KeyboardInterrupt):
+        generate(
+            cell,
+            out,
+            scenes=3,
+            seed=0,
+            device="cpu",
+            on_made=stop,
+        )
+    assert {entry.name for entry in (out / "train").iterdir()} == {"000000", "000001"}
+    _, _, made = run(cell, out, scenes=3)
+    assert made == [2]
+    assert content(out) == content(undisturbed)
+
+
+def failing(monkeypatch, wrong):
+    """Scenes in `wrong` raise their error, so many times."""
+    real = SceneMaker.make
+
+    def make(self, scene_id):
+        error, times = wrong.get(scene_id, (None, 0))
+        if times:
+            wrong[scene_id] = (error, times - 1)
+            raise error
+        return real(self, scene_id)
+
+    monkeypatch.setattr(SceneMaker, "make", make)
+
+
+def test_a_scene_that_cannot_be_made_is_set_aside_and_named(
+    cell, undisturbed, tmp_path, monkeypatch
+):
+    out = tmp_path / "out"
+    with monkeypatch.context() as patch:
+        failing(patch, {1: (DropError("no rest"), 1)})
+        summary, _, made = run(cell, out, scenes=3)
+    assert made == [0, 2]
+    (aside,) = summary.set_aside
+    assert (aside.scene_id, aside.tries, aside.reason) == (1, 1, "no rest")
+    recorded = {"reason": "no rest", "traceback": [], "tries": 1}
+    assert json.loads((out / "set_aside.json").read_text()) == {"000001": recorded}
+    with monkeypatch.context() as patch:
+        failing(patch, {1: (KeyboardInterrupt(), 1)})
+        with pytest.raises(KeyboardInterrupt):
+            run(cell, out, scenes=3)
+    assert not (out / "set_aside.json").exists()  # it is not given up any more
+    with monkeypatch.context() as patch:
+        failing(patch, {1: (DropError("no rest"), 1), 3: (KeyboardInterrupt(), 1)})
+        with pytest.raises(KeyboardInterrupt):
+            run(cell, out, scenes=4)
+    assert json.loads((out / "set_aside.json").read_text()) == {"000001": recorded}
+    summary, found, made = run(cell, out, scenes=3)
+    assert (summary.set_aside, found, made) == ((), 2, [1])
+    assert content(out) == content(undisturbed)
+
+
+def test_what_nobody_foresaw_is_tried_three_times_and_told_with_its_place(
+    cell, undisturbed, tmp_path, monkeypatch
+):
+    with monkeypatch.context() as patch:
+        failing(patch, {0: (RuntimeError("driver lost"), 2), 2: (KeyError("a bug"), 3)})
+        summary, _, made = run(cell, tmp_path / "out", scenes=3)
+    assert made == [1, 0]
+    (aside,) = summary.set_aside
+    assert (aside.scene_id, aside.tries, aside.reason) == (2, 3, "KeyError 'a bug'")
+    assert "in make" in aside.traceback
+    run(cell, tmp_path / "out", scenes=3)
+    assert content(tmp_path / "out") == content(undisturbed)
+
+
+def test_a_run_of_which_nothing_comes_out_stops_early_with_the_reason(cell, tmp_path, monkeypatch):
+    failing(monkeypatch, {scene_id: (DropError("no rest"), 9) for scene_id in range(100)})
+    failures = []
+    with pytest.raises(DropError, match="no rest"):
+        generate(
+            cell, tmp_path / "out", scenes=100, seed=0, device="cpu", on_failed=failures.append
+        )
+    assert len(failures) == 2  # the third is raised
+    assert {entry.name for entry in (tmp_path / "out").iterdir()} <= {".lock"}
+
+
+def test_a_run_goes_on_where_others_came_out_however_many_fail(
+    cell, undisturbed, tmp_path, monkeypatch
+):
+    """Scenes that are there show that the cell is sound: those that fail are set aside."""
+    out = shutil.copytree(undisturbed, tmp_path / "out")
+    failing(monkeypatch, {scene_id: (DropError("no rest"), 1) for scene_id in range(3, 9)})
+    summary, found, made = run(cell, out, scenes=9)
+    assert (found, made, [aside.scene_id for aside in summary.set_aside]) == (3, [], [*range(3, 9)])
+    assert validate(out) == ()
+
+
+def test_a_scene_made_again_is_the_same_and_a_change_is_named(cell, undisturbed, tmp_path):
+    out = tmp_path / "out"
+    shutil.copytree(undisturbed, out)
+    assert rerender(cell, out, 1, seed=0, device="cpu") == {}
+    scene = out / "train" / "000001"
+    picture = np.array(Image.open(scene / "gray_sl" / "000000.png"))
+    picture[3, 4] = (int(picture[3, 4]) + 128) % 256
+    Image.fromarray(picture).save(scene / "gray_sl" / "000000.png")
+    (scene / "scene_gt.json").unlink()
+    manifest = json.loads((scene / "manifest.json").read_text()) | {"device": "abacus"}
+    (scene / "manifest.json").write_text(json.dumps(manifest))
+    assert rerender(cell, out, 1, seed=0, device="cpu") == {
+        "gray_sl/000000.png": "differs in 1 of 19200 pixels, by up to 128",
+        "manifest.json": "differs in device",
+        "scene_gt.json": "is not stored",
+    }
+    with pytest.raises(DatasetError, match="000007 is not there"):
+        rerender(cell, out, 7, seed=0, device="cpu")
+    with pytest.raises(DatasetError, match="another configuration, which differs in seed"):
+        rerender(cell, out, 1, seed=5, device="cpu")
+
+
+def test_the_command_makes_a_scene_again_from_the_dataset_alone(
+    config_file, undisturbed, tmp_path, capsys
+):
+    again = ["rerender", str(undisturbed), "1", "--device", "cpu"]
+    assert main(again) == 1
+    assert (
+        "was made from files of its own (box.stl, rig.yaml): add --config"
+        in capsys.readouterr().err
+    )
+    assert main([*again, "--config", str(config_file)]) == 0
+    assert capsys.readouterr().out.endswith("000001: the same\n")
+
+
+def test_a_datasets_origin_is_its_configuration(cell, undisturbed):
+    origin = read_origin(undisturbed)
+    kept = {"scenes", "seed"}
+    assert origin.config.model_dump(exclude=kept) == cell.config.model_dump(exclude=kept)
+    assert (origin.seed, set(origin.files)) == (0, {"box.stl", "rig.yaml"})
+
+
+@pytest.mark.slow
+def test_two_workers_make_what_one_makes(config_file, many, tmp_path):
+    out = tmp_path / "out"
+    with start("generate", config_file, "--out", out, "--scenes", 12, "--workers", 2) as run:
+        printed, complaint = run.communicate()
+    assert (run.returncode, complaint) == (0, "")
+    assert "12 scenes made, 0 were there" in printed
+    assert content(out) == content(many[0])
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("workers", [1, 2])
+def test_ctrl_c_ends_quietly_and_the_same_command_goes_on(config_file, many, tmp_path, workers):
+    out = tmp_path / "out"
+    command = ("generate", config_file, "--out", out, "--scenes", 12, "--workers", workers)
+    with start(*command) as run:
+        while finished(out) < 2 and run.poll() is None:
+            time.sleep(0.02)
+        os.killpg(run.pid, signal.SIGINT)  # as a terminal does: to all processes of the command
+        begun = time.monotonic()
+        _, complaint = run.communicate()
+    assert run.returncode == 130
+    assert (
+        complaint == "graycast: the command was stopped; the finished scenes are kept; "
+        "run the same command again to continue\n"
+    )
+    assert time.monotonic() - begun < 10
+    assert 2 <= finished(out) < 12
+    assert not list(out.rglob(".tmp-*"))
+    with start(*command) as run:
+        assert run.wait() == 0, run.stderr.read()
+    assert content(out) == content(many[0])
+
+
+_MEMORY = """
+import sys
+from pathlib import Path
+from graycast.cell.resolve import resolve_cell
+from graycast.cell.config import load_config
+from graycast.cell.generate import generate
+path, out, count = Path(sys.argv[1]), Path(sys.argv[2]), sys.argv[3]
+generate(
+    resolve_cell(load_config(path), path.parent), out, scenes=int(count), seed=0, device="cpu",
+    on_made=lambda made: print(made.rss_bytes),
+)
+"""
+
+
+@pytest.mark.slow
+def test_memory_is_level_over_500_scenes(config_file, tmp_path):
+    """Resident memory of the last tenth of the scenes, against the second tenth."""
+    command = [sys.executable, "-c", _MEMORY, str(config_file), str(tmp_path / "out"), "500"]
+    rss = [int(line) for line in subprocess.check_output(command, text=True).split()]
+    assert len(rss) == 500
+    assert np.median(rss[450:]) <= 1.05 * np.median(rss[50:100])
+
+
+@pytest.mark.slow
+def test_after_a_full_disk_the_same_command_goes_on(config_file, many, tmp_path):
+    disk = tmp_path / "disk"
+    disk.mkdir()
+    mount = ["mount", "-t", "tmpfs", "-o", "size=2m", "tmpfs", str(disk)]
+    if shutil.which("mount") is None or subprocess.run(mount, capture_output=True).returncode != 0:
+        pytest.skip("mounting a small tmpfs needs root")
+    command = ("generate", config_file, "--out", disk / "out", "--scenes", 12)
+    try:
+        with start(*command) as run:
+            _, complaint = run.communicate()
+        assert run.returncode == 1
+        assert complaint.startswith(f"graycast: error: cannot write to {disk / 'out'} (No space")
+        assert "free space and run the same command again" in complaint
+        assert complaint.count("\n") == 1
+        kept = finished(disk / "out")
+        assert 0 < kept < 12
+        assert not list(disk.rglob(".tmp-*"))
+        subprocess.run(["mount", "-o", "remount,size=50m", str(disk)], check=True)
+        with start(*command) as run:
+            printed, complaint = run.communicate()
+        assert (run.returncode, complaint) == (0, "")
+        assert f"{12 - kept} scenes made, {kept} were there" in printed
+        assert content(disk / "out") == content(many[0])
+    finally:
+        subprocess.run(["umount", str(disk)], check=True)
+
+
+@pytest.mark.slow
+def test_a_step_of_depth_that_is_configured_is_that_of_files_and_no_key_of_the_dataset(
+    config_file, tmp_path
+):
+    """A dataset says its step once, so rerender and resuming take it from there."""
+    wide = write_cell(tmp_path, store={"depth_step_mm": 0.5})
+    cell = resolve_cell(load_config(wide), tmp_path)
+    run(cell, tmp_path / "out", scenes=1)
+    claim = json.loads((tmp_path / "out/graycast.json").read_bytes())
+    assert claim["depth_scale_mm"] == 0.5
+    assert "store" not in claim["config"]
+    view = json.loads((tmp_path / "out/train/000000/scene_camera.json").read_bytes())["0"]
+    assert view["depth_scale"] == 0.5
+    assert validate(tmp_path / "out") == ()
+    assert read_origin(tmp_path / "out").config.store.depth_step_mm == 0.5
+    assert rerender(cell, tmp_path / "out", 0, seed=0, device="cpu") == {}
+    finer = resolve_cell(load_config(config_file), config_file.parent)
+    with pytest.raises(DatasetError, match=r"depth_scale_mm \(0.5 there, 0.02 here"):
+        run(finer, tmp_path / "out", scenes=1)
+
+
+def test_hulls_of_distractors_are_made_before_the_workers_start(tmp_path, monkeypatch):
+    distractors = {"count": [1, 2], "parts": [{"builtin": "toothpaste"}]}
+    path = write_cell(tmp_path, domain={"kind": "randomized", "distractors": distractors})
+    cell = resolve_cell(load_config(path), tmp_path)
+
+    def stop(parts, **_):
+        raise DropError(" and ".join(part.name for part in parts))
+
+    monkeypatch.setattr(sys.modules["graycast.cell.generate"], "prepare", stop)
+    with pytest.raises(DropError, match="box and toothpaste"):
+        run(cell, tmp_path / "out", scenes=1)

@@ -1,0 +1,156 @@
+"""One scene all the way: what its manifest says of it is what was done."""
+
+import os
+import subprocess
+import sys
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import yaml
+from small_cell import write_cell
+from stage import centred, make_rig
+
+from graycast.camera.decode import CodeMap, DepthMap, Reason
+from graycast.camera.picture import color_picture
+from graycast.camera.scanner import take
+from graycast.cell import simulate
+from graycast.cell.config import RenderSection, load_config
+from graycast.cell.resolve import open_cell_renderer, resolve_cell
+from graycast.cell.simulate import make_scene, with_field
+from graycast.render import GroundTruth, Renderer
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory):
+    """A cell whose scanner takes two exposures, and a scene of it."""
+    folder = tmp_path_factory.mktemp("cell")
+    path = write_cell(folder, render={"samples": 4, "denoise": False})
+    rig = yaml.safe_load((folder / "rig.yaml").read_text())
+    rig["exposure"] = {"exposure_s": 0.02, "factors": [0.1, 1.0, 0.4]}
+    (folder / "rig.yaml").write_text(yaml.safe_dump(rig))
+    cell = resolve_cell(load_config(path), folder)
+    with open_cell_renderer(cell, device="cpu") as renderer:
+        return cell, make_scene(cell, 3, seed=5, renderer=renderer)
+
+
+def test_the_manifest_s_exposure_is_the_longest_of_those_taken(made):
+    _, shot = made
+    assert shot.sample.manifest["exposure_s"] == pytest.approx(0.02, rel=1e-6)
+    assert set(np.unique(shot.capture.exposure_s)) <= set(np.float32([0.002, 0.008, 0.02]))
+
+
+def test_noise_and_colour_picture_come_from_the_seeds_that_bear_their_names(made):
+    """Else a change in one would change the other, and a manifest would tell the wrong seed."""
+    cell, shot = made
+    seeds = shot.sample.manifest["seeds"]
+    assert len(set(seeds.values())) == len(seeds) == 5
+    again = take(cell.scanner, shot.rendering.radiance, seed=seeds["noise"])
+    assert np.array_equal(again.frames, shot.capture.frames)
+    picture = color_picture(cell.scanner, shot.rendering, denoiser=None, seed=seeds["picture"])
+    assert np.array_equal(picture, shot.sample.rgb)
+
+
+def test_a_dark_pixel_beside_the_projector_s_picture_is_no_shadow():
+    """Oracle: similar triangles. On a wall at z a camera's column u lies at x = (u - c) z / f, and
+    the projector lights half of its width times z / f' to either side of its own axis."""
+    rig = make_rig(centred(64, 48, 70.0), centred(40, 30, 80.0), baseline_m=(0.06, 0.02, 0.0))
+    z_m = np.full((48, 64), 0.8, np.float32)
+    z_m[:, 5] = np.nan  # nothing is there
+    x_m = (np.arange(64) - 31.5) * 0.8 / 70.0 - 0.06
+    y_m = (np.arange(48) - 23.5) * 0.8 / 70.0 - 0.02
+    lit = (np.abs(x_m) <= 20 * 0.8 / 80)[None] & (np.abs(y_m) <= 15 * 0.8 / 80)[:, None]
+    reason = np.full(z_m.shape, Reason.SHADOW, np.uint8)
+    reason[:, 50:] = Reason.LOW_MODULATION
+    reason[:8], reason[8:12] = Reason.DECODED, Reason.OUTLIER
+    coded = np.isin(reason, (Reason.DECODED, Reason.OUTLIER))
+    names = ("column", "row", "sigma_column", "sigma_row", "modulation")
+    codes = CodeMap(
+        **{name: np.full(z_m.shape, np.nan, np.float32) for name in names},
+        reason=np.where(coded, np.uint8(0), reason),
+    )
+    truth = GroundTruth(
+        depth_m=z_m,
+        normal=np.zeros((48, 64, 3), np.float32),
+        instance=np.full((48, 64), -1, np.int32),
+        amodal=(),
+    )
+    depth = DepthMap(depth_m=z_m.copy(), sigma_m=z_m.copy(), reason=reason)
+    found = with_field(rig, truth, codes, depth).reason
+    beside = ~lit & ~np.isnan(z_m) & ~coded
+    assert 0.2 < beside.mean() < 0.7
+    assert np.array_equal(found, np.where(beside, Reason.OUTSIDE_PROJECTOR, reason))
+
+
+def test_the_shares_of_a_manifest_are_those_of_the_map_of_reasons(made):
+    _, shot = made
+    reason, on_part = shot.sample.scanner.reason, shot.rendering.truth.instance >= 0
+    assert on_part.any()
+    for key, within in (("reasons", np.ones_like(on_part)), ("part_reasons", on_part)):
+        for name, share in shot.sample.manifest[key].items():
+            assert share == pytest.approx((reason[within] == Reason[name.upper()]).mean())
+
+
+class Held(Renderer):
+    """Shows what another renderer has made."""
+
+    name, versions, device, denoiser = "held", {}, "cpu", "oidn"
+
+    def __init__(self, rendering):
+        self.rendering = rendering
+
+    def render(self, scene, layout, pattern, *, quality, seed):
+        return self.rendering
+
+
+@pytest.mark.parametrize(
+    ("words", "denoiser"),
+    [
+        ({"denoise": False}, None),
+        ({"denoise": True}, "oidn"),
+        ({"denoise": True, "backend": "cycles", "cycles": {"denoise": "none"}}, "oidn"),
+        ({"denoise": True, "backend": "cycles", "cycles": {"denoise": "oidn"}}, None),
+    ],
+)
+def test_a_colour_picture_is_denoised_once(made, monkeypatch, words, denoiser):
+    """A back end that cleans every picture has cleaned this one already."""
+    cell, shot = made
+    render = RenderSection.model_validate(words)
+    cell = replace(cell, config=cell.config.model_copy(update={"render": render}))
+    used = []
+
+    def picture(scanner, rendering, *, denoiser, seed):
+        used.append(denoiser)
+        return shot.sample.rgb
+
+    monkeypatch.setattr(simulate, "color_picture", picture)
+    make_scene(cell, 3, seed=5, renderer=Held(shot.rendering))
+    assert used == [denoiser]
+
+
+COMPILED = """
+import os, sys
+from pathlib import Path
+from graycast.cell.resolve import open_cell_renderer, resolve_cell
+from graycast.cell.config import load_config
+from graycast.cell.simulate import compile_kernels, make_scene
+
+path = Path(sys.argv[1])
+cell = resolve_cell(load_config(path), path.parent)
+kernels = lambda: {file.name for file in Path(os.environ["NUMBA_CACHE_DIR"]).rglob("*.nbc")}
+compile_kernels(cell)
+before = kernels()
+with open_cell_renderer(cell, device="cpu") as renderer:
+    make_scene(cell, 0, seed=0, renderer=renderer)
+print(len(before), *sorted(kernels() - before))
+"""
+
+
+@pytest.mark.slow
+def test_a_scene_compiles_nothing_that_was_not_compiled_before_the_workers_started(tmp_path):
+    environment = os.environ | {"NUMBA_CACHE_DIR": str(tmp_path / "kernels")}
+    command = [sys.executable, "-c", COMPILED, str(write_cell(tmp_path))]
+    ended = subprocess.run(command, env=environment, capture_output=True, text=True, check=True)
+    before, *later = ended.stdout.split()
+    assert int(before) > 10
+    assert later == []

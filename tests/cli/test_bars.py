@@ -1,0 +1,42 @@
+"""What the command line draws of a task's progress."""
+
+import io
+
+import pytest
+from rich.console import Console
+from rich.progress import Progress
+
+from graycast.base.progress import UNWATCHED, ProgressMeter
+from graycast.cli.bars import Bars
+
+
+@pytest.fixture
+def drawn():
+    return Progress(console=Console(file=io.StringIO(), width=60), auto_refresh=False)
+
+
+def test_each_kind_has_a_bar_and_the_stage_a_line_above_which_notes_stay(drawn):
+    with Bars(drawn) as bars:
+        bars.stage("reading [red].stl")
+        bars.count("scenes", 2, 5)
+        bars.count("pictures", 1, 9)
+        bars.count("scenes", 3, 5)
+        bars.note("a part [is] coarse " + 60 * "-")
+    assert [(task.completed, task.total) for task in drawn.tasks] == [(0, None), (3, 5), (1, 9)]
+    text = drawn.console.file.getvalue()
+    assert "note: a part [is] coarse " + 60 * "-" + "\n" in text
+    assert all(words in text for words in ("reading [red].stl", "scenes", "pictures"))
+
+
+def test_the_time_of_a_bar_begins_anew_with_the_next_of_its_kind(drawn):
+    """Of renders: those of the next scene are counted from one again."""
+    bars = Bars(drawn)
+    bars.count("renders", 22, 22)
+    first = drawn.tasks[0]
+    assert first.finished
+    bars.count("renders", 1, 22)
+    assert not first.finished and first.completed == 1 and first.start_time > 0
+
+
+def test_bars_and_nobody_are_meters(drawn):
+    assert isinstance(Bars(drawn), ProgressMeter) and isinstance(UNWATCHED, ProgressMeter)

@@ -1,0 +1,447 @@
+"""The command: what it offers, prints and writes, and with which code it ends."""
+
+import argparse
+import json
+import os
+import re
+import shutil
+import subprocess
+import sys
+from importlib.metadata import entry_points
+
+import numpy as np
+import pytest
+from drawn import axes_of, drawn_by
+from PIL import Image
+from small_cell import GRAYCAST, content, write_cell
+
+from graycast import __version__
+from graycast.camera.rig_file import load_scanner, rig_schema
+from graycast.camera.scanner import preset
+from graycast.camera.stack import stack_schema
+from graycast.cell.config import config_schema
+from graycast.cli import command, doctor, machine, main
+from graycast.real.depth_file import DEPTH_FILES
+from graycast.render.trial import Trial
+from graycast.rig.pair import PRESETS
+from graycast.show.report import rig_picture as drawing
+from graycast.world.drop import Decomposition
+
+OPTIONS = {
+    "generate": (
+        "config --out --scenes --seed --backend --device --workers --threads --engine --address"
+    ),
+    "rerender": "dataset scene_id --config --device",
+    "preview": "config --out --scene --image --seed --backend --device",
+    "live": "config --port --scene --open --device",
+    "validate": "dataset --fast",
+    "parts": "config --out --device",
+    "stats": "dataset --workers --out --card --licence",
+    "report": "dataset --workers --out --detections --width --cell",
+    "replay": "folder --bin --out --speed --width --cell",
+    "merge": "source --out",
+    "export": "dataset --format --out --scenes --split --split-seed --image --depth --polygons "
+    "--labels --cloud --organised --pixel-origin --shard-scenes --link --min-visibility",
+    "train": "datasets --out --model --input --one-class --backbone --weights --size --epochs "
+    "--patience --batch --learning-rate --split --split-seed --min-visibility --holes --no-relief "
+    "--range --no-flips --seed --device --threads --workers",
+    "detect": "detector pictures --out --export --split --as-real --scale --most --least-score "
+    "--drawings --device --threads",
+    "study": "study --out --list --device --threads",
+    "design": "study --out --list --device --workers --threads --engine --address",
+    "evaluate": "results --on --split --shares --split-seed --against --kind --one-class "
+    "--min-visibility --most --draws --seed --depth --out",
+    "pick": "config --out --bins --seed --device --detector --pose --depth --workers --threads "
+    "--engine --address",
+    "picks": "folders --plot",
+    "grasps": "dataset --tool --name --per-instance --simulate --places --seed --files --workers",
+    "import-real": "folder --out --intrinsics --distortion --scale --size --annotations "
+    "--unlabelled --like",
+    "fit-bin": "real --config --out --rgb --intrinsics --distortion --scale --size --inner --wall "
+    "--azimuth --floor-reflectance --white --black --cluttered --pose-only --bend --seed "
+    "--device",
+    "twin": "scans --config --out --intrinsics --scale --size --rgb --kept-aside --trials --seed "
+    "--device",
+    "rig show": "rig --resolution --out",
+    "rig write": "rig --resolution --out",
+    "rig import": "calibration --out --unit --near --far --camera-size --projector-size",
+    "rig calibrate": "stacks --board --out --near --far --radial-terms",
+    "patterns": "rig --resolution --out --codec --inverses",
+    "decode": "stack --rig --resolution --average --out",
+    "certify": "rig --resolution --out --seed --backend --device",
+    "realism": "depth --intrinsics --scale --size --gray --reason --out --compare --classifier "
+    "--most --seed",
+    "doctor": "",
+    "schema": "kind",
+    "completion": "shell",
+}
+
+
+def run(capsys, *arguments):
+    """What a command that ends well prints."""
+    assert main([str(argument) for argument in arguments]) == 0
+    printed, complaint = capsys.readouterr()
+    assert complaint == ""
+    return printed
+
+
+def commands(parser, name=""):
+    """Every command with its parser, those of groups too."""
+    groups = [a for a in parser._actions if isinstance(a, argparse._SubParsersAction)]
+    if not groups:
+        return {name.strip(): parser}
+    return {
+        key: found
+        for word, inner in groups[0].choices.items()
+        for key, found in commands(inner, f"{name} {word}").items()
+    }
+
+
+def test_the_commands_are_these_with_these_options():
+    found = {
+        name: [
+            action.option_strings[-1] if action.option_strings else action.dest
+            for action in parser._actions
+            if action.dest not in ("help", "debug")
+        ]
+        for name, parser in commands(command._parser()).items()
+    }
+    assert found == {name: options.split() for name, options in OPTIONS.items()}
+
+
+@pytest.mark.parametrize("name", ["fit-bin", "realism", "twin"])
+def test_help_names_every_kind_of_depth_file(capsys, name):
+    with pytest.raises(SystemExit):
+        main([name, "--help"])
+    text = capsys.readouterr().out
+    kinds = {suffix.removeprefix(".").upper()[:3] for suffix in DEPTH_FILES}
+    assert {kind for kind in kinds if kind not in text} == set()
+
+
+def test_help_names_the_older_layout_of_charuco_boards(capsys):
+    with pytest.raises(SystemExit):
+        main(["rig", "calibrate", "--help"])
+    assert ":legacy" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("name", OPTIONS)
+def test_help_explains_every_option(capsys, monkeypatch, name):
+    monkeypatch.setenv("COLUMNS", "100")
+    with pytest.raises(SystemExit) as caught:
+        main([*name.split(), "--help"])
+    assert caught.value.code == 0
+    _usage, *rest = capsys.readouterr().out.split("\n\n")
+    lines = "\n".join(rest).splitlines()
+    for option in OPTIONS[name].split():
+        starts = [i for i, line in enumerate(lines) if re.match(rf"  {option}\b", line)]
+        if not starts and not option.startswith("-"):  # shown by its choices
+            starts = [i for i, line in enumerate(lines) if line.startswith("  {")]
+        assert starts, f"{option} is not in the help"
+        # Words stand two blanks after the option, or on the next line, indented further.
+        line, below, *_ = [*lines[starts[0] :], ""]
+        words = line.strip().partition("  ")[2] or (below[:20].isspace() and below.strip())
+        assert words, f"{option} is not explained"
+
+
+def test_help_is_whole_sentences():
+    """So that each is understood alone; argparse's own words on --help are not ours."""
+    for name, parser in commands(command._parser()).items():
+        told = {a.dest: a.help for a in parser._actions if a.dest != "help"}
+        for option, text in (told | {"": parser.description}).items():
+            assert text[0].isupper() and text.endswith("."), f"{name} {option}: {text}"
+            assert len(text.split()) >= 3, f"{name} {option}: {text}"
+
+
+def test_help_lists_every_command_and_examples(capsys):
+    with pytest.raises(SystemExit) as caught:
+        main(["--help"])
+    assert caught.value.code == 0
+    text = capsys.readouterr().out
+    for name in OPTIONS:
+        assert re.search(rf"\n    {name.split()[0]}\s", text)
+    assert "graycast generate configs/demo.yaml --out out/demo" in text
+    run(capsys, "rig")  # a group alone prints its help, too
+
+
+def test_the_command_alone_prints_its_help(capsys):
+    assert run(capsys) == run_help(capsys)
+
+
+def run_help(capsys):
+    with pytest.raises(SystemExit) as end:
+        main(["--help"])
+    assert end.value.code == 0
+    return capsys.readouterr().out
+
+
+def test_threads_by_the_thousand_are_refused_plainly(capsys, tmp_path):
+    config, out = write_cell(tmp_path), tmp_path / "d"
+    assert main(["generate", str(config), "--out", str(out), "--threads", "100000"]) == 1
+    told = capsys.readouterr().err
+    assert "error: threads is 100000 per worker; give 1 to 1024" in told
+    assert not (tmp_path / "d").exists()
+
+
+def test_help_answers_without_loading_what_is_heavy():
+    program = """
+import sys
+from graycast.cli import main
+try:
+    main(["generate", "--help"])
+except SystemExit:
+    pass
+heavy = {"mitsuba", "drjit", "numba", "trimesh", "scipy", "cv2", "matplotlib"}
+sys.exit(f"loaded: {sorted(heavy & set(sys.modules))}" if heavy & set(sys.modules) else 0)
+"""
+    ran = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True)
+    assert (ran.returncode, ran.stderr) == (0, "")
+
+
+def test_the_installed_command_is_this_one_and_states_its_version():
+    (script,) = entry_points(group="console_scripts", name="graycast")
+    assert script.load() is main
+    said = subprocess.check_output([*GRAYCAST, "--version"], text=True)
+    assert said == f"graycast {__version__}\n"
+
+
+def test_a_reader_that_goes_away_is_no_error():
+    """As `graycast ... | head -1` is: `head` closes the pipe after its line."""
+    read, write = os.pipe()
+    os.close(read)
+    ran = subprocess.run(
+        [*GRAYCAST, "completion", "bash"], stdout=write, stderr=subprocess.PIPE, text=True
+    )
+    os.close(write)
+    assert (ran.returncode, ran.stderr) == (1, "")
+
+
+# --- what the commands do ----------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("made")
+    path = write_cell(folder)
+    assert main(["generate", str(path), "--out", str(folder / "out"), "--device", "cpu"]) == 0
+    return path, folder / "out"
+
+
+def test_generate_says_what_it_made_and_the_next_time_that_all_was_there(capsys, made, tmp_path):
+    path, out = made
+    card, text = out / "README.md", (out / "README.md").read_text()
+    card.write_text("with a licence of its own")
+    again = run(capsys, "generate", path, "--out", out, "--device", "cpu")
+    assert card.read_text() == "with a licence of its own"
+    card.write_text(text)
+    assert "2 scenes of box by mitsuba on llvm, rig small, seed 0, 1 worker(s)" in again
+    assert f"{out}: 0 scenes made, 2 were there" in again
+    first = run(
+        capsys, "generate", path, "--out", tmp_path / "out", "--scenes", 1, "--device", "cpu"
+    )
+    assert f"{tmp_path / 'out'}: 1 scenes made, 0 were there" in first
+    manifest = json.loads((tmp_path / "out/train/000000/manifest.json").read_text())
+    lines = [line.split() for line in first.splitlines() if line.endswith("of all pixels")]
+    for place, key in ((1, "part_reasons"), (-4, "reasons")):  # the parts' share first
+        shares = {words[0]: float(words[place].rstrip("%")) for words in lines}
+        assert shares == pytest.approx(
+            {name: 100 * share for name, share in manifest[key].items()}, abs=0.006
+        )
+        assert sum(shares.values()) == pytest.approx(100, abs=0.04)
+
+
+@pytest.mark.slow
+def test_the_options_go_before_the_configuration(made, tmp_path, capsys):
+    same = write_cell(tmp_path, scenes=7, seed=5)
+    arguments = ("--out", tmp_path / "out", "--scenes", 2, "--seed", 0, "--device", "cpu")
+    run(capsys, "generate", same, *arguments)
+    assert content(tmp_path / "out") == content(made[1])
+
+
+def test_validate_ends_well_on_a_sound_dataset(capsys, made):
+    assert run(capsys, "validate", made[1]) == f"{made[1]}: valid\n"
+
+
+@pytest.mark.slow
+def test_preview_draws_the_scene_and_counts_its_pixels_as_the_dataset_does(capsys, made, tmp_path):
+    path, out = made
+    printed = run(
+        capsys, "preview", path, "--out", tmp_path / "p.png", "--scene", 1, "--device", "cpu"
+    )
+    manifest = json.loads((out / "train/000001/manifest.json").read_text())
+    of_parts, of_all = (manifest[key]["decoded"] for key in ("part_reasons", "reasons"))
+    assert f"{of_parts:7.2%} of the parts' pixels, {of_all:7.2%} of all pixels" in printed
+    with Image.open(tmp_path / "p.png") as picture:
+        assert min(picture.size) > 400
+        assert np.std(np.array(picture.convert("L"))) > 10
+
+
+def test_parts_lists_the_built_in_ones_or_those_of_a_configuration(capsys, made):
+    builtin = run(capsys, "parts")
+    for name in ("metal_workpiece_1", "toothpaste", "yellow_salt_cube"):
+        assert f"\n{name} " in builtin
+    own = run(capsys, "parts", made[0])
+    assert "\nbox " in own
+    assert "60.0 x 40.0 x 30.0" in own
+    assert "72 g" in own  # 72 cubic centimetres of the default density, 1000 kg/m3
+    assert "toothpaste" not in own
+    # Its diagonal is 78.1 mm, and one hull is the box itself.
+    assert "\n  box: 1, 0.00 mm (the bound is 0.78 mm)\n" in own and "note:" not in own
+
+
+COARSE = "note: box: its collision hulls are too coarse: they are up to"
+
+
+@pytest.mark.slow
+def test_hulls_that_are_coarse_are_told_by_all_who_use_them(capsys, made, tmp_path, monkeypatch):
+    """As if the bound were below what is measured, which is zero."""
+    monkeypatch.setattr(Decomposition, "coarse", property(lambda self: True))
+    assert COARSE in run(capsys, "parts", made[0])
+    cpu = ("--device", "cpu")
+    assert COARSE in run(capsys, "preview", made[0], "--out", tmp_path / "p.png", *cpu)
+    told = run(capsys, "generate", made[0], "--out", tmp_path / "out", "--scenes", 1, *cpu)
+    assert COARSE in " ".join(told.split())
+
+
+@pytest.mark.parametrize("name", PRESETS)
+@pytest.mark.parametrize("resolution", ["low", "full"])
+def test_a_preset_can_be_written_and_read_again(capsys, tmp_path, name, resolution):
+    path = tmp_path / "rig.yaml"
+    run(capsys, "rig", "write", name, "--resolution", resolution, "--out", path)
+    rig, back = preset(name, resolution).rig, load_scanner(path).rig
+    assert (back.camera, back.projector, back.name) == (rig.camera, rig.projector, rig.name)
+    assert np.array_equal(back.T_cam_proj, rig.T_cam_proj)
+    if (name, resolution) == ("paper", "low"):
+        with drawn_by(drawing) as figures:
+            shown = run(capsys, "rig", "show", path, "--out", tmp_path / "rig.png")
+        assert (
+            shown
+            == run(capsys, "rig", "show", name, "--resolution", resolution)
+            + f"{tmp_path / 'rig.png'}\n"
+        )
+        (figure,) = figures
+        assert figure.get_suptitle().startswith("paper: baseline 350.0 mm")
+        (baseline,) = (
+            line
+            for line in axes_of(figure)["from above (x, z)"].lines
+            if line.get_label() == "baseline"
+        )
+        ends_mm = 1e3 * np.array([[0, 0], rig.T_cam_proj[[0, 2], 3]])
+        assert np.allclose(baseline.get_xydata(), ends_mm)
+        assert (tmp_path / "rig.png").is_file()
+
+
+def test_import_takes_unit_range_and_sizes_from_the_command_line(capsys, tmp_path):
+    calibration, path = tmp_path / "stereo.yaml", tmp_path / "rig.yaml"
+    calibration.write_text(
+        "K1: [[900, 0, 320], [0, 901, 240], [0, 0, 1]]\n"
+        "K2: [[800, 0, 400], [0, 801, 300], [0, 0, 1]]\n"
+        "R: [[1, 0, 0], [0, 1, 0], [0, 0, 1]]\nT: [-8, 0, 0]\n"
+        "dc: [0.1, 0, 0, 0]\ndp: [0, 0, 0, 0]\n"
+    )
+    size = ("--camera-size", "640x480", "--projector-size", "800x600")
+    run(capsys, "rig", "import", calibration, "--out", path, "--unit", "mm", *size,
+        "--near", "0.3", "--far", "0.9")  # fmt: skip
+    rig = load_scanner(path).rig
+    assert (rig.camera.width_px, rig.camera.height_px) == (640, 480)
+    assert (rig.projector.width_px, rig.projector.height_px) == (800, 600)
+    assert (rig.near_m, rig.far_m) == (0.3, 0.9)
+    assert rig.T_cam_proj[:3, 3] == pytest.approx([0.008, 0, 0], abs=1e-15)
+    assert rig.camera.distortion[0] == 0.1
+
+
+@pytest.mark.parametrize("inverses", [False, True])
+def test_patterns_count_columns_and_rows_in_gray_code(capsys, made, tmp_path, inverses):
+    """Oracle: bits of x ^ (x >> 1), most significant first, in the order of the file names."""
+    rig, out = made[0].parent / "rig.yaml", tmp_path / "patterns"
+    listed = run(capsys, "patterns", rig, "--out", out, *(["--inverses"] if inverses else []))
+    *paths, stack = sorted(out.iterdir())
+    assert listed.split() == [str(path) for path in (*paths, stack)]
+    assert stack.name == "stack.yaml"
+    images = [np.array(Image.open(path)) for path in paths]
+    assert all(image.shape == (96, 128) and image.dtype == np.uint8 for image in images)
+    white, black, *bits = images
+    assert white.min() == 255
+    assert black.max() == 0
+    if inverses:
+        assert all((bit == 255 - other).all() for bit, other in zip(*[iter(bits)] * 2, strict=True))
+        bits = bits[::2]
+    value = np.zeros((2, 96, 128), dtype=int)
+    for k, bit in enumerate(bits):  # seven bits for 128 columns, seven for 96 rows
+        value[k // 7] = 2 * value[k // 7] + (bit == 255)
+    row, column = np.mgrid[0:96, 0:128]
+    assert np.array_equal(value[0], column ^ (column >> 1))
+    assert np.array_equal(value[1], row ^ (row >> 1))
+
+
+@pytest.mark.parametrize(
+    ("kind", "schema"), [("config", config_schema), ("rig", rig_schema), ("stack", stack_schema)]
+)
+def test_schema_prints_json(capsys, kind, schema):
+    assert json.loads(run(capsys, "schema", kind)) == json.loads(json.dumps(schema()))
+
+
+def test_doctor_ends_with_its_verdict(capsys, monkeypatch):
+    trial = Trial(device="llvm", seconds=0.0, denoiser="cpu")
+    monkeypatch.setattr(doctor, "try_device", lambda device: trial)
+    assert run(capsys, "doctor").splitlines()[-1].startswith(("ready", "not ready"))
+
+
+@pytest.fixture
+def another_doctor(monkeypatch):
+    """Lets a command do something else; what was built before holds the one that it has."""
+
+    def put(run):
+        monkeypatch.setattr(machine, "_doctor", run)
+        monkeypatch.setattr(command, "_parser", command._parser.__wrapped__)
+
+    return put
+
+
+def test_ctrl_c_ends_with_code_130(capsys, another_doctor):
+    def stop(options):
+        raise KeyboardInterrupt
+
+    another_doctor(stop)
+    assert main(["doctor"]) == 130
+    assert capsys.readouterr().err == "graycast: the command was stopped; nothing was written\n"
+
+
+def test_an_error_of_several_lines_is_shown_as_one(capsys, another_doctor):
+    def fail(options):
+        raise ValueError("what is wrong:\n  this\n\nand that")
+
+    another_doctor(fail)
+    assert main(["doctor"]) == 1
+    assert capsys.readouterr().err == "graycast: error: what is wrong: this and that\n"
+
+
+ASK = r"""
+source "$1"
+shift
+complete -p "$1" >/dev/null || exit 1
+COMP_WORDS=("$@"); COMP_CWORD=$(($# - 1)); COMP_LINE="$*"; COMP_POINT=${#COMP_LINE}
+"$(complete -p "$1" | sed 's/.*-F \([^ ]*\).*/\1/')" "$1" "${COMP_WORDS[COMP_CWORD]}"
+printf '%s\n' "${COMPREPLY[@]}"
+"""
+
+
+@pytest.mark.parametrize(
+    ("typed", "offered"),
+    [
+        (["gen"], ["generate"]),
+        (["rig", ""], ["calibrate", "import", "show", "write"]),
+        (["generate", "--ba"], ["--backend"]),
+        (["generate", "--backend", "m"], ["mitsuba"]),
+        (["generate", "cell"], ["cell.yaml", "cells"]),
+        (["generate", "cell.yaml", "--out", "cells"], ["cells"]),
+    ],
+)
+def test_bash_completes_commands_options_choices_and_files(capsys, tmp_path, typed, offered):
+    if shutil.which("bash") is None:
+        pytest.skip("needs bash, which is not here")
+    (tmp_path / "graycast.bash").write_text(run(capsys, "completion", "bash"))
+    (tmp_path / "cell.yaml").touch()
+    (tmp_path / "cells").mkdir()
+    command = ["bash", "-c", ASK, "bash", "graycast.bash", "graycast", *typed]
+    done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=True)
+    assert sorted(done.stdout.split()) == offered

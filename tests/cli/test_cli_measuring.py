@@ -1,0 +1,418 @@
+"""`graycast decode`, `realism`, `certify` and `rig calibrate` as a user runs them."""
+
+import json
+import shutil
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import trimesh
+import yaml
+from camera.stack import simulated
+from drawn import axes_of, drawn_by, lines_of, shares_of
+from matplotlib.colors import to_rgb
+from PIL import Image
+from real.calibrate.test_calibrate import (  # noqa: F401 (fixtures)
+    CHESSBOARD,
+    RIG,
+    SIZE,
+    camera_rays,
+    chess_albedo,
+    code_of,
+    photograph,
+    truth_poses,
+)
+from score.metrology.test_certify import small_scanner
+
+from graycast.base.errors import GraycastError
+from graycast.base.folder import whole_folder
+from graycast.camera.decode import REASON_COLOR, FilterSpec, Reason
+from graycast.camera.faults import FaultSpec
+from graycast.camera.rig_file import load_scanner, save_scanner
+from graycast.camera.scanner import Scanner
+from graycast.camera.stack import stack_sheet
+from graycast.cli import main, measuring
+from graycast.real.realism import depth_curves
+from graycast.rig.pattern import AXES, CODECS, CodeSpec, gray, gray_phase, level_share
+
+
+def run(capsys, *arguments):
+    """What a command that ends well prints."""
+    code = main([str(argument) for argument in arguments])
+    printed, complaint = capsys.readouterr()
+    assert code == 0, complaint
+    return printed
+
+
+@pytest.fixture(scope="module")
+def decoded(tmp_path_factory):
+    """A simulated scanner's pictures, its rig file, what `decode` made of them and its preview."""
+    folder = tmp_path_factory.mktemp("scanned")
+    rig = simulated.small_rig()
+    code = gray_phase(128, 96, axes=AXES, period_px=16.0)
+    stack = simulated.save(folder, simulated.describe(code), simulated.shoot(rig, code))
+    save_scanner(Scanner(rig=rig), folder / "rig.yaml")
+    out = folder / "out"
+    with drawn_by(stack_sheet) as figures:
+        words = ["decode", str(stack), "--rig", str(folder / "rig.yaml"), "--out", str(out)]
+        assert main(words) == 0
+    return rig, folder, out, *figures
+
+
+def test_decode_writes_what_the_documentation_lists(decoded):
+    rig, _, out, _ = decoded
+    truth = simulated.seen(rig)
+    codes = np.load(out / "code.npz")
+    for name in ("column", "row", "sigma_column", "sigma_row", "modulation"):
+        assert codes[name].shape == truth.column.shape
+        assert codes[name].dtype == np.float32
+    assert codes["reason"].dtype == np.uint8
+    assert [name.lower() for name in codes["reasons"]] == [reason.name.lower() for reason in Reason]
+    known = codes["reason"] == Reason.DECODED
+    assert known.mean() > 0.4
+    light = np.load(out / "light.npz")
+    lit = light["direct"][known]
+    assert np.median(np.abs(light["global"][known]) / lit) < 0.1  # a wall and a ball, alone
+    # Pixels of the simulated projector are sharp: half a pixel, and noise.
+    for name in AXES:
+        assert np.abs(codes[name] - getattr(truth, name))[known].max() < 0.7
+    depth_m, sigma_m = np.load(out / "depth.npy"), np.load(out / "sigma_depth.npy")
+    assert np.nanmedian(np.abs(depth_m - truth.depth_m)) < 0.01
+    assert (np.isfinite(depth_m) == np.isfinite(sigma_m)).all()
+    cloud = trimesh.load(out / "cloud.ply")
+    assert len(cloud.vertices) == np.isfinite(depth_m).sum()
+    assert np.nanmedian(cloud.vertices[:, 2]) == pytest.approx(np.nanmedian(depth_m), rel=1e-4)
+
+
+def test_the_preview_shows_picture_places_reasons_and_depth(decoded):
+    """Oracle: the scene's closed form, and the colours' own tables read backwards."""
+    rig, folder, out, figure = decoded
+    tile = {title: ax.images[0].get_array() for title, ax in axes_of(figure).items()}
+    white = np.array(Image.open(folder / "white.png"))
+    assert np.array_equal(tile["picture"], np.repeat(white[..., None], 3, axis=-1))
+    codes, truth = np.load(out / "code.npz"), simulated.seen(rig)
+    known = codes["reason"] == Reason.DECODED
+    for axis, last in (("column", 127), ("row", 95)):
+        shown = last * shares_of(tile[f"decoded {axis}"], "viridis")
+        assert (np.isfinite(shown) == known).all()
+        off_px = np.abs(shown - getattr(truth, axis))[known]
+        assert off_px.max() < 0.7 + last / 255  # half a pixel, noise, and a step of the colours
+    depth_m = np.load(out / "depth.npy")
+    reason = np.where(known & np.isnan(depth_m), Reason.OUTLIER, codes["reason"])
+    colors = np.array([to_rgb(color) for color in REASON_COLOR.values()])
+    assert np.array_equal(tile["reasons"], colors[reason])
+    shown = shares_of(tile["depth [m]"], "viridis_r")
+    low_m, high_m = np.nanpercentile(depth_m, (1, 99))
+    off_m = np.abs(low_m + shown * (high_m - low_m) - np.clip(depth_m, low_m, high_m))
+    assert np.nanmax(off_m) <= (high_m - low_m) / 255
+    assert (np.isfinite(shown) == np.isfinite(depth_m)).all()
+
+
+@pytest.mark.parametrize("command", ["decode", "certify", "realism"])
+def test_a_folder_of_something_else_is_refused_before_any_work(capsys, tmp_path, command):
+    """What is asked for does not exist, so a refusal of the folder came first."""
+    (tmp_path / "letters").mkdir()
+    (tmp_path / "letters" / "dear.txt").write_text("mine")
+    arguments = {
+        "decode": ["decode", "paper", "--rig", "paper"],
+        "certify": ["certify", "paper"],
+        "realism": ["realism", tmp_path / "gone.npy", "--intrinsics", "1,1,0,0"],
+    }
+    told = refused(capsys, *arguments[command], "--out", tmp_path / "letters")
+    assert (
+        "letters: is not empty and holds no earlier result of this command (it has dear.t" in told
+    )
+    assert [path.name for path in (tmp_path / "letters").iterdir()] == ["dear.txt"]
+
+
+def test_decode_averages_to_one_point_per_projector_pixel(decoded, capsys, tmp_path):
+    _, folder, out, _ = decoded
+    printed = run(capsys, "decode", folder / "STACK.yaml", "--rig", folder / "rig.yaml",
+                  "--average", "--out", tmp_path)  # fmt: skip
+    assert "epipolar residual" in printed
+    averaged = len(trimesh.load(tmp_path / "cloud.ply").vertices)
+    codes = np.load(out / "code.npz")
+    known = codes["reason"] == Reason.DECODED
+    pixels = np.stack([np.rint(codes[axis][known]) for axis in AXES], axis=1)
+    assert 0.8 * len(np.unique(pixels, axis=0)) < averaged <= len(np.unique(pixels, axis=0))
+
+
+def test_decode_adds_no_fault_of_the_rig(decoded, capsys, tmp_path):
+    rig, folder, out, _ = decoded
+    faulty = Scanner(rig=rig, faults=FaultSpec(raster_px=1.0, edge_x_px=1.0, edge_y_px=1.0))
+    save_scanner(faulty, tmp_path / "rig.yaml")
+    run(capsys, "decode", folder / "STACK.yaml", "--rig", tmp_path / "rig.yaml",
+        "--out", tmp_path / "out")  # fmt: skip
+    for name in ("depth.npy", "sigma_depth.npy", "cloud.ply"):
+        assert (out / name).read_bytes() == (tmp_path / "out" / name).read_bytes()
+
+
+@pytest.mark.slow
+def test_decode_applies_the_rig_s_filters(decoded, capsys, tmp_path):
+    rig, folder, out, _ = decoded
+    filtered = Scanner(rig=rig, filters=FilterSpec(smoothing_px=0.8))
+    save_scanner(filtered, tmp_path / "rig.yaml")
+    run(capsys, "decode", folder / "STACK.yaml", "--rig", tmp_path / "rig.yaml",
+        "--out", tmp_path / "out")  # fmt: skip
+    rough, smooth = (np.load(f / "sigma_depth.npy") for f in (out, tmp_path / "out"))
+    assert np.nanmedian(smooth / rough) < 0.6
+
+
+def test_realism_measures_what_decode_made_and_compares(decoded, capsys, tmp_path):
+    rig, _, out, _ = decoded
+    camera = rig.camera
+    K = f"{camera.fx_px},{camera.fy_px},{camera.cx_px},{camera.cy_px}"
+    made = tmp_path / "measured"
+    with drawn_by(depth_curves) as figures:
+        printed = run(capsys, "realism", out / "depth.npy", "--intrinsics", K, "--out", made)
+    assert "missing pixels" in printed
+    share = float(np.isnan(np.load(out / "depth.npy")).mean())
+    record = json.loads((made / "realism.json").read_text())
+    assert record["missing"]["share"] == pytest.approx(share, abs=1e-6)
+    (figure,) = figures
+    ((sigma_mm, _),) = lines_of(axes_of(figure)["noise about planes"])
+    assert sigma_mm == pytest.approx(1e3 * np.array(record["noise"]["percentiles_m"]))
+    assert (made / "plots.png").is_file()
+    both = run(capsys, "realism", "--compare", made, made)
+    assert both.count("measured") >= 2
+    maps = tmp_path / "maps"
+    maps.mkdir()
+    shutil.copy(out / "depth.npy", maps)
+    fresh = run(capsys, "realism", "--compare", made, maps, "--intrinsics", K)
+    row = next(line for line in fresh.splitlines() if line.strip().startswith("median depth"))
+    assert len(set(row.split()[2:])) == 2  # a value and its unit: both sets have the same
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (["realism"], "give depth maps to measure, or --compare"),
+        (["realism", "x.npy"], "--out is missing"),
+        (["realism", "--compare", "a", "b", "--gray", "g.png"], "--gray and --reason"),
+        (["realism", "gone.npy", "--intrinsics", "1,1,0,0", "--out", "o"], "gone.npy"),
+        (["decode", "gone.yaml", "--out", "o"], "gone.yaml"),
+        (["rig", "calibrate", "gone.yaml", "--board", "chess:1", "--out", "r"], "chessboard:"),
+    ],
+)
+def test_what_is_missing_is_named(capsys, tmp_path, monkeypatch, arguments, said):
+    monkeypatch.chdir(tmp_path)
+    assert main(arguments) == 1
+    assert said in capsys.readouterr().err
+    assert not list(tmp_path.iterdir())
+
+
+def refused(capsys, *arguments):
+    """The one line of a command that fails."""
+    assert main([str(argument) for argument in arguments]) == 1
+    complaint = capsys.readouterr().err
+    assert complaint.count("\n") == 1
+    return complaint
+
+
+K_TEXT = "190,190,79.5,59.5"
+
+
+@pytest.mark.parametrize(
+    ("array", "said"),
+    [
+        (np.full((40, 50), 0.8 + 1j), "complex128 numbers"),
+        (np.ones((40, 50), bool), "bool numbers"),
+        (np.full((40, 50), 800, np.uint16), "--scale 0.001"),
+        (np.full((2, 40, 50), 0.8), "give a depth map with rows and columns"),
+    ],
+)
+def test_what_is_no_depth_map_is_refused_and_leaves_no_folder(capsys, tmp_path, array, said):
+    np.save(tmp_path / "z.npy", array)
+    out = tmp_path / "deep" / "out"
+    text = refused(capsys, "realism", tmp_path / "z.npy", "--intrinsics", K_TEXT, "--out", out)
+    assert said in text
+    assert [path.name for path in tmp_path.iterdir()] == ["z.npy"]
+
+
+@pytest.mark.parametrize("scale", ["0", "-0.001", "nan", "inf", "mm"])
+def test_a_scale_that_is_no_length_is_refused(capsys, scale):
+    with pytest.raises(SystemExit):
+        main(["realism", "z.png", "--scale", scale, "--intrinsics", K_TEXT, "--out", "o"])
+    assert "is not a number greater than 0" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("content", ["{}", "[1]", '{"fx": NaN, "fy": 1, "cx": 0, "cy": 0}'])
+def test_intrinsics_that_are_none_are_named(capsys, tmp_path, content):
+    np.save(tmp_path / "z.npy", np.full((40, 50), 0.8))
+    (tmp_path / "K.json").write_text(content)
+    text = refused(capsys, "realism", tmp_path / "z.npy", "--intrinsics", tmp_path / "K.json",
+                   "--out", tmp_path / "o")  # fmt: skip
+    assert "K.json" in text
+    assert "give fx,fy,cx,cy" in text
+
+
+@pytest.mark.parametrize(
+    "lines",
+    [
+        "element vertex many\nproperty float x\nproperty float y\nproperty float z",
+        "element vertex 2\nproperty",
+    ],
+)
+def test_a_damaged_ply_header_is_told_in_one_line(capsys, tmp_path, lines):
+    (tmp_path / "p.ply").write_text(f"ply\nformat ascii 1.0\n{lines}\nend_header\n")
+    text = refused(capsys, "realism", tmp_path / "p.ply", "--out", tmp_path / "o")
+    assert "p.ply: its header is damaged" in text
+
+
+def test_comparing_does_not_write_over_a_measured_set(capsys, tmp_path):
+    (tmp_path / "realism.json").write_text("{}")
+    text = refused(capsys, "realism", "--compare", "a", "b", "--out", tmp_path)
+    assert "is itself one of the measured sets" in text
+
+
+def test_an_empty_folder_of_pictures_is_not_taken_for_none(capsys, tmp_path):
+    np.save(tmp_path / "z.npy", np.full((40, 50), 0.8))
+    (tmp_path / "gray").mkdir()
+    text = refused(capsys, "realism", tmp_path / "z.npy", "--intrinsics", K_TEXT,
+                   "--gray", tmp_path / "gray", "--out", tmp_path / "o")  # fmt: skip
+    assert "is an empty folder" in text
+
+
+@pytest.mark.parametrize("fault", [OSError(28, "No space left on device"), KeyboardInterrupt()])
+def test_a_folder_is_filled_wholly_or_not_at_all(tmp_path, fault):
+    kept = tmp_path / "there"
+    kept.mkdir()
+    (kept / "old").write_text("old")
+    for out in (kept, tmp_path / "new" / "deeper"):
+        with pytest.raises((GraycastError, KeyboardInterrupt)), whole_folder(out) as folder:
+            (folder / "old").write_text("half")
+            raise fault
+    assert [path.relative_to(tmp_path).as_posix() for path in sorted(tmp_path.rglob("*"))] == [
+        "there",
+        "there/old",
+    ]
+    assert (kept / "old").read_text() == "old"
+    with whole_folder(kept) as folder:
+        (folder / "old").write_text("new")
+    assert [(path.name, path.read_text()) for path in kept.iterdir()] == [("old", "new")]
+
+
+def test_certify_refuses_its_folder_before_it_works(capsys, tmp_path, monkeypatch):
+    (tmp_path / "file").write_text("x")
+    monkeypatch.setattr(
+        "graycast.score.metrology.certify", lambda *_, **__: pytest.fail("it worked")
+    )
+    assert "file: is a file" in refused(capsys, "certify", "paper", "--out", tmp_path / "file")
+
+
+def test_a_stopped_command_does_not_speak_of_scenes(capsys, monkeypatch):
+    def stop(*_):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("graycast.camera.stack.decode_stack", stop)
+    monkeypatch.setattr(measuring, "resolve_rig_option", stop)
+    assert main(["decode", "s.yaml", "--rig", "paper", "--out", "o"]) == 130
+    assert capsys.readouterr().err == "graycast: the command was stopped; nothing was written\n"
+
+
+def test_patterns_of_the_rigs_own_codec_keep_its_period(capsys, tmp_path):
+    """phoxi-s shows periods of 48 px; naming its codec once gave the codec's default of 16."""
+    run(capsys, "patterns", "phoxi-s", "--codec", "gray_phase", "--out", tmp_path)
+    assert list(tmp_path.glob("*_phase_48px_step00.png"))
+
+
+def test_patterns_of_two_codes_are_not_mixed_in_one_folder(capsys, tmp_path):
+    run(capsys, "patterns", "phoxi-s", "--out", tmp_path)
+    before = sorted(tmp_path.iterdir())
+    text = refused(capsys, "patterns", "phoxi-s", "--codec", "xor_gray", "--out", tmp_path)
+    assert "holds pictures of another code" in text
+    assert sorted(tmp_path.iterdir()) == before
+
+
+def test_a_resolution_is_not_ignored_beside_a_rig_file(capsys, tmp_path):
+    save_scanner(Scanner(rig=simulated.small_rig()), tmp_path / "rig.yaml")
+    text = refused(capsys, "rig", "show", tmp_path / "rig.yaml", "--resolution", "full")
+    assert "--resolution applies only to a preset" in text
+
+
+@pytest.mark.parametrize(
+    ("changes", "said"),
+    [
+        ({"code": {"codec": "gray_phase", "period_px": 5000}}, "code: column: one period spans"),
+        ({"code": {"codec": "gray_phase", "period_px": 1}}, "code: "),
+        ({"code": {"axes": []}}, "code: axes are ()"),
+        ({"sensor": {"wavelength_m": 525}}, "sensor.wavelength_m is 525"),
+        ({"sensor": {"pixel_pitch_m": 3.45}}, "sensor.pixel_pitch_m is 3.45"),
+    ],
+)
+def test_a_rig_file_whose_numbers_make_no_scanner_is_refused_on_reading(
+    capsys, tmp_path, changes, said
+):
+    path = tmp_path / "rig.yaml"
+    save_scanner(Scanner(rig=simulated.small_rig()), path)
+    path.write_text(yaml.safe_dump(yaml.safe_load(path.read_text()) | changes))
+    assert f"{path}: {said}" in refused(capsys, "rig", "show", path)
+
+
+def test_an_offset_above_saturation_is_refused_not_clamped(capsys, decoded, tmp_path):
+    _, folder, _, _ = decoded
+    content = yaml.safe_load((folder / "STACK.yaml").read_text())
+    content["levels"] = {"offset_dn": 300, "saturation_dn": 255}
+    path = folder / "exchanged.yaml"
+    path.write_text(yaml.safe_dump(content))
+    text = refused(capsys, "decode", path, "--out", tmp_path / "o")
+    assert f"{path}: levels.offset_dn is 300" in text
+    assert not (tmp_path / "o").exists()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("codec", CODECS)
+def test_patterns_decode_to_themselves(capsys, tmp_path, codec):
+    """A camera that is the projector sees the patterns: every pixel is its own column and row."""
+    rig = replace(simulated.small_rig(), name="small")
+    scanner = Scanner(rig=rig, code=CodeSpec(codec=codec, axes=AXES))
+    save_scanner(scanner, tmp_path / "rig.yaml")
+    run(capsys, "patterns", tmp_path / "rig.yaml", "--out", tmp_path / "shown")
+    for path in (tmp_path / "shown").glob("*.png"):
+        with Image.open(path) as image:
+            level = np.array(image)
+        Image.fromarray(np.rint(0.8 * level + 10).astype(np.uint8)).save(path)
+    run(capsys, "decode", tmp_path / "shown" / "stack.yaml", "--out", tmp_path / "read")
+    codes = np.load(tmp_path / "read" / "code.npz")
+    row, column = np.mgrid[0:96, 0:128]
+    known = codes["reason"] == Reason.DECODED
+    assert known.mean() > 0.95
+    assert np.abs(codes["column"] - column)[known].max() < 0.1
+    assert np.abs(codes["row"] - row)[known].max() < 0.1
+
+
+@pytest.mark.slow
+def test_calibrate_gives_the_rig_back_from_pictures(capsys, tmp_path, camera_rays, truth_poses):  # noqa: F811
+    code = gray(*SIZE, inverses=True)
+    stacks = []
+    for i, T in enumerate(truth_poses):
+        folder = tmp_path / f"pose{i}"
+        folder.mkdir()
+        albedo = photograph(camera_rays, T, chess_albedo(CHESSBOARD))
+        place = code_of(camera_rays, T)
+        lit = np.isfinite(place[..., 0])
+        frames = []
+        for frame in code.frames:
+            i_axis = AXES.index(frame.axis) if frame.axis else 0
+            share = level_share(frame, SIZE[i_axis] if frame.axis else 1)
+            at = np.rint(np.nan_to_num(place[..., i_axis])).astype(int) if frame.axis else 0
+            frames.append(np.where(lit, share[at], 0.0) * albedo)
+        stack = np.rint(800 + 60000 * np.array(frames)).astype(np.uint16)
+        stacks.append(simulated.save(folder, simulated.describe(code), stack))
+    printed = run(capsys, "rig", "calibrate", *stacks, "--board", "chessboard:9x7:0.025",
+                  "--out", tmp_path / "rig.yaml")  # fmt: skip
+    assert "all: RMS camera" in printed
+    rig = load_scanner(tmp_path / "rig.yaml").rig
+    assert rig.baseline_m == pytest.approx(RIG.baseline_m, rel=1e-3)
+    for found, true in ((rig.camera, RIG.camera), (rig.projector, RIG.projector)):
+        assert found.fx_px == pytest.approx(true.fx_px, rel=1e-3)
+        assert found.fy_px == pytest.approx(true.fy_px, rel=1e-3)
+
+
+@pytest.mark.slow
+def test_certify_writes_a_sheet(capsys, tmp_path, cpu_device):
+    save_scanner(small_scanner(), tmp_path / "rig.yaml")
+    printed = run(capsys, "certify", tmp_path / "rig.yaml", "--out", tmp_path / "sheet")
+    assert "temporal noise" in printed.lower()
+    assert (tmp_path / "sheet" / "certificate.html").read_text().startswith("<!doctype html>")
+    assert json.loads((tmp_path / "sheet" / "certificate.json").read_text())

@@ -1,0 +1,89 @@
+"""What the doctor says agrees with what other programs say of the same machine."""
+
+import json
+import os
+import subprocess
+import sys
+
+import pytest
+
+from graycast.cli import doctor
+from graycast.cli.doctor import Diagnosis, Finding, describe, examine
+from graycast.render.device import CudaState
+from graycast.render.trial import Trial
+
+PROGRAM = """
+import json, sys
+from graycast.cli.doctor import examine
+found = {finding.name: finding.found for finding in examine().findings}
+heavy = sorted({"mitsuba", "drjit", "numba", "rapier3d", "pyoidn"} & set(sys.modules))
+llvm = "libLLVM" in open("/proc/self/maps").read()
+import drjit, mitsuba, numba, numpy, platform
+stated = {m.__name__: m.__version__ for m in (drjit, mitsuba, numba, numpy)}
+stated["Python"] = platform.python_version()
+print(json.dumps([found, stated, heavy, llvm]))
+"""
+
+
+@pytest.fixture(scope="module")
+def examined():
+    return json.loads(subprocess.check_output([sys.executable, "-c", PROGRAM], text=True))
+
+
+@pytest.fixture
+def no_trial(monkeypatch):
+    """A picture rendered in a child process takes seconds; `examined` has one."""
+    trial = Trial(device="llvm", seconds=0.0, denoiser="cpu")
+    monkeypatch.setattr(doctor, "try_device", lambda device: trial)
+
+
+def test_versions_are_those_that_the_modules_state_yet_none_is_loaded_for_it(examined):
+    found, stated, heavy, llvm = examined
+    assert {name: found[name] for name in stated} == stated
+    assert heavy == []
+    assert not llvm
+
+
+def test_memory_and_cores_agree_with_the_system(examined):
+    found = examined[0]
+    total_gib = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES") / 2**30
+    assert float(found["memory"].split()[0]) == pytest.approx(total_gib, abs=0.06)
+    assert found["CPU"].startswith(f"{len(os.sched_getaffinity(0))} cores")
+
+
+def test_a_missing_package_is_found_and_said_with_its_remedy_and_use(monkeypatch, no_trial):
+    monkeypatch.setattr(doctor, "_PACKAGES", {"no-such-package-here": "flying"})
+    diagnosis = examine()
+    assert not diagnosis.ready
+    text = describe(diagnosis)
+    assert "MISSING no-such-package-here" in text
+    assert "pip install no-such-package-here" in text
+    assert "it is for: flying" in text
+    assert text.endswith("This machine is not ready: install what is marked MISSING above.")
+
+
+def test_a_bad_library_named_by_the_user_is_a_finding_and_not_an_error(monkeypatch, no_trial):
+    monkeypatch.setenv("DRJIT_LIBLLVM_PATH", "/gone/libLLVM-19.so")
+    findings = {finding.name: finding for finding in examine().findings}
+    assert not findings["LLVM used"].ok
+    assert "/gone/libLLVM-19.so, which is not a file" in findings["LLVM used"].found
+
+
+def test_what_is_not_needed_does_not_make_the_program_unready():
+    gpu = Finding(name="GPU", found="none", ok=False, gives="speed", needed=False)
+    numpy = Finding(name="numpy", found="2.0", ok=True, gives="arrays")
+    assert Diagnosis(findings=(gpu, numpy)).ready
+    assert describe(Diagnosis(findings=(gpu, numpy))).splitlines() == [
+        "none    GPU    none",
+        "               it is for: speed",
+        "ok      numpy  2.0",
+        "ready",
+    ]
+
+
+def test_a_gpu_is_named_with_its_driver(monkeypatch, no_trial):
+    state = CudaState(devices=("NVIDIA A", "NVIDIA B"), driver_cuda="12.8", has_optix=True)
+    monkeypatch.setattr(doctor, "examine_cuda", lambda: state)
+    findings = {finding.name: finding for finding in examine().findings}
+    assert findings["NVIDIA GPU"].found == "NVIDIA A, NVIDIA B; driver for CUDA 12.8"
+    assert findings["OptiX"].ok

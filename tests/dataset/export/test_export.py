@@ -1,0 +1,123 @@
+"""An export appears whole or not at all, and says in one line why not."""
+
+import json
+import os
+import shutil
+
+import pytest
+from metered import Metered
+from PIL import Image
+from simulated_dataset import visible
+
+from graycast.base.errors import DatasetError, GraycastError
+from graycast.dataset.export import FORMATS, Options, Split, export, read_record
+
+# pycocotools 2.0.11 has an array type from before NumPy 2, which NumPy asks it to mend.
+pytestmark = pytest.mark.filterwarnings("ignore:__array__ implementation:DeprecationWarning")
+
+SEED = next(
+    seed
+    for seed in range(100)  # of one that gives four scenes to three sets
+    if len({Split(shares=(0.5, 0.25, 0.25), seed=seed).place(i) for i in (0, 3, 4, 5)}) == 3
+)
+
+
+def test_every_format_says_what_it_holds_and_reports_each_scene(master, samples, tmp_path):
+    for form in FORMATS:
+        if form == "parquet":
+            pytest.importorskip("pyarrow", reason="pip install 'graycast[parquet]'")
+        meter = Metered()
+        split = Split(shares=(0.5, 0.25, 0.25), seed=SEED)
+        record = export(
+            master,
+            tmp_path / form,
+            Options(format=form, split=split),
+            progress=meter,
+        )
+        assert meter.counts == [("pictures", k + 1, len(samples)) for k in range(len(samples))]
+        assert read_record(tmp_path / form) == record
+        assert record.splits == split.assign(samples)
+        assert (
+            record.fingerprint == json.loads((master / "graycast.json").read_text())["fingerprint"]
+        )
+    assert sorted(path.name for path in tmp_path.iterdir()) == sorted(FORMATS)
+
+
+@pytest.mark.parametrize("form", list(FORMATS))
+def test_a_truncated_picture_is_named_and_nothing_is_left(master, tmp_path, form):
+    if form == "parquet":
+        pytest.importorskip("pyarrow", reason="pip install 'graycast[parquet]'")
+    copy = shutil.copytree(master, tmp_path / "copy")
+    picture = copy / "train" / "000003" / "rgb" / "000000.png"
+    picture.write_bytes(picture.read_bytes()[:-200])
+    with pytest.raises(DatasetError, match=r"000003: rgb/000000.png is cut off or damaged"):
+        export(copy, tmp_path / "out", Options(format=form))
+    assert [path.name for path in tmp_path.iterdir()] == ["copy"]
+
+
+def test_missing_or_contradicting_labels_are_told(master, tmp_path):
+    copy = shutil.copytree(master, tmp_path / "copy")
+    scene = copy / "train" / "000003"
+    coco = json.loads((scene / "scene_gt_coco.json").read_text())
+    coco["annotations"].pop()
+    (scene / "scene_gt_coco.json").write_text(json.dumps(coco))
+    with pytest.raises(DatasetError, match=r"visible of 8, scene_gt_coco.json \d annotations"):
+        export(copy, tmp_path / "out", Options(format="yolo"))
+    (scene / "scene_gt.json").unlink()
+    with pytest.raises(DatasetError, match=r"000003: scene_gt.json is missing"):
+        export(copy, tmp_path / "out", Options(format="coco"))
+
+
+def test_a_folder_in_use_is_left_alone(master, tmp_path):
+    (tmp_path / "thesis.txt").write_text("mine")
+    with pytest.raises(GraycastError, match="is not empty: choose another folder"):
+        export(master, tmp_path, Options(format="coco"))
+    with pytest.raises(GraycastError, match="is a file"):
+        export(master, tmp_path / "thesis.txt", Options(format="coco"))
+    with pytest.raises(GraycastError, match="is inside the dataset: choose a folder outside of it"):
+        export(master, master / "export", Options(format="coco"))
+    assert [path.name for path in tmp_path.iterdir()] == ["thesis.txt"]
+    with pytest.raises(DatasetError, match="is not a Graycast dataset"):
+        export(tmp_path, tmp_path / "out", Options(format="coco"))
+
+
+def test_an_option_of_another_format_is_refused():
+    with pytest.raises(GraycastError, match="parquet has no option polygons: remove it"):
+        Options(format="parquet", polygons=True)
+    with pytest.raises(GraycastError, match="depth is 'both': choose one of perfect, scanner"):
+        Options(format="bop-webdataset", depth="both")
+    with pytest.raises(GraycastError, match="format is 'voc': choose one of coco"):
+        Options(format="voc")
+
+
+def test_links_are_the_same_files_and_copies_are_not(master, tmp_path):
+    for name, link in (("linked", True), ("copied", False)):
+        export(master, tmp_path / name, Options(format="yolo", link=link))
+        held = tmp_path / name / "images" / "train" / "000003.png"
+        assert held.samefile(master / "train/000003/rgb/000000.png") == link
+        with Image.open(held) as image:
+            assert image.size == (160, 120)
+
+
+def test_a_link_to_another_disk_says_so(master, tmp_path, monkeypatch):
+    def refuse(source, target):
+        raise OSError(18, "Invalid cross-device link")
+
+    monkeypatch.setattr(os, "link", refuse)
+    with pytest.raises(GraycastError, match="export to the same disk, or omit --link"):
+        export(master, tmp_path / "out", Options(format="yolo", link=True))
+    assert not list(tmp_path.iterdir())
+
+
+def test_hidden_instances_are_left_out_where_that_is_wanted(master, samples, tmp_path):
+    export(master, tmp_path / "out", Options(format="coco", min_visibility=0.5))
+    coco = json.loads((tmp_path / "out/annotations/instances_train.json").read_text())
+    for scene_id, sample in samples.items():
+        seen, masks, _ = visible(sample)
+        shares = {
+            i: mask.sum() / sample.truth.amodal[i].mask.sum()
+            for i, mask in zip(seen, masks, strict=True)
+        }
+        held = [a["gt_id"] for a in coco["annotations"] if a["image_id"] == scene_id]
+        assert held == [i for i, share in shares.items() if share >= 0.5]
+        assert min(shares.values()) < 0.5

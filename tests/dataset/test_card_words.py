@@ -1,0 +1,51 @@
+"""Words that a user chose, on a dataset's card: names, titles, the licence."""
+
+import pytest
+from markdown_it import MarkdownIt
+
+from graycast.base.errors import GraycastError
+from graycast.dataset.card import escaped, fenced, spdx
+
+HOSTILE = "a|b `c` *d* [e](javascript:f) <img src=x> # g_h_ & ~i~"
+
+
+def test_words_that_a_user_chose_are_shown_letter_by_letter():
+    """Oracle: a Markdown parser of its own. What it shows is what was written, and nothing else."""
+    parser = MarkdownIt("commonmark").enable(["table", "strikethrough"])
+    name = escaped(HOSTILE)
+    tokens = parser.parse(f"| | |\n|---|---|\n| part {name} | 1 |\n\n# {name}")
+    inline = [t for t in tokens if t.type == "inline" and HOSTILE[:1] in t.content]
+    assert len(inline) == 2
+    for token in inline:
+        kinds = {child.type for child in token.children}
+        assert kinds <= {"text", "text_special"}
+        shown = "".join(child.content for child in token.children)
+        assert shown.removeprefix("part ") == HOSTILE
+
+
+def test_a_fence_holds_whatever_is_in_it():
+    text = "name: |\n  ```\n  ````\n"
+    assert fenced(text).startswith("`````yaml\n")
+    assert fenced("a: 1\n") == "```yaml\na: 1\n```"
+
+
+@pytest.mark.parametrize(
+    ("given", "spelt"),
+    [
+        ("cc-by-4.0", "CC-BY-4.0"),
+        ("mit OR apache-2.0", "MIT OR Apache-2.0"),
+        ("LicenseRef-Ours",) * 2,
+    ],
+)
+def test_a_licence_is_spelt_as_spdx_spells_it(given, spelt):
+    assert spdx(given) == spelt
+
+
+@pytest.mark.parametrize(
+    "words", ["ours", "Creative Commons", "CC BY 4.0", "", "MIT AND", "a\nb: c"]
+)
+def test_words_that_are_no_licence_of_spdx_are_refused(words):
+    with pytest.raises(
+        GraycastError, match=r"is not an SPDX expression: give an identifier of spdx.org/licenses"
+    ):
+        spdx(words)

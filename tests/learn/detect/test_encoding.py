@@ -1,0 +1,134 @@
+"""What a network sees of a picture: metric, never stretched, and holes are no depth."""
+
+import math
+
+import numpy as np
+import pytest
+
+from graycast.base.errors import GraycastError
+from graycast.dataset.example import Example
+from graycast.learn.detect.encoding import Encoding, encoding_from, fitting_size, noisy
+
+SIZE = (64, 96)
+
+
+def deep(**changed):
+    said = {"input": "depth_sl", "size_px": SIZE, "near_m": 0.5, "far_m": 1.0, "relief": False}
+    return Encoding(**(said | changed))
+
+
+def scan(depth_m):
+    return Example(scene_id=0, scanner_depth_m=depth_m.astype(np.float32))
+
+
+def test_depth_is_metric_whatever_else_is_in_the_picture():
+    """Oracle: the encoding of a distance is linear between the ends, in every picture alike."""
+    for rest_m in (0.55, 0.7, 0.95, np.nan):
+        depth_m = np.full(SIZE, rest_m)
+        depth_m[10, 20], depth_m[11, 20], depth_m[12, 20] = 0.5, 0.625, 1.0
+        found = deep().encode(scan(depth_m), seed=0)
+        np.testing.assert_allclose(found[0, 10:13, 20], [-1.0, -0.5, 1.0], atol=1e-6)
+
+
+def test_a_smaller_picture_has_the_mean_of_what_is_known_and_its_share():
+    """Oracle: of four pixels three are at z and one is a hole, so the share is 3/4."""
+    depth_m = np.full((128, 192), 0.75 + 0.125)  # encoded 0.5
+    depth_m[0::2, 0::2] = np.nan
+    height, share = deep().encode(scan(depth_m), seed=0)
+    np.testing.assert_allclose(share, 0.75, atol=1e-6)
+    np.testing.assert_allclose(height / share, 0.5, atol=1e-5)
+
+
+@pytest.mark.parametrize(("holes", "value"), [("zero", -1.0), ("far", 1.0), ("channel", 0.0)])
+def test_a_hole_is_what_was_chosen(holes, value):
+    depth_m = np.full(SIZE, 0.8)
+    depth_m[5:9, 7:9] = np.nan
+    found = deep(holes=holes).encode(scan(depth_m), seed=0)
+    np.testing.assert_allclose(found[0, 5:9, 7:9], value, atol=1e-6)
+    assert found[0, 20, 20] == pytest.approx(0.2, abs=1e-5)
+    assert len(found) == (2 if holes == "channel" else 1)
+    if holes == "channel":
+        assert found[1, 6, 7] == 0 and found[1, 20, 20] == 1
+
+
+def test_relief_is_height_over_the_neighbourhood():
+    """A plane has none; what stands up is positive; holes neither have nor make any."""
+    depth_m = np.full(SIZE, 0.8)
+    depth_m[40:, :] = np.nan
+    flat = deep(relief=True).encode(scan(depth_m), seed=0)[2]
+    np.testing.assert_allclose(flat, 0.0, atol=1e-5)
+    depth_m[20:23, 50:53] -= 0.01
+    risen = deep(relief=True).encode(scan(depth_m), seed=0)[2]
+    assert risen[21, 51] > 0.2
+    assert risen[21, 48] < 0 and risen[50, 51] == 0
+
+
+def test_colour_is_scaled_as_the_published_backbones_want_it():
+    rgb = np.zeros((*SIZE, 3), np.uint8)
+    rgb[:, :] = (255, 0, 128)
+    found = Encoding(input="rgb", size_px=SIZE).encode(Example(scene_id=0, rgb=rgb), seed=0)
+    mean, deviation = np.array([0.485, 0.456, 0.406]), np.array([0.229, 0.224, 0.225])
+    np.testing.assert_allclose(
+        found[:, 3, 3], (np.array([1, 0, 128 / 255]) - mean) / deviation, rtol=1e-5
+    )
+
+
+def test_a_picture_of_another_shape_keeps_its_proportions_in_the_corner():
+    """Oracle: 60 x 100 pixels into 64 x 96 are 58 x 96; what remains is empty."""
+    encoding = deep()
+    found = encoding.encode(scan(np.full((60, 100), 0.6)), seed=0)
+    assert encoding.scale((60, 100)) == pytest.approx(0.96)
+    assert (found[1, :58, :] == 1).all() and (found[1, 58:] == 0).all()
+
+
+@pytest.mark.parametrize(
+    ("picture", "longest", "size"),
+    [((772, 1032), 320, (256, 320)), ((386, 516), 384, (288, 384)), ((100, 100), 33, (64, 64))],
+)
+def test_the_input_s_sides_are_multiples_of_32(picture, longest, size):
+    assert fitting_size(picture, longest) == size
+
+
+def test_noisy_depth_has_the_noise_and_the_holes_that_it_says():
+    """Oracle: discs of 5 % of the area that may overlap cover 1 - exp(-0.05); sigma is 1 mm."""
+    depth_m = np.full((800, 1000), 0.8, np.float32)
+    rough = noisy(depth_m, seed=3)
+    hole = np.isnan(rough)
+    assert hole.mean() == pytest.approx(1 - math.exp(-0.05), rel=0.08)
+    assert np.std(rough[~hole] - 0.8) == pytest.approx(1e-3, rel=0.01)
+    assert not np.array_equal(rough, noisy(depth_m, seed=4), equal_nan=True)
+
+
+def test_an_encoding_comes_back_from_json():
+    encoding = deep(holes="far", relief=True)
+    assert encoding_from({**encoding.as_dict(), "size_px": list(SIZE)}) == encoding
+
+
+@pytest.mark.parametrize(
+    ("changed", "told"),
+    [
+        ({"input": "xray"}, "input is 'xray': choose one of rgb"),
+        ({"holes": "none"}, "holes is 'none'"),
+        ({"size_px": (60, 96)}, "a multiple of 32"),
+        ({"near_m": None}, "the depth's range is None to 1.0 m"),
+        ({"near_m": 2.0}, "0 < near < far"),
+    ],
+)
+def test_an_impossible_encoding_is_refused(changed, told):
+    with pytest.raises(GraycastError, match=told.replace("'", ".")):
+        deep(**changed)
+
+
+def test_a_picture_that_is_not_there_is_named():
+    with pytest.raises(GraycastError, match="scene 0 has no scanner depth"):
+        deep().encode(Example(scene_id=0), seed=0)
+
+
+def test_where_there_is_no_perfect_depth_the_scanner_s_is_looked_at():
+    """And no noise is added to it; where there is one, the scanner's is not looked at."""
+    depth_m = np.full(SIZE, 0.8, np.float32)
+    both = Example(scene_id=0, depth_m=depth_m - 0.1, scanner_depth_m=depth_m)
+    real = scan(depth_m)
+    for name in ("depth", "depth_noisy"):
+        np.testing.assert_allclose(deep(input=name).encode(real, seed=0)[0], 0.2, atol=1e-6)
+    np.testing.assert_allclose(deep(input="depth").encode(both, seed=0)[0], -0.2, atol=1e-6)

@@ -1,0 +1,260 @@
+"""What every network must do, run on each whose library is installed."""
+
+from dataclasses import replace
+from importlib.util import find_spec
+
+import pytest
+
+torch = pytest.importorskip("torch", reason="needs torch: pip install 'graycast[detect]'")
+
+from graycast.base.errors import GraycastError
+from graycast.learn.detect.network import Found, Network
+from graycast.learn.detect.networks import MODELS, open_network
+
+from .shapes import CLASSES, ap50, drawn_pictures
+
+# The smallest of each; `None` where it has but one.
+BACKBONES = {
+    "mask-rcnn": "mobilenet-v3-small",
+    "yolov3": "mobilenet-v3-small",
+    "solov2": "mobilenet-v3-small",
+    "yolov7": None,
+    "rf-detr": "nano",
+}
+LIBRARIES = {"yolov7": "libreyolo", "rf-detr": "rfdetr"}
+SIZE_PX = (64, 96)
+EVERY = pytest.mark.parametrize("model", MODELS)
+# rfdetr imports libraries that warn of what they will stop to offer.
+pytestmark = [
+    pytest.mark.filterwarnings("ignore::FutureWarning"),
+    pytest.mark.filterwarnings("ignore::DeprecationWarning"),
+    pytest.mark.filterwarnings("ignore::ImportWarning"),
+]
+
+
+def opened(model, *, channels=3, seed=0, size_px=SIZE_PX):
+    """A new network in training mode."""
+    if model in LIBRARIES and find_spec(LIBRARIES[model]) is None:
+        pytest.skip(f"needs {LIBRARIES[model]}: run pip install --no-deps {LIBRARIES[model]}")
+    torch.manual_seed(seed)
+    return open_network(
+        model, channels=channels, classes=CLASSES, backbone=BACKBONES[model], size_px=size_px
+    )
+
+
+def settled(network):
+    """The network in inference mode, with the norms of a picture: fresh ones score all alike."""
+    for norm in network.modules():
+        if isinstance(norm, torch.nn.BatchNorm2d):
+            norm.momentum = 1.0
+    with torch.no_grad():
+        network.losses(*pictures())
+    return network.eval()
+
+
+@pytest.fixture(scope="module")
+def ready():
+    """Networks in inference mode, opened once."""
+    known = {}
+
+    def get(model):
+        if model not in known:
+            known[model] = settled(opened(model))
+        return known[model]
+
+    return get
+
+
+def pictures(*, channels=3, seed=3):
+    return drawn_pictures(2, size_px=SIZE_PX, channels=channels, seed=seed, parts=3)
+
+
+def total(network, images, targets, *, seed=0):
+    torch.manual_seed(seed)
+    losses = network.losses(images, targets)
+    return sum(losses.values()), losses
+
+
+@EVERY
+def test_what_is_found_has_the_form_that_is_promised(model, ready):
+    network = ready(model)
+    assert isinstance(network, Network)
+    images, _ = pictures()
+    for found in network.find(images, most=7, least_score=0.0):
+        count = len(found.score)
+        assert 0 < count <= 7
+        assert found.box.shape == (count, 4) and found.label.shape == (count,)
+        assert found.score.tolist() == sorted(found.score.tolist(), reverse=True)
+        assert found.label.min() >= 0 and found.label.max() < CLASSES
+        assert found.box.min() >= 0 and (found.box.amax(0) <= torch.tensor([96, 64] * 2)).all()
+        assert (found.box[:, 2:] >= found.box[:, :2]).all()
+        assert (found.mask is not None) == network.finds_masks
+        if found.mask is not None:
+            assert found.mask.shape == (count, *SIZE_PX) and found.mask.dtype == torch.uint8
+
+
+@pytest.mark.slow
+@EVERY
+def test_fewer_or_better_are_the_first_of_all(model, ready):
+    """Law: `most` and `least_score` cut the list and change nothing that stays on it."""
+    network = ready(model)
+    images, _ = pictures()
+    for index, all_of_it in enumerate(network.find(images, most=40, least_score=0.0)):
+        middle = float(all_of_it.score[len(all_of_it.score) // 2])
+        better = network.find(images, most=40, least_score=middle)[index]
+        kept = all_of_it.score >= middle
+        torch.testing.assert_close(better.box, all_of_it.box[kept])
+        torch.testing.assert_close(better.score, all_of_it.score[kept])
+        few = network.find(images, most=4, least_score=0.0)[index]
+        assert 0 < len(few.score) <= 4
+        torch.testing.assert_close(few.box, all_of_it.box[: len(few.box)])
+
+
+@EVERY
+def test_nothing_found_has_the_form_too(model, ready):
+    network = ready(model)
+    for found in network.find(pictures()[0], most=5, least_score=1.0):
+        assert found.box.shape == (0, 4)
+        assert len(found.label) == len(found.score) == 0
+        assert found.mask is None or found.mask.shape == (0, *SIZE_PX)
+
+
+@EVERY
+def test_one_seed_gives_one_network_and_one_loss(model):
+    images, targets = pictures()
+    first, second = opened(model, seed=3), opened(model, seed=3)
+    for a, b in zip(first.state_dict().values(), second.state_dict().values(), strict=True):
+        assert torch.equal(a, b)
+    assert float(total(first, images, targets)[0].detach()) == float(
+        total(second, images, targets)[0].detach()
+    )
+
+
+@pytest.mark.slow
+@EVERY
+def test_pictures_without_parts_teach_that_there_is_nothing(model):
+    network = opened(model)
+    images, targets = pictures()
+    empty = replace(
+        targets[0],
+        box=torch.zeros(0, 4),
+        label=torch.zeros(0, dtype=torch.int64),
+        mask=torch.zeros(0, *SIZE_PX, dtype=torch.bool),
+        ignored=torch.zeros(0, dtype=torch.bool),
+    )
+    for batch in ([targets[0], empty], [empty, empty]):
+        network.zero_grad()
+        value, losses = total(network, images, batch)
+        assert all(torch.isfinite(v) and v.ndim == 0 for v in losses.values())
+        assert float(value.detach()) > 0
+        value.backward()
+        slopes = [p.grad for p in network.parameters() if p.grad is not None]
+        assert all(torch.isfinite(slope).all() for slope in slopes)
+        assert any(slope.any() for slope in slopes)
+
+
+@EVERY
+def test_saved_weights_find_the_same(model, ready, tmp_path):
+    first, second = ready(model), opened(model, seed=9).eval()
+    torch.save(first.state_dict(), tmp_path / "weights.pt")
+    second.load_state_dict(torch.load(tmp_path / "weights.pt", weights_only=True))
+    images, _ = pictures()
+    pairs = zip(*(n.find(images, most=9, least_score=0.0) for n in (first, second)), strict=True)
+    for ours, theirs in pairs:
+        assert torch.equal(ours.box, theirs.box) and torch.equal(ours.score, theirs.score)
+        assert ours.mask is None or torch.equal(ours.mask, theirs.mask)
+
+
+@EVERY
+def test_an_ignored_instance_is_neither_wanted_nor_forbidden(model):
+    """Laws: its class does not matter; nothing is asked of the network where it is, so that the
+    loss is smaller than were it not labelled at all, and the terms of positives are the same."""
+    network = opened(model).eval()
+    if model == "solov2":  # fresh, it is so sure of nothing that single precision hides the law
+        torch.nn.init.zeros_(network.judges[-1].bias)
+    images, targets = pictures()
+    first = targets[0]
+    assert len(first.label) == 3
+    hidden = torch.tensor([False, True, False])
+    one = replace(first, ignored=hidden)
+    other = replace(one, label=torch.where(hidden, 1 - first.label, first.label))
+    without = replace(
+        first,
+        box=first.box[~hidden],
+        label=first.label[~hidden],
+        mask=first.mask[~hidden],
+        ignored=first.ignored[~hidden],
+    )
+    values = [
+        total(network, images, [target, targets[1]])[1] for target in (one, other, without, first)
+    ]
+    for name in values[0]:
+        ignored, relabelled, unlabelled, _ = (float(v[name].detach()) for v in values)
+        assert ignored == relabelled
+        if model != "mask-rcnn":  # it draws a sample of what it learns from
+            assert ignored <= unlabelled + 1e-6 * abs(unlabelled)
+            if name in ("box", "centre", "size", "mask", "overlap"):
+                assert ignored == pytest.approx(unlabelled, rel=1e-6)
+    ignored, unlabelled, labelled = (float(sum(values[i].values()).detach()) for i in (0, 2, 3))
+    assert ignored != labelled
+    if model in ("yolov3", "solov2", "yolov7"):  # a fresh RF-DETR has no query there
+        assert ignored < unlabelled
+
+
+@pytest.mark.parametrize("channels", [1, 4])
+@EVERY
+def test_every_channel_of_a_picture_is_seen(model, channels):
+    network = opened(model, channels=channels).eval()
+    images, targets = pictures(channels=channels)
+    images.requires_grad_()
+    total(network, images, targets)[0].backward()
+    assert (images.grad.abs().sum(dim=(0, 2, 3)) > 0).all()
+
+
+@pytest.mark.parametrize("model", ["yolov7", "rf-detr"])
+def test_a_library_that_is_not_installed_is_named_with_what_installs_it(model):
+    if find_spec(LIBRARIES[model]) is not None:
+        pytest.skip(f"{LIBRARIES[model]} is installed")
+    with pytest.raises(GraycastError, match=f"model {model} needs {LIBRARIES[model]}.*pip install"):
+        open_network(model, channels=3, classes=2, backbone=None, size_px=SIZE_PX)
+
+
+def test_the_judge_knows_what_is_right_and_what_is_not():
+    """All found is 1; masks that are one class's discs under the other's name are 0."""
+    _, targets = pictures()
+    right = [
+        Found(box=t.box, label=t.label, score=torch.ones(3), mask=t.mask.byte() * 255)
+        for t in targets
+    ]
+    wrong = [replace(found, label=1 - found.label) for found in right]
+    for kind in ("bbox", "segm"):
+        assert ap50(targets, right, kind) == 1.0
+        assert ap50(targets, wrong, kind) < 0.1
+
+
+# Steps over four pictures, 7 to 130 CPU seconds each.
+STEPS = {"mask-rcnn": 120, "yolov3": 100, "solov2": 80, "yolov7": 120, "rf-detr": 110}
+RATES = {"rf-detr": 3e-4}  # of learning, where that for pretrained weights takes hundreds of steps
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("model", STEPS)
+def test_four_pictures_are_learnt_by_heart(model):
+    """Oracle: average precision by pycocotools; a network that cannot do this learns nothing."""
+    size_px = (128, 128)
+    network = opened(model, size_px=size_px)
+    images, targets = drawn_pictures(4, size_px=size_px, channels=3, seed=0)
+    recipe = network.recipe
+    assert recipe.optimizer == "adamw"
+    rate = RATES.get(model, recipe.learning_rate)
+    optimizer = torch.optim.AdamW(network.parameters(), lr=rate, weight_decay=0)
+    for step in range(STEPS[model]):
+        for group in optimizer.param_groups:
+            group["lr"] = rate * min(1.0, (step + 1) / 20)
+        optimizer.zero_grad()
+        sum(network.losses(images, targets).values()).backward()
+        optimizer.step()
+    found = network.eval().find(images, most=50, least_score=0.05)
+    assert ap50(targets, found, "bbox") >= 0.95
+    if network.finds_masks:
+        assert ap50(targets, found, "segm") >= 0.95

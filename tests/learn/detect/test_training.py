@@ -1,0 +1,467 @@
+"""Training: it learns, it goes on as if nothing had been, and it says what is wrong."""
+
+import errno
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from dataclasses import replace
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+torch = pytest.importorskip("torch", reason="needs torch: pip install 'graycast[detect]'")
+
+from learn.detect.drawn import write_drawn
+
+from benchmarks import detectors as bench_detectors
+from graycast.base.errors import GraycastError
+from graycast.cli import main
+from graycast.dataset.detections import read_results
+from graycast.dataset.export.split import Split
+from graycast.dataset.training import open_examples
+from graycast.learn.detect import TrainSpec, detect, load_detector, pictures_of, train
+from graycast.learn.detect.detector import without_denormals
+from graycast.learn.detect.network import Found
+from graycast.learn.detect.run import RunFolder
+from graycast.learn.detect.training import _shape
+from graycast.learn.detect.training_pictures import room_for
+from graycast.score.evaluate import labels_of, score
+
+# pycocotools 2.0.11 has an array type from before NumPy 2, which NumPy asks it to mend.
+pytestmark = pytest.mark.filterwarnings("ignore:__array__ implementation:DeprecationWarning")
+
+SMALL = TrainSpec(
+    model="yolov3",
+    backbone="mobilenet-v3-small",
+    longest_px=128,
+    epochs=2,
+    batch=2,
+    split=Split(shares=(0.7, 0.3, 0.0)),
+)
+
+
+@pytest.fixture(scope="module")
+def dataset(tmp_path_factory) -> Path:
+    return write_drawn(tmp_path_factory.mktemp("drawn"), 10)
+
+
+def weights(run: Path) -> dict:
+    return torch.load(run / "detector.pt", weights_only=True)["state"]
+
+
+def same(a: dict, b: dict) -> bool:
+    return a.keys() == b.keys() and all(torch.equal(a[key], b[key]) for key in a)
+
+
+@pytest.mark.slow
+def test_one_seed_gives_one_detector_and_another_gives_another(dataset, tmp_path):
+    for name, seed in (("a", 0), ("b", 0), ("c", 1)):
+        train([dataset], tmp_path / name, replace(SMALL, seed=seed))
+    assert same(weights(tmp_path / "a"), weights(tmp_path / "b"))
+    assert not same(weights(tmp_path / "a"), weights(tmp_path / "c"))
+
+
+@pytest.mark.slow
+def test_a_run_holds_what_its_readers_need(dataset, tmp_path):
+    train([dataset], tmp_path / "run", SMALL)
+    rows = (tmp_path / "run" / "history.csv").read_text().splitlines()
+    assert rows[0].startswith("epoch,step,loss") and len(rows) == 1 + SMALL.epochs
+    assert (tmp_path / "run" / "curves.png").read_bytes().startswith(b"\x89PNG")
+    detector = load_detector(tmp_path / "run")
+    encoding = detector.about.encoding
+    assert detector.about.names == ("disc", "box")
+    assert encoding.near_m < 0.9 < 1.0 < encoding.far_m  # the drawn floor and tops
+    said = json.loads((tmp_path / "run" / "run.json").read_text())
+    train_ids, val_ids = (said["trained"]["datasets"][0][name] for name in ("train", "val"))
+    assert sorted(train_ids + val_ids) == list(range(10)) and len(val_ids) == 3
+
+
+@pytest.mark.slow
+def test_a_finished_run_is_not_trained_again(dataset, tmp_path):
+    train([dataset], tmp_path / "run", SMALL)
+    before = (tmp_path / "run" / "checkpoint.pt").stat().st_mtime_ns
+    train([dataset], tmp_path / "run", SMALL)
+    assert (tmp_path / "run" / "checkpoint.pt").stat().st_mtime_ns == before
+
+
+def test_the_learning_rate_rises_straight_and_falls_as_a_cosine():
+    """Oracle: its values at the ends, at the top and half way down."""
+    assert _shape(0.05) == pytest.approx(1.0)
+    assert _shape(0.025) == pytest.approx(0.5)
+    assert _shape(0.525) == pytest.approx(0.505)
+    assert _shape(1.0) == pytest.approx(0.01)
+
+
+@pytest.mark.parametrize("model", ["yolov3", pytest.param("mask-rcnn", marks=pytest.mark.slow)])
+def test_detections_of_a_run_come_back_from_files(dataset, tmp_path, model):
+    """What lies in the files is what the detector found, in the pixels of the pictures."""
+    detector = train([dataset], tmp_path / "run", replace(SMALL, model=model, epochs=1))
+    chosen = pictures_of(dataset, detector.about, split="all", scale_m=None)
+    looked = detect(detector, chosen, tmp_path / "found")
+    held = read_results(tmp_path / "found" / "results.json", range(10))
+    assert [len(each) for each in held] == [len(each) for each in looked.found]
+    assert (held[0].mask is None) == (model == "yolov3")
+    box = np.concatenate([each.box_px for each in held])
+    assert (box[:, :2] >= 0).all() and (box[:, 0] + box[:, 2] <= 128.001).all()
+    assert len(list((tmp_path / "found" / "drawings").iterdir())) == 10
+
+
+@pytest.mark.slow
+def test_the_processor_s_arithmetic_is_left_as_it_was(dataset, run, tmp_path):
+    """A k-d tree of SciPy recurses without end where small differences are zero."""
+    torch.set_flush_denormal(False)
+    example = open_examples(dataset)[0]
+    load_detector(run).detect(example, obj_ids={"disc": 1, "box": 2})
+    train([dataset], tmp_path / "run", replace(SMALL, epochs=1))
+    tiny = np.full(4, 1e-310)
+    assert (tiny * 0.5 > 0).all() and (tiny[0] - tiny[1] * 0.5) > 0
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("model", "epochs"), [("mask-rcnn", 14), ("yolov3", 40)])
+def test_it_learns_what_is_drawn(tmp_path, model, epochs):
+    """On pictures that it has not seen. A detector whose boxes are off by a scale has almost 0."""
+    dataset = write_drawn(tmp_path, 40, seed=3)
+    spec = replace(
+        SMALL, model=model, epochs=epochs, batch=4, split=Split(shares=(0.6, 0.15, 0.25))
+    )
+    detector = train([dataset], tmp_path / "run", spec)
+    examples = open_examples(dataset, split="test", division=spec.split)
+    ids = {"disc": 1, "box": 2}
+    found = [detector.detect(example, obj_ids=ids) for example in examples]
+    labels = [labels_of(example, min_visibility=0.1) for example in examples]
+    for kind in ("box", "mask") if model == "mask-rcnn" else ("box",):
+        assert score(labels, found, kind=kind).ap50 >= 0.7, kind
+
+
+COMMAND = [sys.executable, "-W", "ignore", "-m", "graycast.cli", "train"]
+
+
+def command(dataset, out, *, epochs=6):
+    said = "--model yolov3 --backbone mobilenet-v3-small --size 128 --batch 2 --split 0.7,0.3,0"
+    return [
+        *COMMAND, str(dataset), "--out", str(out), *said.split(), "--epochs", str(epochs),
+        "--device", "cpu", "--threads", "1",
+    ]  # fmt: skip
+
+
+@pytest.mark.slow
+def test_a_killed_training_ends_with_the_same_weights(dataset, tmp_path, monkeypatch):
+    """kill -9 at five moments of the run, each at another place, then the same command again."""
+    subprocess.run(command(dataset, tmp_path / "whole"), check=True, capture_output=True)
+    run, killed = tmp_path / "killed", 0
+    for share in (0.1, 0.3, 0.5, 0.7, 0.9):
+        process = subprocess.Popen(
+            command(dataset, run), stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL
+        )
+        deadline = time.monotonic() + 120
+        goal = round(6 * share)
+        while process.poll() is None and time.monotonic() < deadline:
+            if _epochs(run) >= goal and (goal or (run / "cache" / "val.npy").exists()):
+                time.sleep(0.15 * killed)
+                os.kill(process.pid, signal.SIGKILL)
+                killed += process.wait() == -signal.SIGKILL
+                break
+            time.sleep(0.01)
+    assert killed == 5
+    subprocess.run(command(dataset, run), check=True, capture_output=True)
+    assert same(weights(run), weights(tmp_path / "whole"))
+    histories = [
+        (folder / "history.csv").read_text().splitlines() for folder in (run, tmp_path / "whole")
+    ]
+    assert histories[0] == histories[1]
+
+
+def _epochs(run: Path) -> int:
+    file = run / "history.csv"
+    return len(file.read_text().splitlines()) - 1 if file.is_file() else 0
+
+
+def refusal(capsys, *arguments) -> str:
+    assert main([str(each) for each in arguments]) == 1
+    told = capsys.readouterr().err.strip().splitlines()
+    assert len(told) == 1 and told[0].startswith("graycast: error: "), told
+    return told[0]
+
+
+def test_what_cannot_be_trained_is_said_in_one_line(dataset, tmp_path, capsys):
+    """Each mistake names the thing and the remedy."""
+    said = "--model yolov3 --backbone mobilenet-v3-small --size 128 --epochs 1 --batch 2".split()
+    out = tmp_path / "run"
+
+    def told(*arguments, given=dataset, to=out):
+        return refusal(capsys, "train", given, "--out", to, *said, *arguments)
+
+    assert "is not a Graycast dataset" in told(given=tmp_path / "nowhere")
+    assert "no backbone 'vgg'" in told("--backbone", "vgg", to=tmp_path / "v")
+    assert "split: val gets none" in told("--split", "0.99,0.01,0", to=tmp_path / "s")
+    assert "does not exist: give a file of weights" in told(
+        "--weights", tmp_path / "no.pth", to=tmp_path / "w"
+    )
+    (tmp_path / "text.pth").write_text("no weights")
+    assert "is damaged or is not a file of weights" in told(
+        "--weights", tmp_path / "text.pth", to=tmp_path / "w2"
+    )
+    (tmp_path / "full").mkdir()
+    (tmp_path / "full" / "letter.txt").write_text("mine")
+    assert "is not empty and holds no run" in told(to=tmp_path / "full")
+    (tmp_path / "file").write_text("")
+    assert "is a file: choose a folder" in told(to=tmp_path / "file")
+
+
+@pytest.mark.slow
+def test_a_run_of_other_settings_is_not_gone_on_with(dataset, tmp_path, capsys):
+    train([dataset], tmp_path / "run", SMALL)
+    with pytest.raises(GraycastError, match=r"is a run with .*choose another --out"):
+        train([dataset], tmp_path / "run", replace(SMALL, seed=1))
+    with pytest.raises(GraycastError, match=r"is a run with model .yolov3., and now it is"):
+        train([dataset], tmp_path / "run", replace(SMALL, model="mask-rcnn"))
+
+
+@pytest.mark.slow
+def test_a_training_that_could_not_begin_leaves_the_folder_free(dataset, tmp_path):
+    """A misspelt backbone, then the right one in the same folder."""
+    for changed in ({"backbone": "vgg"}, {"weights": tmp_path / "nowhere.pth"}):
+        with pytest.raises(GraycastError):
+            train([dataset], tmp_path / "run", replace(SMALL, **changed))
+        assert not (tmp_path / "run").exists()
+    with pytest.raises(GraycastError, match="the loss is not a number after"):
+        train([dataset], tmp_path / "run", replace(SMALL, learning_rate=1e30, epochs=20))
+    train([dataset], tmp_path / "run", SMALL)
+
+
+def test_what_a_training_was_killed_writing_goes_with_the_next(tmp_path):
+    """Its first file too, before which nothing shows that the folder is a training's."""
+    for left in (".tmp-run.json-dead", ".tmp-checkpoint.pt-dead"):
+        run = RunFolder(tmp_path)
+        (tmp_path / left).write_bytes(b"half")
+        with run.claimed({"seed": 0}):
+            assert {path.name for path in tmp_path.iterdir()} == {".lock", "run.json"}
+
+
+@pytest.mark.slow
+def test_two_trainings_in_one_folder_are_refused(dataset, tmp_path):
+    """Also before the first checkpoint, and only as long as the other one goes on."""
+    other = RunFolder(tmp_path / "run")
+    with other.claimed({}):
+        with pytest.raises(
+            GraycastError,
+            match="another training runs in this folder: wait until it ends, or choose",
+        ):
+            train([dataset], tmp_path / "run", replace(SMALL, epochs=1))
+        assert json.loads((tmp_path / "run" / "run.json").read_text()) == {}
+    train([dataset], tmp_path / "run", replace(SMALL, epochs=1))
+
+
+def test_the_bare_network_is_timed_in_the_arithmetic_of_detections(dataset, run, monkeypatch):
+    """Mixed precision where there is one, and no denormals: like is compared with like."""
+    monkeypatch.setattr(
+        "graycast.learn.detect.detector.autocast",
+        lambda device: torch.autocast("cpu", torch.bfloat16),
+    )
+    detector, seen = load_detector(run, device="cpu"), []
+
+    def find(image, *, most, least_score):
+        tiny = np.full(1, np.finfo(float).tiny)
+        seen.append((torch.is_autocast_enabled("cpu"), (tiny / 2 == 0).all()))
+        none = torch.zeros(0)
+        return [Found(box=torch.zeros(0, 4), label=none.long(), score=none, mask=None)]
+
+    monkeypatch.setattr(detector.network, "find", find)
+    bench_detectors._detection(detector, dataset)
+    assert len(seen) >= 2 * 5 and all(cast and flushed for cast, flushed in seen)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("capabilities", "mixed"),
+    [({"avx512_bf16": True}, True), ({"amx_bf16": True}, True), ({"avx512_f": True}, False)],
+)
+def test_a_processor_trains_in_bfloat16_where_it_has_it(
+    dataset, tmp_path, monkeypatch, capabilities, mixed
+):
+    monkeypatch.setattr(torch.cpu, "get_capabilities", lambda: capabilities, raising=False)
+    seen, conv2d = set(), torch.nn.functional.conv2d
+    monkeypatch.setattr(
+        torch.nn.functional,
+        "conv2d",
+        lambda *args, **kwargs: (
+            seen.add(torch.is_autocast_enabled("cpu")) or conv2d(*args, **kwargs)
+        ),
+    )
+    detector = train([dataset], tmp_path / "run", replace(SMALL, epochs=1))
+    assert seen == {mixed}
+    kernels = [w for w in detector.network.parameters() if w.ndim == 4 and min(w.shape) > 1]
+    assert kernels and all(w.is_contiguous(memory_format=torch.channels_last) for w in kernels)
+    assert {w.dtype for w in detector.network.parameters()} == {torch.float32}
+
+
+def test_the_mode_of_the_processor_may_be_asked_for_twice():
+    torch.set_flush_denormal(False)
+    tiny = np.full(1, np.finfo(float).tiny)
+    with without_denormals():
+        with without_denormals():
+            assert tiny[0] / 2 == 0
+        assert tiny[0] / 2 == 0
+    assert tiny[0] / 2 > 0
+
+
+@pytest.mark.slow
+def test_weights_of_another_model_are_refused(dataset, tmp_path):
+    train([dataset], tmp_path / "run", SMALL)
+    with pytest.raises(GraycastError, match=r"detector\.pt: these weights do not belong to"):
+        train(
+            [dataset],
+            tmp_path / "other",
+            replace(SMALL, model="mask-rcnn", weights=tmp_path / "run" / "detector.pt"),
+        )
+    again = train(
+        [dataset],
+        tmp_path / "again",
+        replace(SMALL, weights=tmp_path / "run" / "detector.pt", epochs=1),
+    )
+    assert again.about.names == ("disc", "box")
+
+
+def test_a_loss_that_is_no_number_stops_the_training(dataset, tmp_path):
+    with pytest.raises(GraycastError, match=r"the loss is not a number after \d+ steps: lower"):
+        train([dataset], tmp_path / "run", replace(SMALL, learning_rate=1e30, epochs=20))
+
+
+@pytest.mark.slow
+def test_a_damaged_checkpoint_or_detector_is_named(dataset, tmp_path):
+    run = tmp_path / "run"
+    train([dataset], run, SMALL)
+    content = (run / "detector.pt").read_bytes()
+    (run / "detector.pt").write_bytes(content[: len(content) // 2])
+    with pytest.raises(GraycastError, match=r"detector.pt: is damaged or is not a detector"):
+        load_detector(run)
+    (run / "checkpoint.pt").write_bytes(b"")
+    with pytest.raises(GraycastError, match=r"checkpoint\.pt: is damaged: remove it"):
+        train([dataset], run, SMALL)
+    with pytest.raises(
+        GraycastError, match="does not exist: give a folder that graycast train wrote"
+    ):
+        load_detector(tmp_path / "nowhere")
+
+
+def test_weights_that_a_release_does_not_know_are_said_to_be_such(run, tmp_path):
+    held = torch.load(run / "detector.pt", weights_only=True)
+    held["state"] = {f"renamed.{name}": value for name, value in held["state"].items()}
+    torch.save(held, tmp_path / "detector.pt")
+    with pytest.raises(GraycastError, match="weights do not fit the network yolov3 of this"):
+        load_detector(tmp_path)
+
+
+def test_a_disk_that_refuses_the_encoded_pictures_is_named(tmp_path, monkeypatch):
+    def full(*_):
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr("graycast.learn.detect.training_pictures.os.posix_fallocate", full)
+    with pytest.raises(GraycastError, match=r"a\.npy: cannot be written \(No space left"):
+        room_for(tmp_path / "a.npy", (1, 3, 32, 32))
+
+
+@pytest.fixture(scope="module")
+def run(dataset, tmp_path_factory) -> Path:
+    folder = tmp_path_factory.mktemp("run") / "run"
+    train([dataset], folder, replace(SMALL, epochs=1))
+    return folder
+
+
+def test_what_cannot_be_looked_at_is_said_in_one_line(dataset, run, tmp_path, capsys):
+    def told(*arguments, given=dataset, out=tmp_path / "found"):
+        return refusal(capsys, "detect", run, given, "--out", out, *arguments)
+
+    (tmp_path / "empty").mkdir()
+    assert "has no pictures: put them into the folders" in told(given=tmp_path / "empty")
+    assert "is not a dataset, so it has no set test" in told("--split", "test", given=tmp_path)
+    assert "has no set 'test'" in told("--split", "test")
+    assert "needs no pictures: remove the argument pictures" in told("--export", "onnx")
+    (tmp_path / "mine").mkdir()
+    (tmp_path / "mine" / "letter.txt").write_text("mine")
+    assert "is not empty and holds no earlier result" in told(out=tmp_path / "mine")
+    assert "no pictures are given" in refusal(capsys, "detect", run, "--out", tmp_path / "found")
+    if not torch.cuda.is_available():
+        assert "torch finds no NVIDIA GPU: use --device cpu, or repair the driver" in told(
+            "--device", "cuda"
+        )
+    assert not (tmp_path / "found").exists()
+
+
+def test_depth_of_another_unit_is_refused_and_filled_holes_are_noted(
+    dataset, run, tmp_path, capsys
+):
+    """The scale is known from the dataset: no camera stands ten times as far away."""
+    shots = tmp_path / "shots"
+    (shots / "depth").mkdir(parents=True)
+    scene = dataset / "train" / "000000"
+    scale_m = json.loads((scene / "scene_camera_sl.json").read_bytes())["0"]["depth_scale"] / 1e3
+    steps = cv2.imread(str(scene / "depth_sl" / "000000.png"), cv2.IMREAD_UNCHANGED)
+    noise = np.random.default_rng(0).normal(0.0, 1e-3 / scale_m, steps.shape)  # it is drawn flat
+    steps = np.where(steps > 0, steps + noise, 0).astype(np.uint16)
+
+    def found(scale_m):
+        cv2.imwrite(str(shots / "depth" / "a.png"), steps)
+        arguments = ("detect", run, shots, "--scale", scale_m, "--out", tmp_path / "found")
+        return main([str(word) for word in arguments]), capsys.readouterr()
+
+    for factor in (10, 0.1):
+        code, told = found(factor * scale_m)
+        assert code == 1 and told.err.count("\n") == 1
+        assert "and the detector learnt" in told.err and "another unit" in told.err
+    code, told = found(scale_m)
+    assert code == 0 and "note:" not in told.out
+    steps[::2, ::2] = steps.max()
+    code, told = found(scale_m)
+    assert code == 0 and "note: scene 0: " in told.out and "holes that were filled" in told.out
+
+
+def test_a_dataset_of_other_parts_is_refused(run, tmp_path, capsys):
+    other = write_drawn(tmp_path, 2)
+    for name in ("graycast.json", "train_coco.json"):
+        text = (other / name).read_text()
+        (other / name).write_text(text.replace('"disc"', '"nut"').replace('"box"', '"bolt"'))
+    told = refusal(capsys, "detect", run, other, "--out", tmp_path / "found")
+    assert "has nut, bolt, and the detector was trained on disc, box" in told
+
+
+def test_a_picture_that_is_cut_off_is_named(run, tmp_path, capsys):
+    broken = write_drawn(tmp_path, 6, seed=9)
+    picture = next((broken / "train").glob("000003/depth_sl/*.png"))
+    picture.write_bytes(picture.read_bytes()[:200])
+    said = "--model yolov3 --backbone mobilenet-v3-small --size 128 --split 0.7,0.3,0".split()
+    for arguments in (("detect", run, broken), ("train", broken, *said)):
+        told = refusal(capsys, *arguments, "--out", tmp_path / f"out_{arguments[0]}")
+        assert "000003" in told and "depth_sl" in told
+
+
+def test_a_full_disk_is_said_before_the_training(dataset, tmp_path, monkeypatch):
+    usage = type("Usage", (), {"free": 1000})
+    monkeypatch.setattr(
+        "graycast.learn.detect.training_pictures.shutil.disk_usage", lambda _: usage
+    )
+    with pytest.raises(GraycastError, match=r"0\.0 GB free and the encoded pictures take"):
+        train([dataset], tmp_path / "run", SMALL)
+
+
+@pytest.mark.parametrize(
+    ("changed", "told"),
+    [
+        ({"epochs": 0}, "epochs is 0: give a whole number of at least 1"),
+        ({"batch": 0}, "batch is 0"),
+        ({"learning_rate": 0.0}, "learning_rate is 0"),
+        ({"model": "yolov9"}, "model 'yolov9' does not exist: choose one of mask-rcnn"),
+        ({"input": "xray"}, "input is 'xray': choose one of rgb"),
+        ({"holes": "none"}, "holes is 'none': choose one of channel"),
+        ({"range_m": (2.0, 1.0)}, "the depth's range is 2.0 to 1.0 m"),
+    ],
+)
+def test_a_setting_that_cannot_be_is_refused(dataset, tmp_path, changed, told):
+    with pytest.raises(GraycastError, match=told):
+        train([dataset], tmp_path / "run", replace(SMALL, **changed))

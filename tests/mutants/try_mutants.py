@@ -1,0 +1,148 @@
+"""Put known bugs into a copy of the source, one after the other, and see which tests notice.
+
+    .venv/bin/python tests/mutants/try_mutants.py                 all of mutants.txt
+    .venv/bin/python tests/mutants/try_mutants.py digest boxes    those that have one of these words
+    .venv/bin/python tests/mutants/try_mutants.py --all-tests     asks all quick tests of survivors
+
+A bug that no test notices survives; it is named at the end, and the program ends with 1. The
+working tree itself is never changed. Run it by hand: a bug takes as long as the tests beside it.
+"""
+
+import argparse
+import os
+import re
+import shutil
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Iterable
+from dataclasses import dataclass
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parents[2]
+LIST = Path(__file__).with_name("mutants.txt")
+KERNELS = "*.nb[ic]"
+
+
+@dataclass(frozen=True, slots=True)
+class Bug:
+    """`text` stands once in `src/graycast/FILE`; `tests` are arguments of pytest under `tests/`."""
+
+    bug: str
+    file: str
+    text: str
+    replaced_by: str
+    tests: str
+
+
+def planted() -> list[Bug]:
+    """The bugs of `mutants.txt`, which says how they are written down."""
+    found = []
+    for paragraph in LIST.read_text(encoding="utf-8").split("\n\n"):
+        lines = [line for line in paragraph.splitlines() if not line.startswith("#")]
+        if lines:
+            file, _, tests = lines[1].partition(": ")
+            gone, come = ([line[2:] for line in lines[2:] if line[0] == sign] for sign in "-+")
+            end = "" if come else "\n"
+            text, other = "\n".join(gone) + end, "\n".join(come)
+            found.append(Bug(bug=lines[0], file=file, text=text, replaced_by=other, tests=tests))
+    return found
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
+    parser.add_argument("words", nargs="*", help="only bugs whose name or file has one of these")
+    parser.add_argument("--all-tests", action="store_true", help="ask all quick tests of survivors")
+    asked = parser.parse_args()
+    chosen = [
+        bug
+        for bug in planted()
+        if not asked.words or any(word in f"{bug.bug} {bug.file}" for word in asked.words)
+    ]
+    with tempfile.TemporaryDirectory(prefix="graycast-mutants-") as folder:
+        copy = Path(folder)
+        copy_tree(copy)
+        sound = sorted({test for bug in chosen for test in bug.tests.split()})
+        print(f"{len(chosen)} bugs; first their tests without any", flush=True)
+        failed = failing_test(copy, sound)
+        if failed is not None:
+            sys.exit(f"the tests fail without any bug: {failed}")
+        survivors = [bug for bug in chosen if not noticed(copy, bug, all_tests=asked.all_tests)]
+    print(f"{len(chosen) - len(survivors)} of {len(chosen)} bugs are noticed")
+    for bug in survivors:
+        print(f"  not noticed: {bug.bug} ({bug.file})")
+    return 1 if survivors else 0
+
+
+def copy_tree(copy: Path) -> None:
+    """What git knows or would add, as it is in the working tree."""
+    command = ["git", "ls-files", "-z", "--cached", "--others", "--exclude-standard"]
+    names = subprocess.check_output(command, cwd=ROOT, text=True).split("\0")
+    for name in filter(None, names):
+        if (ROOT / name).is_file():
+            (copy / name).parent.mkdir(parents=True, exist_ok=True)
+            shutil.copy2(ROOT / name, copy / name)
+    for kernel in (ROOT / "src").rglob(f"__pycache__/{KERNELS}"):  # compiling takes minutes
+        (copy / kernel.relative_to(ROOT)).parent.mkdir(parents=True, exist_ok=True)
+        shutil.copy2(kernel, copy / kernel.relative_to(ROOT))
+
+
+def noticed(copy: Path, bug: Bug, *, all_tests: bool) -> bool:
+    """Break the copy, run the tests, mend the copy."""
+    path = copy / "src/graycast" / bug.file
+    sound, times = path.read_text(encoding="utf-8"), path.stat()
+    if sound.count(bug.text) != 1:
+        sys.exit(f"{bug.file} has {sound.count(bug.text)} times {bug.text!r}: mend mutants.txt")
+    broken = sound.replace(bug.text, bug.replaced_by)
+    compile(broken, bug.file, "exec")
+    kernels = {kernel: kernel.read_bytes() for kernel in kernels_beside(path)}
+    path.write_text(broken, encoding="utf-8")
+    forget(kernels)
+    start = time.monotonic()
+    try:
+        failed = failing_test(copy, bug.tests.split())
+        if failed is None and all_tests:
+            failed = failing_test(copy, [""])
+    finally:
+        path.write_text(sound, encoding="utf-8")
+        os.utime(path, ns=(times.st_atime_ns, times.st_mtime_ns))
+        forget(kernels_beside(path))
+        for kernel, content in kernels.items():
+            kernel.write_bytes(content)
+    seconds = time.monotonic() - start
+    print(f"{'noticed ' if failed else 'SURVIVES'} {seconds:4.0f} s  {bug.bug}", flush=True)
+    print(f"                   {failed or bug.tests}", flush=True)
+    return failed is not None
+
+
+def kernels_beside(path: Path) -> list[Path]:
+    """Compiled ones: Numba knows when a kernel's own file changes, and not what that imports."""
+    return list(path.parent.glob(f"__pycache__/{KERNELS}"))
+
+
+def forget(kernels: Iterable[Path]) -> None:
+    for kernel in kernels:
+        kernel.unlink()
+
+
+def failing_test(copy: Path, tests: list[str]) -> str | None:
+    """The first test that fails, if any does."""
+    run = subprocess.run(
+        [sys.executable, "-m", "pytest", "-x", "-rfE", "--tb=no", "-p", "no:cacheprovider"]
+        + [str(Path("tests", test)) for test in tests],
+        cwd=copy,
+        env=os.environ | {"PYTHONPATH": str(copy / "src")},
+        capture_output=True,
+        text=True,
+    )
+    if run.returncode in (0, 5):  # 5: they are all slow
+        return None
+    told = re.search(r"^(?:FAILED|ERROR) (\S+)", run.stdout, re.MULTILINE)
+    if run.returncode > 2 or told is None:
+        sys.exit(f"pytest ended with {run.returncode}: {run.stdout[-2000:]}{run.stderr[-2000:]}")
+    return told[1]
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,363 @@
+"""Grips on shapes where the right ones are known: boxes, a plate with a hole, a U."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import trimesh
+from scipy.spatial.transform import Rotation
+from scipy.stats import norm
+
+from graycast.base.frames import axis_rotation, rigid
+from graycast.rig.optics import Optics, rays
+from graycast.robot.grasp import (
+    Burden,
+    Cup,
+    Doubt,
+    Jaws,
+    best_first,
+    closing,
+    jaw_load_factor,
+    jaw_places,
+    patch_of_mesh,
+    robustness,
+    suction_in_depth,
+    suction_places,
+)
+from graycast.robot.grasp.grip import downs
+from graycast.robot.grasp.robust import SHAKE
+from graycast.world.parts import Mesh
+
+CUP = Cup(radius_m=0.008, height_m=0.012, vacuum_pa=50e3, friction=0.5)
+SURE = Doubt(position_m=0.0, angle_rad=0.0, friction_share=0.0, center_m=0.0)
+DOUBT = Doubt()
+SIDES_M = (0.040, 0.030, 0.020)
+
+
+def mesh_of(body):
+    return Mesh(vertices_m=np.array(body.vertices), faces=np.array(body.faces))
+
+
+def box(sides=SIDES_M):
+    return mesh_of(trimesh.creation.box(sides))
+
+
+def test_suction_grips_of_a_box_stand_a_cup_s_radius_inside_its_faces():
+    places = suction_places(
+        box(), CUP, weight_n=0.5, center_m=np.zeros(3), doubt=SURE, count=250, seed=1
+    )
+    grips = best_first(places)
+    half = np.array(SIDES_M) / 2
+    for grip in grips:
+        T = grip.T_part_tool
+        axis = int(np.argmax(np.abs(T[:3, 2])))
+        assert abs(T[axis, 2]) == pytest.approx(1)
+        assert T[axis, 3] * T[axis, 2] == pytest.approx(half[axis])
+        others = [k for k in range(3) if k != axis]
+        # The patch's nodes are half a millimetre apart, so an edge is seen by as much too late.
+        assert all(abs(T[k, 3]) <= half[k] - CUP.radius_m + 0.5e-3 for k in others)
+    # Of the even points those are left that lie so far inside: a share of the area.
+    inner = 2 * sum(
+        max(SIDES_M[a] - 0.016, 0) * max(SIDES_M[b] - 0.016, 0) for a, b in ((0, 1), (0, 2), (1, 2))
+    )
+    area = 2 * (0.04 * 0.03 + 0.04 * 0.02 + 0.03 * 0.02)
+    expected = 250 * inner / area
+    assert len(grips) == pytest.approx(expected, abs=3 * math.sqrt(expected) + 0.1 * expected)
+
+
+def test_robustness_is_the_chance_that_a_normal_law_gives():
+    """A cup beside an edge: it seals while the tool is off by less than what is left."""
+    left_m = 1.0e-3
+    plate = mesh_of(trimesh.creation.box((0.1, 0.1, 0.002)))
+    T = rigid(np.eye(3), np.array([0.05 - CUP.radius_m - left_m, 0.0, 0.001]))
+    patch = patch_of_mesh(plate, T, radius_m=0.012, step_m=0.2e-3)
+    burden = Burden(weight_n=0.1, center_m=np.zeros(3), down=np.array([0, 0, -1.0]))
+    doubt = Doubt(position_m=1e-3, angle_rad=0.0, friction_share=0.0, center_m=0.0)
+    share = robustness(CUP, patch, [burden], doubt, seed=0, chances=500)
+    law = 0.5 * (1 + math.erf(1 / math.sqrt(2)))  # P(off < 1 sigma), along x alone
+    assert share == pytest.approx(law, abs=4 * math.sqrt(law * (1 - law) / 500))
+
+
+def test_the_doubt_of_a_cup_s_place_is_one_of_the_load_s_arm():
+    """A load 0.5 mm within the arm at which it tilts the cup: Oracle: the normal law of 1 mm."""
+    plate = mesh_of(trimesh.creation.box((0.1, 0.1, 0.002)))
+    patch = patch_of_mesh(
+        plate, rigid(np.eye(3), np.array([0, 0, 1e-3])), radius_m=0.012, step_m=5e-4
+    )
+    center = np.array([tilting_m(1.0) - 0.5e-3, 0.0, 0.0])
+    burden = Burden(weight_n=1.0, center_m=center, down=np.array([0, 0, -1.0]))
+    doubt = Doubt(position_m=1e-3, angle_rad=0.0, friction_share=0.0, center_m=0.0)
+    share = robustness(CUP, patch, [burden], doubt, seed=0, chances=500)
+    law = norm.cdf(0.5)
+    assert share == pytest.approx(law, abs=4 * math.sqrt(law * (1 - law) / 500))
+
+
+def tilting_m(weight_n):
+    """How far aside of an upright cup a weight tilts it: load * arm = (pull - load) r / 2."""
+    load_n = SHAKE * weight_n
+    return (CUP.pull_n - load_n) * CUP.radius_m / 2 / load_n
+
+
+def test_a_tool_may_lean_by_30_degrees_to_each_side():
+    down = downs()
+    np.testing.assert_allclose(np.linalg.norm(down, axis=1), 1)
+    np.testing.assert_allclose(down[:, 2], [-1, *[-math.cos(math.pi / 6)] * 4])
+    turn = np.sort(np.arctan2(down[1:, 1], down[1:, 0]))
+    np.testing.assert_allclose(np.diff(turn), math.pi / 2)
+
+
+def test_a_heavy_part_is_gripped_near_its_centre_of_mass():
+    """Tilt lets go where weight * shake * distance is above what N r / 2 holds."""
+    long = box((0.2, 0.03, 0.02))
+    weight_n, center = 1.0, np.array([0.03, 0.0, 0.0])
+    places = suction_places(
+        long, CUP, weight_n=weight_n, center_m=center, doubt=SURE, count=150, seed=2
+    )
+    top = [g.T_part_tool for g in best_first(places) if abs(g.T_part_tool[2, 2]) > 0.9]
+    # Leaning adds its moment, so no grip is farther than an upright tool allows.
+    reach = max(abs(T[0, 3] - center[0]) for T in top)
+    assert 0.3 * tilting_m(weight_n) < reach <= tilting_m(weight_n)
+    # Law: in which frame a part is drawn changes nothing.
+    R = Rotation.from_euler("xyz", [0.4, 1.2, -0.7]).as_matrix()
+    turned = Mesh(vertices_m=long.vertices_m @ R.T, faces=long.faces)
+    again = suction_places(
+        turned, CUP, weight_n=weight_n, center_m=R @ center, doubt=SURE, count=150, seed=2
+    )
+    same = [one.score == other.score for one, other in zip(places, again, strict=True)]
+    assert np.mean(same) > 0.99  # but where a node lies on an edge
+    assert 0.02 < np.mean([one.score > 0 for one in places]) < 0.98
+
+
+JAWS = Jaws(opening_m=0.05, force_n=40.0, friction=0.3, finger_m=(0.006, 0.010, 0.040))
+
+
+@pytest.mark.parametrize(
+    ("opening_m", "sides_mm"), [(0.050, {20, 30, 40}), (0.035, {20, 30}), (0.033, {20})]
+)
+def test_jaw_grips_of_a_box_close_on_parallel_faces_that_fit(opening_m, sides_mm):
+    """On both sides 2 mm of room are left."""
+    jaws = replace(JAWS, opening_m=opening_m)
+    places = jaw_places(
+        box(), jaws, weight_n=0.5, center_m=np.zeros(3), doubt=SURE, count=40, chances=1
+    )
+    assert {round(1e3 * grip.opening_m, 6) for grip in best_first(places)} == sides_mm
+
+
+def test_a_part_stands_no_higher_between_the_fingers_than_the_palm_lets_it():
+    """The palm is a finger's length less the pad's radius, 36 mm, above the pads' middle."""
+    tall = box((0.01, 0.02, 0.12))
+    places = jaw_places(
+        tall, JAWS, weight_n=0.1, center_m=np.zeros(3), doubt=SURE, count=50, chances=1
+    )
+    # Grips whose tool points along the part, and away from its middle.
+    upright = [g.T_part_tool for g in best_first(places) if abs(g.T_part_tool[2, 2]) > 0.99]
+    above = [0.06 - T[2, 3] * np.sign(T[2, 2]) for T in upright]
+    assert 0.030 < max(above) <= 0.036 + 1e-9
+
+
+def test_a_jaw_grip_s_score_is_the_chance_of_friction_enough():
+    """Oracle: the normal law of friction, at the factor of the planned grip in its worst lean."""
+    doubt = Doubt(position_m=0.0, angle_rad=0.0, friction_share=0.15, center_m=0.0)
+    weight_n, chances = 5.0, 50
+    places = jaw_places(
+        box(), JAWS, weight_n=weight_n, center_m=np.zeros(3), doubt=doubt, count=3, chances=chances
+    )
+    between = 0
+    for grip in places:
+        T = grip.T_part_tool
+        load_n = SHAKE * weight_n * downs()
+        arm = np.broadcast_to(-T[:3, 3] @ T[:3, :3], load_n.shape)
+        factor = jaw_load_factor(JAWS, load_n, np.cross(arm, load_n)).min()
+        law = norm.cdf((1 - 1 / factor) / 0.15)
+        if grip.score > 0 or law < 1 / chances:
+            error = math.sqrt(law * (1 - law) / chances)
+            assert grip.score == pytest.approx(law, abs=4 * error + 1 / chances)
+            between += 0.05 < law < 0.95
+    assert between >= 2
+
+
+@pytest.mark.slow
+def test_a_jaw_grip_s_score_is_the_chance_that_both_pads_still_meet_the_part():
+    """Oracle: two normal laws. A pad's middle must stay on the face, and the part between the open
+    pads, with 2 mm of room on each side."""
+    doubt = Doubt(position_m=1e-3, angle_rad=0.0, friction_share=0.0, center_m=0.0)
+    places = jaw_places(
+        box(), JAWS, weight_n=0.1, center_m=np.zeros(3), doubt=doubt, count=80, chances=150
+    )
+    half, seen = np.array(SIDES_M) / 2, 0
+    for grip in places:
+        R, middle = grip.T_part_tool[:3, :3], grip.T_part_tool[:3, 3]
+        if grip.score == 0 or np.abs(R).max(axis=0).min() < 0.999:
+            continue  # in the way, or not along the edges
+        room = [half[np.abs(R[:, k]).argmax()] - abs(middle @ R[:, k]) for k in (1, 2)]
+        if max(room) < JAWS.pad_radius_m + 3e-3:
+            continue  # at a corner, where both edges cut the pad's disc
+        expected = norm.cdf(min(room) / 1e-3) * (2 * norm.cdf(2) - 1)
+        error = math.sqrt(expected * (1 - expected) / 150)
+        assert grip.score == pytest.approx(expected, abs=4 * error + 1 / 150)
+        seen += expected < 0.9
+    assert seen >= 2  # some are near an edge
+
+
+def test_no_finger_stands_in_the_part():
+    """A U of 3 mm walls, 10 mm apart: a finger of 6 mm fits in only beside 2 mm of room."""
+    walls = [
+        trimesh.creation.box((0.040, 0.020, 0.003)),
+        trimesh.creation.box((0.003, 0.020, 0.030), rigid(np.eye(3), np.array([0.0185, 0, 0.015]))),
+        trimesh.creation.box(
+            (0.003, 0.020, 0.030), rigid(np.eye(3), np.array([-0.0185, 0, 0.015]))
+        ),
+    ]
+    u = mesh_of(trimesh.boolean.union(walls))
+    places = jaw_places(
+        u, JAWS, weight_n=0.3, center_m=np.zeros(3), doubt=SURE, count=100, chances=1
+    )
+    grips = best_first(places)
+    assert any(grip.opening_m == pytest.approx(0.003) for grip in grips)  # round one wall
+    points = trimesh.sample.sample_surface(trimesh.Trimesh(u.vertices_m, u.faces), 5000, seed=1)[0]
+    for grip in grips[:50]:
+        local = (points - grip.T_part_tool[:3, 3]) @ grip.T_part_tool[:3, :3]
+        beside = np.abs(np.abs(local[:, 0]) - grip.opening_m / 2 - 0.003) < 0.0028
+        inside = beside & (np.abs(local[:, 1]) < 0.0048) & (local[:, 2] > -0.003)
+        assert not (inside & (local[:, 2] < 0.035)).any()
+
+
+@pytest.mark.parametrize(
+    ("force_n", "point_m", "limit"),
+    [
+        ((0, 0, -1.5), (0, 0, -0.03), 2 * 0.3 * 40 / 1.5),  # hangs below the pads
+        ((-1, 0, 0), (0, 0, 0), math.inf),  # along the axis: the drive holds
+        ((0, 0, -1), (0, 0.01, 0), 24 / math.hypot(1, 0.01 / (2 / 3 * 0.004))),
+    ],
+)
+def test_jaws_hold_what_a_hand_calculation_says(force_n, point_m, limit):
+    factor = jaw_load_factor(
+        JAWS, np.array([force_n], float), np.cross([point_m], [force_n]) * 1.0
+    )[0]
+    assert factor == pytest.approx(limit)
+
+
+CAMERA = Optics(width_px=240, height_px=200, fx_px=500.0, fy_px=500.0, cx_px=119.5, cy_px=99.5)
+DOWN = np.array([0.0, 0.0, 1.0])  # the camera looks down
+
+
+def seen_plate(tilt_rad=0.0):
+    """Depth of a plane through (0, 0, 0.6) that is turned about x."""
+    y, x = np.mgrid[:200, :240].astype(float)
+    ray = rays(CAMERA, np.stack([x, y], axis=-1))
+    normal = axis_rotation("x", tilt_rad) @ np.array([0, 0, -1.0])
+    return (0.6 * normal[2]) / (ray @ normal)
+
+
+def test_grips_in_depth_stand_on_the_plane_as_near_the_mask_s_middle_as_the_weight_asks():
+    """The weight pulls askew: across the plane it tilts the cup by its arm from the middle."""
+    lean_rad, weight_n = 0.6, 1.0
+    depth_m = seen_plate(lean_rad)
+    mask = np.zeros(depth_m.shape, bool)
+    mask[60:140, 80:160] = True
+    grips = suction_in_depth(depth_m, CAMERA, mask, CUP, down=DOWN, weight_n=weight_n, doubt=SURE)
+    rows, columns = np.nonzero(mask)
+    point = rays(CAMERA, np.stack([columns, rows], axis=-1).astype(float)) * depth_m[mask][:, None]
+    press_n = SHAKE * weight_n * math.cos(lean_rad)
+    most_m = (CUP.pull_n - press_n) * CUP.radius_m / 2 / press_n
+    away_m = [np.linalg.norm(grip.T_cam_tool[:3, 3] - point.mean(axis=0)) for grip in grips]
+    assert 0.8 * most_m < max(away_m) <= most_m < np.ptp(point[:, 0]) / 2
+    normal = axis_rotation("x", lean_rad) @ np.array([0, 0, -1.0])
+    for grip in grips:
+        T = grip.T_cam_tool
+        np.testing.assert_allclose(T[:3, 2], normal, atol=1e-6)
+        x, y = CAMERA.fx_px * T[:2, 3] / T[2, 3] + [119.5, 99.5]
+        assert mask[round(y), round(x)]
+    assert not suction_in_depth(
+        seen_plate(0.9), CAMERA, mask, CUP, down=DOWN, weight_n=0.5, doubt=DOUBT, count=20
+    )  # leans by more than 45 degrees
+
+
+@pytest.mark.slow
+def test_no_grip_stands_on_unknown_ground():
+    """A grid of holes nearer to each other than the cup is wide leaves no place at all."""
+    depth_m = seen_plate()
+    mask = np.ones(depth_m.shape, bool)
+    mask[:20], mask[-20:], mask[:, :20], mask[:, -20:] = False, False, False, False
+    holed = depth_m.copy()
+    holed[::8, ::8] = np.nan  # 9.6 mm apart, the cup is 16 mm wide
+    assert not suction_in_depth(holed, CAMERA, mask, CUP, down=DOWN, weight_n=0.5, doubt=DOUBT)
+    half = depth_m.copy()
+    half[::8, 120::8] = np.nan
+    grips = suction_in_depth(half, CAMERA, mask, CUP, down=DOWN, weight_n=0.5, doubt=SURE)
+    assert grips
+    for grip in grips:
+        x = CAMERA.fx_px * grip.T_cam_tool[0, 3] / grip.T_cam_tool[2, 3] + 119.5
+        assert x < 120 - 0.9 * 500 * CUP.radius_m / 0.6
+
+
+def test_the_same_seed_gives_the_same_grips():
+    mask = np.zeros((200, 240), bool)
+    mask[80:120, 100:140] = True
+    first, second = (
+        suction_in_depth(
+            seen_plate(0.2),
+            CAMERA,
+            mask,
+            CUP,
+            down=DOWN,
+            weight_n=0.5,
+            doubt=DOUBT,
+            seed=3,
+            count=20,
+        )
+        for _ in range(2)
+    )
+    assert [g.score for g in first] == [g.score for g in second]
+    assert all((a.T_cam_tool == b.T_cam_tool).all() for a, b in zip(first, second, strict=True))
+
+
+def test_what_lies_beyond_an_open_pad_is_not_between_the_pads():
+    """A plate 10 mm thick between pads 20 mm apart, and another one 6 mm beyond a pad."""
+    near = trimesh.creation.box((0.010, 0.04, 0.04))
+    far = trimesh.creation.box((0.004, 0.04, 0.04), rigid(np.eye(3), np.array([0.018, 0.0, 0.0])))
+    both = mesh_of(trimesh.util.concatenate([near, far]))
+    jaws = Jaws(opening_m=0.06)
+    T = rigid(np.eye(3), np.array([0.002, 0.0, 0.0]))  # 2 mm beside the plate's middle
+    aside_m, slope = closing(both, jaws, T, opening_m=0.020)
+    assert aside_m == pytest.approx(-0.002)
+    assert slope == pytest.approx(0, abs=1e-6)
+    aside_m, _ = closing(both, jaws, T, opening_m=0.040)  # now it is: from -5 to 20 mm
+    assert aside_m == pytest.approx(0.0075 - 0.002)
+    beyond = rigid(np.eye(3), np.array([-0.020, 0.0, 0.0]))
+    assert closing(both, jaws, beyond, opening_m=0.020) is None
+
+
+@pytest.mark.parametrize("kind", ["suction", "jaws"])
+def test_places_are_grips_and_those_that_do_not_hold(kind):
+    known = {"weight_n": 0.5, "center_m": np.zeros(3), "doubt": DOUBT, "count": 24}
+    if kind == "suction":
+        places = suction_places(box(), CUP, **known)
+        assert len(places) == 24
+    else:
+        places = jaw_places(box(), JAWS, **known, chances=6)
+        # All sides but the longest leave room; fingers may come from 8 ways.
+        assert len(places) % 8 == 0
+    grips = best_first(places)
+    assert 0 < len(grips) < len(places)
+    held = [place for place in places if place.score > 0]
+    assert sorted((g.score for g in grips), reverse=True) == [g.score for g in grips]
+    assert {g.T_part_tool.tobytes() for g in grips} == {g.T_part_tool.tobytes() for g in held}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("hole_m", "inside"), [(0.020, True), (0.007, False)])
+def test_a_wall_is_gripped_from_inside_where_the_hole_leaves_a_finger_room(hole_m, inside):
+    """A square tube of 4 mm walls; a finger of 6 mm needs 2 mm more beside it."""
+    outer = trimesh.creation.box((hole_m + 0.008, hole_m + 0.008, 0.03))
+    tube = mesh_of(outer.difference(trimesh.creation.box((hole_m, hole_m, 0.04))))
+    places = jaw_places(tube, JAWS, weight_n=0.2, center_m=np.zeros(3), doubt=SURE, count=300)
+    grips = best_first(places)
+    walls = [grip for grip in grips if grip.opening_m == pytest.approx(0.004)]
+    assert bool(walls) == inside
+    for grip in walls:
+        assert abs(grip.T_part_tool[2, 2]) > 0.7  # through the hole's mouth, not through the wall
+        aside_m, _ = closing(tube, JAWS, grip.T_part_tool, opening_m=0.008)
+        assert aside_m == pytest.approx(0, abs=1e-9)
+    assert any(grip.opening_m == pytest.approx(hole_m + 0.008) for grip in grips)

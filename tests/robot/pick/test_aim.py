@@ -1,0 +1,90 @@
+"""Which detections are looked at first: what lies free, what is covered, what failed."""
+
+import numpy as np
+import pytest
+
+from graycast.base.frames import axis_rotation, rigid
+from graycast.rig.optics import Optics
+from graycast.robot.pick.aim import Aim, Sight, Target, best_first, covered_share, ranked, spread
+
+CAMERA = Optics(width_px=80, height_px=60, fx_px=100.0, fy_px=100.0, cx_px=39.5, cy_px=29.5)
+LOOKING_DOWN = rigid(np.diag([1.0, -1.0, -1.0]), np.array([0.0, 0.0, 1.0]))
+
+
+def square(left, top, size=20):
+    mask = np.zeros((60, 80), bool)
+    mask[top : top + size, left : left + size] = True
+    return mask
+
+
+def scene(*plates):
+    """A floor at 1 m, and plates on it: outlines with their depths, the later ones on top."""
+    depth_m, owner = np.ones((60, 80)), np.full((60, 80), -1)
+    for i, (mask, plate_m) in enumerate(plates):
+        depth_m[mask], owner[mask] = plate_m, i
+    found = [Target(kind=0, score=1.0, mask=owner == i) for i in range(len(plates))]
+    return Sight(depth_m=depth_m, camera=CAMERA, T_world_cam=LOOKING_DOWN), found
+
+
+def test_the_share_of_an_outline_that_is_covered_is_that_of_geometry():
+    """A strip across the middle of a square covers two sides of two rectangles of 20 x 6."""
+    strip = np.zeros((60, 80), bool)
+    strip[26:34, 5:60] = True
+    view, (below, _) = scene((square(20, 20), 0.97), (strip, 0.94))
+    share = covered_share(below.mask, view.depth_m)
+    # The window of five pixels also sees the strip from the second and last rows beside it.
+    assert share == pytest.approx((2 * 20 + 4) / (2 * (2 * 20 + 2 * 4)), abs=0.03)
+
+
+def test_nothing_covers_what_lies_highest_or_alone():
+    view, (low, high) = scene((square(5, 20), 0.97), (square(50, 20), 0.90))
+    assert covered_share(low.mask, view.depth_m) == 0
+    assert covered_share(high.mask, view.depth_m) == 0
+
+
+def test_what_is_free_comes_before_what_is_covered_although_that_is_higher():
+    strip = np.zeros((60, 80), bool)
+    strip[18:21, 0:30] = True
+    view, (covered, free, top) = scene((square(5, 20), 0.90), (square(50, 20), 0.95), (strip, 0.85))
+    groups = ranked([covered, free, top], view)
+    assert groups == [[free], [covered], []]  # the strip is too small beside the others
+
+
+def test_where_a_grip_failed_is_tried_last():
+    view, (left, right) = scene((square(5, 20), 0.90), (square(50, 20), 0.95))
+    assert ranked([left, right], view)[0] == [left, right]
+    failed = np.array([(14.5 - 39.5) / 100 * 0.9, (29.5 - 29.5) / 100, 0.1])
+    assert ranked([left, right], view, [failed]) == [[right], [], [left]]
+    beside = failed + np.array([0.15, 0.0, 0.0])
+    assert ranked([left, right], view, [beside])[0] == [left, right]
+    outside = failed - np.array([10.0, 0.0, 0.0])
+    assert ranked([left, right], view, [outside])[0] == [left, right]
+
+
+def aim(x, z=0.0, *, score=1.0, turn=("x", 0.0)):
+    T = rigid(axis_rotation(*turn), np.array([x, 0.0, z]))
+    target = Target(kind=0, score=1.0, mask=square(0, 0))
+    return Aim(T_world_tool=T, score=score, target=target)
+
+
+def test_of_grips_that_are_about_as_sure_the_highest_comes_first():
+    low, high, doubtful = aim(0, 0.1, score=0.92), aim(0, 0.2, score=0.88), aim(0, 0.9, score=0.5)
+    assert best_first([doubtful, low, high]) == [high, low, doubtful]
+
+
+@pytest.mark.parametrize(
+    ("other", "round_tool", "alike"),
+    [
+        (aim(0.007), True, True),
+        (aim(0.009), True, False),
+        (aim(0.0, turn=("x", 0.2)), True, True),
+        (aim(0.0, turn=("x", 0.3)), True, False),
+        (aim(0.0, turn=("z", 1.5)), True, True),  # a round cup
+        (aim(0.0, turn=("z", 1.5)), False, False),
+        (aim(0.0, turn=("z", 3.1)), False, True),  # jaws have no front
+    ],
+)
+def test_grips_that_hardly_differ_are_tried_once(other, round_tool, alike):
+    first = aim(0.0)
+    found = list(spread([first, other], 0.008, round_tool=round_tool))
+    assert len(found) == (1 if alike else 2) and found[0] is first

@@ -1,0 +1,106 @@
+"""What is told of a grip that met nothing, and what is remembered of failed ones."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from stage import BOX_CORNERS, box_part, lambert
+
+from graycast.base.frames import axis_rotation, rigid
+from graycast.robot.pick import carry
+from graycast.robot.pick.aim import Aim, Target
+from graycast.robot.pick.carry import FREED_M, World, carry_out
+from graycast.robot.pick.choose import Choice
+from graycast.robot.pick.motion import Trajectory
+from graycast.robot.pick.outcome import Outcome
+from graycast.robot.pick.ready import Ready
+from graycast.robot.pick.tools import SuctionTool
+from graycast.robot.pick.touch import NotHeld
+from graycast.robot.pick.ways import Ways
+from graycast.world.parts import Mesh
+from graycast.world.scene import Layout
+
+EMPTY = World(
+    layout=Layout(T_world_part=np.zeros((0, 4, 4)), part_index=np.zeros(0, int)),
+    numbers=np.zeros(0, int),
+    hand_eye=np.eye(4),
+    q=np.zeros(6),
+)
+HERE = np.zeros(3)
+NEAR, FAR = np.array([0.9 * FREED_M, 0.0, 0.0]), np.array([0.0, 1.1 * FREED_M, 0.0])
+
+
+def test_a_failed_place_is_remembered_until_something_near_it_is_taken():
+    failed = EMPTY.gripped(NEAR, taken=False).gripped(FAR, taken=False)
+    assert failed.tabu == (NEAR, FAR)
+    assert failed.gripped(HERE, taken=True).tabu == (FAR,)
+    again = failed.gripped(HERE, taken=True).gripped(HERE, taken=True)
+    assert again.tabu == (FAR,)
+    assert again.gripped(HERE, taken=False).tabu == (FAR, HERE)
+
+
+def test_a_place_without_a_way_likewise_and_a_failure_elsewhere_leaves_it():
+    blocked = EMPTY.without_way((NEAR,)).without_way((FAR,))
+    assert blocked.blocked == (NEAR, FAR) and blocked.tabu == ()
+    assert blocked.gripped(HERE, taken=True).blocked == (FAR,)
+    assert blocked.gripped(HERE, taken=False).blocked == (NEAR, FAR)
+
+
+# A part whose middle is 50 mm from its origin, another of its kind beside it, and one of another
+# kind where the grip's pose is.
+MIDDLE = np.array([0.05, 0.0, 0.0])
+MESH = Mesh(vertices_m=0.01 * BOX_CORNERS + MIDDLE, faces=box_part(1.0, lambert(0.5)).mesh.faces)
+T_WORLD_CAM = rigid(axis_rotation("x", np.pi), np.array([0.1, 0.0, 0.9]))
+LAID = [rigid(axis_rotation("z", 0.3), np.array([x, 0.02, 0.01])) for x in (0.0, 0.06, 0.005)]
+HAND_EYE = rigid(axis_rotation("y", 0.01), np.array([0.001, -0.002, 0.0]))
+JOINTS = Trajectory(time_s=np.arange(2.0), q=np.arange(12.0).reshape(2, 6))
+
+
+@pytest.mark.parametrize(
+    ("turn_deg", "shift_mm", "outcome"),
+    [
+        (0.0, 0.0, Outcome.MISSED),
+        (9.0, 4.5, Outcome.MISSED),
+        (11.0, 0.0, Outcome.WRONG_POSE),
+        (0.0, 5.5, Outcome.WRONG_POSE),
+    ],
+)
+def test_a_grip_that_meets_nothing_is_blamed_on_its_pose_if_that_is_off(
+    monkeypatch, turn_deg, shift_mm, outcome
+):
+    """Its pose is turned about the part's middle and shifted; 10 degrees and 5 mm are too much."""
+    R = axis_rotation("z", np.radians(turn_deg))
+    off = rigid(R, MIDDLE - R @ MIDDLE + [0, 0, shift_mm / 1e3])
+    pose = Aim(
+        T_world_tool=rigid(np.eye(3), np.array([0.2, 0.1, 0.05])), score=1.0,
+        target=Target(kind=0, score=1.0, mask=np.ones((2, 2), bool)),
+        T_cam_part=np.linalg.inv(T_WORLD_CAM) @ LAID[0] @ off,
+    )  # fmt: skip
+    scene = SimpleNamespace(T_world_cam=T_WORLD_CAM, parts=[SimpleNamespace(mesh=MESH)])
+    cell = SimpleNamespace(
+        cell=SimpleNamespace(scene=scene), config=SimpleNamespace(tool=SuctionTool())
+    )
+    picker = bare(Ready, cell=cell, kinds=(), alike=(np.eye(4)[None],))
+    sent = []
+
+    def touch(tool, T_world_tool, *_, **__):
+        sent.append(T_world_tool)
+        return NotHeld(outcome=Outcome.MISSED)
+
+    monkeypatch.setattr(carry, "touch", touch)
+    layout = Layout(T_world_part=np.stack(LAID), part_index=np.array([0, 0, 1]))
+    world = World(layout=layout, numbers=np.arange(3), hand_eye=HAND_EYE, q=np.zeros(6))
+    carried, after = carry_out(picker, world, Choice(aim=pose, ways=bare(Ways, away=JOINTS)))
+    assert carried.outcome is outcome
+    assert carried.pose_error == pytest.approx((np.radians(turn_deg), shift_mm / 1e3), abs=1e-9)
+    np.testing.assert_allclose(sent, [HAND_EYE @ pose.T_world_tool])
+    np.testing.assert_array_equal(after.tabu, [pose.place_m])
+    np.testing.assert_array_equal(after.q, JOINTS.q[-1])
+
+
+def bare(kind, **fields):
+    """One of a class with those fields alone."""
+    made = object.__new__(kind)
+    for name, value in fields.items():
+        object.__setattr__(made, name, value)
+    return made

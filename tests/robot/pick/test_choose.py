@@ -1,0 +1,233 @@
+"""The order in which grips are tried, what is not tried at all, and what is told of it."""
+
+from dataclasses import replace
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from small_cell import write_cell
+
+from graycast.base.frames import axis_rotation, inverse, pixel_grid, rigid
+from graycast.rig.optics import Optics, rays
+from graycast.robot.grasp import Grip
+from graycast.robot.pick import choose, load_pick_config, resolve_pick_cell
+from graycast.robot.pick.aim import KnownPart, Sight, Target
+from graycast.robot.pick.choose import Choice
+from graycast.robot.pick.clock import Clock
+from graycast.robot.pick.obstacles import standing
+from graycast.robot.pick.outcome import Outcome
+from graycast.robot.pick.ready import Ready
+from graycast.robot.pick.tools import T_flange_tip
+from graycast.robot.pick.ways import Blocked, Load, Surroundings, Ways
+from graycast.robot.pose import pose_model
+
+CAMERA = Optics(width_px=160, height_px=120, fx_px=300.0, fy_px=300.0, cx_px=79.5, cy_px=59.5)
+LOOKING_DOWN = rigid(np.diag([1.0, -1.0, -1.0]), np.array([0.0, 0.0, 0.6]))
+# The part is 60 x 40 x 30 mm and lies in the middle of the bin, in a layer as high as itself.
+TOP_M = 0.03
+T_CAM_PART = inverse(LOOKING_DOWN) @ rigid(np.eye(3), np.array([0.0, 0.0, TOP_M / 2]))
+EVERYWHERE = np.ones((120, 160), bool)
+TARGET = Target(kind=0, score=1.0, mask=EVERYWHERE, T_cam_part=T_CAM_PART)
+# The second grip is on the same face as the first, 20 mm beside it; the third is elsewhere.
+FIRST, BESIDE, ELSEWHERE = (np.array([x, 0.0, TOP_M]) for x in (0.0, 0.02, 0.08))
+
+
+def bare(kind, **fields):
+    """One of a class with those fields alone."""
+    made = object.__new__(kind)
+    for name, value in fields.items():
+        object.__setattr__(made, name, value)
+    return made
+
+
+def grips(*scores):
+    """Upright ones, whose tips come to those three places."""
+    places = (FIRST, BESIDE, ELSEWHERE)
+    return tuple(
+        Grip(T_part_tool=rigid(np.eye(3), place - [0, 0, TOP_M / 2]), score=score)
+        for place, score in zip(places, scores, strict=False)
+    )
+
+
+@pytest.fixture(scope="module")
+def ready(tmp_path_factory):
+    """What a choice needs that does without libraries of robots."""
+    folder = tmp_path_factory.mktemp("cell")
+    path = write_cell(folder, tool={"kind": "suction"}, picking={"pose": "truth"})
+    cell = resolve_pick_cell(load_pick_config(path), folder)
+    part = cell.cell.scene.parts[0]
+    model = pose_model(part.mesh, part.symmetry)
+    return bare(
+        Ready,
+        cell=cell,
+        known={0: KnownPart(model=model, grips=grips(0.9, 0.8, 0.7))},
+        load=Load(below_m=0.08, aside_m=0.04),
+        bodies=(SimpleNamespace(mass_kg=0.05),),
+        robot=None,
+    )
+
+
+def like(ready, **changes):
+    """The same with other fields, or with other words of its section `picking`."""
+    fields = {name: getattr(ready, name) for name in ("cell", "known", "load", "bodies", "robot")}
+    words = {name: changes.pop(name) for name in ("knows", "grips") if name in changes}
+    config = ready.cell.config
+    picking = config.picking.model_copy(update=words)
+    cell = replace(ready.cell, config=config.model_copy(update={"picking": picking}))
+    return bare(Ready, **fields | {"cell": cell} | changes)
+
+
+def scan(*bumps, lean_rad=0.0):
+    """A layer of even height, leaning about x, and places about which it is higher or lower."""
+    ray = rays(CAMERA, pixel_grid(120, 160)) @ LOOKING_DOWN[:3, :3].T
+    normal = axis_rotation("x", lean_rad)[:, 2]
+    depth = normal @ (FIRST - LOOKING_DOWN[:3, 3]) / (ray @ normal)
+    place = LOOKING_DOWN[:3, 3] + ray * depth[..., None]
+    for (about, radius_m), higher_m in bumps:
+        depth[np.linalg.norm(place - about, axis=-1) < radius_m] -= higher_m
+    return Sight(depth_m=depth, camera=CAMERA, T_world_cam=LOOKING_DOWN)
+
+
+def chosen(ready, view, found=(TARGET,), *, tabu=(), blocked=()):
+    return choose.choose(
+        ready, view, list(found), np.zeros(6), tabu, blocked, seed=0, clock=Clock()
+    )
+
+
+@pytest.fixture
+def reaching(robots, ready, monkeypatch):
+    """Chooses among the three grips with an arm that has ways to some places alone.
+
+    What the arm was asked for is kept: the tip's pose, and what is carried how high.
+    """
+    tool = ready.cell.config.tool
+    here = Surroundings(
+        T_base_world=np.eye(4), T_flange_tip=T_flange_tip(tool),
+        standing=standing(ready.cell.cell.scene, np.eye(4)), q_place=np.zeros(6),
+        approach_m=0.06, straight_m_s=0.25, lift_off_m_s=0.05,
+    )  # fmt: skip
+
+    def reaching(*reached, view=None, found=(TARGET,), tabu=(), blocked=(), **changes):
+        sought = []
+
+        def ways(robot, here, q, tip, heap, **words):
+            sought.append((tip, words))
+            if any(abs(tip[0, 3] - place[0]) < 1e-6 for place in reached):
+                return bare(Ways)
+            return Blocked(outcome=Outcome.UNREACHABLE, detail="too far")
+
+        monkeypatch.setattr(choose, "ways", ways)
+        view = scan() if view is None else view
+        held = like(ready, here=here, **changes)
+        return chosen(held, view, found, tabu=tabu, blocked=blocked), sought
+
+    return reaching
+
+
+def places(sought):
+    return [round(float(tip[0, 3]), 6) for tip, _ in sought]
+
+
+def test_a_grip_beside_one_without_a_way_waits_for_all_others(reaching):
+    found, sought = reaching(BESIDE, ELSEWHERE)
+    assert isinstance(found, Choice) and places(sought) == [0.0, 0.08]
+    np.testing.assert_allclose(found.aim.place_m, ELSEWHERE, atol=1e-9)
+    found, sought = reaching(BESIDE)
+    assert isinstance(found, Choice) and places(sought) == [0.0, 0.08, 0.02]
+
+
+def test_the_next_scan_begins_elsewhere(reaching):
+    found, sought = reaching()
+    assert found.outcome is Outcome.UNREACHABLE and places(sought) == [0.0, 0.08, 0.02]
+    assert [round(float(place[0]), 6) for place in found.places_m] == places(sought)
+    assert places(reaching(ELSEWHERE, blocked=(FIRST,))[1]) == [0.08]
+    assert places(reaching(BESIDE, blocked=found.places_m)[1]) == [0.0, 0.02]  # all of them again
+
+
+def test_no_more_ways_are_sought_than_stated(reaching):
+    found, sought = reaching(BESIDE, grips=2)
+    assert isinstance(found, Blocked) and places(sought) == [0.0, 0.08]
+
+
+def test_where_a_grip_failed_none_is_tried(reaching):
+    found, sought = reaching(tabu=(FIRST, BESIDE, ELSEWHERE))
+    assert found.outcome is Outcome.GIVEN_UP and not sought and not found.places_m
+    assert places(reaching(tabu=(FIRST,))[1]) == [0.02, 0.08]
+
+
+@pytest.mark.parametrize(
+    ("higher_m", "outcome", "words"),
+    [
+        (0.006, Outcome.COLLISION_SEEN, "an object is at the place of the cup"),
+        (-0.006, Outcome.NOTHING_FOUND, "the part is not at the place of the cup"),
+    ],
+)
+def test_no_way_is_sought_where_the_surface_is_another_s(reaching, higher_m, outcome, words):
+    """Beside the middles of all three cups; by 2 mm it may be off."""
+    aside = [(np.array([x, 0, TOP_M]), 0.007) for x in (0.01, 0.07)]
+    found, sought = reaching(view=scan(*((place, higher_m) for place in aside)))
+    assert found.outcome is outcome and found.detail == words and not sought
+    assert reaching(view=scan(*((place, higher_m / 3) for place in aside)))[1]
+
+
+def test_no_way_is_sought_to_where_the_tool_alone_meets_the_heap(reaching):
+    """A tower 25 mm from the tool's axis, up to above the bellows; the tube's radius is 12 mm."""
+    tower = (np.array([-0.025, 0, TOP_M]), 0.011)
+    found, sought = reaching(ELSEWHERE, view=scan((tower, 0.05)))
+    assert isinstance(found, Choice) and places(sought) == [0.02, 0.08]
+    assert places(reaching(FIRST, view=scan((tower, 0.01)))[1]) == [0.0]
+
+
+def test_a_known_part_is_carried_over_the_rim_by_its_own_reach(reaching):
+    """From the middle of its top it reaches 30 mm down, and half its diagonal aside."""
+    ((_, words),) = reaching(FIRST)[1]
+    assert words["load"].below_m == pytest.approx(0.03)
+    assert words["load"].aside_m == pytest.approx(np.hypot(0.03, 0.02))
+    assert words["up_m"] == pytest.approx(0.1 + 0.03 + 0.05 - TOP_M)  # rim, part, clearance
+    assert words["round_tool"]
+
+
+@pytest.mark.parametrize("lean_rad", [0.0, 0.3])
+def test_an_unknown_part_reaches_no_deeper_than_the_floor_lets_it(reaching, lean_rad):
+    """Oracle: the lowest of all points, within its size of the tip and above the floor, once the
+    tool is upright."""
+    unknown = (Target(kind=None, score=1.0, mask=few(9)),)
+    view = scan(lean_rad=lean_rad)
+    ((tip, words),) = reaching(found=unknown, view=view, knows="depth", grips=1)[1]
+    assert tip[2, 2] == pytest.approx(np.cos(lean_rad))
+    aside, up = np.mgrid[-0.08:0.08:400j, -0.08:0.08:400j]
+    there = (np.hypot(aside, up) <= 0.08) & (up >= -tip[2, 3])
+    deepest_m = (np.cos(lean_rad) * -up + np.sin(lean_rad) * aside)[there].max()
+    assert deepest_m - 0.001 < words["load"].below_m < deepest_m + 0.003
+
+
+def few(pixels):
+    """So many in the middle of the picture."""
+    mask = np.zeros(EVERYWHERE.shape, bool)
+    mask[60, 80 : 80 + pixels] = True
+    return mask
+
+
+UPSIDE_DOWN = T_CAM_PART @ rigid(axis_rotation("x", np.pi), np.zeros(3))
+
+
+@pytest.mark.parametrize(
+    ("found", "depth_m", "scores", "told"),
+    [
+        ([], 0.57, (), "no detection"),
+        ([TARGET], np.nan, (), "no depth"),
+        (
+            [Target(kind=0, score=1.0, mask=few(1))],
+            0.57,
+            (),
+            "no pose",
+        ),
+        ([replace(TARGET, T_cam_part=UPSIDE_DOWN)], 0.57, (0.9,), "no grip: the tool fits nowhere"),
+        ([TARGET], 0.57, (0.1, 0.2), "no grip: all have less than the least score"),
+    ],
+)
+def test_nothing_found_says_what_was_not_found(ready, found, depth_m, scores, told):
+    known = {0: replace(ready.known[0], grips=grips(*scores))}
+    view = replace(scan(), depth_m=np.full((120, 160), depth_m))
+    got = chosen(like(ready, known=known), view, found)
+    assert got.outcome is Outcome.NOTHING_FOUND and got.detail.startswith(told)

@@ -1,0 +1,54 @@
+"""Coal's shapes as triangles: on the surface, closed, and of the right volume."""
+
+import numpy as np
+import pytest
+
+pytest.importorskip("pinocchio", reason="needs pinocchio: pip install 'graycast[pick]'")
+
+import coal
+import trimesh
+
+from graycast.base.errors import ConfigError
+from graycast.base.frames import rigid
+from graycast.robot.pick.obstacles import triangles
+from graycast.robot.pick.solids import ROUND, joined, shape_mesh
+
+
+def solid(mesh):
+    return trimesh.Trimesh(mesh.vertices_m, mesh.faces)
+
+
+@pytest.mark.parametrize(
+    ("shape", "volume"),
+    [
+        (coal.Sphere(0.05), 4 / 3 * np.pi * 0.05**3),
+        (coal.Cylinder(0.03, 0.2), np.pi * 0.03**2 * 0.2),
+        (coal.Box(0.1, 0.2, 0.3), 0.1 * 0.2 * 0.3),
+    ],
+)
+def test_a_shape_has_its_volume_about_its_middle(shape, volume):
+    """Oracle: closed forms; a circle of n corners has n / 2 pi sin(2 pi / n) of its area."""
+    made = solid(shape_mesh(shape))
+    corners = ROUND / (2 * np.pi) * np.sin(2 * np.pi / ROUND)
+    assert made.is_watertight
+    assert 0.98 * corners * volume <= made.volume <= volume * (1 + 1e-9)
+    np.testing.assert_allclose(made.center_mass, 0, atol=1e-9)
+
+
+def test_a_mesh_comes_back_as_it_was():
+    cube = trimesh.creation.box((0.1, 0.2, 0.3))
+    made = shape_mesh(triangles(shape_mesh(coal.Box(0.1, 0.2, 0.3))))
+    assert solid(made).volume == pytest.approx(cube.volume)
+
+
+def test_what_no_urdf_makes_is_named():
+    with pytest.raises(ConfigError, match="Plane cannot be drawn"):
+        shape_mesh(coal.Plane(0.0, 0.0, 1.0, 0.0))
+
+
+def test_joined_meshes_lie_where_they_were_put():
+    box = shape_mesh(coal.Box(0.1, 0.1, 0.1))
+    apart = rigid(np.eye(3), np.array([1.0, 0.0, 0.0]))
+    both = solid(joined([(box, np.eye(4)), (box, apart)]))
+    np.testing.assert_allclose(both.bounds, [[-0.05, -0.05, -0.05], [1.05, 0.05, 0.05]])
+    assert both.volume == pytest.approx(2e-3)

@@ -1,0 +1,32 @@
+"""A new gripper needs its class and its name in `tools.py`: nobody else knows which tools exist."""
+
+import re
+from pathlib import Path
+from typing import get_args
+
+import graycast
+from graycast.robot.pick.pick_sections import PickConfig
+from graycast.robot.pick.tools import AnyTool, Tool
+
+SOURCE = Path(graycast.__file__).parent
+TOOLS = get_args(get_args(AnyTool)[0])
+DEFAULT = type(PickConfig.model_fields["tool"].default)
+
+
+def files_that_name(tool):
+    word = re.compile(rf"\b{tool.__name__}\b")
+    for file in SOURCE.rglob("*.py"):
+        if word.search(file.read_text(encoding="utf-8")):
+            yield file.relative_to(SOURCE.parent).with_suffix("").as_posix().replace("/", ".")
+
+
+def test_a_tool_is_named_where_it_is_made_and_where_it_is_chosen():
+    """Settings name the tool that a cell has by default, too."""
+    for tool in TOOLS:
+        settings = {PickConfig.__module__} if tool is DEFAULT else set()
+        assert set(files_that_name(tool)) == {tool.__module__, Tool.__module__} | settings
+
+
+def test_every_tool_answers_all_questions():
+    for tool in TOOLS:
+        assert isinstance(tool(kind=get_args(tool.model_fields["kind"].annotation)[0]), Tool)

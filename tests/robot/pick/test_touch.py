@@ -1,0 +1,137 @@
+"""What a tool meets: plates, edges, neighbours and wedges whose answers are known by hand."""
+
+import numpy as np
+import pytest
+import trimesh
+from manifold3d import CrossSection
+
+from graycast.base.frames import axis_rotation, rigid
+from graycast.robot.grasp import Cup, Jaws, closing
+from graycast.robot.pick.contact import Held
+from graycast.robot.pick.jaw_tool import JawTool
+from graycast.robot.pick.outcome import Outcome
+from graycast.robot.pick.suction_tool import SuctionTool
+from graycast.robot.pick.touch import Kind, touch
+from graycast.world.drop import make_bodies
+from graycast.world.parts import Material, Mesh, Part
+
+PLATE_M = (0.08, 0.06, 0.02)
+CUP = SuctionTool(cup=Cup(radius_m=0.01, height_m=0.01), stroke_m=0.008, length_m=0.15)
+JAWS = JawTool(
+    kind="jaws", jaws=Jaws(opening_m=0.05, friction=0.3, finger_m=(0.006, 0.01, 0.04)), length_m=0.1
+)
+
+
+def part_of(mesh):
+    mesh = Mesh(vertices_m=np.array(mesh.vertices), faces=np.array(mesh.faces))
+    return Part(name="part", mesh=mesh, material=Material(), density_kg_m3=1000.0, friction=0.4)
+
+
+@pytest.fixture(scope="module")
+def plate(robots, tmp_path_factory):
+    part = part_of(trimesh.creation.box(PLATE_M))
+    folder = tmp_path_factory.mktemp("hulls")
+    return Kind.of(part, make_bodies([part], hull_folder=folder)[0])
+
+
+def at(x, y, z):
+    return rigid(np.eye(3), np.array([x, y, z], dtype=float))
+
+
+def down_on(kind, T_tool, poses, tool=CUP):
+    return touch(tool, T_tool, [kind], np.stack(poses), np.zeros(len(poses), int))
+
+
+@pytest.mark.parametrize("off_m", [-0.007, 0.0, 0.007])
+def test_a_cup_comes_to_rest_on_the_plate_within_its_stroke(plate, off_m):
+    met = down_on(plate, at(0.01, 0, 0.01 + off_m), [at(0, 0, 0)])
+    assert isinstance(met, Held) and met.part == 0
+    np.testing.assert_allclose(met.T_world_tool[:3, 3], [0.01, 0, 0.01], atol=1e-9)
+    np.testing.assert_allclose(met.hold.T_part_tool[:3, 3], [0.01, 0, 0.01], atol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("z", "outcome"),
+    [(0.02, Outcome.MISSED), (0.0, Outcome.COLLISION_UNSEEN)],
+)
+def test_beyond_its_stroke_it_misses_or_pushes(plate, z, outcome):
+    assert down_on(plate, at(0, 0, z), [at(0, 0, 0)]).outcome is outcome
+
+
+def test_over_the_edge_air_gets_in(plate):
+    inside = down_on(plate, at(0.04 - 0.0105, 0, 0.01), [at(0, 0, 0)])
+    over = down_on(plate, at(0.04 - 0.0085, 0, 0.01), [at(0, 0, 0)])
+    assert isinstance(inside, Held)
+    assert over.outcome is Outcome.NOT_HELD and "has no surface" in over.detail
+
+
+def test_two_plates_side_by_side_are_no_ground_for_one_cup(plate):
+    """They touch, and lie at one height: between them there is a gap all the same."""
+    poses = [at(-0.04, 0, 0), at(0.04, 0, 0)]
+    assert down_on(plate, at(0.004, 0, 0.01), poses).outcome is Outcome.NOT_HELD
+    assert down_on(plate, at(0.02, 0, 0.01), poses).part == 1
+
+
+def test_the_upper_of_two_parts_is_met(plate):
+    poses = [at(0, 0, 0), at(0, 0, 0.0205)]
+    assert down_on(plate, at(0, 0, 0.0305), poses).part == 1
+
+
+def test_a_neighbour_stands_in_the_tube_s_way(plate):
+    """It stands 80 mm high, 12 mm beside the axis; the tube's radius is 12 mm."""
+    upright = rigid(axis_rotation("y", np.pi / 2), np.array([0.018, 0, 0.04]))
+    met = down_on(plate, at(0, 0, 0.01), [at(-0.025, 0, 0), upright])
+    assert met.outcome is Outcome.COLLISION_UNSEEN and met.part == 1 and "tube" in met.detail
+    away = upright.copy()
+    away[0, 3] = 0.024
+    assert isinstance(down_on(plate, at(0, 0, 0.01), [at(-0.025, 0, 0), away]), Held)
+
+
+def test_jaws_close_on_a_bar_and_draw_it_to_their_middle(robots):
+    bar = part_of(trimesh.creation.box((0.03, 0.06, 0.02)))
+    kind = Kind.of(bar, make_bodies([bar])[0])
+    met = down_on(kind, at(0.003, 0, 0), [at(0, 0, 0)], JAWS)
+    assert isinstance(met, Held)
+    np.testing.assert_allclose(met.hold.T_part_tool[:3, 3], [0, 0, 0], atol=1e-9)
+    assert down_on(kind, at(0, 0, 0.02), [at(0, 0, 0)], JAWS).outcome is Outcome.MISSED
+    assert down_on(kind, at(0.02, 0, 0), [at(0, 0, 0)], JAWS).outcome is Outcome.COLLISION_UNSEEN
+    beside = [at(-0.012, 0, 0), at(0.02, 0, 0)]
+    narrow = part_of(trimesh.creation.box((0.01, 0.06, 0.02)))
+    thin = Kind.of(narrow, make_bodies([narrow])[0])
+    two = down_on(thin, at(0, 0, 0), beside, JAWS)
+    assert two.outcome is Outcome.NOT_HELD and "two parts" in two.detail
+
+
+def extruded(outline_m):
+    """A prism over an outline, 40 mm high along z."""
+    solid = CrossSection([outline_m]).extrude(0.04).to_mesh64()
+    return trimesh.Trimesh(solid.vert_properties[:, :3], solid.tri_verts)
+
+
+@pytest.mark.parametrize("slope", [0.1, 0.25])
+def test_the_slope_under_the_pads_is_that_of_a_wedge(slope):
+    """A wedge whose one side is upright and whose other leans by the slope."""
+    low, high = 0.02, 0.02 + slope * 0.04
+    outline = np.array([[0, -0.02], [low, -0.02], [high, 0.02], [0, 0.02]])
+    part = part_of(extruded(outline))
+    aside_m, seen = closing(part.mesh, Jaws(opening_m=0.06), at(0.01, 0.0, 0.02))
+    assert seen == pytest.approx(slope, rel=1e-6)
+    # The pad meets the wedge where it is thickest under it, 0.95 of its radius up.
+    outermost = 0.02 + slope * (0.02 + 0.95 * 0.004)
+    assert aside_m == pytest.approx(outermost / 2 - 0.01, abs=1e-9)
+
+
+def test_what_lies_behind_the_face_that_a_pad_meets_does_not_lean_it():
+    """A block 20 mm thick whose corner is cut at 45 degrees under the half of one pad."""
+    outline = [[0, -0.02], [0.02, -0.02], [0.02, 0.8e-3], [5e-3, 15.8e-3], [0, 15.8e-3]]
+    part = part_of(extruded(outline))
+    aside_m, slope = closing(part.mesh, Jaws(opening_m=0.06), at(0.01, 0.0, 0.02))
+    assert slope == pytest.approx(0, abs=1e-6) and aside_m == pytest.approx(0, abs=1e-9)
+    # 3 mm farther along, the pad meets the cut alone, and slips.
+    _, slope = closing(part.mesh, Jaws(opening_m=0.06), at(0.01, 0.006, 0.02))
+    assert slope == pytest.approx(1, rel=1e-6)
+
+
+def test_a_pad_that_meets_nothing_closes_on_nothing():
+    part = part_of(trimesh.creation.box((0.03, 0.06, 0.02)))
+    assert closing(part.mesh, Jaws(opening_m=0.06), at(0, 0.04, 0)) is None

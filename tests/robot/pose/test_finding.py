@@ -1,0 +1,258 @@
+"""Poses found in depth that is drawn by the checking rasteriser, which the search does not use."""
+
+import numpy as np
+import pytest
+import trimesh
+from scipy.spatial.transform import Rotation
+
+from graycast.base.frames import axis_rotation, rigid, transform_points
+from graycast.camera.crop import crop
+from graycast.rig.meshdepth import rasterize
+from graycast.rig.optics import Optics, rays
+from graycast.robot.pose import find_pose, find_pose_in_box, find_poses, pose_model
+from graycast.robot.pose.drawing import draw, lens
+from graycast.score.evaluate import rotation_translation
+from graycast.world.parts import Mesh, Symmetry, builtin_part
+from graycast.world.parts.symmetry import motions
+
+CAMERA = Optics(width_px=200, height_px=160, fx_px=560.0, fy_px=560.0, cx_px=99.5, cy_px=79.5)
+FLOOR_M = 0.92
+
+
+@pytest.fixture(scope="module")
+def bracket():
+    return builtin_part("metal_workpiece_1")
+
+
+@pytest.fixture(scope="module")
+def model(bracket):
+    return pose_model(bracket.mesh, bracket.symmetry)
+
+
+def drawn(mesh, T, camera=CAMERA):
+    vertices = transform_points(T, mesh.vertices_m.astype(np.float64))
+    return rasterize(vertices, mesh.faces, camera).over(camera)[1]
+
+
+def scan(mesh, T, *, noise_m=0.0005, lost=0.2, seed=0):
+    """A part before a floor, with noise along z, holes, and the mask of the part."""
+    rng = np.random.default_rng(seed)
+    z = drawn(mesh, T)
+    mask = np.isfinite(z)
+    depth = np.where(mask, z, FLOOR_M) + noise_m * rng.standard_normal(z.shape)
+    depth[rng.random(z.shape) < lost] = np.nan
+    return depth, mask
+
+
+def heap(mesh, seed):
+    """Six parts, five of them around the first: depth as a scan has it, whose pixel, where."""
+    rng = np.random.default_rng(seed)
+    around = 2 * np.pi * np.arange(5) / 5 + rng.uniform(0, 2 * np.pi)
+    aside = [(0.0, 0.0), *(0.038 * np.stack([np.cos(around), np.sin(around)], axis=1))]
+    places = [
+        rigid(Rotation.random(rng=rng).as_matrix(), np.array([x, y, rng.uniform(0.84, 0.88)]))
+        for x, y in aside
+    ]
+    z = np.nan_to_num([drawn(mesh, T) for T in places], nan=FLOOR_M)
+    owner = np.where(z.min(axis=0) < FLOOR_M, z.argmin(axis=0), -1)
+    depth = z.min(axis=0) + 0.0005 * rng.standard_normal(owner.shape)
+    depth[rng.random(depth.shape) < 0.2] = np.nan
+    share = [(owner == k).sum() / (one < FLOOR_M).sum() for k, one in enumerate(z)]
+    return depth, owner, places, share
+
+
+def box_of(mask):
+    y, x = np.nonzero(mask)
+    return np.array([x.min(), y.min(), np.ptp(x) + 1, np.ptp(y) + 1], float)
+
+
+def pose(seed):
+    rng = np.random.default_rng(seed)
+    R = Rotation.random(rng=rng).as_matrix()
+    return rigid(R, np.array([*rng.uniform(-0.03, 0.03, 2), 0.85]))
+
+
+def off(found, true, symmetry):
+    angle, shift = rotation_translation(found.T_cam_part, true, motions(symmetry))
+    return np.degrees(angle), 1000 * shift
+
+
+@pytest.mark.parametrize("seeds", [(0,), pytest.param(range(1, 12), marks=pytest.mark.slow)])
+def test_the_bracket_is_found_from_any_side(bracket, model, seeds):
+    for seed in seeds:
+        depth, mask = scan(bracket.mesh, pose(seed), seed=seed)
+        found = find_pose(model, depth, CAMERA, mask)
+        angle, shift = off(found, pose(seed), bracket.symmetry)
+        assert angle < 2 and shift < 1, (seed, angle, shift)
+        assert found.score > 0.6
+
+
+def test_missing_depth_speaks_neither_for_nor_against(bracket, model):
+    """Depth lost at a known pose turns visible pixels into unknown ones, and none into others."""
+    T = pose(1)
+    depth, mask = scan(bracket.mesh, T, noise_m=0.0, lost=0.0)
+    found = find_pose(model, depth, CAMERA, mask)
+    few = depth.copy()
+    few[::3] = np.nan
+    again = find_pose(model, few, CAMERA, mask)
+    assert again.unknown > 0.25 * found.visible and found.unknown == 0
+    assert again.contradicted <= found.contradicted + 5
+    assert abs(again.visible / found.visible - 2 / 3) < 0.05
+
+
+def test_what_something_hides_is_no_contradiction(bracket, model):
+    """A plate 60 mm before a third of the part: those pixels are hidden, and the pose stands."""
+    T = pose(2)
+    depth, mask = scan(bracket.mesh, T, noise_m=0.0003, lost=0.0)
+    columns = np.flatnonzero(mask.any(axis=0))
+    cut = columns[len(columns) * 2 // 3]
+    covered = int(mask[:, cut:].sum())
+    depth[:, cut:], mask[:, cut:] = 0.75, False
+    found = find_pose(model, depth, CAMERA, mask)
+    angle, shift = off(found, T, bracket.symmetry)
+    assert angle < 3 and shift < 2
+    assert abs(found.hidden - covered) < 0.15 * covered
+    assert found.contradicted < 0.02 * found.visible + 5
+
+
+@pytest.mark.slow
+def test_a_wrong_part_is_worth_less(bracket, model):
+    box = builtin_part("yellow_salt_cube")
+    depth, mask = scan(bracket.mesh, pose(0))
+    mine = find_pose(model, depth, CAMERA, mask)
+    other = find_pose(pose_model(box.mesh, box.symmetry), depth, CAMERA, mask)
+    assert other.score < 0.6 * mine.score
+
+
+@pytest.mark.slow
+def test_a_box_does_without_a_mask(bracket, model):
+    for seed in (0, 3):
+        T = pose(seed)
+        depth, mask = scan(bracket.mesh, T, seed=seed)
+        found = find_pose_in_box(model, depth, CAMERA, box_of(mask))
+        angle, shift = off(found, T, bracket.symmetry)
+        assert angle < 3 and shift < 2
+
+
+@pytest.mark.parametrize("seeds", [(0,), pytest.param(range(1, 4), marks=pytest.mark.slow)])
+def test_a_part_is_found_among_others_like_it(bracket, model, seeds):
+    """By its outline, and by a box in which the others are seen, too."""
+    for seed in seeds:
+        depth, owner, places, share = heap(bracket.mesh, seed)
+        free = [k for k in range(6) if share[k] >= 0.7]
+        for k in free[-1:] if len(seeds) == 1 else free:
+            mask = owner == k
+            for found in (
+                find_pose(model, depth, CAMERA, mask),
+                find_pose_in_box(model, depth, CAMERA, box_of(mask)),
+            ):
+                angle, shift = off(found, places[k], bracket.symmetry)
+                assert angle < 2 and shift < 1, (seed, k, angle, shift)
+
+
+def test_a_turned_part_is_found_and_does_not_spin(bracket):
+    """A cone without its tip, about an axis beside its origin: the turn is that of `near`."""
+    shape = trimesh.creation.revolve([[0, 0], [0.025, 0], [0.015, 0.03], [0, 0.03]], sections=48)
+    shape.apply_translation([0.01, -0.02, 0.0])
+    mesh = Mesh(vertices_m=np.array(shape.vertices), faces=np.array(shape.faces))
+    symmetry = Symmetry(continuous=(((0.0, 0.0, 1.0), (0.01, -0.02, 0.0)),))
+    T = pose(3)
+    depth, mask = scan(mesh, T)
+    found = find_pose(pose_model(mesh, symmetry), depth, CAMERA, mask, near=T)
+    angle, shift = off(found, T, Symmetry())
+    assert angle < 2 and shift < 1
+
+
+def test_too_little_depth_finds_nothing(bracket, model):
+    depth, mask = scan(bracket.mesh, pose(0))
+    assert find_pose(model, np.full_like(depth, np.nan), CAMERA, mask).T_cam_part is None
+    assert find_pose(model, depth, CAMERA, np.zeros_like(mask)).T_cam_part is None
+    assert find_pose_in_box(model, depth, CAMERA, np.array([900.0, 0, 5, 5])).score == 0
+    column = np.array([100.0, 0, 1, 160])  # a box of one column is searched all the same
+    assert find_pose_in_box(model, depth, CAMERA, column).T_cam_part is not None
+
+
+def test_a_symmetric_part_does_not_flip_from_noise_to_noise(bracket, model):
+    """The bracket looks the same after a half turn; the member nearest to `near` comes back."""
+    T = pose(6)
+    scans = [scan(bracket.mesh, T, seed=seed) for seed in (0, 1)]
+    first, second = (find_pose(model, *_of(one)).T_cam_part for one in scans)
+    assert np.trace(first[:3, :3].T @ second[:3, :3]) > 2.99  # within 6 degrees
+    for near in (T, T @ bracket.symmetry.discrete[0]):
+        found = find_pose(model, *_of(scans[0]), near=near).T_cam_part
+        assert np.trace(found[:3, :3].T @ near[:3, :3]) > 2.99
+
+
+def _of(one):
+    depth, mask = one
+    return depth, CAMERA, mask
+
+
+def test_another_cameras_picture_is_refused(bracket, model):
+    depth, mask = scan(bracket.mesh, pose(0))
+    with pytest.raises(ValueError, match="give depth, mask and camera of one picture"):
+        find_pose(model, depth[:-1], CAMERA, mask[:-1])
+
+
+@pytest.mark.slow
+def test_threads_change_nothing(bracket, model):
+    depth, mask = scan(bracket.mesh, pose(4))
+    one, two = find_poses(model, depth, CAMERA, [mask, mask], threads=2)
+    np.testing.assert_array_equal(one.T_cam_part, two.T_cam_part)
+    np.testing.assert_array_equal(one.T_cam_part, find_pose(model, depth, CAMERA, mask).T_cam_part)
+
+
+def plate(x=0.08, y=0.05, z=0.0005):
+    corner = np.array([[i, j, k] for i in (-x, x) for j in (-y, y) for k in (-z, z)]) / 2
+    quads = [(0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3)]
+    faces = [t for a, b, c, d in quads for t in ((a, b, c), (a, c, d))]
+    return Mesh(vertices_m=corner, faces=np.array(faces))
+
+
+def test_a_flat_plate_does_not_explode_and_is_found():
+    """All its pairs are alike but for their length; its outline tells where it is."""
+    mesh = plate()
+    turns = [np.diag([-1.0, -1, 1, 1]), np.diag([1.0, -1, -1, 1]), np.diag([-1.0, 1, -1, 1])]
+    symmetry = Symmetry(discrete=tuple(turns))
+    flat = pose_model(mesh, symmetry)
+    assert len(flat.pairs.first) < 700**2
+    T = rigid(axis_rotation("z", 0.6) @ axis_rotation("x", 0.3), np.array([0.01, 0, 0.85]))
+    depth, mask = scan(mesh, T)
+    angle, shift = off(find_pose(flat, depth, CAMERA, mask), T, symmetry)
+    assert angle < 3 and shift < 1.5
+
+
+@pytest.mark.parametrize("distortion", [(0.0,) * 5, (-0.12, 0.05, 0.002, -0.001, 0.0)])
+def test_the_quick_drawing_is_the_checking_rasters(bracket, distortion):
+    """Of a closed mesh, whose faces turned away are never seen; two programs."""
+    camera = Optics(width_px=200, height_px=160, fx_px=560.0, fy_px=560.0, cx_px=99.5,
+                    cy_px=79.5, distortion=distortion)  # fmt: skip
+    y, x = np.mgrid[:160, :200].astype(float)
+    ray = np.ascontiguousarray(rays(camera, np.stack([x, y], axis=-1))[..., :2])
+    ray.flags.writeable = False  # as those of a cloud are, for which the kernel is compiled
+    mesh, z, face = bracket.mesh, np.empty((160, 200)), np.empty((160, 200), np.int64)
+    for seed in range(3):
+        vertices = np.ascontiguousarray(mesh.vertices_m, np.float64)
+        draw(pose(seed), vertices, mesh.faces, lens(camera), ray, 0, 0, z, face)
+        expected = drawn(mesh, pose(seed), camera)
+        assert (np.isfinite(z) != np.isfinite(expected)).sum() <= 2  # on an edge, by rounding
+        both = np.isfinite(z) & np.isfinite(expected)
+        assert (np.abs(z[both] - expected[both]) > 1e-12).sum() <= 2
+
+
+def test_normals_of_a_plane_are_its_own_and_noise_is_measured():
+    """A slanted plane, ray by ray; then with noise of a known sigma."""
+    normal = np.array([0.3, -0.2, -1.0]) / np.linalg.norm([0.3, -0.2, -1.0])
+    y, x = np.mgrid[:160, :200].astype(float)
+    ray = rays(CAMERA, np.stack([x, y], axis=-1))
+    z = (normal @ [0, 0, 0.85]) / (ray @ normal)
+    inside = np.zeros(z.shape, bool)
+    inside[60:100, 80:120] = True
+    seen = crop(z, CAMERA, inside, tight=True, reach_m=0.01, window_m=0.005)
+    known = np.isfinite(seen.smooth)
+    assert known.sum() >= known.size - 4  # in the corners too little of a window is left
+    np.testing.assert_allclose(seen.smooth[known], seen.z[known], rtol=1e-9)
+    np.testing.assert_allclose(seen.normal[known] - normal, 0, atol=1e-7)
+    noisy = z + 0.0008 * np.random.default_rng(0).standard_normal(z.shape)
+    seen = crop(noisy, CAMERA, inside, tight=True, reach_m=0.01, window_m=0.005)
+    assert seen.noise_m == pytest.approx(0.0008, rel=0.15)

@@ -1,0 +1,119 @@
+"""Votes of pairs of points, and the bundles of poses that they make, each by itself."""
+
+import numpy as np
+import pytest
+from scipy.spatial.distance import pdist
+from scipy.spatial.transform import Rotation
+from stage import BOX_CORNERS, box_part, lambert
+
+from graycast.base.frames import axis_rotation, rigid, transform_points
+from graycast.robot.pose import pose_model
+from graycast.robot.pose.finding import _bundled
+from graycast.robot.pose.pairs import TURNS, pair_table, votes
+from graycast.world.parts import Mesh, Symmetry
+
+STEP_M = 0.004
+
+
+def scattered(count, seed=0):
+    """Places and directions of no order: hardly two pairs have one feature."""
+    rng = np.random.default_rng(seed)
+    normal = rng.normal(size=(count, 3))
+    return rng.uniform(-0.03, 0.03, (count, 3)), normal / np.linalg.norm(normal, axis=1)[:, None]
+
+
+def moved(T, point, normal):
+    return transform_points(T, point), normal @ T[:3, :3].T
+
+
+SOMEWHERE = rigid(
+    Rotation.random(rng=np.random.default_rng(4)).as_matrix(), np.array([0.1, 0, 0.8])
+)
+
+
+def voted(scene, model, references, *, step_m=STEP_M, peaks=1):
+    """As the search asks: what belongs to a model is not to be written."""
+    for array in model:
+        array.flags.writeable = False
+    table = pair_table(*model, step_m)
+    return votes(*scene, np.array(references), *model, table.start, table.first, table.turn_rad,
+                 table.step_m, table.distances, peaks)  # fmt: skip
+
+
+def test_every_pair_is_in_the_table_at_a_feature_that_no_motion_changes():
+    point, normal = scattered(60)
+    table = pair_table(point, normal, STEP_M)
+    assert len(table.first) == table.start[-1] == 2 * (pdist(point) > STEP_M / 2).sum()
+    assert set(np.bincount(table.first)) <= {58, 59}
+    again = pair_table(*moved(SOMEWHERE, point, normal), STEP_M)
+    rows = min(len(table.start), len(again.start))  # the longest distances are reserved by boxes
+    np.testing.assert_array_equal(again.start[:rows], table.start[:rows])
+    np.testing.assert_array_equal(again.first, table.first)
+    for k in range(60):  # about a point's normal all others turn alike
+        turn = (again.turn_rad - table.turn_rad)[table.first == k].astype(float)
+        np.testing.assert_allclose(np.exp(1j * turn), np.exp(1j * turn[0]), atol=1e-5)
+
+
+def test_each_reference_point_votes_for_the_pose_but_for_half_a_bin_of_turn():
+    point, normal = scattered(60)
+    seen = np.arange(5, 45)
+    T, weight = voted(moved(SOMEWHERE, point[seen], normal[seen]), (point, normal), range(10))
+    for i, pose in enumerate(T):
+        np.testing.assert_allclose(
+            transform_points(pose, point[seen[i]]), transform_points(SOMEWHERE, point[seen[i]])
+        )
+        np.testing.assert_allclose(
+            pose[:3, :3] @ normal[seen[i]], SOMEWHERE[:3, :3] @ normal[seen[i]]
+        )
+        off = Rotation.from_matrix(pose[:3, :3].T @ SOMEWHERE[:3, :3]).magnitude()
+        assert off < 1.001 * np.pi / TURNS
+        assert weight[i] > 30  # of 39 pairs that each would have a whole vote
+
+
+@pytest.mark.parametrize("points", [2, 3, 6])
+def test_a_vote_weighs_one_over_the_root_of_the_pairs_that_share_its_feature(points):
+    """Points in a row: forth and back, each two neighbours are a pair of one feature."""
+    model = np.zeros((points, 3)), np.tile([0.0, 0.0, 1.0], (points, 1))
+    model[0][:, 0] = 0.01 * np.arange(points)
+    scene = np.array([[0.2, 0, 0], [0.21, 0, 0]]), np.tile([0.0, 0.0, 1.0], (2, 1))
+    _, weight = voted(scene, model, [0])
+    assert weight[0] == pytest.approx(1 / np.sqrt(2 * (points - 1)))
+
+
+HALF_M = np.array([0.04, 0.03, 0.02])
+
+
+@pytest.fixture(scope="module")
+def block():
+    """40 x 30 x 20 mm about (5, -10, 20) mm, alike after a half turn about its own z."""
+    middle = np.array([0.005, -0.01, 0.02])
+    mesh = Mesh(
+        vertices_m=BOX_CORNERS * HALF_M / 2 + middle, faces=box_part(1.0, lambert(0.5)).mesh.faces
+    )
+    half = rigid(axis_rotation("z", np.pi), middle - axis_rotation("z", np.pi) @ middle)
+    turned = Symmetry(continuous=(((0.0, 0.0, 2.0), tuple(middle)),))
+    return pose_model(mesh, Symmetry(discrete=(half,))), pose_model(mesh, turned), half
+
+
+def about(T, middle, axis, angle):
+    R = axis_rotation(axis, angle)
+    return T @ rigid(R, middle - R @ middle)
+
+
+def test_like_poses_add_their_votes_and_the_best_of_them_stands_for_all(block):
+    """Three of 3, 2 and 2 votes, one of which is turned by the symmetry, beat one of 5."""
+    model, _, half = block
+    near = SOMEWHERE @ rigid(axis_rotation("x", 0.05), np.array([0.001, 0, 0]))
+    other = SOMEWHERE @ rigid(axis_rotation("x", np.pi / 2), np.zeros(3))
+    T = np.stack([other, near @ half, SOMEWHERE, near])
+    found = _bundled(model, T, np.array([5.0, 2.0, 3.0, 2.0]))
+    np.testing.assert_array_equal(found, [SOMEWHERE, other])
+
+
+def test_turns_about_an_axis_of_symmetry_are_one_bundle(block):
+    _, model, _ = block
+    middle = np.array([0.005, -0.01, 0.02])
+    turned = [about(SOMEWHERE, middle, "z", angle) for angle in (0.0, 1.0, 2.5)]
+    tilted = about(SOMEWHERE, middle, "x", 0.5)
+    found = _bundled(model, np.stack([*turned, tilted]), np.array([1.0, 1.0, 1.0, 2.0]))
+    np.testing.assert_array_equal(found, [turned[0], tilted])

@@ -1,0 +1,132 @@
+"""Whole studies of a small cell: paired, the same whoever makes them, and gone on with."""
+
+import json
+import os
+import signal
+import time
+
+import pytest
+from small_cell import start
+from test_study import write_study
+
+from graycast.base.errors import DatasetError
+from graycast.cli import main
+from graycast.score.design import read_design, rows_of
+
+pytestmark = pytest.mark.slow
+
+SWEEPS = [{"distance_m": [0.6, 0.9], "code": ["gray", "phase"], "exposure": ["one"]}]
+
+
+def run(path, out, *options):
+    return main(["design", str(path), "--out", str(out), *map(str, options)])
+
+
+def content(out):
+    return {
+        str(path.relative_to(out)): path.read_bytes()
+        for path in out.rglob("*")
+        if path.is_file() and path.name != ".lock"
+    }
+
+
+@pytest.fixture(scope="module")
+def study(tmp_path_factory):
+    """A finished study: its file and its folder."""
+    folder = tmp_path_factory.mktemp("study")
+    path = write_study(folder, sweeps=SWEEPS)
+    assert run(path, folder / "out") == 0
+    return path, folder / "out"
+
+
+def test_a_study_writes_tables_plots_and_a_sentence(study, capsys):
+    path, out = study
+    assert run(path, out) == 0  # all is there: nothing is scanned again
+    printed = capsys.readouterr().out
+    names = {"table.md", "table.csv", "design.json", "pareto.png", "missing.png"}
+    assert names <= set(content(out))
+    held = json.loads((out / "design.json").read_bytes())
+    assert held["says"] in (out / "table.md").read_text()
+    assert held["says"] in printed and "of the open surface of the parts" in held["says"]
+    assert len(held["rows"]) == 4
+    for row in held["rows"]:
+        lost = sum(row[name] for name in ("part_shadow", "dark", "edge", "hidden_by_parts"))
+        assert 0 < row["measured"] <= 1 - lost + 1e-9
+        assert row["measured_low"] < row["measured"] < row["measured_high"]
+
+
+def test_all_settings_are_asked_about_the_same_points_of_the_same_heaps(study):
+    _, out = study
+    for heap in ("000.json", "001.json"):
+        points = {
+            json.loads((folder / heap).read_bytes())["points"]
+            for folder in (out / "settings").iterdir()
+        }
+        assert len(points) == 1
+
+
+def test_a_code_gives_the_same_alone_as_beside_others(study, tmp_path):
+    """Codes share their light's rendering, which must not depend on who else is in it."""
+    _, out = study
+    path = write_study(tmp_path, sweeps=[{"distance_m": [0.9], "code": ["phase"]}])
+    assert run(path, tmp_path / "alone") == 0
+    alone, beside = (
+        json.loads((folder / "000.json").read_bytes())
+        for folder in (
+            tmp_path / "alone/settings/0.9m_phase",
+            out / "settings/0.9m_phase_one",
+        )
+    )
+    assert alone == beside
+
+
+def test_two_workers_write_what_one_writes(study, tmp_path):
+    path, out = study
+    assert run(path, tmp_path / "two", "--workers", 2, "--threads", 1) == 0
+    assert content(tmp_path / "two") == content(out)
+
+
+def test_a_killed_study_goes_on_and_comes_out_the_same(study, tmp_path):
+    path, out = study
+    running = start("design", path, "--out", tmp_path / "out")
+    try:
+        begun = time.monotonic()
+        while not list(tmp_path.glob("out/settings/*/000.json")):
+            assert running.poll() is None and time.monotonic() - begun < 300
+            time.sleep(0.05)
+    finally:
+        os.killpg(running.pid, signal.SIGKILL)
+        running.communicate()
+    assert len(list(tmp_path.glob("out/settings/*/00?.json"))) < 8
+    # Whether the kill fell into the writing of a file is chance; what it leaves there goes.
+    (tmp_path / "out/settings/0.9m_phase_one/.tmp-000.json-dead").write_bytes(b"half")
+    assert run(path, tmp_path / "out") == 0
+    assert content(tmp_path / "out") == content(out)
+
+
+def test_more_settings_and_heaps_are_added_and_what_is_there_stays(tmp_path, capsys):
+    path = write_study(tmp_path, layouts=1, sweeps=[{"distance_m": [0.6]}])
+    assert run(path, tmp_path / "out") == 0
+    first = tmp_path / "out/settings/0.6m/000.json"
+    written = first.stat().st_mtime_ns
+    write_study(tmp_path, layouts=2, sweeps=[{"distance_m": [0.6, 0.9]}])
+    assert run(path, tmp_path / "out") == 0
+    assert first.stat().st_mtime_ns == written
+    assert [len(row.measured_by_heap) for row in rows_of(read_design(path), tmp_path / "out")] == [
+        2,
+        2,
+    ]
+    capsys.readouterr()
+    write_study(tmp_path, wrong_m=0.001, sweeps=[{"distance_m": [0.6]}])
+    assert run(path, tmp_path / "out") == 1
+    said = capsys.readouterr().err
+    assert "measured with other values" in said and "study.wrong_m (0.005 there, 0.001" in said
+
+
+def test_two_runs_do_not_write_one_folder(study):
+    from graycast.score.design.result_files import open_design
+
+    _, out = study
+    with open_design(out), pytest.raises(DatasetError, match="another run is writing"):
+        with open_design(out):
+            pass

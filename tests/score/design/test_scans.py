@@ -1,0 +1,86 @@
+"""Settings through light, sensor and decoder, against closed forms."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from stage import centred, make_rig
+from test_surface import LENGTH_M, ON_THE_FLOOR, THICK_M, plate, plate_in_bin
+
+from graycast.base.frames import rigid
+from graycast.camera.decode import DecodeSpec
+from graycast.camera.scanner import Scanner, measure, take
+from graycast.render import Quality
+from graycast.rig.pattern import CodeSpec
+from graycast.score.design.heap_surface import spread_surface
+from graycast.score.design.point_fates import figures, judge, view_of
+from graycast.world.scene import Environment, Layout
+
+PHASE = CodeSpec(codec="gray_phase", axes=("column",), period_px=16.0, steps=4)
+
+
+def scanned(renderer, scene, layout=ON_THE_FLOOR, *, samples=16, depth=1):
+    """The figures of a scene whose scanner decodes phases and filters nothing."""
+    scanner = Scanner(rig=scene.rig, code=PHASE, decode=DecodeSpec(max_epipolar_px=0.0))
+    dark = replace(scene, environment=Environment(radiance=(0.0, 0.0, 0.0)))
+    pattern = scanner.light_code().render(lambda share: np.rint(255 * share).astype(np.uint8))
+    rendering = renderer.render(
+        dark, layout, pattern, quality=Quality(samples=samples, depth=depth), seed=3
+    )
+    _, depth_map = measure(scanner, take(scanner, rendering.radiance, seed=4))
+    surface = spread_surface(scene, layout, points=20_000, cone_deg=0.0)
+    view = view_of(scene, layout, surface)
+    judged = judge(view, surface, rendering.truth, depth_map, wrong_m=0.005)
+    return figures(scene, view, surface, judged, seconds=1.0), depth_map, rendering.truth
+
+
+@pytest.mark.slow
+def test_sigma_grows_with_the_square_of_the_distance(mitsuba_renderer):
+    """Oracle: of parallel axes z = f b / d, so sigma_z = z^2 / (f b) sigma_d. The exposure keeps
+    the picture as bright, so that sigma_d, which photons make, is the same at all distances."""
+    sigma_m = []
+    distances_m = (0.5, 0.7, 1.0)
+    for z_m in distances_m:
+        rig = make_rig(centred(320, 240, 500), centred(800, 600, 700), baseline_m=(0.1, 0, 0))
+        scene = plate_in_bin(rig, (-0.05, 0.0, THICK_M + z_m), rim_m=0.0065)
+        sigma_m.append(scanned(mitsuba_renderer, scene, samples=64)[0]["sigma_m"])
+    slope = np.polyfit(np.log(distances_m), np.log(sigma_m), 1)[0]
+    assert slope == pytest.approx(2.0, abs=0.1)
+
+
+@pytest.mark.slow
+def test_what_a_wall_shades_is_not_measured_and_all_else_is(mitsuba_renderer):
+    """Oracle: the same triangle as without light; here the decoder found the shadow's end, too."""
+    baseline_m, height_m, rim_m = 0.4, 0.8, 0.06
+    rig = make_rig(centred(400, 300, 500), centred(900, 700, 600), baseline_m=(baseline_m, 0, 0))
+    scene = plate_in_bin(rig, (0.0, 0.0, THICK_M + height_m), rim_m=rim_m)
+    told, *_ = scanned(mitsuba_renderer, scene)
+    dark = rim_m * (baseline_m - LENGTH_M / 2) / (height_m - rim_m) / LENGTH_M
+    pixel = height_m / 500 / LENGTH_M
+    assert told["share"]["wall_shadow"] == pytest.approx(dark, abs=pixel)
+    assert told["measured"] == pytest.approx(1 - dark, abs=2 * pixel)
+    assert told["of_seen"] == pytest.approx(1 - dark, abs=2 * pixel)
+
+
+@pytest.mark.slow
+def test_a_cube_of_the_smallest_features_side_is_seen_and_one_of_a_third_is_not(mitsuba_renderer):
+    """Seen: on all 4 pixels at least whose whole area is inside its top, depth is above the plate
+    by more than 3 sigma. A cube of a third of the side covers a pixel at most."""
+    height_m = 0.6
+    rig = make_rig(centred(320, 240, 400), centred(800, 600, 700), baseline_m=(0.1, 0, 0))
+    bare = plate_in_bin(rig, (-0.05, 0.0, THICK_M + height_m), rim_m=0.0065)
+    told, *_ = scanned(mitsuba_renderer, bare)
+    raised = {}
+    for share in (1.0, 1 / 3):
+        side_m = share * told["feature_m"]
+        cube = replace(plate(side_m, side_m, side_m), name="cube")
+        scene = replace(bare, parts=(*bare.parts, cube))
+        poses = np.stack([np.eye(4), rigid(np.eye(3), np.array([0.004, 0.003, THICK_M]))])
+        layout = Layout(T_world_part=poses, part_index=np.array([0, 1]))
+        _, depth, truth = scanned(mitsuba_renderer, scene, layout)
+        above_m = height_m - depth.depth_m
+        raised[share] = int((above_m[truth.instance == 1] > 3 * told["sigma_m"]).sum())
+        flat = above_m[truth.instance == 0]
+        assert (flat > 3 * told["sigma_m"]).mean() < 0.01  # so that what stands out is the cube
+    assert raised[1.0] >= 4
+    assert raised[1 / 3] <= 2

@@ -1,0 +1,206 @@
+"""Intervals over scenes: against copies of scenes, against a known mean, against themselves."""
+
+from dataclasses import astuple, replace
+
+import numpy as np
+import pytest
+from scipy import stats
+
+from graycast.base.errors import GraycastError
+from graycast.score.evaluate import score
+from graycast.score.evaluate.intervals import differences, draw_scenes, interval_of, with_intervals
+from graycast.score.evaluate.scores import figures_of_draws
+
+from .drawn_sets import RandomSet, figures, found_squares, squares
+
+PLACES = [(12 * (i % 5), 12 * (i // 5)) for i in range(15)]
+
+
+@pytest.mark.parametrize("kind", ["box", "mask"])
+@pytest.mark.parametrize("seed", [1, 10, 16])
+def test_a_draw_scores_as_pycocotools_scores_the_drawn_scenes(kind, seed):
+    """The drawn scenes as pictures of their own, some of them several times."""
+    drawn = RandomSet.drawn(seed)  # scores of one digit, many of them equal, where it is even
+    scores = score(drawn.labels, drawn.found, kind=kind)
+    rng = np.random.default_rng(4)
+    chosen = [np.sort(rng.integers(0, 4, 4)) for _ in range(3)]
+    times = np.array([np.bincount(places, minlength=4) for places in chosen])
+    got = np.array(list(figures_of_draws(scores.matches, times).values())).T
+    expected = [figures(*drawn.by_pycocotools(kind, scenes=places)) for places in chosen]
+    np.testing.assert_allclose(got, expected, rtol=0, atol=1e-9)
+
+
+def bin_of(scene_id, rng, *, share, parts=15):
+    """A scene of which a share of the parts is found; no mistakes, and boxes alone."""
+    found = np.flatnonzero(rng.random(parts) < share)
+    score = rng.uniform(0.5, 1, len(found))
+    labels = squares(scene_id, PLACES[:parts], masked=False)
+    return labels, found_squares(scene_id, [PLACES[i] for i in found], score, masked=False)
+
+
+def interval(scenes, *, seed, name="ar"):
+    scores = score([one[0] for one in scenes], [one[1] for one in scenes], kind="box")
+    return with_intervals(scores, draw_scenes(scores.scene_of, seed=seed))[name]
+
+
+def test_one_seed_gives_one_interval_and_another_seed_nearly_the_same():
+    rng = np.random.default_rng(0)
+    scenes = [bin_of(i, rng, share=rng.uniform(0.4, 1)) for i in range(30)]
+    first, again, other = (interval(scenes, seed=seed) for seed in (1, 1, 2))
+    assert first == again != other
+    width = first.high - first.low
+    assert abs(first.low - other.low) < 0.15 * width
+    assert first.low < first.value < first.high
+
+
+@pytest.mark.parametrize(("scenes", "t"), [(3, 4.303), (5, 2.776), (12, 2.201), (60, 2.001)])
+def test_normal_draws_of_a_mean_have_the_interval_of_student(scenes, t):
+    """Oracle: mean +- t s / sqrt(n), t from a printed table; the bootstrap's spread of the mean is
+    s sqrt((n - 1) / n) / sqrt(n). Five standard errors of the quantile of 200,000 draws."""
+    spread = np.sqrt((scenes - 1) / scenes / scenes)  # of s = 1
+    drawn = 0.7 + spread * np.random.default_rng(5).standard_normal(200_000)
+    found = interval_of(0.7, drawn, scenes)
+    half = t / np.sqrt(scenes)
+    z = half / spread
+    share, density = stats.norm.sf(z), stats.norm.pdf(z)
+    error = 5 * spread * np.sqrt(share / 200_000) / density
+    assert found.high - 0.7 == pytest.approx(half, abs=error)
+    assert 0.7 - found.low == pytest.approx(half, abs=error)
+
+
+def test_an_estimate_aside_of_its_draws_has_the_bias_corrected_interval():
+    """Oracle: normal draws about `value + b sigma`: the limits are `value - b sigma -+ z sigma`."""
+    draws = 0.6 + 0.05 * stats.norm.ppf((np.arange(100_000) + 0.5) / 100_000)
+    z = np.sqrt(30 / 29) * stats.t.ppf(0.975, 29)
+    for b in (-0.8, 0.0, 0.5):
+        value = 0.6 - 0.05 * b
+        found = interval_of(value, draws, 30)
+        assert found.low == pytest.approx(value + 0.05 * (-b - z), abs=1e-3)
+        assert found.high == pytest.approx(value + 0.05 * (-b + z), abs=1e-3)
+
+
+@pytest.mark.parametrize("value", [0.2, 0.9])
+def test_an_interval_contains_its_estimate_even_beyond_all_draws(value):
+    found = interval_of(value, np.linspace(0.4, 0.6, 500), 10)
+    assert found.low <= value <= found.high
+    assert found.high - found.low == pytest.approx(abs(value - 0.5))  # from the draws' median
+
+
+def alike(scene_id, rng):
+    """Scores that are all equal: hits come first in each scene, then up to six false alarms."""
+    labels, found = bin_of(scene_id, rng, share=0.9, parts=8)
+    wrong = [(x + 5, y + 5) for x, y in PLACES[: rng.integers(0, 7)]]
+    every = [*found.box_px[:, :2].astype(int).tolist(), *wrong]
+    return labels, found_squares(scene_id, every, np.ones(len(every)), masked=False)
+
+
+def test_equal_scores_do_not_move_the_draws_away_from_the_estimate():
+    """Copies beside their originals made runs longer: draws lay 0.033 above the estimate."""
+    apart = []
+    for seed in range(40):
+        scenes = [alike(i, np.random.default_rng((i, seed))) for i in range(10)]
+        scores = score([one[0] for one in scenes], [one[1] for one in scenes], kind="box")
+        draws = figures_of_draws(scores.matches, draw_scenes(scores.scene_of, seed=seed, draws=200))
+        apart.append(draws["ap"].mean() - scores.ap)
+    assert abs(np.mean(apart)) < 0.01
+
+
+def test_draws_with_nothing_to_find_are_left_out():
+    drawn = np.where(np.arange(400) % 2 == 0, np.nan, np.linspace(0, 1, 400))
+    assert interval_of(0.5, drawn, 30) == interval_of(0.5, drawn[1::2], 30)
+    assert np.isnan(interval_of(0.5, np.full(9, np.nan), 30).low)
+
+
+def test_equal_results_differ_by_exactly_nothing():
+    drawn = RandomSet.drawn(2)
+    scores = score(drawn.labels, drawn.found, kind="mask")
+    for one in differences(scores, scores, draw_scenes(range(4), seed=0)).values():
+        assert (one.value, one.low, one.high) == (0.0, 0.0, 0.0)
+
+
+def test_a_paired_difference_is_surer_than_its_two_sides():
+    """Scenes differ much, the two results little: one misses one part more in every scene."""
+    rng = np.random.default_rng(6)
+    scenes = [bin_of(i, rng, share=rng.uniform(0.3, 1)) for i in range(25)]
+    labels = [one[0] for one in scenes]
+    fewer = [found_squares(i, one[1].box_px[1:, :2].astype(int), one[1].score[1:])
+             for i, one in enumerate(scenes)]  # fmt: skip
+    times = draw_scenes(range(25), seed=0)
+    full, less = (score(labels, f, kind="box") for f in ([one[1] for one in scenes], fewer))
+    gap, own = differences(full, less, times)["ar"], with_intervals(full, times)["ar"]
+    assert gap.value == pytest.approx(1 / 15, abs=1e-12)
+    assert gap.low == pytest.approx(1 / 15, abs=1e-12)
+    assert own.high - own.low > 0.1
+
+
+def test_a_second_equal_view_of_every_scene_tells_nothing_new():
+    """Oracle: the interval of the first views alone; pictures drawn alone have a narrower one."""
+    rng = np.random.default_rng(8)
+    scenes = [bin_of(i, rng, share=rng.uniform(0.3, 1)) for i in range(20)]
+    views = [
+        (replace(labels, scene_id=2 * i + k), replace(found, scene_id=2 * i + k))
+        for i, (labels, found) in enumerate(scenes)
+        for k in (0, 1)
+    ]
+    once, twice = interval(scenes, seed=0), interval(views, seed=0)
+    np.testing.assert_allclose(astuple(twice), astuple(once), rtol=0, atol=1e-12)
+    alone = [(replace(labels, scene=labels.scene_id), found) for labels, found in views]
+    narrow = interval(alone, seed=0)
+    assert narrow.high - narrow.low < 0.8 * (once.high - once.low)
+
+
+def test_one_scene_has_no_interval():
+    one = interval([bin_of(0, np.random.default_rng(0), share=0.5)], seed=0)
+    assert not np.isnan(one.value)
+    assert np.isnan(one.low)
+    assert np.isnan(one.high)
+
+
+def test_results_of_other_scenes_are_not_compared():
+    drawn = RandomSet.drawn(2)
+    scores = score(drawn.labels, drawn.found, kind="box")
+    fewer = score(drawn.labels[:3], drawn.found[:3], kind="box")
+    with pytest.raises(GraycastError, match="results of the same scenes"):
+        differences(scores, fewer, draw_scenes(range(4), seed=0))
+
+
+def coverage(count, *, scenes, figure, truth, make):
+    covered = 0
+    for seed in range(count):
+        rng = np.random.default_rng((scenes, seed))
+        one = interval([make(i, rng) for i in range(scenes)], seed=seed, name=figure)
+        covered += one.low <= truth <= one.high
+    return covered / count
+
+
+def uneven(scene_id, rng):
+    """A scene whose share of found parts is drawn first: scenes differ, as real ones do."""
+    return bin_of(scene_id, rng, share=rng.uniform(0.4, 1.0))
+
+
+def with_mistakes(scene_id, rng):
+    """The same with mistakes; hits have higher scores, but not always."""
+    labels, found = uneven(scene_id, rng)
+    places = [(x + 5, y + 5) for x, y in PLACES[: rng.poisson(2)]]
+    score = np.concatenate([found.score, rng.uniform(0.2, 0.8, len(places))])
+    order = np.argsort(-score)
+    every = [*found.box_px[:, :2].astype(int).tolist(), *places]
+    return labels, found_squares(scene_id, [every[i] for i in order], score[order], masked=False)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("scenes", "least"), [(5, 0.90), (20, 0.925)])
+def test_95_of_100_intervals_of_recall_hold_the_known_mean(scenes, least):
+    """The mean is 0.7 by construction. 600 sets: two standard errors of 95 % are 1.8 %."""
+    share = coverage(600, scenes=scenes, figure="ar", truth=0.7, make=uneven)
+    assert least <= share <= 0.975
+
+
+@pytest.mark.slow
+def test_95_of_100_intervals_of_average_precision_hold_that_of_many_scenes():
+    """AP is no mean over scenes; what it tends to is that of 6,000 scenes."""
+    rng = np.random.default_rng(99)
+    many = [with_mistakes(i, rng) for i in range(6000)]
+    truth = score([one[0] for one in many], [one[1] for one in many], kind="box").ap
+    share = coverage(400, scenes=25, figure="ap", truth=truth, make=with_mistakes)
+    assert 0.92 <= share <= 0.98

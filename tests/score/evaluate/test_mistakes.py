@@ -1,0 +1,122 @@
+"""Groups of instances, the working point, and what is missed or found wrongly."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from graycast.score.evaluate.groups import AREA_EDGES, groups
+from graycast.score.evaluate.judging import Protocol, judge
+from graycast.score.evaluate.matching import match, overlaps
+from graycast.score.evaluate.mistakes import false_alarms, misses, working_point
+from graycast.score.evaluate.scores import scores_of
+
+from .drawn_sets import SIZE_PX, RandomSet, figures, found_squares, ours, squares
+
+FOUR = [(0, 0), (20, 0), (40, 0), (0, 20)]
+
+
+def judged(labels, found, kind="mask"):
+    return judge([labels], [found], kind=kind, categories={1: "a", 2: "b"}, protocol=Protocol())
+
+
+def rows(judgement, by):
+    return {row.name: row for row in judgement.rows if row.by == by}
+
+
+def test_instances_of_another_visibility_are_neither_to_find_nor_mistakes():
+    """Two are hardly visible; one of those is missed, and the rest found."""
+    labels = squares(0, FOUR, visible=[0.2, 0.25, 0.95, 1.0])
+    found = found_squares(0, [FOUR[0], *FOUR[2:]], [0.9, 0.8, 0.7])
+    by = rows(judged(labels, found), "visibility")
+    assert by["90 to 100 %"].figures["ap"].value == 1.0
+    assert by["90 to 100 %"].to_find == 2
+    assert by["10 to 30 %"].figures["ar"].value == 0.5
+    assert np.isnan(by["50 to 70 %"].figures["ap"].value)
+    assert sum(row.to_find for row in by.values()) == 4
+
+
+def test_a_mistake_counts_in_every_group_of_visibility():
+    labels = squares(0, FOUR, visible=[0.2, 0.25, 0.95, 1.0])
+    found = found_squares(0, [(40, 30), *FOUR], [0.99, 0.9, 0.8, 0.7, 0.6])
+    by = rows(judged(labels, found), "visibility")
+    assert by["90 to 100 %"].figures["ap"].value == pytest.approx(2 / 3, abs=1e-12)
+    assert by["10 to 30 %"].figures["ap"].value == pytest.approx(2 / 3, abs=1e-12)
+
+
+def test_missing_depth_groups_the_instances():
+    labels = replace(squares(0, FOUR), missing=np.array([0.0, 0.1, 0.6, 1.0]))
+    by = rows(judged(labels, found_squares(0, FOUR[:2], [0.9, 0.8])), "missing depth")
+    assert [row.to_find for row in by.values()] == [1, 1, 0, 2]
+    assert by["50 to 100 %"].figures["ap"].value == 0.0
+    assert by["0 to 5 %"].figures["ap"].value == 1.0
+
+
+@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("kind", ["mask", "box"])
+def test_sizes_score_as_pycocotools_area_ranges(seed, kind):
+    """Oracle: areaRng of pycocotools, whose instances' area is here set to that of what is judged.
+
+    Its ranges hold both ends; no drawn area is exactly an end of ours.
+    """
+    drawn = RandomSet.drawn(seed)
+    known = overlaps(drawn.labels, drawn.found, kind=kind, most=300)
+    pixels = SIZE_PX[0] * SIZE_PX[1]
+    by_size = [g for g in groups(known.labels, kind=kind, min_visibility=0.1) if g.by == "size"]
+    assert [g.low for g in by_size] == list(AREA_EDGES[:-1])
+    for group in by_size:
+        own = scores_of(match(known, group.outside), known)
+        areas = [group.low * pixels, group.high * pixels]
+        theirs = figures(*drawn.by_pycocotools(kind, areas=areas, box_areas=kind == "box"))
+        np.testing.assert_allclose(ours(own), theirs, rtol=0, atol=1e-9)
+
+
+@pytest.mark.parametrize("decimals", [9, 1])
+def test_the_working_point_has_the_best_f1_of_all_scores(decimals):
+    """Oracle: every score tried, by counting. No score tells equal ones apart."""
+    drawn = RandomSet.drawn(11, scenes=6)
+    found = [replace(one, score=one.score.round(decimals)) for one in drawn.found]
+    known = overlaps(drawn.labels, found, kind="mask", most=300)
+    matches = match(known)
+    point = working_point(matches)
+    wanted = sum(int(one.to_find.sum()) for one in matches.values())
+    tried = {}
+    for least in np.unique(np.concatenate([one.score for one in matches.values()])):
+        hits = sum((one.hit[0] & (one.score >= least)).sum() for one in matches.values())
+        count = sum((one.counted[0] & (one.score >= least)).sum() for one in matches.values())
+        tried[float(least)] = 2 * hits / (count + wanted)
+    assert tried[point.score] == max(tried.values())
+    missed = misses(known, matches, point.score)
+    alarms = false_alarms(known, matches, point.score)
+    assert len(missed) == round(wanted * (1 - point.recall))
+    hits = wanted - len(missed)
+    assert point.precision == pytest.approx(hits / (hits + len(alarms)))
+
+
+def test_every_mistake_says_what_it_is():
+    labels = squares(0, FOUR, obj_id=[1, 1, 2, 1], visible=[1, 1, 1, 0.5])
+    places = [FOUR[0], FOUR[0], FOUR[2], (24, 0), (40, 30)]
+    found = found_squares(0, places, [0.9, 0.8, 0.7, 0.6, 0.5], obj_id=[1, 1, 1, 1, 2])
+    known = overlaps([labels], [found], kind="mask", most=300)
+    alarms = false_alarms(known, match(known), 0.0)
+    assert [(one.detection, one.why) for one in alarms] == [
+        (1, "found twice"),
+        (2, "another class"),
+        (3, "badly placed"),
+        (4, "nothing there"),
+    ]
+    assert alarms[2].overlap == pytest.approx(1 / 3)
+    missed = misses(known, match(known), 0.0)
+    assert [one.instance for one in missed] == [1, 2, 3]  # the most visible first
+    assert missed[0].overlap == pytest.approx(1 / 3)
+    assert missed[0].score == 0.6
+    assert np.isnan(missed[2].score)
+
+
+def test_what_nobody_found_has_no_working_point():
+    labels = squares(0, FOUR)
+    judgement = judged(labels, found_squares(0, [], []), kind="box")
+    assert np.isnan(judgement.point.score)
+    assert judgement.point.recall == 0.0
+    assert len(judgement.misses) == 4
+    assert judgement.false_alarms == ()

@@ -1,0 +1,151 @@
+"""BOP's errors of poses against closed forms."""
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from graycast.base.frames import rigid
+from graycast.rig.optics import Optics
+from graycast.score.evaluate import mspd, mssd, rotation_translation, vsd
+from graycast.world.parts import Symmetry
+from graycast.world.parts.symmetry import motions
+
+CAMERA = Optics(width_px=320, height_px=240, fx_px=400.0, fy_px=500.0, cx_px=160.0, cy_px=120.0)
+ALONE = motions(Symmetry())
+ROUND = motions(Symmetry(continuous=(((0.0, 0.0, 1.0), (0.0, 0.0, 0.0)),)))
+HALF_TURN = motions(Symmetry(discrete=(np.diag([-1.0, -1.0, 1.0, 1.0]),)))
+CUBE = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)]) * 0.02
+TRUE = rigid(Rotation.from_rotvec([0.3, -0.5, 0.2]).as_matrix(), np.array([0.05, -0.02, 0.8]))
+
+
+def moved(T, rotvec=(0, 0, 0), shift=(0, 0, 0)):
+    """Turned about the part's own origin, then shifted in the camera's frame."""
+    R = Rotation.from_rotvec(rotvec).as_matrix()
+    return rigid(T[:3, :3] @ R, T[:3, 3] + np.array(shift))
+
+
+def test_a_shift_is_the_mssd_of_any_part():
+    for shift in ([0, 0, 0.004], [0.003, -0.004, 0.012]):
+        off = mssd(moved(TRUE, shift=shift), TRUE, CUBE, ALONE)
+        assert off == pytest.approx(np.linalg.norm(shift), rel=1e-12)
+
+
+def test_a_turn_moves_the_farthest_vertex_along_a_chord():
+    """2 r sin(angle / 2), r the farthest distance of a vertex from the axis."""
+    angle = 0.4
+    off = mssd(moved(TRUE, rotvec=[0, 0, angle]), TRUE, CUBE, ALONE)
+    assert off == pytest.approx(2 * 0.02 * np.sqrt(2) * np.sin(angle / 2), rel=1e-12)
+
+
+def test_a_turned_body_may_turn():
+    """At any angle; what is left is at most half a step of the discretised symmetry."""
+    ring = np.array([[0.03 * np.cos(a), 0.03 * np.sin(a), 0.0] for a in np.arange(0, 6.28, 0.05)])
+    off = mssd(moved(TRUE, rotvec=[0, 0, 1.234]), TRUE, ring, ROUND)
+    assert off <= 0.03 * np.pi / 315
+    assert mssd(moved(TRUE, rotvec=[0, 0, 1.234]), TRUE, ring, ALONE) > 0.03
+    angle, shift = rotation_translation(moved(TRUE, rotvec=[0, 0, 1.234]), TRUE, ROUND)
+    assert angle <= np.pi / 315 and shift < 1e-12
+
+
+def test_a_half_turn_counts_only_where_the_part_has_none():
+    turned = moved(TRUE, rotvec=[0, 0, np.pi], shift=[0, 0, 0.001])
+    assert mssd(turned, TRUE, CUBE, HALF_TURN) == pytest.approx(0.001, rel=1e-9)
+    assert rotation_translation(turned, TRUE, HALF_TURN) == pytest.approx((0, 0.001), abs=1e-9)
+    assert rotation_translation(turned, TRUE, ALONE)[0] == pytest.approx(np.pi)
+
+
+def test_small_angles_are_exact():
+    angle = 1e-6
+    off = rotation_translation(moved(TRUE, rotvec=[0, angle, 0]), TRUE, ALONE)[0]
+    assert off == pytest.approx(angle, rel=1e-6)
+
+
+def test_a_shift_sideways_is_seen_as_focal_length_over_depth():
+    """One vertex at depth z: f t / z pixels, scaled from 320 to 640 columns."""
+    point, T = np.zeros((1, 3)), rigid(np.eye(3), np.array([0.0, 0.0, 0.8]))
+    for shift, f_px in (([0.004, 0, 0], 400.0), ([0, 0.004, 0], 500.0)):
+        off = mspd(moved(T, shift=shift), T, point, ALONE, CAMERA)
+        assert off == pytest.approx(f_px * 0.004 / 0.8 * 640 / 320, rel=1e-12)
+
+
+def test_a_shift_along_the_ray_is_not_seen_in_the_middle():
+    point, T = np.zeros((1, 3)), rigid(np.eye(3), np.array([0.0, 0.0, 0.8]))
+    assert mspd(moved(T, shift=[0, 0, 0.1]), T, point, ALONE, CAMERA) == pytest.approx(0)
+    behind = rigid(np.eye(3), np.array([0.0, 0.0, -0.8]))
+    assert mspd(behind, T, point, ALONE, CAMERA) == np.inf
+
+
+def test_mspd_is_the_least_over_symmetries_of_the_greatest_over_vertices():
+    """By the definition, in plain NumPy without giving anything up early."""
+    estimate = moved(TRUE, rotvec=[0.1, 0.2, 2.9], shift=[0.002, 0.001, 0.01])
+    focal, middle = [400.0, 500.0], [160.0, 120.0]
+
+    def pixels(T):
+        p = CUBE @ T[:3, :3].T + T[:3, 3]
+        return p[:, :2] / p[:, 2:] * focal + middle
+
+    far = [np.linalg.norm(pixels(estimate) - pixels(TRUE @ S), axis=1).max() for S in HALF_TURN]
+    assert mspd(estimate, TRUE, CUBE, HALF_TURN, CAMERA) == pytest.approx(2 * min(far), rel=1e-12)
+    apart = [
+        np.linalg.norm((CUBE @ estimate[:3, :3].T + estimate[:3, 3])
+                       - (CUBE @ (TRUE @ S)[:3, :3].T + (TRUE @ S)[:3, 3]), axis=1).max()
+        for S in HALF_TURN
+    ]  # fmt: skip
+    assert mssd(estimate, TRUE, CUBE, HALF_TURN) == pytest.approx(min(apart), rel=1e-12)
+
+
+# --- VSD ------------------------------------------------------------------------------------------
+
+TAUS = np.array([0.005, 0.010, 0.020])
+
+
+def surface(rows, z, shape=(10, 10)):
+    """A patch over some of the rows at one distance."""
+    made = np.full(shape, np.nan)
+    made[rows] = z
+    return made
+
+
+def test_vsd_counts_pixels_that_only_one_sees_and_those_too_far_apart():
+    """True rows 0 to 5, estimate rows 2 to 7 at 12 mm more: 4 of 8 rows are shared."""
+    true, estimate = surface(np.s_[0:6], 0.8), surface(np.s_[2:8], 0.812)
+    floor = np.full((10, 10), np.nan)  # nothing measured: all is visible
+    np.testing.assert_allclose(vsd(estimate, true, floor, TAUS), [1, 1, 0.5])
+
+
+def test_vsd_equal_to_the_tolerance_is_an_error():
+    true, estimate = surface(np.s_[:], 0.75), surface(np.s_[:], 0.875)
+    np.testing.assert_array_equal(vsd(estimate, true, true, np.array([0.125, 0.126])), [1, 0])
+
+
+def test_vsd_leaves_out_what_something_hides():
+    """In rows 0 and 1 something is 16 mm before the true part: more than 15 mm hides, 14 do not."""
+    true = surface(np.s_[0:4], 0.8)
+    estimate = surface(np.s_[2:4], 0.8)
+    for gap, error in ((0.016, 0.0), (0.014, 0.5)):
+        measured = np.full((10, 10), 0.8)
+        measured[:2] = 0.8 - gap
+        np.testing.assert_allclose(vsd(estimate, true, measured, TAUS), error)
+
+
+def test_what_stands_before_the_measured_surface_is_seen():
+    """The true part was picked up: only the estimate is there, 100 mm before what was measured."""
+    true, estimate = surface(np.s_[0:0], 0.8), surface(np.s_[0:4], 0.7)
+    np.testing.assert_array_equal(vsd(estimate, true, np.full((10, 10), 0.8), TAUS), 1)
+    shared = surface(np.s_[0:2], 0.7)
+    np.testing.assert_allclose(vsd(estimate, shared, np.full((10, 10), 0.8), TAUS), 0.5)
+
+
+def test_an_estimate_behind_the_measured_surface_is_seen_where_the_true_part_is():
+    """BOP's second clause: V of the estimate takes in the true part's visible pixels."""
+    true, estimate = surface(np.s_[0:4], 0.8), surface(np.s_[0:4], 0.83)
+    error = vsd(estimate, true, np.full((10, 10), 0.8), np.array([0.02, 0.04]))
+    np.testing.assert_array_equal(error, [1, 0])
+    elsewhere = surface(np.s_[6:10], 0.83)  # hidden behind what is measured: no part of the union
+    kept = np.where(np.isfinite(true), true, elsewhere)
+    np.testing.assert_array_equal(vsd(kept, true, np.full((10, 10), 0.8), TAUS), [0, 0, 0])
+
+
+def test_where_nothing_is_visible_the_error_is_one():
+    nothing = np.full((10, 10), np.nan)
+    np.testing.assert_array_equal(vsd(nothing, nothing, nothing, TAUS), [1, 1, 1])

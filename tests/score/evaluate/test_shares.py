@@ -1,0 +1,24 @@
+"""Shares: published figures, and the binomial law by hand."""
+
+import pytest
+
+from graycast.score.evaluate import mcnemar, wilson
+
+
+def test_wilsons_interval_is_that_of_published_examples():
+    """R's binom.confint(9, 10, methods = "wilson") and (0, 20)."""
+    assert wilson(9, 10) == pytest.approx((0.59585, 0.98212), abs=1e-5)
+    assert wilson(0, 20) == pytest.approx((0.0, 0.16113), abs=1e-5)
+
+
+def test_mcnemars_chance_is_the_binomial_laws():
+    """Of 10 uneven pairs 1 the one way: 2 (1 + 10) / 2^10; as many both ways: no sign at all."""
+    assert mcnemar(1, 9) == pytest.approx(2 * 11 / 1024)
+    assert mcnemar(9, 1) == mcnemar(1, 9)
+    assert mcnemar(5, 5) == mcnemar(0, 0) == 1.0
+
+
+def test_the_interval_of_all_and_of_none_ends_at_the_share_itself():
+    """(p + z^2/2n +- ...) / (1 + z^2/n) is exactly 1 or 0 there, which rounding misses."""
+    for of in range(1, 300):
+        assert wilson(of, of)[1] == 1.0 and wilson(0, of)[0] == 0.0

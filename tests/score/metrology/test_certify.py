@@ -1,0 +1,169 @@
+"""Certificates of small scanners: nearly perfect ones, and one whose calibration is wrong."""
+
+import json
+import math
+from dataclasses import replace
+from html.parser import HTMLParser
+
+import pytest
+from metered import Metered
+from stage import centred, make_rig, turned
+
+from graycast.camera.scanner import Scanner
+from graycast.camera.sensor import SensorSpec
+from graycast.rig.pair import depth_per_column_m
+from graycast.rig.pattern import CodeSpec
+from graycast.score.metrology import Scope, certify, describe, write_certificate
+
+LITTLE = Scope(distances=3, tilts_deg=(), spheres=1, bars=1, captures=4)
+NOISELESS = SensorSpec(
+    full_well_e=1e9, gain_dn_per_e=6e-5, read_noise_e=0.0, bit_depth=16, dark_current_e_s=0.0
+)
+
+# Radius and distance of a cap are told apart by how much the cosine of incidence varies over it:
+# the standard deviation of a cosine that is even from cos 50 degrees, at least, to 1.
+COSINE_SPREAD = (1 - math.cos(math.radians(50))) / math.sqrt(12)
+
+
+def small_rig(*, baseline_m=0.2, finer=1):
+    """A toed-in pair of pinholes that work from 0.5 to 0.9 m."""
+    rig = make_rig(
+        centred(160 * finer, 120 * finer, 190 * finer),
+        centred(512, 384, 600),
+        baseline_m=(baseline_m, 0.0, 0.0),
+        rotation=turned(0.0, -0.3, 0.0),
+    )
+    return replace(rig, near_m=0.5, far_m=0.9)
+
+
+def small_scanner(sensor=None, **words):
+    code = CodeSpec(codec="gray_phase", axes=("column",), period_px=32.0, steps=4)
+    return Scanner(rig=small_rig(), code=code, sensor=sensor or SensorSpec(), **words)
+
+
+@pytest.fixture(scope="module")
+def certificate(mitsuba_renderer):
+    return certify(small_scanner(), renderer=mitsuba_renderer, seed=3, scope=LITTLE)
+
+
+@pytest.mark.slow
+def test_temporal_noise_is_the_standard_deviation_that_the_decoder_propagates(certificate):
+    """The sensor's law, carried through decoding and triangulation, against scatter over shots.
+    Without filters the two share nothing; 4 shots of some thousand pixels tell 3 %.
+    """
+    for plane in certificate.facing:
+        assert abs(plane.noise_m / plane.sigma_m - 1) < 0.08
+    near, _, far = certificate.facing
+    assert far.noise_m / near.noise_m > 2  # it grows with the square of distance at least
+
+
+def test_point_spacing_is_depth_over_focal_length(certificate):
+    """Measured depth stands for the true one: the spacing is as noisy as it."""
+    for plane in certificate.facing:
+        assert abs(plane.spacing_m / (plane.z_m / 190.0) - 1) < 2e-3
+
+
+@pytest.mark.slow
+def test_the_written_certificate_is_json_and_a_page_that_needs_nothing_else(certificate, tmp_path):
+    page = write_certificate(certificate, tmp_path / "new")
+    record = json.loads((tmp_path / "new" / "certificate.json").read_text())
+    assert record["summary"]["temporal_noise_m"] == certificate.middle.noise_m
+    assert len(record["planes"]) == len(certificate.planes)
+    assert record["planes"][-1]["noise_m"] is None  # one shot has no scatter
+    tags = _Tags()
+    tags.feed(page.read_text(encoding="utf-8"))
+    assert not tags.open and "script" not in tags.seen and "link" not in tags.seen
+    assert len(tags.sources) == 4
+    assert all(source.startswith("data:image/png;base64,") for source in tags.sources)
+    assert {path.name for path in page.parent.glob("*.png")} == {
+        "noise.png", "shape.png", "focus.png", "volume.png"
+    }  # fmt: skip
+    assert "test" in page.read_text() and "mm" in describe(certificate)
+
+
+class _Tags(HTMLParser):
+    """Which elements there are, that all are closed in turn, and what pictures are taken from."""
+
+    def __init__(self):
+        super().__init__()
+        self.open, self.seen, self.sources = [], set(), []
+
+    def handle_starttag(self, tag, attributes):
+        self.seen.add(tag)
+        self.sources += [value for name, value in attributes if name in ("src", "href")]
+        if tag not in ("meta", "img"):
+            self.open.append(tag)
+
+    def handle_endtag(self, tag):
+        assert self.open.pop() == tag
+
+
+def test_an_impossible_scope_is_refused():
+    with pytest.raises(ValueError, match="odd number"):
+        Scope(distances=4)
+    with pytest.raises(ValueError, match="at least 2"):
+        Scope(captures=1)
+
+
+@pytest.mark.slow
+def test_progress_counts_every_scene(mitsuba_renderer):
+    meter = Metered()
+    scope = replace(LITTLE, captures=2)
+    made = certify(
+        small_scanner(),
+        renderer=mitsuba_renderer,
+        seed=0,
+        scope=scope,
+        progress=meter,
+    )
+    assert len(meter.stages) == made.scenes
+    assert meter.counts == [("scenes", k, made.scenes) for k in range(made.scenes + 1)]
+
+
+@pytest.mark.slow
+def test_a_scanner_without_noise_certifies_nearly_nothing(mitsuba_renderer):
+    """What is left are the projector's pixels: each of n paths of a camera pixel sees one column,
+    evenly up to half a column off, so their mean is off by 1 / sqrt(12 n) columns. Without filters
+    that is the deviation of every point; a sphere's slope adds to it.
+    """
+    scanner = replace(small_scanner(NOISELESS), rig=small_rig(finer=2))
+    scope = Scope(distances=3, tilts_deg=(30.0, 60.0), spheres=4, bars=7, captures=2)
+    made = certify(scanner, renderer=mitsuba_renderer, seed=1, scope=scope)
+
+    def step_m(z_m):
+        return depth_per_column_m(scanner.rig, z_m) / math.sqrt(12 * scope.samples)
+
+    assert made.middle.noise_m < 0.1 * step_m(made.middle.z_m)
+    for plane in made.facing:
+        assert plane.std_m < 1.2 * step_m(plane.z_m)
+        assert abs(plane.offset_m) < 0.1 * step_m(plane.z_m)
+        assert plane.decoded_share > 0.995
+    for one in made.probing:
+        assert one.std_m < 1.5 * step_m(one.centre_m[2])
+        assert abs(one.size_m) < 3 * 2 * one.std_m / (math.sqrt(one.points) * COSINE_SPREAD)
+    for one in made.spacing:
+        share = math.hypot(*(1 / math.sqrt(points) for points in one.points)) / COSINE_SPREAD
+        assert min(one.points) > 100 and abs(one.error_m) < 3 * share * step_m(one.ends_m[1][2])
+
+
+@pytest.mark.slow
+def test_a_baseline_wrong_by_a_thousandth_makes_all_lengths_wrong_by_it(mitsuba_renderer):
+    """A point is where a camera ray meets a light plane, so it moves with the baseline along its
+    ray: the measured world is a scaled copy about the camera. Same seeds, same pictures.
+    """
+    truth = small_scanner()
+    wrong = replace(truth, rig=small_rig(baseline_m=0.2 * 1.001))
+    scope = replace(LITTLE, bars=7, spheres=3)
+    right, scaled = (
+        certify(one, renderer=mitsuba_renderer, seed=5, scope=scope, rendered_with=truth.rig)
+        for one in (truth, wrong)
+    )
+    length_m = right.bar_length_m
+    assert length_m == scaled.bar_length_m > 0.2
+    for a, b in zip(right.spacing, scaled.spacing, strict=True):
+        assert abs((b.error_m + length_m) / (a.error_m + length_m) - 1.001) < 2e-6
+    for a, b in zip(right.probing, scaled.probing, strict=True):
+        assert abs(b.form_m / a.form_m - 1.001) < 1e-3
+        expected_m = 1.001 * (a.size_m + right.probing_diameter_m) - right.probing_diameter_m
+        assert abs(b.size_m - expected_m) < 2e-6 * right.probing_diameter_m
+    assert scaled.conditions["calibration_differs"]

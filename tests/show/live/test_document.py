@@ -1,0 +1,104 @@
+"""What is set becomes a configuration, and a rig file where no key says it."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import yaml
+
+from graycast.base.errors import ConfigError
+from graycast.camera import scanner
+from graycast.camera.rig_file import load_scanner
+from graycast.rig.pair import preset_rig
+from graycast.show.live.document import Document, RigChange, changed, checked, turned_rig, written
+
+WORDS = {"parts": [{"builtin": "metal_workpiece_1"}], "count": 4}
+
+
+def document(**more):
+    return Document(content=WORDS | more)
+
+
+@pytest.fixture
+def path(tmp_path):
+    return tmp_path / "cell.yaml"
+
+
+def test_a_value_is_put_at_its_place_and_nothing_else_moves():
+    before = document(exposure={"target": 0.5})
+    after = changed(before, "exposure.percentile", 90)
+    assert after.content["exposure"] == {"target": 0.5, "percentile": 90}
+    after = changed(after, "parts.0.material", {"roughness": 0.2})
+    assert after.content["parts"] == [WORDS["parts"][0] | {"material": {"roughness": 0.2}}]
+    assert before.content == WORDS | {"exposure": {"target": 0.5}}  # an earlier state stays
+    assert changed(after, "exposure.target", None).content["exposure"] == {"percentile": 90}
+
+
+@pytest.mark.parametrize(
+    ("key", "value", "told"),
+    [
+        ("parts.1.material", {}, "the list has 1 entries"),
+        ("parts.x", 1, "x is not one of them"),
+        ("ambient", -1, "ambient is -1"),
+        ("ambient", "much", "give a number"),
+        ("rig.power", 0, "give a factor greater than 0 and at most 1000"),
+        ("rig.toe_in_deg", 61, "give degrees from -60 to 60"),
+        ("rig.weight", 1, "the keys are power, baseline, toe_in_deg"),
+    ],
+)
+def test_what_cannot_be_set_is_told(key, value, told):
+    with pytest.raises(ConfigError, match=told):
+        changed(document(), key, value)
+
+
+def test_the_configuration_is_refused_in_the_command_line_s_words(path):
+    with pytest.raises(ConfigError, match=r"cell.yaml: exposure.target is 4: it should be less"):
+        checked(changed(document(), "exposure.target", 4), path)
+    with pytest.raises(ConfigError, match=r"unknown key expozure: did you mean exposure\?"):
+        checked(changed(document(), "expozure", 4), path)
+
+
+def test_ambient_light_is_a_factor_of_all_that_shines(path):
+    lamp = {"center_m": [0.7, -0.5, 1.6], "radiance": [10.0, 20.0, 30.0]}
+    turned = changed(document(light={"lamps": [lamp, lamp]}), "ambient", 3)
+    light = written(turned, path, rig_name="rig.yaml").content["light"]
+    assert light["environment"]["radiance"] == pytest.approx([0.6, 0.6, 0.6])  # of the default
+    assert [one["radiance"] for one in light["lamps"]] == [[30.0, 60.0, 90.0]] * 2
+
+
+def test_what_is_not_turned_is_written_as_it_was(path):
+    now = written(document(), path, rig_name="rig.yaml")
+    assert now.content == WORDS and now.rig_text is None
+
+
+def test_a_turned_rig_is_a_file_of_its_own_to_the_last_bit(path):
+    turned = replace(
+        document(rig="phoxi-m", resolution="small"),
+        rig=RigChange(power=1.7, baseline=0.9, toe_in_deg=0.3),
+    )
+    now = written(turned, path, rig_name="own.yaml")
+    assert now.content["rig"] == "own.yaml" and "resolution" not in now.content
+    file = path.with_name("own.yaml")
+    file.write_text(now.rig_text)
+    rig = load_scanner(file).rig
+    expected = turned_rig(scanner.preset("phoxi-m", "small").rig, turned.rig)
+    np.testing.assert_array_equal(rig.T_cam_proj, expected.T_cam_proj)
+    assert rig.camera == expected.camera and rig.intensity_w_sr == expected.intensity_w_sr == 17.0
+    yaml.safe_load(now.rig_text)
+
+
+@pytest.mark.parametrize("side", [1, -1])
+@pytest.mark.parametrize("axis", ["column", "row"])
+def test_toe_in_turns_the_axes_by_what_it_says_and_leaves_the_baseline(side, axis):
+    """Oracle: the angle between both axes; they meet nearer, where toe-in is more."""
+    rig = preset_rig("phoxi-m")
+    half_turn = np.diag([side, side, 1.0, 1.0])  # the projector on the other side
+    quarter = np.eye(4)
+    if axis == "row":
+        quarter[:2, :2] = [[0, -1], [1, 0]]
+    about = quarter @ half_turn
+    rig = replace(rig, T_cam_proj=about @ rig.T_cam_proj @ np.linalg.inv(about))
+    turned = turned_rig(rig, RigChange(toe_in_deg=3.0, baseline=1.25))
+    assert np.degrees(turned.axes_angle_rad - rig.axes_angle_rad) == pytest.approx(3.0, abs=1e-9)
+    assert turned.baseline_m == pytest.approx(1.25 * rig.baseline_m)
+    assert turned_rig(rig, RigChange()).T_cam_proj.tolist() == rig.T_cam_proj.tolist()

@@ -1,0 +1,235 @@
+"""Whatever is kept, what is finished is what `make_scene` makes of the same words."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from small_cell import write_cell
+
+from graycast.cell.config import Config, load_config
+from graycast.cell.resolve import open_cell_renderer, resolve_cell
+from graycast.cell.simulate import make_scene
+from graycast.show.live.asking import Ask
+from graycast.show.live.line import Line, Superseded, _physics_key
+from graycast.show.live.showing import picture_answer
+
+
+class Watched:
+    """A line, what it told, and the cell that it is asked for."""
+
+    def __init__(self, path: Path):
+        self.path, self.told, self.stop = path, [], False
+        self.line = Line(
+            folder=path.parent,
+            scene_id=0,
+            device="cpu",
+            emit=self.told.append,
+            superseded=lambda: self.stop,
+        )
+        self.config = load_config(path)
+
+    def show(self, *, ambient=1.0, power=1.0, unturned=None, **sections):
+        """Show the cell with other sections; returns what kinds of pictures came."""
+        self.config = Config.model_validate(
+            self.config.model_dump(exclude_none=True) | sections  # as a user writes them
+        )
+        self.told.clear()
+        ask = Ask(
+            number=1,
+            config=self.config,
+            unturned=unturned or self.config,
+            ambient=ambient,
+            power=power,
+            frame=0,
+        )
+        self.line.show(ask)
+        return [one.header["kind"] for one in self.told if one.kind == "picture"]
+
+    def shot(self):
+        """What `make_scene` makes of it."""
+        cell = resolve_cell(self.config, self.path.parent)
+        with open_cell_renderer(cell, device="cpu") as renderer:
+            return make_scene(cell, 0, seed=self.config.seed, renderer=renderer)
+
+    def assert_finished(self):
+        shown, shot = self.line.shown, self.shot()
+        assert shown.exact
+        np.testing.assert_array_equal(shown.capture.frames, shot.capture.frames)
+        np.testing.assert_array_equal(shown.depth.depth_m, shot.sample.scanner.depth_m)
+        np.testing.assert_array_equal(shown.depth.reason, shot.sample.scanner.reason)
+        np.testing.assert_array_equal(shown.rgb, shot.sample.rgb)
+
+
+@pytest.fixture(scope="module")
+def watched(tmp_path_factory):
+    """Stacks of 6 samples are rendered in three passes; those of `make_scene` in one."""
+    path = write_cell(tmp_path_factory.mktemp("live"), render={"samples": 6})
+    watched = Watched(path)
+    watched.line._opened(resolve_cell(watched.config, path.parent))  # before Mitsuba is imported
+    from graycast.render import mitsuba_paths
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(mitsuba_paths, "PASS_SAMPLES", 2 * 160 * 120)
+        yield watched
+
+
+def test_the_first_pictures_are_rough_and_the_last_is_preview_s(watched):
+    kinds = watched.show()
+    pictures = [one for one in watched.told if one.kind == "picture"]
+    assert [one.header["samples"] for one in pictures] == [1, 1, 4, 4, 6, 6]  # colour comes after
+    assert [one.header["exact"] for one in pictures] == [False] * 5 + [True]
+    assert set(kinds) == {"physics"} and [one.kind for one in watched.told].count("world") == 1
+    watched.assert_finished()
+    # The denoiser took half of the time of all tests below, and has nothing to do with them.
+    watched.show(render={"samples": 6, "denoise": False})
+
+
+def test_the_page_gets_what_is_shown_in_its_own_order(watched):
+    """Millimetres, the way of WebGL's matrices, and instances from 1; noise by its own law."""
+    watched.show(seed=3)
+    shown = watched.line.shown
+    (world,) = (one for one in watched.told if one.kind == "world")
+    places = np.frombuffer(world.arrays["places"], np.float32).reshape(-1, 4, 4)
+    np.testing.assert_allclose(
+        places[:, 3, :3], 1e3 * shown.layout.T_world_part[:, :3, 3], rtol=1e-6
+    )
+    np.testing.assert_allclose(places[:, 0, :3], shown.layout.T_world_part[:, :3, 0], atol=1e-6)
+    picture = [one for one in watched.told if one.kind == "picture"][-1]
+    instance = np.frombuffer(picture.arrays["instance"], np.uint16).reshape(120, 160)
+    np.testing.assert_array_equal(instance - 1.0, shown.rendering.truth.instance)
+    steps = np.frombuffer(picture.arrays["scanner"], np.uint16).reshape(120, 160)
+    depth_m = np.nan_to_num(shown.depth.depth_m)
+    np.testing.assert_allclose(
+        steps * picture.header["depth_scale_mm"], 1e3 * depth_m,
+        atol=0.501 * picture.header["depth_scale_mm"],
+    )  # fmt: skip
+    noise_m = 1e-4 * np.random.default_rng(0).standard_normal(depth_m.shape)
+    noisy = shown.rendering.truth.depth_m + 2e-4 + noise_m
+    ask = Ask(
+        number=1, config=watched.config, unturned=watched.config, ambient=1.0, power=1.0, frame=0
+    )
+    made = replace(shown, depth=replace(shown.depth, depth_m=noisy))
+    told = picture_answer(ask, made, kind="look", ms=0.0, first=False).header["figures"]
+    pixels = (shown.rendering.truth.instance >= 0).sum()
+    assert told["bias_mm"] == pytest.approx(0.2, abs=4 * 1.25 * 0.1 / np.sqrt(pixels))
+    # The deviation of a deviation by the median is 1.17 / sqrt(n) of it.
+    assert told["sigma_mm"] == pytest.approx(0.1, rel=4 * 1.17 / np.sqrt(pixels))
+
+
+def box(**words):
+    return [{"mesh": "box.stl", "unit": "mm", **words}]
+
+
+@pytest.mark.parametrize(
+    ("sections", "falls"),
+    [
+        ({"parts": box(friction=0.9)}, True),
+        ({"parts": box(density_kg_m3=900.0)}, True),
+        ({"parts": box(unit="cm")}, True),
+        ({"bin": {"inner_m": [0.25, 0.2, 0.1], "friction": 0.9}}, True),
+        ({"bin": {"inner_m": [0.25, 0.21, 0.1]}}, True),
+        ({"count": 4}, True),
+        ({"drop": {"simulated_s": 3.0}}, True),
+        ({"parts": box(material={"roughness": 0.9})}, False),
+        ({"bin": {"inner_m": [0.25, 0.2, 0.1], "material": {"roughness": 0.9}}}, False),
+        ({"view": {"tilt_deg": 20.0}}, False),
+    ],
+)
+def test_parts_fall_again_for_what_moves_them_and_for_nothing_else(tmp_path, sections, falls):
+    def key(**sections):
+        config = load_config(write_cell(tmp_path, **sections))
+        scene = resolve_cell(config, tmp_path).scene
+        return _physics_key(scene, (config.count_range[0],), 5, config.drop)
+
+    assert (key() != key(**sections)) == falls
+
+
+@pytest.mark.parametrize(
+    "sections",
+    [
+        {"exposure": {"target": 0.3, "factors": [1.0, 0.25]}},
+        {"sensor": {"read_noise_e": 12.0, "bit_depth": 10}},
+        {"decode": {"min_contrast": 0.1}, "filters": {"island_px": 20, "smoothing_px": 0.5}},
+        {"faults": {"raster_px": 0.3, "edge_x_px": 0.2}},
+    ],
+)
+def test_a_free_change_is_measured_again_without_rendering(watched, sections):
+    number = watched.line._count
+    assert set(watched.show(**sections)) == {"free"}
+    assert watched.line._count == number and len(watched.told) <= 2
+    watched.assert_finished()
+
+
+def test_more_light_is_scaled_at_once_and_then_rendered(watched):
+    """Oracle: light is linear. Scaled and rendered differ by rounding alone."""
+    watched.show()
+    unturned = watched.config
+    light = unturned.light.model_dump(exclude_none=True)
+    for source in (light["environment"], *light["lamps"]):
+        source["radiance"] = tuple(1.7 * value for value in source["radiance"])
+    scaled, emit = [], watched.line._emit
+
+    def keep(answer):
+        emit(answer)
+        if answer.kind == "picture":
+            scaled.append(watched.line.shown)
+
+    watched.line._emit = keep
+    kinds = watched.show(light=light, ambient=1.7, unturned=unturned)
+    watched.line._emit = emit
+    first, last = scaled[0].rendering.radiance, watched.line.shown.rendering.radiance
+    assert set(kinds) == {"free"} and first is not last
+    np.testing.assert_allclose(first.ambient, last.ambient, rtol=2e-5)
+    np.testing.assert_allclose(first.ambient_rgb, last.ambient_rgb, rtol=2e-5)
+    np.testing.assert_array_equal(first.pattern, last.pattern)
+    watched.assert_finished()
+
+
+def test_a_moved_rig_is_rendered_and_no_part_falls(watched):
+    layout = watched.line.shown.layout
+    kinds = watched.show(view={"tilt_deg": 8.0, "azimuth_deg": 20.0})
+    assert set(kinds) == {"light"} and watched.line.shown.layout is layout
+    assert not [one for one in watched.told if one.kind == "world"]
+    watched.assert_finished()
+
+
+@pytest.mark.slow
+def test_a_surface_is_light_and_a_number_of_parts_is_physics(watched):
+    watched.show()  # the slow suite has shown nothing before
+    box = watched.config.bin.model_dump(exclude_none=True)
+    material = box["material"] | {"base_color": (0.8, 0.8, 0.8)}
+    assert set(watched.show(bin=box | {"material": material})) == {"light"}
+    assert set(watched.show(count=2)) == {"physics"}
+    assert len(watched.line.shown.layout.part_index) == 2
+    watched.assert_finished()
+
+
+def test_what_comes_next_breaks_off_what_is_being_made(watched):
+    """Rough pictures are finished, so that a hand that goes on moving sees some."""
+    passes, line = [], watched.line
+
+    def on_pass(done, total):
+        passes.append((done, total))
+        watched.stop = total == 6
+        line._passed(done, total)
+
+    line._renderer[1]._on_pass = on_pass
+    with pytest.raises(Superseded):
+        watched.show(seed=5)
+    assert passes == [(1, 1), (2, 4), (4, 4), (2, 6)]
+    watched.stop = False
+    line._renderer[1]._on_pass = line._passed
+    watched.show()
+    watched.assert_finished()
+
+
+def test_a_free_change_on_a_rough_picture_goes_on_with_it(watched):
+    watched.show(seed=6)
+    lit = watched.line._lit
+    rough = replace(lit, quality=replace(lit.quality, samples=4), final=False)
+    watched.line._lit = rough
+    watched.show(exposure={"target": 0.4})
+    samples = [one.header["samples"] for one in watched.told if one.kind == "picture"]
+    assert samples[0] == 4 and set(samples[2:]) == {6}
+    watched.assert_finished()

@@ -1,0 +1,196 @@
+"""A run's detections on the page: what the scripts hold, and what a user sees of it."""
+
+import json
+
+import numpy as np
+import pytest
+
+from graycast.base.errors import GraycastError
+from graycast.dataset.detections import Detections, results_bytes
+from graycast.dataset.training import open_examples
+from graycast.score.evaluate.labels import run_lengths_of
+from graycast.show.report.page import write_report
+
+from .browsing import opened, ready, watched_page
+
+pytestmark = [
+    pytest.mark.slow,
+    # pycocotools 2.0.11 has an array type from before NumPy 2, which NumPy asks it to mend.
+    pytest.mark.filterwarnings("ignore:__array__ implementation:DeprecationWarning"),
+]
+
+FALSE_BOX = [2.0, 3.0, 10.0, 12.0]
+
+
+@pytest.fixture(scope="session")
+def looked_at(made, tmp_path_factory):
+    """A page of scenes 0, 3 and 4 with the detections of a run that looked at 0 and 3.
+
+    In scene 0 all is found, with scores that fall from 0.9 by 0.1; in scene 3 the first instance
+    is missed and there is a false alarm of 0.85.
+    """
+    dataset = made[0]
+    examples = {scene_id: open_examples(dataset).read(scene_id) for scene_id in (0, 3)}
+    folder = tmp_path_factory.mktemp("found")
+    run = folder / "run"
+    run.mkdir()
+    found = [_found(examples[0], skip=0), _found(examples[3], skip=1, false=True)]
+    (run / "results.json").write_bytes(results_bytes(found))
+    said = {
+        "scene_ids": [0, 3],
+        "split": "train",
+        "division": None,
+        "model": "by hand",
+        "input": "rgb",
+        "ms_per_picture": [5.0, 7.0],
+    }
+    (run / "detect.json").write_text(json.dumps(said))
+    page = write_report(dataset, folder / "page", detections=run).page
+    return dataset, examples, page
+
+
+def _found(example, *, skip, false=False):
+    mask = example.mask[skip:]
+    score = 0.9 - 0.1 * np.arange(len(mask))
+    box, obj_id = example.box_px[skip:].astype(float), example.obj_id[skip:]
+    if false:
+        drawn = np.zeros_like(example.mask[:1])
+        x, y, w, h = map(int, FALSE_BOX)
+        drawn[0, y : y + h, x : x + w] = True
+        mask, score = np.concatenate([mask, drawn]), np.append(score, 0.85)
+        box, obj_id = np.vstack([box, FALSE_BOX]), np.append(obj_id, obj_id[0])
+    order = np.argsort(-score)
+    return Detections(
+        scene_id=example.scene_id,
+        score=score[order],
+        obj_id=obj_id[order],
+        box_px=box[order],
+        mask=tuple(run_lengths_of(mask[order])),
+    )
+
+
+def received(page, name):
+    text = (page.parent / "scenes" / name).read_text()
+    return json.loads(text.removeprefix("Graycast.receive(").removesuffix(");\n"))
+
+
+def test_a_scene_s_script_says_what_each_detection_found(looked_at):
+    _, examples, page = looked_at
+    all_found = received(page, "train-000000/detections.js")
+    assert {one["state"] for one in all_found["detections"]} <= {"hit", "ignored"}
+    held = received(page, "train-000003/detections.js")
+    wrong = [one for one in held["detections"] if one["state"] == "mistake"]
+    assert [(one["box"], one["score"], one["why"]) for one in wrong] == [
+        (FALSE_BOX, 0.85, "nothing there")
+    ]
+    missed = str(examples[3].instance[0])
+    assert held["instances"][missed]["found"] is None
+    for detection in held["detections"]:
+        if detection["state"] == "hit":
+            told = held["instances"][str(detection["instance"])]
+            assert told["found"] == detection["score"]
+    assert not (page.parent / "scenes" / "train-000004" / "detections.js").exists()
+
+
+def test_a_page_made_without_results_has_none(looked_at, tmp_path):
+    dataset, _, page = looked_at
+    again = write_report(dataset, page.parent.parent / "bare").page
+    assert '"detections":null' in (again.parent / "index.js").read_text()
+    results = page.parent.parent / "run"
+    write_report(dataset, tmp_path / "page", detections=results)
+    write_report(dataset, tmp_path / "page")
+    assert not list((tmp_path / "page").rglob("detections.js"))
+
+
+def test_results_of_another_dataset_are_refused_before_a_page_is_written(made, tmp_path):
+    odd = tmp_path / "results.json"
+    odd.write_bytes(b'[{"image_id": 77, "category_id": 1, "bbox": [0, 0, 1, 1], "score": 1}]')
+    with pytest.raises(GraycastError, match="entry 0 is of image 77"):
+        write_report(made[0], tmp_path / "page", detections=odd)
+    assert not (tmp_path / "page").exists()
+
+
+@pytest.fixture
+def page(browser, looked_at):
+    with watched_page(browser, looked_at[2].as_uri()) as page:
+        yield page
+
+
+def cards(page):
+    return page.eval_on_selector_all(".card", "all => all.map((card) => card.dataset.key)")
+
+
+def outlines(page, state):
+    return page.locator(f"#found path.{state}, #found rect.{state}").count()
+
+
+def move(page, slider, score):
+    page.evaluate(
+        """([id, score]) => {
+            const slider = document.getElementById(id);
+            slider.value = score;
+            slider.dispatchEvent(new Event("input"));
+        }""",
+        [slider, score],
+    )
+
+
+def test_filters_select_scenes_with_missed_and_false_and_show_them(page):
+    page.select_option("#pick-found", "missed")
+    assert cards(page) == ["train-000003"]
+    assert "1 missed" in page.locator(".found-line").inner_text()
+    page.click(".card a")
+    ready(page, "train-000003")
+    assert (outlines(page, "missed"), outlines(page, "hit"), outlines(page, "mistake")) == (1, 0, 0)
+    page.keyboard.press("Escape")
+    ready(page, "overview")
+    page.select_option("#pick-found", "mistake")
+    assert cards(page) == ["train-000003"]
+    page.click(".card a")
+    ready(page, "train-000003")
+    assert (outlines(page, "missed"), outlines(page, "hit"), outlines(page, "mistake")) == (0, 0, 1)
+    page.keyboard.press("Escape")
+    page.select_option("#pick-found", "right")
+    assert cards(page) == ["train-000000"]
+    page.select_option("#pick-found", "unseen")
+    assert cards(page) == ["train-000004"]
+    assert page.locator(".told-row .chip").inner_text().startswith("not looked at")
+
+
+def test_a_higher_score_to_count_from_misses_more_in_the_grid_and_in_a_scene(page, looked_at):
+    counted = int((looked_at[1][0].visib_fract >= 0.1).sum())
+    move(page, "least-score", 0.85)
+    page.select_option("#pick-found", "missed")
+    assert cards(page) == ["train-000000", "train-000003"]
+    page.click('.card[data-key="train-000000"] a')
+    ready(page, "train-000000")
+    page.select_option("#choose-foundKind", "all")
+    assert outlines(page, "hit") == 1  # of 0.9 alone
+    assert outlines(page, "missed") == counted - 1
+    move(page, "score-slider", 0)
+    assert outlines(page, "missed") == 0
+    assert outlines(page, "hit") == counted
+    assert page.locator('#found-table tr[data-state="hit"]').count() == counted
+
+
+def test_a_false_alarm_is_drawn_where_it_is(page, looked_at):
+    """Oracle: where the pixels of its box are on the screen, by the picture's own place."""
+    opened(page, looked_at, 3)
+    box = page.locator("#picture").bounding_box()
+    drawn = page.locator("#found path.mistake").bounding_box()
+    scale = box["width"] / 160
+    x, y, w, h = FALSE_BOX
+    assert drawn["x"] == pytest.approx(box["x"] + x * scale, abs=scale)
+    assert drawn["y"] == pytest.approx(box["y"] + y * scale, abs=scale)
+    assert drawn["width"] == pytest.approx(w * scale, abs=1.5 * scale)
+    assert drawn["height"] == pytest.approx(h * scale, abs=1.5 * scale)
+    page.keyboard.press("d")
+    assert page.locator("#found > *").count() == 0
+    page.keyboard.press("d")
+    assert page.locator("#found > *").count() > 0
+
+
+def test_a_scene_that_was_not_looked_at_says_so(page, looked_at):
+    opened(page, looked_at, 4)
+    assert "was not run on this scene" in page.locator("#found-list").inner_text()
+    assert page.locator("#toggle-found").count() == 0

@@ -1,0 +1,485 @@
+"""The page in a real browser, opened from the disk: it loads, and its controls do what they say."""
+
+import shutil
+from dataclasses import replace
+
+import cv2
+import numpy as np
+import pytest
+from dataset.prisms import SCALE_MM
+from pictured import forget, write_dataset
+
+from graycast.base.frames import inverse, pixel_grid, transform_points
+from graycast.rig.optics import project, rays
+from graycast.rig.pattern import CodeSpec
+from graycast.show.report.page import write_report
+
+from .browsing import SCENES, held, opened, place, pressed, readout, ready, shown
+
+pytestmark = pytest.mark.slow
+NONE = "\N{EN DASH}"  # what the page writes where there is no value
+
+
+def test_the_browser_holds_the_dataset_s_numbers(page, made):
+    """Oracle: the PNGs, pixel by pixel, through packing, JavaScript and back."""
+    dataset, samples, _ = made
+    for scene_id in SCENES:
+        opened(page, made, scene_id)
+        folder = dataset / f"train/{scene_id:06d}"
+        for ours, theirs in (("depth", "depth"), ("scanner", "depth_sl"), ("reason", "reason_sl")):
+            stored = cv2.imread(str(folder / theirs / "000000.png"), cv2.IMREAD_UNCHANGED)
+            np.testing.assert_array_equal(held(page, ours), stored)
+        np.testing.assert_array_equal(held(page, "instance") - 1, samples[scene_id].truth.instance)
+
+
+@pytest.mark.parametrize("which", ["depth", "scanner"])
+def test_projector_positions_are_those_of_the_optics(page, made, rig, which):
+    """Oracle: `optics.rays` and `project`, through both lenses' distortion."""
+    opened(page, made, 0)
+    step = held(page, which)
+    ray = rays(rig.camera, pixel_grid(120, 160))
+    point = ray * np.where(step > 0, step * SCALE_MM * 1e-3, np.nan)[..., None]
+    expected = project(rig.projector, transform_points(inverse(rig.T_cam_proj), point))
+    inside = ((expected > -0.49) & (expected < [159.49, 119.49])).all(axis=-1)
+    assert inside.sum() > 3000
+    for k, name in enumerate(("column", "row")):
+        found = page.evaluate(
+            f"Array.from(Graycast.projectorMap(Graycast.opened().scene, '{which}').{name},"
+            " (v) => Number.isNaN(v) ? -1 : v)"
+        )
+        found = np.array(found).reshape(120, 160)
+        assert np.abs(found - expected[..., k])[inside].max() < 2e-3
+        outside = ((expected < -0.51) | (expected > [159.51, 119.51])).any(axis=-1)
+        assert (found[outside | (step == 0)] == -1).all()
+
+
+@pytest.mark.parametrize(
+    ("distortion", "folds"),
+    [
+        ((-0.12, 0.05, 0.001, -0.0007, 0.0), False),
+        ((0.3, 0.1, -0.01, 0.02, 0.05), False),
+        ((-0.6, 0.0, 0.0, 0.0, 0.0), False),
+        ((-2.0, 0.0, 0.0, 0.0, 0.0), True),
+        ((1.0, -20.0, 0.0, 0.0, 0.0), True),
+        ((0.0, 0.0, 0.9, 0.0, 0.0), True),
+    ],
+)
+def test_rays_are_refused_where_optics_refuses_them(page, made, rig, distortion, folds):
+    """Oracle: `optics.rays`, which refuses a lens that folds over within the picture."""
+    opened(page, made, 0)
+    found = page.evaluate(
+        """(distortion) => {
+            const scene = { ...Graycast.opened().scene, rays: null };
+            scene.view = { ...scene.view, distortion };
+            try {
+                return Array.from(Graycast.rays(scene));
+            } catch (error) {
+                return error.message;
+            }
+        }""",
+        distortion,
+    )
+    lens = replace(rig.camera, distortion=distortion)
+    if folds:
+        assert "has no inverse over this picture" in found
+        with pytest.raises(ValueError, match="no inverse"):
+            rays(lens, pixel_grid(120, 160))
+    else:
+        expected = rays(lens, pixel_grid(120, 160))[..., :2]
+        assert np.abs(np.reshape(found, (120, 160, 2)) - expected).max() < 1e-6
+
+
+@pytest.mark.parametrize("k", [(-1.5, 0.0, 0.0), (-2.0, 1.0, 0.0), (0.1, -3.0, 0.2)])
+def test_no_projector_position_is_given_beyond_the_end_of_the_lens(page, made, rig, k):
+    """Oracle: `optics.project`; beyond the fold the polynomial leads back into the picture."""
+    opened(page, made, 0)
+    lens = replace(rig.projector, distortion=(k[0], k[1], 0.0, 0.0, k[2]))
+    found = page.evaluate(
+        """(distortion) => {
+            Graycast.report.scanners[""].rig.projector.distortion = distortion;
+            const scene = { ...Graycast.opened().scene, projected: null };
+            return Array.from(Graycast.projectorMap(scene, "depth").column, (v) => v === v);
+        }""",
+        lens.distortion,
+    )
+    step = held(page, "depth")
+    point = rays(rig.camera, pixel_grid(120, 160)) * (step * SCALE_MM * 1e-3)[..., None]
+    expected = project(lens, transform_points(inverse(rig.T_cam_proj), point))
+    ended = np.isnan(expected).any(axis=-1) & (step > 0)
+    inside = ((expected > -0.49) & (expected < [159.49, 119.49])).all(axis=-1) & (step > 0)
+    assert ended.sum() > 30 and inside.sum() > 300
+    found = np.reshape(found, (120, 160))
+    assert not found[ended].any() and found[inside].all()
+
+
+def test_a_lens_without_an_inverse_is_told_where_its_rays_are_needed(page, made):
+    opened(page, made, 0)
+    page.evaluate(
+        """() => {
+            const { scene } = Graycast.opened();
+            scene.view.distortion = [-2, 0, 0, 0, 0];
+            scene.rays = scene.projected = null;
+        }"""
+    )
+    page.click('[data-view="column"]')
+    page.wait_for_selector(".note:has-text('has no inverse over this picture')")
+    page.click('[data-view="cloud"]')
+    page.wait_for_selector(".stage.cloud .sorry:has-text('has no inverse over this picture')")
+    page.click('[data-view="scanner"]')
+    assert pressed(page) == "scanner"
+
+
+def test_pattern_bits_are_the_code_s(page, made):
+    opened(page, made, 0, "pattern")
+    page.click("#toggle-shade")
+    patterns = CodeSpec().code(160, 120).render()
+    column, row = (
+        np.array(
+            page.evaluate(
+                f"Array.from(Graycast.projectorMap(Graycast.opened().scene, 'scanner').{axis},"
+                " (v) => Number.isNaN(v) ? -1 : Math.round(v))"
+            ),
+            dtype=int,
+        ).reshape(120, 160)
+        for axis in ("column", "row")
+    )
+    known = column >= 0
+    for k in (2, 9, 10, 16):
+        page.select_option("#choose-frame", str(k))
+        np.testing.assert_array_equal(
+            shown(page)[known][:, 0], patterns[k][row[known], column[known]]
+        )
+    before = page.locator("#choose-frame").input_value()
+    page.keyboard.press("]")
+    assert int(page.locator("#choose-frame").input_value()) == (int(before) + 1) % 17
+
+
+def slide(page, k):
+    """Move the slider to a frame, and wait until it is shown."""
+    page.evaluate(
+        """(k) => {
+            const slider = document.getElementById("frame-slider");
+            slider.value = k;
+            slider.dispatchEvent(new Event("input"));
+        }""",
+        k,
+    )
+    frame_shown(page, k)
+
+
+def frame_shown(page, k):
+    page.wait_for_function(
+        f"Graycast.prefs.frame === {k} && Graycast.opened().scene.frames.levels.has({k})"
+    )
+
+
+def grey(sample):
+    """Captured frames as 8 bits: black at the sensor's offset, white where it saturates."""
+    sensor = sample.raw.capture.sensor
+    share = (sample.raw.capture.frames - sensor.offset_dn) / (
+        sensor.saturation_dn - sensor.offset_dn
+    )
+    return 255 * share.clip(0, 1)
+
+
+def test_captured_frames_are_brought_in_when_they_are_looked_at(page, kept):
+    opened(page, kept, 0)
+    assert page.evaluate("!Graycast.opened().scene.frames && !Graycast.opened().scene.columns")
+    stored = grey(kept[1][0])
+    page.click('[data-view="pattern"]')
+    for k in (0, 1, 2, 9, 17):
+        slide(page, k)
+        picture = shown(page)[..., 0].astype(float)
+        miss = np.abs(picture - stored).mean(axis=(1, 2))
+        assert miss.argmin() == k and miss[k] < 4, miss  # noise through JPEG
+        assert page.locator("#choose-frame").input_value() == str(k)
+    assert "captured, 12 bit" in page.locator(".note").inner_text()
+
+
+def test_frames_flip_by_arrows_brackets_and_play(page, kept):
+    opened(page, kept, 0, "pattern")
+    slide(page, 16)
+    for key, k in (("ArrowDown", 17), ("]", 0), ("ArrowUp", 17), ("[", 16)):
+        page.keyboard.press(key)
+        frame_shown(page, k)
+    page.locator("#frame-slider").focus()
+    page.keyboard.press("ArrowLeft")  # the slider's own
+    frame_shown(page, 15)
+    page.keyboard.press("p")
+    assert page.locator("#frame-play").get_attribute("aria-pressed") == "true"
+    frame_shown(page, 17)
+    page.keyboard.press("p")
+    stopped = page.evaluate("Graycast.prefs.frame")
+    page.wait_for_timeout(700)
+    assert page.evaluate("Graycast.prefs.frame") == stopped
+    page.keyboard.press("p")
+    page.keyboard.press("1")  # another view: nothing flips in the dark
+    page.wait_for_timeout(700)
+    assert page.evaluate("Graycast.prefs.frame") in (stopped, stopped + 1)
+    page.keyboard.press("3")
+    assert page.locator("#frame-play").get_attribute("aria-pressed") == "false"
+
+
+def test_ideal_bits_stand_beside_captured_frames(page, kept):
+    opened(page, kept, 3, "pattern")
+    slide(page, 2)
+    captured = shown(page)[..., 0]
+    page.select_option("#choose-source", "scanner")
+    assert "ideal bits" in page.locator(".note").inner_text()
+    known = held(page, "scanner") > 0
+    page.click("#toggle-shade")
+    ideal = shown(page)[..., 0]
+    assert set(np.unique(ideal[known])) == {0, 255}
+    lit = captured > np.median(captured[known])
+    assert (lit == (ideal == 255))[known].mean() > 0.9
+
+
+@pytest.mark.parametrize("axis", ["column", "sigma_column", "row", "sigma_row"])
+def test_decoded_positions_are_the_stored_ones(page, kept, axis):
+    """Oracle: the code map in memory, through TIFF, packing and JavaScript."""
+    opened(page, kept, 0, "column")
+    page.select_option("#choose-axis", axis)
+    page.wait_for_function("Graycast.opened().scene.columns.maps")
+    found = np.array(
+        page.evaluate(
+            f"Array.from(Graycast.opened().scene.columns.maps.{axis},"
+            " (v) => Number.isNaN(v) ? null : v)"
+        ),
+        dtype=float,
+    ).reshape(120, 160)
+    stored = getattr(kept[1][0].raw.codes, axis)
+    np.testing.assert_allclose(found, stored, atol=2e-3)
+    unknown = np.isnan(stored)
+    assert (shown(page)[unknown][:, :3] == [58, 60, 66]).all() and unknown.any()
+    assert len(np.unique(shown(page)[~unknown][:, :3], axis=0)) > (0 if "sigma" in axis else 40)
+
+
+def test_frame_and_column_under_the_pointer(page, kept):
+    opened(page, kept, 3, "column")
+    page.wait_for_function("Graycast.opened().scene.columns.maps")
+    sample = kept[1][3]
+    codes, shot = sample.raw.codes, sample.raw.capture
+    page.click('[data-view="pattern"]')
+    slide(page, 0)
+    off_dn = []
+    for row, column in np.argwhere(np.isfinite(codes.column))[::1500]:
+        page.mouse.move(*place(page, row, column))
+        for axis in ("column", "row"):
+            value, sigma = getattr(codes, axis), getattr(codes, f"sigma_{axis}")
+            said = readout(page, f"decoded {axis}").split()
+            assert abs(float(said[0]) - value[row, column]) < 0.01
+            assert abs(float(said[2]) - sigma[row, column]) < 0.01
+        said = readout(page, "this frame").split()
+        off_dn.append(int(said[1]) - int(shot.frames[0, row, column]))
+    assert np.abs(off_dn).max() < 200 and abs(np.mean(off_dn)) < 30  # of 4095: noise through JPEG
+    row, column = np.argwhere(np.isnan(codes.column))[20]
+    page.mouse.move(*place(page, row, column))
+    assert readout(page, "decoded column") == NONE
+
+
+def test_what_is_not_stored_is_told_with_the_key_that_would(page, made):
+    opened(page, made, 0, "pattern")
+    assert "store: {frames: true}" in page.locator(".note").inner_text()
+    page.click('[data-view="column"]')
+    assert "store: {columns: true}" in page.locator(".note").inner_text()
+    names = page.eval_on_selector_all("#choose-axis option", "all => all.map((o) => o.value)")
+    assert names == ["column", "row"]
+    assert page.locator('#readout tr[data-name="decoded column"]').count() == 0
+
+
+def test_frames_that_are_gone_are_told(browser, kept, tmp_path):
+    page_folder = shutil.copytree(kept[2].parent, tmp_path / "page")
+    (page_folder / "scenes/train-000000/frames.js").unlink()
+    page = browser.new_page()
+    page.goto(f"{(page_folder / 'index.html').as_uri()}#/train-000000")
+    ready(page, "train-000000")
+    page.click('[data-view="pattern"]')
+    page.wait_for_selector(".note:has-text('run graycast report again')")
+    page.click('[data-view="scanner"]')
+    assert pressed(page) == "scanner"
+    page.close()
+
+
+def test_values_under_the_pointer_are_the_files_(page, made):
+    opened(page, made, 3)
+    step, scanner = held(page, "depth"), held(page, "scanner")
+    instance = held(page, "instance") - 1
+    for row, column in ((47, 75), (10, 12), *np.argwhere((instance >= 0) & (scanner > 0))[::700]):
+        page.mouse.move(*place(page, row, column))
+        assert readout(page, "pixel") == f"{column}, {row}"
+        assert readout(page, "perfect") == f"{SCALE_MM * step[row, column]:.2f} mm"
+        expected = f"{SCALE_MM * scanner[row, column]:.2f} mm" if scanner[row, column] else NONE
+        assert readout(page, "scanner") == expected
+        k = instance[row, column]
+        name = f"{k} {('box', 'wedge')[k % 2]}" if k >= 0 else NONE
+        assert readout(page, "instance") == name
+    page.mouse.move(*place(page, 47, 75))
+    assert readout(page, "reason") == "shadow"
+
+
+def test_masks_and_boxes_can_be_switched_and_name_what_is_under_the_pointer(page, made):
+    opened(page, made, 0)
+    instance = held(page, "instance") - 1
+    assert not shown(page, "overlay").any()
+    page.keyboard.press("m")
+    covered = shown(page, "overlay")[..., 3] > 0
+    np.testing.assert_array_equal(covered, instance >= 0)
+    page.keyboard.press("b")
+    seen = np.unique(instance[instance >= 0])
+    assert page.locator("#boxes rect.visible").count() == len(seen)
+    row, column = np.argwhere(instance == seen[0])[0]
+    page.mouse.move(*place(page, row, column))
+    assert page.locator("#tip").inner_text() == f"{seen[0]} {('box', 'wedge')[seen[0] % 2]}"
+    for key in "mb":
+        page.keyboard.press(key)
+    assert not shown(page, "overlay").any() and page.locator("#boxes rect").count() == 0
+
+
+def test_a_reason_in_the_legend_leaves_its_pixels_bright(page, made):
+    opened(page, made, 0, "reasons")
+    page.hover("#reasons div:has-text('shadow')")
+    np.testing.assert_array_equal(shown(page, "overlay")[..., 3] == 0, held(page, "reason") == 1)
+
+
+def test_views_flip_by_keys_and_the_difference_is_white_where_there_is_none(page, made):
+    opened(page, made, 0)
+    page.keyboard.press("7")
+    assert pressed(page) == "difference"
+    same = (held(page, "depth") == held(page, "scanner")) & (held(page, "depth") > 0)
+    assert (shown(page)[same][:, :3] > 240).all()
+    page.keyboard.press("6")
+    page.keyboard.press("Space")
+    assert pressed(page) == "difference"
+    page.keyboard.press("ArrowRight")
+    ready(page, "train-000003")
+    page.keyboard.press("ArrowLeft")
+    ready(page, "train-000000")
+    page.keyboard.press("Escape")
+    ready(page, "overview")
+
+
+def test_a_picture_has_its_place_when_its_scene_is_ready(page, made):
+    first, later = page.evaluate(
+        """async () => {
+            const main = document.getElementById("main"), name = "train-000003";
+            const place = () => JSON.stringify(
+                document.getElementById("picture").getBoundingClientRect());
+            const seen = new Promise((done) => new MutationObserver((_, self) => {
+                if (main.dataset.ready !== name) return;
+                self.disconnect();
+                done(place());
+            }).observe(main, { attributes: true }));
+            location.hash = `#/${name}`;
+            const first = await seen;
+            for (let k = 0; k < 3; k++) await new Promise(requestAnimationFrame);
+            return [first, place()];
+        }"""
+    )
+    assert first == later
+
+
+def test_zoom_keeps_the_pixel_under_the_pointer(page, made):
+    opened(page, made, 0)
+    page.mouse.move(*place(page, 80, 33))
+    for _ in range(3):
+        page.mouse.wheel(0, -300)
+    width = "document.querySelector('#picture').getBoundingClientRect().width"
+    page.wait_for_function(f"{width} > 1500")
+    page.wait_for_timeout(300)  # the last turn of the wheel, too
+    assert readout(page, "pixel") == "33, 80"
+    page.keyboard.press("0")
+    assert page.locator("#picture").bounding_box()["width"] < 1200
+
+
+def test_the_grid_filters_sorts_and_opens_scenes(page, made):
+    cards = page.locator(".card")
+    assert cards.count() == 3
+    rows = page.evaluate("Graycast.rows().map((r) => [r.key, r.decoded, r.visibility])")
+    page.select_option("#pick-sort", "decoded")
+    page.click("#direction")
+    expected = [key for key, *_ in sorted(rows, key=lambda row: -row[1])]
+    assert page.evaluate("Graycast.filtered().map((r) => r.key)") == expected
+    middle = sorted(row[2] for row in rows)[1]
+    page.click("#more summary")
+    page.fill("#visibility-from", str(100 * middle - 1e-4))
+    assert cards.count() == sum(row[2] >= middle for row in rows) < 3
+    page.click("#reset")
+    assert cards.count() == 3
+    page.select_option("#pick-thumb", "reason.png")
+    page.wait_for_function(
+        "[...document.querySelectorAll('.card img')].every((i) => i.naturalWidth)"
+    )
+    cards.nth(1).click()
+    ready(page, "train-000003")
+
+
+def test_the_3d_view_draws_what_is_switched_on(page, made):
+    def colors():
+        page.wait_for_timeout(400)
+        data = page.locator("#cloud").screenshot()
+        picture = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_COLOR)
+        return len(np.unique(picture.reshape(-1, 3), axis=0)), picture
+
+    opened(page, made, 0, "cloud")
+    page.select_option("#choose-surfacePaint", "colour")
+    page.select_option("#choose-pointPaint", "difference")
+    page.click("text=camera")  # the side of the surface that is drawn is the one the camera saw
+    both, first = colors()
+    page.keyboard.press("s")
+    points, second = colors()
+    page.keyboard.press("p")
+    nothing, _ = colors()
+    assert both > 1000 and points > 30
+    assert nothing < 20  # the ground, and its rounded corners
+    assert np.abs(first.astype(int) - second).mean() > 1
+    page.keyboard.press("s")
+    surface, before = colors()
+    assert surface > 1000
+    page.click("text=oblique")
+    _, after = colors()
+    assert np.abs(before.astype(int) - after).mean() > 1
+
+
+def test_light_and_dark_can_be_read(page, made):
+    """Text against its ground has a contrast of 7 and more in both."""
+
+    def contrast():
+        tone = page.evaluate(
+            "(() => { const s = getComputedStyle(document.documentElement);"
+            " return [s.color, s.backgroundColor].map((c) => c.match(/\\d+/g).map(Number)); })()"
+        )
+        linear = np.where(
+            np.array(tone) / 255 <= 0.04045,
+            np.array(tone) / 255 / 12.92,
+            ((np.array(tone) / 255 + 0.055) / 1.055) ** 2.4,
+        )
+        low, high = sorted(linear @ [0.2126, 0.7152, 0.0722])
+        return (high + 0.05) / (low + 0.05)
+
+    first = page.evaluate("document.documentElement.dataset.theme")
+    assert contrast() > 7
+    page.keyboard.press("t")
+    assert page.evaluate("document.documentElement.dataset.theme") != first
+    assert contrast() > 7
+
+
+def test_a_scene_that_is_not_there_is_said(page, made):
+    page.goto(f"{made[2].as_uri()}#/train-000777")
+    ready(page, "train-000777")
+    assert "no scene train-000777" in page.locator(".sorry").inner_text()
+
+
+def test_real_pictures_show_what_they_have(page, rig, tmp_path):
+    write_dataset(tmp_path / "real", scene_ids=(3,), rig=rig)
+    forget(tmp_path / "real")
+    made = write_report(tmp_path / "real", tmp_path / "page").page
+    page.goto(f"{made.as_uri()}#/train-000003")
+    ready(page, "train-000003")
+    views = page.eval_on_selector_all("[data-view]", "all => all.map((b) => b.dataset.view)")
+    assert views == ["color", "scanner", "reasons", "cloud"]
+    for view in reversed(views):
+        page.click(f'[data-view="{view}"]')
+    page.mouse.move(*place(page, 47, 75))
+    assert (readout(page, "perfect"), readout(page, "reason")) == (NONE, "missing")
+    page.keyboard.press("Escape")
+    ready(page, "overview")

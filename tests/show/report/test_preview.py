@@ -1,0 +1,355 @@
+"""The contact sheet of a small scene that is written down here, pixel by pixel."""
+
+from dataclasses import replace
+
+import cv2
+import numpy as np
+import pytest
+from matplotlib.colors import to_rgb
+from PIL import Image
+
+from graycast.base.errors import GraycastError
+from graycast.base.frames import axis_rotation, random_quaternions, rigid, rotation_from_quaternion
+from graycast.camera.decode import CodeMap, DepthMap, Reason
+from graycast.camera.sensor import Capture, SensorSpec
+from graycast.cell.simulate import Shot
+from graycast.dataset import Sample
+from graycast.render import GroundTruth, Radiance, Rendering, Silhouette
+from graycast.rig.optics import Optics
+from graycast.rig.pair import Rig
+from graycast.rig.pattern import gray
+from graycast.show.report import preview
+from graycast.world.parts import Material, Mesh, Part
+from graycast.world.scene import EMPTY_LAYOUT, Layout, Scene
+
+WIDTH, HEIGHT = 80, 60
+F_PX, BASELINE_M, WALL_M = 100.0, 0.1, 0.5
+CODE = gray(64, 48)
+SENSOR = SensorSpec()
+SIDE = slice(20, 40), slice(30, 50)  # rows and columns of the one instance
+# A camera somewhere askew, so that no test passes because two frames happen to coincide.
+T_WORLD_CAM = rigid(axis_rotation("x", 2.5) @ axis_rotation("z", 0.4), np.array([0.3, -0.2, 0.9]))
+
+
+def cube(size_m=0.1, middle_m=(0.0, 0.0, 0.0)):
+    corner = np.array([[k & 1, k >> 1 & 1, k >> 2] for k in range(8)]) - 0.5
+    faces = [[0, 2, 3], [0, 3, 1], [4, 5, 7], [4, 7, 6], [0, 1, 5], [0, 5, 4],
+             [2, 6, 7], [2, 7, 3], [0, 4, 6], [0, 6, 2], [1, 3, 7], [1, 7, 5]]  # fmt: skip
+    return Part(
+        name="cube",
+        mesh=Mesh(vertices_m=corner * size_m + middle_m, faces=np.array(faces)),
+        material=Material(),
+        density_kg_m3=1000.0,
+        friction=0.5,
+    )
+
+
+def rig():
+    camera = Optics(
+        width_px=WIDTH, height_px=HEIGHT, fx_px=F_PX, fy_px=F_PX, cx_px=39.5, cy_px=29.5
+    )
+    projector = Optics(width_px=64, height_px=48, fx_px=F_PX, fy_px=F_PX, cx_px=51.5, cy_px=23.5)
+    T_cam_proj = rigid(np.eye(3), np.array([BASELINE_M, 0.0, 0.0]))
+    return Rig(name="desk", camera=camera, projector=projector, T_cam_proj=T_cam_proj,
+               near_m=0.2, far_m=1.0)  # fmt: skip
+
+
+def quarters():
+    """Red, green over blue, white: every turn and mirror image of it is another picture."""
+    image = np.zeros((HEIGHT, WIDTH, 3), dtype=np.uint8)
+    image[:30, :40], image[:30, 40:] = (255, 0, 0), (0, 255, 0)
+    image[30:, :40], image[30:, 40:] = (0, 0, 255), (255, 255, 255)
+    return image
+
+
+def make_shot(*, error_m=None, reason=None, layout=None, frames=None, scanned=None):
+    """A wall at WALL_M with one instance in the wall's plane, decoded but for `reason`."""
+    truth_m = np.full((HEIGHT, WIDTH), WALL_M, dtype=np.float32)
+    reason = np.zeros((HEIGHT, WIDTH), dtype=np.uint8) if reason is None else reason
+    if scanned is None:
+        scanned = truth_m + (0 if error_m is None else error_m)
+        scanned = np.where(reason == 0, scanned, np.nan).astype(np.float32)
+    instance = np.full((HEIGHT, WIDTH), -1, dtype=np.int32)
+    amodal = ()
+    if layout is None:
+        T_cam_part = rigid(np.eye(3), np.array([0.0, 0.0, WALL_M + 0.05]))
+        layout = Layout(T_world_part=(T_WORLD_CAM @ T_cam_part)[None], part_index=np.array([0]))
+        instance[SIDE] = 0
+        amodal = (Silhouette(left_px=30, top_px=20, mask=np.ones((20, 20), dtype=bool)),)
+    normal = np.broadcast_to(np.array([0, 0, -1], dtype=np.float32), (HEIGHT, WIDTH, 3)).copy()
+    truth = GroundTruth(depth_m=truth_m, normal=normal, instance=instance, amodal=amodal)
+    if frames is None:
+        frames = np.full((len(CODE.frames), HEIGHT, WIDTH), 2000, dtype=np.uint16)
+    colour = np.zeros((HEIGHT, WIDTH, 3), dtype=np.float32)
+    column = np.where(reason == 0, np.arange(WIDTH) * 63 / 79, np.nan).astype(np.float32)
+    sample = Sample(
+        scene=Scene(rig=rig(), T_world_cam=T_WORLD_CAM.copy(), parts=(cube(),)),
+        layout=layout,
+        truth=truth,
+        rgb=quarters(),
+        gray=np.zeros((HEIGHT, WIDTH), dtype=np.uint8),
+        scanner=DepthMap(
+            depth_m=scanned, sigma_m=np.where(reason == 0, 1e-4, np.nan), reason=reason
+        ),
+        modulation=np.ones((HEIGHT, WIDTH), dtype=np.float32),
+        manifest={
+            "scene_id": 7,
+            "dataset_seed": 11,
+            "backend": "mitsuba",
+            "device": "llvm",
+            "config": {"render": {"samples": 16, "depth": 4}},
+        },
+    )
+    radiance = Radiance(
+        pattern=np.zeros((len(CODE.frames), HEIGHT, WIDTH), dtype=np.float32),
+        white=colour[..., 0].copy(), ambient=colour[..., 0].copy(),
+        white_rgb=colour, ambient_rgb=colour.copy(), albedo=colour.copy(),
+    )  # fmt: skip
+    return Shot(
+        sample=sample,
+        rendering=Rendering(radiance=radiance, truth=truth),
+        capture=Capture(frames=frames, sensor=SENSOR, exposure_s=0.02),
+        codes=CodeMap(
+            column=column,
+            row=column.copy(),
+            sigma_column=column * 0,
+            sigma_row=column * 0,
+            modulation=sample.modulation,
+            reason=reason,
+        ),
+    )
+
+
+@pytest.fixture
+def tiles(monkeypatch, tmp_path):
+    """Draws a shot and gives its figure and its tiles by title."""
+
+    def drawn(shot):
+        figures = []
+        monkeypatch.setattr(
+            preview, "save_png", lambda figure, path, *, dpi: figures.append(figure)
+        )
+        preview.draw_preview(shot, CODE, tmp_path / "unused.png")
+        return figures[0], {ax.get_title(loc="left"): ax for ax in figures[0].axes if ax.images}
+
+    return drawn
+
+
+def image(ax):
+    return np.asarray(ax.images[0].get_array())
+
+
+# --- the file ----------------------------------------------------------------------------------
+
+
+def test_pictures_stand_upright_and_unmirrored_on_the_sheet(tmp_path):
+    """Oracle: the order of four pure colours, found on the sheet by colour alone."""
+    preview.draw_preview(make_shot(), CODE, tmp_path / "sheet.png")
+    sheet = np.array(Image.open(tmp_path / "sheet.png").convert("RGB")).astype(int)
+    assert sheet.shape[1] == 2400
+    first = sheet[:600, :610]  # the colour picture is the first of four in a row
+    middle = {}
+    for name, color in (("red", (255, 0, 0)), ("green", (0, 255, 0)), ("blue", (0, 0, 255))):
+        rows, columns = np.nonzero(np.abs(first - color).sum(axis=-1) < 8)
+        middle[name] = rows.mean(), columns.mean()
+        # A tile of 571 x 428 holds four quarters; blending may take a border of a few pixels.
+        assert rows.size == pytest.approx(571 * 428 / 4, rel=0.04)
+    assert middle["red"][0] == pytest.approx(middle["green"][0], abs=2)
+    assert middle["red"][1] == pytest.approx(middle["blue"][1], abs=2)
+    assert middle["green"][1] > middle["red"][1] + 200
+    assert middle["blue"][0] > middle["red"][0] + 150
+
+
+@pytest.mark.slow
+def test_the_same_scene_gives_the_same_bytes_and_leaves_nothing_else(tmp_path):
+    (tmp_path / "b.png").write_text("an older sheet")
+    for name in ("a.png", "b.png"):
+        preview.draw_preview(make_shot(), CODE, tmp_path / name)
+    assert (tmp_path / "a.png").read_bytes() == (tmp_path / "b.png").read_bytes()
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["a.png", "b.png"]
+
+
+def test_a_sheet_that_cannot_be_written_is_named_and_leaves_nothing(tmp_path):
+    (tmp_path / "taken.png").mkdir()
+    for path in (tmp_path / "missing" / "sheet.png", tmp_path / "taken.png"):
+        with pytest.raises(GraycastError, match=path.name):
+            preview.draw_preview(make_shot(), CODE, path)
+    assert [path.name for path in tmp_path.iterdir()] == ["taken.png"]
+
+
+def test_another_code_than_the_captures_is_refused(tmp_path):
+    with pytest.raises(ValueError, match="14 frames, and the code has 26"):
+        preview.draw_preview(make_shot(), gray(64, 48, inverses=True), tmp_path / "sheet.png")
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_scan_of_several_exposures_shows_the_longest(tiles):
+    shot = make_shot()
+    exposure_s = np.full((HEIGHT, WIDTH), 0.02, dtype=np.float32)
+    exposure_s[:10] = 0.005
+    merged = replace(shot, capture=replace(shot.capture, exposure_s=exposure_s))
+    words = " ".join(text.get_text() for text in tiles(merged)[0].texts)
+    assert "exposure 20 ms" in words
+
+
+def test_a_scene_without_parts_and_without_any_depth_still_gives_a_sheet(tiles):
+    nowhere = np.full((HEIGHT, WIDTH), Reason.SHADOW, dtype=np.uint8)
+    figure, found = tiles(make_shot(reason=nowhere, layout=EMPTY_LAYOUT))
+    assert len(found) == 12
+    assert "no parts" in figure.texts[0].get_text()
+
+
+# --- what the tiles show -----------------------------------------------------------------------
+
+
+def test_the_head_tells_parts_counts_and_physics(tiles):
+    many = Layout(
+        T_world_part=np.tile(np.eye(4), (3, 1, 1)),
+        part_index=np.zeros(3, dtype=np.int64),
+        at_rest=False,
+        deepest_penetration_m=0.00025,
+        outside=2,
+        attempt=1,
+    )
+    figure, _ = tiles(make_shot(layout=many))
+    title, words = (text.get_text() for text in figure.texts[:2])
+    assert title == "scene 7:  3 cube"
+    for fact in ("desk", "100 mm", "16 samples", "20 ms", "NOT at rest", "try 2", "0.25 mm",
+                 "2 outside", "seed 11", "llvm"):  # fmt: skip
+        assert fact in words
+
+
+def test_frames_span_from_the_dark_level_to_saturation(tiles):
+    frames = np.full((len(CODE.frames), HEIGHT, WIDTH), 2000, dtype=np.uint16)
+    frames[0, :, :20], frames[0, :, 20:40] = 64, 4095
+    half_dn = SENSOR.offset_dn + (SENSOR.saturation_dn - SENSOR.offset_dn) / 2
+    frames[0, :, 40:] = round(half_dn)
+    white = image(tiles(make_shot(frames=frames))[1]["white frame"])
+    # 188 is half of white in sRGB (IEC 61966-2-1).
+    assert np.unique(white[:, :20]).tolist() == [0]
+    assert np.unique(white[:, 20:40]).tolist() == [255]
+    assert np.unique(white[:, 40:]).tolist() == [188]
+
+
+def test_bits_on_the_sheet_are_the_third_coarsest_and_the_finest(tiles):
+    """Each frame has its own level; 64 columns have the bits 5 to 0, after white and black."""
+    level = np.arange(len(CODE.frames), dtype=np.uint16)[:, None, None] * 200 + 100
+    frames = np.broadcast_to(level, (len(CODE.frames), HEIGHT, WIDTH)).copy()
+    _, found = tiles(make_shot(frames=frames))
+    shown = {title: int(image(ax)[0, 0, 0]) for title, ax in found.items() if " bit " in title}
+    assert list(shown) == ["column bit 3, stripes of 16 codes", "column bit 0, stripes of 2 codes"]
+    linear = {t: (((v / 255) + 0.055) / 1.055) ** 2.4 for t, v in shown.items()}
+    got_dn = [64 + share * (SENSOR.saturation_dn - 64) for share in linear.values()]
+    assert got_dn == pytest.approx([4 * 200 + 100, 7 * 200 + 100], abs=12)  # 8-bit steps
+
+
+def test_too_far_is_red_too_near_is_blue_and_unknown_is_grey(tiles):
+    error_m = np.zeros((HEIGHT, WIDTH), dtype=np.float32)
+    error_m[:, :20], error_m[:, 20:40] = 0.05, -0.05
+    reason = np.zeros((HEIGHT, WIDTH), dtype=np.uint8)
+    reason[:, 60:] = Reason.SATURATED
+    shown = image(tiles(make_shot(error_m=error_m, reason=reason))[1]["scanner minus perfect"])
+    far, near, right, unknown = (shown[30, x].astype(int) for x in (10, 30, 50, 70))
+    assert far[0] > far[2] + 50 and near[2] > near[0] + 50
+    assert right.min() > 240 and np.ptp(unknown) == 0 and unknown.max() < 200
+
+
+def test_both_depths_share_their_colours(tiles):
+    _, found = tiles(make_shot())
+    np.testing.assert_array_equal(image(found["perfect depth"]), image(found["scanner's depth"]))
+
+
+def test_reasons_are_listed_with_their_shares(tiles):
+    reason = np.zeros((HEIGHT, WIDTH), dtype=np.uint8)
+    reason[:, :20], reason[:6, 20:] = Reason.SHADOW, Reason.CONTRADICTORY
+    ax = tiles(make_shot(reason=reason))[1]["reasons"]
+    words = [text.get_text() for text in ax.get_legend().get_texts()]
+    part = reason[SIDE]
+    first = [100 * (part == r).mean() for r in (Reason.DECODED, Reason.SHADOW)]
+    assert words[:5] == [f"decoded {first[0]:.1f} | 67.5 %", f"shadow {first[1]:.1f} | 25.0 %",
+                         "low modulation 0.0 | 0.0 %", "saturated 0.0 | 0.0 %",
+                         "contradictory 0.0 | 7.5 %"]  # fmt: skip
+    assert len(words) == len(Reason)
+    handles = ax.get_legend().legend_handles
+    for at, index in (((30, 30), 0), ((30, 5), 1), ((2, 30), 4)):
+        color = np.round(255 * np.array(to_rgb(handles[index].get_markerfacecolor())))
+        np.testing.assert_array_equal(image(ax)[at], color)
+
+
+def test_boxes_lie_on_the_instance(tiles):
+    """Oracle: similar triangles; a 0.1 m cube whose front is the wall is 20 px wide there."""
+    _, found = tiles(make_shot())
+    flat = found["boxes of the visible masks"].patches[0]
+    assert (flat.get_x(), flat.get_y()) == (29.5, 19.5)
+    assert (flat.get_width(), flat.get_height()) == (20, 20)
+    segments = np.array(found["oriented boxes"].collections[0].get_segments())
+    assert segments.min(axis=(0, 1)) == pytest.approx([29.5, 19.5])
+    assert segments.max(axis=(0, 1)) == pytest.approx([49.5, 39.5])
+    back_px = F_PX * 0.1 / (WALL_M + 0.1)
+    back = segments[(np.abs(segments - [39.5, 29.5]) < back_px / 2 + 1e-6).all(axis=(1, 2))]
+    assert len(back) == 4
+
+
+def test_masks_tint_their_own_pixels_only(tiles):
+    _, found = tiles(make_shot())
+    tinted, plain = image(found["visible masks"]), image(found["white frame"])
+    changed = (tinted != plain).any(axis=-1)
+    expected = np.zeros((HEIGHT, WIDTH), dtype=bool)
+    expected[SIDE] = True
+    np.testing.assert_array_equal(changed, expected)
+
+
+# --- pieces ------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("distortion", [(0.0,) * 5, (-0.21, 0.08, 0.003, -0.002, 0.01)])
+def test_box_edges_are_where_opencv_projects_them(distortion):
+    """Oracle: cv2.projectPoints of points on the straight edges, distortion included."""
+    rng = np.random.default_rng(3)
+    optics = replace(rig().camera, fx_px=900.0, fy_px=870.0, distortion=distortion)
+    rotation = rotation_from_quaternion(random_quaternions(1, rng))[0]
+    T_cam_part = rigid(rotation, np.array([0.03, -0.05, 0.6]))
+    part = cube(middle_m=(0.02, -0.01, 0.04))
+    edges = preview.box_edges_px(part, T_cam_part, optics)
+    low, high = np.array([-0.03, -0.06, -0.01]), np.array([0.07, 0.04, 0.09])
+    expected = set()
+    for axis in range(3):
+        for corner in range(4):
+            first = low.copy()
+            others = [a for a in range(3) if a != axis]
+            for k, a in enumerate(others):
+                first[a] = high[a] if corner >> k & 1 else low[a]
+            point = np.repeat(first[None], 3, axis=0)
+            point[:, axis] = low[axis], (low[axis] + high[axis]) / 2, high[axis]
+            pixel, _ = cv2.projectPoints(
+                point, cv2.Rodrigues(rotation)[0], T_cam_part[:3, 3], optics.K, np.array(distortion)
+            )
+            expected.add(tuple(np.round(pixel.ravel(), 5)))
+    middle = edges.shape[1] // 2
+    got = {tuple(np.round(edge[[0, middle, -1]].ravel(), 5)) for edge in edges}
+    assert got == expected
+
+
+def test_maps_have_the_published_colours():
+    """Oracle: the ends of viridis as S. van der Walt and N. Smith published them, 2015."""
+    value = np.array([[-5.0, 0.0, 10.0, 99.0, np.nan]], dtype=np.float32)
+    color = preview.painted(value, "viridis", (0.0, 10.0), unknown=(1.0, 0.0, 0.0))[0]
+    assert color.tolist() == [[68, 1, 84]] * 2 + [[253, 231, 37]] * 2 + [[255, 0, 0]]
+
+
+def test_errors_are_shown_up_to_three_columns_worth_of_depth():
+    """Oracle: dz = z^2 / (f b) per column for parallel axes; beside the projector, 5 mm."""
+    shot = make_shot()
+    scene, truth = shot.sample.scene, shot.sample.truth
+    limit_m = preview.error_limit_m(scene, truth)
+    assert limit_m == pytest.approx(3 * WALL_M**2 / (F_PX * BASELINE_M), rel=1e-3)
+    unlit = replace(scene.rig, projector=replace(scene.rig.projector, cx_px=-500.0))
+    assert preview.error_limit_m(replace(scene, rig=unlit), truth) == 5e-3
+
+
+def test_no_two_of_255_instances_look_the_same():
+    color = preview.instance_colors(255)
+    distance = np.linalg.norm(color[:, None] - color[None], axis=-1) + 9 * np.eye(255)
+    assert distance.min() > 0.01
+    following = np.linalg.norm(color[1:] - color[:-1], axis=-1)
+    assert following.min() > 0.3

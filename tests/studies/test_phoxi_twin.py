@@ -1,0 +1,41 @@
+"""The cell of five real scans: without its data it stops in one line, and it may be made twice."""
+
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from graycast.dataset.training import open_examples
+
+# pycocotools 2.0.11 has an array type from before NumPy 2, which NumPy asks it to mend.
+pytestmark = pytest.mark.filterwarnings("ignore:__array__ implementation:DeprecationWarning")
+
+ROOT = Path(__file__).resolve().parents[2]
+
+
+def made(root: Path, out: Path) -> subprocess.CompletedProcess:
+    command = [sys.executable, "-W", "ignore", "-m", "studies.phoxi_twin", "--out", str(out)]
+    return subprocess.run(command, cwd=root, capture_output=True, text=True)
+
+
+@pytest.mark.slow
+def test_without_the_scans_it_stops_in_one_line(tmp_path):
+    """As a stranger has it: the repository with nothing beside it."""
+    root = tmp_path / "stranger" / "repository"
+    for folder in ("studies", "benchmarks"):
+        shutil.copytree(ROOT / folder, root / folder)
+    ended = made(root, tmp_path / "out")
+    assert ended.returncode == 1
+    (line,) = ended.stderr.strip().splitlines()
+    assert "shared/data/phoxi/bin.obj is missing: put the scans" in line
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.slow
+def test_it_may_be_made_twice(shared, tmp_path):
+    for _ in range(2):
+        ended = made(ROOT, tmp_path / "twin")
+        assert ended.returncode == 0, ended.stderr
+        assert len(open_examples(tmp_path / "twin" / "real")) == 5

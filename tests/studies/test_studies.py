@@ -1,0 +1,28 @@
+"""Each study names the pages that it serves, each of these names it, and none works on import."""
+
+import ast
+import re
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[2]
+FILES = sorted((ROOT / "studies").glob("[!_]*.py"))
+
+
+@pytest.mark.parametrize("file", FILES, ids=lambda file: file.stem)
+def test_a_study_and_its_pages_name_each_other(file):
+    tree = ast.parse(file.read_text(encoding="utf-8"))
+    work = (ast.Expr, ast.For, ast.While, ast.With)
+    assert not [node for node in tree.body[1:] if isinstance(node, work)]
+    if not any(isinstance(node, ast.FunctionDef) and node.name == "main" for node in tree.body):
+        return  # a part of studies and of tests
+    told = ast.get_docstring(tree)
+    assert f"python -m studies.{file.stem}" in told
+    pages = re.findall(r"docs/[\w-]+\.md", told)
+    named = [page for page in pages if f"studies.{file.stem}" in text(page).replace("/", ".")]
+    assert pages and named == pages
+
+
+def text(page):
+    return (ROOT / page).read_text(encoding="utf-8").replace("\n", " ")

@@ -1,0 +1,157 @@
+"""How large the project may be: what a person can hold in the head stays so because it is a test.
+
+Each number in a table is what the project has today. It may be made smaller at any time, and a
+commit that makes it larger says why.
+"""
+
+import ast
+from collections import defaultdict
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[1]
+SOURCE = ROOT / "src" / "graycast"
+
+MOST_LINES = 69_500  # of Python in src/graycast
+MOST_WORDS = 74_000  # in README.md and docs/*.md
+FILE_LINES, FUNCTION_LINES, ARGUMENTS = 400, 80, 8
+
+# What is larger than that, with its size. A kernel of Numba has its arrays as arguments.
+LONG_FILES = {
+    "camera/decode/filters.py": 460,
+    "cli/detecting.py": 433,
+    "dataset/bop.py": 401,
+    "dataset/stored.py": 470,
+    "learn/detect/training.py": 445,
+    "real/fit_bin/registration.py": 408,
+    "real/twin/restaging.py": 456,
+    "real/twin/searching.py": 534,
+    "render/mitsuba_paths.py": 402,
+    "rig/pair.py": 449,
+}
+LONG_FUNCTIONS = {
+    "cli/evaluating.py add_commands": 96,
+    "cli/exporting.py _add_export": 95,
+    "cli/fitting.py add_commands": 87,
+    "real/calibrate/calibration.py calibrate_rig": 90,
+    "real/twin/making.py make_twin": 86,
+}
+MANY_ARGUMENTS = {
+    "camera/decode/bits.py _weigh_doubts": 10,
+    "camera/decode/bits.py read_gray": 10,
+    "camera/decode/filters.py _smooth": 10,
+    "camera/decode/outliers.py _find": 9,
+    "camera/decode/phases.py open_choices": 9,
+    "camera/decode/settling.py _chosen": 10,
+    "camera/faults.py on_raster": 9,
+    "camera/sensor.py _expose": 14,
+    "cell/generate.py generate": 9,
+    "real/fit_bin/box.py _evidence": 9,
+    "real/import_real/importing.py import_real": 11,
+    "real/twin/searching.py search": 9,
+    "real/twin/stage.py light_scenes": 9,
+    "render/cycles/job.py write_job": 10,
+    "robot/grasp/unknown.py suction_in_depth": 11,
+    "robot/grasp_labels/label_run.py label_dataset": 9,
+    "robot/pick/aim.py aims_in_depth": 9,
+    "robot/pick/pick_run.py pick_bins": 9,
+    "robot/pose/agreement.py score": 14,
+    "robot/pose/aligning.py _measured_end": 10,
+    "robot/pose/aligning.py _outline_rows": 11,
+    "robot/pose/aligning.py _surface_rows": 11,
+    "robot/pose/aligning.py align": 16,
+    "robot/pose/closest.py _round": 9,
+    "robot/pose/closest.py settle": 10,
+    "robot/pose/drawing.py draw": 9,
+    "robot/pose/pairs.py votes": 11,
+}
+# Public classes that share their name with another one.
+SAME_NAMES = {
+    "Body",
+    "Camera",
+    "Drawn",
+    "Figures",
+    "Found",
+    "Heap",
+    "Held",
+    "Judged",
+    "Kind",
+    "Label",
+    "Lit",
+    "Look",
+    "Looked",
+    "Maker",
+    "Pictures",
+    "Row",
+    "Run",
+    "Shown",
+    "Sight",
+    "Summary",
+    "Surface",
+    "Target",
+    "Truth",
+    "World",
+}
+
+
+def sources() -> Iterator[tuple[str, str]]:
+    """Each file's path from the package's folder, and its text."""
+    for path in sorted(SOURCE.rglob("*.py")):
+        yield path.relative_to(SOURCE).as_posix(), path.read_text()
+
+
+def functions() -> Iterator[tuple[str, ast.FunctionDef | ast.AsyncFunctionDef]]:
+    """Each function's file and name, and its tree."""
+    for name, text in sources():
+        for node in ast.walk(ast.parse(text)):
+            if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef):
+                yield f"{name} {node.name}", node
+
+
+def arguments(node: ast.FunctionDef | ast.AsyncFunctionDef) -> int:
+    given = [*node.args.posonlyargs, *node.args.args, *node.args.kwonlyargs]
+    return len(given) - (bool(given) and given[0].arg in ("self", "cls"))
+
+
+SIZES = {
+    "lines of a file": (
+        FILE_LINES,
+        LONG_FILES,
+        lambda: {name: len(text.splitlines()) for name, text in sources()},
+    ),
+    "lines of a function": (
+        FUNCTION_LINES,
+        LONG_FUNCTIONS,
+        lambda: {name: (node.end_lineno or 0) - node.lineno + 1 for name, node in functions()},
+    ),
+    "arguments of a function": (
+        ARGUMENTS,
+        MANY_ARGUMENTS,
+        lambda: {name: arguments(node) for name, node in functions()},
+    ),
+}
+
+
+@pytest.mark.parametrize("what", SIZES)
+def test_what_is_larger_than_its_limit_is_listed_with_its_size(what):
+    limit, listed, measure = SIZES[what]
+    larger = {name: size for name, size in measure().items() if size > limit}
+    assert larger == listed, f"{what}: at most {limit}; the list may only become shorter"
+
+
+def test_public_classes_have_names_of_their_own():
+    places = defaultdict(list)
+    for name, text in sources():
+        for node in ast.walk(ast.parse(text)):
+            if isinstance(node, ast.ClassDef) and not node.name.startswith("_"):
+                places[node.name].append(name)
+    assert {name for name, files in places.items() if len(files) > 1} == SAME_NAMES
+
+
+def test_the_package_and_its_pages_grow_by_a_reason_alone():
+    """A change that needs more room raises the number here, and its commit says why."""
+    assert sum(len(text.splitlines()) for _, text in sources()) <= MOST_LINES
+    pages = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
+    assert sum(len(page.read_text().split()) for page in pages) <= MOST_WORDS

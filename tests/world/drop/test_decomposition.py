@@ -1,0 +1,435 @@
+import os
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import trimesh
+from scipy.spatial import ConvexHull
+
+from benchmarks.zoo_parts import ZOO, wavy_ring, zoo_part
+from graycast.base.errors import GraycastError
+from graycast.base.progress import Stages
+from graycast.world.drop import cache_folder, convex_hulls, decomposition, hull_notes, prepare
+from graycast.world.drop.decomposition import (
+    decompose,
+    hull_error,
+    hull_store,
+    mesh_hulls,
+    tolerance_m,
+)
+from graycast.world.drop.decomposition.cache import read_decomposition
+from graycast.world.parts import Mesh
+
+from .conftest import RING_HEIGHT_M, RING_INNER_M, RING_OUTER_M, as_part, box_part
+
+
+def same(a, b) -> bool:
+    pairs = zip(a, b, strict=True)
+    return all(np.array_equal(v, w) and np.array_equal(f, g) for (v, f), (w, g) in pairs)
+
+
+def mesh_of(shape: trimesh.Trimesh) -> Mesh:
+    return as_part(shape, "part").mesh
+
+
+def held(hulls, point) -> np.ndarray:
+    """Which points lie in a hull; an own path, by the planes of Qhull."""
+    planes = [ConvexHull(vertices).equations for vertices, _ in hulls]
+    return np.any([(point @ p[:, :3].T + p[:, 3] < 0).all(axis=1) for p in planes], axis=0)
+
+
+def test_a_box_is_one_hull_of_its_own_volume_and_takes_no_child(tmp_path, monkeypatch):
+    monkeypatch.setattr(subprocess, "Popen", lambda *_, **__: pytest.fail("a child was run"))
+    made = convex_hulls(box_part((0.04, 0.05, 0.06)).mesh, folder=tmp_path)
+    ((vertices, faces),) = made.hulls
+    assert made.error.worst_m < 1e-9 and not made.coarse
+    volume = np.linalg.det(vertices[faces]).sum() / 6  # negative if faces look inwards
+    assert volume == pytest.approx(0.04 * 0.05 * 0.06, rel=1e-12)
+
+
+@pytest.mark.slow
+def test_hulls_of_a_ring_leave_its_hole_open_and_fill_its_body(ring_part, ring_hulls):
+    """Oracle: the ring's closed form. Samples on all hulls, and points well inside the ring."""
+    hull_m = np.vstack(
+        [
+            trimesh.sample.sample_surface(trimesh.Trimesh(v, f), 2000, seed=1)[0]
+            for v, f in ring_hulls
+        ]
+    )
+    radius = np.hypot(hull_m[:, 0], hull_m[:, 1])
+    assert RING_INNER_M - radius.min() < tolerance_m(ring_part.mesh)
+    assert radius.max() - RING_OUTER_M < 1e-6
+    assert np.abs(hull_m[:, 2]).max() - RING_HEIGHT_M / 2 < 1e-6
+    rng = np.random.default_rng(3)
+    r, turn = rng.uniform(0.0153, 0.0247, 5000), rng.uniform(0, 2 * np.pi, 5000)
+    z = rng.uniform(-0.0047, 0.0047, 5000)
+    body = np.column_stack([r * np.cos(turn), r * np.sin(turn), z])
+    # Wedges leave a gap of some 50 nm between them, in which a point may fall.
+    assert held(ring_hulls, body).mean() > 0.9995
+    assert len(ring_hulls) <= 40
+
+
+@pytest.mark.parametrize("thickness_m", [0.4e-3, 0.8e-3])
+def test_the_hole_of_a_thin_washer_stays_open(thickness_m):
+    """Its bore is nowhere deeper under the hull than half the thickness, but it is 8 mm wide."""
+    mesh = mesh_of(trimesh.creation.annulus(4e-3, 8e-3, thickness_m, sections=48))
+    hulls = decompose(mesh)
+    rng = np.random.default_rng(0)
+    r, turn = 3.5e-3 * np.sqrt(rng.random(2000)), rng.uniform(0, 2 * np.pi, 2000)
+    z = rng.uniform(-0.5, 0.5, 2000) * thickness_m
+    assert not held(hulls, np.column_stack([r * np.cos(turn), r * np.sin(turn), z])).any()
+    assert hull_error(mesh, hulls).worst_m < tolerance_m(mesh)
+
+
+@pytest.mark.slow
+def test_a_thin_cup_stays_open():
+    """Walls of 0.3 mm: nothing is deep under its hull, but a ball of 30 mm falls into it."""
+    outer = trimesh.creation.cylinder(0.018, 0.04, sections=32)
+    inner = trimesh.creation.cylinder(0.0177, 0.04, sections=32)
+    inner.apply_translation((0, 0, 0.3e-3))
+    mesh = mesh_of(trimesh.boolean.difference([outer, inner], engine="manifold"))
+    hulls = decompose(mesh)
+    rng = np.random.default_rng(0)
+    r, turn = 0.016 * np.sqrt(rng.random(2000)), rng.uniform(0, 2 * np.pi, 2000)
+    z = rng.uniform(-0.018, 0.02, 2000)
+    assert not held(hulls, np.column_stack([r * np.cos(turn), r * np.sin(turn), z])).any()
+
+
+def test_a_bolt_is_a_hexagonal_prism_and_a_round_shank():
+    """Exact: twelve vertices of the head, and a shank whose rings are the mesh's own."""
+    mesh = zoo_part("hex_bolt").mesh
+    hulls = sorted(decompose(mesh), key=lambda hull: len(hull[0]))
+    head, shank = hulls[0][0], hulls[1][0]
+    assert len(hulls) == 2 and len(head) == 12
+    flats = np.hypot(head[:, 0], head[:, 1])
+    assert flats == pytest.approx(np.full(12, 6.5e-3 * 2 / np.sqrt(3)), abs=1e-7)
+    assert np.ptp(head[:, 2]) == pytest.approx(5.3e-3, abs=1e-7)
+    radius = np.hypot(shank[:, 0], shank[:, 1]) * 1e3
+    assert np.minimum(np.abs(radius - 4), np.abs(radius - 2.75)).max() < 1e-4
+    error = hull_error(mesh, tuple(hulls))
+    assert error.filled_m < 1e-7 and error.lost_m < 0.003 * 0.037
+
+
+def test_two_cubes_that_share_an_edge_are_two_cubes():
+    one = trimesh.creation.box((0.02,) * 3)
+    other = one.copy()
+    other.apply_translation((0.02, 0.02, 0))
+    both = trimesh.util.concatenate([one, other])
+    both.merge_vertices()
+    assert len(both.vertices) == 14
+    hulls = decompose(mesh_of(both))
+    assert [len(vertices) for vertices, _ in hulls] == [8, 8]
+    volumes = [ConvexHull(vertices).volume for vertices, _ in hulls]
+    assert volumes == pytest.approx([8e-6, 8e-6], rel=1e-5)
+
+
+def test_a_cavity_is_filled():
+    outer = trimesh.creation.box((0.04,) * 3)
+    inner = trimesh.creation.box((0.03,) * 3)
+    inner.invert()
+    mesh = mesh_of(trimesh.util.concatenate([outer, inner]))
+    assert [len(vertices) for vertices, _ in decompose(mesh)] == [8]
+
+
+def test_the_measure_of_error_is_the_depth_of_a_notch_and_the_height_of_a_lost_corner():
+    """A wide notch, 3 mm deep, that one hull bridges; a hull that ends 2 mm early."""
+    block = trimesh.creation.box((0.1, 0.1, 0.02))
+    notch = trimesh.creation.box((0.04, 0.2, 0.006))
+    notch.apply_translation((0, 0, 0.01))
+    mesh = mesh_of(trimesh.boolean.difference([block, notch], engine="manifold"))
+    corners = np.array(block.vertices)
+    full = decomposition.hulls.hull_of(corners)
+    assert hull_error(mesh, (full,)).filled_m == pytest.approx(3e-3, rel=0.01)
+    assert hull_error(mesh, (full,)).lost_m == pytest.approx(0, abs=1e-8)
+    short = decomposition.hulls.hull_of(np.minimum(corners, [0.048, 1, 1]))
+    assert hull_error(mesh, (short,)).lost_m == pytest.approx(2e-3, rel=0.01)
+
+
+def test_distances_to_triangles_are_those_of_trimesh():
+    rng = np.random.default_rng(1)
+    corner, point = rng.normal(size=(300, 3, 3)), rng.normal(size=(300, 3))
+    nearest = decomposition.error._nearest_m(point, np.arange(300)[:, None], corner)
+    foot = trimesh.triangles.closest_point(corner, point)
+    assert nearest == pytest.approx(np.linalg.norm(point - foot, axis=1), abs=1e-12)
+
+
+@pytest.mark.parametrize("open_or_reversed", ["open", "reversed"])
+def test_what_is_no_solid_is_refused_in_words(open_or_reversed, tmp_path):
+    shape = trimesh.creation.box((0.04,) * 3)
+    if open_or_reversed == "open":
+        shape.update_faces(np.arange(12) > 0)
+    else:
+        shape.invert()
+    with pytest.raises(ValueError, match=r"close its holes and turn|turn its faces outward"):
+        convex_hulls(mesh_of(shape), folder=tmp_path)
+
+
+@pytest.mark.parametrize("damage", ["flipped bit", "cut short", "empty", "words"])
+def test_a_damaged_cache_file_is_made_anew(tmp_path, damage):
+    mesh = box_part((0.04, 0.05, 0.06)).mesh
+    good = convex_hulls(mesh, folder=tmp_path).hulls
+    (file,) = tmp_path.iterdir()
+    data = bytearray(file.read_bytes())
+    at = data.index(b"NUMPY") + 150  # among the vertices
+    match damage:
+        case "flipped bit":
+            data[at] ^= 16
+        case "cut short":
+            data = data[: len(data) // 2]
+        case "empty":
+            data = b""
+        case "words":
+            data = b"not a cache file"
+    file.write_bytes(data)
+    assert same(convex_hulls(mesh, folder=tmp_path).hulls, good)
+    assert read_decomposition(file) is not None
+    assert list(tmp_path.iterdir()) == [file]
+
+
+def test_a_second_call_reads_the_file_and_another_mesh_has_its_own(tmp_path, monkeypatch):
+    mesh = box_part((0.04, 0.05, 0.06)).mesh
+    first = convex_hulls(mesh, folder=tmp_path)
+    convex_hulls(box_part((0.04, 0.05, 0.06 + 1e-10)).mesh, folder=tmp_path)
+    assert len(list(tmp_path.iterdir())) == 2
+    monkeypatch.setattr(hull_store, "decompose", lambda mesh: pytest.fail("not from the cache"))
+    again = convex_hulls(mesh, folder=tmp_path)
+    assert same(again.hulls, first.hulls)
+    assert (again.error, again.tolerance_m) == (first.error, first.tolerance_m)
+
+
+def test_the_cache_lies_where_xdg_says(tmp_path, monkeypatch):
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    assert cache_folder() == tmp_path / "graycast" / "hulls"
+    monkeypatch.delenv("XDG_CACHE_HOME")
+    monkeypatch.setenv("HOME", str(tmp_path))
+    assert cache_folder() == tmp_path / ".cache" / "graycast" / "hulls"
+
+
+@pytest.mark.slow
+def test_one_kind_tells_its_stages(tmp_path):
+    part, stages = zoo_part("nut"), []
+    (made,) = prepare((part,), hull_folder=tmp_path, progress=Stages(stages.append))
+    assert len(made.hulls) > 1
+    assert made.error == hull_error(part.mesh, made.hulls) and not made.coarse
+    assert stages[0] == "nut: building a solid from 552 faces" and len(stages) < 20
+    assert stages[-1].startswith("nut: measuring")
+
+
+@pytest.fixture
+def children(monkeypatch, tmp_path):
+    """Every child process in the order of their starts, and two processors for them.
+
+    Temporary folders lie in `tmp_path / "aside"`.
+    """
+    started = []
+
+    class Recorded(subprocess.Popen):
+        def __init__(self, *args, **named):
+            super().__init__(*args, **named)
+            started.append(self)
+
+    monkeypatch.setattr(subprocess, "Popen", Recorded)
+    monkeypatch.setattr(os, "sched_getaffinity", lambda pid: {0, 1})
+    (tmp_path / "aside").mkdir()
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path / "aside"))
+    yield started
+    assert not any(_alive(child.pid) for child in started)
+    assert list((tmp_path / "aside").iterdir()) == []
+
+
+@pytest.mark.slow
+def test_several_kinds_are_cut_by_two_children_at_a_time_as_they_are_one_by_one(children, tmp_path):
+    box = box_part((0.04, 0.05, 0.06))
+    nut, *others = (zoo_part(name) for name in ("nut", "washer", "hex_bolt"))
+    parts = (box, nut, *others, replace(nut, name="another nut"))
+    stages, starts = [], []
+
+    def note(stage):
+        stages.append(stage)
+        starts.append(len(children))
+        assert sum(_alive(child.pid) for child in children) <= 2
+
+    made = prepare(parts, hull_folder=tmp_path / "cache", progress=Stages(note))
+    assert starts[0] == 2 and len(children) == 3
+    for part, one in zip(parts, made, strict=True):
+        hulls = decompose(part.mesh)
+        assert same(one.hulls, hulls) and one.error == hull_error(part.mesh, hulls)
+    counts = [f"collision hulls: {number} of 4 kinds are ready" for number in (1, 2, 3)]
+    assert list(dict.fromkeys(stage for stage in stages if "kinds" in stage)) == counts
+    last = stages[stages.index(counts[-1]) + 1 :]
+    assert len({stage.split(": ")[0] for stage in last}) <= 1
+
+    again = prepare(parts, hull_folder=tmp_path / "cache", progress=Stages(pytest.fail))
+    assert all(same(a.hulls, b.hulls) for a, b in zip(made, again, strict=True))
+    assert len(list((tmp_path / "cache").iterdir())) == 4 and len(children) == 3
+
+
+def test_an_error_while_kinds_are_cut_ends_all_children_and_keeps_what_is_ready(children, tmp_path):
+    parts = [box_part((0.04, 0.05, 0.06)), *map(zoo_part, ("washer", "nut", "hex_bolt"))]
+
+    def stop(stage):
+        assert stage == "collision hulls: 1 of 4 kinds are ready"
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        prepare(parts, hull_folder=tmp_path / "cache", progress=Stages(stop))
+    assert [child.returncode for child in children] == [-signal.SIGKILL] * 2
+    assert len(list((tmp_path / "cache").iterdir())) == 1
+
+
+def test_a_killed_child_is_an_error_with_name_and_remedy_and_ends_the_others(children, tmp_path):
+    with pytest.raises(GraycastError, match=r"cuts tee .* was killed by signal 9.*free memory"):
+        prepare(
+            [zoo_part("tee"), zoo_part("nut")],
+            hull_folder=tmp_path / "cache",
+            progress=Stages(lambda stage: children[0].kill()),
+        )
+    assert [child.returncode for child in children] == [-signal.SIGKILL] * 2
+
+
+WAIT = """
+import signal, sys
+import numpy as np
+from pathlib import Path
+from graycast.base.progress import Stages
+from graycast.world.drop import convex_hulls
+from graycast.world.parts import Mesh
+signal.signal(signal.SIGTERM, lambda *_: sys.exit(7))
+data = np.load({mesh!r})
+mesh = Mesh(vertices_m=data["v"], faces=data["f"])
+print("start", flush=True)
+meter = Stages(lambda stage: print(stage, flush=True))
+convex_hulls(mesh, folder=Path({folder!r}), progress=meter)
+"""
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("stage", ["start", "building", "cutting", "joining"])
+def test_a_batch_systems_stop_is_heard_at_any_stage(stage, tmp_path):
+    """Within 2 s, and no process is left behind."""
+    mesh = wavy_ring(330_000)
+    np.savez(tmp_path / "mesh.npz", v=mesh.vertices_m, f=mesh.faces)
+    program = WAIT.format(mesh=str(tmp_path / "mesh.npz"), folder=str(tmp_path / "cache"))
+    process = subprocess.Popen([sys.executable, "-c", program], stdout=subprocess.PIPE, text=True)
+    with process:
+        assert any(line.startswith(stage) for line in process.stdout)
+        children = _children(process.pid)
+        stopped = time.perf_counter()
+        process.send_signal(signal.SIGTERM)
+        assert process.wait(timeout=60) == 7
+        seconds = time.perf_counter() - stopped
+    assert stage == "start" or children
+    assert not any(_alive(pid) for pid in children)
+    print(f"{stage}: {seconds:.2f} s")
+    assert seconds < 2
+
+
+@pytest.mark.slow
+def test_the_child_ends_with_a_parent_that_was_killed(tmp_path):
+    mesh = wavy_ring(80_000)
+    np.savez(tmp_path / "mesh.npz", v=mesh.vertices_m, f=mesh.faces)
+    program = WAIT.format(mesh=str(tmp_path / "mesh.npz"), folder=str(tmp_path / "cache"))
+    process = subprocess.Popen([sys.executable, "-c", program], stdout=subprocess.PIPE, text=True)
+    with process:
+        assert any(line.startswith("cutting") for line in process.stdout)
+        (pid,) = _children(process.pid)
+        process.kill()
+        process.wait()
+    until = time.perf_counter() + 5
+    while _alive(pid) and time.perf_counter() < until:
+        time.sleep(0.05)
+    assert not _alive(pid)
+
+
+def _children(pid: int) -> list[int]:
+    with open(f"/proc/{pid}/task/{pid}/children") as file:
+        return [int(number) for number in file.read().split()]
+
+
+def _alive(pid: int) -> bool:
+    try:
+        with open(f"/proc/{pid}/stat") as file:
+            return file.read().rsplit(")", 1)[1].split()[0] != "Z"
+    except OSError:
+        return False
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ZOO)
+def test_hulls_of_the_zoo_keep_to_their_bound(name):
+    mesh = zoo_part(name).mesh
+    assert hull_error(mesh, decompose(mesh)).worst_m <= tolerance_m(mesh)
+
+
+@pytest.mark.slow
+def test_a_part_of_half_a_million_faces_keeps_to_its_bound_and_its_hole():
+    """What simplifying takes is in the bound, which is held against the mesh as it was."""
+    mesh = wavy_ring(500_000)
+    hulls = decompose(mesh)
+    assert hull_error(mesh, hulls).worst_m <= tolerance_m(mesh)
+    turn = np.linspace(0, 2 * np.pi, 500)
+    for radius_m in (0.0, 0.005, 0.01):  # the hole is 11.5 mm wide or more
+        circle = [radius_m * np.cos(turn), radius_m * np.sin(turn), 0 * turn]
+        assert not held(hulls, np.stack(circle, axis=1)).any()
+
+
+def test_a_part_of_too_much_detail_is_cut_more_coarsely_and_says_so(monkeypatch):
+    told = []
+    monkeypatch.setattr(mesh_hulls, "MOST_PIECES", 4)
+    hulls = decompose(zoo_part("nut").mesh, progress=Stages(told.append))
+    assert 1 <= len(hulls) <= 4
+    assert any(
+        stage.startswith("the mesh is too detailed for this bound: cutting within 1.00 mm")
+        for stage in told
+    )
+
+
+def test_hulls_off_by_more_than_their_bound_say_so_with_the_measured_figure():
+    """A washer as one hull. Oracle: the middle of its hole is 4 mm from the wall.
+
+    Of the 1000 samples some nine lie within 0.5 mm of the hole's axis.
+    """
+    shape = trimesh.creation.annulus(4e-3, 8e-3, 3e-3, sections=48)
+    part = as_part(shape, "washer")
+    full = decomposition.hulls.hull_of(np.array(shape.vertices))
+    made = decomposition.error.measured(part.mesh, (full,))
+    assert made.coarse and 3.5e-3 < made.error.filled_m < 4e-3
+    (note,) = hull_notes((part,), (made,))
+    assert (
+        note.startswith("washer: its collision hulls are too coarse")
+        and "the bound is 0.50 mm." in note
+    )
+    assert f"{1e3 * made.error.worst_m:.2f} mm from its surface" in note
+    fine = decomposition.error.measured(part.mesh, decompose(part.mesh))
+    assert not fine.coarse and hull_notes((part,), (fine,)) == ()
+
+
+@pytest.mark.slow
+def test_a_springs_inside_stays_open():
+    """Oracle: its inner radius is 6 mm; the wire, its facets and the tolerance take 0.5 mm."""
+    hulls = decompose(zoo_part("spring").mesh)
+    rng = np.random.default_rng(0)
+    r, turn = 5.5e-3 * np.sqrt(rng.random(5000)), rng.uniform(0, 2 * np.pi, 5000)
+    inside = np.column_stack([r * np.cos(turn), r * np.sin(turn), rng.uniform(-0.02, 0.02, 5000)])
+    assert not held(hulls, inside).any()
+
+
+@pytest.mark.slow
+def test_a_fresh_process_with_one_thread_makes_the_same_bits(ring_part, ring_hulls, tmp_path):
+    np.savez(tmp_path / "ring.npz", v=ring_part.mesh.vertices_m, f=ring_part.mesh.faces)
+    program = (
+        "import numpy as np; from graycast.world.drop import convex_hulls;"
+        "from graycast.world.parts import Mesh;"
+        f"d = np.load({str(tmp_path / 'ring.npz')!r});"
+        f"convex_hulls(Mesh(vertices_m=d['v'], faces=d['f']), folder=__import__('pathlib')"
+        f".Path({str(tmp_path / 'cache')!r}))"
+    )
+    environment = {**os.environ, "OMP_NUM_THREADS": "1"}
+    subprocess.run([sys.executable, "-c", program], check=True, env=environment)
+    assert same(convex_hulls(ring_part.mesh, folder=tmp_path / "cache").hulls, ring_hulls)
+    assert len(list((tmp_path / "cache").iterdir())) == 1

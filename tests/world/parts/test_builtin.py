@@ -1,0 +1,218 @@
+import numpy as np
+import pytest
+import trimesh
+from manifold3d import Manifold, Mesh64
+
+from graycast.base.frames import axis_rotation, rigid
+from graycast.world.parts import BUILTIN, builtin_part
+from graycast.world.parts.builtin import RING_PROFILE_MM, RING_SEGMENTS
+from graycast.world.parts.printed_labels import salt_box_panels, spray_panels, toothpaste_panels
+
+# The outward normal of a panel and the way up for its reader.
+READERS = {
+    "front": ((0, -1, 0), (0, 0, 1)),
+    "right": ((1, 0, 0), (0, 0, 1)),
+    "back": ((0, 1, 0), (0, 0, 1)),
+    "left": ((-1, 0, 0), (0, 0, 1)),
+    "top": ((0, 0, 1), (0, 1, 0)),
+}
+MASS_KG = {
+    "metal_workpiece_1": (0.15, 0.30),  # 60 x 40 x 30 mm, two fifths of it steel
+    "metal_workpiece_2": (0.10, 0.16),
+    "yellow_salt_cube": (0.66, 0.68),  # its print says 650 g; 20 g of carton
+    "hygiene_spray": (0.28, 0.31),  # 250 ml and 45 g of plastic
+    "toothpaste": (0.14, 0.17),  # 100 ml of paste at 1.3 kg per litre and 25 g of packaging
+}
+
+
+def as_trimesh(part):
+    return trimesh.Trimesh(part.mesh.vertices_m, part.mesh.faces, process=False)
+
+
+@pytest.mark.parametrize("name", BUILTIN)
+def test_a_builtin_part_is_one_closed_body_round_the_origin(name):
+    part = builtin_part(name)
+    mesh = as_trimesh(part)
+    assert part.name == name
+    assert mesh.is_watertight and mesh.is_winding_consistent
+    assert mesh.body_count == 1
+    assert len(mesh.faces) <= (12_000 if name == "metal_workpiece_2" else 10_000)
+    assert np.abs(part.mesh.bounds_m.sum(axis=0)).max() < 1e-12
+    assert (part.mesh.extent_m > 0.01).all() and part.mesh.extent_m.max() < 0.2
+    lightest, heaviest = MASS_KG[name]
+    assert lightest < mesh.volume * part.density_kg_m3 < heaviest
+    assert (mesh.area_faces > 0).all()
+
+
+@pytest.mark.parametrize("name", BUILTIN)
+def test_shading_normals_of_a_builtin_part_lean_no_further_than_its_facets(name):
+    part = builtin_part(name)
+    normal = part.mesh.corner_normals
+    assert np.abs(np.linalg.norm(normal, axis=-1) - 1).max() < 1e-12
+    lean = np.einsum("fci,fi->fc", normal, as_trimesh(part).face_normals)
+    assert np.degrees(np.arccos(lean.min())) < 35
+
+
+@pytest.mark.parametrize("name", BUILTIN)
+def test_a_part_is_made_alike_every_time(name):
+    one, other = builtin_part(name), builtin_part(name)
+    assert np.array_equal(one.mesh.vertices_m, other.mesh.vertices_m)
+    assert np.array_equal(one.mesh.faces, other.mesh.faces)
+    if one.material.texture is not None:
+        assert np.array_equal(one.material.texture, other.material.texture)
+
+
+def test_an_unknown_part_is_refused_with_the_names_there_are():
+    with pytest.raises(ValueError, match=r"'salt'.*yellow_salt_cube.*toothpaste"):
+        builtin_part("salt")
+
+
+def test_the_ring_has_the_volume_of_pappus():
+    """Oracle: V = 2 pi * (first moment of the profile about the axis), in trapezoids along z.
+
+    Each edge adds its z step times the mean of r^2 over it; chords enclose sin(x)/x of a circle.
+    """
+    r, z = np.array(RING_PROFILE_MM).T * 1e-3
+    r_next, step = np.roll(r, -1), np.roll(z, -1) - z
+    pappus = np.pi * (step * (r * r + r * r_next + r_next * r_next) / 3).sum()
+    x = 2 * np.pi / RING_SEGMENTS
+    volume = as_trimesh(builtin_part("metal_workpiece_2")).volume
+    assert volume == pytest.approx(pappus * np.sin(x) / x, rel=1e-9)
+
+
+def share_not_shared(part, T):
+    """The volume of a part outside its own moved copy, over its volume."""
+    mesh = Mesh64(part.mesh.vertices_m * 1e3, part.mesh.faces.astype(np.uint64))
+    body = Manifold(mesh)
+    T_mm = T[:3].copy()
+    T_mm[:, 3] *= 1e3
+    return (body - body.transform(T_mm)).volume() / body.volume()
+
+
+def turn(axis, angle_rad):
+    return rigid(axis_rotation(axis, angle_rad), np.zeros(3))
+
+
+@pytest.mark.parametrize("name", BUILTIN)
+def test_every_declared_symmetry_maps_the_part_onto_itself(name):
+    part = builtin_part(name)
+    for T in part.symmetry.discrete:
+        assert share_not_shared(part, T) < 1e-9
+    for axis, point_m in part.symmetry.continuous:
+        assert axis == (0.0, 0.0, 1.0) and point_m == (0.0, 0.0, 0.0)
+        for angle_rad in (0.3, 1.0, 2.5):
+            # Facets of 128 cross each other: at most 1 - sin(x)/x of the outer disc, x = 2 pi/128.
+            assert share_not_shared(part, turn("z", angle_rad)) < 2e-3
+
+
+def test_no_further_symmetry_has_been_forgotten():
+    """Half turns about the axes and, for the workpieces, quarter turns: none fits undeclared."""
+    bracket, ring = builtin_part("metal_workpiece_1"), builtin_part("metal_workpiece_2")
+    assert len(bracket.symmetry.discrete) == 1 and len(ring.symmetry.continuous) == 1
+    for part, T in [
+        (bracket, turn("x", np.pi)),
+        (bracket, turn("y", np.pi)),
+        (bracket, turn("z", np.pi / 2)),
+        (ring, turn("x", np.pi)),
+        (ring, turn("y", np.pi)),
+    ]:
+        assert share_not_shared(part, T) > 0.05
+
+
+def test_print_breaks_the_symmetry_of_boxes():
+    for name in ("yellow_salt_cube", "toothpaste", "hygiene_spray"):
+        assert builtin_part(name).symmetry.discrete == ()
+        assert builtin_part(name).symmetry.continuous == ()
+
+
+def seen(part, normal, up, right_m, up_m):
+    """What a far viewer sees of the texture at the points (right, up) [m] of the view, row by row.
+
+    Parallel rays against every triangle, nearest hit, uv interpolated, nearest texel: an own path
+    from texture to picture, by `Material`'s and `Mesh`'s conventions alone.
+    """
+    normal, up = np.array(normal, dtype=float), np.array(up, dtype=float)
+    view = np.stack([np.cross(up, normal), up, normal])
+    corner = (part.mesh.vertices_m @ view.T)[part.mesh.faces]
+    a, b, c = corner[:, 0], corner[:, 1], corner[:, 2]
+    area = (b[:, 0] - a[:, 0]) * (c[:, 1] - a[:, 1]) - (b[:, 1] - a[:, 1]) * (c[:, 0] - a[:, 0])
+    x, y = right_m.ravel(), up_m.ravel()
+    nearest, uv = np.full(x.size, -np.inf), np.full((x.size, 2), np.nan)
+    for f in np.flatnonzero(area > 1e-12):
+        inside = np.flatnonzero(
+            (x >= corner[f, :, 0].min()) & (x <= corner[f, :, 0].max())
+            & (y >= corner[f, :, 1].min()) & (y <= corner[f, :, 1].max())
+        )  # fmt: skip
+        dx, dy = x[inside] - a[f, 0], y[inside] - a[f, 1]
+        s = (dx * (c[f, 1] - a[f, 1]) - dy * (c[f, 0] - a[f, 0])) / area[f]
+        t = ((b[f, 0] - a[f, 0]) * dy - (b[f, 1] - a[f, 1]) * dx) / area[f]
+        weight = np.stack([1 - s - t, s, t], axis=1)
+        z = weight @ corner[f, :, 2]
+        hit = (weight >= -1e-9).all(axis=1) & (z > nearest[inside])
+        nearest[inside[hit]] = z[hit]
+        uv[inside[hit]] = weight[hit] @ part.mesh.corner_uv[f]
+    h, w = part.material.texture.shape[:2]
+    row, column = np.floor((1 - uv[:, 1]) * h).astype(int), np.floor(uv[:, 0] * w).astype(int)
+    return part.material.texture[row, column].reshape(*right_m.shape, 3).astype(float)
+
+
+def likeness(one, other):
+    return np.corrcoef(one.mean(axis=-1).ravel(), other.mean(axis=-1).ravel())[0, 1]
+
+
+@pytest.mark.parametrize("side", READERS)
+@pytest.mark.parametrize(
+    ("name", "panels"),
+    [("yellow_salt_cube", salt_box_panels), ("toothpaste", toothpaste_panels)],
+)
+def test_a_box_shows_each_panel_upright_and_unmirrored(name, panels, side):
+    """Oracle: the panel as drawn, against what a viewer in front of that side sees."""
+    part, panel = builtin_part(name), panels()[side]
+    normal, up = READERS[side]
+    width_m = abs(np.cross(up, normal) @ part.mesh.extent_m)
+    height_m = abs(np.array(up) @ part.mesh.extent_m)
+    h, w = panel.shape[:2]
+    row, column = np.mgrid[14 : h - 14 : 2, 14 : w - 14 : 2]  # inside the rounded edges
+    right_m = ((column + 0.5) / w - 0.5) * width_m
+    up_m = (0.5 - (row + 0.5) / h) * height_m
+    picture = seen(part, normal, up, right_m, up_m)
+    drawn = panel[row, column].astype(float)
+    assert np.abs(picture - drawn).mean() < 1  # some texels fall to their neighbour
+    assert likeness(picture, drawn) > 0.99
+    for wrong in (drawn[:, ::-1], drawn[::-1], drawn[::-1, ::-1]):
+        assert likeness(picture, wrong) < 0.9
+
+
+BOTTLE_AXIS_M = 0.029 - 0.067 / 2  # x of the body's axis: the nozzle shifts the box's middle
+
+
+def test_the_bottle_shows_its_name_upright_and_unmirrored_in_front():
+    """The middle of the front is nearly flat, so arc length is x there."""
+    part, panel = builtin_part("hygiene_spray"), spray_panels()["body"]
+    girth_m, height_m = 0.1774, 0.128  # of the superellipse 58 x 46 mm, exponent 3.2; to the neck
+    h, w = panel.shape[:2]
+    row, column = np.mgrid[int(0.26 * h) : int(0.55 * h) : 2, int(0.43 * w) : int(0.57 * w) : 2]
+    right_m = ((column + 0.5) / w - 0.5) * girth_m + BOTTLE_AXIS_M
+    up_m = (1 - (row + 0.5) / h) * height_m - part.mesh.extent_m[2] / 2
+    picture = seen(part, (0, -1, 0), (0, 0, 1), right_m, up_m)
+    drawn = panel[row, column].astype(float)
+    assert likeness(picture, drawn) > 0.9
+    for wrong in (drawn[:, ::-1], drawn[::-1], drawn[::-1, ::-1]):
+        assert likeness(picture, wrong) < 0.6
+
+
+def test_the_bottle_is_wrapped_once_with_its_seam_behind():
+    """A reader behind the bottle finds the panel's two ends meeting in the middle."""
+    part, panel = builtin_part("hygiene_spray"), spray_panels()["body"]
+    uv = part.mesh.corner_uv
+    assert uv.min() >= 0 and uv.max() <= 1
+    assert np.ptp(uv[..., 0], axis=1).max() < 0.1  # no face runs back across the whole label
+    # From behind, right is -x: the panel's left end, with the barcode, goes right from the seam.
+    x_m = np.linspace(-0.018, 0.018, 61)[None] - BOTTLE_AXIS_M
+    z_m = np.full_like(x_m, 0.6 * 0.128 - part.mesh.extent_m[2] / 2)
+    picture = seen(part, (0, 1, 0), (0, 0, 1), x_m, z_m)[0]
+    h, w = panel.shape[:2]
+    arc = (x_m[0] + BOTTLE_AXIS_M) / 0.1774 % 1.0
+    drawn = panel[int(0.4 * h), (arc * w).astype(int)].astype(float)
+    assert likeness(picture, drawn) > 0.7
+    assert likeness(picture, drawn[::-1]) < 0.5

@@ -1,0 +1,59 @@
+import numpy as np
+import trimesh
+
+from graycast.world.parts.normals import crease_normals
+from graycast.world.parts.shapes import rounded_box
+
+
+def test_a_cylinder_is_smooth_round_its_axis_and_sharp_at_its_rims():
+    """Oracle: the radial direction, exact at the vertices of a regular prism by its symmetry."""
+    mesh = trimesh.creation.cylinder(radius=0.02, height=0.05, sections=48)
+    normal = crease_normals(mesh.vertices, mesh.faces, np.radians(30))
+    corner = mesh.vertices[mesh.faces]
+    side = np.abs(mesh.face_normals[:, 2]) < 0.5
+    radial = corner[side] * [1, 1, 0]
+    radial = radial / np.linalg.norm(radial, axis=-1, keepdims=True)
+    assert np.abs(normal[side] - radial).max() < 1e-9
+    assert np.abs(normal[~side] - mesh.face_normals[~side][:, None]).max() < 1e-9
+
+
+def test_facets_steeper_than_the_crease_stay_flat():
+    mesh = trimesh.creation.cylinder(radius=0.02, height=0.05, sections=48)  # 7.5 degree steps
+    normal = crease_normals(mesh.vertices, mesh.faces, np.radians(7))
+    assert np.abs(normal - mesh.face_normals[:, None]).max() < 1e-9
+
+
+def test_a_cube_smoothed_over_points_along_its_diagonals():
+    """However its sides are cut into triangles: each side weighs the same at a corner."""
+    mesh = trimesh.creation.box((1, 1, 1))
+    normal = crease_normals(mesh.vertices, mesh.faces, np.radians(95))
+    assert np.abs(normal - mesh.vertices[mesh.faces] * 2 / np.sqrt(3)).max() < 1e-12
+
+
+def test_normals_of_a_sphere_converge_to_the_radius_at_least_linearly_in_the_edge():
+    error = []
+    for subdivisions in (2, 3, 4):
+        mesh = trimesh.creation.icosphere(subdivisions=subdivisions)
+        normal = crease_normals(mesh.vertices, mesh.faces, np.radians(40))
+        error.append(np.abs(normal - mesh.vertices[mesh.faces]).max())
+    assert error[0] < 0.02
+    assert error[0] / error[1] > 1.9
+    assert error[1] / error[2] > 1.9
+
+
+def test_flat_sides_of_a_finely_rounded_box_do_not_bulge():
+    vertices, faces, panel = rounded_box((70.0, 60.0, 145.0), 2.5, steps=3)
+    normal = crease_normals(vertices, faces, np.radians(35))
+    corner = vertices[faces]
+    flat = (np.ptp(corner[..., 2], axis=1) == 0) & (np.array(panel) == "top")
+    large = flat & (np.ptp(corner[..., 0], axis=1) > 50) & (np.ptp(corner[..., 1], axis=1) > 50)
+    assert large.sum() == 2
+    assert np.degrees(np.arccos(normal[large][..., 2].min())) < 1.0
+
+
+def test_turning_the_mesh_turns_the_normals():
+    mesh = trimesh.creation.torus(0.03, 0.01, major_sections=24, minor_sections=12)
+    turn = trimesh.transformations.random_rotation_matrix(np.array([0.2, 0.5, 0.7]))[:3, :3]
+    straight = crease_normals(mesh.vertices, mesh.faces, 0.6)
+    turned = crease_normals(mesh.vertices @ turn.T, mesh.faces, 0.6)
+    assert np.abs(straight @ turn.T - turned).max() < 1e-9

@@ -1,0 +1,162 @@
+"""Bins from mesh files: placed and measured, as a configuration names them."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import trimesh
+from scipy.spatial import cKDTree
+
+from graycast.base.errors import MeshError
+from graycast.cell.config import Config, file_digests
+from graycast.cell.resolve import resolve_cell
+from graycast.world.bins import load_bin
+from graycast.world.parts import Material
+from graycast.world.scene import Bin, bin_mesh, bin_surfaces, table_quad
+from studies.crates import Crate
+
+CRATE = Crate()
+# How a file's axes stand in the world when `up` points up; columns are the file's x, y, z.
+TURNS = {
+    "z": np.eye(3),
+    "-z": np.diag([1.0, -1.0, -1.0]),
+    "y": np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]]),
+    "-y": np.array([[1.0, 0, 0], [0, 0, 1], [0, -1, 0]]),
+    "x": np.array([[0.0, 0, -1], [0, 1, 0], [1, 0, 0]]),
+    "-x": np.array([[0.0, 0, 1], [0, 1, 0], [-1, 0, 0]]),
+}
+
+
+@pytest.mark.parametrize("up", TURNS)
+@pytest.mark.parametrize(("unit", "unit_m"), [("mm", 1e-3), ("inch", 0.0254)])
+def test_a_crate_comes_to_the_origin_and_is_measured_whatever_frame_its_file_has(
+    tmp_path, up, unit, unit_m
+):
+    """Oracle: the crate as it was made, and its walls half way down in closed form."""
+    path = CRATE.write(tmp_path / "crate.stl", unit_m=unit_m, turn=TURNS[up].T)
+    found = load_bin(path, unit=unit, up=up)
+    assert found.inner_m == pytest.approx(CRATE.middle_m, abs=2e-6)  # STL has single precision
+    made = CRATE.solid()
+    placed = trimesh.Trimesh(found.mesh.vertices_m, found.mesh.faces)
+    assert found.mesh.bounds_m == pytest.approx(made.bounds, abs=2e-6)
+    assert placed.volume == pytest.approx(made.volume, rel=1e-4)  # not inside out
+    across = np.einsum("fi,fci->fc", placed.face_normals, found.mesh.corner_normals)
+    assert across.min() > 0.99  # a crate's faces are flat
+    assert cKDTree(made.vertices).query(placed.vertices)[0].max() < 2e-6
+    assert "its floor is 10.0 mm above the table" in found.notes[-1]
+
+
+def test_the_crate_of_the_configurations_is_this_one(tmp_path):
+    ours = Path(__file__).resolve().parents[2] / "examples" / "data" / "crate.stl"
+    assert CRATE.write(tmp_path / "crate.stl").read_bytes() == ours.read_bytes()
+
+
+def test_a_box_as_a_mesh_is_the_box(tmp_path):
+    box = Bin(inner_m=(0.40, 0.30, 0.15), wall_m=0.012)
+    own = bin_mesh(box)
+    trimesh.Trimesh(own.vertices_m, own.faces, process=False).export(tmp_path / "box.ply")
+    found = load_bin(tmp_path / "box.ply", unit="m", up="z")
+    assert found.inner_m == pytest.approx(box.inner_m, abs=1e-7)
+    as_mesh = Bin(inner_m=found.inner_m, mesh=found.mesh)
+    assert as_mesh.bounds_m == pytest.approx(box.bounds_m, abs=1e-7)
+    assert as_mesh.floor_m == pytest.approx(box.floor_m, abs=1e-7)
+
+
+def test_the_table_is_under_the_bars_and_the_inner_floor_is_a_surface_of_its_own(tmp_path):
+    cell = resolve_cell(config(CRATE.write(tmp_path / "crate.stl")), tmp_path)
+    assert table_quad(cell.scene).center_m == pytest.approx((0, 0, -0.010), abs=1e-6)
+    (name, walls, _), (floor_name, floor, material) = bin_surfaces(cell.scene.bin)
+    assert (name, floor_name, material.base_color) == ("bin", "floor", (0.1, 0.2, 0.3))
+    corner = floor.vertices_m[floor.faces]
+    area_m2 = (
+        np.linalg.norm(
+            np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0]), axis=1
+        ).sum()
+        / 2
+    )
+    assert area_m2 == pytest.approx(np.prod(CRATE.inner_m[:2]), rel=1e-4)
+    assert np.abs(corner[..., 2]).max() < 1e-6
+    assert len(walls.faces) + len(floor.faces) == len(cell.scene.bin.mesh.faces)
+    assert floor.corner_normals[..., 2] == pytest.approx(np.ones((len(floor.faces), 3)), abs=1e-6)
+
+
+def test_a_foot_as_high_as_the_inner_floor_is_no_floor(tmp_path):
+    crate = Crate(floor_m=0.01, bar_m=0.0)
+    foot = trimesh.creation.box((0.5, 0.4, 0.01))
+    foot.apply_translation((0.0, 0.0, -0.005))
+    body = trimesh.boolean.union([crate.solid(), foot], engine="manifold")
+    body.export(tmp_path / "crate.stl")
+    found = load_bin(tmp_path / "crate.stl", unit="m", up="z")
+    material = Material()
+    box = Bin(inner_m=found.inner_m, mesh=found.mesh, floor=material)
+    _, (_, floor, _) = bin_surfaces(box)
+    reach_m = np.abs(floor.vertices_m[floor.faces][..., :2]).max(axis=(0, 1))
+    assert reach_m == pytest.approx(np.array(crate.inner_m[:2]) / 2, abs=1e-4)
+
+
+def test_textures_repeat_as_on_a_box(tmp_path):
+    """One metre of wall is 1 / texture_size_m pictures, along each face's own axes."""
+    box = Bin(inner_m=CRATE.middle_m, mesh=CRATE.load(tmp_path).mesh, texture_size_m=0.25)
+    mesh = bin_mesh(box)
+    corner, uv = mesh.vertices_m[mesh.faces], mesh.corner_uv
+    level = np.abs(corner[..., 2]).max(axis=1) < 1e-6
+    assert level.any()
+    assert uv[level] == pytest.approx(corner[level][..., :2] / 0.25)
+
+
+def config(path, **words):
+    box = {"mesh": path.name, "unit": "mm", "floor": {"base_color": [0.1, 0.2, 0.3]}} | words
+    return Config.model_validate({"parts": [{"builtin": "toothpaste"}], "bin": box})
+
+
+def test_a_configuration_says_a_mesh_or_a_size(tmp_path):
+    path = tmp_path / "crate.stl"
+    with pytest.raises(ValueError, match="a mesh has its own size: remove inner_m, or mesh"):
+        config(path, inner_m=[0.3, 0.2, 0.1])
+    with pytest.raises(
+        ValueError, match="unit and up_axis of a bin belong to a mesh: name its file"
+    ):
+        Config.model_validate(
+            {"parts": [{"builtin": "toothpaste"}], "bin": {"unit": "mm", "up_axis": "y"}}
+        )
+    again = Config.model_validate(config(path).model_dump(mode="json"))
+    assert again == config(path)
+
+
+def test_a_changed_file_is_another_dataset(tmp_path):
+    path = CRATE.write(tmp_path / "crate.stl")
+    before = file_digests(config(path), tmp_path)
+    Crate(wall_m=0.004).write(path)
+    after = file_digests(config(path), tmp_path)
+    assert set(before) == set(after) == {"crate.stl"}
+    assert before != after
+
+
+@pytest.mark.parametrize("up", ["-z", "x", "y"])
+def test_a_crate_on_its_side_is_no_bin(tmp_path, up):
+    path = CRATE.write(tmp_path / "crate.stl")
+    with pytest.raises(
+        MeshError, match=f"not an open bin whose opening faces {up}.*state with up_axis which"
+    ):
+        load_bin(path, unit="mm", up=up)
+
+
+def test_a_block_and_a_plate_are_no_bins(tmp_path):
+    for size in ((0.4, 0.3, 0.2), (0.4, 0.3, 0.005)):
+        trimesh.creation.box(size).export(tmp_path / "block.stl")
+        with pytest.raises(MeshError, match="the middle is not lower than the top"):
+            load_bin(tmp_path / "block.stl", unit="m", up="z")
+
+
+def test_real_bins_have_the_size_that_their_drawings_show(shared):
+    """Oracle: the liner that NIST ships beside its parts bin; a drawing of cuts, read by eye."""
+    nist = shared / "data" / "meshes" / "nist"
+    liner = trimesh.load_mesh(nist / "parts_bin" / "bin_interior.stl")
+    outer = trimesh.load_mesh(nist / "parts_bin" / "bin_exterior.stl")
+    found = load_bin(nist / "parts_bin" / "bin_exterior.stl", unit="m", up="z")
+    assert -found.mesh.bounds_m[0, 2] == pytest.approx(liner.bounds[0, 2], abs=1e-3)
+    for axis in (0, 1):
+        assert liner.extents[axis] < found.inner_m[axis]
+        assert found.inner_m[axis] == pytest.approx(outer.extents[axis] - 0.033, abs=2e-3)
+    disposal = load_bin(nist / "disposal_bin" / "disposal_bin.stl", unit="m", up="z")
+    assert disposal.inner_m == pytest.approx((0.530, 0.530, 0.475), abs=1e-3)

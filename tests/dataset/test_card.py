@@ -75,7 +75,7 @@ def test_of_a_large_dataset_few_scenes_are_read_and_all_are_counted(five, tmp_pa
     text = write_card(out).read_text()
     assert "| scenes | 5 train |" in text
     assert "| part box | 20 instances in 5 scenes |" in text
-    assert "from 2 scenes drawn of the 5" in text
+    assert "plots are of 2 scenes, drawn at random of 5" in text.replace("\n", " ")
     assert "| kept beside | every captured frame, projector columns |" in text
     numbers = json.loads((out / "card/stats.json").read_bytes())
     assert (numbers["scenes_in_dataset"], numbers["scenes"]) == (5, {"train": 2})

@@ -1,7 +1,7 @@
 """Bars with the time that is left: what the command line does with progress."""
 
 from types import TracebackType
-from typing import TYPE_CHECKING, Self, final
+from typing import TYPE_CHECKING, final
 
 from rich.markup import escape
 
@@ -44,7 +44,7 @@ class Bars:
             self._tasks[what] = self._drawn.add_task(escape(what or ""), total=None, visible=False)
         return self._tasks[what]
 
-    def __enter__(self) -> Self:
+    def __enter__(self) -> "Bars":
         self._drawn.start()
         return self
 

@@ -49,6 +49,11 @@ def add_commands(commands) -> None:
         default=0,
         help="The seed of the division by --shares (default: 0).",
     )
+    _add_scoring(evaluate)
+
+
+def _add_scoring(evaluate: argparse.ArgumentParser) -> None:
+    """What counts, and how sure a score is."""
     evaluate.add_argument(
         "--against",
         type=Path,

@@ -74,6 +74,11 @@ def _add_export(commands) -> None:
         default=0,
         help="The seed that decides which scenes are in which set (default: 0).",
     )
+    _add_contents(export)
+
+
+def _add_contents(export: argparse.ArgumentParser) -> None:
+    """What the files hold of each scene."""
     export.add_argument(
         "--image",
         choices=("rgb", "gray"),

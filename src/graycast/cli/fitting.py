@@ -54,6 +54,11 @@ def add_commands(commands) -> None:
         metavar="METRES",
         help="The thickness of the bin's walls in metres (default: as configured).",
     )
+    _add_fitting(fit)
+
+
+def _add_fitting(fit: argparse.ArgumentParser) -> None:
+    """What is known of the bin and its light, and how much is fitted."""
     fit.add_argument(
         "--azimuth",
         type=float,

@@ -31,6 +31,7 @@ PACKAGES = (
     "terminaltables==3.1.10",
     "rich==13.9.4",
     "six==1.17.0",
+    "shapely==2.2.0",
 )
 HEIGHT_PX, WIDTH_PX, CLASSES = 128, 160, 2
 LEAST_SCORE, MOST = 0.02, 60

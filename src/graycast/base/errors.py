@@ -33,9 +33,14 @@ class DecodeError(GraycastError):
     """A stack's frames are missing, do not fit together, or do not fit the code."""
 
 
+def one_line(error: Exception) -> str:
+    """The message of an error as one line, or its class where it has none."""
+    return " ".join(str(error).split()) or type(error).__name__
+
+
 def told(error: Exception) -> str:
     """An error as one line; an error of the operating system begins with its path."""
-    text = " ".join(str(error).split()) or type(error).__name__
+    text = one_line(error)
     if not isinstance(error, OSError):
         return text
     if error.filename is not None and error.strerror:

@@ -14,7 +14,7 @@ DOMAIN = ("camera", "bin", "lamps", "environment", "table", "parts", "counts", "
 EMPTIED_BIN = ("counts", "drop", "calibration", "attempts")  # of a robot's seed
 
 
-class Light(IntEnum):
+class CaptureStream(IntEnum):
     """Streams of the seed with which pictures are taken; a shot's own noise has none of them.
 
     `FIXED_PATTERN` is of the sensor's seed, which may be the same number.
@@ -41,7 +41,7 @@ def scene_seeds(
         views: likewise of the places that images are taken from.
     """
     seeds = _drawn(seed, (scene_id,), SCENE)
-    # Manifests stay as they were before there were domains and views.
+    # A scene for which nothing is drawn from a domain or a range of views has no seed for it.
     left_out = {name for name, has in (("domain", domain), ("views", views)) if not has}
     return {name: value for name, value in seeds.items() if name not in left_out}
 

@@ -13,7 +13,7 @@ import numpy as np
 from jaxtyping import Float
 from scipy import ndimage
 
-from ..base.streams import Light, stream
+from ..base.streams import CaptureStream, stream
 
 # Distance on a surface at which the finish of two places has a correlation of 1/e. Measured on five
 # scans of one bin of plastic, the parts in it included.
@@ -33,7 +33,7 @@ def uneven(
         patch_px: `PATCH_M` in the picture.
         seed: of the field.
     """
-    rng = stream(seed, Light.FINISH)
+    rng = stream(seed, CaptureStream.FINISH)
     field = rng.standard_normal(amplitude.shape, dtype=np.float32)
     field = ndimage.gaussian_filter(field, patch_px / 2, mode="wrap")
     field *= unevenness / max(float(field.std()), 1e-9)

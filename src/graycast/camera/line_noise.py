@@ -18,7 +18,7 @@ import numpy as np
 from jaxtyping import Float
 from scipy import fft
 
-from ..base.streams import Light, stream
+from ..base.streams import CaptureStream, stream
 from ..rig.pattern import Axis, Code
 from .decode import DecodeSpec, Levels, decode
 from .decode.plan import plan_axes
@@ -65,7 +65,7 @@ def with_line_noise(
         lines, places = len(seen), int(place.max()) + 1
 
     def with_error(k: int) -> Float[np.ndarray, "h w"]:
-        rng = stream(seed, Light.LINES, k)
+        rng = stream(seed, CaptureStream.LINES, k)
         error = _correlated(rng, places, lines, length_px)
         gain = np.maximum(1 + np.float32(share) * error[place, number], 0)
         return stack[k] * np.where(known, gain, np.float32(1))

@@ -22,7 +22,7 @@ from jaxtyping import Float, Num, UInt8, UInt16
 from pydantic import Field
 
 from ..base.settings import Level, Positive, check_fields
-from ..base.streams import Light
+from ..base.streams import CaptureStream
 
 PLANCK_J_S = 6.62607015e-34
 LIGHT_SPEED_M_S = 299_792_458.0
@@ -222,7 +222,7 @@ def expose(
         sensor.prnu,
         sensor.dsnu_e,
         _key(seed),
-        _key(sensor.fpn_seed, Light.FIXED_PATTERN),
+        _key(sensor.fpn_seed, CaptureStream.FIXED_PATTERN),
     )
     return Capture(frames=frames, sensor=sensor, exposure_s=exposure_s)
 

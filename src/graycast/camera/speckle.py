@@ -24,7 +24,7 @@ import numpy as np
 from jaxtyping import Float
 from scipy import fft
 
-from ..base.streams import Light, stream
+from ..base.streams import CaptureStream, stream
 from .sensor import SensorSpec
 
 LAGS = 3  # pixels over which neighbours' speckle is correlated: a speckle is smaller
@@ -114,7 +114,7 @@ def draw_speckle(
     number (E. B. Wilson, M. M. Hilferty, 1931). The moment of light about the pixel's centre is
     normal and independent of it; the centre is their quotient, so dark pixels are moved farthest.
     """
-    rng = stream(seed, Light.SPECKLE)
+    rng = stream(seed, CaptureStream.SPECKLE)
     fields = _correlated(rng.standard_normal((3, *contrast.shape), dtype=np.float32), sensor, side)
     contrast = contrast.astype(np.float32)
     ninth = contrast**2 / 9  # 1 / (9 K) of a gamma law of K = 1 / C^2 speckles

@@ -3,6 +3,7 @@
 import argparse
 from pathlib import Path
 
+from ..base.errors import one_line
 from .arguments import add_command, add_device, add_workers, workers_of
 from .bars import open_bars
 
@@ -55,8 +56,7 @@ def _design(options: argparse.Namespace) -> int:
             bars.line(f"{name}  heap {layout:03d}  {outcome.seconds:6.1f} s  {shares} measured")
 
         def failed(name, layout, outcome) -> None:
-            told = " ".join(str(outcome.error).split()) or type(outcome.error).__name__
-            bars.line(f"{name}  heap {layout:03d}  failed: {told}")
+            bars.line(f"{name}  heap {layout:03d}  failed: {one_line(outcome.error)}")
 
         lost = run_design(
             spec,

@@ -3,7 +3,7 @@
 import argparse
 from pathlib import Path
 
-from ..base.errors import DatasetError
+from ..base.errors import DatasetError, one_line
 from .arguments import (
     add_backend,
     add_command,
@@ -90,9 +90,8 @@ def _generate(options: argparse.Namespace) -> int:
             bars.line(f"scene {scene.scene_id:06d}  {scene.seconds:6.1f} s  {decoded}{busy}")
 
         def failed(scene) -> None:
-            told = " ".join(str(scene.error).split()) or type(scene.error).__name__
             then = "set aside" if scene.final else "will be made again"
-            bars.line(f"scene {scene.scene_id:06d}  {then}: {told}")
+            bars.line(f"scene {scene.scene_id:06d}  {then}: {one_line(scene.error)}")
 
         summary = generate(
             cell,

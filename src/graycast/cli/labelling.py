@@ -3,7 +3,7 @@
 import argparse
 from pathlib import Path
 
-from ..base.errors import GraycastError
+from ..base.errors import GraycastError, one_line
 from .arguments import add_command, add_seed, positive
 from .arguments import seed as whole
 from .bars import open_bars
@@ -107,8 +107,7 @@ def _grasps(options: argparse.Namespace) -> int:
             )
 
         def failed(key, outcome) -> None:
-            told = " ".join(str(outcome.error).split()) or type(outcome.error).__name__
-            bars.line(f"{key}  failed: {told}")
+            bars.line(f"{key}  failed: {one_line(outcome.error)}")
 
         lost = label_dataset(
             options.dataset,

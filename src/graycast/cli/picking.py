@@ -3,7 +3,7 @@
 import argparse
 from pathlib import Path
 
-from ..base.errors import GraycastError
+from ..base.errors import GraycastError, one_line
 from .arguments import (
     above_zero,
     add_command,
@@ -159,8 +159,7 @@ def _pick(options: argparse.Namespace) -> int:
             bars.line(f"bin {outcome.scene_id:06d}  {outcome.seconds:6.1f} s  {ended}")
 
         def failed(outcome) -> None:
-            told = " ".join(str(outcome.error).split()) or type(outcome.error).__name__
-            bars.line(f"bin {outcome.scene_id:06d}  failed: {told}")
+            bars.line(f"bin {outcome.scene_id:06d}  failed: {one_line(outcome.error)}")
 
         lost = pick_bins(
             cell,

@@ -6,7 +6,7 @@ from contextlib import closing
 from dataclasses import dataclass
 from typing import Protocol, runtime_checkable
 
-from ...base.errors import ConfigError, DeviceError, GraycastError
+from ...base.errors import ConfigError, DeviceError, GraycastError, one_line
 from ...base.progress import ProgressMeter
 from .job import Made, is_the_scenes_own
 
@@ -80,7 +80,7 @@ def make_all(pool: Pool, scene_ids: Iterable[int]) -> Generator[Made | Failed, N
         if not own:
             lost.add(scene_id)
         if len(lost) >= _IN_VAIN + at_work:
-            why = " ".join(str(error).split()) or type(error).__name__
+            why = one_line(error)
             raise GraycastError(
                 f"{len(lost)} scenes in a row were lost, the last because {why}: repair the "
                 "machine and run the same command again; the finished scenes are kept"

@@ -2,9 +2,8 @@
 
 What a scan measured nearer than the bin becomes one solid. Its top is the measured surface without
 its noise, and its sides run along the camera's rays down to the bin, where the camera does not see
-them and no light passes below the surface. A scan that is simulated of this
-scene shows the same surfaces at the same pixels as the real one, so that whatever differs is the
-sensor's.
+them and no light passes below the surface. A scan that is simulated of this scene shows the same
+surfaces at the same pixels as the real one, so that whatever differs is the sensor's.
 
 Leaves out: surfaces that the scan lost, unless they are small gaps in others; light that passes
 under an overhang; what is thinner than `_THIN_M`; other materials than matt plastic or paper.

@@ -26,8 +26,8 @@ from graycast.real.twin.parameters import (
     with_values,
 )
 from graycast.real.twin.rows import compare, figures_of, loss_of
-from graycast.real.twin.searching import Found, scans_of, search
-from graycast.real.twin.stage import Lit, in_projector_corner
+from graycast.real.twin.searching import Fit, scans_of, search
+from graycast.real.twin.stage import LitScene, in_projector_corner
 from graycast.render import Quality
 from graycast.render.reference import ReferenceRenderer
 from graycast.rig.pair import grey_levels
@@ -49,19 +49,18 @@ class Unknown:
     period_px: float | None
     hidden: dict[str, float]
     own: float  # the misfit of the hidden scanner itself, whose noise is drawn anew
-    found: Found
+    fit: Fit
 
     @property
     def inside(self) -> dict[str, bool]:
-        """Of the parameters that the scans decide: whether the hidden number is in the interval."""
+        """Of each parameter: whether the hidden number is in the interval."""
         return {
-            held.parameter.key: held.low <= self.hidden[held.parameter.key] <= held.high
-            for held in self.found.held
-            if held.decided
+            one.parameter.key: one.low <= self.hidden[one.parameter.key] <= one.high
+            for one in self.fit.estimates
         }
 
 
-def study(number: int, lit: Sequence[Lit], *, trials: int) -> Unknown:
+def study(number: int, lit: Sequence[LitScene], *, trials: int) -> Unknown:
     """Hide a scanner, scan the scenes with it, and search with the same scenes."""
     start = small_scanner()
     codes = tuple(lit[0].radiance)
@@ -76,8 +75,8 @@ def study(number: int, lit: Sequence[Lit], *, trials: int) -> Unknown:
     floor = find_floor([scan.depth_m for scan in real])
     figures = figures_of(real, floor)
     own = loss_of(compare(figures, figures_of(again, floor)))
-    found = search(start, lit, codes, FITTED, figures, trials=trials, seed=number)
-    return Unknown(period_px=code.period_px, hidden=hidden, own=own, found=found)
+    fit = search(start, lit, codes, FITTED, figures, trials=trials, seed=number)
+    return Unknown(period_px=code.period_px, hidden=hidden, own=own, fit=fit)
 
 
 def small_scanner() -> Scanner:
@@ -89,7 +88,7 @@ def small_scanner() -> Scanner:
     return replace(scanner, rig=replace(scanner.rig, camera=half, projector=projector))
 
 
-def light(scanner: Scanner, rng: np.random.Generator) -> Lit:
+def light(scanner: Scanner, rng: np.random.Generator) -> LitScene:
     """A dark floor with eight balls on and above it and two leaning boards, for every code."""
 
     def grey(low: float, high: float) -> Material:
@@ -123,7 +122,7 @@ def light(scanner: Scanner, rng: np.random.Generator) -> Lit:
     )
     ends = np.cumsum([len(one) for one in stack])
     whole, depth_m = made.radiance, made.truth.depth_m.astype(np.float64)
-    return Lit(
+    return LitScene(
         radiance={
             code: replace(whole, pattern=whole.pattern[end - len(one) : end].copy())
             for code, one, end in zip(codes, stack, ends, strict=True)
@@ -159,32 +158,26 @@ def main() -> None:
     parser.add_argument("--trials", type=int, default=500, help="Simulations of each search.")
     parser.add_argument("--first", type=int, default=0, help="The seed of the first scanner.")
     options = parser.parse_args()
-    draws = options.draws
     scanner = small_scanner()
     lit = [light(scanner, np.random.default_rng((16, k))) for k in range(SCENES)]
-    told: dict[str, list[bool]] = {p.key: [] for p in FITTED}
-    for number in range(options.first, options.first + draws):
+    print(
+        "| draw | statistics met, before | after | misfit | of the scanner itself | code | within |"
+    )
+    print("|---" * 7 + "|")
+    for number in range(options.first, options.first + options.draws):
         one = study(number, lit, trials=options.trials)
-        was = sum(row.is_met for row in one.found.before)
-        right = min(one.found.by_code, key=lambda c: one.found.by_code[c]) == one.period_px
-        print(
-            f"{number}: {was} rows met before, {sum(r.is_met for r in one.found.after)} of "
-            f"{len(one.found.after)} after, misfit {one.found.loss:.2f} (of the scanner itself "
-            f"{one.own:.2f}), the code is "
-            f"{'right' if right else 'another'}; of "
-            f"{len(one.inside)} decided numbers {sum(one.inside.values())} lie within",
-            flush=True,
-        )
-        for held in one.found.held:
-            key = held.parameter.key
-            state = "open" if not held.decided else "in" if one.inside[key] else "OUT"
-            hidden = one.hidden[key]
-            print(f"   {key:28s} {hidden:9.4g} in {held.low:.4g} to {held.high:.4g}: {state}")
-        for key, inside in one.inside.items():
-            told[key].append(inside)
-    print("| key | decided | of these within |\n|---|---|---|")
-    for key, each in told.items():
-        print(f"| `{key}` | {len(each)} of {draws} | {sum(each)} |")
+        met = [sum(row.is_met for row in rows) for rows in (one.fit.before, one.fit.after)]
+        right = min(one.fit.by_code, key=lambda c: one.fit.by_code[c]) == one.period_px
+        cells = [
+            f"{number}",
+            f"{met[0]}",
+            f"{met[1]} of {len(one.fit.after)}",
+            f"{one.fit.loss:.2f}",
+            f"{one.own:.2f}",
+            "right" if right else "another",
+            f"{sum(one.inside.values())} of {len(one.inside)}",
+        ]
+        print("| " + " | ".join(cells) + " |", flush=True)
 
 
 if __name__ == "__main__":

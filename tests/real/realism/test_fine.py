@@ -2,7 +2,6 @@
 
 import numpy as np
 import pytest
-from scipy import ndimage
 
 from graycast.real.realism import measure_all, measure_scan, pool
 from graycast.real.realism.fine import measure_fine, measure_pair, median_over_mean
@@ -101,37 +100,6 @@ def test_a_pair_has_the_noise_that_is_not_common_and_its_correlation():
     assert pair.sigma_m == pytest.approx(SIGMA_M, rel=0.02)
     assert pair.along_columns == pytest.approx((0.5, 0, 0), abs=0.02)
     assert pair.along_rows == pytest.approx((0, 0, 0), abs=0.02)
-
-
-def test_a_pair_tells_what_stands_still_and_how_uneven_its_amplitude_is():
-    """Oracle: drawn fields with the correlation `exp(-(r / 8)^2)`, less what a square of 32 pixels
-    has in common. Cutting at 6 sigma takes a little off the spread.
-    """
-    rng = np.random.default_rng(10)
-    shape = (480, 640)
-    patch = ndimage.gaussian_filter(rng.standard_normal(shape), 4.0, mode="wrap")
-    place = np.arange(32)
-    whole = np.mean(np.exp(-(((place[:, None] - place) / 8) ** 2))) ** 2
-    apart = np.mean(np.exp(-((np.array([3, 4, 5]) / 8) ** 2)))
-    still, amplitude = rng.standard_normal(shape), np.exp(0.2 * patch / patch.std())
-    for share, factor, unevenness in (
-        (0.4, 1.0, 0.0),
-        (0.4, amplitude, 0.2),
-        (0.0, amplitude, 0.2),
-    ):
-        shots = [
-            1.0
-            + SIGMA_M
-            * factor
-            * (np.sqrt(share) * still + np.sqrt(1 - share) * rng.standard_normal(shape))
-            for _ in range(2)
-        ]
-        pair = measure_pair(*(scan(shot) for shot in shots))
-        assert pair.standing == pytest.approx(share, abs=0.02)
-        expected = unevenness * np.sqrt(apart - whole)
-        assert pair.unevenness == pytest.approx(
-            expected, rel=0.1, abs=0.03 if not unevenness else 0
-        )
 
 
 def test_what_moved_between_two_maps_is_no_noise():

@@ -55,8 +55,7 @@ def twin(folder, path, out, *options):
 def test_the_command_writes_a_twin_and_the_same_one_twice(scanned, monkeypatch, capsys):
     few = [p for p in PARAMETERS if p.key in (*OF_BIN, "sensor.read_noise_e")]
     monkeypatch.setattr(making, "PARAMETERS", few)
-    monkeypatch.setattr(searching, "_FIRST_LOOK", ())
-    monkeypatch.setattr(searching, "_PROFILE", ())
+    monkeypatch.setattr(searching, "_STARTS", 0)
     folder, path = scanned
     for out in ("one.yaml", "two.yaml"):
         assert twin(folder, path, out, "--kept-aside", "2") == 0

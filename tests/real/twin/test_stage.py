@@ -10,7 +10,7 @@ from graycast.base.progress import UNWATCHED
 from graycast.cell.config import load_config
 from graycast.cell.resolve import resolve_cell
 from graycast.real.realism import DepthScan
-from graycast.real.twin.stage import BinLook, Lit, light_scenes, missing_places, scan_lit
+from graycast.real.twin.stage import BinLook, LitScene, light_scenes, missing_places, scan_lit
 from graycast.render import Quality
 
 from ..realism.synthetic import K, plane, scan
@@ -85,7 +85,7 @@ def test_sides_are_told_by_where_they_lie_and_what_no_scan_has_seen_is_left_out(
     truth = DepthScan(name="t", depth_m=depth_m, K=K)
     is_bin = np.ones(depth_m.shape, dtype=bool)
     is_bin[:3] = False
-    lit = Lit(radiance={}, is_bin=is_bin, truth=truth)
+    lit = LitScene(radiance={}, is_bin=is_bin, truth=truth)
     seen = depth_m.copy()
     seen[:, :40] = np.nan
     sides = missing_places([lit], [scan(seen), scan(np.where(np.eye(240, 320) > 0, np.nan, seen))])
@@ -103,7 +103,7 @@ def test_sides_are_told_by_where_they_lie_and_what_no_scan_has_seen_is_left_out(
 
 def test_a_floor_has_no_sides():
     truth = DepthScan(name="t", depth_m=plane(), K=K)
-    lit = Lit(radiance={}, is_bin=np.ones(truth.depth_m.shape, dtype=bool), truth=truth)
+    lit = LitScene(radiance={}, is_bin=np.ones(truth.depth_m.shape, dtype=bool), truth=truth)
     places = missing_places([lit], [scan(plane())])
     assert places.pop("seen").all()
     assert not any(side.any() for side in places.values())

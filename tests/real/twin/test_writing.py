@@ -5,8 +5,8 @@ from small_cell import write_cell
 
 from graycast.cell.config import load_config
 from graycast.cell.resolve import resolve_cell
-from graycast.real.twin.parameters import BIN_COLOR, BIN_GLOSS, BIN_ROUGHNESS
-from graycast.real.twin.searching import Found
+from graycast.real.twin.parameters import BIN_COLOR, BIN_GLOSS, BIN_ROUGHNESS, PARAMETERS
+from graycast.real.twin.searching import Estimate, Fit
 from graycast.real.twin.twin_files import _bin
 
 PLAIN = {"base_color": [0.1, 0.2, 0.6], "roughness": 0.5, "specular": 0.4}
@@ -15,31 +15,33 @@ PLAIN = {"base_color": [0.1, 0.2, 0.6], "roughness": 0.5, "specular": 0.4}
 def written(folder, material, values):
     path = write_cell(folder, bin={"inner_m": [0.25, 0.2, 0.1], "material": material})
     cell = resolve_cell(load_config(path), folder)
-    found = Found(
+    fit = Fit(
         scanner=cell.scanner,
-        values=values,
-        held=(),
+        estimates=tuple(
+            Estimate(parameter=p, value=values[p.key], low=p.low, high=p.high)
+            for p in PARAMETERS
+            if p.key in values
+        ),
         by_code={},
         before=(),
         after=(),
-        fitting=1.0,
         trials=0,
     )
-    return _bin(found, cell)
+    return _bin(fit, cell)
 
 
 def test_colour_and_coat_are_the_fitted_ones(tmp_path):
     values = {BIN_COLOR: 2.0, BIN_GLOSS: 0.5, BIN_ROUGHNESS: -0.1}
-    told = written(tmp_path, PLAIN, values)["bin"]["material"]
-    assert told["base_color"] == pytest.approx([0.2, 0.4, 0.9])  # no surface reflects more
-    assert (told["specular"], told["roughness"]) == (0.2, 0.4)
-    assert "projector_reflectance" not in told
+    made = written(tmp_path, PLAIN, values)["bin"]["material"]
+    assert made["base_color"] == pytest.approx([0.2, 0.4, 0.9])  # no surface reflects more
+    assert (made["specular"], made["roughness"]) == (0.2, 0.4)
+    assert "projector_reflectance" not in made
 
 
 def test_the_reflectance_at_the_projector_s_wavelength_is_scaled_as_the_colour_is(tmp_path):
-    told = written(tmp_path, PLAIN | {"projector_reflectance": 0.2}, {BIN_COLOR: 1.5})
-    assert told["bin"]["material"]["projector_reflectance"] == pytest.approx(0.3)
-    assert told["bin"]["material"]["specular"] == 0.4
+    made = written(tmp_path, PLAIN | {"projector_reflectance": 0.2}, {BIN_COLOR: 1.5})
+    assert made["bin"]["material"]["projector_reflectance"] == pytest.approx(0.3)
+    assert made["bin"]["material"]["specular"] == 0.4
 
 
 def test_a_bin_that_was_not_fitted_is_not_written(tmp_path):

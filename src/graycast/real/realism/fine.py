@@ -35,8 +35,6 @@ _FACING_DEG = 45.0  # noise is compared over brightness up to there
 _SAME_M = 3e-3  # two maps show the same surface where they differ by less
 _PERCENTILES = (5, 25, 50, 75, 95)
 _LAGS = (1, 2, 3)
-_PATCH_PX = 32  # within which the amplitude of noise is compared
-_APART_PX = (3, 4, 5)  # so far apart, second differences of white noise share nothing
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -57,8 +55,6 @@ class PairNoise:
     sigma_m: float | None = None
     along_rows: tuple[float, ...] | None = None
     along_columns: tuple[float, ...] | None = None
-    standing: float | None = None
-    unevenness: float | None = None
 
 
 def measure_fine(scan: DepthScan) -> FineNoise:
@@ -114,9 +110,7 @@ def measure_pair(first: DepthScan, second: DepthScan) -> PairNoise | None:
     """The noise between two maps where they show the same surface; None of different cameras.
 
     The difference of both loses what is common to them, shape and the fixed part of the error
-    alike; its standard deviation over the root of 2 is that of one map. `standing` is the share of
-    the fine noise's power that both maps have in common. `unevenness` is the standard deviation of
-    the natural logarithm of the fine noise's amplitude between patches of the surface.
+    alike; its standard deviation over the root of 2 is that of one map.
     """
     same_camera = first.depth_m.shape == second.depth_m.shape and np.allclose(first.K, second.K)
     if not same_camera:
@@ -128,10 +122,6 @@ def measure_pair(first: DepthScan, second: DepthScan) -> PairNoise | None:
     known = rest[~np.isnan(rest)]
     if len(known) < 1000:
         return PairNoise(pixels=len(known))
-    same = ~np.isnan(difference)
-    standing, unevenness = _of_the_surface(
-        *(second_difference(np.where(same, one.depth_m, np.nan)) for one in (first, second))
-    )
     sigma_m = robust_sigma(known)
     rest = np.where(np.abs(rest) <= 4 * sigma_m, rest, np.nan)
     return PairNoise(
@@ -139,8 +129,6 @@ def measure_pair(first: DepthScan, second: DepthScan) -> PairNoise | None:
         sigma_m=sigma_m / np.sqrt(2),
         along_rows=tuple(_lag(rest, lag) for lag in _LAGS),
         along_columns=tuple(_lag(rest.T, lag) for lag in _LAGS),
-        standing=standing,
-        unevenness=unevenness,
     )
 
 
@@ -155,8 +143,6 @@ def summarise_pairs(pairs: Sequence[PairNoise]) -> Pairs:
             sigma_m=None,
             along_rows=None,
             along_columns=None,
-            standing=None,
-            unevenness=None,
         )
     variance = np.array([p.sigma_m**2 for p in told if p.sigma_m is not None])
     rows = np.array([p.along_rows for p in told], dtype=np.float64)
@@ -167,16 +153,7 @@ def summarise_pairs(pairs: Sequence[PairNoise]) -> Pairs:
         sigma_m=float(np.sqrt(np.average(variance, weights=weight))),
         along_rows=np.average(rows, axis=0, weights=weight).tolist(),
         along_columns=np.average(columns, axis=0, weights=weight).tolist(),
-        standing=_mean([p.standing for p in told], weight),
-        unevenness=_mean([p.unevenness for p in told], weight),
     )
-
-
-def _mean(value: Sequence[float | None], weight: Float[np.ndarray, " n"]) -> float | None:
-    """Of those that are known."""
-    told = np.array([np.nan if v is None else v for v in value])
-    known = ~np.isnan(told)
-    return float(np.average(told[known], weights=weight[known])) if known.any() else None
 
 
 @cache
@@ -283,46 +260,6 @@ def _interval_m(variance: Float[np.ndarray, " n"]) -> tuple[float, float] | None
 
 
 # --- pairs ---------------------------------------------------------------------------------------
-
-
-def _of_the_surface(
-    first: Float[np.ndarray, "h w"], second: Float[np.ndarray, "h w"]
-) -> tuple[float | None, float | None]:
-    """What the second differences of two maps have in common, and the spread of their amplitude.
-
-    If the noise is white times an amplitude with a log-normal law, squares of two maps at two
-    places have the covariance `exp(4 u^2 rho) - 1` in units of their means, rho being the
-    correlation of the amplitude's logarithm there. What is common to a square of `_PATCH_PX` is
-    brightness and slope as often as finish, and left out; so u is too low by the share of patches
-    that are larger, or smaller than `_APART_PX`.
-    """
-    power, common, squares = [], [], []
-    for y in range(0, first.shape[0], _PATCH_PX):
-        for x in range(0, first.shape[1], _PATCH_PX):
-            a, b = (m[y : y + _PATCH_PX, x : x + _PATCH_PX] for m in (first, second))
-            both = ~np.isnan(a) & ~np.isnan(b)
-            if both.mean() < 0.7:
-                continue
-            a, b = (_in_sigmas(np.where(both, m, np.nan)) for m in (a, b))
-            if np.isnan(a).all() or np.isnan(b).all():  # depth without noise
-                continue
-            power.append(np.sqrt(np.nanmean(a * a) * np.nanmean(b * b)))
-            common.append(np.nanmean(a * b))
-            rest = [m * m / np.nanmean(m * m) - 1 for m in (a, b)]
-            for one, other in (rest, rest[::-1]):
-                squares += [np.nanmean(one[lag:] * other[:-lag]) for lag in _APART_PX]
-                squares += [np.nanmean(one[:, lag:] * other[:, :-lag]) for lag in _APART_PX]
-    if not power:
-        return None, None
-    spread = np.sqrt(np.log1p(max(float(np.mean(squares)), 0.0)) / 4)
-    return float(np.sum(common) / np.sum(power)), float(spread)
-
-
-def _in_sigmas(values: Float[np.ndarray, "h w"]) -> Float[np.ndarray, "h w"]:
-    """By the robust standard deviation; what is beyond `_OUTLIER` of them is an edge."""
-    sigma = robust_sigma(values[~np.isnan(values)]) or np.nan
-    with np.errstate(invalid="ignore", divide="ignore"):
-        return np.where(np.abs(values) <= _OUTLIER * sigma, values / sigma, np.nan)
 
 
 def _without_drift(difference: Float[np.ndarray, "h w"]) -> Float[np.ndarray, "h w"]:

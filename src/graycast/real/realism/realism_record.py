@@ -7,7 +7,7 @@ from pydantic import BaseModel, ConfigDict, ValidationError
 from ...base.errors import DatasetError, GraycastError
 
 RECORD_FILE = "realism.json"  # in the folder that `graycast realism` writes
-FORMAT_VERSION = 3
+FORMAT_VERSION = 4
 
 
 class _Record(BaseModel):
@@ -87,8 +87,6 @@ class Pairs(_Record):
     """Noise [m] of one map, from each map and the next where both show the same surface.
 
     Its autocorrelation stands at 1, 2 and 3 pixels; none where no two maps share enough.
-    `standing` is the share of the fine noise's power that is the same in both maps, `unevenness`
-    the standard deviation of the logarithm of its amplitude between patches of the surface.
     """
 
     pairs: int
@@ -96,8 +94,6 @@ class Pairs(_Record):
     sigma_m: float | None
     along_rows: list[float] | None
     along_columns: list[float] | None
-    standing: float | None
-    unevenness: float | None
 
 
 class Autocorrelation(_Record):

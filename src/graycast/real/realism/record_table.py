@@ -119,8 +119,6 @@ def _pairs(record: Realism) -> Iterator[Figure]:
     for name, values in (("rows", pairs.along_rows), ("columns", pairs.along_columns)):
         for lag, value in enumerate(values or [None] * 3, start=1):
             yield Figure(section, f"common along {name}, lag {lag}", _plain(value))
-    yield Figure(section, "share of the fine noise that stands still", _plain(pairs.standing))
-    yield Figure(section, "unevenness of its amplitude", _plain(pairs.unevenness))
 
 
 def _autocorrelation(record: Realism) -> Iterator[Figure]:

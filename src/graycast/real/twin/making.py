@@ -28,14 +28,14 @@ from .parameters import (
 from .refusing import refuse_without_shadow
 from .restaging import restage
 from .rows import figures_of
-from .searching import Found, require_cma, scans_of, search
-from .stage import Lit, light_scenes, missing_places
+from .searching import Fit, scans_of, search
+from .stage import LitScene, light_scenes, missing_places
 
 LEAST_SCANS = 3
 LEAST_KEPT = 2  # scans that the search does not see, for the classifier to learn from
 _BRIGHTEST = 0.9  # reflectance that a bin may be given
 _SMOOTHEST = 0.1  # roughness: a smoother coat shows the lamp in single pixels
-_COATS = (-ROUGHER, 0.0, ROUGHER)  # that are rendered
+COATS = (-ROUGHER, 0.0, ROUGHER)  # that are rendered
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -46,7 +46,7 @@ class Twin:
     `classified` has 'before' and 'after' the search, and 'kept aside' of scans that were.
     """
 
-    found: Found
+    fit: Fit
     scans: int  # that were fitted
     shown: tuple[DepthScan, DepthScan, DepthScan]
     classified: dict[str, TwoSample]
@@ -71,9 +71,8 @@ def make_twin(
 
     Raises:
         GraycastError: there are too few scans, of another camera than the rig's, or of no
-            structured light; pictures do not fit; cma or scikit-learn is not installed.
+            structured light; pictures do not fit; scikit-learn is not installed.
     """
-    require_cma()
     require_sklearn()
     check_scans(real, cell, kept=kept)
     fitted = len(real) - kept
@@ -81,7 +80,7 @@ def make_twin(
     progress.stage("staging the scenes of the scans")
     staged = restage(real, cell.scene, pictures)
 
-    def light(chosen: slice, codes: Sequence[CodeSpec]) -> tuple[Lit, ...]:
+    def light(chosen: slice, codes: Sequence[CodeSpec]) -> tuple[LitScene, ...]:
         with open_cell_renderer(cell, device=device) as renderer:
             return light_scenes(
                 cell,
@@ -90,7 +89,7 @@ def make_twin(
                 seed=seed + chosen.start,
                 renderer=renderer,
                 quality=resolve_quality(cell.config),
-                rougher=_COATS if BIN_GLOSS in {p.key for p in parameters} else (),
+                rougher=COATS if BIN_GLOSS in {p.key for p in parameters} else (),
                 names=[scan.name for scan in real[chosen]],
                 progress=progress,
             )
@@ -100,7 +99,7 @@ def make_twin(
     progress.stage("measuring the real scans")
     places = missing_places(lit, real[own])
     figures = figures_of(real[own], find_floor([scan.depth_m for scan in real[own]]), places)
-    found = search(
+    fit = search(
         cell.scanner,
         lit,
         codes,
@@ -114,8 +113,8 @@ def make_twin(
     other = seed + 100_000  # the noise of what is judged is not that of the search
     before = list(scans_of(lit, cell.scanner, {}, seed=other, name="as configured"))
     if kept:
-        lit += light(aside, (found.scanner.code,))
-    after = list(scans_of(lit, found.scanner, found.values, seed=other, name="twin"))
+        lit += light(aside, (fit.scanner.code,))
+    after = list(scans_of(lit, fit.scanner, fit.values, seed=other, name="twin"))
     perfect = [one.truth for one in lit]
     classified = {}
     for name, made_by, made, chosen in (
@@ -133,7 +132,7 @@ def make_twin(
                 seed=seed,
             )
     return Twin(
-        found=found,
+        fit=fit,
         scans=fitted,
         shown=(real[0], before[0], after[0]),
         classified=classified,

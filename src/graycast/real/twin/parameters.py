@@ -30,29 +30,23 @@ class Parameter:
     """One number of a scanner, and where it may lie.
 
     `key` is the rig file's, with dots; a number in brackets is an item of a list. `off_below` is
-    the value under which a filter is switched off, and `off_above` the one over which a limit is
-    lifted; a `switch` is on from the middle of its range.
+    the value under which a filter or fault is switched off.
     """
 
     key: str
     low: float
     high: float
     walk: Literal["linear", "log"] = "linear"
-    whole: bool = False
-    switch: bool = False
     off_below: float | None = None
-    off_above: float | None = None
 
     def value(self, share: float) -> float:
         """The value at a share, 0 to 1, of the way from low to high."""
         share = min(max(share, 0.0), 1.0)
-        if self.switch:
-            return float(share >= 0.5)
         if self.walk == "log":
             value = math.exp(math.log(self.low) + share * math.log(self.high / self.low))
         else:
             value = self.low + share * (self.high - self.low)
-        return float(round(value)) if self.whole else float(f"{value:.4g}")
+        return float(f"{value:.4g}")
 
     def share(self, value: float) -> float:
         """Where a value lies between low and high; the nearer bound where it lies outside."""
@@ -67,70 +61,17 @@ PARAMETERS: tuple[Parameter, ...] = (
     Parameter(key="exposure.factors[1]", low=1.5, high=60.0, walk="log"),
     Parameter(key=FULL_WELL, low=5e3, high=2e5, walk="log"),
     Parameter(key="sensor.read_noise_e", low=1.0, high=80.0, walk="log"),
-    Parameter(key="veil", low=0.0, high=0.2),
     Parameter(key="projector.falloff", low=0.0, high=0.9, off_below=0.01),
     Parameter(key="speckle_contrast", low=0.0, high=1.0),
     Parameter(key="speckle_volume", low=0.2, high=50.0, walk="log"),
-    Parameter(key="speckle_unevenness", low=0.0, high=0.8),
     Parameter(key="line_noise", low=0.0, high=0.05),
-    Parameter(key="line_noise_length_m", low=0.001, high=0.3, walk="log"),
     Parameter(key="decode.min_sigmas", low=3.0, high=150.0, walk="log"),
-    Parameter(key="decode.doubt", low=0.03, high=0.8),
-    Parameter(key="decode.settling_votes", low=0.0, high=24.0, whole=True),
-    Parameter(key="decode.min_visibility", low=0.0, high=0.9),
-    Parameter(key="filters.flying_angle_deg", low=60.0, high=89.0),
-    Parameter(key="filters.outlier_sigmas", low=3.0, high=15.0, walk="log"),
-    Parameter(key="filters.outlier_share", low=1e-4, high=3e-3, walk="log"),
-    Parameter(key="filters.outlier_repair", low=0.0, high=1.0, switch=True),
-    Parameter(key="filters.hidden_sigmas", low=0.0, high=10.0, off_below=0.5),
-    Parameter(key="faults.edge_x_px", low=0.0, high=0.8, off_below=0.02),
-    Parameter(key="faults.edge_y_px", low=0.0, high=0.8, off_below=0.02),
-    Parameter(key="filters.island_px", low=0.0, high=60.0, whole=True, off_below=1.0),
     Parameter(key="filters.smoothing_px", low=0.0, high=0.7, off_below=0.25),
     Parameter(key="faults.raster_px", low=0.0, high=0.6, off_below=0.02),
-    Parameter(key="faults.raster_window_px", low=0.35, high=2.0, off_below=0.4),
-    Parameter(key="faults.raster_window_share", low=0.0, high=1.0),
-    Parameter(key="faults.raster_limit_m", low=5e-5, high=2e-3, walk="log", off_above=1e-3),
-    Parameter(key="faults.raster_unevenness", low=0.0, high=0.8, off_below=0.01),
-    Parameter(key="faults.raster_line_unevenness", low=0.0, high=0.8, off_below=0.01),
     Parameter(key=BIN_COLOR, low=0.1, high=3.0, walk="log"),
     Parameter(key=BIN_GLOSS, low=0.25, high=2.0, walk="log"),
     Parameter(key=BIN_ROUGHNESS, low=-ROUGHER, high=ROUGHER),
 )
-
-# Noise is of the light or of the surface. A search that begins at one hardly finds the other,
-# since all of these change on the way, and none of them helps alone. The values are those of a
-# laser scanner over plastic, found by hand and by searches from there (docs/twin.md).
-NOISE_OF_SURFACE: Mapping[str, float] = {
-    "exposure.target": 0.9,
-    "exposure.factors[1]": 15.0,
-    FULL_WELL: 7.4e4,
-    "sensor.read_noise_e": 22.6,
-    "projector.falloff": 0.51,
-    "speckle_contrast": 0.36,
-    "speckle_volume": 3.6,
-    "speckle_unevenness": 0.66,
-    "line_noise": 0.005,
-    "line_noise_length_m": 0.011,
-    "decode.min_sigmas": 135.0,
-    "decode.doubt": 0.165,
-    "decode.settling_votes": 11.0,
-    "filters.outlier_sigmas": 4.35,
-    "filters.hidden_sigmas": 3.15,
-    "faults.edge_x_px": 0.33,
-    "faults.edge_y_px": 0.05,
-    "filters.island_px": 0.0,
-    "filters.smoothing_px": 0.0,  # so that what neighbours share is the surface's doing
-    "faults.raster_px": 0.52,
-    "faults.raster_window_px": 0.5,
-    "faults.raster_window_share": 0.2,
-    "faults.raster_limit_m": 2.7e-4,
-    "faults.raster_unevenness": 0.18,
-    "faults.raster_line_unevenness": 0.31,
-    BIN_COLOR: 0.78,
-    BIN_GLOSS: 0.4,
-    BIN_ROUGHNESS: 0.14,
-}
 
 
 def candidate_codes(code: CodeSpec) -> tuple[CodeSpec, ...]:
@@ -151,12 +92,6 @@ def with_values(
             value: Any = values[parameter.key]
             if parameter.off_below is not None and value < parameter.off_below:
                 value = None
-            elif parameter.off_above is not None and value > parameter.off_above:
-                value = None
-            elif parameter.whole:
-                value = int(value)
-            elif parameter.switch:
-                value = bool(value)
             if parameter.key == FULL_WELL:
                 gain = scanner.sensor.gain_dn_per_e * scanner.sensor.full_well_e / value
                 scanner = _replaced(scanner, ["sensor", "gain_dn_per_e"], float(f"{gain:.4g}"))
@@ -175,24 +110,13 @@ def value_of(scanner: Scanner, parameter: Parameter) -> float:
         else:
             found = getattr(found, name)
         if found is None:
-            return parameter.low if parameter.off_above is None else parameter.high
+            return parameter.low
     return float(found)
 
 
 def shares_of(scanner: Scanner, parameters: Sequence[Parameter]) -> Float[np.ndarray, " n"]:
     """Where the scanner's own values lie between the bounds."""
     return np.array([p.share(value_of(scanner, p)) for p in parameters])
-
-
-def with_noise_of_surface(
-    shares: Float[np.ndarray, " n"], parameters: Sequence[Parameter]
-) -> Float[np.ndarray, " n"]:
-    """The same place, but with noise that is the surface's and hardly the light's."""
-    moved = shares.copy()
-    for i, parameter in enumerate(parameters):
-        if parameter.key in NOISE_OF_SURFACE:
-            moved[i] = parameter.share(NOISE_OF_SURFACE[parameter.key])
-    return moved
 
 
 def values_at(shares: Float[np.ndarray, " n"], parameters: Sequence[Parameter]) -> dict[str, float]:

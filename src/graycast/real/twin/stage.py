@@ -33,7 +33,7 @@ class BinLook:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Lit:
+class LitScene:
     """One scene's light for each code, and which pixels show the bin.
 
     `coats` has the light if the bin had no colour of its own, only the coat over it, by how much
@@ -60,7 +60,7 @@ def light_scenes(
     rougher: Sequence[float],
     names: Sequence[str],
     progress: ProgressMeter,
-) -> tuple[Lit, ...]:
+) -> tuple[LitScene, ...]:
     """Render each scene of `restage`, all codes in one pass, and again with a black bin.
 
     Args:
@@ -95,7 +95,7 @@ def light_scenes(
         ]
         truth = found[0].truth
         lit.append(
-            Lit(
+            LitScene(
                 radiance=split[0],
                 coats=dict(zip(rougher, split[1:], strict=True)),
                 is_bin=_bin_pixels(scene, truth),
@@ -135,7 +135,7 @@ def with_black_bin(scene: Scene, rougher: float) -> Scene:
 
 
 def missing_places(
-    lit: Sequence[Lit], real: Sequence[DepthScan]
+    lit: Sequence[LitScene], real: Sequence[DepthScan]
 ) -> dict[str, Bool[np.ndarray, "h w"]]:
     """Where missing depth is counted: in all that real scans see, and on the bin's steep sides.
 
@@ -167,7 +167,7 @@ def missing_places(
 
 
 def scan_lit(
-    lit: Lit, scanner: Scanner, look: BinLook, *, seed: int, name: str
+    lit: LitScene, scanner: Scanner, look: BinLook, *, seed: int, name: str
 ) -> DepthScan | None:
     """What the scanner makes of a scene whose bin has another look; None where nothing is lit.
 

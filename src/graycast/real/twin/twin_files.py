@@ -21,7 +21,7 @@ from ..realism.two_sample import PLACES
 from .making import Twin, scaled_color, scaled_reflectance
 from .parameters import BIN_COLOR, BIN_GLOSS, BIN_ROUGHNESS
 from .rows import Row
-from .searching import Found
+from .searching import Fit
 
 
 def files_of(out: Path) -> tuple[Path, Path, Path]:
@@ -36,11 +36,11 @@ def write_twin(twin: Twin, cell: Cell, base: Path, out: Path) -> list[Path]:
         GraycastError: a file is there already, or cannot be written.
     """
     rig, report, picture = files_of(out)
-    named = replace(twin.found.scanner.rig, name=f"{cell.scanner.rig.name}-twin")
+    named = replace(twin.fit.scanner.rig, name=f"{cell.scanner.rig.name}-twin")
     text = fitted_text(
         read_text(base),
         base,
-        {"rig": rig.name} | _bin(twin.found, cell),
+        {"rig": rig.name} | _bin(twin.fit, cell),
         {"rig": f"Fitted by graycast twin to {twin.scans} real scans, from {base.name}."},
         dropped=tuple(ScannerSections.model_fields),
     )
@@ -48,7 +48,7 @@ def write_twin(twin: Twin, cell: Cell, base: Path, out: Path) -> list[Path]:
     with whole_folder(out.parent) as aside:
         draw_twin(twin, aside / picture.name)
         (aside / report.name).write_text(report_text(twin), encoding="utf-8")
-        save_scanner(replace(twin.found.scanner, rig=named), aside / rig.name)
+        save_scanner(replace(twin.fit.scanner, rig=named), aside / rig.name)
         (aside / out.name).write_text(text, encoding="utf-8")
         refuse_there(rig, report, picture, out)  # what came meanwhile
     return [out, rig, report, picture]
@@ -56,35 +56,33 @@ def write_twin(twin: Twin, cell: Cell, base: Path, out: Path) -> list[Path]:
 
 def report_text(twin: Twin) -> str:
     """Tables in Markdown: statistics, parameters, codes, and what the classifier says."""
-    found = twin.found
+    fit = twin.fit
     lines = [
         "# The twin's report",
         "",
-        f"The search made {found.trials} trials on the scenes of {twin.scans} real scans.",
-        f"Statistics within two spreads of the real scans: {_met(found.before)} before, "
-        f"{_met(found.after)} of {len(found.after)} after.",
+        f"The search made {fit.trials} trials on the scenes of {twin.scans} real scans.",
+        f"Statistics within two spreads of the real scans: {_met(fit.before)} before, "
+        f"{_met(fit.after)} of {len(fit.after)} after.",
         "",
         "## Statistics",
         "",
         "| statistic | real | spread | as configured | twin | met |",
         "|---|---|---|---|---|---|",
-        *_rows(found.before, found.after),
+        *_rows(fit.before, fit.after),
         "",
         "## What was fitted",
         "",
-        "Between `from` and `to` the fit is as good as the noise allows: with all other parameters "
-        "as found, in a trial of the search, or if other parameters make up for it. The ranges "
-        "are no confidence intervals (docs/twin.md).",
+        f"The misfit is {fit.loss:.2f}: the mean square of the statistics' errors in spreads. "
+        "Between `from` and `to`, other parameters can make up for a parameter, as far as the "
+        "statistics change in proportion to the parameters (docs/twin.md).",
         "",
-        _whether_it_fits(found),
-        "",
-        "| key | twin | from | to | do the scans decide it? |",
-        "|---|---|---|---|---|",
-        *_held(found),
+        "| key | twin | from | to |",
+        "|---|---|---|---|",
+        *_estimates(fit),
         "",
         "| period of the code [px] | least misfit |",
         "|---|---|",
-        *(f"| {period or '-'} | {loss:.3f} |" for period, loss in found.by_code.items()),
+        *(f"| {period or '-'} | {loss:.3f} |" for period, loss in fit.by_code.items()),
         "",
         "## Can a classifier distinguish the twin from the real scans?",
         "",
@@ -96,10 +94,10 @@ def report_text(twin: Twin) -> str:
 
 def summary(twin: Twin) -> list[str]:
     """The twin in a few lines."""
-    found = twin.found
+    fit = twin.fit
     lines = [
-        f"statistics met: {_met(found.before)} of {len(found.before)} as configured, "
-        f"{_met(found.after)} of {len(found.after)} by the twin",
+        f"statistics met: {_met(fit.before)} of {len(fit.before)} as configured, "
+        f"{_met(fit.after)} of {len(fit.after)} by the twin",
     ]
     for place in PLACES:
         before, after = (_sensor_auc(twin.classified[k], place) for k in ("before", "after"))
@@ -108,22 +106,7 @@ def summary(twin: Twin) -> list[str]:
             f"AUC by the sensor's features, {place}: {before} as configured, {after} by the twin; "
             f"real against itself {own}"
         )
-    loose = [held.parameter.key for held in found.held if not held.decided]
-    if not found.fits:
-        lines.append(_whether_it_fits(found))
-    elif loose:
-        lines.append(f"the scans do not determine {', '.join(loose)}")
     return lines
-
-
-def _whether_it_fits(found: Found) -> str:
-    own = f"{found.fitting:.2f}, which is twice what the scatter of so few scans explains"
-    if found.fits:
-        return f"The misfit is {found.loss:.2f}. It is below {own}."
-    return (
-        f"The misfit is {found.loss:.2f}. It is above {own}. So the twin is not the scanner "
-        "itself, and no parameter is said to be decided."
-    )
 
 
 def draw_twin(twin: Twin, path: Path) -> None:
@@ -141,13 +124,13 @@ def draw_twin(twin: Twin, path: Path) -> None:
         ax.set(title=name, xticks=[], yticks=[])
     ax = figure.add_subplot(grid[1, :])
     for rows, marker, label in (
-        (twin.found.before, "o", "as configured"),
-        (twin.found.after, "D", "twin"),
+        (twin.fit.before, "o", "as configured"),
+        (twin.fit.after, "D", "twin"),
     ):
         off = [float(np.clip(row.off, -10, 10)) for row in rows]
         ax.plot(range(len(off)), off, marker, label=label)
     ax.axhspan(-2, 2, color="0.9", zorder=0)
-    ax.set_xticks(range(len(twin.found.after)), [r.name for r in twin.found.after], rotation=60)
+    ax.set_xticks(range(len(twin.fit.after)), [r.name for r in twin.fit.after], rotation=60)
     for text in ax.get_xticklabels():
         text.set_horizontalalignment("right")
     ax.set(title="off by so many spreads of the real scans (cut at 10; grey: met)", ylim=(-11, 11))
@@ -173,11 +156,10 @@ def _rows(before: Sequence[Row], after: Sequence[Row]) -> list[str]:
     return lines
 
 
-def _held(found: Found) -> list[str]:
+def _estimates(fit: Fit) -> list[str]:
     return [
-        f"| {held.parameter.key} | {held.value:.4g} | {held.low:.4g} | {held.high:.4g} | "
-        f"{'yes' if held.decided else 'no'} |"
-        for held in found.held
+        f"| {one.parameter.key} | {one.value:.4g} | {one.low:.4g} | {one.high:.4g} |"
+        for one in fit.estimates
     ]
 
 
@@ -186,9 +168,9 @@ def _sensor_auc(test: TwoSample, place: str, row: str | None = None) -> str:
     return "-" if auc.mean is None else f"{auc.mean:.2f}"
 
 
-def _bin(found: Found, cell: Cell) -> dict[str, Any]:
+def _bin(fit: Fit, cell: Cell) -> dict[str, Any]:
     """The bin's section with the colours and the coat that were fitted."""
-    color, gloss = (found.values.get(key) for key in (BIN_COLOR, BIN_GLOSS))
+    color, gloss = (fit.values.get(key) for key in (BIN_COLOR, BIN_GLOSS))
     if color is None:
         return {}
     section = cell.config.bin.model_dump(mode="json", exclude_none=True)
@@ -203,5 +185,5 @@ def _bin(found: Found, cell: Cell) -> dict[str, Any]:
                 )
             if gloss is not None:
                 own["specular"] = round(min(material.specular * gloss, 1.0), 4)
-                own["roughness"] = round(material.roughness + found.values[BIN_ROUGHNESS], 4)
+                own["roughness"] = round(material.roughness + fit.values[BIN_ROUGHNESS], 4)
     return {"bin": section}

@@ -139,7 +139,7 @@ def test_decode_averages_to_one_point_per_projector_pixel(decoded, capsys, tmp_p
 
 def test_decode_adds_no_fault_of_the_rig(decoded, capsys, tmp_path):
     rig, folder, out, _ = decoded
-    faulty = Scanner(rig=rig, faults=FaultSpec(raster_px=1.0, edge_x_px=1.0, edge_y_px=1.0))
+    faulty = Scanner(rig=rig, faults=FaultSpec(raster_px=1.0))
     save_scanner(faulty, tmp_path / "rig.yaml")
     run(capsys, "decode", folder / "STACK.yaml", "--rig", tmp_path / "rig.yaml",
         "--out", tmp_path / "out")  # fmt: skip

@@ -2,13 +2,12 @@
 
 Each imports only from those above it:
 
-    finish      noise whose amplitude differs between patches of a surface
     light       from rendered radiance to the light on the sensor
     sensor      noise, saturation, quantisation: Radiance -> Capture
     speckle     laser speckle, and its effect on decoded positions
     decode      from pictures to projector positions and depth: Capture -> DepthMap
     line_noise  uneven projector lines, and their effect on decoded positions
-    faults      faults of a device's depth, for simulated scans
+    faults      depth of points beside their pixels, for simulated scans
     scanner     a rig with its code, sensor, exposure, decoder, filters and faults
     picture     the colour picture and the grey picture of the measuring camera
     rig_file    scanners in files, and imported calibrations

@@ -33,7 +33,6 @@ from .decode import (
 )
 from .decode.plan import plan_axes
 from .faults import FaultSpec, with_faults
-from .finish import PATCH_M, uneven
 from .light import camera_light
 from .line_noise import lines_seen, place_sigma_px, with_line_noise
 from .sensor import Capture, SensorSpec, auto_exposure_s, expose, merge_exposures
@@ -129,13 +128,6 @@ def take(scanner: Scanner, radiance: Radiance, *, seed: int) -> Capture:
     if scanner.rig.speckle_contrast:
         reflectance = radiance.albedo @ np.array(scanner.rig.band_weights, dtype=np.float32)
         contrast = _of_black(scanner) * material_contrast(reflectance, scanner.rig.speckle_volume)
-        if scanner.rig.speckle_unevenness:
-            contrast = uneven(
-                contrast,
-                scanner.rig.speckle_unevenness,
-                patch_px=_in_picture_px(scanner.rig, PATCH_M),
-                seed=seed,
-            )
         stack = speckled(
             stack, draw_speckle(contrast, scanner.sensor, seed=seed, side=_side(scanner))
         )
@@ -233,8 +225,6 @@ def measure(scanner: Scanner, capture: Capture) -> tuple[CodeMap, DepthMap]:
     depth = with_faults(
         filter_depth(depth, scanner.filters, rig),
         scanner.faults,
-        rig.camera,
-        step_angle_deg=scanner.filters.step_angle_deg,
         light_contrast=light_contrast,
     )
     return codes, with_bends(depth)

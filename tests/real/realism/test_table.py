@@ -51,7 +51,7 @@ def test_a_record_survives_its_file(tmp_path, record):
 
 def test_a_record_of_another_version_or_form_is_refused(tmp_path, record):
     path = tmp_path / "realism.json"
-    path.write_text(record.model_dump_json().replace('"format_version":3', '"format_version":9'))
+    path.write_text(record.model_dump_json().replace('"format_version":4', '"format_version":9'))
     with pytest.raises(DatasetError, match="format_version 9"):
         read_record(path)
     path.write_text('{"format_version": 1}')

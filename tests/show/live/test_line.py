@@ -151,7 +151,7 @@ def test_parts_fall_again_for_what_moves_them_and_for_nothing_else(tmp_path, sec
         {"exposure": {"target": 0.3, "factors": [1.0, 0.25]}},
         {"sensor": {"read_noise_e": 12.0, "bit_depth": 10}},
         {"decode": {"min_contrast": 0.1}, "filters": {"island_px": 20, "smoothing_px": 0.5}},
-        {"faults": {"raster_px": 0.3, "edge_x_px": 0.2}},
+        {"faults": {"raster_px": 0.3, "raster_limit_m": 0.0005}},
     ],
 )
 def test_a_free_change_is_measured_again_without_rendering(watched, sections):

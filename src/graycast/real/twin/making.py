@@ -116,27 +116,21 @@ def make_twin(
         lit += light(aside, (fit.scanner.code,))
     after = list(scans_of(lit, fit.scanner, fit.values, seed=other, name="twin"))
     perfect = [one.truth for one in lit]
+    sets = {"before": (own, before, ()), "after": (own, after, perfect[own])}
+    if kept:
+        sets["kept aside"] = (aside, after, perfect[aside])
     classified = {}
-    for name, made_by, made, chosen in (
-        ("before", "as configured", before, own),
-        ("after", "twin", after, own),
-        ("kept aside", "twin", after, aside),
-    ):
-        if real[chosen]:
-            progress.stage(f"classifying the scans, {name}")
-            classified[name] = two_sample_test(
-                real[chosen],
-                made[chosen],
-                perfect=() if name == "before" else perfect[chosen],
-                names=("real", made_by),
-                seed=seed,
-            )
-    return Twin(
-        fit=fit,
-        scans=fitted,
-        shown=(real[0], before[0], after[0]),
-        classified=classified,
-    )
+    for name, (chosen, made, truth) in sets.items():
+        progress.stage(f"classifying the scans, {name}")
+        classified[name] = two_sample_test(
+            real[chosen],
+            made[chosen],
+            perfect=truth,
+            names=("real", "as configured" if name == "before" else "twin"),
+            seed=seed,
+        )
+    shown = real[0], before[0], after[0]
+    return Twin(fit=fit, scans=fitted, shown=shown, classified=classified)
 
 
 def check_scans(real: Sequence[DepthScan], cell: Cell, *, kept: int = 0) -> None:

@@ -30,7 +30,8 @@ class Parameter:
     """One number of a scanner, and where it may lie.
 
     `key` is the rig file's, with dots; a number in brackets is an item of a list. `off_below` is
-    the value under which a filter or fault is switched off.
+    the value under which a filter or fault is switched off, and `off_above` the one over which a
+    limit is lifted.
     """
 
     key: str
@@ -38,6 +39,7 @@ class Parameter:
     high: float
     walk: Literal["linear", "log"] = "linear"
     off_below: float | None = None
+    off_above: float | None = None
 
     def value(self, share: float) -> float:
         """The value at a share, 0 to 1, of the way from low to high."""
@@ -68,6 +70,7 @@ PARAMETERS: tuple[Parameter, ...] = (
     Parameter(key="decode.min_sigmas", low=3.0, high=150.0, walk="log"),
     Parameter(key="filters.smoothing_px", low=0.0, high=0.7, off_below=0.25),
     Parameter(key="faults.raster_px", low=0.0, high=0.6, off_below=0.02),
+    Parameter(key="faults.raster_limit_m", low=5e-5, high=2e-3, walk="log", off_above=1e-3),
     Parameter(key=BIN_COLOR, low=0.1, high=3.0, walk="log"),
     Parameter(key=BIN_GLOSS, low=0.25, high=2.0, walk="log"),
     Parameter(key=BIN_ROUGHNESS, low=-ROUGHER, high=ROUGHER),
@@ -92,6 +95,8 @@ def with_values(
             value: Any = values[parameter.key]
             if parameter.off_below is not None and value < parameter.off_below:
                 value = None
+            elif parameter.off_above is not None and value > parameter.off_above:
+                value = None
             if parameter.key == FULL_WELL:
                 gain = scanner.sensor.gain_dn_per_e * scanner.sensor.full_well_e / value
                 scanner = _replaced(scanner, ["sensor", "gain_dn_per_e"], float(f"{gain:.4g}"))
@@ -110,7 +115,7 @@ def value_of(scanner: Scanner, parameter: Parameter) -> float:
         else:
             found = getattr(found, name)
         if found is None:
-            return parameter.low
+            return parameter.low if parameter.off_above is None else parameter.high
     return float(found)
 
 

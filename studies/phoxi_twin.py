@@ -74,7 +74,7 @@ FAMILIES = {
 def scanner() -> Scanner:
     """The PhoXi's twin: its geometry as measured, all else as the preset has it but one filter.
 
-    The scans have points up to the edges; which of them are lost, `faults.edge_*` says.
+    The scans have points up to the edges, so the filter that takes them off is not used.
     """
     known = preset("phoxi-m", "small")
     toe_in_rad = np.radians(TOE_IN_DEG)

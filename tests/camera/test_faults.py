@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from graycast.camera.decode import DepthMap, FilterSpec, Reason
-from graycast.camera.faults import FaultSpec, on_raster, with_faults
+from graycast.camera.faults import FaultSpec, line_amplitude, on_raster, with_faults
 from graycast.camera.stack import decode_stack
 
 F_PX, SHAPE = 500.0, (300, 320)
@@ -63,6 +63,27 @@ def test_the_raster_is_white_and_the_same_in_every_shot():
     share = ((once.depth_m - z_m) / once.sigma_m)[1:-1, 1:-1]
     for a, b in ((share[1:], share[:-1]), (share[:, 1:], share[:, :-1])):
         assert abs((a * b).mean()) < 4 / math.sqrt(share.size)
+
+
+def test_errors_of_a_line_are_alike_in_size():
+    """Oracle: the log-normal law, whose logarithm is a Gaussian convolved with white noise."""
+    factor = line_amplitude((400, 420), 0.5)
+    assert (factor**2).mean() == pytest.approx(1, rel=0.03)
+    log = np.log(factor)
+    log -= log.mean()
+    assert log.std() == pytest.approx(0.5, rel=0.02)
+    for r in (1, 2, 3):
+        along = (log[r:] * log[:-r]).mean() / 0.25
+        assert along == pytest.approx(math.exp(-r * r / 4), abs=0.03)
+        assert abs((log[:, r:] * log[:, :-r]).mean() / 0.25) < 0.03
+    z_m = tilted(50, 0)
+    placed = on_raster(depth_map(z_m), 0.2, line_unevenness=0.5)
+    share = ((placed.depth_m - z_m) / placed.sigma_m)[1:-1, 1:-1]
+    assert share.std() == pytest.approx(1, rel=0.03)  # what sigma tells
+    size = np.abs(share) - np.abs(share).mean()
+    lines, columns = (size[1:] * size[:-1]).mean(), (size[:, 1:] * size[:, :-1]).mean()
+    assert lines > 5 * abs(columns)
+    assert abs((share[1:] * share[:-1]).mean()) < 0.02  # their signs are not
 
 
 def test_where_light_is_even_a_place_is_nearer_to_the_middle():

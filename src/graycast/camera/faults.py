@@ -10,9 +10,10 @@ The positions are fixed, because they belong to the raster and not to a shot.
 A real picture has its device's faults already, so `scanner.measure`, which measures simulated
 pictures, is the only function that adds them.
 
-Leaves out: places that neighbouring pixels have in common, as the means over windows that overlap
-have; light that changes from shot to shot, as speckle does. In the five scans, about half of this
-noise is another one in every scan.
+Leaves out: lines of a projector that lies above or below the camera, which are rows; places that
+neighbouring pixels have in common, as the means over windows that overlap have; light that changes
+from shot to shot, as speckle does. In the five scans, about half of this noise is another one in
+every scan.
 """
 
 import math
@@ -22,6 +23,7 @@ from typing import Annotated
 import numpy as np
 from jaxtyping import Float
 from pydantic import Field
+from scipy import ndimage
 
 from ..base.settings import check_fields
 from .decode import DepthMap
@@ -29,6 +31,7 @@ from .decode import DepthMap
 # as a share of its depth, that a surface may rise from one pixel to the next but one
 STEEPEST = 0.02
 _SEED = 15  # of the raster; any number would do
+_SMOOTHED = (4 * math.pi) ** -0.25  # what a Gaussian of one pixel leaves of white noise, one sigma
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -56,6 +59,16 @@ class FaultSpec:
             "however steep a surface is.",
         ),
     ] = None
+    raster_line_unevenness: Annotated[
+        float | None,
+        Field(
+            ge=0,
+            le=1,
+            description="The value of raster_px differs from column to column and hardly between "
+            "adjacent pixels of one column. This is the standard deviation of its natural "
+            "logarithm.",
+        ),
+    ] = None
 
     def __post_init__(self) -> None:
         check_fields(self)
@@ -79,8 +92,13 @@ def with_faults(
     """
     if not spec.raster_px:
         return depth
-    limit_m = spec.raster_limit_m or math.inf
-    return on_raster(depth, spec.raster_px, limit_m=limit_m, light_contrast=light_contrast)
+    return on_raster(
+        depth,
+        spec.raster_px,
+        limit_m=spec.raster_limit_m or math.inf,
+        line_unevenness=spec.raster_line_unevenness or 0.0,
+        light_contrast=light_contrast,
+    )
 
 
 def on_raster(
@@ -88,6 +106,7 @@ def on_raster(
     raster_px: float,
     *,
     limit_m: float = math.inf,
+    line_unevenness: float = 0.0,
     light_contrast: Float[np.ndarray, "h w"] | float = 1.0,
 ) -> DepthMap:
     """The depth at a point `raster_px` (one sigma along each axis) from the pixel's centre.
@@ -99,10 +118,14 @@ def on_raster(
     `raster_px s`, but `1 / sqrt(1 / (raster_px s)^2 + 1 / limit_m^2)`. So it is unchanged on gentle
     slopes and ends at `limit_m` on the steepest.
 
+    With a `line_unevenness` above 0, `raster_px` differs from pixel to pixel, but hardly between
+    the pixels of a column that touch (`line_amplitude`).
+
     The surface is the plane, in inverse depth, through both neighbours of a pixel along each axis;
     beside steps and holes it is flat. `sigma_m` holds what the place does to the depth.
     """
-    right, down = raster_px * places(depth.depth_m.shape)
+    shape = depth.depth_m.shape
+    right, down = raster_px * line_amplitude(shape, line_unevenness) * places(shape)
     inverse = 1 / depth.depth_m.astype(np.float64)
     along, across = _slope(inverse, 1), _slope(inverse, 0)
     spread_m = raster_px * np.hypot(along, across) / inverse**2
@@ -121,6 +144,18 @@ def places(shape: tuple[int, ...]) -> Float[np.ndarray, "2 h w"]:
     They are independent and even over a square.
     """
     return np.sqrt(3) * np.random.default_rng(_SEED).uniform(-1, 1, (2, *shape))
+
+
+def line_amplitude(shape: tuple[int, ...], unevenness: float) -> Float[np.ndarray, "h w"]:
+    """A factor of each pixel's place, by a log-normal law whose mean square is 1.
+
+    Its logarithm has the standard deviation `unevenness`. It is independent between columns; along
+    a column, two pixels at a distance r have the correlation `exp(-r^2 / 4)`. In five real scans,
+    the sizes of errors are alike in this way: what makes them lies along the projector's lines.
+    """
+    field = np.random.default_rng(_SEED + 1).standard_normal(shape)
+    field = ndimage.gaussian_filter1d(field, 1.0, axis=0, mode="wrap")
+    return np.exp(unevenness * field / _SMOOTHED - unevenness**2)
 
 
 def _slope(inverse: Float[np.ndarray, "h w"], axis: int) -> Float[np.ndarray, "h w"]:

@@ -71,6 +71,7 @@ PARAMETERS: tuple[Parameter, ...] = (
     Parameter(key="filters.smoothing_px", low=0.0, high=0.7, off_below=0.25),
     Parameter(key="faults.raster_px", low=0.0, high=0.6, off_below=0.02),
     Parameter(key="faults.raster_limit_m", low=5e-5, high=2e-3, walk="log", off_above=1e-3),
+    Parameter(key="faults.raster_line_unevenness", low=0.0, high=0.8, off_below=0.01),
     Parameter(key=BIN_COLOR, low=0.1, high=3.0, walk="log"),
     Parameter(key=BIN_GLOSS, low=0.25, high=2.0, walk="log"),
     Parameter(key=BIN_ROUGHNESS, low=-ROUGHER, high=ROUGHER),

@@ -42,6 +42,7 @@ KNOBS = (
     "line_noise",
     "filters.smoothing_px",
     "faults.raster_px",
+    "faults.raster_line_unevenness",
 )
 
 

@@ -2,12 +2,13 @@
 
 Light is rendered once for each code, so a trial is exposure, noise, decoding, filters and faults
 alone. The noise is the same in every trial, so that the same search takes the same way. A code is
-no number, so each candidate has a search of its own: it begins at the best of some starts and goes
-on by the steps of a least-squares solver, which end when the code's share of the trials is spent.
-The best code has another share.
+no number, so each candidate has a search of its own: it begins at the best of some places and goes
+on by damped Gauss-Newton steps, as the loss is a sum of squares, until the code's share of the
+trials is spent. The best code gets the trials that are left.
 
-Source: M. A. Branch, T. F. Coleman, Y. Li, "A subspace, interior, and conjugate gradient method for
-large-scale bound-constrained minimization problems", 1999 (`scipy.optimize.least_squares`, trf).
+Sources: K. Levenberg, "A method for the solution of certain non-linear problems in least squares",
+1944 (damping); C. G. Broyden, "A class of methods for solving nonlinear simultaneous equations",
+1965 (slopes that each step corrects).
 """
 
 from collections.abc import Iterator, Sequence
@@ -15,7 +16,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Float
-from scipy.optimize import least_squares
 from scipy.stats import qmc
 
 from ...base.progress import UNWATCHED, ProgressMeter
@@ -37,7 +37,10 @@ from .stage import BinLook, LitScene, scan_lit
 
 _DARK_LOSS = 1e3  # of a scanner that sees nothing
 _LEVER = 0.1  # over which slopes are taken, as a share of a range: over less they are mostly noise
-_STARTS = 32  # places of a first look that are spread over the ranges, beside the configured one
+_STARTS = 16  # places of a first look that are spread over the ranges, beside the configured one
+# Of the steps: the first damping [spreads^2 per range^2], how many may fail before slopes are taken
+# anew, and the shortest way.
+_DAMPING, _MOST_FAILED, _LEAST_WAY = 10.0, 4, 1e-3
 _LEAST_PIXELS = 1000  # with depth, for a scan to be one
 
 
@@ -203,7 +206,7 @@ class _Trials:
         return tried[at][0], np.frombuffer(at)
 
     def pulls(self, code: CodeSpec, x: Float[np.ndarray, " n"]) -> Float[np.ndarray, " rows"]:
-        """What the solver makes small: by how much each row is off."""
+        """What the steps make small: by how much each row is off."""
         _, rows = self.judge(code, x)
         known = sum(bool(np.isfinite(value).any()) for value in self.real.value.values())
         return pulls_of(rows) if rows else np.full(known, np.sqrt(_DARK_LOSS))
@@ -218,16 +221,27 @@ class _Trials:
             columns.append((self.pulls(code, moved) - here) / lever)
         return np.stack(columns, axis=1)
 
-    def descend(self, code: CodeSpec, x0: Float[np.ndarray, " n"], trials: int) -> None:
-        """Steps of the solver from a place: each costs a trial, and one for each parameter."""
-        steps = trials // (len(x0) + 1)
-        if steps > 0:
-            least_squares(
-                lambda x: self.pulls(code, x),
-                x0,
-                jac=lambda x: self.slopes(code, x),
-                bounds=(0.0, 1.0),
-                max_nfev=steps,
-                ftol=1e-3,
-                xtol=1e-3,
-            )
+    def descend(self, code: CodeSpec, x: Float[np.ndarray, " n"], trials: int) -> None:
+        """Steps from a place, until so many trials are spent or no step leads on.
+
+        Slopes cost a trial for each parameter, so what a step finds corrects them. Where some steps
+        after one another lead nowhere, slopes are taken anew.
+        """
+        last = self.done + trials
+        while self.done + len(x) < last:
+            begin, here, slopes = x, self.pulls(code, x), self.slopes(code, x)
+            damping, failed = _DAMPING, 0
+            while failed < _MOST_FAILED and self.done < last:
+                normal = slopes.T @ slopes + damping * np.eye(len(x))
+                moved = np.clip(x - np.linalg.solve(normal, slopes.T @ here), 0.0, 1.0)
+                way = moved - x
+                if np.linalg.norm(way) < _LEAST_WAY:
+                    break
+                found = self.pulls(code, moved)
+                slopes += np.outer(found - here - slopes @ way, way) / (way @ way)
+                if (found**2).sum() < (here**2).sum():
+                    x, here, damping, failed = moved, found, damping / 3, 0
+                else:
+                    damping, failed = 4 * damping, failed + 1
+            if x is begin:
+                return

@@ -39,6 +39,7 @@ OFF = 0.0  # the value with which each of these is off
 KNOBS = (
     "projector.falloff",
     "speckle_contrast",
+    "speckle_unevenness",
     "line_noise",
     "filters.smoothing_px",
     "faults.raster_px",

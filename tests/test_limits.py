@@ -29,7 +29,7 @@ LONG_FILES = {
     "real/fit_bin/registration.py": 408,
     "real/twin/restaging.py": 455,
     "render/mitsuba_paths.py": 402,
-    "rig/pair.py": 439,
+    "rig/pair.py": 449,
 }
 LONG_FUNCTIONS = {
     "real/calibrate/calibration.py calibrate_rig": 90,

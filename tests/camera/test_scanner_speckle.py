@@ -67,6 +67,34 @@ def test_sigma_tells_the_error_on_black_and_on_white(scanner, light, reflectance
     assert 0.9 < np.sqrt(np.nanmean(error_m**2)) / stated_m < 1.1
 
 
+def test_uneven_finish_makes_tails_and_no_more_noise(scanner, light, monkeypatch):
+    """Noise whose amplitude has a log-normal law has the kurtosis `3 exp(4 u^2)`, and the power
+    that it had before, which sigma tells; the photons' noise beside it is even.
+    """
+    n, u = 8, 0.3
+    monkeypatch.setattr(scanner_module, "PATCH_M", 0.002)  # many patches: their law is met closely
+    # A deep well, whose photons make little noise.
+    deep = replace(scanner.sensor, full_well_e=1e6, gain_dn_per_e=0.06, bit_depth=16)
+    weak = {"speckle_contrast": 0.25}  # a pixel has so little that a dark one is not moved farther
+    power_m2, kurtosis = {}, {}
+    for name, changed in (
+        ("lamp", {"speckle_contrast": 0.0}),
+        ("even", weak),
+        ("uneven", weak | {"speckle_unevenness": u}),
+    ):
+        own = replace(scanner, sensor=deep, rig=replace(scanner.rig, **changed))
+        error_m, _ = errors(own, light[0.03], seeds=range(n))
+        noise_m = error_m - np.nanmean(error_m, axis=0)  # the staircase is no noise
+        power_m2[name] = np.nanmean(noise_m**2)
+        kurtosis[name] = np.nanmean(noise_m**4) / np.nanmean(noise_m**2) ** 2
+    share = 1 - power_m2["lamp"] / power_m2["even"]
+    kept = ((n - 1) ** 3 + 1) / (n**2 * (n - 1))  # of a fourth cumulant, less the mean of n
+    assert share > 0.8
+    assert power_m2["uneven"] / power_m2["even"] == pytest.approx(1, abs=0.03)
+    more = (kurtosis["uneven"] - kurtosis["even"]) / kept
+    assert more == pytest.approx(3 * share**2 * (np.exp(4 * u**2) - 1), rel=0.15)
+
+
 def test_black_is_noisier_than_white_by_speckle_alone(scanner, light):
     """Without speckle an exposure that suits either gives both the same noise."""
     laser = {r: np.nanstd(errors(scanner, light[r])[0]) for r in light}

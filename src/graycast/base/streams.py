@@ -23,6 +23,7 @@ class CaptureStream(IntEnum):
     FIXED_PATTERN = 1
     SPECKLE = 2
     LINES = 3
+    FINISH = 4
 
 
 def stream(seed: int, *key: int) -> np.random.Generator:

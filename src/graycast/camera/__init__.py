@@ -2,6 +2,7 @@
 
 Each imports only from those above it:
 
+    finish      noise whose amplitude differs between patches of a surface
     light       from rendered radiance to the light on the sensor
     sensor      noise, saturation, quantisation: Radiance -> Capture
     speckle     laser speckle, and its effect on decoded positions

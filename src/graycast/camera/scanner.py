@@ -33,6 +33,7 @@ from .decode import (
 )
 from .decode.plan import plan_axes
 from .faults import FaultSpec, with_faults
+from .finish import PATCH_M, uneven
 from .light import camera_light
 from .line_noise import lines_seen, place_sigma_px, with_line_noise
 from .sensor import Capture, SensorSpec, auto_exposure_s, expose, merge_exposures
@@ -128,6 +129,13 @@ def take(scanner: Scanner, radiance: Radiance, *, seed: int) -> Capture:
     if scanner.rig.speckle_contrast:
         reflectance = radiance.albedo @ np.array(scanner.rig.band_weights, dtype=np.float32)
         contrast = _of_black(scanner) * material_contrast(reflectance, scanner.rig.speckle_volume)
+        if scanner.rig.speckle_unevenness:
+            contrast = uneven(
+                contrast,
+                scanner.rig.speckle_unevenness,
+                patch_px=_in_picture_px(scanner.rig, PATCH_M),
+                seed=seed,
+            )
         stack = speckled(
             stack, draw_speckle(contrast, scanner.sensor, seed=seed, side=_side(scanner))
         )

@@ -50,7 +50,8 @@ class Rig:
     lens spreads far over the image. `speckle_contrast` is standard deviation over mean of the
     light at a point of the sensor, of a black rough surface in the projector's light: 0 of LEDs, up
     to 1 of a laser, 0.71 where the surface depolarises it. `speckle_volume` says how much less
-    a material has that scatters light inside (see `speckle.material_contrast`). `line_noise` is
+    a material has that scatters light inside (see `speckle.material_contrast`), and
+    `speckle_unevenness` how much the contrast differs between patches of a surface. `line_noise` is
     one standard deviation, as a share, of each projected line's light in each picture; errors of
     one line have a correlation of 1/e at `line_noise_length_m`.
 
@@ -129,6 +130,15 @@ class Rig:
             ge=0,
             description="Reduction of the speckle contrast by scattering inside a "
             "white surface; 0 is no reduction.",
+        ),
+    ] = 0.0
+    speckle_unevenness: Annotated[
+        float,
+        Field(
+            ge=0,
+            le=1,
+            description="Standard deviation of the natural logarithm of the speckle contrast "
+            "between patches of a surface.",
         ),
     ] = 0.0
     line_noise: Annotated[

@@ -66,6 +66,7 @@ PARAMETERS: tuple[Parameter, ...] = (
     Parameter(key="projector.falloff", low=0.0, high=0.9, off_below=0.01),
     Parameter(key="speckle_contrast", low=0.0, high=1.0),
     Parameter(key="speckle_volume", low=0.2, high=50.0, walk="log"),
+    Parameter(key="speckle_unevenness", low=0.0, high=0.8),
     Parameter(key="line_noise", low=0.0, high=0.05),
     Parameter(key="decode.min_sigmas", low=3.0, high=150.0, walk="log"),
     Parameter(key="filters.smoothing_px", low=0.0, high=0.7, off_below=0.25),

@@ -73,7 +73,7 @@ def test_depth_that_is_missing_on_a_side_of_the_bin_is_counted_there():
     side, seen = np.zeros(z_m.shape, dtype=bool), np.ones(z_m.shape, dtype=bool)
     side[:, :50], seen[:120] = True, False
     z_m[60:150, :50] = np.nan
-    told = figures_of([scan(z_m)], None, {"left": side, "seen": seen}).value
+    told = figures_of([scan(z_m)], None, {"left": side, "visible": seen}).value
     assert told["missing on the bin's left side"][0] == pytest.approx(100 * 90 / 240)
     assert told["missing where a real scan has depth"][0] == pytest.approx(100 * 30 * 50 / 38400)
     assert np.isnan(told["missing on the bin's upper side"][0])

@@ -89,8 +89,8 @@ def test_sides_are_told_by_where_they_lie_and_what_no_scan_has_seen_is_left_out(
     seen = depth_m.copy()
     seen[:, :40] = np.nan
     sides = missing_places([lit], [scan(seen), scan(np.where(np.eye(240, 320) > 0, np.nan, seen))])
-    assert np.array_equal(sides.pop("seen"), ~np.isnan(seen))
-    assert np.array_equal(sides.pop("unseen"), np.isnan(seen) & is_bin)
+    assert np.array_equal(sides.pop("visible"), ~np.isnan(seen))
+    assert np.array_equal(sides.pop("blind"), np.isnan(seen) & is_bin)
     y, x = np.mgrid[-119.5:120, -159.5:160]
     far, inner = np.maximum(np.abs(x), np.abs(y)) > 62, np.abs(np.abs(x) - np.abs(y)) > 2
     far[:4] = False  # no bin
@@ -105,5 +105,5 @@ def test_a_floor_has_no_sides():
     truth = DepthScan(name="t", depth_m=plane(), K=K)
     lit = LitScene(radiance={}, is_bin=np.ones(truth.depth_m.shape, dtype=bool), truth=truth)
     places = missing_places([lit], [scan(plane())])
-    assert places.pop("seen").all()
+    assert places.pop("visible").all()
     assert not any(side.any() for side in places.values())

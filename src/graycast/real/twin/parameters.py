@@ -110,15 +110,15 @@ def value_of(scanner: Scanner, parameter: Parameter) -> float:
     """The scanner's own value; the bound at which it is off, where it is off or not there."""
     if parameter.key in OF_BIN:
         return 0.0 if parameter.key == BIN_ROUGHNESS else 1.0
-    found: Any = scanner
+    value: Any = scanner
     for name in _path(parameter.key):
         if isinstance(name, int):
-            found = found[name] if name < len(found) else None
+            value = value[name] if name < len(value) else None
         else:
-            found = getattr(found, name)
-        if found is None:
+            value = getattr(value, name)
+        if value is None:
             return parameter.low if parameter.off_above is None else parameter.high
-    return float(found)
+    return float(value)
 
 
 def shares_of(scanner: Scanner, parameters: Sequence[Parameter]) -> Float[np.ndarray, " n"]:

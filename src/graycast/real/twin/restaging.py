@@ -145,8 +145,8 @@ def surfaces(depth_m: Float[np.ndarray, "h w"], solid: Bool[np.ndarray, "h w"]) 
     margin = max(radius for radius, _, _ in _ROUNDS)
     inside = np.pad(solid, margin)
     value = np.pad(1 / np.where(solid, depth_m, 1.0), margin)
-    found = np.zeros((len(y), 6))
-    found[:, 0] = 1 / z_m
+    fitted = np.zeros((len(y), 6))
+    fitted[:, 0] = 1 / z_m
     for radius, terms, near_m in _ROUNDS:
         A, b = np.zeros((len(y), terms, terms)), np.zeros((len(y), terms))
         A[:, range(1, terms), range(1, terms)] = _RIDGE
@@ -154,17 +154,17 @@ def surfaces(depth_m: Float[np.ndarray, "h w"], solid: Bool[np.ndarray, "h w"]) 
             for dx in range(-radius, radius + 1):
                 basis = np.array([1, dx, dy, dx * dx, dx * dy, dy * dy], dtype=np.float64)
                 at = y + margin + dy, x + margin + dx
-                off_m = (value[at] - found @ basis) * z_m**2
+                off_m = (value[at] - fitted @ basis) * z_m**2
                 weight = inside[at] * np.exp(-np.minimum((off_m / near_m) ** 2, 50.0))
                 weight *= np.exp(-(dx * dx + dy * dy) / 2 * (_WIDTHS / radius) ** 2)
                 A += weight[:, None, None] * np.outer(basis[:terms], basis[:terms])
                 b += (weight * value[at])[:, None] * basis[:terms]
         lonely = A[:, 0, 0] < 1e-9  # the round before lies near to none: it stays
         A[lonely] = np.eye(terms)
-        b[lonely] = found[lonely, :terms]
-        found[:, :terms] = np.linalg.solve(A, b[..., None])[..., 0]
+        b[lonely] = fitted[lonely, :terms]
+        fitted[:, :terms] = np.linalg.solve(A, b[..., None])[..., 0]
     planes = np.full((*solid.shape, 3), np.nan)
-    planes[y, x] = found[:, :3]
+    planes[y, x] = fitted[:, :3]
     return planes
 
 
@@ -190,9 +190,9 @@ def solid_of(
     moved = _outwards(vertex, covered, len(place))
     deeper = inverse_m + (slope * moved).sum(axis=1)
     with np.errstate(divide="ignore", invalid="ignore"):
-        held = (deeper > 0) & (np.abs(1 / deeper - 1 / inverse_m) < _STEP_M)
-    pixel = place + np.where(held[:, None], moved, 0.0)
-    z_m = 1 / np.where(held, deeper, inverse_m)
+        joined = (deeper > 0) & (np.abs(1 / deeper - 1 / inverse_m) < _STEP_M)
+    pixel = place + np.where(joined[:, None], moved, 0.0)
+    z_m = 1 / np.where(joined, deeper, inverse_m)
     ray = rays(camera, pixel)
     faces = _rectangles(vertex, np.isfinite(planes[..., 0]))
     low_m = np.maximum(_at(bin_m, pixel), z_m) + _UNDER_M

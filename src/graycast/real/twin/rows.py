@@ -27,7 +27,7 @@ _LEAST_SPREAD = 0.05  # as a share of the mean: three scans do not tell a spread
 _LEAST_KNOWN = 0.7  # of a square's differences
 _LEAST_SQUARES, _LEAST_TILES, _LEAST_ON_FLOOR = 5, 20, 500  # of fewer, scans differ by chance
 _SMOOTH_M = 5e-4  # a square whose differences scatter more is no smooth surface
-PLACES = ("seen", "left", "right", "upper", "lower", "unseen")
+PLACES = ("visible", "left", "right", "upper", "lower", "blind")
 _UNKNOWN_Z = 5.0  # how far off a row is that the twin's scans cannot tell
 _FAR_Z = 3.0  # what is farther off counts by its logarithm
 
@@ -151,7 +151,7 @@ def _one(
 ) -> dict[str, float]:
     valid = scan.valid
     gaps, fine = count_missing(scan), measure_fine(scan)
-    at = [places.get(name, np.full(valid.shape, name == "seen")) for name in PLACES]
+    at = [places.get(name, np.full(valid.shape, name == "visible")) for name in PLACES]
     missing = [float((~valid[one]).mean()) if one.any() else np.nan for one in at]
     values = [100 * v for v in (*missing, _missing_among(valid, valid))]
     for sizes in (gaps.hole_sizes_px, gaps.speck_sizes_px):

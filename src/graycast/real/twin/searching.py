@@ -237,10 +237,10 @@ class _Trials:
                 way = moved - x
                 if np.linalg.norm(way) < _LEAST_WAY:
                     break
-                found = self.pulls(code, moved)
-                slopes += np.outer(found - here - slopes @ way, way) / (way @ way)
-                if (found**2).sum() < (here**2).sum():
-                    x, here, damping, failed = moved, found, damping / 3, 0
+                there = self.pulls(code, moved)
+                slopes += np.outer(there - here - slopes @ way, way) / (way @ way)
+                if (there**2).sum() < (here**2).sum():
+                    x, here, damping, failed = moved, there, damping / 3, 0
                 else:
                     damping, failed = 4 * damping, failed + 1
             if x is begin:

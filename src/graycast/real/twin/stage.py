@@ -74,7 +74,7 @@ def light_scenes(
     lit = []
     for number, (scene, name) in enumerate(zip(scenes, names, strict=True)):
         progress.stage(f"{name}: {renderer.name} renders {int(ends[-1])} patterns")
-        found = [
+        renderings = [
             renderer.render(
                 one,
                 layout_of(scene),
@@ -91,9 +91,9 @@ def light_scenes(
                 )
                 for code, own, end in zip(codes, stack, ends, strict=True)
             }
-            for one in found
+            for one in renderings
         ]
-        truth = found[0].truth
+        truth = renderings[0].truth
         lit.append(
             LitScene(
                 radiance=split[0],
@@ -139,14 +139,14 @@ def missing_places(
 ) -> dict[str, Bool[np.ndarray, "h w"]]:
     """Where missing depth is counted: in all that real scans see, and on the bin's steep sides.
 
-    `seen` has the pixels at which one of the real scans has depth, and `unseen` those of the bin at
-    which none has any: the light does not reach them or is too weak there. The sides are what is
-    seen of them, because a bin differs from its model, and its rim may hide a wall. They are named
-    by where in the picture they lie. They are told from the farthest depth that any of the scenes
-    has at a pixel, so that parts hide little. All scenes must have the same camera and the same
-    bin.
+    `visible` has the pixels at which one of the real scans has depth, and `blind` those of the bin
+    at which none has any: the light does not reach them or is too weak there. Of the sides only the
+    visible part counts, because a bin differs from its model, and its rim may hide a wall. They are
+    named by where in the picture they lie. What is steep follows from the farthest depth that any
+    of the scenes has at a pixel, so that parts hide little. All scenes must have the same camera
+    and the same bin.
     """
-    seen = np.any([scan.valid for scan in real], axis=0)
+    visible = np.any([scan.valid for scan in real], axis=0)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", RuntimeWarning)  # a pixel that no scene shows the bin at
         far_m = np.nanmax([np.where(one.is_bin, one.truth.depth_m, np.nan) for one in lit], axis=0)
@@ -154,15 +154,15 @@ def missing_places(
     down, right = np.gradient(far_m)
     across, along = right * K[0, 0] / far_m, down * K[1, 1] / far_m
     with np.errstate(invalid="ignore"):  # NaN is not >
-        steep = (np.hypot(across, along) > _STEEP) & (np.hypot(across, along) < _STEP) & seen
+        steep = (np.hypot(across, along) > _STEEP) & (np.hypot(across, along) < _STEP) & visible
         sideways = np.abs(across) > np.abs(along)
         return {
-            "seen": seen,
+            "visible": visible,
             "left": steep & sideways & (across > 0),
             "right": steep & sideways & (across < 0),
             "upper": steep & ~sideways & (along > 0),
             "lower": steep & ~sideways & (along < 0),
-            "unseen": ~seen & np.any([one.is_bin for one in lit], axis=0),
+            "blind": ~visible & np.any([one.is_bin for one in lit], axis=0),
         }
 
 
@@ -181,7 +181,7 @@ def scan_lit(
     radiance = lit.radiance[scanner.code]
     if look != BinLook():
         coats = {more: light[scanner.code] for more, light in lit.coats.items()}
-        seen = {
+        light = {
             name: _with_look(
                 getattr(radiance, name),
                 {more: getattr(light, name) for more, light in coats.items()},
@@ -192,9 +192,9 @@ def scan_lit(
         }
         radiance = replace(
             radiance,
-            pattern=seen["pattern"],
-            white=seen["white"],
-            ambient=seen["ambient"],
+            pattern=light["pattern"],
+            white=light["white"],
+            ambient=light["ambient"],
             albedo=np.where(
                 lit.is_bin[..., None], np.float32(look.color) * radiance.albedo, radiance.albedo
             ),

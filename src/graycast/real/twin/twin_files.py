@@ -148,10 +148,10 @@ def _rows(before: Sequence[Row], after: Sequence[Row]) -> list[str]:
     for row in after:
         was = f"{old[row.name].twin:.3g}" if row.name in old else "-"
         unit = f" [{row.unit}]" if row.unit else ""
-        told = "yes" if row.is_met else f"no, {row.off:+.1f} spreads"
+        verdict = "yes" if row.is_met else f"no, {row.off:+.1f} spreads"
         lines.append(
             f"| {row.name}{unit} | {row.real:.3g} | {row.spread:.2g} | {was} | {row.twin:.3g} | "
-            f"{told} |"
+            f"{verdict} |"
         )
     return lines
 

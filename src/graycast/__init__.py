@@ -145,4 +145,4 @@ def _room(name: str) -> object:
 
 
 def __dir__() -> list[str]:
-    return sorted({*globals(), *_MODULE})
+    return sorted({*(name for name in globals() if name.startswith("__")), *_MODULE})

@@ -27,6 +27,7 @@ from ..dataset import (
     differing_files,
     open_store,
     refuse_other_dataset,
+    scene_files,
 )
 from ..dataset.claim import BESIDE_CONFIG, Taker
 from ..dataset.records import Claim
@@ -132,7 +133,8 @@ def save_scene(cell: Cell, shots: Shot | Sequence[Shot], out: Path) -> Path:
     Of a cell that takes several images of a scene, give all that `make_images` makes.
 
     The files are those that `generate` writes for the same cell, seed and number, which may go on
-    with the folder. Unlike `generate` it also takes a scene in which nothing was decoded.
+    with the folder. Unlike `generate` it also takes a scene in which nothing was decoded. If the
+    same scene is there already, it stays as it is.
 
     Returns:
         The scene's own folder.
@@ -140,8 +142,8 @@ def save_scene(cell: Cell, shots: Shot | Sequence[Shot], out: Path) -> Path:
     Raises:
         ValueError: the scene was made from another configuration than the cell's, or an image of
             it is missing.
-        DatasetError: the scene is there already; the folder is another dataset's or in use; the
-            disk refuses.
+        DatasetError: the scene is there already with other files; the folder is another dataset's
+            or in use; the disk refuses.
     """
     samples = [shot.sample for shot in ([shots] if isinstance(shots, Shot) else shots)]
     manifest = samples[0].manifest
@@ -163,14 +165,22 @@ def save_scene(cell: Cell, shots: Shot | Sequence[Shot], out: Path) -> Path:
         device=manifest["device"],
         depth_scale_mm=depth_step_mm(cell),
     )
+    scene = out / "train" / f"{scene_id:06d}"
     with open_store(out, **_claimed(task)) as store:
         try:
-            store.write(scene_id, samples)
+            if scene_id not in store.finished():
+                store.write(scene_id, samples)
+            elif differing := differing_files(scene, scene_files(samples, task.depth_scale_mm)):
+                name, how = next(iter(differing.items()))
+                raise DatasetError(
+                    f"{scene} exists already, and its {name} {how}: remove this folder, or save "
+                    "the scene to another dataset"
+                )
             store.finish(store.finished())
         except BaseException:
             store.tidy()
             raise
-    return out / "train" / f"{scene_id:06d}"
+    return scene
 
 
 def depth_step_mm(cell: Cell) -> float:

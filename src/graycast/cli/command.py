@@ -6,7 +6,9 @@ import select
 import signal
 import sys
 from collections.abc import Sequence
+from difflib import get_close_matches
 from functools import cache
+from typing import Any
 
 from .. import __version__
 from ..base.errors import GraycastError, told
@@ -27,11 +29,15 @@ from . import (
     merging,
     picking,
     rigs,
+    starting,
     twinning,
 )
 
+COMMAND = "COMMAND"
 EXAMPLES = """\
 examples:
+  graycast demo                                          make a small dataset and its picture
+  graycast new bracket --part bracket.stl --unit mm      write a cell for your own part
   graycast generate configs/demo.yaml --out out/demo     make three scenes of brackets in a box
   graycast preview configs/own_part.yaml --out p.png     draw one scene of your own part
   graycast live configs/demo.yaml                        show a cell in the browser
@@ -89,9 +95,25 @@ def _stop(number: int, frame: object) -> None:
     raise KeyboardInterrupt
 
 
+class _Parser(argparse.ArgumentParser):
+    """A parser whose error names the word that was probably meant, and not thirty others."""
+
+    def _check_value(self, action: argparse.Action, value: Any) -> None:
+        try:
+            super()._check_value(action, value)
+        except argparse.ArgumentError:
+            words = [str(choice) for choice in action.choices or ()]
+            near = get_close_matches(str(value), words, n=3)
+            if not near and action.metavar != COMMAND:
+                raise
+            help_for = f"{self.prog} --help lists all"
+            meant = f"did you mean {' or '.join(near)}?" if near else help_for
+            raise argparse.ArgumentError(action, f"{value!r} does not exist: {meant}") from None
+
+
 @cache  # a process that runs several commands, as the tests do, builds it once
 def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(
+    parser = _Parser(
         prog="graycast",
         description="Graycast simulates a structured-light camera and makes bin-picking "
         "datasets with it.",
@@ -100,7 +122,8 @@ def _parser() -> argparse.ArgumentParser:
     )
     parser.add_argument("--version", action="version", version=f"graycast {__version__}")
     parser.set_defaults(run=lambda _: parser.print_help(), debug=False, when_stopped="")
-    commands = parser.add_subparsers(metavar="COMMAND")
+    commands = parser.add_subparsers(metavar=COMMAND)
+    starting.add_commands(commands)
     generating.add_commands(commands)
     datasets.add_commands(commands)
     looking.add_commands(commands)

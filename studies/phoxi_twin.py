@@ -72,9 +72,10 @@ FAMILIES = {
 
 
 def scanner() -> Scanner:
-    """The PhoXi's twin: its geometry as measured, all else as the preset has it but one filter.
+    """The PhoXi's twin: its geometry as measured, all else as the preset has it but two filters.
 
-    The scans have points up to the edges, so the filter that takes them off is not used.
+    The scans have points up to the edges, and single ones, so the filters that take these off are
+    not used.
     """
     known = preset("phoxi-m", "small")
     toe_in_rad = np.radians(TOE_IN_DEG)
@@ -101,7 +102,8 @@ def scanner() -> Scanner:
         far_m=FAR_M,
         picture_level=0.0,
     )
-    return replace(known, rig=rig, filters=replace(known.filters, edge_px=None))
+    filters = replace(known.filters, edge_px=None, island_px=None)
+    return replace(known, rig=rig, filters=filters)
 
 
 def _lens(size_px: int, lit: tuple[float, float]) -> tuple[float, float]:

@@ -78,6 +78,28 @@ PARAMETERS: tuple[Parameter, ...] = (
     Parameter(key=BIN_ROUGHNESS, low=-ROUGHER, high=ROUGHER),
 )
 
+# What a search found of one laser scanner (a PhoXi) over one bin of plastic: a place to begin at
+# for scanners of that kind, whose noise is the surface's and hardly the light's (docs/twin.md).
+LASER_OVER_PLASTIC: Mapping[str, float] = {
+    "exposure.target": 0.9,
+    "exposure.factors[1]": 15.0,
+    FULL_WELL: 7.4e4,
+    "sensor.read_noise_e": 23.0,
+    "projector.falloff": 0.51,
+    "speckle_contrast": 0.36,
+    "speckle_volume": 3.6,
+    "speckle_unevenness": 0.66,
+    "line_noise": 0.005,
+    "decode.min_sigmas": 135.0,
+    "filters.smoothing_px": 0.0,
+    "faults.raster_px": 0.52,
+    "faults.raster_limit_m": 2.7e-4,
+    "faults.raster_line_unevenness": 0.31,
+    BIN_COLOR: 0.78,
+    BIN_GLOSS: 0.4,
+    BIN_ROUGHNESS: 0.14,
+}
+
 
 def candidate_codes(code: CodeSpec) -> tuple[CodeSpec, ...]:
     """The code that is configured, and finer ones: which one a scanner shows, no depth map says."""

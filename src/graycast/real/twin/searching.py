@@ -27,6 +27,7 @@ from .parameters import (
     BIN_COLOR,
     BIN_GLOSS,
     BIN_ROUGHNESS,
+    LASER_OVER_PLASTIC,
     Parameter,
     shares_of,
     values_at,
@@ -37,7 +38,7 @@ from .stage import BinLook, LitScene, scan_lit
 
 _DARK_LOSS = 1e3  # of a scanner that sees nothing
 _LEVER = 0.1  # over which slopes are taken, as a share of a range: over less they are mostly noise
-_STARTS = 16  # places of a first look that are spread over the ranges, beside the configured one
+_STARTS = 16  # places of the first look that are spread over the ranges
 # Of the steps: the first damping [spreads^2 per range^2], how many may fail before slopes are taken
 # anew, and the shortest way.
 _DAMPING, _MOST_FAILED, _LEAST_WAY = 10.0, 4, 1e-3
@@ -90,7 +91,8 @@ def search(
 ) -> Fit:
     """The best of about so many trials.
 
-    The places of the first look are those of a Sobol sequence over all ranges, and the start.
+    The places of the first look are the start, `LASER_OVER_PLASTIC`, and those of a Sobol sequence
+    over all ranges.
 
     Args:
         places: where missing depth is counted; those with which `real` was made.
@@ -98,10 +100,11 @@ def search(
     run = _Trials(start, lit, parameters, real, places, seed, trials, progress)
     x0 = shares_of(start, parameters)
     _, before = run.judge(start.code, x0)
+    laser = np.array([p.share(LASER_OVER_PLASTIC[p.key]) for p in parameters])
     spread = qmc.Sobol(len(x0), seed=np.random.default_rng(seed)).random(_STARTS)
     each = trials // (len(codes) + 1)  # of the trials
     for number, code in enumerate(codes, start=1):
-        first = min((x0, *spread), key=lambda x: run.judge(code, x)[0])
+        first = min((x0, laser, *spread), key=lambda x: run.judge(code, x)[0])
         run.descend(code, first, number * each - run.done)
     code = min(codes, key=lambda c: run.best(c)[0])
     run.descend(code, run.best(code)[1], trials - run.done)

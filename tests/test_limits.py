@@ -15,8 +15,8 @@ import pytest
 ROOT = Path(__file__).resolve().parents[1]
 SOURCE = ROOT / "src" / "graycast"
 
-MOST_LINES = 69_500  # of Python in src/graycast
-MOST_WORDS = 74_000  # in README.md and docs/*.md
+MOST_LINES = 69_100  # of Python in src/graycast
+MOST_WORDS = 70_000  # in README.md and docs/*.md
 FILE_LINES, FUNCTION_LINES, ARGUMENTS = 400, 80, 8
 
 # What is larger than that, with its size. A kernel of Numba has its arrays as arguments.

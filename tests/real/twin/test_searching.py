@@ -87,13 +87,14 @@ def test_the_same_seed_takes_the_same_way(stage):
 
 @pytest.mark.slow
 def test_two_hidden_numbers_are_found(stage):
+    """The first steps end in another valley, at a misfit of 0.57 and a read noise of 3."""
     real = hidden(stage, **{"sensor.read_noise_e": 30.0, "filters.smoothing_px": 0.5})
-    made = found(stage, real, trials=70)
+    made = found(stage, real, trials=300)
     assert made.values["sensor.read_noise_e"] == pytest.approx(30.0, rel=0.2)
     assert made.values["filters.smoothing_px"] == pytest.approx(0.5, abs=0.05)
-    assert made.loss < 0.5
-    for one in made.estimates:  # of its range, each is open by less than a fifth
-        assert one.low <= made.values[one.parameter.key] <= one.high
+    assert made.loss < 0.3
+    for one, value in zip(made.estimates, (30.0, 0.5), strict=True):
+        assert one.low <= value <= one.high
         assert one.parameter.share(one.high) - one.parameter.share(one.low) < 0.2
 
 

@@ -3,8 +3,9 @@
 Light is rendered once for each code, so a trial is exposure, noise, decoding, filters and faults
 alone. The noise is the same in every trial, so that the same search takes the same way. A code is
 no number, so each candidate has a search of its own: it begins at the best of some places and goes
-on by damped Gauss-Newton steps, as the loss is a sum of squares, until the code's share of the
-trials is spent. The best code gets the trials that are left.
+on by damped Gauss-Newton steps, as the loss is a sum of squares. Where these end in a valley before
+the code's share of the trials is spent, others begin at the next best place. The best code gets the
+trials that are left.
 
 Sources: K. Levenberg, "A method for the solution of certain non-linear problems in least squares",
 1944 (damping); C. G. Broyden, "A class of methods for solving nonlinear simultaneous equations",
@@ -104,10 +105,11 @@ def search(
     spread = qmc.Sobol(len(x0), seed=np.random.default_rng(seed)).random(_STARTS)
     each = trials // (len(codes) + 1)  # of the trials
     for number, code in enumerate(codes, start=1):
-        first = min((x0, laser, *spread), key=lambda x: run.judge(code, x)[0])
-        run.descend(code, first, number * each - run.done)
+        for x in run.ranked(code, (x0, laser, *spread)):
+            run.descend(code, x, number * each - run.done)
     code = min(codes, key=lambda c: run.best(c)[0])
-    run.descend(code, run.best(code)[1], trials - run.done)
+    for x in (run.best(code)[1], *run.ranked(code, (x0, laser, *spread))):
+        run.descend(code, x, trials - run.done)
     x = run.best(code)[1]
     _, after = run.judge(code, x)
     reach = reach_of(run.slopes(code, x)) if after else np.ones(len(x))
@@ -207,6 +209,12 @@ class _Trials:
         tried = self.tried[code]
         at = min(tried, key=lambda place: tried[place][0])
         return tried[at][0], np.frombuffer(at)
+
+    def ranked(
+        self, code: CodeSpec, starts: Sequence[Float[np.ndarray, " n"]]
+    ) -> list[Float[np.ndarray, " n"]]:
+        """The places, the one with the least loss first."""
+        return sorted(starts, key=lambda x: self.judge(code, x)[0])
 
     def pulls(self, code: CodeSpec, x: Float[np.ndarray, " n"]) -> Float[np.ndarray, " rows"]:
         """What the steps make small: by how much each row is off."""

@@ -361,12 +361,12 @@ def _shown(error: Exception) -> Exception:
     """The text of an error for the user; an unforeseen error includes its type."""
     if _foreseen(error):
         return error
-    told = GraycastError(f"{_told(error)}: this is an error in Graycast or in the machine")
-    told.__cause__ = error
-    return told
+    wrapped = GraycastError(f"{_error_text(error)}: this is an error in Graycast or in the machine")
+    wrapped.__cause__ = error
+    return wrapped
 
 
-def _told(error: Exception) -> str:
+def _error_text(error: Exception) -> str:
     text = " ".join(str(error).split())
     return text if _foreseen(error) and text else f"{type(error).__name__} {text}".rstrip()
 
@@ -379,5 +379,5 @@ def _given_up(failed: Failed) -> SetAside:
     error = failed.error
     trace = "" if _foreseen(error) else "".join(traceback.format_exception(error))
     return SetAside(
-        scene_id=failed.scene_id, tries=failed.tries, reason=_told(error), traceback=trace
+        scene_id=failed.scene_id, tries=failed.tries, reason=_error_text(error), traceback=trace
     )

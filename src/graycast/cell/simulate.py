@@ -89,7 +89,7 @@ def make_images(
         if only is not None and number != only:
             continue
         own = image_seeds(seed, scene_id, station=eye.station, image=eye.image)
-        told = {
+        manifest = {
             "scene_id": scene_id,
             "dataset_seed": seed,
             "seeds": seeds | own,
@@ -106,7 +106,7 @@ def make_images(
         } | ({"domain": variation.record} if variation.record else {})
         which = f" image {number + 1} of {len(hung)}" if len(hung) > 1 else ""
         progress.stage(f"{renderer.name} renders{which}")
-        yield _taken(cell, eye, scene, layout, told, timings, renderer, progress)
+        yield _taken(cell, eye, scene, layout, manifest, timings, renderer, progress)
         timings = {}
 
 
@@ -115,13 +115,13 @@ def _taken(
     eye: Eye,
     scene: Scene,
     layout: Layout,
-    told: dict[str, Any],
+    manifest: dict[str, Any],
     timings: dict[str, float],
     renderer: Renderer,
     progress: ProgressMeter,
 ) -> Shot:
-    """One image: light, sensor, decoding. `told` and `timings` are what is known of the scene."""
-    config, scanner, seeds = cell.config, eye.scanner, told["seeds"]
+    """One image: light, sensor, decoding. `manifest` and `timings` are the scene's so far."""
+    config, scanner, seeds = cell.config, eye.scanner, manifest["seeds"]
     with _timed(timings, "render"):
         quality = resolve_quality(config)
         rendering = renderer.render(
@@ -141,7 +141,7 @@ def _taken(
     with _timed(timings, "decode"):
         codes, depth = measure(scanner, capture)
         depth = with_field(scene.rig, rendering.truth, codes, depth)
-    manifest = told | {
+    manifest = manifest | {
         "backend": renderer.name,
         "device": renderer.device,
         "versions": _versions(renderer),

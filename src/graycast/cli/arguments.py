@@ -40,13 +40,13 @@ def add_config(parser: argparse.ArgumentParser) -> None:
 
 
 def add_seed(parser: argparse.ArgumentParser, default: int | None = None) -> None:
-    told = "as configured" if default is None else default
+    default_text = "as configured" if default is None else default
     parser.add_argument(
         "--seed",
         type=seed,
         default=default,
         help="The seed of all random numbers. The same seed gives the same result (default: "
-        f"{told}).",
+        f"{default_text}).",
     )
 
 
@@ -61,13 +61,13 @@ def add_device(parser: argparse.ArgumentParser) -> None:
 
 
 def add_backend(parser: argparse.ArgumentParser, default: str | None = None) -> None:
-    told = "as configured" if default is None else default
+    default_text = "as configured" if default is None else default
     parser.add_argument(
         "--backend",
         choices=("mitsuba", "cycles"),
         default=default,
         help="The renderer. mitsuba renders all patterns in one pass; cycles renders them "
-        f"one after the other (default: {told}).",
+        f"one after the other (default: {default_text}).",
     )
 
 

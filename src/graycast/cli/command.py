@@ -9,7 +9,7 @@ from collections.abc import Sequence
 from functools import cache
 
 from .. import __version__
-from ..base.errors import GraycastError, told
+from ..base.errors import GraycastError, error_line
 from . import (
     completing,
     datasets,
@@ -71,7 +71,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
             return 1
         if options.debug:
             raise
-        print(f"graycast: error: {told(error)}", file=sys.stderr)
+        print(f"graycast: error: {error_line(error)}", file=sys.stderr)
         return 1
 
 

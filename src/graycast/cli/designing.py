@@ -67,9 +67,9 @@ def _design(options: argparse.Namespace) -> int:
             on_failed=failed,
             progress=bars,
         )
-    said = write_design(spec, options.out)
+    conclusion = write_design(spec, options.out)
     print((options.out / "table.md").read_text(encoding="utf-8"))
-    print(said)
+    print(conclusion)
     for name in lost:
         print(f"  {name} is missing; run the same command again to retry it")
     return 1 if lost else 0

@@ -125,7 +125,7 @@ def _fit_bin(options: argparse.Namespace) -> int:
     from ..cell.config import load_config
     from ..cell.resolve import refuse_several, resolve_cell
     from ..real.fit_bin import (
-        Said,
+        FileOptions,
         azimuth_of,
         empty_view,
         fit_pose,
@@ -164,13 +164,15 @@ def _fit_bin(options: argparse.Namespace) -> int:
     config = config.model_copy(update={"bin": config.bin.model_copy(update=given)})
     cell = resolve_cell(config, options.config.parent)
     refuse_several(cell, "graycast fit-bin")
-    said = Said(
+    file_options = FileOptions(
         K=intrinsics_of(options),
         distortion=distortion_of(options),
         scale_m=options.scale,
         size_px=options.size,
     )
-    views = read_views(options.real, rgb=options.rgb, said=said, own=cell.scene.rig.camera)
+    views = read_views(
+        options.real, rgb=options.rgb, file_options=file_options, own=cell.scene.rig.camera
+    )
     if options.cluttered:
         views = (empty_view(views),)
     shape = shape_of(bin_of(cell.scene), wall_known=bool(known))

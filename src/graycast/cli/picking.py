@@ -191,8 +191,8 @@ def _with_options(config, options: argparse.Namespace):
         changed |= _depth(options.depth)
     if not changed:
         return config
-    told = config.model_dump(mode="json")
-    return PickConfig.model_validate(told | {"picking": told["picking"] | changed})
+    settings = config.model_dump(mode="json")
+    return PickConfig.model_validate(settings | {"picking": settings["picking"] | changed})
 
 
 def _depth(text: str) -> dict[str, object]:
@@ -218,9 +218,9 @@ def _picks(options: argparse.Namespace) -> int:
     if len(runs) > 1:
         print(f"\n{compared(runs)}")
     if options.plot is not None:
-        told = {name: summarize(episodes) for name, episodes in runs.items()}
-        plot_runs(told, options.plot)
-        print(f"{options.plot}: a row for each of {len(told)} folders")
+        summaries = {name: summarize(episodes) for name, episodes in runs.items()}
+        plot_runs(summaries, options.plot)
+        print(f"{options.plot}: a row for each of {len(summaries)} folders")
     return 0
 
 

@@ -87,11 +87,11 @@ def scene_files(samples: Iterable[Sample], scale_mm: float) -> Iterator[tuple[st
             are not one per instance.
         DatasetError: a depth does not fit into 16 bits at this scale.
     """
-    told = _Told()
-    yield from sealed(_unsealed_files(samples, scale_mm, told), told.manifest)
+    scene_record = _SceneRecord()
+    yield from sealed(_unsealed_files(samples, scale_mm, scene_record), scene_record.manifest)
 
 
-class _Told:
+class _SceneRecord:
     """What is known of a scene when all of its images are written."""
 
     def __init__(self) -> None:
@@ -104,20 +104,20 @@ class _Told:
     def of_manifest(self, sample: Sample) -> None:
         """The first image's facts are the scene's; further ones have lists."""
         facts = {} if sample.raw is None else raw_facts(sample.raw)
-        told = {**sample.manifest, **facts}
+        facts = {**sample.manifest, **facts}
         sensor = {"sensor": sample.sensor} if sample.sensor else {}
         if not self.manifest:
-            self.manifest |= told | sensor
+            self.manifest |= facts | sensor
             return
         which = sensor | {"image": sample.image}
-        own = {key: told[key] for key in OWN_FACTS if key in told}
-        own["seeds"] = {name: told["seeds"][name] for name in OF_IMAGE}
+        own = {key: facts[key] for key in OWN_FACTS if key in facts}
+        own["seeds"] = {name: facts["seeds"][name] for name in OF_IMAGE}
         self.manifest.setdefault(FURTHER, []).append(which | own)
-        self.manifest.setdefault(FURTHER_TIMINGS, []).append(which | {"seconds": told["timings"]})
+        self.manifest.setdefault(FURTHER_TIMINGS, []).append(which | {"seconds": facts["timings"]})
 
 
 def _unsealed_files(
-    samples: Iterable[Sample], scale_mm: float, told: _Told
+    samples: Iterable[Sample], scale_mm: float, scene_record: _SceneRecord
 ) -> Iterator[tuple[str, bytes]]:
     """All but the manifest, whose content is told."""
     coco: dict[str, list[_OfCoco]] = {}
@@ -125,18 +125,18 @@ def _unsealed_files(
     for sample in samples:
         camera = sample.scene.rig.camera
         _check_shapes(sample, (camera.height_px, camera.width_px))
-        told.of_manifest(sample)
+        scene_record.of_manifest(sample)
         known = labelled(sample)
         parts = len(known.scene.parts)
-        yield from _image_files(known, scale_mm, told, coco)
-    for name, records in told.records.items():
+        yield from _image_files(known, scale_mm, scene_record, coco)
+    for name, records in scene_record.records.items():
         yield f"{name}.json", json_bytes(records)
     for name, images in coco.items():
         yield f"{name}.json", json_bytes(_coco(range(1, parts + 1), images))
 
 
 def _image_files(
-    sample: Sample, scale_mm: float, told: _Told, coco: dict[str, list["_OfCoco"]]
+    sample: Sample, scale_mm: float, scene_record: _SceneRecord, coco: dict[str, list["_OfCoco"]]
 ) -> Iterator[tuple[str, bytes]]:
     """Pictures and masks of one image; its entries in JSON files are told."""
     camera, seen, number = sample.scene.rig.camera, _instances(sample), sample.image
@@ -168,13 +168,13 @@ def _image_files(
             "scene_gt_info": [_info(instance, depth) for instance in seen],
         }
         for name, entry in entries.items():
-            told.image(of_sensor(name + suffix, sample.sensor), number, entry)
+            scene_record.image(of_sensor(name + suffix, sample.sensor), number, entry)
         of_coco = coco.setdefault(of_sensor(f"scene_gt_coco{suffix}", sample.sensor), [])
         of_coco.append(_of_coco(sample, seen, place(image)))
-    told.image(of_sensor("scene_gt_box3d", sample.sensor), number, _boxes_3d(sample))
+    scene_record.image(of_sensor("scene_gt_box3d", sample.sensor), number, _boxes_3d(sample))
     reasons = {reason.name: reason.value for reason in Reason}
     scanner = {"modulation_scale": modulation_scale, "reasons": reasons}
-    told.image(of_sensor("scene_sl", sample.sensor), number, scanner)
+    scene_record.image(of_sensor("scene_sl", sample.sensor), number, scanner)
     if sample.raw is not None:
         yield from raw_files(sample.raw, sensor=sample.sensor, number=number)
 

@@ -206,7 +206,7 @@ def card_text(
         _CAPTION if pictures else "",
         "## Figures",
         _figures(statistics, census, stored),
-        _told_of_sample(statistics, census, len(stored.images)),
+        _sample_text(statistics, census, len(stored.images)),
         f"![statistics]({FOLDER}/stats.png)",
         f"All of them as numbers: `{FOLDER}/stats.json`.",
         "## How it was made",
@@ -236,7 +236,7 @@ def _introduction(stored: StoredDataset) -> str:
     )
 
 
-def _told_of_sample(s: Statistics, census: Census, of: int) -> str:
+def _sample_text(s: Statistics, census: Census, of: int) -> str:
     pictures = len(census.objects) * of
     if s.pictures == pictures:
         return ""
@@ -260,8 +260,8 @@ def _figures(s: Statistics, census: Census, stored: StoredDataset) -> str:
     for obj_id in census.obj_ids:
         scenes = census.scenes(obj_id)
         plural = "" if scenes == 1 else "s"
-        told = f"{census.instances(obj_id):,} instances in {scenes:,} scene{plural}"
-        rows.append((f"part {escaped(stored.categories[obj_id])}", told))
+        count = f"{census.instances(obj_id):,} instances in {scenes:,} scene{plural}"
+        rows.append((f"part {escaped(stored.categories[obj_id])}", count))
     if s.depth_bin:
         depth = s.depth_quantiles_mm
         rows.append(("perfect depth (1 to 99 %)", f"{depth['p01']:.0f} to {depth['p99']:.0f} mm"))
@@ -272,14 +272,14 @@ def _figures(s: Statistics, census: Census, stored: StoredDataset) -> str:
         rows.append(("with a scanner depth", shares))
     missing = {n: v for n, v in s.part_reason.items() if n != "decoded" and v >= 5e-4}
     if missing:
-        told = ", ".join(
+        shares_text = ", ".join(
             f"{escaped(name.replace('_', ' '))} {share:.1%}" for name, share in missing.items()
         )
-        rows.append(("without, on parts", told))
+        rows.append(("without, on parts", shares_text))
     if s.part_error.pixels:
         error = s.part_error
-        told = f"sigma {error.sigma_mm:.3f} mm, median {error.median_mm:+.3f} mm"
-        rows.append(("scanner less perfect depth, on parts", told))
+        figures = f"sigma {error.sigma_mm:.3f} mm, median {error.median_mm:+.3f} mm"
+        rows.append(("scanner less perfect depth, on parts", figures))
     kept = stored.claim.get("config", {}).get("store", {})
     names = {"frames": "every captured frame", "columns": "projector columns"}
     also = [words for key, words in names.items() if kept.get(key)]
@@ -290,11 +290,11 @@ def _figures(s: Statistics, census: Census, stored: StoredDataset) -> str:
 
 def _making(stored: StoredDataset) -> str:
     claim = stored.claim
-    said: dict[str, Any] = {
+    front_matter: dict[str, Any] = {
         key: claim[key] for key in ("seed", "versions", "sources") if key in claim
     }
     config = {k: v for k, v in claim.get("config", {}).items() if k not in ("files", "scanner")}
-    text = yaml.safe_dump(plain(said), sort_keys=True, default_flow_style=None, width=96)
+    text = yaml.safe_dump(plain(front_matter), sort_keys=True, default_flow_style=None, width=96)
     blocks = [fenced(text)]
     if config:
         text = yaml.safe_dump(plain(config), sort_keys=True, default_flow_style=None, width=96)

@@ -129,7 +129,7 @@ def _claim_problems(out: Path, claim: records.Claim) -> Iterator[str]:
         yield f"{CLAIM} was changed after it was written: its fingerprint differs"
     if not claim.sha256:
         yield f"{CLAIM}: sha256 is missing, which every dataset has"
-    yield from sum_problems(out, claim.sha256, told_in=CLAIM)
+    yield from sum_problems(out, claim.sha256, listed_in=CLAIM)
 
 
 def _camera_problems(cameras: Mapping[str, records.Camera], claim: records.Claim) -> Iterator[str]:

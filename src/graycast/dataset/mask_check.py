@@ -62,9 +62,9 @@ def mask_problems(
         for suffix, infos in scene.info.items():
             if i < len(infos):
                 depth = scene.image[f"depth{suffix}"]
-                told_in = scene.json_name(f"scene_gt_info{suffix}")
+                file = scene.json_name(f"scene_gt_info{suffix}")
                 for what in _info_problems(infos[i], mask, visible, depth):
-                    yield f"instance {i}: {told_in}: {what}"
+                    yield f"instance {i}: {file}: {what}"
         if pose.obj_id in models and i < len(scene.info[""]):
             for what in _surface_problems(scene, i, mask, visible, models[pose.obj_id], camera):
                 yield f"instance {i}: {what}"

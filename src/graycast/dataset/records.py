@@ -290,7 +290,7 @@ class Shown(BaseModel):
     file: str
 
 
-class FramesTold(Record):
+class FramesRecord(Record):
     """The captured pictures of a scene, in its `manifest.json`."""
 
     bit_depth: Annotated[int, Field(ge=1, le=16)]
@@ -303,7 +303,7 @@ class RawFacts(BaseModel):
 
     model_config = ConfigDict(frozen=True, extra="ignore", strict=True)
 
-    frames: FramesTold | None = None
+    frames: FramesRecord | None = None
     code_maps: list[str] = []
 
 

@@ -204,7 +204,7 @@ class StoredScene:
             manifest=self.manifest(),
         )
 
-    def said(self, name: str) -> Any:
+    def json_record(self, name: str) -> Any:
         """What a JSON file says of the scene's image, as it is."""
         return self._of_image(name, _Anything).root
 
@@ -298,8 +298,8 @@ class StoredScene:
         self, scanner: UInt16[np.ndarray, "h w"] | None
     ) -> tuple[UInt8[np.ndarray, "h w"], dict[int, str]]:
         if not self.real:
-            said = self._of_image("scene_sl", records.ScannerRecord).reasons
-            return self._image("reason_sl"), {k: name.lower() for name, k in said.items()}
+            numbers = self._of_image("scene_sl", records.ScannerRecord).reasons
+            return self._image("reason_sl"), {k: name.lower() for name, k in numbers.items()}
         known = np.zeros(self.size_px, dtype=bool) if scanner is None else scanner > 0
         return np.where(known, 0, NO_REASON).astype(np.uint8), {0: "decoded", NO_REASON: "missing"}
 

@@ -170,9 +170,9 @@ def _weigh_doubts(bits, grid, law, high, low, margin, value, variance, rival, wh
     for x in range(w):
         # Light from elsewhere spoils the coarse bits alone.
         spoilt, wrong = np.uint8(Reason.INTERREFLECTION), np.uint8(Reason.CONTRADICTORY)
-        said = spoilt if fine[x] == 0 else wrong
+        reason = spoilt if fine[x] == 0 else wrong
         free = why[x] == Reason.DECODED
-        why[x] = said if free & (coarse[x] + fine[x] >= 2) else why[x]
+        why[x] = reason if free & (coarse[x] + fine[x] >= 2) else why[x]
 
 
 @numba.njit(cache=True, error_model="numpy")

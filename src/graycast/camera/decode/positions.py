@@ -219,17 +219,17 @@ def _count(seen: _Seen, measured: tuple, place, by_gray: bool) -> None:
 
 def _judged(seen: _Seen) -> UInt8[np.ndarray, "h w"]:
     """Each pixel's reason so far, by its light as well as by its code."""
-    said = seen.why.copy()
-    _judge(seen.high, seen.low, seen.strength, seen.top, said, seen.law, seen.dark)
-    return said
+    reason = seen.why.copy()
+    _judge(seen.high, seen.low, seen.strength, seen.top, reason, seen.law, seen.dark)
+    return reason
 
 
 def _settle_refused(seen: _Seen, period_px: float, turn, free, place) -> None:
     """Give pixels whose bits contradict each other the period that their neighbours lead to."""
-    said = _judged(seen)
-    refused = free & ((said == Reason.CONTRADICTORY) | (said == Reason.INTERREFLECTION))
+    reason = _judged(seen)
+    refused = free & ((reason == Reason.CONTRADICTORY) | (reason == Reason.INTERREFLECTION))
     if refused.any():
-        clear = said == Reason.DECODED
+        clear = reason == Reason.DECODED
         settled = settle_refused(
             period_px, np.ascontiguousarray(turn), place, refused, clear, votes=seen.votes
         )
@@ -295,23 +295,23 @@ def _judge_row(high, low, strength, top, why, law, dark):
     offset_dn, floor_dn2, slope_dn, _, _ = law
     dark_dn, sigmas, visibility = dark
     shadow2, zero = np.float32(SHADOW_SIGMAS**2), np.float32(0)
-    said = why.astype(np.int32)
+    reason = why.astype(np.int32)
     for x in range(len(why) if visibility > zero else 0):
-        mixed = (said[x] == Reason.DECODED) & (strength[x] < visibility * (high[x] - low[x]))
-        said[x] = np.int32(Reason.INTERREFLECTION) if mixed else said[x]
+        mixed = (reason[x] == Reason.DECODED) & (strength[x] < visibility * (high[x] - low[x]))
+        reason[x] = np.int32(Reason.INTERREFLECTION) if mixed else reason[x]
     for x in range(len(why)):
-        said[x] = said[x] if strength[x] >= dark_dn else np.int32(Reason.LOW_MODULATION)
+        reason[x] = reason[x] if strength[x] >= dark_dn else np.int32(Reason.LOW_MODULATION)
     for x in range(len(why)):
         noise2 = floor_dn2 + slope_dn * max(low[x] - offset_dn, zero)
-        said[x] = 2 if strength[x] * strength[x] < sigmas * sigmas * noise2 else said[x]
+        reason[x] = 2 if strength[x] * strength[x] < sigmas * sigmas * noise2 else reason[x]
         contrast = high[x] - low[x]
         unlit = contrast * contrast < shadow2 * noise2
-        said[x] = np.int32(Reason.SHADOW) if unlit else said[x]
+        reason[x] = np.int32(Reason.SHADOW) if unlit else reason[x]
     for x in range(len(why)):
-        lost = top[x] & (said[x] != Reason.DECODED)
-        said[x] = np.int32(Reason.SATURATED) if lost else said[x]
+        lost = top[x] & (reason[x] != Reason.DECODED)
+        reason[x] = np.int32(Reason.SATURATED) if lost else reason[x]
     for x in range(len(why)):
-        why[x] = said[x]
+        why[x] = reason[x]
 
 
 @numba.njit(parallel=True, cache=True)

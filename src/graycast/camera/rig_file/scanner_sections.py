@@ -110,10 +110,10 @@ Spec = CodeSpec | ExposureSpec | SensorSpec | DecodeSpec | FilterSpec | FaultSpe
 
 
 def _changed(value: Spec, section: Settings, name: str) -> Spec:
-    said: dict[str, Any] = section.model_dump(exclude_none=True)
-    if isinstance(value, CodeSpec) and said.get("codec", value.codec) != value.codec:
-        value = type(value)(codec=said["codec"], axes=value.axes)  # the numbers were another's
+    settings: dict[str, Any] = section.model_dump(exclude_none=True)
+    if isinstance(value, CodeSpec) and settings.get("codec", value.codec) != value.codec:
+        value = type(value)(codec=settings["codec"], axes=value.axes)  # the numbers were another's
     try:
-        return replace(value, **said)
+        return replace(value, **settings)
     except ValueError as error:
         raise ConfigError(f"{name}: {error}") from error

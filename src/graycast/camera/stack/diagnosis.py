@@ -72,8 +72,8 @@ def _ends(frames: Stack, code: Code, well: Bool[np.ndarray, "h w"]) -> Iterator[
     if "white" in kinds and "black" in kinds:
         step_dn = float(np.median(flat[kinds.index("white")] - flat[kinds.index("black")]))
         if step_dn < 0:
-            told = "the two may be swapped"
-            yield f"white is darker than black by {-step_dn:.0f} DN (median): {told}"
+            suspicion = "the two may be swapped"
+            yield f"white is darker than black by {-step_dn:.0f} DN (median): {suspicion}"
             return
     for kind, sign in (("white", 1), ("black", -1)):
         if kind not in kinds:
@@ -265,8 +265,8 @@ def _changes(code: Code, plan: AxisPlan) -> Iterator[tuple[str, list[int], int]]
     yield "all bits were in the opposite order: check that bit 0 is the finest", as_is[::-1], 0
     for by in range(1, count):
         moved = f"{by} finer" if 2 * by <= count else f"{count - by} coarser"
-        said = f"each bit were {moved}, in a cycle: a file may be missing"
-        yield said, as_is[by:] + as_is[:by], 0
+        deviation = f"each bit were {moved}, in a cycle: a file may be missing"
+        yield deviation, as_is[by:] + as_is[:by], 0
 
 
 def _reordered(gray, order: list[int]):

@@ -59,7 +59,7 @@ class SceneMaker:
         """
         start = time.perf_counter()
         task = self.task
-        told: list[Mapping[str, Any]] = []
+        manifests: list[Mapping[str, Any]] = []
         with self._kept.of(task.cell) as renderer:
             shots = make_images(
                 task.cell,
@@ -68,13 +68,13 @@ class SceneMaker:
                 renderer=renderer,
                 progress=self._progress,
             )
-            files = tuple(scene_files(_decoded(shots, told), task.depth_scale_mm))
+            files = tuple(scene_files(_decoded(shots, manifests), task.depth_scale_mm))
         return Made(
             scene_id=scene_id,
             files=files,
             seconds=time.perf_counter() - start,
-            reasons=mean_shares([manifest["reasons"] for manifest in told]),
-            part_reasons=mean_shares([manifest["part_reasons"] for manifest in told]),
+            reasons=mean_shares([manifest["reasons"] for manifest in manifests]),
+            part_reasons=mean_shares([manifest["part_reasons"] for manifest in manifests]),
             rss_bytes=rss_bytes(),
         )
 
@@ -93,8 +93,8 @@ class SceneMaker:
         self.close()
 
 
-def _decoded(shots: Iterable[Shot], told: list[Mapping[str, Any]]) -> Iterator[Sample]:
-    """The sample of each image, its manifest kept in `told`.
+def _decoded(shots: Iterable[Shot], manifests: list[Mapping[str, Any]]) -> Iterator[Sample]:
+    """The sample of each image, its manifest kept in `manifests`.
 
     Raises:
         DecodeError: as of `_refuse_undecoded`.
@@ -103,7 +103,7 @@ def _decoded(shots: Iterable[Shot], told: list[Mapping[str, Any]]) -> Iterator[S
         sample = shot.sample
         image = " ".join(filter(None, ("image", str(sample.image), sample.sensor)))
         _refuse_undecoded(sample.manifest["reasons"], image)
-        told.append(sample.manifest)
+        manifests.append(sample.manifest)
         yield sample
 
 

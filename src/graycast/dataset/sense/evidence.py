@@ -54,7 +54,7 @@ class Evidence:
     parts_mm: tuple[Float[np.ndarray, "_ 3"], ...]
 
     @cached_property
-    def told(self) -> records.SceneManifest:
+    def manifest_record(self) -> records.SceneManifest:
         """The manifest's keys that have a fixed form.
 
         Raises:

@@ -130,11 +130,11 @@ def _check(entry: Any, wanted: _Wanted, place: str) -> None:
         raise DatasetError(
             f"{place} is {_short(entry)}: it must be an object with {', '.join(wanted)}"
         )
-    for key, (fits, told) in wanted.items():
+    for key, (fits, remedy) in wanted.items():
         if key not in entry:
-            raise DatasetError(f"{place} has no {key}: add it ({told}), or remove the entry")
+            raise DatasetError(f"{place} has no {key}: add it ({remedy}), or remove the entry")
         if not fits(entry[key]):
-            raise DatasetError(f"{place} has {key} {_short(entry[key])}: it must be {told}")
+            raise DatasetError(f"{place} has {key} {_short(entry[key])}: it must be {remedy}")
 
 
 def _short(value: Any) -> str:
@@ -239,8 +239,8 @@ def _bop_example(place: tuple[tuple[SceneFolder, int], ...], number: int) -> Exa
         if size is None:
             raise Unreadable(f"image {image} has no rgb, gray or depth")
         if len(poses) != len(infos):
-            told = f"{len(poses)} objects in scene_gt.json, {len(infos)} in scene_gt_info.json"
-            raise Unreadable(f"image {image} has {told}")
+            counts = f"{len(poses)} objects in scene_gt.json, {len(infos)} in scene_gt_info.json"
+            raise Unreadable(f"image {image} has {counts}")
         seen = [i for i, info in enumerate(infos) if info.px_count_visib > 0]
         mask = np.zeros((len(seen), *size), dtype=bool)
         for k, i in enumerate(seen):

@@ -50,13 +50,13 @@ class Looked:
 class Chosen:
     """Pictures to look at, read one by one, and what `detect` writes of where they come from.
 
-    `class_ids` are those that each class has in the results; `said` is for `detect.json`.
+    `class_ids` are those that each class has in the results; `record` is for `detect.json`.
     """
 
     examples: Iterable[Example]
     scene_ids: tuple[int, ...]
     class_ids: Mapping[str, int]
-    said: Mapping[str, Any]
+    record: Mapping[str, Any]
 
 
 def detect(
@@ -106,7 +106,7 @@ def detect(
             "ms_per_picture": [round(ms, 3) for ms in times_ms],
             "most": most,
             "least_score": least_score,
-            **pictures.said,
+            **pictures.record,
         }
         (folder / LOOKED).write_bytes(json_bytes(content))
         (folder / RESULTS).write_bytes(results_bytes(found))
@@ -198,16 +198,16 @@ def pictures_of(
             examples=shots(found, scale_m=scale_m),
             scene_ids=tuple(range(len(found))),
             class_ids={name: i for i, name in enumerate(about.names, start=1)},
-            said={"pictures": [shot.stem for shot in found], "split": None, "division": None},
+            record={"pictures": [shot.stem for shot in found], "split": None, "division": None},
         )
     held = about.trained["settings"]["split"]
     division = Split(shares=tuple(held["shares"]), seed=held["seed"])
-    sets, said = sets_of(folder, split, division)
+    sets, record = sets_of(folder, split, division)
     return Chosen(
         examples=map(_as_real, chain.from_iterable(sets)) if as_real else chain.from_iterable(sets),
         scene_ids=tuple(scene_id for each in sets for scene_id in each.scene_ids),
         class_ids=about.obj_ids(sets[0].categories, folder),
-        said={"dataset": str(folder), "as_real": as_real, **said},
+        record={"dataset": str(folder), "as_real": as_real, **record},
     )
 
 
@@ -219,9 +219,9 @@ def sets_of(folder: Path, split: str, division: Split) -> tuple[list[Examples], 
     """The scenes of a dataset's or an export's set, or all; and what `detect.json` says of them."""
     if (folder / RECORD).is_file():
         splits = read_record(folder).splits if split == "all" else (split,)
-        said: dict[str, Any] = {"split": None if split == "all" else split, "division": None}
-        return [open_examples(folder, split=name) for name in splits], said
+        record: dict[str, Any] = {"split": None if split == "all" else split, "division": None}
+        return [open_examples(folder, split=name) for name in splits], record
     if split == "all":
         return [open_examples(folder)], {"split": "train", "division": None}
-    said = {"split": split, "division": {"shares": division.shares, "seed": division.seed}}
-    return [open_examples(folder, split=split, division=division)], said
+    record = {"split": split, "division": {"shares": division.shares, "seed": division.seed}}
+    return [open_examples(folder, split=split, division=division)], record

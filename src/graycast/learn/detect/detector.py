@@ -242,16 +242,16 @@ def load_detector(path: Path, *, device: str = "auto") -> Detector:
     if not file.is_file():
         raise GraycastError(f"{file}: does not exist: give a folder that graycast train wrote")
     try:
-        held = torch.load(file, map_location="cpu", weights_only=True)
-        said = parse_json(held["about"])
+        checkpoint = torch.load(file, map_location="cpu", weights_only=True)
+        record = parse_json(checkpoint["about"])
         about = About(
-            model=said["model"],
-            backbone=said["backbone"],
-            encoding=encoding_from(said["encoding"]),
-            names=tuple(said["names"]),
-            trained=said["trained"],
+            model=record["model"],
+            backbone=record["backbone"],
+            encoding=encoding_from(record["encoding"]),
+            names=tuple(record["names"]),
+            trained=record["trained"],
         )
-        state = held["state"]
+        state = checkpoint["state"]
     except Exception as error:  # unpickling raises whatever the bytes lead it to
         why = " ".join(str(error).split())[:120]
         raise GraycastError(

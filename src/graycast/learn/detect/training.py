@@ -192,10 +192,10 @@ class _Sets:
 
 def _settings(spec: TrainSpec) -> dict[str, Any]:
     """The settings that the weights depend on, without device and reading processes."""
-    said = asdict(spec)
+    settings = asdict(spec)
     for name in ("device", "workers"):
-        del said[name]
-    return said | {"weights": None if spec.weights is None else spec.weights.name}
+        del settings[name]
+    return settings | {"weights": None if spec.weights is None else spec.weights.name}
 
 
 def _encoding(first: Examples, sets: Sequence[Examples], spec: TrainSpec) -> Encoding:

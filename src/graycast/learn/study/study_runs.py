@@ -134,7 +134,7 @@ def _trained(
     progress: ProgressMeter,
 ) -> Detector:
     model = run.model
-    said = TrainSpec(
+    training = TrainSpec(
         model=model.model,
         backbone=model.backbone,
         input=run.input,
@@ -154,7 +154,7 @@ def _trained(
     return train(
         spec.training[run.training],
         folder,
-        said,
+        training,
         progress=progress,
     )
 
@@ -163,7 +163,7 @@ def _found(detector: Detector, dataset: Path, world: TestSection, folder: Path) 
     chosen = pictures_of(
         dataset, detector.about, split=world.split, scale_m=None, as_real=world.as_real
     )
-    asked = parse_json(json_bytes({"scene_ids": chosen.scene_ids, **chosen.said}))
+    asked = parse_json(json_bytes({"scene_ids": chosen.scene_ids, **chosen.record}))
     if not asked.items() <= looked_at(folder).items():  # none, or of other scenes than now
         detect(detector, chosen, folder, drawings=4)
     return read_results(folder / RESULTS, chosen.scene_ids)

@@ -89,7 +89,7 @@ def _columns(spec: StudySpec) -> list[str]:
     return [*spec.tests, *(["gap"] if spec.gap is not None else [])]
 
 
-def _told(row: Row, name: str, digits: int) -> str:
+def _interval_text(row: Row, name: str, digits: int) -> str:
     if name not in row:  # a world without masks
         return "-"
     value, low, high = (float(row[key]) for key in (name, f"{name}_low", f"{name}_high"))
@@ -128,7 +128,7 @@ def _lines(spec: StudySpec, rows: Sequence[Row]) -> str:
     ]
     for row in rows:
         cells = [str(row[key]) for key in keys]
-        cells += [_told(row, name, 2) if name in row else "-" for name in columns]
+        cells += [_interval_text(row, name, 2) if name in row else "-" for name in columns]
         lines.append("| " + " | ".join(cells) + " |")
     return "\n".join(lines) + "\n"
 
@@ -154,7 +154,7 @@ def _latex(spec: StudySpec, rows: Sequence[Row]) -> str:
     ]
     for row in rows:
         cells = [str(row[key]).replace("_", r"\_") for key in keys]
-        cells += [_told(row, name, 2) for name in columns]
+        cells += [_interval_text(row, name, 2) for name in columns]
         lines.append(" & ".join(cells) + r" \\")
     return "\n".join([*lines, r"\hline", r"\end{tabular}"]) + "\n"
 

@@ -2,7 +2,7 @@
 
 from ..fitted_config import fitted_text, refuse_existing
 from .bending import BentBin, bend_bin, bent_bin
-from .bin_views import BinView, Said, read_views
+from .bin_views import BinView, FileOptions, read_views
 from .composite import empty_view
 from .fitting import (
     BinFit,
@@ -27,10 +27,10 @@ __all__ = [
     "BinShape",
     "BinView",
     "FaceFit",
+    "FileOptions",
     "Frames",
     "Look",
     "PoseFit",
-    "Said",
     "azimuth_of",
     "bend_bin",
     "bent_bin",

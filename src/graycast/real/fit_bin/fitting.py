@@ -162,8 +162,8 @@ def write_fit(
     refuse_there(*files)
     with whole_folder(out.parent) as aside:
         draw_residuals(fit.pose, fit.shape, views, aside / picture.name)
-        told = json.dumps(described(fit), indent=1) + "\n"
-        (aside / report.name).write_text(told, encoding="utf-8")
+        report_text = json.dumps(described(fit), indent=1) + "\n"
+        (aside / report.name).write_text(report_text, encoding="utf-8")
         (aside / out.name).write_text(text, encoding="utf-8")
         if fit.bent is not None and mesh is not None:
             (aside / mesh.name).write_bytes(mesh_bytes(fit.bent.mesh))
@@ -250,14 +250,14 @@ def _scaled_light(config: Config, scale: float) -> dict[str, Any]:
 
 def _comments(fit: BinFit, base: Path) -> dict[str, str]:
     pose = fit.pose
-    told = (
+    text = (
         f"Fitted by graycast fit-bin to {len(fit.views)} view(s) of the empty bin, from "
         f"{base.name}:\nresiduals RMS {1e3 * pose.rms_m:.2f} mm, {pose.inlier_share:.0%} of the "
         "points in the bin belong to it."
     )
     if pose.by_edges:
-        told += f"\nDetermined only by edges, not by walls: {', '.join(pose.by_edges)}."
-    comments = {"view": told, "bin": "Shape as given."}
+        text += f"\nDetermined only by edges, not by walls: {', '.join(pose.by_edges)}."
+    comments = {"view": text, "bin": "Shape as given."}
     if fit.look is not None:
         level = np.mean(fit.look.reflectance["floor"])
         color = f"colours from the pictures, relative to a floor that reflects {level:.3f} (stated)"
@@ -338,18 +338,18 @@ def summary(fit: BinFit) -> list[str]:
             "degrees from all together"
         )
     if fit.bent is not None:
-        told = [
+        errors = [
             f"median {1e3 * median_m:.2f} mm, 90 % within {1e3 * most_m:.2f} mm"
             for median_m, most_m in (fit.bent.before_m, fit.bent.after_m)
         ]
-        lines.append(f"  depth from the mesh: {told[0]}; from the bent mesh: {told[1]}")
+        lines.append(f"  depth from the mesh: {errors[0]}; from the bent mesh: {errors[1]}")
     return lines if fit.look is None else lines + _look_lines(fit.look)
 
 
 def _face_line(face: FaceFit) -> str:
-    told = f"median {1e3 * face.median_m:+.2f} mm, RMS {1e3 * face.rms_m:.2f} mm"
-    told = "no inliers" if math.isnan(face.rms_m) else told
-    return f"  {face.name:10} {face.inliers:4.0%} of its pixels agree; {told}"
+    residual = f"median {1e3 * face.median_m:+.2f} mm, RMS {1e3 * face.rms_m:.2f} mm"
+    residual = "no inliers" if math.isnan(face.rms_m) else residual
+    return f"  {face.name:10} {face.inliers:4.0%} of its pixels agree; {residual}"
 
 
 def _look_lines(look: Look) -> list[str]:
@@ -358,7 +358,7 @@ def _look_lines(look: Look) -> list[str]:
         bands = ", ".join(f"{band:.3f}" for band in color)
         lines.append(f"  {name:10} reflects {bands} ({look.pixels[name]} pixels)")
     if look.light_scale is None:
-        told = "as configured: the level needs --white and --black"
+        level = "as configured: the level needs --white and --black"
     else:
-        told = f"{look.light_scale:.3g} times as configured"
-    return [*lines, f"  lamps and environment {told}"]
+        level = f"{look.light_scale:.3g} times as configured"
+    return [*lines, f"  lamps and environment {level}"]

@@ -78,9 +78,9 @@ def read_stock(dataset: StoredDataset, files: Path) -> Stock:
             f"{dataset.folder}: has foreign parts among its own, and no file states their poses: "
             "make a dataset without domain.distractors"
         )
-    told = {key: value for key, value in claim["config"].items() if key not in BESIDE_CONFIG}
+    content = {key: value for key, value in claim["config"].items() if key not in BESIDE_CONFIG}
     try:
-        config = Config.model_validate(told)
+        config = Config.model_validate(content)
     except ValidationError as error:
         raise DatasetError(
             f"{dataset.folder}: its configuration is of another version of Graycast: "

@@ -94,14 +94,14 @@ def carry_out(ready: Ready, world: World, choice: Choice) -> tuple[Carried, Worl
         _path(ready, choice.ways, met.T_world_tool),
     )
     outside = parts_outside(ready.cell.box, ready.bodies, lifted.T_world_part, layout.part_index)
-    carried = _told(ready, met, lifted, outside, error)
+    carried = _carried(ready, met, lifted, outside, error)
     gone = outside.copy()
     gone[met.part] |= lifted.lost_s is None
     after = _settled(ready, world, lifted.T_world_part, ~gone)
     return carried, after.gripped(aim.place_m, taken=carried.outcome in TAKEN)
 
 
-def _told(
+def _carried(
     ready: Ready,
     met: Held,
     lifted: Lift,

@@ -149,8 +149,8 @@ def _detector(cell: PickCell) -> Any | None:
 
     detector = load_detector(cell.detector)
     names = [part.name for part in cell.cell.scene.parts]
-    told_apart = set(detector.about.names) <= set(names)
-    if cell.config.picking.knows == "part" and len(names) > 1 and not told_apart:
+    distinguishes = set(detector.about.names) <= set(names)
+    if cell.config.picking.knows == "part" and len(names) > 1 and not distinguishes:
         raise ConfigError(
             f"picking.detector: it knows {', '.join(detector.about.names)}, and the cell has "
             f"{', '.join(names)}: train the detector on parts with these names"

@@ -35,7 +35,9 @@ def plot_runs(runs: Mapping[str, Summary], path: Path) -> None:
     )
     _rates(rate, runs)
     _failures(failures, runs)
-    share = [100 * told.left / told.filled if told.filled else 0.0 for told in runs.values()]
+    share = [
+        100 * summary.left / summary.filled if summary.filled else 0.0 for summary in runs.values()
+    ]
     left.barh(range(len(runs)), share, color=SOFT, height=0.6)
     caption(left, "Parts left in the bins", "of 100 parts")
     for ax in (rate, failures, left):
@@ -46,7 +48,7 @@ def plot_runs(runs: Mapping[str, Summary], path: Path) -> None:
 
 
 def _rates(ax: Axes, runs: Mapping[str, Summary]) -> None:
-    rate, low, high = 100 * np.array([told.rate for told in runs.values()]).T
+    rate, low, high = 100 * np.array([summary.rate for summary in runs.values()]).T
     ends = np.stack([rate - low, high - rate])
     ax.errorbar(rate, range(len(runs)), xerr=ends, fmt="o", color=ACCENT, ecolor=INK, lw=1.2, ms=5)
     ax.set_xlim(right=100.5)
@@ -55,9 +57,9 @@ def _rates(ax: Axes, runs: Mapping[str, Summary]) -> None:
 
 def _failures(ax: Axes, runs: Mapping[str, Summary]) -> None:
     start = np.zeros(len(runs))
-    parts = np.array([max(told.filled, 1) for told in runs.values()])
+    parts = np.array([max(summary.filled, 1) for summary in runs.values()])
     for outcome, color in COLOR.items():
-        count = np.array([told.outcomes.get(str(outcome), 0) for told in runs.values()])
+        count = np.array([summary.outcomes.get(str(outcome), 0) for summary in runs.values()])
         if count.any():
             each = 100 * count / parts
             ax.barh(range(len(runs)), each, left=start, color=color, height=0.6, label=outcome)

@@ -149,8 +149,8 @@ def compared(runs: Mapping[str, Sequence[StoredEpisode]]) -> str:
     ]
     first = next(iter(runs.values()))
     for name, episodes in runs.items():
-        told = summarize(episodes)
-        rate, low, high = told.rate
+        summary = summarize(episodes)
+        rate, low, high = summary.rate
         beside = "| | | | |"
         if episodes is not first:
             paired = pair(first, episodes)
@@ -158,8 +158,8 @@ def compared(runs: Mapping[str, Sequence[StoredEpisode]]) -> str:
                 f"| {paired.pairs} | {paired.only_second} | {paired.only_first} | {paired.p:.2g} |"
             )
         lines.append(
-            f"| {name} | {told.grips} | {rate:.1%} | {low:.1%} to {high:.1%} | "
-            f"{told.taken} of {told.filled} | {told.cleared} of {told.bins} | "
-            f"{told.picks_per_hour:.0f} {beside}"
+            f"| {name} | {summary.grips} | {rate:.1%} | {low:.1%} to {high:.1%} | "
+            f"{summary.taken} of {summary.filled} | {summary.cleared} of {summary.bins} | "
+            f"{summary.picks_per_hour:.0f} {beside}"
         )
     return "\n".join(lines)

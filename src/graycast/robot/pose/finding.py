@@ -159,7 +159,7 @@ def _found(
         surface.nearest, np.array(GATES) * model.diameter_m, ROUNDS,
     )  # fmt: skip
     best = _best(model, seen, guesses)
-    return _told(best, nearest_member(best.T, model.symmetry, near=near))
+    return _estimate(best, nearest_member(best.T, model.symmetry, near=near))
 
 
 def _scene_points(seen: Crop) -> tuple[np.ndarray, np.ndarray]:
@@ -239,7 +239,7 @@ def _best(model: PoseModel, seen: Crop, guesses: Float[np.ndarray, "n 4 4"]) -> 
     return best
 
 
-def _told(best: Judged, T_cam_part: Float[np.ndarray, "4 4"]) -> PoseFound:
+def _estimate(best: Judged, T_cam_part: Float[np.ndarray, "4 4"]) -> PoseFound:
     number = best.number
     return PoseFound(
         T_cam_part=T_cam_part,

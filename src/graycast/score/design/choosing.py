@@ -122,7 +122,7 @@ def sentences(spec: DesignSpec, rows: Sequence[Row]) -> str:
     best = choose(spec, rows)
     if best is None:
         return f"None of the {len(rows)} settings {_wanted(spec)}. {_nearest(spec, rows)}"
-    told = (
+    paragraph = (
         f"{where(best)} measures {_percent(best.measured)} of the open surface of the parts, with "
         f"a sigma of {1e3 * best.figure['sigma_m']:.2f} mm and a bias of "
         f"{1e3 * best.figure['bias_m']:+.2f} mm. It resolves features from "
@@ -130,16 +130,16 @@ def sentences(spec: DesignSpec, rows: Sequence[Row]) -> str:
     )
     lost = [f"{share:.1%} {_WORDS[fate]}" for fate, share in best.missing()[:3]]
     if lost:
-        told += f" Most of what it misses is {_list(lost)}."
-    told += f" Of the {len(rows)} settings it measures most"
-    told += f" among those of which each {_wanted(spec)}." if _needs(spec) else "."
+        paragraph += f" Most of what it misses is {_list(lost)}."
+    paragraph += f" Of the {len(rows)} settings it measures most"
+    paragraph += f" among those of which each {_wanted(spec)}." if _needs(spec) else "."
     fit = [row for row in rows if meets(spec, row) and row is not best]
     like = [name for name, less in unlike(fit, best).items() if not less.low > 0]
     if like and spec.layouts > 1:
-        told += (
+        paragraph += (
             f" On these {spec.layouts} heaps its difference is not significant from {_list(like)}."
         )
-    return told
+    return paragraph
 
 
 def where(row: Row) -> str:

@@ -86,12 +86,12 @@ class Comparer:
                 view, heap.surface, rendering.truth, depth, wrong_m=self._task.spec.wrong_m
             )
             seconds = scan_seconds(scanner, capture, readout_s=self._task.spec.readout_s)
-            told = figures(scene, view, heap.surface, judged, seconds=seconds)
-            measured[name] = told["measured"]
+            record = figures(scene, view, heap.surface, judged, seconds=seconds)
+            measured[name] = record["measured"]
             picture = None
             if number == 0:
                 picture = picture_png(gray_picture(capture), view, heap.surface, judged)
-            files += heap_files(name, number, told, picture)
+            files += heap_files(name, number, record, picture)
         return Made(
             scene_id=scene_id,
             files=tuple(files),

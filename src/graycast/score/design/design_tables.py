@@ -39,14 +39,14 @@ def write_design(spec: DesignSpec, out: Path) -> str:
         GraycastError: figures are damaged, or the disk refuses.
     """
     rows = rows_of(spec, out)
-    said = sentences(spec, rows)
-    write_whole(out / "table.md", _markdown(spec, rows, said).encode())
+    conclusion = sentences(spec, rows)
+    write_whole(out / "table.md", _markdown(spec, rows, conclusion).encode())
     write_whole(out / "table.csv", _csv(rows).encode())
-    content = {"title": spec.title, "says": said, "rows": [_record(row) for row in rows]}
+    content = {"title": spec.title, "says": conclusion, "rows": [_record(row) for row in rows]}
     write_whole(out / "design.json", json_bytes(content))
     _draw_pareto(spec, rows, out / "pareto.png")
     _draw_missing(spec, rows, out / "missing.png")
-    return said
+    return conclusion
 
 
 def rows_of(spec: DesignSpec, out: Path) -> list[Row]:
@@ -80,9 +80,9 @@ def _csv(rows: Sequence[Row]) -> str:
     return text.getvalue()
 
 
-def _markdown(spec: DesignSpec, rows: Sequence[Row], said: str) -> str:
+def _markdown(spec: DesignSpec, rows: Sequence[Row], conclusion: str) -> str:
     heads = ["setting", "measured %", *(head for head, _, _ in _HEADS.values()), "front"]
-    lines = [f"# {spec.title}", "", said, "", _head(heads)]
+    lines = [f"# {spec.title}", "", conclusion, "", _head(heads)]
     for row in rows:
         cells = [f"[{row.name}]({SETTINGS}/{row.name}/{PICTURE})", _share(row.measured)]
         cells += [

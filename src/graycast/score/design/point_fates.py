@@ -167,7 +167,7 @@ def figures(
     share = dict(zip(FATES, np.bincount(judged.fate, weight, len(FATES)).tolist(), strict=True))
     unseen = (Fate.OUTSIDE_PICTURE, Fate.HIDDEN_BY_WALL, Fate.HIDDEN_BY_PARTS)
     seen = 1 - sum(share[fate] for fate in unseen)
-    told: dict[str, Any] = {
+    record: dict[str, Any] = {
         "points": int(surface.opened.sum()),
         "share": {str(name): value for name, value in share.items()},
         "measured": share[Fate.MEASURED],
@@ -176,7 +176,7 @@ def figures(
     }
     here = surface.opened & np.isfinite(judged.error_m)
     if not here.any():
-        return told | dict.fromkeys(("sigma_m", "bias_m", "pixel_m", "feature_m"))
+        return record | dict.fromkeys(("sigma_m", "bias_m", "pixel_m", "feature_m"))
     low, bias_m, high = _quantiles(judged.error_m[here], weight[here], (0.1587, 0.5, 0.8413))
     sigma_m = (high - low) / 2
     camera, projector = scene.rig.camera, scene.rig.projector
@@ -184,7 +184,7 @@ def figures(
         _quantiles(z_m[here], weight[here], (0.5,))[0] / min(device.fx_px, device.fy_px)
         for device, z_m in ((camera, view.z_m), (projector, view.z_projector_m))
     )
-    return told | {
+    return record | {
         "sigma_m": sigma_m,
         "bias_m": bias_m,
         "pixel_m": pixel_m,

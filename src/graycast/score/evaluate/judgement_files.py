@@ -98,11 +98,15 @@ def summary(evaluation: Evaluation) -> str:
     """The figures of all instances, for the terminal."""
     lines = [_what(evaluation)]
     for one in evaluation.judgements:
-        told = ", ".join(f"{_TITLES[n]} {_told(f)}" for n, f in one.rows[0].figures.items())
-        lines.append(f"{one.kind:5} {told}")
+        text = ", ".join(
+            f"{_TITLES[n]} {_interval_text(f)}" for n, f in one.rows[0].figures.items()
+        )
+        lines.append(f"{one.kind:5} {text}")
         if one.against is not None:
-            told = ", ".join(f"{_TITLES[n]} {_told(f, '+')}" for n, f in one.against.items())
-            lines.append(f"      difference: {told}")
+            text = ", ".join(
+                f"{_TITLES[n]} {_interval_text(f, '+')}" for n, f in one.against.items()
+            )
+            lines.append(f"      difference: {text}")
         lines.append(f"      {_point(one)}")
     lines += [f"note: {note}" for note in evaluation.notes]
     return "\n".join(lines)
@@ -126,7 +130,9 @@ def _paragraphs(evaluation: Evaluation) -> Iterator[str]:
                 [
                     "| " + " | ".join(_TITLES[name] for name in FIGURES) + " |",
                     "|" + "---|" * len(FIGURES),
-                    "| " + " | ".join(_told(one.against[name], "+") for name in FIGURES) + " |",
+                    "| "
+                    + " | ".join(_interval_text(one.against[name], "+") for name in FIGURES)
+                    + " |",
                 ]
             )
 
@@ -157,10 +163,10 @@ def _point(one: Judgement) -> str:
 
 def _mistakes(one: Judgement) -> str:
     why = Counter(alarm.why for alarm in one.false_alarms)
-    told = ", ".join(f"{count} {name}" for name, count in why.most_common())
+    counts = ", ".join(f"{count} {name}" for name, count in why.most_common())
     return (
         f"There {len(one.misses)} are missed, {len(one.false_alarms)} alarms are false"
-        f"{f' ({told})' if told else ''}."
+        f"{f' ({counts})' if counts else ''}."
     )
 
 
@@ -168,11 +174,16 @@ def _table(one: Judgement) -> Iterator[str]:
     yield "| by | which | to find | " + " | ".join(_TITLES[name] for name in FIGURES) + " |"
     yield "|---|---|---|" + "---|" * len(FIGURES)
     for row in one.rows:
-        cells = [row.by, row.name, str(row.to_find), *(_told(row.figures[n]) for n in FIGURES)]
+        cells = [
+            row.by,
+            row.name,
+            str(row.to_find),
+            *(_interval_text(row.figures[n]) for n in FIGURES),
+        ]
         yield "| " + " | ".join(cells) + " |"
 
 
-def _told(figure: Interval, sign: str = "") -> str:
+def _interval_text(figure: Interval, sign: str = "") -> str:
     if np.isnan(figure.value):
         return "none to find"
     if np.isnan(figure.low):

@@ -303,14 +303,14 @@ def poses_markdown(evaluation: PoseEvaluation) -> str:
         "|---|---|---|---|---|---|---|---|---|",
     ]
     for row in evaluation.rows:
-        cells = [_told(row.figures[name], 3, "") for name in _SHARES]
-        cells += [_told(row.figures["rotation_deg"], 2, " deg")]
-        cells += [_told(row.figures["translation_mm"], 2, " mm")]
+        cells = [_interval_text(row.figures[name], 3, "") for name in _SHARES]
+        cells += [_interval_text(row.figures["rotation_deg"], 2, " deg")]
+        cells += [_interval_text(row.figures["translation_mm"], 2, " mm")]
         lines.append(f"| {row.name} | {row.to_find} | " + " | ".join(cells) + " |")
     return "\n".join(lines) + "\n"
 
 
-def _told(figure: Interval, digits: int, unit: str) -> str:
+def _interval_text(figure: Interval, digits: int, unit: str) -> str:
     if np.isnan(figure.value):
         return "none"
     if np.isnan(figure.low):

@@ -83,27 +83,27 @@ def read_found(
     return [one for one in found if one.scene_id in wanted]
 
 
-def _run(results: Path, said: Path) -> Run:
+def _run(results: Path, path: Path) -> Run:
     try:
-        told = parse_json(said.read_bytes())
-        division = told["division"]
+        record = parse_json(path.read_bytes())
+        division = record["division"]
         return Run(
             path=results,
-            scene_ids=tuple(_whole(scene_id) for scene_id in told["scene_ids"]),
-            split=told["split"],
+            scene_ids=tuple(_whole(scene_id) for scene_id in record["scene_ids"]),
+            split=record["split"],
             division=None
             if division is None
             else Split(shares=tuple(division["shares"]), seed=_whole(division["seed"])),
-            model=told["model"],
-            input=told["input"],
-            ms_per_picture=tuple(float(ms) for ms in told["ms_per_picture"]),
+            model=record["model"],
+            input=record["input"],
+            ms_per_picture=tuple(float(ms) for ms in record["ms_per_picture"]),
         )
     except OSError as error:
-        raise GraycastError(f"{said}: cannot be read ({error.strerror})") from error
+        raise GraycastError(f"{path}: cannot be read ({error.strerror})") from error
     except KeyError as error:
-        raise GraycastError(f"{said}: lacks {error}: run graycast detect again") from error
+        raise GraycastError(f"{path}: lacks {error}: run graycast detect again") from error
     except (ValueError, TypeError) as error:
-        raise GraycastError(f"{said}: is damaged ({error}): run graycast detect again") from error
+        raise GraycastError(f"{path}: is damaged ({error}): run graycast detect again") from error
 
 
 def _whole(value: Any) -> int:

@@ -33,8 +33,8 @@ def draw_misses(judgement: Judgement, picture: Picture, path: Path) -> bool:
     """
     shown = judgement.misses[:SHOWN]
     least = judgement.point.score
-    told = "" if np.isnan(least) else f"; red: what was found from a score of {least:.2f} on"
-    figure, axes = _sheet(len(shown), f"{len(judgement.misses)} missed (green){told}")
+    threshold = "" if np.isnan(least) else f"; red: what was found from a score of {least:.2f} on"
+    figure, axes = _sheet(len(shown), f"{len(judgement.misses)} missed (green){threshold}")
     for ax, miss in zip(axes, shown, strict=True):
         labels = judgement.known.labels[miss.scene]
         known = "" if labels.visib_fract is None else f", {labels.visib_fract[miss.instance]:.0%}"
@@ -50,8 +50,8 @@ def draw_false_alarms(judgement: Judgement, picture: Picture, path: Path) -> boo
         GraycastError: the file cannot be written.
     """
     shown = judgement.false_alarms[:SHOWN]
-    told = f"{len(judgement.false_alarms)} false alarms (red); green: what is there"
-    figure, axes = _sheet(len(shown), told)
+    heading = f"{len(judgement.false_alarms)} false alarms (red); green: what is there"
+    figure, axes = _sheet(len(shown), heading)
     for ax, alarm in zip(axes, shown, strict=True):
         scene_id = judgement.known.labels[alarm.scene].scene_id
         title = (

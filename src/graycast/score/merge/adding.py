@@ -93,8 +93,8 @@ def why_not(
     seen &= np.abs(off_m) <= _SLACK_M + _SLOPE * spacing_m
     wrong = np.abs(view.depth_m[pixel] - truth.depth_m[pixel]) > WRONG_M
     cases = [~inside, ~seen, wrong]
-    told = [np.uint8(OUTSIDE), np.uint8(HIDDEN), np.uint8(WRONG)]
-    return np.select(cases, told, view.reason[pixel])
+    reasons = [np.uint8(OUTSIDE), np.uint8(HIDDEN), np.uint8(WRONG)]
+    return np.select(cases, reasons, view.reason[pixel])
 
 
 def best_order(has: Bool[np.ndarray, "views n"]) -> tuple[tuple[int, ...], tuple[int, ...]]:

@@ -39,19 +39,19 @@ def merge(source: Path, out: Path, *, progress: ProgressMeter = UNWATCHED) -> di
         raise GraycastError(f"{out}: lies in the dataset: choose a folder outside of it")
     models = read_models(stored.folder)
     seen: dict[tuple[str, ...], list[SurfaceSeen]] = {}
-    told: dict[int, str] = {}
+    reason_name: dict[int, str] = {}
     doubts: list[str] = []
     with new_folder(out) as folder:
         for done, shots in enumerate(scenes, start=1):
             names = tuple(shot.image_name for shot in shots)
             views = [read_view(stored, shot) for shot in shots]
-            told |= views[0].reason_name
+            reason_name |= views[0].reason_name
             fused = fuse([held.view for held in views])
             surface = surface_seen(read_surface(models, shots[0]), views)
             figures = {
                 "scene": shots[0].scene_key,
-                "surface": surface_figures(surface, names, told),
-                "cloud": cloud_figures(fused, views, told),
+                "surface": surface_figures(surface, names, reason_name),
+                "cloud": cloud_figures(fused, views, reason_name),
                 "doubts": fused.doubts,
             }
             doubts += [f"scene {shots[0].scene_key}: {doubt}" for doubt in fused.doubts]
@@ -64,9 +64,9 @@ def merge(source: Path, out: Path, *, progress: ProgressMeter = UNWATCHED) -> di
             "fingerprint": stored.claim.get("fingerprint", ""),
             "scenes": [shots[0].scene_key for shots in scenes],
             "doubts": doubts,
-            "reasons": {str(k): name for k, name in sorted(told.items())},
+            "reasons": {str(k): name for k, name in sorted(reason_name.items())},
             "surfaces": [
-                {"scenes": len(held)} | surface_figures(joined(held), names, told)
+                {"scenes": len(held)} | surface_figures(joined(held), names, reason_name)
                 for names, held in seen.items()
             ],
         }

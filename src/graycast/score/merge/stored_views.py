@@ -98,9 +98,9 @@ def _sigma_m(
         maps = read_code_maps(shot.folder, sensor=shot.sensor, number=shot.image)
     except Unreadable as error:
         raise DatasetError(f"{shot.folder}: {error}: run graycast validate") from error
-    told = maps.get(f"sigma_{triangulation_axis(rig)}")
-    if told is not None:
-        noise_px, source = told.astype(np.float64), "code maps"
+    sigma_px = maps.get(f"sigma_{triangulation_axis(rig)}")
+    if sigma_px is not None:
+        noise_px, source = sigma_px.astype(np.float64), "code maps"
     else:
         light = shot.depth_steps("modulation_sl")
         noise_px, source = measured_noise_px(depth_m, slope_m, light, rig), "neighbours"

@@ -108,8 +108,8 @@ def _differs(
     if best.meets:
         other = pair[0] if pair[1] == i else pair[1]
         to_other = best if pair[0] == i else replace(best, shift_m=-best.shift_m)
-        told = _displaced(views[i], views[other], to_other)
-        return f"{told}: its pose is off, or its depth is biased"
+        doubt = _displaced(views[i], views[other], to_other)
+        return f"{doubt}: its pose is off, or its depth is biased"
     if best.points < LEAST_POINTS:
         none = f"view {views[i].name} measured nothing where another view did"
     else:

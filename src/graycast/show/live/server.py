@@ -19,7 +19,7 @@ from pathlib import Path
 from queue import Empty, SimpleQueue
 from typing import Any, ClassVar
 
-from ...base.errors import GraycastError, told
+from ...base.errors import GraycastError, error_line
 from ...base.file_limits import parse_json
 from .page import about
 from .session import Held, Message, Session
@@ -216,7 +216,7 @@ class _Handler(BaseHTTPRequestHandler):
         try:
             answer = self.live.do(_command(body))
         except (GraycastError, ValueError, OSError) as error:
-            answer = {"error": told(error)}
+            answer = {"error": error_line(error)}
         self._send(json.dumps(answer).encode(), "application/json")
 
     def _is_ours(self) -> bool:

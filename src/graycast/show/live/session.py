@@ -206,7 +206,7 @@ class Session:
                     "rig": config.rig,
                     "resolution": config.resolution,
                 },
-                "said": _said(now.content) + _turned(now),
+                "said": _keys_of(now.content) + _turned(now),
                 "undo": self._at,
                 "redo": len(self._states) - 1 - self._at,
                 "number": self._number,
@@ -289,8 +289,8 @@ class Session:
             if answer.arrays:
                 self._version += 1
                 self._held[answer.kind] = Held(version=self._version, answer=answer)
-                told = ("number", "kind", "first", "samples", "of", "exact")
-                content = {name: content[name] for name in told if name in content}
+                keys = ("number", "kind", "first", "samples", "of", "exact")
+                content = {name: content[name] for name in keys if name in content}
                 content |= {"version": self._version, "waited_ms": waited_ms}
             if answer.kind == "error":
                 content["number"] = answer.number
@@ -329,12 +329,12 @@ def _turned(document: Document) -> list[str]:
     return names + (["ambient"] if document.ambient != 1 else [])
 
 
-def _said(content: Mapping[str, Any], before: str = "") -> list[str]:
+def _keys_of(content: Mapping[str, Any], before: str = "") -> list[str]:
     """Every key that the configuration's own text holds, with dots."""
     keys = []
     for name, value in content.items():
         key = f"{before}{name}"
         keys.append(key)
         if isinstance(value, Mapping):
-            keys += _said(value, f"{key}.")
+            keys += _keys_of(value, f"{key}.")
     return keys

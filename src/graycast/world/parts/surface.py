@@ -160,12 +160,12 @@ def as_solid(surface: Surface, findings: list[str]) -> Surface:
     if joined is None:
         return surface
     union, twice = joined
-    told = f"{len(outward)} bodies overlap, {twice:.2%} of their volume would count twice"
+    text = f"{len(outward)} bodies overlap, {twice:.2%} of their volume would count twice"
     if surface.corner_uv is not None:
         raise Refusal(
-            f"{told}; join them (a boolean union) in a mesh editor, which keeps their texture"
+            f"{text}; join them (a boolean union) in a mesh editor, which keeps their texture"
         )
-    findings.append(f"{told}: they were joined into one.")
+    findings.append(f"{text}: they were joined into one.")
     mesh = union.to_mesh64()
     return replace(
         surface,

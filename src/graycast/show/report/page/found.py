@@ -24,7 +24,7 @@ from ....score.evaluate import (
     evaluate,
     false_alarms,
 )
-from ....score.evaluate import summary as told
+from ....score.evaluate import summary as evaluation_summary
 
 FOUND = "detections.js"
 _DIGITS = 4
@@ -66,7 +66,7 @@ def found_index(evaluation: Evaluation, stored: StoredDataset) -> dict[str, Any]
         "name": evaluation.run.name,
         "kind": judgement.kind,
         "score": 0.5 if np.isnan(point.score) else _below(point.score),
-        "told": told(evaluation).splitlines(),
+        "told": evaluation_summary(evaluation).splitlines(),
         "scenes": rows,
     }
 

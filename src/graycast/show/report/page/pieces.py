@@ -48,9 +48,9 @@ class ReportSummary:
     removed: int
 
 
-def stamp_of(said: str, folder: Path, names: Iterable[str]) -> str:
+def stamp_of(text: str, folder: Path, names: Iterable[str]) -> str:
     """Changes with the words, and when a file does; files that are not there are left out."""
-    digest = hashlib.sha256(said.encode())
+    digest = hashlib.sha256(text.encode())
     for name in names:
         path = folder / name
         if path.exists():

@@ -305,9 +305,9 @@ def _encoded(frames: list[Image.Image], kind: str) -> bytes:
     if kind == "GIF":
         palette = _palette(frames)
         frames = [frame.quantize(palette=palette, dither=Image.Dither.NONE) for frame in frames]
-    told = {"quality": 70, "method": 4} if kind == "WEBP" else {"optimize": False}
+    encoding = {"quality": 70, "method": 4} if kind == "WEBP" else {"optimize": False}
     file = io.BytesIO()
     frames[0].save(
-        file, kind, save_all=True, append_images=frames[1:], duration=FRAME_MS, loop=0, **told
+        file, kind, save_all=True, append_images=frames[1:], duration=FRAME_MS, loop=0, **encoding
     )
     return file.getvalue()

@@ -25,7 +25,7 @@ DEPTH_SHARE, DEPTH_PX = 0.01, 2
 
 def mask_problems(
     scene: Plain,
-    camera: records.Camera,
+    camera: records.CameraRecord,
     models: Mapping[int, Model],
     instance: Int[np.ndarray, "h w"],
 ) -> Iterator[str]:
@@ -131,7 +131,7 @@ def _surface_problems(
     mask: Bool[np.ndarray, "h w"],
     visible: Bool[np.ndarray, "h w"],
     model: Model,
-    camera: records.Camera,
+    camera: records.CameraRecord,
 ) -> Iterator[str]:
     """The model, rendered at its pose by an independent rasteriser, against masks and depth."""
     pose = scene.poses[i]

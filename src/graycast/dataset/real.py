@@ -20,7 +20,7 @@ from ..base.mask_box import mask_box
 from .places import finished_scenes
 from .records import (
     Box,
-    Camera,
+    CameraRecord,
     Claim,
     CocoCategory,
     CocoImage,
@@ -146,7 +146,7 @@ def real_problems(out: Path) -> Iterator[tuple[int | None, str]]:
     """All that is wrong with a dataset of real pictures, as (scene or None, what)."""
     try:
         claim = read_json(out / "graycast.json", RealClaim)
-        camera = read_json(out / "camera.json", Camera)
+        camera = read_json(out / "camera.json", CameraRecord)
     except Unreadable as error:
         yield None, str(error)
         return
@@ -165,7 +165,7 @@ def real_problems(out: Path) -> Iterator[tuple[int | None, str]]:
         yield from ((None, what) for what in _split_problems(out, claim, finished))
 
 
-def _scene_problems(scene: SceneFolder, claim: RealClaim, camera: Camera) -> Iterator[str]:
+def _scene_problems(scene: SceneFolder, claim: RealClaim, camera: CameraRecord) -> Iterator[str]:
     size = (camera.height, camera.width)
     view = scene.record("scene_camera", OneImage[RealView]).image
     scene.record("manifest", Manifest)

@@ -17,7 +17,7 @@ from pydantic import RootModel
 from ..base.array_types import Bool, Float32, Int, UInt8, UInt16
 from ..base.errors import DatasetError
 from . import records
-from .example import Example, Label, label_arrays, metres
+from .example import Example, InstanceLabel, label_arrays, metres
 from .places import CLAIM, SPLITS, camera_file, finished_scenes
 from .real import RealClaim, RealInfo, RealPose, RealView, read_claim
 from .safe_reading import Unreadable, read_json
@@ -133,7 +133,7 @@ class StoredScene:
         """What each instance is, seen or not: all that one small file tells."""
         return tuple(pose.obj_id for pose in self.poses()) if "masks" in self.holds else ()
 
-    def labels(self, *, min_visibility: float = 0.0) -> list[Label]:
+    def labels(self, *, min_visibility: float = 0.0) -> list[InstanceLabel]:
         """The visible instances, or those visible for at least a share; none without masks."""
         poses, infos, annotations = self._annotated()
         seen = [i for i, info in enumerate(infos) if info.px_count_visib > 0]
@@ -243,10 +243,10 @@ class StoredScene:
                 )
         return poses, infos, annotations
 
-    def _label(self, i: int, pose: Any, info: Any, entry: records.SceneAnnotation) -> Label:
+    def _label(self, i: int, pose: Any, info: Any, entry: records.SceneAnnotation) -> InstanceLabel:
         size = list(self.size_px)
         runs = coco_mask.frPyObjects(entry.segmentation.model_dump(), *size)
-        return Label(
+        return InstanceLabel(
             instance=i,
             obj_id=pose.obj_id,
             area_px=entry.area,
@@ -449,7 +449,7 @@ def open_dataset(folder: Path) -> StoredDataset:
     images = claim.images if isinstance(claim, records.Claim) else [("", 0)]
     try:
         cameras = {
-            sensor: read_json(folder / camera_file(sensor), records.Camera)
+            sensor: read_json(folder / camera_file(sensor), records.CameraRecord)
             for sensor in dict.fromkeys(sensor for sensor, _ in images)
         }
     except Unreadable as error:

@@ -7,7 +7,7 @@ import pytest
 import trimesh
 from seen import FINE, from_above, plane_depth, view, world_rays
 
-from graycast.score.merge.adding import WRONG, Truth, best_order, surface_of, why_not
+from graycast.score.merge.adding import WRONG, ViewTruth, best_order, surface_of, why_not
 from graycast.score.merge.fuse import HIDDEN, OUTSIDE
 from graycast.score.merge.view import points_of
 from graycast.score.merge.view_figures import SurfaceSeen, surface_figures
@@ -33,7 +33,7 @@ def cube_depth(T):
 
 def reasons(T, depth_m, true_m, reason=None):
     seen = view(depth_m, T, 0.1e-3, reason=reason, camera=FINE)
-    truth = Truth(depth_m=true_m, instance=np.where(np.isfinite(cube_depth(T)), 0, -1))
+    truth = ViewTruth(depth_m=true_m, instance=np.where(np.isfinite(cube_depth(T)), 0, -1))
     surface = surface_of([cube()], [np.eye(4)], points=6000)
     return surface, why_not(surface, seen, points_of(seen), truth)
 

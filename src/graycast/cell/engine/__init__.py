@@ -1,7 +1,7 @@
 """Workers that make scenes: this process, processes of this machine, or a Ray cluster."""
 
 from ...base.progress import UNWATCHED, ProgressMeter
-from .job import Job, Made, Maker, keep_to_threads
+from .job import Job, Made, TaskRunner, keep_to_threads
 from .maker import SceneMaker, SceneTask
 from .pool import TRIES, Failed, Pool, make_all, make_each
 from .worker_renderer import KeptRenderer
@@ -12,10 +12,10 @@ __all__ = [
     "Job",
     "KeptRenderer",
     "Made",
-    "Maker",
     "Pool",
     "SceneMaker",
     "SceneTask",
+    "TaskRunner",
     "keep_to_threads",
     "make_all",
     "make_each",

@@ -10,7 +10,7 @@ from typing import Any
 
 from ... import __version__
 from ...base.errors import GraycastError, WorkerDied
-from .job import Job, Made, Maker
+from .job import Job, Made, TaskRunner
 from .maker import GPU_DEVICES
 from .pool import Failed
 
@@ -115,7 +115,7 @@ def _import_ray() -> Any:
 
 # --- in a worker of Ray ------------------------------------------------------------------------
 
-_maker: tuple[str, Maker] | None = None  # Ray uses a worker process again; this stays in it
+_maker: tuple[str, TaskRunner] | None = None  # Ray uses a worker process again; this stays in it
 
 
 def _make_on_node(run: str, task: list[Any], scene_id: int, threads: int) -> Made:

@@ -46,7 +46,7 @@ def is_the_scenes_own(error: BaseException) -> bool:
 
 
 @runtime_checkable
-class Maker(Protocol):
+class TaskRunner(Protocol):
     """Makes one scene after the other, or one bin; close it after use."""
 
     def make(self, scene_id: int) -> Made: ...
@@ -76,7 +76,7 @@ class Job(ABC):
         *,
         threads: int | None = None,
         progress: ProgressMeter = UNWATCHED,
-    ) -> Maker:
+    ) -> TaskRunner:
         """A maker of the job's scenes in this process; close it after use.
 
         Args:

@@ -15,7 +15,7 @@ from multiprocessing.process import BaseProcess
 from pathlib import Path
 
 from ...base.errors import WorkerDied
-from .job import Job, Made, Maker, is_the_scenes_own
+from .job import Job, Made, TaskRunner, is_the_scenes_own
 from .maker import GPU_DEVICES
 from .pool import Failed
 
@@ -236,7 +236,7 @@ def _work(connection: Connection) -> None:
         task, threads, quiet = connection.recv()
         if quiet:
             logging.getLogger("graycast").setLevel(logging.ERROR)
-        maker: Maker | None = None
+        maker: TaskRunner | None = None
         while True:
             scene_id = connection.recv()
             try:

@@ -7,7 +7,7 @@ from typing import Any
 
 from pycocotools import mask as coco_mask
 
-from ..example import Label
+from ..example import InstanceLabel
 from ..stored import StoredDataset, StoredScene
 from .options import Options, settled
 from .outline import polygons
@@ -62,7 +62,7 @@ def _image(folder: Path, split: str, scene: StoredScene, options: Options) -> di
     return image | held
 
 
-def _entry(label: Label, as_polygons: bool) -> dict[str, Any]:
+def _entry(label: InstanceLabel, as_polygons: bool) -> dict[str, Any]:
     shape: Any = label.segmentation
     if as_polygons:
         mask = coco_mask.decode(label.segmentation).astype(bool)

@@ -12,7 +12,7 @@ from pathlib import Path
 import yaml
 from pycocotools import mask as coco_mask
 
-from ..example import Label
+from ..example import InstanceLabel
 from ..stored import StoredDataset, StoredScene
 from .options import Options, settled
 from .outline import path
@@ -51,7 +51,7 @@ def write_rest(
     (folder / "data.yaml").write_text(text, encoding="utf-8")
 
 
-def _row(label: Label, kind: str, size_px: tuple[int, int]) -> str:
+def _row(label: InstanceLabel, kind: str, size_px: tuple[int, int]) -> str:
     height_px, width_px = size_px
     if kind == "boxes":
         x, y, w, h = label.box

@@ -37,7 +37,7 @@ LEAST_INSIDE = 0.5  # of a picture's depth, in the range that the detector learn
 
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Looked:
+class DetectionResult:
     """What a detector found in pictures, how long it took for each [ms], and notes on depth."""
 
     found: tuple[Detections, ...]
@@ -47,7 +47,7 @@ class Looked:
 
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Chosen:
+class PictureSelection:
     """Pictures to look at, read one by one, and what `detect` writes of where they come from.
 
     `class_ids` are those that each class has in the results; `record` is for `detect.json`.
@@ -61,14 +61,14 @@ class Chosen:
 
 def detect(
     detector: Detector,
-    pictures: Chosen,
+    pictures: PictureSelection,
     out: Path,
     *,
     most: int = 300,
     least_score: float = 0.05,
     drawings: int = 12,
     progress: ProgressMeter = UNWATCHED,
-) -> Looked:
+) -> DetectionResult:
     """Look at pictures and write `results.json`, `detect.json` and the first drawings to `out`.
 
     Args:
@@ -110,7 +110,7 @@ def detect(
         }
         (folder / LOOKED).write_bytes(json_bytes(content))
         (folder / RESULTS).write_bytes(results_bytes(found))
-    return Looked(found=tuple(found), ms_per_picture=tuple(times_ms), notes=tuple(notes))
+    return DetectionResult(found=tuple(found), ms_per_picture=tuple(times_ms), notes=tuple(notes))
 
 
 def _notes(example: Example, encoding: Encoding) -> Iterator[str]:
@@ -178,7 +178,7 @@ def drawn(example: Example, found: Detections) -> UInt8[np.ndarray, "h w 3"]:
 
 def pictures_of(
     folder: Path, about: About, *, split: str, scale_m: float | None, as_real: bool = False
-) -> Chosen:
+) -> PictureSelection:
     """The pictures of a dataset, of an export, or of a folder that `import-real` could read.
 
     Args:
@@ -194,7 +194,7 @@ def pictures_of(
         if split != "all":
             raise GraycastError(f"{folder}: is not a dataset, so it has no set {split}: choose all")
         found = find_shots(folder)
-        return Chosen(
+        return PictureSelection(
             examples=shots(found, scale_m=scale_m),
             scene_ids=tuple(range(len(found))),
             class_ids={name: i for i, name in enumerate(about.names, start=1)},
@@ -203,7 +203,7 @@ def pictures_of(
     held = about.trained["settings"]["split"]
     division = Split(shares=tuple(held["shares"]), seed=held["seed"])
     sets, record = sets_of(folder, split, division)
-    return Chosen(
+    return PictureSelection(
         examples=map(_as_real, chain.from_iterable(sets)) if as_real else chain.from_iterable(sets),
         scene_ids=tuple(scene_id for each in sets for scene_id in each.scene_ids),
         class_ids=about.obj_ids(sets[0].categories, folder),

@@ -33,7 +33,7 @@ from .detector import (
 from .encoding import Encoding, fitting_size
 from .network import Network, Recipe
 from .run import Progress, Row, RunFolder
-from .training_pictures import Augmentation, Pictures, collate, room_for
+from .training_pictures import Augmentation, TrainingPictures, collate, room_for
 from .weights import load_weights
 
 SHARES = (0.8, 0.1, 0.1)
@@ -282,7 +282,7 @@ class _Training:
 
     def _epoch(
         self,
-        pictures: Pictures,
+        pictures: TrainingPictures,
         epoch: int,
         steps: int,
         batch: int,
@@ -322,7 +322,7 @@ class _Training:
                 self.run.save(progress, self.network, optimizer)
                 saved = time.monotonic()
 
-    def _loaded(self, pictures: Pictures, batches: np.ndarray) -> Iterator:
+    def _loaded(self, pictures: TrainingPictures, batches: np.ndarray) -> Iterator:
         loader = torch.utils.data.DataLoader(
             pictures,
             batch_sampler=batches.tolist(),
@@ -336,8 +336,8 @@ class _Training:
                 [target.to(self.device) for target in targets],
             )
 
-    def _pictures(self) -> Pictures:
-        return Pictures(
+    def _pictures(self) -> TrainingPictures:
+        return TrainingPictures(
             [(each.train, self.about.classes(each.train.categories)) for each in self.sets],
             self.about.encoding,
             self.run.cache / "train.npy",

@@ -66,7 +66,7 @@ class _Labelled:
 
 
 @final
-class Pictures(torch.utils.data.Dataset):
+class TrainingPictures(torch.utils.data.Dataset):
     """Pictures and labels of one set as tensors, the same for the same seed, epoch and index.
 
     They are encoded once, into a file beside the run, so that an epoch reads what the network
@@ -135,7 +135,7 @@ class Pictures(torch.utils.data.Dataset):
             mask=mask,
         )
 
-    def at(self, epoch: int) -> "Pictures":
+    def at(self, epoch: int) -> "TrainingPictures":
         """Select the epoch whose augmentation is drawn, and return the set itself."""
         self.epoch = epoch
         return self

@@ -13,7 +13,7 @@ from ...dataset.detections import RESULTS, Detections, read_results
 from ...dataset.example import Example
 from ...dataset.json_text import json_bytes
 from ...score.evaluate import Labels, Scores, labels_of, score
-from ...score.evaluate.intervals import Drawn, drawn, mean
+from ...score.evaluate.intervals import BootstrapFigure, drawn, mean
 from ...score.evaluate.judging import KINDS
 from ...score.evaluate.matching import Kind
 from ...score.evaluate.task import as_one_class
@@ -28,7 +28,7 @@ FIGURE = "ap50"  # the paper's
 
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Run:
+class StudyRun:
     """One combination of a study."""
 
     model: ModelSection
@@ -50,10 +50,10 @@ class Run:
 class Result:
     """A run's figures: of each world and kind, one for each of the world's datasets."""
 
-    run: Run
-    figures: dict[tuple[str, str], tuple[Drawn, ...]]
+    run: StudyRun
+    figures: dict[tuple[str, str], tuple[BootstrapFigure, ...]]
 
-    def of(self, world: str, kind: str, number: int | None = None) -> Drawn | None:
+    def of(self, world: str, kind: str, number: int | None = None) -> BootstrapFigure | None:
         """A world's figure: of its dataset of that number, else the mean over all.
 
         None where the run or the world has no masks, or the world no such dataset.
@@ -64,7 +64,7 @@ class Result:
         return held[number] if number < len(held) else None
 
 
-def runs_of(spec: StudySpec) -> Iterator[Run]:
+def runs_of(spec: StudySpec) -> Iterator[StudyRun]:
     """All combinations; colour has no encodings to choose from, so it comes once."""
     for training, model, input_name, encoding in product(
         spec.training, spec.models, spec.inputs, spec.encodings
@@ -72,7 +72,7 @@ def runs_of(spec: StudySpec) -> Iterator[Run]:
         if input_name == "rgb" and encoding is not spec.encodings[0]:
             continue
         for seed in model.seeds or spec.seeds:
-            yield Run(
+            yield StudyRun(
                 model=model, input=input_name, encoding=encoding, training=training, seed=seed
             )
 
@@ -105,7 +105,7 @@ def run_study(
         folder = out / "runs" / run.name
         folder.parent.mkdir(parents=True, exist_ok=True)
         detector = _trained(spec, run, folder, device, progress)
-        figures: dict[tuple[str, str], tuple[Drawn, ...]] = {}
+        figures: dict[tuple[str, str], tuple[BootstrapFigure, ...]] = {}
         for number, (name, world) in enumerate(worlds.items()):
             found = [
                 _found(detector, dataset, spec.tests[name], folder / f"found_{name}_{i}")
@@ -128,7 +128,7 @@ def run_study(
 
 def _trained(
     spec: StudySpec,
-    run: Run,
+    run: StudyRun,
     folder: Path,
     device: str,
     progress: ProgressMeter,

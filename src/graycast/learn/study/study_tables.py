@@ -9,7 +9,7 @@ from pathlib import Path
 from ...base.folder import write_whole
 from ...base.plotting import ACCENT, INK, SECOND, SOFT, caption, plain_figure, save_png
 from ...dataset.json_text import json_bytes
-from ...score.evaluate.intervals import Drawn, Interval
+from ...score.evaluate.intervals import BootstrapFigure, Interval
 from ..study_file import StudySpec
 from .study_runs import Result
 
@@ -80,7 +80,7 @@ def _rows(spec: StudySpec, result: Result, dataset: tuple[int, str] | None = Non
     return rows
 
 
-def _figures(name: str, figure: Drawn) -> Row:
+def _figures(name: str, figure: BootstrapFigure) -> Row:
     interval = figure.interval
     return {name: interval.value, f"{name}_low": interval.low, f"{name}_high": interval.high}
 

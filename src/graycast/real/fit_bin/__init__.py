@@ -17,19 +17,19 @@ from .fitting import (
     with_look,
     write_fit,
 )
-from .look import Frames, Look, fit_look
+from .look import BinAppearance, Frames, fit_look
 from .registration import FaceFit, PoseFit, difference, find_pose, judge, register, settle
 from .shape import BinShape
 
 __all__ = [
     "BentBin",
+    "BinAppearance",
     "BinFit",
     "BinShape",
     "BinView",
     "FaceFit",
     "FileOptions",
     "Frames",
-    "Look",
     "PoseFit",
     "azimuth_of",
     "bend_bin",

@@ -22,7 +22,7 @@ from ..fitted_config import fitted_text, refuse_there
 from .bending import BentBin, bent_bin, mesh_bytes
 from .bin_views import BinView
 from .box import open_box
-from .look import Frames, Look, fit_look, mean_color
+from .look import BinAppearance, Frames, fit_look, mean_color
 from .mesh import mesh_shape
 from .registration import FREEDOMS, FaceFit, PoseFit, difference, find_pose, settle
 from .residual_picture import draw_residuals
@@ -40,7 +40,7 @@ class BinFit:
     shape: BinShape
     pose: PoseFit
     apart: tuple[tuple[float, float], ...]
-    look: Look | None = None
+    look: BinAppearance | None = None
     bent: BentBin | None = None
 
 
@@ -352,7 +352,7 @@ def _face_line(face: FaceFit) -> str:
     return f"  {face.name:10} {face.inliers:4.0%} of its pixels agree; {residual}"
 
 
-def _look_lines(look: Look) -> list[str]:
+def _look_lines(look: BinAppearance) -> list[str]:
     lines = []
     for name, color in look.reflectance.items():
         bands = ", ".join(f"{band:.3f}" for band in color)

@@ -55,7 +55,7 @@ class Frames:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Look:
+class BinAppearance:
     """Linear reflectances by surface, of those that the pictures show.
 
     `pixels` are those compared, `off` the largest relative difference of a surface's band that is
@@ -80,7 +80,7 @@ def fit_look(
     frames: Frames | None,
     renderer: Renderer,
     seed: int,
-) -> Look:
+) -> BinAppearance:
     """Colours with which the renderer makes the pictures of the views.
 
     Args:
@@ -123,7 +123,7 @@ def fit_look(
             break
         color |= {n: _stepped(color[n], relative[n]) for n in shown}
     _refuse_impossible({name: color[name] for name in shown}, relative, level)
-    return Look(
+    return BinAppearance(
         reflectance={name: color[name] for name in shown},
         pixels={name: pixels[name] for name in shown},
         off=off,

@@ -27,7 +27,7 @@ from ...dataset.seal import sealed
 from ...render.radiance import Silhouette
 from ..depth_sense import filled_holes, refuse_beyond
 from ..picture_pairs import RealPicture, Seen, depth_step_mm, depth_steps, find_shots, read_shot
-from .annotations import Drawn, read_annotations
+from .annotations import PictureAnnotations, read_annotations
 
 NO_DISTORTION = (0.0, 0.0, 0.0, 0.0, 0.0)
 
@@ -120,7 +120,7 @@ def import_real(
 
 def _labels(
     folder: Path, annotations: Path | None, labelled: bool, stems: list[str]
-) -> tuple[dict[str, Drawn], list[str]]:
+) -> tuple[dict[str, PictureAnnotations], list[str]]:
     if not labelled:
         if annotations is not None:
             raise DatasetError(
@@ -201,7 +201,9 @@ class _Writer:
         size = {"width": width_px, "height": height_px, "depth_scale": self.step_mm}
         return size | {"fx": fx, "fy": fy, "cx": cx, "cy": cy} | self._distortion()
 
-    def scene(self, place: Path, shot: RealPicture, seen: Seen, drawn: Drawn | None) -> None:
+    def scene(
+        self, place: Path, shot: RealPicture, seen: Seen, drawn: PictureAnnotations | None
+    ) -> None:
         files: dict[str, bytes] = {}
         view = {"cam_K": seen.K.ravel(), "depth_scale": self.step_mm} | self._distortion()
         suffixes = _suffixes(self.holds)
@@ -247,7 +249,7 @@ class _Writer:
         return {"distortion": list(self.distortion)} if any(self.distortion) else {}
 
     def _label_files(
-        self, shot: RealPicture, seen: Seen, drawn: Drawn, suffixes: Sequence[str]
+        self, shot: RealPicture, seen: Seen, drawn: PictureAnnotations, suffixes: Sequence[str]
     ) -> dict[str, bytes]:
         height_px, width_px = seen.size_px
         if drawn.size_px != seen.size_px:

@@ -25,8 +25,8 @@ from ...dataset.records import MM_PER_M
 from ...dataset.safe_reading import Unreadable, read_json
 from ...dataset.stored import StoredDataset, StoredScene
 from .label_options import Labelling
-from .scene_labels import Label
-from .stored_world import Heap
+from .scene_labels import GraspLabel
+from .stored_world import ScenePoses
 
 _LOCK = ".lock"
 _CLAIMED = ("format_version", "dataset", "seed", "config")
@@ -129,7 +129,7 @@ def _tidy(out: Path) -> None:
         out.parent.rmdir()
 
 
-def scene_json(labels: Sequence[Label], heap: Heap, obj_ids: Sequence[int]) -> bytes:
+def scene_json(labels: Sequence[GraspLabel], heap: ScenePoses, obj_ids: Sequence[int]) -> bytes:
     """The labels of one scene as their file has them."""
     entries: list[dict[str, Any]] = [{"obj_id": obj_id, "grasps": []} for obj_id in obj_ids]
     for label in labels:

@@ -12,7 +12,7 @@ from ...dataset.stored import StoredDataset, open_dataset
 from .label_files import open_labels, scene_json
 from .label_options import Labelling
 from .scene_labels import label_scene
-from .stored_world import Stock, World, make_world, read_heap, read_stock
+from .stored_world import GraspWorld, Stock, make_world, read_heap, read_stock
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -37,7 +37,7 @@ class SceneLabeller:
 
     def __init__(self, task: LabelTask, *, threads: int | None, progress: ProgressMeter) -> None:
         self._task, self._threads, self._progress = task, threads, progress
-        self._world: World | None = None
+        self._world: GraspWorld | None = None
 
     def make(self, scene_id: int) -> Made:
         """One scene, by its place among all scenes of the dataset.

@@ -6,14 +6,14 @@ from jaxtyping import UInt8
 
 from ...base.frames import inverse, transform_points
 from ...rig.optics import project
-from .bin_scan import Look
+from .bin_scan import BinScan
 from .outcome import TAKEN, Attempt
 
 _GOOD, _BAD, _PART = (63, 158, 47), (200, 56, 90), (242, 177, 52)  # RGB
 AXIS_M = 0.05
 
 
-def picture(seen: Look, attempt: Attempt) -> UInt8[np.ndarray, "h w 3"]:
+def picture(seen: BinScan, attempt: Attempt) -> UInt8[np.ndarray, "h w 3"]:
     """The white frame with the part's outline, the tool's axis and the outcome (RGB)."""
     image = np.ascontiguousarray(np.repeat(seen.gray[..., None], 3, axis=-1))
     ink = _GOOD if attempt.outcome in TAKEN else _BAD

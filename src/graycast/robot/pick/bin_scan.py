@@ -15,7 +15,7 @@ from ...dataset.detections import Detections
 from ...dataset.example import Example
 from ...render import Renderer, Rendering
 from ...world.scene import Layout
-from .aim import Sight, Target, whole_bin
+from .aim import DepthView, PartCandidate, whole_bin
 from .robot_cell import PickCell
 
 LEAST_VISIBLE_PX = 30  # of a part that truth tells of
@@ -23,14 +23,14 @@ LEAST_SCORE = 0.3  # of a detector's detection
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Look:
+class BinScan:
     """The result of a scan, and the true scene from the same view.
 
     `instance` is the number of the part in each pixel, -1 elsewhere: for truth's detections and
     for pictures of outcomes. `seconds` are simulated: frames by exposure and read-out.
     """
 
-    view: Sight
+    view: DepthView
     gray: UInt8[np.ndarray, "h w"]
     rgb: UInt8[np.ndarray, "h w 3"] | None
     instance: np.ndarray
@@ -39,7 +39,7 @@ class Look:
 
 def scan(
     cell: PickCell, renderer: Renderer, layout: Layout, *, seed: np.random.SeedSequence
-) -> Look:
+) -> BinScan:
     """Scan the parts in their poses; depth that cannot be decoded is missing.
 
     If nothing looks at more than perfect depth, one sample a pixel makes the picture of the record.
@@ -56,8 +56,8 @@ def scan(
         base.scene, layout, base.patterns(), quality=quality, seed=render_seed
     )
     capture = take(base.scanner, rendering.radiance, seed=noise_seed)
-    return Look(
-        view=Sight(
+    return BinScan(
+        view=DepthView(
             depth_m=_acted_on(cell, rendering, capture, depth_seed),
             camera=base.scene.rig.camera,
             T_world_cam=base.scene.T_world_cam,
@@ -92,7 +92,9 @@ def _picture(
     return color_picture(cell.cell.scanner, rendering, denoiser=renderer.denoiser, seed=seed)
 
 
-def targets(cell: PickCell, seen: Look, layout: Layout, detector: Any | None) -> tuple[Target, ...]:
+def targets(
+    cell: PickCell, seen: BinScan, layout: Layout, detector: Any | None
+) -> tuple[PartCandidate, ...]:
     """The candidate parts in a scan.
 
     Args:
@@ -101,23 +103,23 @@ def targets(cell: PickCell, seen: Look, layout: Layout, detector: Any | None) ->
     """
     picking = cell.config.picking
     if picking.detector == "none":
-        return (Target(kind=None, score=1.0, mask=whole_bin(seen.view, cell.box)),)
+        return (PartCandidate(kind=None, score=1.0, mask=whole_bin(seen.view, cell.box)),)
     found = _true_targets(seen, layout) if detector is None else _detected(cell, seen, detector)
     if picking.pose == "truth":
         found = [_with_true_pose(target, seen, layout) for target in found]
     return tuple(found)
 
 
-def _true_targets(seen: Look, layout: Layout) -> list[Target]:
+def _true_targets(seen: BinScan, layout: Layout) -> list[PartCandidate]:
     found = []
     for number, kind in enumerate(layout.part_index.tolist()):
         mask = seen.instance == number
         if mask.sum() >= LEAST_VISIBLE_PX:
-            found.append(Target(kind=kind, score=1.0, mask=mask))
+            found.append(PartCandidate(kind=kind, score=1.0, mask=mask))
     return found
 
 
-def _detected(cell: PickCell, seen: Look, detector: Any) -> list[Target]:
+def _detected(cell: PickCell, seen: BinScan, detector: Any) -> list[PartCandidate]:
     ids = {part.name: i for i, part in enumerate(cell.cell.scene.parts)}
     # What the detector calls by another name; ids below 0 would be left out.
     another = 0 if len(ids) == 1 else len(ids)
@@ -133,12 +135,12 @@ def _detected(cell: PickCell, seen: Look, detector: Any) -> list[Target]:
     return [_target(found, i, kinds=len(ids)) for i in range(len(found))]
 
 
-def _target(found: Detections, i: int, *, kinds: int) -> Target:
+def _target(found: Detections, i: int, *, kinds: int) -> PartCandidate:
     from pycocotools import mask as coco_mask
 
     mask = None if found.mask is None else coco_mask.decode(dict(found.mask[i])).astype(bool)
     kind = int(found.obj_id[i])
-    return Target(
+    return PartCandidate(
         kind=kind if kind < kinds else None,
         score=float(found.score[i]),
         mask=mask,
@@ -146,14 +148,14 @@ def _target(found: Detections, i: int, *, kinds: int) -> Target:
     )
 
 
-def _with_true_pose(target: Target, seen: Look, layout: Layout) -> Target:
+def _with_true_pose(target: PartCandidate, seen: BinScan, layout: Layout) -> PartCandidate:
     """The pose of the part that most of a detection's pixels are of."""
     inside = seen.instance[target.inside(seen.instance.shape)]
     inside = inside[inside >= 0]
     if not len(inside):
         return target
     number = int(np.bincount(inside).argmax())
-    return Target(
+    return PartCandidate(
         kind=int(layout.part_index[number]),
         score=target.score,
         mask=target.mask,

@@ -11,8 +11,8 @@ from ..grasp import Doubt, patch_of_depth
 from .aim import (
     PLACES,
     Aim,
-    Sight,
-    Target,
+    DepthView,
+    PartCandidate,
     aims_by_pose,
     aims_in_depth,
     best_first,
@@ -55,8 +55,8 @@ class Choice:
 
 def choose(
     ready: Ready,
-    view: Sight,
-    found: Sequence[Target],
+    view: DepthView,
+    found: Sequence[PartCandidate],
     q: Joints,
     tabu: Sequence[Float[np.ndarray, "3"]],
     blocked: Sequence[Float[np.ndarray, "3"]],
@@ -77,7 +77,7 @@ def choose(
     """
     picking = ready.cell.config.picking
     why, sought = Blocked(outcome=Outcome.NOTHING_FOUND), list[Float[np.ndarray, "3"]]()
-    heaps, posed, reached = _Heaps(ready, view), list[Target](), int(bool(found))
+    heaps, posed, reached = _Heaps(ready, view), list[PartCandidate](), int(bool(found))
 
     def aims() -> Iterator[Aim]:
         """In the order in which they are tried; the places that are sought decide it, too."""
@@ -115,7 +115,9 @@ def choose(
     return replace(why, places_m=tuple(sought))
 
 
-def _together(groups: Sequence[Sequence[Target]], count: int) -> Iterator[Sequence[Target]]:
+def _together(
+    groups: Sequence[Sequence[PartCandidate]], count: int
+) -> Iterator[Sequence[PartCandidate]]:
     """Batches of targets of one group."""
     for group in groups:
         for start in range(0, len(group), count):
@@ -129,7 +131,11 @@ def _near(
 
 
 def _aims(
-    ready: Ready, found: Sequence[Target], view: Sight, seed: int, posed: list[Target]
+    ready: Ready,
+    found: Sequence[PartCandidate],
+    view: DepthView,
+    seed: int,
+    posed: list[PartCandidate],
 ) -> list[Aim]:
     """Grips on some targets; those on which grips were looked for are added to `posed`."""
     picking = ready.cell.config.picking
@@ -160,7 +166,7 @@ class _Heap:
 class _Heaps:
     """The measured heap; for a tool that reaches round a part, without the part."""
 
-    def __init__(self, ready: Ready, view: Sight) -> None:
+    def __init__(self, ready: Ready, view: DepthView) -> None:
         self._ready, self._shape = ready, view.depth_m.shape
         self._points = measured_points(view.depth_m, view.camera, view.T_world_cam, ready.cell.box)
         self._made: dict[int, _Heap] = {}
@@ -182,7 +188,7 @@ class _Heaps:
         )
 
 
-def _unlike(ready: Ready, view: Sight, aim: Aim) -> Blocked | None:
+def _unlike(ready: Ready, view: DepthView, aim: Aim) -> Blocked | None:
     """Whether the measured surface under a tool differs from the part at its pose.
 
     Another part lies on it, or the pose is wrong.

@@ -17,8 +17,8 @@ from ...base.streams import EMPTIED_BIN
 from ...render import Renderer
 from ...world.drop import drop
 from .attempt_picture import picture
-from .bin_scan import Look, scan, targets
-from .carry import World, carry_out
+from .bin_scan import BinScan, scan, targets
+from .carry import BinState, carry_out
 from .choose import choose
 from .clock import Clock
 from .outcome import TAKEN, Attempt, Outcome
@@ -77,7 +77,7 @@ def empty_bin(
         limits=config.drop,
         progress=progress,
     )
-    world = World(
+    world = BinState(
         layout=layout,
         numbers=np.arange(sum(counts)),
         hand_eye=_hand_eye(config.picking, np.random.default_rng(streams["calibration"])),
@@ -126,8 +126,8 @@ def _hand_eye(picking: PickingSection, rng: np.random.Generator) -> Float[np.nda
 
 
 def _attempt(
-    ready: Ready, renderer: Renderer, world: World, seed: np.random.SeedSequence
-) -> tuple[Attempt, Look, World]:
+    ready: Ready, renderer: Renderer, world: BinState, seed: np.random.SeedSequence
+) -> tuple[Attempt, BinScan, BinState]:
     scan_seed, plan_seed = seed.spawn(2)
     clock = Clock()
     with clock("scan"):

@@ -8,7 +8,7 @@ from matplotlib.axes import Axes
 
 from ...base.plotting import ACCENT, INK, SOFT, caption, plain_figure, save_png
 from .outcome import Outcome
-from .summary import Summary
+from .summary import PickSummary
 
 COLOR = {
     Outcome.NOTHING_FOUND: "#c3ccd5",
@@ -24,7 +24,7 @@ COLOR = {
 }
 
 
-def plot_runs(runs: Mapping[str, Summary], path: Path) -> None:
+def plot_runs(runs: Mapping[str, PickSummary], path: Path) -> None:
     """Write a PNG with a row for each run, the first on top.
 
     Raises:
@@ -47,7 +47,7 @@ def plot_runs(runs: Mapping[str, Summary], path: Path) -> None:
     save_png(figure, path, dpi=110)
 
 
-def _rates(ax: Axes, runs: Mapping[str, Summary]) -> None:
+def _rates(ax: Axes, runs: Mapping[str, PickSummary]) -> None:
     rate, low, high = 100 * np.array([summary.rate for summary in runs.values()]).T
     ends = np.stack([rate - low, high - rate])
     ax.errorbar(rate, range(len(runs)), xerr=ends, fmt="o", color=ACCENT, ecolor=INK, lw=1.2, ms=5)
@@ -55,7 +55,7 @@ def _rates(ax: Axes, runs: Mapping[str, Summary]) -> None:
     caption(ax, "Grips that took a part out", "%, with the 95 % interval")
 
 
-def _failures(ax: Axes, runs: Mapping[str, Summary]) -> None:
+def _failures(ax: Axes, runs: Mapping[str, PickSummary]) -> None:
     start = np.zeros(len(runs))
     parts = np.array([max(summary.filled, 1) for summary in runs.values()])
     for outcome, color in COLOR.items():

@@ -15,7 +15,7 @@ _TAKEN = [str(outcome) for outcome in TAKEN]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Summary:
+class PickSummary:
     """Of all bins of a folder.
 
     Attributes:
@@ -58,7 +58,7 @@ class Summary:
         return 3600 * self.picked / total_s if total_s else 0.0
 
 
-def summarize(episodes: Sequence[StoredEpisode]) -> Summary:
+def summarize(episodes: Sequence[StoredEpisode]) -> PickSummary:
     """Raise GraycastError if no bin is finished."""
     if not episodes:
         raise GraycastError("no bin is finished yet: run graycast pick first")
@@ -74,7 +74,7 @@ def summarize(episodes: Sequence[StoredEpisode]) -> Summary:
     picked = sum(outcomes[name] for name in _TAKEN)
     low, high = wilson(picked, grips) if grips else (0.0, 1.0)
     stages = dict.fromkeys(stage for one in work for stage in one)
-    return Summary(
+    return PickSummary(
         bins=len(episodes),
         grips=grips,
         picked=picked,

@@ -15,7 +15,7 @@ from ...base.frames import rigid
 from ...world.drop import Body
 from ...world.parts import Mesh, Part
 from ..grasp import Grip, SeenGrip
-from .contact import Held, NotHeld
+from .contact import NoGrip, PartGrip
 from .jaw_tool import JawTool
 from .outcome import Outcome
 from .robot import Mounted
@@ -88,7 +88,7 @@ class Tool(Protocol):
         T_world_part: Float[np.ndarray, "n 4 4"],
         part_index: Int[np.ndarray, " n"],
         opening_m: float | None = None,
-    ) -> Held | NotHeld:
+    ) -> PartGrip | NoGrip:
         """What happens when the tip arrives among the true parts, where no rigid shape collides.
 
         Args:

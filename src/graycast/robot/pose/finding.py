@@ -14,7 +14,7 @@ from . import agreement
 from .closest import settle
 from .model import PoseModel
 from .pairs import votes
-from .trying import Judged, Trials
+from .trying import PoseCandidate, Trials
 
 WINDOW = 0.035  # half width of the windows of normals, as a share of the diameter
 REACH = 0.75  # of the diameter around a detection is looked at
@@ -218,7 +218,7 @@ def _bundled(model: PoseModel, T: np.ndarray, weight: np.ndarray) -> np.ndarray:
     return np.ascontiguousarray(T[best])
 
 
-def _best(model: PoseModel, seen: Crop, guesses: Float[np.ndarray, "n 4 4"]) -> Judged:
+def _best(model: PoseModel, seen: Crop, guesses: Float[np.ndarray, "n 4 4"]) -> PoseCandidate:
     """Compare the guesses with the depth, align the best, and try equivalent alternatives."""
     trials = Trials(model, seen)
     first = np.array([trials.judge(T).worth for T in guesses])
@@ -239,7 +239,7 @@ def _best(model: PoseModel, seen: Crop, guesses: Float[np.ndarray, "n 4 4"]) -> 
     return best
 
 
-def _estimate(best: Judged, T_cam_part: Float[np.ndarray, "4 4"]) -> PoseFound:
+def _estimate(best: PoseCandidate, T_cam_part: Float[np.ndarray, "4 4"]) -> PoseFound:
     number = best.number
     return PoseFound(
         T_cam_part=T_cam_part,

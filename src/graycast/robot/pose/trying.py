@@ -24,14 +24,14 @@ LEAST_PIXELS = 30  # on which a pose that is put otherwise is placed
 
 @final
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Judged:
+class PoseCandidate:
     """A pose, its score (at most 1), and its pixels by kind (`checking`)."""
 
     T: Float[np.ndarray, "4 4"]
     worth: float
     number: Int[np.ndarray, " kinds"]
 
-    def better_of(self, other: "Judged") -> "Judged":
+    def better_of(self, other: "PoseCandidate") -> "PoseCandidate":
         return self if self.worth > other.worth else other
 
 
@@ -50,13 +50,13 @@ class Trials:
         self._middle = np.array([j.mean(), i.mean()])
         self._box = np.array([j.min(), i.min(), j.max(), i.max()])
 
-    def judge(self, T: Float[np.ndarray, "4 4"]) -> Judged:
+    def judge(self, T: Float[np.ndarray, "4 4"]) -> PoseCandidate:
         model, seen = self._model, self._seen
         worth, number = score(
             T, model.vertices_m, model.faces, self._lens, seen.ray, seen.left_px, seen.top_px,
             seen.z, seen.inside, seen.tight, self._box, self.tolerance_m, self._drawn, self._face,
         )  # fmt: skip
-        return Judged(T=T, worth=float(worth), number=number)
+        return PoseCandidate(T=T, worth=float(worth), number=number)
 
     def align(self, T: Float[np.ndarray, "4 4"]) -> Float[np.ndarray, "4 4"]:
         """The pose moved so that surface and outline lie on what is measured."""

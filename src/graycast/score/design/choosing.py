@@ -20,7 +20,7 @@ FIGURES = ("of_seen", "sigma_m", "bias_m", "pixel_m", "feature_m", "seconds")
 
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Row:
+class SettingFigures:
     """A setting's figures: the mean over the heaps, and the measured share of each of them.
 
     Figures are NaN where no heap has them. `front` says that no other setting measures as much or
@@ -60,10 +60,10 @@ def mean_interval(value: Float[np.ndarray, " n"]) -> Interval:
     return Interval(value=mean, low=mean - half, high=mean + half)
 
 
-def row_of(placed: Placed, heaps: Sequence[Mapping[str, Any] | None]) -> Row:
+def row_of(placed: Placed, heaps: Sequence[Mapping[str, Any] | None]) -> SettingFigures:
     """A setting's row from its figures by heap; None where a heap could not be made."""
     made = [heap for heap in heaps if heap is not None]
-    return Row(
+    return SettingFigures(
         name=placed.setting.name,
         placed=placed,
         measured_by_heap=np.array(
@@ -91,24 +91,24 @@ def on_front(values: Float[np.ndarray, "n figures"]) -> list[bool]:
     return [not each for each in beaten]
 
 
-def cost(row: Row) -> tuple[float, float, float]:
+def cost(row: SettingFigures) -> tuple[float, float, float]:
     """The quantities to minimise, rounded as printed: unmeasured share, sigma [mm], seconds."""
     sigma_mm, seconds = 1e3 * row.figure["sigma_m"], row.figure["seconds"]
     return round(1 - row.measured.value, 3), round(sigma_mm, 2), round(seconds, 2)
 
 
-def choose(spec: DesignSpec, rows: Sequence[Row]) -> Row | None:
+def choose(spec: DesignSpec, rows: Sequence[SettingFigures]) -> SettingFigures | None:
     """The setting that measures most among those that meet the study's needs."""
     fit = [row for row in rows if meets(spec, row) and math.isfinite(row.measured.value)]
     return max(fit, key=lambda row: row.measured.value, default=None)
 
 
-def meets(spec: DesignSpec, row: Row) -> bool:
+def meets(spec: DesignSpec, row: SettingFigures) -> bool:
     wanted = spec.needs.model_dump(exclude_none=True)
     return all(row.figure[name] <= most for name, most in wanted.items())
 
 
-def unlike(rows: Sequence[Row], best: Row) -> Mapping[str, Interval]:
+def unlike(rows: Sequence[SettingFigures], best: SettingFigures) -> Mapping[str, Interval]:
     """The difference of the measured share between the best row and each other row."""
     return {
         row.name: mean_interval(best.measured_by_heap - row.measured_by_heap)
@@ -117,7 +117,7 @@ def unlike(rows: Sequence[Row], best: Row) -> Mapping[str, Interval]:
     }
 
 
-def sentences(spec: DesignSpec, rows: Sequence[Row]) -> str:
+def sentences(spec: DesignSpec, rows: Sequence[SettingFigures]) -> str:
     """The recommendation in sentences."""
     best = choose(spec, rows)
     if best is None:
@@ -142,7 +142,7 @@ def sentences(spec: DesignSpec, rows: Sequence[Row]) -> str:
     return paragraph
 
 
-def where(row: Row) -> str:
+def where(row: SettingFigures) -> str:
     """A setting in words: the rig, its place, and what else was chosen."""
     setting, cell = row.placed.setting, row.placed.cell
     view, rig = cell.config.view, cell.scene.rig
@@ -201,7 +201,7 @@ def _wanted(spec: DesignSpec) -> str:
     return f"has {_list(_needs(spec))}"
 
 
-def _nearest(spec: DesignSpec, rows: Sequence[Row]) -> str:
+def _nearest(spec: DesignSpec, rows: Sequence[SettingFigures]) -> str:
     """The smallest value that any setting has of a required quantity."""
     found = []
     for name in spec.needs.model_dump(exclude_none=True):

@@ -17,7 +17,7 @@ from .judging import Judgement, Protocol
 from .matching import THRESHOLDS
 from .mistakes import AT_HALF
 from .precision_plots import draw_groups, draw_precision_recall
-from .results import Run
+from .results import DetectionRun
 from .scores import FIGURES
 from .sheets import Picture, draw_false_alarms, draw_misses
 
@@ -31,8 +31,8 @@ class Evaluation:
 
     dataset: str
     split: str
-    run: Run
-    against: Run | None
+    run: DetectionRun
+    against: DetectionRun | None
     categories: Mapping[int, str]
     protocol: Protocol
     judgements: tuple[Judgement, ...]

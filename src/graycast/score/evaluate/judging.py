@@ -39,7 +39,7 @@ class Protocol:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Row:
+class GroupScores:
     """Figures of all instances, of a class or of a group.
 
     Attributes:
@@ -68,7 +68,7 @@ class Judgement:
     kind: Kind
     known: Overlaps
     scores: Scores
-    rows: tuple[Row, ...]
+    rows: tuple[GroupScores, ...]
     against: Mapping[str, Interval] | None
     point: WorkingPoint
     misses: tuple[Miss, ...]
@@ -130,7 +130,7 @@ def _rows(
     times: Int[np.ndarray, "draws pictures"],
     categories: Mapping[int, str],
     protocol: Protocol,
-) -> Iterator[Row]:
+) -> Iterator[GroupScores]:
     yield _row("all", "all", scores, times)
     if len(scores.matches) > 1:
         for obj_id, one in scores.matches.items():
@@ -141,5 +141,9 @@ def _rows(
         yield _row(group.by, group.name, inside, times)
 
 
-def _row(by: str, name: str, scores: Scores, times: Int[np.ndarray, "draws pictures"]) -> Row:
-    return Row(by=by, name=name, to_find=scores.to_find, figures=with_intervals(scores, times))
+def _row(
+    by: str, name: str, scores: Scores, times: Int[np.ndarray, "draws pictures"]
+) -> GroupScores:
+    return GroupScores(
+        by=by, name=name, to_find=scores.to_find, figures=with_intervals(scores, times)
+    )

@@ -21,7 +21,7 @@ from ...dataset.training import Examples, open_examples
 from ...rig.optics import Optics, optics_of
 from .intervals import Interval, draw_scenes, interval_of
 from .judging import Protocol
-from .pose_recall import Counts, Truth, count_picture, solid_of
+from .pose_recall import Counts, PictureTruth, count_picture, solid_of
 
 POSES = "poses.json"
 FIGURES = (
@@ -207,7 +207,7 @@ def _by_picture(
     return of_picture
 
 
-def _check_unit(results: Path, estimates: Sequence[PoseEstimate], truth: Truth) -> None:
+def _check_unit(results: Path, estimates: Sequence[PoseEstimate], truth: PictureTruth) -> None:
     """Refuse poses whose distances from the camera are of another unit than the parts'."""
     if not estimates:
         return
@@ -223,14 +223,14 @@ def _check_unit(results: Path, estimates: Sequence[PoseEstimate], truth: Truth) 
     )
 
 
-def _truth(dataset: Path, example: Example, min_visibility: float) -> Truth:
+def _truth(dataset: Path, example: Example, min_visibility: float) -> PictureTruth:
     measured = example.scanner_depth_m if example.scanner_depth_m is not None else example.depth_m
     if example.obj_id is None or example.T_cam_part is None or measured is None:
         raise GraycastError(
             f"{dataset}: scene {example.scene_id} has no poses or no depth: give a dataset that "
             "graycast generate made"
         )
-    return Truth(
+    return PictureTruth(
         scene_id=example.scene_id,
         camera=camera_of(example),
         measured_m=measured.astype(np.float64),

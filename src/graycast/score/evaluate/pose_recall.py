@@ -27,7 +27,7 @@ NEAR_RAD, NEAR_M = np.radians(5.0), 0.003  # the plain criterion beside BOP's
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Truth:
+class PictureTruth:
     """What is to be found in one picture.
 
     Attributes:
@@ -89,7 +89,7 @@ def solid_of(mesh: Mesh, symmetry: Symmetry, diameter_m: float) -> Solid:
 
 
 def count_picture(
-    truth: Truth, estimates: Sequence[PoseEstimate], solids: Mapping[int, Solid]
+    truth: PictureTruth, estimates: Sequence[PoseEstimate], solids: Mapping[int, Solid]
 ) -> list[Counts]:
     """The counts of each object that the picture has to find."""
     made = []
@@ -102,7 +102,7 @@ def count_picture(
 
 
 def _counted(
-    truth: Truth,
+    truth: PictureTruth,
     there: Int[np.ndarray, " n"],
     estimates: Sequence[PoseEstimate],
     solid: Solid,
@@ -148,7 +148,7 @@ def matched(error: Float[np.ndarray, "e n"], threshold: float) -> list[tuple[int
 
 
 def _vsd_of_pairs(
-    truth: Truth,
+    truth: PictureTruth,
     poses: Float[np.ndarray, "n 4 4"],
     estimates: Sequence[PoseEstimate],
     solid: Solid,

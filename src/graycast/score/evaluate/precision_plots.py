@@ -9,7 +9,7 @@ from matplotlib.axes import Axes
 
 from ...base.plotting import ACCENT, INK, SECOND, SOFT, caption, plain_figure, save_png
 from .curves import RECALLS, precision_curves
-from .judging import Judgement, Row
+from .judging import GroupScores, Judgement
 from .matching import THRESHOLDS
 
 _SHOWN = ((0, INK), (5, ACCENT), (8, SECOND))  # of THRESHOLDS: 0.50, 0.75, 0.90
@@ -116,7 +116,7 @@ def _bars(ax: Axes, by: str, judgements: Sequence[Judgement]) -> None:
     caption(ax, f"By {by}", "(instances to find)", "AP, 95 % interval")
 
 
-def _whisker(ax: Axes, x: float, row: Row) -> None:
+def _whisker(ax: Axes, x: float, row: GroupScores) -> None:
     figure = row.figures["ap"]
     if np.isnan(figure.value):
         ax.text(x, 0.02, "none", fontsize=6, color=SOFT, ha="center")

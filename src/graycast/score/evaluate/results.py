@@ -14,7 +14,7 @@ from ...dataset.export.split import Split
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Run:
+class DetectionRun:
     """The content of `detect.json`; fields are None for a single file of results.
 
     Attributes:
@@ -43,14 +43,14 @@ class Run:
         return float(np.median(self.ms_per_picture)) if self.ms_per_picture else float("nan")
 
 
-def open_run(path: Path) -> Run:
+def open_run(path: Path) -> DetectionRun:
     """Results and what is known of them.
 
     Raises:
         GraycastError: there are none, or `detect.json` is missing or damaged.
     """
     if not path.is_dir():
-        return Run(path=path)
+        return DetectionRun(path=path)
     if not (path / RESULTS).is_file():
         raise GraycastError(
             f"{path}: has no {RESULTS}: give a folder that graycast detect wrote, or a file of "
@@ -65,7 +65,7 @@ def open_run(path: Path) -> Run:
 
 
 def read_found(
-    run: Run, scene_ids: Sequence[int], categories: Mapping[int, str]
+    run: DetectionRun, scene_ids: Sequence[int], categories: Mapping[int, str]
 ) -> list[Detections]:
     """The run's detections of some of its scenes.
 
@@ -83,11 +83,11 @@ def read_found(
     return [one for one in found if one.scene_id in wanted]
 
 
-def _run(results: Path, path: Path) -> Run:
+def _run(results: Path, path: Path) -> DetectionRun:
     try:
         record = parse_json(path.read_bytes())
         division = record["division"]
-        return Run(
+        return DetectionRun(
             path=results,
             scene_ids=tuple(_whole(scene_id) for scene_id in record["scene_ids"]),
             split=record["split"],

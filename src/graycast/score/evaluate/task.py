@@ -21,7 +21,7 @@ from .judging import Protocol, judge, kinds_of
 from .labels import Labels, labels_of
 from .matching import Kind
 from .notes import notes
-from .results import Run, open_run, read_found
+from .results import DetectionRun, open_run, read_found
 from .sheets import Picture
 
 _Either = TypeVar("_Either", Labels, Detections)
@@ -92,7 +92,7 @@ def evaluate(task: Task, *, progress: ProgressMeter = UNWATCHED) -> tuple[Evalua
     return evaluation, _pictures(held)
 
 
-def _sets(task: Task, run: Run) -> list[Examples]:
+def _sets(task: Task, run: DetectionRun) -> list[Examples]:
     """The set that is judged; all sets of an export where the results are of all."""
     split = task.split or run.split
     if not (task.dataset / RECORD).is_file():
@@ -104,7 +104,7 @@ def _sets(task: Task, run: Run) -> list[Examples]:
     return [open_examples(task.dataset, split=split or "train", division=task.division)]
 
 
-def _scene_ids(task: Task, run: Run, held: Mapping[int, Examples]) -> tuple[int, ...]:
+def _scene_ids(task: Task, run: DetectionRun, held: Mapping[int, Examples]) -> tuple[int, ...]:
     """Those that were looked at or, where the set is named, all of the set."""
     if run.scene_ids is None or task.split is not None:
         return tuple(held)

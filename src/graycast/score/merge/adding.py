@@ -27,7 +27,7 @@ _SLOPE = 0.2  # the same, in pixels on the surface
 
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Truth:
+class ViewTruth:
     """What a simulated view should have measured: z [m], NaN for nothing; -1 is no part."""
 
     depth_m: Float[np.ndarray, "h w"]
@@ -40,7 +40,7 @@ class Truth:
 
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Surface:
+class SurfacePoints:
     """Points on parts as they lie, in the world, each of the same area."""
 
     point_m: Float[np.ndarray, "n 3"]
@@ -54,7 +54,7 @@ class Surface:
 
 def surface_of(
     meshes: Sequence[Mesh], T_world_part: Sequence[Float[np.ndarray, "4 4"]], *, points: int
-) -> Surface:
+) -> SurfacePoints:
     """So many points over all instances, by their areas; no chance is involved."""
     area = [float(mesh.face_area_m2.sum()) for mesh in meshes]
     place, normal, instance = [np.zeros((0, 3))], [np.zeros((0, 3))], [np.zeros(0, np.int64)]
@@ -63,7 +63,7 @@ def surface_of(
         place.append(transform_points(T, own))
         normal.append(facing @ T[:3, :3].T)
         instance.append(np.full(len(own), number))
-    return Surface(
+    return SurfacePoints(
         point_m=np.concatenate(place),
         normal=np.concatenate(normal),
         instance=np.concatenate(instance),
@@ -71,7 +71,7 @@ def surface_of(
 
 
 def why_not(
-    surface: Surface, view: MeasuredView, points: Points, truth: Truth
+    surface: SurfacePoints, view: MeasuredView, points: Points, truth: ViewTruth
 ) -> UInt8[np.ndarray, " n"]:
     """Why a view has no depth of each place: its reason there, or HIDDEN, OUTSIDE, WRONG; 0, if so.
 

@@ -17,7 +17,7 @@ from typing import final
 import numpy as np
 from jaxtyping import Bool, Float, Int, UInt8
 
-from .looking import Looked, Measured, at, look
+from .looking import Measured, ViewAgreement, at, look
 from .view import MeasuredView, points_of
 from .view_poses import pose_doubts
 
@@ -108,7 +108,7 @@ def fuse(views: Sequence[MeasuredView]) -> Fused:
     )
 
 
-def _count(answers: Mapping[int, Looked], name: str, points: int) -> Int[np.ndarray, " n"]:
+def _count(answers: Mapping[int, ViewAgreement], name: str, points: int) -> Int[np.ndarray, " n"]:
     """How many views answer so, of each point."""
     total = np.zeros(points, dtype=np.int64)
     for answer in answers.values():
@@ -127,7 +127,7 @@ def _picture(
 def _stood_for(
     i: int,
     own: Measured,
-    answers: Mapping[int, Looked],
+    answers: Mapping[int, ViewAgreement],
     wrong: Sequence[Bool[np.ndarray, "_ _"]],
 ) -> Bool[np.ndarray, " n"]:
     """Whether a view with smaller pixels on the surface has the place; of equals the first."""
@@ -142,7 +142,7 @@ def _stood_for(
 def _piece(
     i: int,
     own: Measured,
-    answers: Mapping[int, Looked],
+    answers: Mapping[int, ViewAgreement],
     views: Sequence[MeasuredView],
     kept: Bool[np.ndarray, " n"],
 ) -> dict[str, np.ndarray]:
@@ -171,7 +171,7 @@ def _piece(
     return {name: values[kept] for name, values in found.items()}
 
 
-def _first_reason(answer: Looked, first: MeasuredView) -> UInt8[np.ndarray, " n"]:
+def _first_reason(answer: ViewAgreement, first: MeasuredView) -> UInt8[np.ndarray, " n"]:
     reason = first.reason[tuple(answer.there.pixel.T)]
     unknown = ~np.isfinite(answer.there.sigma_m)
     cases = [answer.agrees, ~answer.inside, unknown, answer.before]

@@ -9,7 +9,7 @@ from jaxtyping import Bool, Float, UInt8
 
 from ...base.frames import transform_points
 from ...rig.optics import points
-from .adding import WRONG, WRONG_M, Surface, best_order, why_not
+from .adding import WRONG, WRONG_M, SurfacePoints, best_order, why_not
 from .fuse import HIDDEN, OUTSIDE, THROUGH, Fused, FusedCloud
 from .stored_views import StoredView
 from .view import points_of
@@ -35,7 +35,7 @@ class SurfaceSeen:
         return self.why == 0
 
 
-def surface_seen(surface: Surface, views: Sequence[StoredView]) -> SurfaceSeen:
+def surface_seen(surface: SurfacePoints, views: Sequence[StoredView]) -> SurfaceSeen:
     """Ask every view about the surface; what no camera sees is left out."""
     why = np.stack([why_not(surface, v.view, points_of(v.view), v.truth) for v in views])
     visible = ((why != HIDDEN) & (why != OUTSIDE)).any(axis=0)

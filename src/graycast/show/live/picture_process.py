@@ -70,7 +70,7 @@ def _refusal(ask: Ask, text: str) -> Answer:
     return Answer(kind="error", number=ask.number, header={"error": text}, arrays={})
 
 
-class Maker:
+class PictureProcess:
     """The running process, and a thread that hands its answers on."""
 
     def __init__(

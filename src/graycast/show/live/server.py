@@ -22,7 +22,7 @@ from typing import Any, ClassVar
 from ...base.errors import GraycastError, error_line
 from ...base.file_limits import parse_json
 from .page import about
-from .session import Held, Message, Session
+from .session import LatestAnswer, Message, Session
 
 HOST = "127.0.0.1"
 GRACE_S = 2.0  # that a page may take to be loaded again, before all it needs is given back
@@ -281,7 +281,7 @@ def _is_gone(connection: socket.socket) -> bool:
     return bool(readable) and connection.recv(1, socket.MSG_PEEK) == b""
 
 
-def _packed(answers: list[Held]) -> bytes:
+def _packed(answers: list[LatestAnswer]) -> bytes:
     """Answers as one piece: the length of a head, the head as JSON, and every array's bytes.
 
     Arrays begin at multiples of 8 bytes, so that a browser looks at them where they are.

@@ -17,7 +17,7 @@ from ...base.settings import check_settings, parse_yaml, read_text
 from ...cell.config import Config, resolve_scanner
 from .asking import Answer, Ask
 from .document import Document, RigChange, Written, changed, checked, document_text, written
-from .picture_process import Maker
+from .picture_process import PictureProcess
 
 MOST_UNDO = 500
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,80}\.ya?ml")
@@ -32,7 +32,7 @@ class Message:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Held:
+class LatestAnswer:
     """The last answer of a kind, for pages to fetch."""
 
     version: int
@@ -68,11 +68,11 @@ class Session:
         self._number = self._version = 0
         self._asked: dict[int, Document] = {}
         self._asked_at: dict[int, float] = {}
-        self._held: dict[str, Held] = {}
+        self._held: dict[str, LatestAnswer] = {}
         self._refusal: Message | None = None
         self._own: set[Path] = set()  # files that this session has written
         self._lock = RLock()
-        self._maker: Maker | None = None
+        self._maker: PictureProcess | None = None
         self._has_finished = False  # whether the running process has finished a picture
         self._folder = Path(tempfile.mkdtemp(prefix="graycast-live-"))
 
@@ -95,7 +95,7 @@ class Session:
         with self._lock:
             if self._maker is None:
                 self._has_finished = False
-                self._maker = Maker(
+                self._maker = PictureProcess(
                     folder=self._path.parent,
                     scene_id=self._scene_id,
                     device=self._device,
@@ -212,7 +212,7 @@ class Session:
                 "number": self._number,
             }
 
-    def newer(self, version: int) -> list[Held]:
+    def newer(self, version: int) -> list[LatestAnswer]:
         """The last answers of each kind that are newer than a version."""
         with self._lock:
             return [held for held in self._held.values() if held.version > version]
@@ -288,7 +288,7 @@ class Session:
             self._has_finished |= content.get("exact", False)
             if answer.arrays:
                 self._version += 1
-                self._held[answer.kind] = Held(version=self._version, answer=answer)
+                self._held[answer.kind] = LatestAnswer(version=self._version, answer=answer)
                 keys = ("number", "kind", "first", "samples", "of", "exact")
                 content = {name: content[name] for name in keys if name in content}
                 content |= {"version": self._version, "waited_ms": waited_ms}

@@ -29,7 +29,7 @@ DEPTH_MAX = 65535
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Shown:
+class PageContent:
     """What is on the page: everything that a picture of it needs."""
 
     cell: Cell
@@ -44,7 +44,7 @@ class Shown:
     rgb: UInt8[np.ndarray, "h w 3"] | None  # not made yet
 
 
-def picture_answer(ask: Ask, shown: Shown, *, kind: str, ms: float, first: bool) -> Answer:
+def picture_answer(ask: Ask, shown: PageContent, *, kind: str, ms: float, first: bool) -> Answer:
     """All maps of what is shown; the colour picture is among them once it is made."""
     cell, depth, truth = shown.cell, shown.depth, shown.rendering.truth
     scale_mm = depth_step_mm(cell)
@@ -95,7 +95,7 @@ def picture_answer(ask: Ask, shown: Shown, *, kind: str, ms: float, first: bool)
     )
 
 
-def world_answer(ask: Ask, shown: Shown) -> Answer:
+def world_answer(ask: Ask, shown: PageContent) -> Answer:
     """The bodies of the 3D view: meshes of the bin and of every kind of part, and their places."""
     scene, layout = shown.scene, shown.layout
     kinds = sorted({int(kind) for kind in layout.part_index})
@@ -118,7 +118,7 @@ def world_answer(ask: Ask, shown: Shown) -> Answer:
     return Answer(kind="world", number=ask.number, header=header, arrays=arrays)
 
 
-def world_key(shown: Shown) -> str:
+def world_key(shown: PageContent) -> str:
     """Changes when the bodies of the 3D view do."""
     scene, layout = shown.scene, shown.layout
     digest = hashlib.sha256(layout.T_world_part.tobytes())
@@ -136,19 +136,19 @@ def _steps(depth_m: Float[np.ndarray, "h w"], scale_mm: float) -> UInt16[np.ndar
     return np.where((step > 0) & (step <= DEPTH_MAX), step, 0).astype(np.uint16)
 
 
-def _levels(shown: Shown, index: int) -> UInt8[np.ndarray, "h w"]:
+def _levels(shown: PageContent, index: int) -> UInt8[np.ndarray, "h w"]:
     """A captured frame over the sensor's range, dark level to saturation, linear."""
     low_dn, high_dn = _range_dn(shown)
     share = (shown.capture.frames[index].astype(np.float32) - low_dn) / (high_dn - low_dn)
     return np.rint(255 * np.clip(share, 0, 1)).astype(np.uint8)
 
 
-def _range_dn(shown: Shown) -> tuple[float, float]:
+def _range_dn(shown: PageContent) -> tuple[float, float]:
     sensor = shown.capture.sensor
     return sensor.offset_dn, sensor.saturation_dn
 
 
-def _capture(shown: Shown) -> dict[str, Any]:
+def _capture(shown: PageContent) -> dict[str, Any]:
     low_dn, high_dn = _range_dn(shown)
     return {
         "bits": shown.capture.sensor.bit_depth,
@@ -159,7 +159,7 @@ def _capture(shown: Shown) -> dict[str, Any]:
     }
 
 
-def _camera(shown: Shown) -> dict[str, Any]:
+def _camera(shown: PageContent) -> dict[str, Any]:
     camera: Optics = shown.cell.scanner.rig.camera
     T_cam_world = inverse(shown.scene.T_world_cam)
     return {
@@ -185,7 +185,7 @@ def _rig(rig: Rig) -> dict[str, Any]:
     }
 
 
-def _figures(shown: Shown) -> dict[str, Any]:
+def _figures(shown: PageContent) -> dict[str, Any]:
     """What stands beside the picture, in numbers."""
     depth, truth = shown.depth, shown.rendering.truth
     on_part = truth.instance >= 0
@@ -205,7 +205,7 @@ def _mean(values: Num[np.ndarray, "*n"] | Any) -> float | None:
     return float(np.mean(values)) if np.size(values) else None
 
 
-def _target(shown: Shown) -> list[float]:
+def _target(shown: PageContent) -> list[float]:
     """What the rig turns about when it is dragged, in the world [mm]."""
     view, box = shown.cell.config.view, shown.scene.bin
     height_m = 0.0 if box is None else box.inner_m[2]

@@ -18,7 +18,7 @@ from jaxtyping import Float, Int
 from ...base.frames import transform_points
 from ..scene import Bin, Layout
 from .body import Body, motion_m, parts_outside
-from .rapier import Heap, Kind, Terms, deepest_penetration_m, open_heap
+from .rapier import RapierHeap, RapierPart, Terms, deepest_penetration_m, open_heap
 
 LOOK_S = 0.04  # poses are read this often
 
@@ -65,7 +65,7 @@ def simulate(
         The final state without a verdict, which `flaws` gives. `deepest_penetration_m` is the
         deepest overlap of any two hulls of different parts, or of a hull and the bin.
     """
-    kinds = [Kind.of(body) for body in bodies]
+    kinds = [RapierPart.of(body) for body in bodies]
     box_m = np.stack([body.box_m for body in bodies])[part_index]
     heap = open_heap(_FALL, box, kinds, T_world_part, part_index)
     fallen, fall_s = _fall(heap, box_m, simulated_s)
@@ -87,7 +87,7 @@ def simulate(
 
 
 def _fall(
-    heap: Heap, box_m: Float[np.ndarray, "n 8 3"], patience_s: float
+    heap: RapierHeap, box_m: Float[np.ndarray, "n 8 3"], patience_s: float
 ) -> tuple[Float[np.ndarray, "n 4 4"], float]:
     """Poses where no part moves far any more, or patience ends, and the simulated time [s]."""
     seen = deque([heap.poses()], maxlen=1 + FALLEN_LOOKS)
@@ -101,7 +101,7 @@ def _fall(
 
 
 def _rest(
-    heap: Heap, box_m: Float[np.ndarray, "n 8 3"], patience_s: float
+    heap: RapierHeap, box_m: Float[np.ndarray, "n 8 3"], patience_s: float
 ) -> tuple[Float[np.ndarray, "n 4 4"], float, float, bool]:
     """Poses, how far a point moved last [m], simulated time [s], and whether the parts rest.
 

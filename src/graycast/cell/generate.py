@@ -79,7 +79,7 @@ def generate(
     seed: int,
     device: str = "auto",
     workers: Workers = Workers(),
-    on_made: Callable[[Made], None] = lambda made: None,
+    on_made: Callable[[Made], None] = lambda _: None,
     on_failed: Callable[[Failed], None] = lambda failed: None,
     progress: ProgressMeter = UNWATCHED,
 ) -> Summary:
@@ -170,10 +170,10 @@ def save_scene(cell: Cell, shots: Shot | Sequence[Shot], out: Path) -> Path:
             f"scene {scene_id} was made from another configuration than this cell's: give the "
             "cell with which make_scene made it"
         )
-    given = [(sample.sensor, sample.image) for sample in samples]
-    if tuple(given) != cell.images:
+    images = [(sample.sensor, sample.image) for sample in samples]
+    if tuple(images) != cell.images:
         raise ValueError(
-            f"scene {scene_id} has {len(cell.images)} images, {len(given)} were given: give all "
+            f"scene {scene_id} has {len(cell.images)} images, {len(images)} were given: give all "
             "that make_images makes"
         )
     task = SceneTask(
@@ -226,9 +226,9 @@ def read_origin(out: Path) -> Origin:
     """
     try:
         claim = read_json(out / "graycast.json", Claim)
-        held = {key: claim.config[key] for key in claim.config if key not in BESIDE_CONFIG}
-        stored = held["store"] | {"depth_step_mm": claim.depth_scale_mm}
-        config = Config.model_validate(held | {"store": stored})
+        settings = {key: claim.config[key] for key in claim.config if key not in BESIDE_CONFIG}
+        stored = settings["store"] | {"depth_step_mm": claim.depth_scale_mm}
+        config = Config.model_validate(settings | {"store": stored})
         named = [entry.rig for entry in config.scanners or (config,)]
         rigs = [rig for rig in named if rig not in PRESETS]
         return Origin(config=config, seed=claim.seed, files=(*claim.config["files"], *rigs))
@@ -349,15 +349,15 @@ class _Run:
             self._on_made(outcome)
             return
         if outcome.final:
-            self.set_aside.append(_given_up(outcome))
+            self.set_aside.append(_set_aside(outcome))
             nothing = not self.reasons and not self._found
             if nothing and (last or len(self.set_aside) >= _HOPELESS):
-                raise _shown(outcome.error)
+                raise _for_users(outcome.error)
             self._store.set_aside(self.set_aside)
         self._on_failed(outcome)
 
 
-def _shown(error: Exception) -> Exception:
+def _for_users(error: Exception) -> Exception:
     """The text of an error for the user; an unforeseen error includes its type."""
     if _foreseen(error):
         return error
@@ -375,7 +375,7 @@ def _foreseen(error: Exception) -> bool:
     return isinstance(error, (GraycastError, ValueError))
 
 
-def _given_up(failed: Failed) -> SetAside:
+def _set_aside(failed: Failed) -> SetAside:
     error = failed.error
     trace = "" if _foreseen(error) else "".join(traceback.format_exception(error))
     return SetAside(

@@ -83,7 +83,7 @@ def make_images(
     timings: dict[str, float] = {}
     with _timed(timings, "drop"):
         seeds = cell_seeds(cell, scene_id, seed=seed)
-        variation, layout = _laid(cell, scene_id, seeds, progress)
+        variation, layout = _layout_of(cell, scene_id, seeds, progress)
     hung = _hung(cell, variation, seeds)
     for number, (eye, scene) in enumerate(hung):
         if only is not None and number != only:
@@ -196,15 +196,15 @@ def compile_kernels(cell: Cell) -> None:
     dark on the left to saturated on the right, so that each reason for no depth occurs.
     """
     for _, scanner in cell.scanners:
-        shown, camera = patterns_of(scanner), scanner.rig.camera
-        row = np.linspace(0, shown.shape[1] - 1, camera.height_px).astype(int)[:, None]
-        column = np.linspace(0, shown.shape[2] - 1, camera.width_px).astype(int)
+        patterns, camera = patterns_of(scanner), scanner.rig.camera
+        row = np.linspace(0, patterns.shape[1] - 1, camera.height_px).astype(int)[:, None]
+        column = np.linspace(0, patterns.shape[2] - 1, camera.width_px).astype(int)
         light = np.linspace(0, 1, camera.width_px, dtype=np.float32)
         light[-1 - camera.width_px // 200 :] = 10  # so few that automatic exposure lets them go
         white = np.tile(light, (camera.height_px, 1))
         colour = np.repeat(white[..., None], 3, axis=2)
         radiance = Radiance(
-            pattern=white * (shown[:, row, column] / np.float32(255)),
+            pattern=white * (patterns[:, row, column] / np.float32(255)),
             white=white,
             ambient=white / 10,
             white_rgb=colour,
@@ -228,11 +228,11 @@ def lay_out(
     Raises:
         DropError: the parts did not come to an acceptable rest.
     """
-    variation, layout = _laid(cell, scene_id, cell_seeds(cell, scene_id, seed=seed), progress)
+    variation, layout = _layout_of(cell, scene_id, cell_seeds(cell, scene_id, seed=seed), progress)
     return variation.scene, layout
 
 
-def _laid(
+def _layout_of(
     cell: Cell, scene_id: int, seeds: dict[str, int], progress: ProgressMeter
 ) -> tuple[Variation, Layout]:
     variation = varied(cell, scene_id, seeds)

@@ -21,14 +21,14 @@ Run = Callable[[argparse.Namespace], int | None]
 
 def add_command(into, name: str, run: Run, help: str) -> argparse.ArgumentParser:
     """Add a command and return its parser."""
-    made = into.add_parser(name, help=help, description=help)
-    made.add_argument(
+    command = into.add_parser(name, help=help, description=help)
+    command.add_argument(
         "--debug",
         action="store_true",
         help="Print the Python traceback of an error, not only its message.",
     )
-    made.set_defaults(run=run, when_stopped="nothing was written")
-    return made
+    command.set_defaults(run=run, when_stopped="nothing was written")
+    return command
 
 
 def add_config(parser: argparse.ArgumentParser) -> None:

@@ -51,7 +51,7 @@ def _design(options: argparse.Namespace) -> int:
     print(f"{len(settings)} settings, {spec.layouts} heaps of parts, seed {spec.seed}")
     with open_bars() as bars:
 
-        def made(name, layout, outcome) -> None:
+        def report(name, layout, outcome) -> None:
             shares = ", ".join(f"{share:.1%}" for share in outcome.reasons.values())
             bars.line(f"{name}  heap {layout:03d}  {outcome.seconds:6.1f} s  {shares} measured")
 
@@ -63,7 +63,7 @@ def _design(options: argparse.Namespace) -> int:
             options.out,
             device=options.device,
             workers=workers,
-            on_made=made,
+            on_made=report,
             on_failed=failed,
             progress=bars,
         )

@@ -99,7 +99,7 @@ def _grasps(options: argparse.Namespace) -> int:
         )
     with open_bars() as bars:
 
-        def made(key, outcome) -> None:
+        def report(key, outcome) -> None:
             number = {word: int(count) for word, count in outcome.reasons.items()}
             bars.line(
                 f"{key}  {outcome.seconds:6.1f} s  {number['grasps']} labels, "
@@ -116,7 +116,7 @@ def _grasps(options: argparse.Namespace) -> int:
             seed=options.seed,
             files=options.files,
             workers=options.workers,
-            on_made=made,
+            on_made=report,
             on_failed=failed,
             progress=bars,
         )

@@ -154,7 +154,7 @@ def _pick(options: argparse.Namespace) -> int:
     )
     with open_bars() as bars:
 
-        def made(outcome) -> None:
+        def report(outcome) -> None:
             ended = ", ".join(f"{int(n)} {name}" for name, n in outcome.reasons.items())
             bars.line(f"bin {outcome.scene_id:06d}  {outcome.seconds:6.1f} s  {ended}")
 
@@ -168,7 +168,7 @@ def _pick(options: argparse.Namespace) -> int:
             seed=seed,
             device=options.device,
             workers=workers,
-            on_made=made,
+            on_made=report,
             on_failed=failed,
             progress=bars,
         )

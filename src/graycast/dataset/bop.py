@@ -139,7 +139,7 @@ def _image_files(
     sample: Sample, scale_mm: float, scene_record: _SceneRecord, coco: dict[str, list["_OfCoco"]]
 ) -> Iterator[tuple[str, bytes]]:
     """Pictures and masks of one image; its entries in JSON files are told."""
-    camera, seen, number = sample.scene.rig.camera, _instances(sample), sample.image
+    camera, silhouettes, number = sample.scene.rig.camera, _instances(sample), sample.image
     truth = _depth_steps(sample.truth.depth_m, scale_mm, needed=sample.truth.instance >= 0)
     known = sample.scanner.reason == Reason.DECODED
     scanned = _depth_steps(sample.scanner.depth_m, scale_mm, needed=known)
@@ -154,7 +154,7 @@ def _image_files(
     yield place("depth_sl"), _png(scanned)
     yield place("reason_sl"), _png(sample.scanner.reason)
     yield place("modulation_sl"), _png(modulation)
-    for i, instance in enumerate(seen):
+    for i, instance in enumerate(silhouettes):
         amodal = _mask_png(instance.inside, camera.height_px, camera.width_px)
         visible = _mask_png(instance.visible, camera.height_px, camera.width_px)
         for suffix in ("", "_sl"):
@@ -165,12 +165,12 @@ def _image_files(
         entries = {
             "scene_camera": view,
             "scene_gt": poses,
-            "scene_gt_info": [_info(instance, depth) for instance in seen],
+            "scene_gt_info": [_info(instance, depth) for instance in silhouettes],
         }
         for name, entry in entries.items():
             scene_record.image(of_sensor(name + suffix, sample.sensor), number, entry)
         of_coco = coco.setdefault(of_sensor(f"scene_gt_coco{suffix}", sample.sensor), [])
-        of_coco.append(_of_coco(sample, seen, place(image)))
+        of_coco.append(_of_coco(sample, silhouettes, place(image)))
     scene_record.image(of_sensor("scene_gt_box3d", sample.sensor), number, _boxes_3d(sample))
     reasons = {reason.name: reason.value for reason in Reason}
     scanner = {"modulation_scale": modulation_scale, "reasons": reasons}
@@ -180,7 +180,7 @@ def _image_files(
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class _Seen:
+class _Silhouettes:
     """What the image shows of one instance: all, the part inside the image, the visible part."""
 
     whole: Silhouette
@@ -188,11 +188,11 @@ class _Seen:
     visible: Silhouette
 
 
-def _instances(sample: Sample) -> list[_Seen]:
+def _instances(sample: Sample) -> list[_Silhouettes]:
     truth = sample.truth
     height_px, width_px = truth.instance.shape
     found = ndimage.find_objects(truth.instance + 1, max_label=len(truth.amodal))
-    seen = []
+    silhouettes = []
     for i, (whole, box) in enumerate(zip(truth.amodal, found, strict=True)):
         rows, columns = box if box is not None else (slice(0, 0), slice(0, 0))
         visible = Silhouette(
@@ -201,8 +201,8 @@ def _instances(sample: Sample) -> list[_Seen]:
         if visible.mask.sum() > whole.mask.sum():
             raise ValueError(f"instance {i} has more visible pixels than its silhouette has")
         inside = whole.clipped(height_px, width_px)
-        seen.append(_Seen(whole=whole, inside=inside, visible=visible))
-    return seen
+        silhouettes.append(_Silhouettes(whole=whole, inside=inside, visible=visible))
+    return silhouettes
 
 
 def _check_shapes(sample: Sample, size: tuple[int, int]) -> None:
@@ -336,15 +336,15 @@ def _boxes_3d(sample: Sample) -> list[dict[str, Any]]:
     return boxes
 
 
-def _info(seen: _Seen, depth: UInt16[np.ndarray, "h w"]) -> dict[str, Any]:
+def _info(silhouettes: _Silhouettes, depth: UInt16[np.ndarray, "h w"]) -> dict[str, Any]:
     """One entry of `scene_gt_info.json`, counted as bop_toolkit's calc_gt_info counts."""
-    inside, visible_px = seen.inside, int(seen.visible.mask.sum())
+    inside, visible_px = silhouettes.inside, int(silhouettes.visible.mask.sum())
     h, w = inside.mask.shape
     window = depth[inside.top_px : inside.top_px + h, inside.left_px : inside.left_px + w]
-    whole_px = int(seen.whole.mask.sum())
+    whole_px = int(silhouettes.whole.mask.sum())
     return {
-        "bbox_obj": _span(seen.whole) if visible_px else _NOTHING,
-        "bbox_visib": _span(seen.visible) if visible_px else _NOTHING,
+        "bbox_obj": _span(silhouettes.whole) if visible_px else _NOTHING,
+        "bbox_visib": _span(silhouettes.visible) if visible_px else _NOTHING,
         "px_count_all": whole_px,
         "px_count_valid": int((window[inside.mask] > 0).sum()),
         "px_count_visib": visible_px,
@@ -366,11 +366,11 @@ class _OfCoco:
     annotations: list[dict[str, Any]]
 
 
-def _of_coco(sample: Sample, seen: list[_Seen], file_name: str) -> _OfCoco:
+def _of_coco(sample: Sample, silhouettes: list[_Silhouettes], file_name: str) -> _OfCoco:
     camera = sample.scene.rig.camera
     size = {"height_px": camera.height_px, "width_px": camera.width_px}
     annotations: list[dict[str, Any]] = []
-    for instance, part in zip(seen, sample.layout.part_index, strict=True):
+    for instance, part in zip(silhouettes, sample.layout.part_index, strict=True):
         area_px = int(instance.visible.mask.sum())
         if area_px == 0:
             continue

@@ -29,7 +29,7 @@ CARD = "README.md"
 FOLDER = "card"  # of its pictures
 UNSTATED = "not stated"
 SAMPLED = 40  # scenes whose pictures are read where nobody has counted all
-_SHOWN = 3
+_MOST_SCENES = 3
 _TILE_PX = 480
 _NAMED = 4  # parts in a title
 
@@ -41,14 +41,14 @@ class Census:
     objects: Mapping[StoredScene, tuple[int, ...]]
 
     def instances(self, obj_id: int) -> int:
-        return sum(held.count(obj_id) for held in self.objects.values())
+        return sum(obj_ids.count(obj_id) for obj_ids in self.objects.values())
 
     def scenes(self, obj_id: int) -> int:
-        return sum(obj_id in held for held in self.objects.values())
+        return sum(obj_id in obj_ids for obj_ids in self.objects.values())
 
     @property
     def obj_ids(self) -> list[int]:
-        return sorted({obj_id for held in self.objects.values() for obj_id in held})
+        return sorted({obj_id for of_scene in self.objects.values() for obj_id in of_scene})
 
 
 def write_card(
@@ -83,17 +83,17 @@ def write_card(
     if statistics is None:
         drawn = (scene_figures(scene.content()) for scene in sampled(stored.pictures))
         statistics = tally(drawn, stored.categories)
-    shown = _shown(census)
+    examples = _examples(census)
     card = card_text(
         title or _title(stored),
         statistics,
         census,
         stored,
         licence=licence,
-        pictures=[f"{FOLDER}/{scene.key}.jpg" for scene in shown],
+        pictures=[f"{FOLDER}/{scene.key}.jpg" for scene in examples],
     )
     try:
-        _publish(dataset, card, statistics, len(census.objects), shown)
+        _publish(dataset, card, statistics, len(census.objects), examples)
     except OSError as error:
         why = error.strerror or str(error)
         raise GraycastError(
@@ -149,12 +149,12 @@ def take_census(scenes: Sequence[StoredScene]) -> Census:
     return Census(objects={scene: scene.obj_ids() for scene in scenes})
 
 
-def _shown(census: Census) -> list[StoredScene]:
+def _examples(census: Census) -> list[StoredScene]:
     """A scene of each mix of objects first, then any."""
     first: dict[frozenset[int], StoredScene] = {}
-    for scene, held in census.objects.items():
-        first.setdefault(frozenset(held), scene)
-    return list(dict.fromkeys([*first.values(), *census.objects]))[:_SHOWN]
+    for scene, obj_ids in census.objects.items():
+        first.setdefault(frozenset(obj_ids), scene)
+    return list(dict.fromkeys([*first.values(), *census.objects]))[:_MOST_SCENES]
 
 
 def _title(stored: StoredDataset) -> str:
@@ -165,7 +165,7 @@ def _title(stored: StoredDataset) -> str:
 
 
 def _publish(
-    dataset: Path, card: str, statistics: Statistics, scenes: int, shown: Sequence[StoredScene]
+    dataset: Path, card: str, statistics: Statistics, scenes: int, examples: Sequence[StoredScene]
 ) -> None:
     """Made beside its place and renamed; what a killed run leaves the next `generate` removes."""
     with beside(dataset / CARD) as written, beside(dataset / FOLDER) as folder:
@@ -174,7 +174,7 @@ def _publish(
         figures = {"scenes_in_dataset": scenes} | statistics_json(statistics)
         text = json.dumps(figures, indent=1, allow_nan=False)
         (folder / "stats.json").write_text(text + "\n", encoding="utf-8")
-        for scene in shown:
+        for scene in examples:
             picture = scene_strip(scene.content())[..., ::-1]
             (folder / f"{scene.key}.jpg").write_bytes(cv2.imencode(".jpg", picture)[1].tobytes())
         written.write_text(card, encoding="utf-8")
@@ -202,7 +202,10 @@ def card_text(
         f"# {escaped(title)}",
         _introduction(stored),
         f"Licence: {licence or UNSTATED}.",
-        *(f"![colour, white frame, scanner depth, reasons]({name})" for name in pictures[:_SHOWN]),
+        *(
+            f"![colour, white frame, scanner depth, reasons]({name})"
+            for name in pictures[:_MOST_SCENES]
+        ),
         _CAPTION if pictures else "",
         "## Figures",
         _figures(statistics, census, stored),

@@ -179,8 +179,8 @@ def refuse_other(path: Path, claim: Mapping[str, Any]) -> None:
         DatasetError: it is damaged, or of another configuration; says where that differs.
     """
     try:
-        held = parse_json(path.read_bytes())
-        known = held["fingerprint"]
+        content = parse_json(path.read_bytes())
+        known = content["fingerprint"]
     except (ValueError, KeyError, TypeError) as error:
         raise DatasetError(f"{path} cannot be read ({error}): choose another folder") from error
     if known != claim["fingerprint"]:
@@ -188,7 +188,7 @@ def refuse_other(path: Path, claim: Mapping[str, Any]) -> None:
             (
                 found
                 for key in _CLAIMED
-                if (found := difference(held.get(key), claim.get(key), key)) is not None
+                if (found := difference(content.get(key), claim.get(key), key)) is not None
             ),
             "the fingerprint",
         )

@@ -121,7 +121,9 @@ def read_results(
             f"{path}: some entries have a segmentation and others have none: give all entries "
             "one, or none"
         )
-    return [_detections(scene_id, held, masked == {True}) for scene_id, held in of_scene.items()]
+    return [
+        _detections(scene_id, of_one, masked == {True}) for scene_id, of_one in of_scene.items()
+    ]
 
 
 def _check(entry: Any, where: str) -> None:

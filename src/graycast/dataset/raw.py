@@ -26,7 +26,7 @@ from ..camera.sensor import Capture
 from ..camera.stack import describe_frames, describe_stack
 from ..rig.pattern import AXES
 from . import records
-from .safe_reading import Unreadable, held, read_json, read_png
+from .safe_reading import Unreadable, read_json, read_png, record_as
 from .sample import Raw
 from .scene_folder import of_sensor
 from .seal import facts_of
@@ -166,7 +166,7 @@ def raw_facts_of(scene: Path, *, sensor: str = "", number: int = 0) -> records.R
     if not path.exists():
         return records.RawFacts()
     manifest = read_json(path, records.Manifest).root
-    return held(facts_of(manifest, sensor, number), records.RawFacts, "manifest.json")
+    return record_as(facts_of(manifest, sensor, number), records.RawFacts, "manifest.json")
 
 
 def _read_tiff(path: Path) -> Float32[np.ndarray, "h w"]:

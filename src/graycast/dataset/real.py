@@ -228,6 +228,8 @@ def _split_problems(out: Path, claim: RealClaim, finished: list[int]) -> Iterato
             coco = scene.record("scene_gt_coco", SceneCoco)
         except Unreadable:
             continue  # told where the scene is checked
-        held = [e.model_dump(exclude={"id"}) for e in split.annotations if e.image_id == scene_id]
-        if held != [split_annotation(e.model_dump(), scene_id) for e in coco.annotations]:
+        exported = [
+            e.model_dump(exclude={"id"}) for e in split.annotations if e.image_id == scene_id
+        ]
+        if exported != [split_annotation(e.model_dump(), scene_id) for e in coco.annotations]:
             yield f"train_coco.json: the annotations of image {scene_id} are not the scene's"

@@ -25,7 +25,7 @@ from .scene_folder import SceneFolder
 from .seal import facts_of
 
 NO_REASON = 255  # a pixel without scanner depth in a dataset that does not say why
-_HELD = frozenset({"rgb", "gray_sl", "depth", "depth_sl", "masks", "amodal", "poses", "shares"})
+_CONTENTS = frozenset({"rgb", "gray_sl", "depth", "depth_sl", "masks", "amodal", "poses", "shares"})
 _PIXELS = {"rgb": (3, np.uint8), "gray_sl": (2, np.uint8), "reason_sl": (2, np.uint8)}
 _DEPTH = (2, np.uint16)
 
@@ -136,10 +136,10 @@ class StoredScene:
     def labels(self, *, min_visibility: float = 0.0) -> list[InstanceLabel]:
         """The visible instances, or those visible for at least a share; none without masks."""
         poses, infos, annotations = self._annotated()
-        seen = [i for i, info in enumerate(infos) if info.px_count_visib > 0]
+        visible = [i for i, info in enumerate(infos) if info.px_count_visib > 0]
         labels = (
             self._label(i, poses[i], infos[i], entry)
-            for i, entry in zip(seen, annotations, strict=True)
+            for i, entry in zip(visible, annotations, strict=True)
         )
         return [
             label
@@ -226,11 +226,11 @@ class StoredScene:
         infos = self._of_instances("scene_gt_info", RealInfo if self.real else records.Info)
         whole = self._checked(partial(self._files.record, "scene_gt_coco", records.SceneCoco))
         annotations = [entry for entry in whole.annotations if entry.image_id == self.image]
-        seen = sum(info.px_count_visib > 0 for info in infos)
-        if len(poses) != len(infos) or seen != len(annotations):
+        visible = sum(info.px_count_visib > 0 for info in infos)
+        if len(poses) != len(infos) or visible != len(annotations):
             raise DatasetError(
                 f"{self.folder}: scene_gt.json has {len(poses)} instances, scene_gt_info.json "
-                f"{seen} visible of {len(infos)}, scene_gt_coco.json "
+                f"{visible} visible of {len(infos)}, scene_gt_coco.json "
                 f"{len(annotations)} annotations: run graycast validate"
             )
         size = list(self.size_px)
@@ -262,8 +262,8 @@ class StoredScene:
         """From run lengths: a picture per mask would be read a hundred times slower."""
         height_px, width_px = self.size_px
         label = np.full(height_px * width_px, -1, dtype=np.int32)  # by columns, as COCO counts
-        seen = [i for i, info in enumerate(infos) if info.px_count_visib > 0]
-        for i, entry in zip(seen, annotations, strict=True):
+        visible = [i for i, info in enumerate(infos) if info.px_count_visib > 0]
+        for i, entry in zip(visible, annotations, strict=True):
             turn = np.cumsum(entry.segmentation.counts).tolist()
             for start, end in zip(turn[0::2], turn[1::2], strict=False):
                 label[start:end] = i
@@ -466,5 +466,5 @@ def open_dataset(folder: Path) -> StoredDataset:
         scene_ids=scene_ids,
         sizes_px={name: (camera.height, camera.width) for name, camera in cameras.items()},
         images=tuple(images),
-        holds=frozenset(claim.holds) if isinstance(claim, RealClaim) else _HELD,
+        holds=frozenset(claim.holds) if isinstance(claim, RealClaim) else _CONTENTS,
     )

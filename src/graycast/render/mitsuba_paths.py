@@ -20,7 +20,7 @@ from .mitsuba_lens import (
     in_field,
     on_pixel,
     pixel_index,
-    seen_by_projector,
+    project_to_projector,
     shines,
     through_focus,
 )
@@ -238,7 +238,7 @@ class Tracer:
         """Light straight from the projector: I / d^2 in the field."""
         q = self.T_proj_world @ mi.Vector4f(si.p.x, si.p.y, si.p.z, 1)
         q = mi.Point3f(q.x, q.y, q.z)
-        place, inverse_z, ahead = seen_by_projector(self.projector, q)
+        place, inverse_z, ahead = project_to_projector(self.projector, q)
         places = self._spread(p, si, place, inverse_z) if self.lookups > 1 else [place]
         if self.gaps:
             shining = [shines(self.projector, one) for one in places]
@@ -262,9 +262,9 @@ class Tracer:
 
     def _add_projector(self, p: Paths, beam: _Beam, value: mi.Color3f) -> None:
         """Add the beam to each pattern, weighted by the pattern's level."""
-        seen = dr.select(beam.lit, p.throughput * value * beam.strength, 0) * self.weights
-        p.white += seen * beam.count
-        mono, lit = dr.sum(seen), [beam.lit & one for one in beam.shining]
+        arriving = dr.select(beam.lit, p.throughput * value * beam.strength, 0) * self.weights
+        p.white += arriving * beam.count
+        mono, lit = dr.sum(arriving), [beam.lit & one for one in beam.shining]
         light, fresh = mono * beam.count, p.vertex == 0
         p.straight += dr.select(fresh, light, 0)
         middle = sum(dr.select(one, place, 0) for place, one in zip(beam.places, lit, strict=True))

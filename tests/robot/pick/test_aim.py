@@ -7,8 +7,8 @@ from graycast.base.frames import axis_rotation, rigid
 from graycast.rig.optics import Optics
 from graycast.robot.pick.aim import (
     Aim,
+    Candidate,
     DepthView,
-    PartCandidate,
     best_first,
     covered_share,
     ranked,
@@ -30,7 +30,7 @@ def scene(*plates):
     depth_m, owner = np.ones((60, 80)), np.full((60, 80), -1)
     for i, (mask, plate_m) in enumerate(plates):
         depth_m[mask], owner[mask] = plate_m, i
-    found = [PartCandidate(kind=0, score=1.0, mask=owner == i) for i in range(len(plates))]
+    found = [Candidate(kind=0, score=1.0, mask=owner == i) for i in range(len(plates))]
     return DepthView(depth_m=depth_m, camera=CAMERA, T_world_cam=LOOKING_DOWN), found
 
 
@@ -71,7 +71,7 @@ def test_where_a_grip_failed_is_tried_last():
 
 def aim(x, z=0.0, *, score=1.0, turn=("x", 0.0)):
     T = rigid(axis_rotation(*turn), np.array([x, 0.0, z]))
-    target = PartCandidate(kind=0, score=1.0, mask=square(0, 0))
+    target = Candidate(kind=0, score=1.0, mask=square(0, 0))
     return Aim(T_world_tool=T, score=score, target=target)
 
 

@@ -8,7 +8,7 @@ from stage import BOX_CORNERS, box_part, lambert
 
 from graycast.base.frames import axis_rotation, rigid
 from graycast.robot.pick import carry
-from graycast.robot.pick.aim import Aim, PartCandidate
+from graycast.robot.pick.aim import Aim, Candidate
 from graycast.robot.pick.carry import FREED_M, BinState, carry_out
 from graycast.robot.pick.choose import Choice
 from graycast.robot.pick.motion import Trajectory
@@ -73,7 +73,7 @@ def test_a_grip_that_meets_nothing_is_blamed_on_its_pose_if_that_is_off(
     off = rigid(R, MIDDLE - R @ MIDDLE + [0, 0, shift_mm / 1e3])
     pose = Aim(
         T_world_tool=rigid(np.eye(3), np.array([0.2, 0.1, 0.05])), score=1.0,
-        target=PartCandidate(kind=0, score=1.0, mask=np.ones((2, 2), bool)),
+        target=Candidate(kind=0, score=1.0, mask=np.ones((2, 2), bool)),
         T_cam_part=np.linalg.inv(T_WORLD_CAM) @ LAID[0] @ off,
     )  # fmt: skip
     scene = SimpleNamespace(T_world_cam=T_WORLD_CAM, parts=[SimpleNamespace(mesh=MESH)])

@@ -161,13 +161,13 @@ class StackDescription(Settings):
 
     @model_validator(mode="after")
     def _shows_each_frame_once(self) -> "StackDescription":
-        seen: dict[Frame, Path] = {}
+        file_of: dict[Frame, Path] = {}
         for section in self.frames:
             frame = section.frame()
-            if frame in seen:
-                both = f"{seen[frame]} and {section.file}"
+            if frame in file_of:
+                both = f"{file_of[frame]} and {section.file}"
                 raise ValueError(f"{both} are both {frame.name}: give each frame once")
-            seen[frame] = section.file
+            file_of[frame] = section.file
         files = [section.file for section in self.frames]
         twice = [file for file in files if files.count(file) > 1]
         if twice:

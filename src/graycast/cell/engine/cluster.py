@@ -57,14 +57,14 @@ class RayPool:
 
     def submit(self, scene_id: int) -> None:
         # In a list Ray hands on the reference itself: the task is fetched once per worker.
-        made = self._make.remote(self._run, [self._task], scene_id, self._threads)
-        self._running[made] = scene_id
+        job = self._make.remote(self._run, [self._task], scene_id, self._threads)
+        self._running[job] = scene_id
 
     def gather(self) -> Made | Failed:
-        (made, *_), _ = self._ray.wait(list(self._running), num_returns=1)
-        scene_id = self._running.pop(made)
+        (job, *_), _ = self._ray.wait(list(self._running), num_returns=1)
+        scene_id = self._running.pop(job)
         try:
-            return self._ray.get(made)
+            return self._ray.get(job)
         except self._ray.exceptions.RayTaskError as error:
             return Failed(scene_id=scene_id, error=error.cause)
         except self._ray.exceptions.RayError as error:
@@ -73,8 +73,8 @@ class RayPool:
 
     def close(self) -> None:
         with contextlib.suppress(Exception):  # a cluster that is gone needs no farewell
-            for made in self._running:
-                self._ray.cancel(made, force=True)
+            for job in self._running:
+                self._ray.cancel(job, force=True)
         self._ray.shutdown()
 
 

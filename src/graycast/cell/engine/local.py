@@ -209,9 +209,9 @@ def _environment(variables: dict[str, str]) -> Iterator[None]:
 
 def list_gpus() -> list[str]:
     """The NVIDIA GPUs that this process may use, as CUDA_VISIBLE_DEVICES names them."""
-    given = os.environ.get("CUDA_VISIBLE_DEVICES")
-    if given is not None:
-        return [name.strip() for name in given.split(",") if name.strip()]
+    visible = os.environ.get("CUDA_VISIBLE_DEVICES")
+    if visible is not None:
+        return [name.strip() for name in visible.split(",") if name.strip()]
     known = Path("/proc/driver/nvidia/gpus")
     return [str(i) for i in range(len(list(known.iterdir())))] if known.is_dir() else []
 

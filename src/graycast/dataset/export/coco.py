@@ -58,8 +58,8 @@ def _image(folder: Path, split: str, scene: StoredScene, options: Options) -> di
         place(scene.png(depth), folder / depth / split / name, link=link)
     view, (height_px, width_px) = scene.view(), scene.size_px
     image = {"id": scene.image_id, "file_name": name, "width": width_px, "height": height_px}
-    held = {"cam_K": view.cam_K, "distortion": view.distortion, "depth_scale": view.depth_scale}
-    return image | held
+    optics = {"cam_K": view.cam_K, "distortion": view.distortion, "depth_scale": view.depth_scale}
+    return image | optics
 
 
 def _entry(label: InstanceLabel, as_polygons: bool) -> dict[str, Any]:

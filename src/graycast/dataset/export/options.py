@@ -76,7 +76,7 @@ class Options:
     def __post_init__(self) -> None:
         if self.format not in FORMATS:
             raise GraycastError(f"format is {self.format!r}: choose one of {', '.join(FORMATS)}")
-        for name in self.given():
+        for name in self.options_set():
             if name not in FORMATS[self.format]:
                 raise GraycastError(
                     f"{self.format} has no option {name}: remove it; the options are "
@@ -96,7 +96,7 @@ class Options:
                 f"min_visibility is {self.min_visibility}: give a share from 0 to 1"
             )
 
-    def given(self) -> list[str]:
+    def options_set(self) -> list[str]:
         """The options that were said."""
         names = [each.name for each in fields(self) if each.name not in ("format", "split")]
         return [name for name in names if getattr(self, name) is not None]
@@ -107,7 +107,9 @@ class Options:
         Raises:
             GraycastError: the dataset lacks what was said.
         """
-        chosen = dict(FORMATS[self.format]) | {name: getattr(self, name) for name in self.given()}
+        chosen = dict(FORMATS[self.format]) | {
+            name: getattr(self, name) for name in self.options_set()
+        }
         holds = stored.holds
         if "image" in chosen and _PICTURE[chosen["image"]] not in holds:
             self._refuse("image", chosen["image"], stored)
@@ -129,8 +131,8 @@ class Options:
 
     def _refuse(self, name: str, value: str, stored: StoredDataset) -> None:
         if getattr(self, name) is not None:
-            held = ", ".join(sorted(stored.holds))
-            raise GraycastError(f"{stored.folder}: has no {value} {name}; it holds {held}")
+            kinds = ", ".join(sorted(stored.holds))
+            raise GraycastError(f"{stored.folder}: has no {value} {name}; it holds {kinds}")
 
     @property
     def shift_px(self) -> float:

@@ -16,7 +16,7 @@ from ...rig.optics import Optics, picture_rays
 from ...rig.pair import Rig
 from .. import records
 from ..claim import read_scanning, rig_of
-from ..safe_reading import Unreadable, held
+from ..safe_reading import Unreadable, record_as
 
 _ENOUGH_PX = 200_000  # for what holds for the picture as a whole
 
@@ -60,7 +60,7 @@ class Evidence:
         Raises:
             Unreadable: one is missing or of another form.
         """
-        return held(self.manifest, records.SceneManifest, "manifest.json")
+        return record_as(self.manifest, records.SceneManifest, "manifest.json")
 
     @cached_property
     def scanning(self) -> tuple[SensorSpec, DecodeSpec] | None:

@@ -137,12 +137,12 @@ def shots(found: Sequence[RealPicture], *, scale_m: float | None) -> Iterator[Ex
     """
     for i, shot in enumerate(found):
         # The detector works in pixels and along the axis: it asks for no intrinsics.
-        seen = read_shot(shot, K=np.eye(3), scale_m=scale_m, size_px=None)
-        depth_m = None if seen.depth_m is None else seen.depth_m.astype(np.float32)
-        yield Example(scene_id=i, rgb=seen.rgb, gray=seen.gray, scanner_depth_m=depth_m)
+        images = read_shot(shot, K=np.eye(3), scale_m=scale_m, size_px=None)
+        depth_m = None if images.depth_m is None else images.depth_m.astype(np.float32)
+        yield Example(scene_id=i, rgb=images.rgb, gray=images.gray, scanner_depth_m=depth_m)
 
 
-def looked_at(folder: Path) -> dict[str, Any]:
+def detection_record(folder: Path) -> dict[str, Any]:
     """The scenes and settings of an earlier `detect`; empty if there was none.
 
     Raises:
@@ -200,8 +200,8 @@ def pictures_of(
             class_ids={name: i for i, name in enumerate(about.names, start=1)},
             record={"pictures": [shot.stem for shot in found], "split": None, "division": None},
         )
-    held = about.trained["settings"]["split"]
-    division = Split(shares=tuple(held["shares"]), seed=held["seed"])
+    division_record = about.trained["settings"]["split"]
+    division = Split(shares=tuple(division_record["shares"]), seed=division_record["seed"])
     sets, record = sets_of(folder, split, division)
     return PictureSelection(
         examples=map(_as_real, chain.from_iterable(sets)) if as_real else chain.from_iterable(sets),

@@ -68,13 +68,13 @@ class About:
         """
         if not self.tells_apart:
             return {ONE_CLASS: min(categories)}
-        held = {name: obj_id for obj_id, name in categories.items() if name in self.names}
-        if not held:
+        own = {name: obj_id for obj_id, name in categories.items() if name in self.names}
+        if not own:
             raise GraycastError(
                 f"{folder}: has {', '.join(categories.values())}, and the detector was trained on "
                 f"{', '.join(self.names)}: give a dataset of the same parts"
             )
-        return held
+        return own
 
     def open_network(self) -> Network:
         """The network with random weights, from torch's global generator."""
@@ -232,8 +232,8 @@ def _outline(
 
 def save_detector(path: Path, about: About, state: Mapping[str, torch.Tensor]) -> None:
     """Write weights and all that belongs to them, whole or not at all."""
-    held = {"about": json.dumps(about.as_dict()), "state": dict(state)}
-    fill_whole(path, lambda file: torch.save(held, file))
+    checkpoint = {"about": json.dumps(about.as_dict()), "state": dict(state)}
+    fill_whole(path, lambda file: torch.save(checkpoint, file))
 
 
 def load_detector(path: Path, *, device: str = "auto") -> Detector:

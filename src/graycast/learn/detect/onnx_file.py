@@ -66,10 +66,10 @@ def write_onnx(
                 output_names=names,
                 dynamic_axes={name: {0: "n"} for name in names},
             )
-        held = onnx.load_model_from_string(traced_model.getvalue())
-        entry = held.metadata_props.add()
+        onnx_model = onnx.load_model_from_string(traced_model.getvalue())
+        entry = onnx_model.metadata_props.add()
         entry.key, entry.value = "graycast", json.dumps(detector.about.as_dict())
-        content = held.SerializeToString()
+        content = onnx_model.SerializeToString()
     except (torch.onnx.OnnxExporterError, RuntimeError, TypeError) as error:
         why = " ".join(str(error).split())[:120]
         raise GraycastError(f"{detector.about.model} cannot be written as ONNX ({why})") from error

@@ -114,21 +114,21 @@ class Solov2(nn.Module):
         """Focal loss over all cells, Dice loss over the cells that instances claim."""
         score, kernel, painted = self(image)
         labels = torch.full(score.shape[:2], self.classes, device=score.device)
-        judged = torch.ones_like(labels, dtype=torch.bool)
+        counts = torch.ones_like(labels, dtype=torch.bool)
         dice = painted.sum() * 0
         for index, target in enumerate(targets):
             owner, cell = _claims(target)
             ignored = target.ignored[owner]
-            judged[index, cell[ignored]] = False
+            counts[index, cell[ignored]] = False
             owner, cell = owner[~ignored], cell[~ignored]
-            judged[index, cell] = True
+            counts[index, cell] = True
             for instance, place in zip(owner.tolist(), cell.tolist(), strict=True):
                 labels[index, place] = target.label[instance]
             logit = torch.einsum("nk,khw->nhw", kernel[index, cell], painted[index])
             dice = dice + _dice(logit.sigmoid(), _quarter(target.drawn())[owner]).sum()
         claimed = int((labels < self.classes).sum())
         truth = one_hot(labels, self.classes + 1)[..., :-1].float()
-        focal = _focal(score[judged], truth[judged]) / (claimed + 1)
+        focal = _focal(score[counts], truth[counts]) / (claimed + 1)
         return {"mask": MASK_WEIGHT * dice / max(claimed, 1), "class": focal}
 
     @torch.no_grad()

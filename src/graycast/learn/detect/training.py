@@ -349,7 +349,7 @@ class _Training:
         )
 
     def _validated(self, judge: "_Judge", detector: Detector, progress: Progress) -> Row:
-        row = judge.judged(detector, self.meter)
+        row = judge.figures_of(detector, self.meter)
         figure = np.mean([value for name, value in row.items() if name.endswith("_ap")])
         if figure > progress.best or progress.best <= 0:  # the latest, while none finds a thing
             progress.best, progress.since = max(float(np.nan_to_num(figure)), 0.0), 0
@@ -393,7 +393,7 @@ class _Judge:
             masks=training.network.finds_masks,
         )
 
-    def judged(self, detector: Detector, meter: ProgressMeter) -> Row:
+    def figures_of(self, detector: Detector, meter: ProgressMeter) -> Row:
         detector.network.eval()
         ids = {name: i for i, name in enumerate(self.names)}
         found = []

@@ -176,11 +176,11 @@ def _terms(
     mine, box = raw[positive], target.box[owner[positive]]
     centre, size = _encode(box, anchor[positive], stride[positive])
     label = nn.functional.one_hot(target.label[owner[positive]], raw.shape[1] - 5)
-    judged = positive | negative
+    counts = positive | negative
     return {
         "centre": CENTRE_WEIGHT * _cross_entropy(mine[:, :2], centre),
         "size": SIZE_WEIGHT * (mine[:, 2:4] - size).square().sum(),
-        "objectness": _cross_entropy(raw[judged, 4], positive[judged].float()),
+        "objectness": _cross_entropy(raw[counts, 4], positive[counts].float()),
         "class": _cross_entropy(mine[:, 5:], label.float()),
     }
 

@@ -18,7 +18,7 @@ from ...score.evaluate.judging import KINDS
 from ...score.evaluate.matching import Kind
 from ...score.evaluate.task import as_one_class
 from ..detect import Detector, TrainSpec, detect, pictures_of, train
-from ..detect.detecting import looked_at, sets_of
+from ..detect.detecting import detection_record, sets_of
 from ..detect.encoding import Encoding
 from ..detect.networks import network_class
 from ..study_file import EncodingSection, ModelSection, StudySpec, TestSection
@@ -58,10 +58,10 @@ class Result:
 
         None where the run or the world has no masks, or the world no such dataset.
         """
-        held = self.figures.get((world, kind))
-        if held is None or number is None:
-            return None if held is None else mean(held)
-        return held[number] if number < len(held) else None
+        figures = self.figures.get((world, kind))
+        if figures is None or number is None:
+            return None if figures is None else mean(figures)
+        return figures[number] if number < len(figures) else None
 
 
 def runs_of(spec: StudySpec) -> Iterator[StudyRun]:
@@ -114,8 +114,8 @@ def run_study(
             progress.stage(f"{run.name}: scored in {name}")
             for kind in world.kinds if detector.network.finds_masks else ("box",):
                 scores = [
-                    _score(spec, given, seen, kind)
-                    for given, seen in zip(world.labels, found, strict=True)
+                    _score(spec, labels, detections, kind)
+                    for labels, detections in zip(world.labels, found, strict=True)
                 ]
                 figures[name, kind] = tuple(
                     drawn(each, FIGURE, seed=1000 * number + i) for i, each in enumerate(scores)
@@ -163,8 +163,8 @@ def _found(detector: Detector, dataset: Path, world: TestSection, folder: Path) 
     chosen = pictures_of(
         dataset, detector.about, split=world.split, scale_m=None, as_real=world.as_real
     )
-    asked = parse_json(json_bytes({"scene_ids": chosen.scene_ids, **chosen.record}))
-    if not asked.items() <= looked_at(folder).items():  # none, or of other scenes than now
+    record = parse_json(json_bytes({"scene_ids": chosen.scene_ids, **chosen.record}))
+    if not record.items() <= detection_record(folder).items():  # none, or of other scenes than now
         detect(detector, chosen, folder, drawings=4)
     return read_results(folder / RESULTS, chosen.scene_ids)
 
@@ -182,15 +182,15 @@ def _world(spec: StudySpec, section: TestSection) -> _World:
     labels = []
     for dataset in section.datasets:
         sets, _ = sets_of(dataset, section.split, spec.division)
-        held: list[Labels] = []
+        of_dataset: list[Labels] = []
         for example in chain.from_iterable(sets):
-            if not held:
-                shown = replace(example, depth_m=None) if section.as_real else example
-                _check_inputs(spec, dataset, shown)
-            held.append(labels_of(example, min_visibility=spec.min_visibility))
-        if not held:
+            if not of_dataset:
+                view = replace(example, depth_m=None) if section.as_real else example
+                _check_inputs(spec, dataset, view)
+            of_dataset.append(labels_of(example, min_visibility=spec.min_visibility))
+        if not of_dataset:
             raise GraycastError(f"{dataset}: has no scene in the set {section.split}")
-        labels.append(tuple(held))
+        labels.append(tuple(of_dataset))
     drawn = all(one.mask is not None for of_set in labels for one in of_set)
     return _World(labels=tuple(labels), kinds=KINDS if drawn else ("box",))
 

@@ -124,16 +124,16 @@ def calibrate_rig(
         observed = observed.less(spoiling)
         fit = fitted(observed)
     _refuse_impossible(fit)
-    seen = observed.corners
+    obs = observed.corners
     epipolar_px = epipolar_distance_px(
-        fit.camera, fit.projector, fit.T_cam_proj, seen.camera_px, seen.projector_px
+        fit.camera, fit.projector, fit.T_cam_proj, obs.camera_px, obs.projector_px
     )
     each = tuple(
-        _view_residual(index, view.name, seen, fit, epipolar_px, view.undecoded)
+        _view_residual(index, view.name, obs, fit, epipolar_px, view.undecoded)
         for index, view in enumerate(observed.views)
     )
-    T = fit.T_cam_board[seen.view]
-    depth_m = (np.einsum("nj,nj->n", T[:, 2, :3], seen.point_m) + T[:, 2, 3])[fit.kept]
+    T = fit.T_cam_board[obs.view]
+    depth_m = (np.einsum("nj,nj->n", T[:, 2, :3], obs.point_m) + T[:, 2, 3])[fit.kept]
     rig = Rig(
         name=name,
         camera=fit.camera,
@@ -143,8 +143,8 @@ def calibrate_rig(
         far_m=float(depth_m.max() * (1 + RANGE_MARGIN)) if far_m is None else far_m,
     )
     coverage = (
-        _coverage(seen.camera_px[fit.kept], camera_size_px),
-        _coverage(seen.projector_px[fit.kept], projector_size_px),
+        _coverage(obs.camera_px[fit.kept], camera_size_px),
+        _coverage(obs.projector_px[fit.kept], projector_size_px),
     )
     return Calibration(
         rig=rig,
@@ -261,9 +261,9 @@ def _check_fold(device: str, optics: Optics) -> None:
 
 
 def _view_residual(
-    index: int, name: str, seen: Observations, fit: Adjustment, epipolar_px, undecoded: int
+    index: int, name: str, obs: Observations, fit: Adjustment, epipolar_px, undecoded: int
 ) -> ViewResidual:
-    mine = seen.view == index
+    mine = obs.view == index
     used = mine & fit.kept
     normal = fit.T_cam_board[index][:3, 2]
     return ViewResidual(

@@ -14,7 +14,7 @@ from ...dataset.safe_reading import Unreadable
 from ...dataset.scene_folder import AnyView, SceneFolder
 from ...rig.optics import Optics, optics_of, picture_rays, points
 from ..depth_file import DEPTH_FILES
-from ..picture_pairs import RealPicture, Seen, find_shots, read_shot
+from ..picture_pairs import RealPicture, ShotImages, find_shots, read_shot
 
 _NO_DISTORTION = (0.0, 0.0, 0.0, 0.0, 0.0)
 _LEAST_POINTS = 1000
@@ -158,14 +158,14 @@ def _read(shot: RealPicture, file_options: FileOptions, own: Optics) -> BinView:
     brings_own = shot.depth.suffix.lower() == ".ply"
     by_rig = file_options.K is None and not brings_own
     K = own.K if by_rig else file_options.K
-    seen = read_shot(shot, K=K, scale_m=file_options.scale_m, size_px=file_options.size_px)
-    if by_rig and seen.size_px != (own.height_px, own.width_px):
+    images = read_shot(shot, K=K, scale_m=file_options.scale_m, size_px=file_options.size_px)
+    if by_rig and images.size_px != (own.height_px, own.width_px):
         raise DatasetError(
-            f"{shot.depth}: is {seen.size_px[1]} x {seen.size_px[0]} pixels, the rig's camera "
+            f"{shot.depth}: is {images.size_px[1]} x {images.size_px[0]} pixels, the rig's camera "
             f"{own.width_px} x {own.height_px}: give its intrinsics (--intrinsics fx,fy,cx,cy)"
         )
     lens = file_options.distortion or (own.distortion if by_rig else _NO_DISTORTION)
-    return _view(str(shot.depth), seen, lens)
+    return _view(str(shot.depth), images, lens)
 
 
 def _read_scene(scene: Path) -> list[BinView]:
@@ -184,7 +184,7 @@ def _read_scene(scene: Path) -> list[BinView]:
         ) from error
     for number, camera in cameras.items():
         depth = files.png_path("depth_sl", number)
-        seen = read_shot(
+        images = read_shot(
             RealPicture(
                 stem=str(scene), rgb=files.find_picture("rgb", number), gray=None, depth=depth
             ),
@@ -192,15 +192,15 @@ def _read_scene(scene: Path) -> list[BinView]:
             scale_m=camera.depth_scale * 1e-3,
             size_px=None,
         )
-        views.append(_view(str(depth), seen, camera.distortion))
+        views.append(_view(str(depth), images, camera.distortion))
     return views
 
 
-def _view(name: str, seen: Seen, distortion: Sequence[float]) -> BinView:
+def _view(name: str, images: ShotImages, distortion: Sequence[float]) -> BinView:
     try:
-        camera = optics_of(seen.K, seen.size_px, distortion)
+        camera = optics_of(images.K, images.size_px, distortion)
     except ValueError as error:
         raise DatasetError(f"{name}: its camera cannot be used: {error}") from error
-    if seen.depth_m is None:
+    if images.depth_m is None:
         raise DatasetError(f"{name}: has no depth")
-    return BinView(name=name, camera=camera, depth_m=seen.depth_m, rgb=seen.rgb)
+    return BinView(name=name, camera=camera, depth_m=images.depth_m, rgb=images.rgb)

@@ -192,21 +192,21 @@ def sections(fit: BinFit, cell: Cell, mesh: Path | None = None) -> dict[str, Map
         box |= {"inner_m": list(bin_of(cell.scene).inner_m), "wall_m": bin_of(cell.scene).wall_m}
     else:
         box = {key: value for key, value in box.items() if key not in ("inner_m", "wall_m")}
-    made: dict[str, Mapping[str, Any]] = {
+    content: dict[str, Mapping[str, Any]] = {
         "view": {"T_world_cam": _numbers((fit.bent or fit.pose).T_world_cam)},
         "bin": box,
     }
     if fit.look is None:
-        return made
+        return content
     color, walls = fit.look.reflectance, bin_of(cell.scene).material
     box["floor"] = _words(bin_of(cell.scene).floor or walls, color["floor"])
     if "walls" in color:
         box["material"] = _words(walls, color["walls"])
     if "table" in color:
-        made["table"] = _words(cell.scene.table, color["table"])
+        content["table"] = _words(cell.scene.table, color["table"])
     if fit.look.light_scale is not None:
-        made["light"] = _scaled_light(cell.config, fit.look.light_scale)
-    return made
+        content["light"] = _scaled_light(cell.config, fit.look.light_scale)
+    return content
 
 
 def _bent_words(box: Mapping[str, Any], cell: Cell, mesh: Path) -> dict[str, Any]:

@@ -146,7 +146,7 @@ def _best_first(
 ) -> list[Float[np.ndarray, "4 4"]]:
     """Ordered by evidence times what agrees: beside a bin stands much table, but no wall."""
     score = np.maximum(sum(shape.votes(np.stack(poses), grid, _FINE_M) for grid in grids), 0)
-    score *= [_agreeing(shape, [_seen(shape, T, grid) for grid in grids]) for T in poses]
+    score *= [_agreeing(shape, [_match(shape, T, grid) for grid in grids]) for T in poses]
     return [poses[i] for i in np.argsort(-score, kind="stable")]
 
 
@@ -193,9 +193,9 @@ def settle(
     trust = np.array([face.inliers for face in fit.faces])
     T = register(cloud, fit.T_world_cam, shape, first_m=_LAST_M, trust=trust)
     fit = judge(views, shape, T, trust=trust)
-    T, held = hold_by_edges(views, shape, fit.T_world_cam, fit.loose, fit.rms_m)
-    loose = tuple(name for name in fit.loose if name not in held)
-    return replace(judge(views, shape, T, trust=trust), by_edges=held, loose=loose)
+    T, by_edges = hold_by_edges(views, shape, fit.T_world_cam, fit.loose, fit.rms_m)
+    loose = tuple(name for name in fit.loose if name not in by_edges)
+    return replace(judge(views, shape, T, trust=trust), by_edges=by_edges, loose=loose)
 
 
 def judge(
@@ -215,8 +215,8 @@ def judge(
     inlier = pairs.weight > 0
     residual_m = pairs.height_m[inlier]
     grids = [view.grid(512) for view in views]
-    seen = [_seen(shape, T_world_cam, grid) for grid in grids]
-    agreeing = _agreeing(shape, seen)
+    matches = [_match(shape, T_world_cam, grid) for grid in grids]
+    agreeing = _agreeing(shape, matches)
     if agreeing < _LEAST_AGREEING:
         size = " x ".join(f"{1e3 * length:.0f}" for length in shape.inner_m)
         raise GraycastError(
@@ -228,7 +228,7 @@ def judge(
     sigma = _deviations(_equations(shape, pairs)[0])
     return PoseFit(
         T_world_cam=T_world_cam.copy(),
-        faces=tuple(_face_fit(shape, k, seen, pairs) for k in range(len(shape.names))),
+        faces=tuple(_face_fit(shape, k, matches, pairs) for k in range(len(shape.names))),
         rms_m=float(np.sqrt((residual_m**2).mean())),
         median_m=float(np.median(np.abs(residual_m))),
         p95_m=float(np.percentile(np.abs(residual_m), 95)),
@@ -329,7 +329,7 @@ def _turned(
 
 
 @dataclass(frozen=True, slots=True)
-class _Seen:
+class _Match:
     """Of a view's pixels: the surface that each should show, and what was measured there."""
 
     surface: Int[np.ndarray, " n"]
@@ -337,34 +337,34 @@ class _Seen:
     agrees: Bool[np.ndarray, " n"]
 
 
-def _seen(shape: BinShape, T_world_cam: Float[np.ndarray, "4 4"], grid: Grid) -> _Seen:
+def _match(shape: BinShape, T_world_cam: Float[np.ndarray, "4 4"], grid: Grid) -> _Match:
     face, point_m = shape.cast(T_world_cam, grid)[0].ravel(), grid.point_m.reshape(-1, 3)
     measured = np.isfinite(point_m[:, 2]) & (face != NO_FACE)
     agrees = np.zeros(len(face), dtype=bool)
     point = transform_points(T_world_cam, point_m[measured])
     agrees[measured] = np.abs(height_over(shape, point, face[measured])) < _LAST_M
     surface = np.where(face == NO_FACE, NO_FACE, shape.surface[face])
-    return _Seen(surface, measured, agrees)
+    return _Match(surface, measured, agrees)
 
 
-def _agreeing(shape: BinShape, seen: Sequence[_Seen]) -> float:
+def _agreeing(shape: BinShape, matches: Sequence[_Match]) -> float:
     """The lower share of two, of what is measured where the floor should be, and where the walls.
 
     A table will do for a floor, but has no walls; a box on its side has walls, but no floor.
     """
     shares, is_of_floor = [], np.array(shape.names) == "floor"
     for floor in (True, False):
-        mine = [s.measured & (is_of_floor[s.surface] == floor) for s in seen]
-        agrees = sum((s.agrees & m).sum() for s, m in zip(seen, mine, strict=True))
+        mine = [s.measured & (is_of_floor[s.surface] == floor) for s in matches]
+        agrees = sum((s.agrees & m).sum() for s, m in zip(matches, mine, strict=True))
         shares.append(_share(agrees, sum(m.sum() for m in mine)))
     return min(shares)
 
 
-def _face_fit(shape: BinShape, k: int, seen: Sequence[_Seen], pairs: _Pairs) -> FaceFit:
-    mine = [s.surface == k for s in seen]
+def _face_fit(shape: BinShape, k: int, matches: Sequence[_Match], pairs: _Pairs) -> FaceFit:
+    mine = [s.surface == k for s in matches]
     seen_px = int(sum(m.sum() for m in mine))
-    measured = sum((s.measured & m).sum() for s, m in zip(seen, mine, strict=True))
-    agrees = sum((s.agrees & m).sum() for s, m in zip(seen, mine, strict=True))
+    measured = sum((s.measured & m).sum() for s, m in zip(matches, mine, strict=True))
+    agrees = sum((s.agrees & m).sum() for s, m in zip(matches, mine, strict=True))
     height_m = pairs.height_m[(shape.surface[pairs.face] == k) & (pairs.weight > 0)]
     size_m = np.abs(height_m) if len(height_m) else np.array([np.nan])
     return FaceFit(
@@ -388,9 +388,9 @@ def _deviations(A: Float[np.ndarray, "6 6"]) -> Float[np.ndarray, "6"]:
     """Square roots of the covariance's diagonal; inf where nothing holds."""
     size = np.sqrt(np.maximum(np.diag(A), 1e-12))
     value, vector = np.linalg.eigh(A / np.outer(size, size))
-    held = value > 1e-9
-    variance = (vector[:, held] ** 2 / value[held]).sum(axis=1)
-    variance[(vector[:, ~held] ** 2 > 1e-6).any(axis=1)] = np.inf
+    determined = value > 1e-9
+    variance = (vector[:, determined] ** 2 / value[determined]).sum(axis=1)
+    variance[(vector[:, ~determined] ** 2 > 1e-6).any(axis=1)] = np.inf
     return np.sqrt(variance) / size
 
 

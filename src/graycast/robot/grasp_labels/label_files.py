@@ -106,11 +106,11 @@ def _claim(dataset: StoredDataset, labelling: Labelling, seed: int) -> dict[str,
 
 def _refuse_other(out: Path, claim: dict[str, Any]) -> None:
     try:
-        held = read_json(out / GRASP_CLAIM, GraspClaim).model_dump()
+        stored = read_json(out / GRASP_CLAIM, GraspClaim).model_dump()
     except Unreadable as error:
         raise DatasetError(f"{out}: {error}: remove this folder, or give another --name") from error
     for key in _CLAIMED:
-        where = difference(held[key], claim[key], key)
+        where = difference(stored[key], claim[key], key)
         if where is not None:
             raise DatasetError(
                 f"{out} holds other labels, which differ in {where.removeprefix('config.')}: give "

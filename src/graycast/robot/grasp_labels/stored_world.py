@@ -87,10 +87,10 @@ def read_stock(dataset: StoredDataset, files: Path) -> Stock:
             f"{error.errors()[0]['msg']}"
         ) from error
     parts, _ = resolve_parts(config, files)
-    for part, held in zip(parts, claim["parts"], strict=True):
-        if part_digest(part) != held["content"]:
+    for part, record in zip(parts, claim["parts"], strict=True):
+        if part_digest(part) != record["content"]:
             raise DatasetError(
-                f"{dataset.folder}: part {held['name']} has changed since the dataset was made: "
+                f"{dataset.folder}: part {record['name']} has changed since the dataset was made: "
                 "restore its files, or use the version of Graycast that made the dataset"
             )
     return Stock(bin=resolve_bin(config.bin, files)[0], parts=parts, rig=rig_of(claim["rig"]))

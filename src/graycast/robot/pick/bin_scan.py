@@ -15,7 +15,7 @@ from ...dataset.detections import Detections
 from ...dataset.example import Example
 from ...render import Renderer, Rendering
 from ...world.scene import Layout
-from .aim import DepthView, PartCandidate, whole_bin
+from .aim import Candidate, DepthView, whole_bin
 from .robot_cell import PickCell
 
 LEAST_VISIBLE_PX = 30  # of a part that truth tells of
@@ -93,8 +93,8 @@ def _picture(
 
 
 def targets(
-    cell: PickCell, seen: BinScan, layout: Layout, detector: Any | None
-) -> tuple[PartCandidate, ...]:
+    cell: PickCell, shot: BinScan, layout: Layout, detector: Any | None
+) -> tuple[Candidate, ...]:
     """The candidate parts in a scan.
 
     Args:
@@ -103,44 +103,44 @@ def targets(
     """
     picking = cell.config.picking
     if picking.detector == "none":
-        return (PartCandidate(kind=None, score=1.0, mask=whole_bin(seen.view, cell.box)),)
-    found = _true_targets(seen, layout) if detector is None else _detected(cell, seen, detector)
+        return (Candidate(kind=None, score=1.0, mask=whole_bin(shot.view, cell.box)),)
+    found = _true_targets(shot, layout) if detector is None else _detected(cell, shot, detector)
     if picking.pose == "truth":
-        found = [_with_true_pose(target, seen, layout) for target in found]
+        found = [_with_true_pose(target, shot, layout) for target in found]
     return tuple(found)
 
 
-def _true_targets(seen: BinScan, layout: Layout) -> list[PartCandidate]:
+def _true_targets(shot: BinScan, layout: Layout) -> list[Candidate]:
     found = []
     for number, kind in enumerate(layout.part_index.tolist()):
-        mask = seen.instance == number
+        mask = shot.instance == number
         if mask.sum() >= LEAST_VISIBLE_PX:
-            found.append(PartCandidate(kind=kind, score=1.0, mask=mask))
+            found.append(Candidate(kind=kind, score=1.0, mask=mask))
     return found
 
 
-def _detected(cell: PickCell, seen: BinScan, detector: Any) -> list[PartCandidate]:
+def _detected(cell: PickCell, shot: BinScan, detector: Any) -> list[Candidate]:
     ids = {part.name: i for i, part in enumerate(cell.cell.scene.parts)}
     # What the detector calls by another name; ids below 0 would be left out.
     another = 0 if len(ids) == 1 else len(ids)
     wanted = {name: ids.get(name, another) for name in detector.about.names}
     example = Example(
         scene_id=0,
-        rgb=seen.rgb,
-        gray=seen.gray,
-        scanner_depth_m=seen.view.depth_m.astype(np.float32),
-        depth_m=seen.view.depth_m.astype(np.float32),
+        rgb=shot.rgb,
+        gray=shot.gray,
+        scanner_depth_m=shot.view.depth_m.astype(np.float32),
+        depth_m=shot.view.depth_m.astype(np.float32),
     )
     found: Detections = detector.detect(example, obj_ids=wanted, least_score=LEAST_SCORE)
     return [_target(found, i, kinds=len(ids)) for i in range(len(found))]
 
 
-def _target(found: Detections, i: int, *, kinds: int) -> PartCandidate:
+def _target(found: Detections, i: int, *, kinds: int) -> Candidate:
     from pycocotools import mask as coco_mask
 
     mask = None if found.mask is None else coco_mask.decode(dict(found.mask[i])).astype(bool)
     kind = int(found.obj_id[i])
-    return PartCandidate(
+    return Candidate(
         kind=kind if kind < kinds else None,
         score=float(found.score[i]),
         mask=mask,
@@ -148,17 +148,17 @@ def _target(found: Detections, i: int, *, kinds: int) -> PartCandidate:
     )
 
 
-def _with_true_pose(target: PartCandidate, seen: BinScan, layout: Layout) -> PartCandidate:
+def _with_true_pose(target: Candidate, shot: BinScan, layout: Layout) -> Candidate:
     """The pose of the part that most of a detection's pixels are of."""
-    inside = seen.instance[target.inside(seen.instance.shape)]
+    inside = shot.instance[target.inside(shot.instance.shape)]
     inside = inside[inside >= 0]
     if not len(inside):
         return target
     number = int(np.bincount(inside).argmax())
-    return PartCandidate(
+    return Candidate(
         kind=int(layout.part_index[number]),
         score=target.score,
         mask=target.mask,
         box_px=target.box_px,
-        T_cam_part=inverse(seen.view.T_world_cam) @ layout.T_world_part[number],
+        T_cam_part=inverse(shot.view.T_world_cam) @ layout.T_world_part[number],
     )

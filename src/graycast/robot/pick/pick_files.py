@@ -112,10 +112,10 @@ def open_picks(out: Path, cell: PickCell, *, seed: int) -> Iterator[PickFolder]:
     if out.is_file():
         raise DatasetError(f"{out} is a file: give a folder for the picks")
     if out.is_dir() and not (out / CLAIM).exists():
-        held = [entry.name for entry in out.iterdir() if not entry.name.startswith(".")]
-        if held:
+        rest = [entry.name for entry in out.iterdir() if not entry.name.startswith(".")]
+        if rest:
             raise DatasetError(
-                f"{out} is not empty and holds no picks (it has {min(held)}): choose another folder"
+                f"{out} is not empty and holds no picks (it has {min(rest)}): choose another folder"
             )
     with claimed_folder(out, BINS, _LOCK):
         if (out / CLAIM).exists():

@@ -205,10 +205,10 @@ def _held_until(
 
 def _arm_limbs(robot: Robot) -> list[Mesh]:
     """A mesh for each place of the arm; a point where a joint has no shape."""
-    held = robot.limbs()
+    all_limbs = robot.limbs()
     limbs = []
     for number in range(len(robot.home) + 1):
-        shapes = [(shape_mesh(shape), T) for place, shape, T in held if place == number]
+        shapes = [(shape_mesh(shape), T) for place, shape, T in all_limbs if place == number]
         limbs.append(joined(shapes) if shapes else _NOTHING)
     return limbs
 

@@ -17,8 +17,8 @@ from ..grasp import (
     Cup,
     Doubt,
     Grip,
+    GripEstimate,
     Patch,
-    SeenGrip,
     load_factor,
     patch_of_mesh,
     seal,
@@ -56,7 +56,7 @@ class SuctionTool(Settings):
     reaches_round: ClassVar[bool] = False
 
     @property
-    def in_depth(self) -> Callable[..., list[SeenGrip]]:
+    def in_depth(self) -> Callable[..., list[GripEstimate]]:
         return partial(suction_in_depth, cup=self.cup)
 
     @property

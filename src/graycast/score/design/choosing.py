@@ -62,21 +62,21 @@ def mean_interval(value: Float[np.ndarray, " n"]) -> Interval:
 
 def row_of(placed: Placed, heaps: Sequence[Mapping[str, Any] | None]) -> SettingFigures:
     """A setting's row from its figures by heap; None where a heap could not be made."""
-    made = [heap for heap in heaps if heap is not None]
+    finished = [heap for heap in heaps if heap is not None]
     return SettingFigures(
         name=placed.setting.name,
         placed=placed,
         measured_by_heap=np.array(
             [math.nan if heap is None else heap["measured"] for heap in heaps], dtype=np.float64
         ),
-        figure={name: _mean([heap[name] for heap in made]) for name in FIGURES},
-        share={fate: _mean([heap["share"][fate] for heap in made]) for fate in FATES},
+        figure={name: _mean([heap[name] for heap in finished]) for name in FIGURES},
+        share={fate: _mean([heap["share"][fate] for heap in finished]) for fate in FATES},
     )
 
 
 def _mean(values: Sequence[float | None]) -> float:
-    held = [value for value in values if value is not None]
-    return float(np.mean(held)) if held else math.nan
+    numbers = [value for value in values if value is not None]
+    return float(np.mean(numbers)) if numbers else math.nan
 
 
 def on_front(values: Float[np.ndarray, "n figures"]) -> list[bool]:
@@ -205,9 +205,9 @@ def _nearest(spec: DesignSpec, rows: Sequence[SettingFigures]) -> str:
     """The smallest value that any setting has of a required quantity."""
     found = []
     for name in spec.needs.model_dump(exclude_none=True):
-        held = [row for row in rows if math.isfinite(row.figure[name])]
-        if held:
-            row = min(held, key=lambda row: row.figure[name])
+        candidates = [row for row in rows if math.isfinite(row.figure[name])]
+        if candidates:
+            row = min(candidates, key=lambda row: row.figure[name])
             words, unit, factor = _UNIT[name]
             found.append(
                 f"The least {words} is {factor * row.figure[name]:.3g} {unit}, of {row.name}."

@@ -82,15 +82,15 @@ class Comparer:
             radiance = replace(rendering.radiance, pattern=rendering.radiance.pattern[patterns])
             capture = take(scanner, radiance, seed=heap.noise_seed)
             _, depth = measure(scanner, capture)
-            judged = judge(
+            fates = judge(
                 view, heap.surface, rendering.truth, depth, wrong_m=self._task.spec.wrong_m
             )
             seconds = scan_seconds(scanner, capture, readout_s=self._task.spec.readout_s)
-            record = figures(scene, view, heap.surface, judged, seconds=seconds)
+            record = figures(scene, view, heap.surface, fates, seconds=seconds)
             measured[name] = record["measured"]
             picture = None
             if number == 0:
-                picture = picture_png(gray_picture(capture), view, heap.surface, judged)
+                picture = picture_png(gray_picture(capture), view, heap.surface, fates)
             files += heap_files(name, number, record, picture)
         return Made(
             scene_id=scene_id,
@@ -113,18 +113,18 @@ class Comparer:
     def _light(self, group: tuple[Placed, ...], heap: Heap) -> tuple[Rendering, list[slice]]:
         """One rendering of the patterns of all codes, and where each setting's own are in it."""
         cell = group[0].cell
-        shown = {placed.cell.scanner.code: placed.cell.patterns() for placed in group}
-        ends = np.cumsum([len(patterns) for patterns in shown.values()]).tolist()
+        by_code = {placed.cell.scanner.code: placed.cell.patterns() for placed in group}
+        ends = np.cumsum([len(patterns) for patterns in by_code.values()]).tolist()
         own = {
             code: slice(end - len(patterns), end)
-            for (code, patterns), end in zip(shown.items(), ends, strict=True)
+            for (code, patterns), end in zip(by_code.items(), ends, strict=True)
         }
         self._progress.stage(f"{cell.config.render.backend} renders {group[0].setting.lit.name}")
         with self._kept.of(cell) as renderer:
             rendering = renderer.render(
                 cell.scene,
                 heap.layout,
-                np.concatenate(list(shown.values())),
+                np.concatenate(list(by_code.values())),
                 quality=resolve_quality(cell.config),
                 seed=heap.render_seed,
             )

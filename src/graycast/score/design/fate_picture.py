@@ -12,15 +12,15 @@ _LEGEND_PX = 168
 
 
 def picture_png(
-    gray: UInt8[np.ndarray, "h w"], view: SurfaceView, surface: HeapSurface, judged: PointFates
+    gray: UInt8[np.ndarray, "h w"], view: SurfaceView, surface: HeapSurface, fates: PointFates
 ) -> bytes:
     """What the camera sees of the open surface, beside the white frame, as a PNG file.
 
     A point colours its pixel and the eight around it, what is not measured over what is.
     """
-    fate = judged.fate
-    shown = surface.opened & (view.camera == Visibility.SEEN)
-    order = np.flatnonzero(shown)
+    fate = fates.fate
+    visible = surface.opened & (view.camera == Visibility.VISIBLE)
+    order = np.flatnonzero(visible)
     order = order[np.argsort(fate[order] != FATES.index(Fate.MEASURED), kind="stable")]
     ink = np.array([_rgb(FATE_COLOR[name]) for name in FATES], dtype=np.uint8)
     image = np.repeat((gray * _DIM).astype(np.uint8)[..., None], 3, axis=-1)

@@ -152,7 +152,7 @@ def judge(
 
 
 def figures(
-    scene: Scene, view: SurfaceView, surface: HeapSurface, judged: PointFates, *, seconds: float
+    scene: Scene, view: SurfaceView, surface: HeapSurface, fates: PointFates, *, seconds: float
 ) -> dict[str, Any]:
     """A setting's figures over the open surface of one heap; None where nothing was measured.
 
@@ -164,20 +164,20 @@ def figures(
     as wide as `FEATURE_PX` pixels and as high as `FEATURE_SIGMAS` sigma.
     """
     weight = surface.weight / surface.weight.sum()
-    share = dict(zip(FATES, np.bincount(judged.fate, weight, len(FATES)).tolist(), strict=True))
-    unseen = (Fate.OUTSIDE_PICTURE, Fate.HIDDEN_BY_WALL, Fate.HIDDEN_BY_PARTS)
-    seen = 1 - sum(share[fate] for fate in unseen)
+    share = dict(zip(FATES, np.bincount(fates.fate, weight, len(FATES)).tolist(), strict=True))
+    hidden = (Fate.OUTSIDE_PICTURE, Fate.HIDDEN_BY_WALL, Fate.HIDDEN_BY_PARTS)
+    visible = 1 - sum(share[fate] for fate in hidden)
     record: dict[str, Any] = {
         "points": int(surface.opened.sum()),
         "share": {str(name): value for name, value in share.items()},
         "measured": share[Fate.MEASURED],
-        "of_seen": share[Fate.MEASURED] / seen if seen > 0 else None,
+        "of_seen": share[Fate.MEASURED] / visible if visible > 0 else None,
         "seconds": seconds,
     }
-    here = surface.opened & np.isfinite(judged.error_m)
+    here = surface.opened & np.isfinite(fates.error_m)
     if not here.any():
         return record | dict.fromkeys(("sigma_m", "bias_m", "pixel_m", "feature_m"))
-    low, bias_m, high = _quantiles(judged.error_m[here], weight[here], (0.1587, 0.5, 0.8413))
+    low, bias_m, high = _quantiles(fates.error_m[here], weight[here], (0.1587, 0.5, 0.8413))
     sigma_m = (high - low) / 2
     camera, projector = scene.rig.camera, scene.rig.projector
     pixel_m = max(

@@ -111,9 +111,9 @@ def _figures(row: DepthRow, reasons: Sequence[str]) -> list[str]:
 
 def _reasons(tables: Tables, order: Iterable[str]) -> list[str]:
     """The reasons that occur, in the given order; others come last."""
-    held = {name for rows in tables.values() for row in rows for name in row.reason}
-    first = [name for name in order if name in held and name != "decoded"]
-    return first + sorted(held - {"decoded", *first})
+    reasons_there = {name for rows in tables.values() for row in rows for name in row.reason}
+    first = [name for name in order if name in reasons_there and name != "decoded"]
+    return first + sorted(reasons_there - {"decoded", *first})
 
 
 def _draw(tables: Tables, colors: Mapping[str, str], path: Path) -> None:

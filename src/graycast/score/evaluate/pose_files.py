@@ -117,16 +117,16 @@ def pose_rows(
     `scene_of` is the scene of each picture, by the numbers of the pictures that `counts` have.
     """
     times = draw_scenes(list(scene_of.values()), seed=protocol.seed, draws=protocol.draws)
-    rows = [_row("all", counts, scene_of, times)]
+    rows = [_pose_row("all", counts, scene_of, times)]
     present = sorted({one.obj_id for one in counts})
     if len(present) > 1:
         for obj_id in present:
             mine = [one for one in counts if one.obj_id == obj_id]
-            rows.append(_row(categories.get(obj_id, str(obj_id)), mine, scene_of, times))
+            rows.append(_pose_row(categories.get(obj_id, str(obj_id)), mine, scene_of, times))
     return tuple(rows)
 
 
-def _row(
+def _pose_row(
     name: str,
     counts: Sequence[Counts],
     scene_of: Mapping[int, int],
@@ -163,10 +163,10 @@ def _median(
     of_picture: list[list[float]], times: Int[np.ndarray, "draws pictures"], scenes: int
 ) -> Interval:
     """The median of all found, each picture's as often as its scene is drawn."""
-    values = np.array([x for held in of_picture for x in held])
+    values = np.array([x for errors in of_picture for x in errors])
     if not len(values):
         return Interval(value=float("nan"), low=float("nan"), high=float("nan"))
-    picture = np.repeat(np.arange(len(of_picture)), [len(held) for held in of_picture])
+    picture = np.repeat(np.arange(len(of_picture)), [len(errors) for errors in of_picture])
     order = np.argsort(values, kind="stable")
     total = np.cumsum(times[:, picture[order]], axis=1)
     place = (2 * total >= total[:, -1:]).argmax(axis=1)
@@ -324,7 +324,7 @@ def _csv(evaluation: PoseEvaluation) -> str:
     writer.writerow(["part", "to_find", "figure", "value", "low", "high"])
     for row in evaluation.rows:
         for name, figure in row.figures.items():
-            held = (figure.value, figure.low, figure.high)
-            cells = ["" if np.isnan(x) else f"{x:.6f}" for x in held]
+            numbers = (figure.value, figure.low, figure.high)
+            cells = ["" if np.isnan(x) else f"{x:.6f}" for x in numbers]
             writer.writerow([row.name, row.to_find, name, *cells])
     return text.getvalue()

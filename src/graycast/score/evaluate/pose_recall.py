@@ -92,13 +92,13 @@ def count_picture(
     truth: PictureTruth, estimates: Sequence[PoseEstimate], solids: Mapping[int, Solid]
 ) -> list[Counts]:
     """The counts of each object that the picture has to find."""
-    made = []
+    candidates = []
     for obj_id in np.unique(truth.obj_id[truth.to_find]).tolist():
         there = np.flatnonzero((truth.obj_id == obj_id) & truth.to_find)
         mine = [one for one in estimates if one.obj_id == obj_id]
         mine.sort(key=lambda one: -one.score)  # stable: equal scores in the file's order
-        made.append(_counted(truth, there, mine[: len(there)], solids[obj_id], obj_id))
-    return made
+        candidates.append(_counted(truth, there, mine[: len(there)], solids[obj_id], obj_id))
+    return candidates
 
 
 def _counted(
@@ -166,8 +166,8 @@ def _vsd_of_pairs(
             low, high = np.minimum(box_a[0], box_b[0]), np.maximum(box_a[1], box_b[1])
             apart = (np.maximum(box_a[0], box_b[0]) >= np.minimum(box_a[1], box_b[1])).any()
             if not apart:
-                held = np.s_[low[0] : high[0], low[1] : high[1]]
-                error[:, i, j] = vsd(a[held], b[held], measured[held], TAU * solid.diameter_m)
+                window = np.s_[low[0] : high[0], low[1] : high[1]]
+                error[:, i, j] = vsd(a[window], b[window], measured[window], TAU * solid.diameter_m)
     return error
 
 

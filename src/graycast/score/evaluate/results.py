@@ -72,13 +72,13 @@ def read_found(
     Raises:
         GraycastError: the results are damaged, or of other scenes or objects.
     """
-    looked_at = scene_ids if run.scene_ids is None else run.scene_ids
-    if odd := set(scene_ids) - set(looked_at):
+    scene_ids_of_run = scene_ids if run.scene_ids is None else run.scene_ids
+    if odd := set(scene_ids) - set(scene_ids_of_run):
         raise GraycastError(
             f"{run.path}: scene {min(odd)} was not used by graycast detect: score the set of "
             "scenes that it used"
         )
-    found = read_results(run.path, looked_at, obj_ids=set(categories))
+    found = read_results(run.path, scene_ids_of_run, obj_ids=set(categories))
     wanted = set(scene_ids)
     return [one for one in found if one.scene_id in wanted]
 

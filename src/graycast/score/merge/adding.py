@@ -82,17 +82,17 @@ def why_not(
     at = transform_points(T_cam_world, surface.point_m)
     column, row = np.rint(np.nan_to_num(project(camera, at), nan=-1.0)).T
     inside = (column >= 0) & (column < camera.width_px) & (row >= 0) & (row < camera.height_px)
-    pixel = tuple(np.where(inside, held, 0).astype(np.int64) for held in (row, column))
+    pixel = tuple(np.where(inside, index, 0).astype(np.int64) for index in (row, column))
     # The true point of the pixel lies on the way from the camera, as the measured one would.
     eye, toward = view.T_world_cam[:3, 3], points.toward[pixel]
     along_m = truth.depth_m[pixel] / -(toward @ T_cam_world[2, :3])
     off_m = ((eye - along_m[:, None] * toward - surface.point_m) * surface.normal).sum(axis=-1)
     facing = (surface.normal * (eye - surface.point_m)).sum(axis=-1) > 0
     spacing_m = at[:, 2] / np.sqrt(camera.fx_px * camera.fy_px)
-    seen = facing & (truth.instance[pixel] == surface.instance)
-    seen &= np.abs(off_m) <= _SLACK_M + _SLOPE * spacing_m
+    visible = facing & (truth.instance[pixel] == surface.instance)
+    visible &= np.abs(off_m) <= _SLACK_M + _SLOPE * spacing_m
     wrong = np.abs(view.depth_m[pixel] - truth.depth_m[pixel]) > WRONG_M
-    cases = [~inside, ~seen, wrong]
+    cases = [~inside, ~visible, wrong]
     reasons = [np.uint8(OUTSIDE), np.uint8(HIDDEN), np.uint8(WRONG)]
     return np.select(cases, reasons, view.reason[pixel])
 

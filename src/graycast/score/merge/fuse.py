@@ -82,21 +82,21 @@ def fuse(views: Sequence[MeasuredView]) -> Fused:
     if not 1 <= len(views) <= MOST:
         raise ValueError(f"there are {len(views)} views to merge: give 1 to {MOST}")
     points = [points_of(view) for view in views]
-    own = [at(held, np.argwhere(held.known)) for held in points]
-    looked = [
+    own = [at(view_points, np.argwhere(view_points.known)) for view_points in points]
+    agreement = [
         {j: look(own[i], views[j], points[j]) for j in range(len(views)) if j != i}
         for i in range(len(views))
     ]
     rejected = [
         _count(answers, "through", len(one.pixel)) > _count(answers, "agrees", len(one.pixel))
-        for answers, one in zip(looked, own, strict=True)
+        for answers, one in zip(agreement, own, strict=True)
     ]
     wrong = [_picture(v, one, bad) for v, one, bad in zip(views, own, rejected, strict=True)]
     kept = [
-        ~rejected[i] & ~_stood_for(i, own[i], looked[i], wrong) for i in range(len(views))
+        ~rejected[i] & ~_stood_for(i, own[i], agreement[i], wrong) for i in range(len(views))
     ]  # fmt: skip
-    pieces = [_piece(i, own[i], looked[i], views, kept[i]) for i in range(len(views))]
-    confirmed = (_count(looked[i], "agrees", len(own[i].pixel)) > 0 for i in range(len(views)))
+    pieces = [_piece(i, own[i], agreement[i], views, kept[i]) for i in range(len(views))]
+    confirmed = (_count(agreement[i], "agrees", len(own[i].pixel)) > 0 for i in range(len(views)))
     return Fused(
         cloud=FusedCloud(
             **{name: np.concatenate([piece[name] for piece in pieces]) for name in pieces[0]}

@@ -72,8 +72,8 @@ class ViewAgreement:
 def at(points: Points, pixel: Int[np.ndarray, "n 2"]) -> Measured:
     """What a view has at some of its pixels."""
     row, column = pixel.T
-    held = {name: getattr(points, name)[row, column] for name in Points.__dataclass_fields__}
-    return Measured(pixel=pixel, **held)
+    values = {name: getattr(points, name)[row, column] for name in Points.__dataclass_fields__}
+    return Measured(pixel=pixel, **values)
 
 
 @final

@@ -21,7 +21,7 @@ OWN_NAMES = {
 
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
-class SurfaceSeen:
+class SurfaceCoverage:
     """Why each view has no depth of each visible place; 0 where it has. `of` counts all places."""
 
     why: UInt8[np.ndarray, "views n"]
@@ -35,25 +35,25 @@ class SurfaceSeen:
         return self.why == 0
 
 
-def surface_seen(surface: SurfacePoints, views: Sequence[StoredView]) -> SurfaceSeen:
+def surface_coverage(surface: SurfacePoints, views: Sequence[StoredView]) -> SurfaceCoverage:
     """Ask every view about the surface; what no camera sees is left out."""
     why = np.stack([why_not(surface, v.view, points_of(v.view), v.truth) for v in views])
     visible = ((why != HIDDEN) & (why != OUTSIDE)).any(axis=0)
-    return SurfaceSeen(why=why[:, visible], of=why.shape[1])
+    return SurfaceCoverage(why=why[:, visible], of=why.shape[1])
 
 
-def joined(seen: Sequence[SurfaceSeen]) -> SurfaceSeen:
+def joined(parts: Sequence[SurfaceCoverage]) -> SurfaceCoverage:
     """Several scenes' surfaces, looked at by views of the same names, as one."""
-    return SurfaceSeen(
-        why=np.concatenate([one.why for one in seen], axis=1), of=sum(one.of for one in seen)
+    return SurfaceCoverage(
+        why=np.concatenate([one.why for one in parts], axis=1), of=sum(one.of for one in parts)
     )
 
 
 def surface_figures(
-    seen: SurfaceSeen, names: Sequence[str], reason_name: dict[int, str]
+    parts: SurfaceCoverage, names: Sequence[str], reason_name: dict[int, str]
 ) -> dict[str, Any]:
     """Shares of the surface that at least one camera sees; `best_order` is the greedy one."""
-    has, places = seen.has, max(seen.why.shape[1], 1)
+    has, places = parts.has, max(parts.why.shape[1], 1)
     some = has.any(axis=0)
     reason_names = reason_name | OWN_NAMES
     views = [
@@ -61,16 +61,16 @@ def surface_figures(
             "view": name,
             "measured": float(row.sum() / places),
             "only_this_view": float((row & (has.sum(axis=0) == 1)).sum() / places),
-            "filled_by_others": _shares(seen.why[i][some & ~row], reason_names, places),
-            "missing": _shares(seen.why[i][~row], reason_names, places),
+            "filled_by_others": _shares(parts.why[i][some & ~row], reason_names, places),
+            "missing": _shares(parts.why[i][~row], reason_names, places),
         }
         for i, (name, row) in enumerate(zip(names, has, strict=True))
     ]
     order, gains = best_order(has)
     total = np.cumsum(gains)
     return {
-        "points": seen.of,
-        "visible": float(seen.why.shape[1] / max(seen.of, 1)),
+        "points": parts.of,
+        "visible": float(parts.why.shape[1] / max(parts.of, 1)),
         "wrong_m": WRONG_M,
         "measured": float(some.sum() / places),
         "views": views,

@@ -86,7 +86,7 @@ class Line:
         self._rgb: tuple[Hashable, UInt8[np.ndarray, "h w 3"]] | None = None
         self._world = ""
         self._count = 0
-        self.shown: PageContent | None = None
+        self.content: PageContent | None = None
 
     def close(self) -> None:
         if self._renderer is not None:
@@ -136,17 +136,17 @@ class Line:
 
     def look(self, ask: Ask) -> None:
         """What is shown once more, with another of its captured frames."""
-        if self.shown is not None:
-            self._emit(picture_answer(ask, self.shown, kind="look", ms=0.0, first=False))
+        if self.content is not None:
+            self._emit(picture_answer(ask, self.content, kind="look", ms=0.0, first=False))
 
     # --- the stages ---------------------------------------------------------------------------
 
     def _resolved(self, config: Config) -> Cell:
         """The cell; its files are read again only where more has changed than the free sections."""
-        held = self._cell
-        if held is not None and _light_key(config) == _light_key(held.config):
+        before = self._cell
+        if before is not None and _light_key(config) == _light_key(before.config):
             scanner = resolve_scanner(config, self._folder)
-            self._cell = replace(held, config=config, scanner=scanner)
+            self._cell = replace(before, config=config, scanner=scanner)
         else:
             self._cell = resolve_cell(config, self._folder, progress=Stages(self._stage))
         return self._cell
@@ -203,7 +203,7 @@ class Line:
         depth = with_field(run.scene.rig, rendering.truth, codes, depth)
         look = (light, exact, scanner.sensor, run.seeds["picture"])
         rgb = self._rgb[1] if self._rgb is not None and self._rgb[0] == look else None
-        self.shown = PageContent(
+        self.content = PageContent(
             cell=run.cell,
             scene=run.scene,
             layout=run.layout,
@@ -215,7 +215,7 @@ class Line:
             depth=depth,
             rgb=rgb,
         )
-        self._emit(picture_answer(ask, self.shown, kind=kind, ms=run.ms, first=first))
+        self._emit(picture_answer(ask, self.content, kind=kind, ms=run.ms, first=first))
         self._tell_world(ask)
         if rgb is not None:
             return
@@ -224,16 +224,16 @@ class Line:
         linear = self._color_light(run, rendering, (light, exact))
         rgb = developed(linear, scanner, seed=run.seeds["picture"])
         self._rgb = look, rgb
-        self.shown = replace(self.shown, rgb=rgb, exact=exact)
-        self._emit(picture_answer(ask, self.shown, kind=kind, ms=run.ms, first=False))
+        self.content = replace(self.content, rgb=rgb, exact=exact)
+        self._emit(picture_answer(ask, self.content, kind=kind, ms=run.ms, first=False))
 
     def _tell_world(self, ask: Ask) -> None:
         """The bodies of the 3D view, where they are other ones."""
-        assert self.shown is not None
-        key = world_key(self.shown)
+        assert self.content is not None
+        key = world_key(self.content)
         if key != self._world:
             self._world = key
-            self._emit(world_answer(ask, self.shown))
+            self._emit(world_answer(ask, self.content))
 
     def _color_light(
         self, run: "_Run", rendering: Rendering, key: tuple[Hashable, bool]

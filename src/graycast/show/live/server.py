@@ -90,8 +90,8 @@ class Server:
                 self._pause.cancel()
             self.session.open()
             queue.put(Message(kind="state", content=self.session.state()))
-            for held in self.session.newer(0):
-                queue.put(Message(kind=held.answer.kind, content={"version": held.version}))
+            for latest in self.session.newer(0):
+                queue.put(Message(kind=latest.answer.kind, content={"version": latest.version}))
             if (refusal := self.session.refusal) is not None:
                 queue.put(refusal)
             with self._lock:
@@ -289,14 +289,14 @@ def _packed(answers: list[LatestAnswer]) -> bytes:
     places: list[dict[str, Any]] = []
     pieces: list[bytes] = []
     at = 0
-    for held in answers:
+    for latest in answers:
         arrays = {}
-        for name, data in held.answer.arrays.items():
+        for name, data in latest.answer.arrays.items():
             arrays[name] = [at, len(data)]
             pieces += [data, b"\0" * (-len(data) % 8)]
             at += len(data) + (-len(data) % 8)
-        header = held.answer.header
-        places.append({"kind": held.answer.kind, "version": held.version, "arrays": arrays,
+        header = latest.answer.header
+        places.append({"kind": latest.answer.kind, "version": latest.version, "arrays": arrays,
                        "header": header})  # fmt: skip
     head = json.dumps(places).encode()
     head += b" " * (-(len(head) + 4) % 8)

@@ -66,9 +66,9 @@ class Session:
         self._states, self._at, self._draft = [document], 0, False
         self._frame = 2
         self._number = self._version = 0
-        self._asked: dict[int, Document] = {}
-        self._asked_at: dict[int, float] = {}
-        self._held: dict[str, LatestAnswer] = {}
+        self._requests: dict[int, Document] = {}
+        self._request_s: dict[int, float] = {}
+        self._latest: dict[str, LatestAnswer] = {}
         self._refusal: Message | None = None
         self._own: set[Path] = set()  # files that this session has written
         self._lock = RLock()
@@ -108,7 +108,7 @@ class Session:
         """Give back all memory and threads; what is set, and what it was before, stays."""
         with self._lock:
             maker, self._maker = self._maker, None
-            self._held.clear()
+            self._latest.clear()
         if maker is not None:
             maker.stop()
 
@@ -147,9 +147,9 @@ class Session:
     def return_to(self, number: int) -> None:
         """Set all as it was when the picture of that number was asked for."""
         with self._lock:
-            if number not in self._asked:
+            if number not in self._requests:
                 raise ConfigError(f"picture {number} is no longer stored: set its values by hand")
-            self._take(self._asked[number], draft=False)
+            self._take(self._requests[number], draft=False)
 
     def look(self, frame: int) -> None:
         """Look at another of the captured frames."""
@@ -215,7 +215,7 @@ class Session:
     def newer(self, version: int) -> list[LatestAnswer]:
         """The last answers of each kind that are newer than a version."""
         with self._lock:
-            return [held for held in self._held.values() if held.version > version]
+            return [latest for latest in self._latest.values() if latest.version > version]
 
     @property
     def refusal(self) -> Message | None:
@@ -247,10 +247,10 @@ class Session:
         """Tell the page what is set, and ask for its picture."""
         self._number += 1
         self._refusal = None
-        self._asked_at[self._number] = time.perf_counter()
-        self._asked[self._number] = self._now
-        for old in [n for n in self._asked if n <= self._number - MOST_UNDO]:
-            del self._asked[old], self._asked_at[old]
+        self._request_s[self._number] = time.perf_counter()
+        self._requests[self._number] = self._now
+        for old in [n for n in self._requests if n <= self._number - MOST_UNDO]:
+            del self._requests[old], self._request_s[old]
         self._on_message(Message(kind="state", content=self.state()))
         if self._maker is not None:
             now, unturned = self._now, replace(self._now, ambient=1.0)
@@ -282,13 +282,13 @@ class Session:
 
     def _answered(self, answer: Answer) -> None:
         with self._lock:
-            asked_at = self._asked_at.get(answer.number)
-            waited_ms = None if asked_at is None else 1e3 * (time.perf_counter() - asked_at)
+            request_s = self._request_s.get(answer.number)
+            waited_ms = None if request_s is None else 1e3 * (time.perf_counter() - request_s)
             content = dict(answer.header)
             self._has_finished |= content.get("exact", False)
             if answer.arrays:
                 self._version += 1
-                self._held[answer.kind] = LatestAnswer(version=self._version, answer=answer)
+                self._latest[answer.kind] = LatestAnswer(version=self._version, answer=answer)
                 keys = ("number", "kind", "first", "samples", "of", "exact")
                 content = {name: content[name] for name in keys if name in content}
                 content |= {"version": self._version, "waited_ms": waited_ms}

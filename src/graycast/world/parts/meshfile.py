@@ -209,8 +209,10 @@ def _surface(pieces: Sequence, *, shares_vertices: bool) -> RawMesh:
             raise Refusal("faces name vertices that do not exist; export the mesh again")
     uv = [_uv(piece) for piece in pieces]
     pictures = [_picture(piece) for piece in pieces]
-    shown = [p for p in pictures if p is not None]
-    distinct = [p for i, p in enumerate(shown) if not any(np.array_equal(p, q) for q in shown[:i])]
+    images = [p for p in pictures if p is not None]
+    distinct = [
+        p for i, p in enumerate(images) if not any(np.array_equal(p, q) for q in images[:i])
+    ]
     bare = sum(p is None for p in pictures)
     findings = []
     coloured = any(_has_colours(piece) for piece in pieces)
@@ -298,14 +300,14 @@ def _size(metres: float) -> str:
     return f"{metres:.4g} m" if metres >= 1 else f"{1000 * metres:.4g} mm"
 
 
-def _material(surface: RawMesh, given: Material | None, findings: list[str]) -> Material:
-    if given is not None:
-        if given.texture is not None and surface.corner_uv is None:
+def _material(surface: RawMesh, material: Material | None, findings: list[str]) -> Material:
+    if material is not None:
+        if material.texture is not None and surface.corner_uv is None:
             raise Refusal(
                 "the material has a texture, but the mesh has no texture coordinates; unwrap it "
                 "and export OBJ or GLB, or give a base colour"
             )
-        return given
+        return material
     if surface.texture is None:
         return Material()
     if surface.other_materials or surface.corner_uv is None:

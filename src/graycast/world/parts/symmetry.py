@@ -147,14 +147,14 @@ def _candidates(middle: Float[np.ndarray, "3"]):
 
 def axis_rotations() -> Float[np.ndarray, "24 3 3"]:
     """The rotations that map the coordinate axes to each other, the identity first."""
-    held = []
+    rotations = []
     for order in permutations(range(3)):
         for sign in product((1.0, -1.0), repeat=3):
             R = np.zeros((3, 3))
             R[np.arange(3), order] = sign
             if np.linalg.det(R) > 0:
-                held.append(R)
-    return np.stack(held)
+                rotations.append(R)
+    return np.stack(rotations)
 
 
 def _turn(

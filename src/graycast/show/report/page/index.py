@@ -35,7 +35,7 @@ def index_script(
 
     def passing() -> Iterator[SceneFigures]:
         for one in figures:
-            rows.append(_row(one))
+            rows.append(_scene_row(one))
             yield one
 
     statistics = tally(passing(), stored.categories)
@@ -63,7 +63,7 @@ _COLUMNS = (
 )  # fmt: skip
 
 
-def _row(one: SceneFigures) -> list[Any]:
+def _scene_row(one: SceneFigures) -> list[Any]:
     """The row of a scene for filters and sorting; it is short because thousands are loaded."""
     error = error_figures(one.part_error_step or one.error_step, one.depth_scale_mm)
     parts = max(sum(one.part_reason_px.values()), 1)

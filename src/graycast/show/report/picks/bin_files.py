@@ -56,11 +56,11 @@ class BinPiece:
         yield "scene.js", receiving(content)
         for number, motion in enumerate(motions):
             name = f"attempt-{number:03d}.js"
-            content = {"key": f"{self.key}/{name}", **self._seen(number)}
+            content = {"key": f"{self.key}/{name}", **self._record(number)}
             yield name, receiving({**content, "motion": _packed_motion(motion, still)})
             still = still if motion is None else motion.T_world_limb[-1]
 
-    def _seen(self, number: int) -> dict[str, Any]:
+    def _record(self, number: int) -> dict[str, Any]:
         depth = read_image(self.folder / "depth" / f"{number:03d}.png")
         if depth.dtype != np.uint16 or depth.ndim != 2:
             raise GraycastError(f"{self.folder}/depth/{number:03d}.png: holds no depth")

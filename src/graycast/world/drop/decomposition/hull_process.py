@@ -85,10 +85,10 @@ class _Child:
             return message["stage"]
         if "refused" in message:
             raise ValueError(message["refused"])
-        made = read_decomposition(self.hull_file)
-        if made is None:
+        decomposition = read_decomposition(self.hull_file)
+        if decomposition is None:
             raise GraycastError(_obituary(self.name, self.process.wait(), self.log))
-        return made
+        return decomposition
 
 
 @contextmanager

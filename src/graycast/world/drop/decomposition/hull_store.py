@@ -65,8 +65,8 @@ def convex_hulls(
         ValueError: the mesh is not closed, or inside out.
         GraycastError: the child was killed.
     """
-    (made,) = convex_hulls_of((("", mesh),), folder=folder, progress=progress)
-    return made
+    (decomposition,) = convex_hulls_of((("", mesh),), folder=folder, progress=progress)
+    return decomposition
 
 
 def convex_hulls_of(
@@ -88,11 +88,15 @@ def convex_hulls_of(
     folder = cache_folder() if folder is None else folder
     files = [folder / f"{key_of(mesh, _SETTINGS)}.npz" for _, mesh in named]
     kinds = dict(zip(files, named, strict=True))
-    ready = {file: made for file in kinds if (made := read_decomposition(file)) is not None}
+    ready = {
+        file: decomposition
+        for file in kinds
+        if (decomposition := read_decomposition(file)) is not None
+    }
 
-    def keep(file: Path, made: Decomposition) -> None:
-        write_decomposition(file, made)
-        ready[file] = made
+    def keep(file: Path, decomposition: Decomposition) -> None:
+        write_decomposition(file, decomposition)
+        ready[file] = decomposition
 
     def jobs() -> Iterator[tuple[Path, str, Mesh]]:
         for file, (name, mesh) in kinds.items():

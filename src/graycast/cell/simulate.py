@@ -157,7 +157,7 @@ def _taken(
         truth=rendering.truth,
         rgb=rgb,
         gray=gray_picture(capture),
-        scanner=depth,
+        scanner_depth=depth,
         modulation=codes.modulation,
         manifest=manifest,
         raw=Raw(

@@ -141,8 +141,8 @@ def _image_files(
     """Pictures and masks of one image; its entries in JSON files are told."""
     camera, silhouettes, number = sample.scene.rig.camera, _instances(sample), sample.image
     truth = _depth_steps(sample.truth.depth_m, scale_mm, needed=sample.truth.instance >= 0)
-    known = sample.scanner.reason == Reason.DECODED
-    scanned = _depth_steps(sample.scanner.depth_m, scale_mm, needed=known)
+    known = sample.scanner_depth.reason == Reason.DECODED
+    scanned = _depth_steps(sample.scanner_depth.depth_m, scale_mm, needed=known)
     modulation, modulation_scale = _modulation_steps(sample.modulation)
 
     def place(kind: str) -> str:
@@ -152,7 +152,7 @@ def _image_files(
     yield place("gray_sl"), _png(sample.gray)
     yield place("depth"), _png(truth)
     yield place("depth_sl"), _png(scanned)
-    yield place("reason_sl"), _png(sample.scanner.reason)
+    yield place("reason_sl"), _png(sample.scanner_depth.reason)
     yield place("modulation_sl"), _png(modulation)
     for i, instance in enumerate(silhouettes):
         amodal = _mask_png(instance.inside, camera.height_px, camera.width_px)
@@ -211,8 +211,8 @@ def _check_shapes(sample: Sample, size: tuple[int, int]) -> None:
         "gray": sample.gray,
         "true depth": sample.truth.depth_m,
         "instance": sample.truth.instance,
-        "scanner depth": sample.scanner.depth_m,
-        "reason": sample.scanner.reason,
+        "scanner depth": sample.scanner_depth.depth_m,
+        "reason": sample.scanner_depth.reason,
         "modulation": sample.modulation,
     }
     for name, image in images.items():

@@ -15,7 +15,7 @@ from ..base.errors import GraycastError
 from ..base.file_limits import check_runs, parse_json
 
 # What `graycast detect` leaves in a folder: the results, and what was looked at by what.
-RESULTS, LOOKED = "results.json", "detect.json"
+RESULTS, DETECTION_RECORD = "results.json", "detect.json"
 WEIGHTS = "detector.pt"  # what `graycast train` leaves in a folder
 
 

@@ -73,7 +73,7 @@ class Example:
                 value.flags.writeable = False
 
 
-def shown(example: Example) -> UInt8[np.ndarray, "h w 3"]:
+def display_image(example: Example) -> UInt8[np.ndarray, "h w 3"]:
     """What is drawn upon: colour, else the white frame, else depth from near (light) to far.
 
     Missing depth is black.

@@ -40,7 +40,7 @@ from .safe_reading import Unreadable, read_json
 from .scene_folder import SceneFolder
 
 IMAGES = {"rgb": np.uint8, "gray_sl": np.uint8, "depth_sl": np.uint16}
-Held = Literal["rgb", "gray_sl", "depth_sl", "masks"]
+StoredKind = Literal["rgb", "gray_sl", "depth_sl", "masks"]
 _ABSENT = ("poses", "models", "perfect depth", "amodal masks", "visible shares", "reasons")
 _NAMES = {
     "rgb": "colour pictures",
@@ -62,7 +62,7 @@ class RealClaim(Record):
     kind: Literal["real"]
     depth_scale_mm: Positive
     parts: list[RealPart]
-    holds: list[Held]
+    holds: list[StoredKind]
     sources: list[str]
     versions: dict[str, str]
 

@@ -69,7 +69,7 @@ def test_a_scene_of_a_dataset_brings_camera_depth_and_picture(tmp_path):
     samples = write_dataset(tmp_path / "out", scene_ids=(0,))
     (view,) = read_views([tmp_path / "out/train/000000"], file_options=FileOptions(), own=OWN)
     assert np.array_equal(view.camera.K, make_rig().camera.K)
-    own = samples[0].scanner.depth_m
+    own = samples[0].scanner_depth.depth_m
     assert np.array_equal(np.isnan(view.depth_m), np.isnan(own))
     assert np.nanmax(np.abs(view.depth_m - own)) <= 0.5001e-4  # half a step of 0.1 mm
     assert np.array_equal(view.rgb, samples[0].rgb)

@@ -56,8 +56,8 @@ class Watched:
         content, shot = self.line.content, self.shot()
         assert content.exact
         np.testing.assert_array_equal(content.capture.frames, shot.capture.frames)
-        np.testing.assert_array_equal(content.depth.depth_m, shot.sample.scanner.depth_m)
-        np.testing.assert_array_equal(content.depth.reason, shot.sample.scanner.reason)
+        np.testing.assert_array_equal(content.depth.depth_m, shot.sample.scanner_depth.depth_m)
+        np.testing.assert_array_equal(content.depth.reason, shot.sample.scanner_depth.reason)
         np.testing.assert_array_equal(content.rgb, shot.sample.rgb)
 
 

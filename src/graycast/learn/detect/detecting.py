@@ -16,8 +16,8 @@ from ...base.errors import GraycastError
 from ...base.file_limits import parse_json
 from ...base.folder import refuse_foreign, whole_folder
 from ...base.progress import UNWATCHED, ProgressMeter
-from ...dataset.detections import LOOKED, RESULTS, Detections, results_bytes
-from ...dataset.example import Example, shown
+from ...dataset.detections import DETECTION_RECORD, RESULTS, Detections, results_bytes
+from ...dataset.example import Example, display_image
 from ...dataset.export.record import RECORD, read_record
 from ...dataset.export.split import Split
 from ...dataset.json_text import json_bytes
@@ -79,7 +79,7 @@ def detect(
         GraycastError: a picture is not of the kind that the detector sees, or `out` holds
             something else or cannot be written.
     """
-    refuse_foreign(out, LOOKED)
+    refuse_foreign(out, DETECTION_RECORD)
     found, times_ms, notes = [], [], list[str]()
     with whole_folder(out) as folder:
         (folder / DRAWINGS).mkdir()
@@ -108,7 +108,7 @@ def detect(
             "least_score": least_score,
             **pictures.record,
         }
-        (folder / LOOKED).write_bytes(json_bytes(content))
+        (folder / DETECTION_RECORD).write_bytes(json_bytes(content))
         (folder / RESULTS).write_bytes(results_bytes(found))
     return DetectionResult(found=tuple(found), ms_per_picture=tuple(times_ms), notes=tuple(notes))
 
@@ -149,16 +149,18 @@ def detection_record(folder: Path) -> dict[str, Any]:
         GraycastError: its file is damaged.
     """
     try:
-        return dict(parse_json((folder / LOOKED).read_bytes()))
+        return dict(parse_json((folder / DETECTION_RECORD).read_bytes()))
     except FileNotFoundError:
         return {}
     except (OSError, TypeError, ValueError) as error:
-        raise GraycastError(f"{folder}: has no readable {LOOKED}: remove the folder") from error
+        raise GraycastError(
+            f"{folder}: has no readable {DETECTION_RECORD}: remove the folder"
+        ) from error
 
 
 def drawn(example: Example, found: Detections) -> UInt8[np.ndarray, "h w 3"]:
     """The picture (BGR) with boxes, outlines and scores of what is found with at least 0.5."""
-    image = np.ascontiguousarray(shown(example)[..., ::-1])
+    image = np.ascontiguousarray(display_image(example)[..., ::-1])
     sure = [i for i in range(len(found)) if found.score[i] >= _DRAWN_SCORE]
     for i in sure:
         ink = _INKS[int(found.obj_id[i]) % len(_INKS)]

@@ -12,7 +12,7 @@ from jaxtyping import UInt8
 from ...base.errors import GraycastError
 from ...base.progress import UNWATCHED, ProgressMeter
 from ...dataset.detections import Detections
-from ...dataset.example import shown
+from ...dataset.example import display_image
 from ...dataset.export.record import RECORD, read_record
 from ...dataset.export.split import Split
 from ...dataset.training import Examples, open_examples
@@ -141,6 +141,6 @@ def as_one_class(one: _Either) -> _Either:
 def _pictures(of_scene: Mapping[int, Examples]) -> Picture:
     @lru_cache(maxsize=64)
     def picture(scene_id: int) -> UInt8[np.ndarray, "h w 3"]:
-        return shown(of_scene[scene_id].read(scene_id))
+        return display_image(of_scene[scene_id].read(scene_id))
 
     return picture

@@ -232,7 +232,7 @@ def _draw_depths(sheet: _Sheet, shot: Shot) -> None:
     limits = depth_limits_mm(sample.truth)
     sheet.picture("perfect depth", painted(1e3 * sample.truth.depth_m, _DEPTH_MAP, limits))
     sheet.color_bar(_DEPTH_MAP, limits, "mm, both depths")
-    scanned = sample.scanner.depth_m
+    scanned = sample.scanner_depth.depth_m
     ax = sheet.picture("scanner's depth", painted(1e3 * scanned, _DEPTH_MAP, limits))
     _note(ax, f"{100 * np.isfinite(scanned).mean():.1f} % known")
     sheet.color_bar(_DEPTH_MAP, limits, "mm, dark where unknown")
@@ -256,7 +256,7 @@ def depth_limits_mm(truth: GroundTruth) -> tuple[float, float]:
 
 def _draw_error(sheet: _Sheet, shot: Shot) -> None:
     sample = shot.sample
-    error_mm = 1e3 * (sample.scanner.depth_m - sample.truth.depth_m)
+    error_mm = 1e3 * (sample.scanner_depth.depth_m - sample.truth.depth_m)
     limit_mm = 1e3 * error_limit_m(sample.scene, sample.truth)
     limits = (-limit_mm, limit_mm)
     ax = sheet.picture(
@@ -284,7 +284,7 @@ def error_limit_m(scene: Scene, truth: GroundTruth) -> float:
 
 
 def _draw_reasons(sheet: _Sheet, shot: Shot) -> None:
-    reason = shot.sample.scanner.reason
+    reason = shot.sample.scanner_depth.reason
     on_part = reason[labelled(shot.sample).truth.instance >= 0]
     palette = np.array([to_rgb(r.color) for r in Reason])
     ax = sheet.picture("reasons", np.round(255 * palette[reason]).astype(np.uint8))

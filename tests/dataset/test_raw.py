@@ -184,7 +184,7 @@ def test_a_stack_of_another_size_is_refused(rig, kept):
 
 def problems(out):
     scene = out / "train/000000"
-    camera = read_json(out / "camera.json", records.CameraRecord)
+    camera = read_json(out / "camera.json", records.Camera)
     gray, reason = (
         cv2.imread(str(scene / f"{name}_sl/000000.png"), cv2.IMREAD_UNCHANGED)
         for name in ("gray", "reason")

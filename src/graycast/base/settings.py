@@ -70,16 +70,14 @@ def check_fields(value: object) -> None:
     """
     kind: Any = type(value)  # a type that the cache takes, which mypy doubts
     for name, (allowed, default, about) in _limits(kind).items():
-        value_there = getattr(value, name)
-        if (
-            value_there is default or default == math.inf == value_there
-        ):  # another infinity from a pickle
+        item = getattr(value, name)
+        if item is default or default == math.inf == item:  # another infinity from a pickle
             continue
         try:
-            allowed.validate_python(value_there)
+            allowed.validate_python(item)
         except ValidationError as error:
             why = _reason(error.errors(include_url=False)[0]["msg"])
-            raise ValueError(f"{name} is {value_there!r}: {why}{about}") from None
+            raise ValueError(f"{name} is {item!r}: {why}{about}") from None
 
 
 def section_of(

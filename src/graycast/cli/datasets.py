@@ -170,11 +170,8 @@ def _describe_hulls(parts) -> None:
     print(
         "the number of collision hulls of each part, and their largest distance from its surface:"
     )
-    for part, decomposition in zip(parts, prepared, strict=True):
-        worst, bound = (
-            f"{1e3 * decomposition.error.worst_m:.2f} mm",
-            f"{1e3 * decomposition.tolerance_m:.2f} mm",
-        )
-        print(f"  {part.name}: {len(decomposition.hulls)}, {worst} (the bound is {bound})")
+    for part, hulls in zip(parts, prepared, strict=True):
+        worst, bound = (f"{1e3 * hulls.error.worst_m:.2f} mm", f"{1e3 * hulls.tolerance_m:.2f} mm")
+        print(f"  {part.name}: {len(hulls.hulls)}, {worst} (the bound is {bound})")
     for note in hull_notes(parts, prepared):
         print(f"note: {note}")

@@ -164,15 +164,13 @@ def _fit_bin(options: argparse.Namespace) -> int:
     config = config.model_copy(update={"bin": config.bin.model_copy(update=size)})
     cell = resolve_cell(config, options.config.parent)
     refuse_several(cell, "graycast fit-bin")
-    file_options = FileOptions(
+    files = FileOptions(
         K=intrinsics_of(options),
         distortion=distortion_of(options),
         scale_m=options.scale,
         size_px=options.size,
     )
-    views = read_views(
-        options.real, rgb=options.rgb, file_options=file_options, own=cell.scene.rig.camera
-    )
+    views = read_views(options.real, rgb=options.rgb, options=files, own=cell.scene.rig.camera)
     if options.cluttered:
         views = (empty_view(views),)
     shape = shape_of(bin_of(cell.scene), wall_known=bool(known))

@@ -29,7 +29,7 @@ CARD = "README.md"
 FOLDER = "card"  # of its pictures
 UNSTATED = "not stated"
 SAMPLED = 40  # scenes whose pictures are read where nobody has counted all
-_MOST_SCENES = 3
+_MOST = 3
 _TILE_PX = 480
 _NAMED = 4  # parts in a title
 
@@ -154,7 +154,7 @@ def _examples(census: Census) -> list[StoredScene]:
     first: dict[frozenset[int], StoredScene] = {}
     for scene, obj_ids in census.objects.items():
         first.setdefault(frozenset(obj_ids), scene)
-    return list(dict.fromkeys([*first.values(), *census.objects]))[:_MOST_SCENES]
+    return list(dict.fromkeys([*first.values(), *census.objects]))[:_MOST]
 
 
 def _title(stored: StoredDataset) -> str:
@@ -202,10 +202,7 @@ def card_text(
         f"# {escaped(title)}",
         _introduction(stored),
         f"Licence: {licence or UNSTATED}.",
-        *(
-            f"![colour, white frame, scanner depth, reasons]({name})"
-            for name in pictures[:_MOST_SCENES]
-        ),
+        *(f"![colour, white frame, scanner depth, reasons]({name})" for name in pictures[:_MOST]),
         _CAPTION if pictures else "",
         "## Figures",
         _figures(statistics, census, stored),

@@ -70,7 +70,7 @@ def validate(out: Path, *, fast: bool = False) -> tuple[Problem, ...]:
         return tuple(problems)
     try:
         cameras = {
-            taker.name: read_json(out / camera_file(taker.name), records.CameraRecord)
+            taker.name: read_json(out / camera_file(taker.name), records.Camera)
             for taker in claim.takers
         }
         infos = read_json(out / "models" / "models_info.json", records.ModelsInfo).root
@@ -132,9 +132,7 @@ def _claim_problems(out: Path, claim: records.Claim) -> Iterator[str]:
     yield from sum_problems(out, claim.sha256, listed_in=CLAIM)
 
 
-def _camera_problems(
-    cameras: Mapping[str, records.CameraRecord], claim: records.Claim
-) -> Iterator[str]:
+def _camera_problems(cameras: Mapping[str, records.Camera], claim: records.Claim) -> Iterator[str]:
     """Files of intrinsics against the rigs that `graycast.json` says."""
     if claim.takers[0].rig != claim.rig:
         yield f"{CLAIM}: rig is not that of the first of its scanners"
@@ -201,10 +199,7 @@ def _model_problems(obj_id: int, model: Model) -> Iterator[str]:
 
 
 def _split_problems(
-    out: Path,
-    cameras: Mapping[str, records.CameraRecord],
-    finished: list[int],
-    claim: records.Claim,
+    out: Path, cameras: Mapping[str, records.Camera], finished: list[int], claim: records.Claim
 ) -> Iterator[str]:
     """`train_coco.json` against the scenes' own COCO files, which are checked against masks."""
     try:

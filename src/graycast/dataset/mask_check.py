@@ -25,7 +25,7 @@ DEPTH_SHARE, DEPTH_PX = 0.01, 2
 
 def mask_problems(
     scene: Plain,
-    camera: records.CameraRecord,
+    camera: records.Camera,
     models: Mapping[int, Model],
     instance: Int[np.ndarray, "h w"],
 ) -> Iterator[str]:
@@ -45,7 +45,7 @@ def mask_problems(
             return
     size = (camera.height, camera.width)
     taken = np.zeros(size, dtype=bool)
-    entries: list[tuple[int, dict[str, object]]] = []
+    known: list[tuple[int, dict[str, object]]] = []
     for i, (name, pose) in enumerate(zip(names, scene.poses, strict=True)):
         mask, visible = (_sized_mask(place[kind] / name, size) for kind in ("mask", "mask_visib"))
         if any(
@@ -70,9 +70,9 @@ def mask_problems(
                 yield f"instance {i}: {what}"
         if visible.any():
             runs = coco_mask.encode(np.asfortranarray(visible, dtype=np.uint8))
-            entries.append((i, {"runs": runs["counts"], "box": list(mask_box(mask))}))
+            known.append((i, {"runs": runs["counts"], "box": list(mask_box(mask))}))
     for suffix, coco in scene.coco.items():
-        for what in _coco_problems(scene, suffix, coco, entries, size):
+        for what in _coco_problems(scene, suffix, coco, known, size):
             yield f"{scene.json_name(f'scene_gt_coco{suffix}')}: {what}"
 
 
@@ -131,7 +131,7 @@ def _surface_problems(
     mask: Bool[np.ndarray, "h w"],
     visible: Bool[np.ndarray, "h w"],
     model: Model,
-    camera: records.CameraRecord,
+    camera: records.Camera,
 ) -> Iterator[str]:
     """The model, rendered at its pose by an independent rasteriser, against masks and depth."""
     pose = scene.poses[i]
@@ -184,20 +184,18 @@ def _coco_problems(
     scene: Plain,
     suffix: str,
     coco: records.SceneCoco,
-    entries: list[tuple[int, dict[str, object]]],
+    known: list[tuple[int, dict[str, object]]],
     size: tuple[int, int],
 ) -> Iterator[str]:
     file_name, number = scene.name("gray_sl" if suffix else "rgb"), scene.number
     image = records.CocoImage(id=number, file_name=file_name, width=size[1], height=size[0])
     if coco.images != [image]:
         yield f"images must have one entry of image {number}, {image}"
-    if len(coco.annotations) != len(entries):
-        yield f"{len(coco.annotations)} annotations for {len(entries)} visible instances"
+    if len(coco.annotations) != len(known):
+        yield f"{len(coco.annotations)} annotations for {len(known)} visible instances"
         return
     first = scene.first_annotation[suffix]
-    for k, ((i, must), entry) in enumerate(
-        zip(entries, coco.annotations, strict=True), start=first
-    ):
+    for k, ((i, must), entry) in enumerate(zip(known, coco.annotations, strict=True), start=first):
         info = scene.info[""][i] if i < len(scene.info[""]) else None
         if (entry.id, entry.image_id, entry.iscrowd) != (k, number, 0):
             yield f"annotation {k} has id {entry.id}, image_id {entry.image_id}"

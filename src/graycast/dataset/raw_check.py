@@ -26,7 +26,7 @@ _GRAY_DN = 1  # another processor may round a half otherwise
 def raw_problems(
     files: SceneFolder,
     number: int,
-    camera: records.CameraRecord,
+    camera: records.Camera,
     *,
     gray: UInt8[np.ndarray, "h w"],
     reason: UInt8[np.ndarray, "h w"],
@@ -88,7 +88,7 @@ def _picture_problems(
     frames: str,
     capture: Capture,
     facts: records.FramesRecord,
-    camera: records.CameraRecord,
+    camera: records.Camera,
     gray: UInt8[np.ndarray, "h w"],
 ) -> Iterator[str]:
     count, *size = capture.frames.shape

@@ -20,7 +20,7 @@ from ..base.mask_box import mask_box
 from .places import finished_scenes
 from .records import (
     Box,
-    CameraRecord,
+    Camera,
     Claim,
     CocoCategory,
     CocoImage,
@@ -146,7 +146,7 @@ def real_problems(out: Path) -> Iterator[tuple[int | None, str]]:
     """All that is wrong with a dataset of real pictures, as (scene or None, what)."""
     try:
         claim = read_json(out / "graycast.json", RealClaim)
-        camera = read_json(out / "camera.json", CameraRecord)
+        camera = read_json(out / "camera.json", Camera)
     except Unreadable as error:
         yield None, str(error)
         return
@@ -165,7 +165,7 @@ def real_problems(out: Path) -> Iterator[tuple[int | None, str]]:
         yield from ((None, what) for what in _split_problems(out, claim, finished))
 
 
-def _scene_problems(scene: SceneFolder, claim: RealClaim, camera: CameraRecord) -> Iterator[str]:
+def _scene_problems(scene: SceneFolder, claim: RealClaim, camera: Camera) -> Iterator[str]:
     size = (camera.height, camera.width)
     view = scene.record("scene_camera", OneImage[RealView]).image
     scene.record("manifest", Manifest)
@@ -228,8 +228,6 @@ def _split_problems(out: Path, claim: RealClaim, finished: list[int]) -> Iterato
             coco = scene.record("scene_gt_coco", SceneCoco)
         except Unreadable:
             continue  # told where the scene is checked
-        exported = [
-            e.model_dump(exclude={"id"}) for e in split.annotations if e.image_id == scene_id
-        ]
-        if exported != [split_annotation(e.model_dump(), scene_id) for e in coco.annotations]:
+        there = [e.model_dump(exclude={"id"}) for e in split.annotations if e.image_id == scene_id]
+        if there != [split_annotation(e.model_dump(), scene_id) for e in coco.annotations]:
             yield f"train_coco.json: the annotations of image {scene_id} are not the scene's"

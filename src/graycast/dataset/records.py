@@ -86,7 +86,7 @@ class Claim(Record):
         return [(taker.name, image) for taker in self.takers for image in range(taker.images)]
 
 
-class CameraRecord(Record):
+class Camera(Record):
     """`camera.json`."""
 
     cx: float

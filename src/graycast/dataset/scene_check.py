@@ -40,7 +40,7 @@ def scene_problems(
     folder: Path,
     *,
     claim: records.Claim,
-    cameras: Mapping[str, records.CameraRecord],
+    cameras: Mapping[str, records.Camera],
     models: Mapping[int, Model],
 ) -> Iterator[str]:
     """All that is wrong with one scene folder; nothing if it is sound.
@@ -111,7 +111,7 @@ def _placed(pose: records.Pose) -> Float[np.ndarray, "4 4"]:
 
 
 def _image_problems(
-    scene: Plain, claim: records.Claim, camera: records.CameraRecord, models: Mapping[int, Model]
+    scene: Plain, claim: records.Claim, camera: records.Camera, models: Mapping[int, Model]
 ) -> Iterator[str]:
     yield from _camera_problems(scene, camera)
     yield from _pose_problems(scene, models)
@@ -203,7 +203,7 @@ def _coco_of(files: SceneFolder, suffix: str, number: int) -> records.SceneCoco:
     return whole.model_copy(update=own)
 
 
-def _picture_problems(scene: Plain, camera: records.CameraRecord) -> Iterator[str]:
+def _picture_problems(scene: Plain, camera: records.Camera) -> Iterator[str]:
     for name, image in scene.image.items():
         kind = png_kind(scene.files.png_path(name, scene.number))
         if kind != ("colour" if name == "rgb" else "grey"):
@@ -214,7 +214,7 @@ def _picture_problems(scene: Plain, camera: records.CameraRecord) -> Iterator[st
             yield f"{scene.name(name)} is {is_}, it must be {must}"
 
 
-def _camera_problems(scene: Plain, camera: records.CameraRecord) -> Iterator[str]:
+def _camera_problems(scene: Plain, camera: records.Camera) -> Iterator[str]:
     sensor = scene.files.sensor
     K = [camera.fx, 0.0, camera.cx, 0.0, camera.fy, camera.cy, 0.0, 0.0, 1.0]
     if scene.view.cam_K != K or scene.view.distortion != camera.distortion:

@@ -449,7 +449,7 @@ def open_dataset(folder: Path) -> StoredDataset:
     images = claim.images if isinstance(claim, records.Claim) else [("", 0)]
     try:
         cameras = {
-            sensor: read_json(folder / camera_file(sensor), records.CameraRecord)
+            sensor: read_json(folder / camera_file(sensor), records.Camera)
             for sensor in dict.fromkeys(sensor for sensor, _ in images)
         }
     except Unreadable as error:

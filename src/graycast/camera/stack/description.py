@@ -13,7 +13,6 @@ from ...rig.pattern import AXES, Axis, Code, Frame
 from ..decode import DecodeSpec, levels_of
 from ..scanner import Scanner
 
-# What a frame of each kind must say, and what it may say.
 _MUST: dict[str, tuple[str, ...]] = {
     "white": (),
     "black": (),

@@ -28,10 +28,7 @@ class SceneTask(Job):
     depth_scale_mm: float
 
     def open(
-        self,
-        *,
-        threads: int | None = None,
-        progress: ProgressMeter = UNWATCHED,
+        self, *, threads: int | None = None, progress: ProgressMeter = UNWATCHED
     ) -> "SceneMaker":
         return SceneMaker(self, threads=threads, progress=progress)
 
@@ -40,11 +37,7 @@ class SceneMaker:
     """Makes scenes of one task; opens its renderer for the first one and keeps it."""
 
     def __init__(
-        self,
-        task: SceneTask,
-        *,
-        threads: int | None = None,
-        progress: ProgressMeter = UNWATCHED,
+        self, task: SceneTask, *, threads: int | None = None, progress: ProgressMeter = UNWATCHED
     ) -> None:
         self.task = task
         self._progress = progress
@@ -62,11 +55,7 @@ class SceneMaker:
         manifests: list[Mapping[str, Any]] = []
         with self._kept.of(task.cell) as renderer:
             shots = make_images(
-                task.cell,
-                scene_id,
-                seed=task.seed,
-                renderer=renderer,
-                progress=self._progress,
+                task.cell, scene_id, seed=task.seed, renderer=renderer, progress=self._progress
             )
             files = tuple(scene_files(_decoded(shots, manifests), task.depth_scale_mm))
         return Made(

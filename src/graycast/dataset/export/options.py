@@ -18,7 +18,6 @@ _CHOICES = {
     "cloud": ("ply", "pcd"),
     "pixel_origin": ("centre", "corner"),
 }
-# The options of each format and what they are where nothing is said.
 FORMATS: Mapping[str, Mapping[str, Any]] = {
     "coco": {
         "image": "rgb", "depth": "none", "polygons": False, "link": False, "min_visibility": 0.0
@@ -76,7 +75,7 @@ class Options:
     def __post_init__(self) -> None:
         if self.format not in FORMATS:
             raise GraycastError(f"format is {self.format!r}: choose one of {', '.join(FORMATS)}")
-        for name in self.options_set():
+        for name in self.own_names():
             if name not in FORMATS[self.format]:
                 raise GraycastError(
                     f"{self.format} has no option {name}: remove it; the options are "
@@ -96,7 +95,7 @@ class Options:
                 f"min_visibility is {self.min_visibility}: give a share from 0 to 1"
             )
 
-    def options_set(self) -> list[str]:
+    def own_names(self) -> list[str]:
         """The options that were said."""
         names = [each.name for each in fields(self) if each.name not in ("format", "split")]
         return [name for name in names if getattr(self, name) is not None]
@@ -108,7 +107,7 @@ class Options:
             GraycastError: the dataset lacks what was said.
         """
         chosen = dict(FORMATS[self.format]) | {
-            name: getattr(self, name) for name in self.options_set()
+            name: getattr(self, name) for name in self.own_names()
         }
         holds = stored.holds
         if "image" in chosen and _PICTURE[chosen["image"]] not in holds:

@@ -156,10 +156,7 @@ def tally(scenes: Iterable[SceneFigures], categories: Mapping[int, str]) -> Stat
         part_pixels=part_pixels,
         sizes_px=dict(sums.sizes),
         depth_scale_mm=sums.scale_mm,
-        classes=tuple(
-            _class(k, categories[k], sums_of_class)
-            for k, sums_of_class in sorted(sums.per_class.items())
-        ),
+        classes=tuple(_class(k, categories[k], row) for k, row in sorted(sums.per_class.items())),
         areas={name: sums.areas[name] for name in ("small", "medium", "large")},
         instances=dict(sorted(sums.instances.items())),
         depth_bin=dict(sorted(sums.depth.items())),

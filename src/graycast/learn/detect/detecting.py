@@ -16,7 +16,7 @@ from ...base.errors import GraycastError
 from ...base.file_limits import parse_json
 from ...base.folder import refuse_foreign, whole_folder
 from ...base.progress import UNWATCHED, ProgressMeter
-from ...dataset.detections import DETECTION_RECORD, RESULTS, Detections, results_bytes
+from ...dataset.detections import DETECT_JSON, RESULTS, Detections, results_bytes
 from ...dataset.example import Example, display_image
 from ...dataset.export.record import RECORD, read_record
 from ...dataset.export.split import Split
@@ -79,7 +79,7 @@ def detect(
         GraycastError: a picture is not of the kind that the detector sees, or `out` holds
             something else or cannot be written.
     """
-    refuse_foreign(out, DETECTION_RECORD)
+    refuse_foreign(out, DETECT_JSON)
     found, times_ms, notes = [], [], list[str]()
     with whole_folder(out) as folder:
         (folder / DRAWINGS).mkdir()
@@ -108,7 +108,7 @@ def detect(
             "least_score": least_score,
             **pictures.record,
         }
-        (folder / DETECTION_RECORD).write_bytes(json_bytes(content))
+        (folder / DETECT_JSON).write_bytes(json_bytes(content))
         (folder / RESULTS).write_bytes(results_bytes(found))
     return DetectionResult(found=tuple(found), ms_per_picture=tuple(times_ms), notes=tuple(notes))
 
@@ -149,12 +149,12 @@ def detection_record(folder: Path) -> dict[str, Any]:
         GraycastError: its file is damaged.
     """
     try:
-        return dict(parse_json((folder / DETECTION_RECORD).read_bytes()))
+        return dict(parse_json((folder / DETECT_JSON).read_bytes()))
     except FileNotFoundError:
         return {}
     except (OSError, TypeError, ValueError) as error:
         raise GraycastError(
-            f"{folder}: has no readable {DETECTION_RECORD}: remove the folder"
+            f"{folder}: has no readable {DETECT_JSON}: remove the folder"
         ) from error
 
 

@@ -103,16 +103,16 @@ class TrainingPictures(torch.utils.data.Dataset):
         self.epoch = 0
         shape = (encoding.channels, *encoding.size_px)
         self.shape = (sum(len(each) for each, _ in examples), *shape)
-        memory_map = room_for(file, self.shape)
+        data = room_for(file, self.shape)
         labelled: list[_Labelled] = []
         for of_set, class_of in examples:
             for example in of_set:
-                memory_map[len(labelled)] = encoding.encode(example, seed=seed + len(labelled))
+                data[len(labelled)] = encoding.encode(example, seed=seed + len(labelled))
                 labelled.append(
                     _labelled(example, encoding, class_of, min_visibility, masks, of_set.folder)
                 )
-                progress.count("pictures read", len(labelled), len(memory_map))
-        memory_map.flush()
+                progress.count("pictures read", len(labelled), len(data))
+        data.flush()
         self.labelled = tuple(labelled)
 
     def __len__(self) -> int:
@@ -163,16 +163,14 @@ def room_for(file: Path, shape: Sequence[int]) -> np.memmap:
             "--size"
         )
     try:
-        memory_map = np.lib.format.open_memmap(
-            file, mode="w+", dtype=np.float16, shape=tuple(shape)
-        )
+        data = np.lib.format.open_memmap(file, mode="w+", dtype=np.float16, shape=tuple(shape))
         with open(file, "rb+") as opened:
             os.posix_fallocate(opened.fileno(), 0, opened.seek(0, os.SEEK_END))
     except OSError as error:
         raise GraycastError(
             f"{file}: cannot be written ({error.strerror}): choose another --out with free space"
         ) from error
-    return memory_map
+    return data
 
 
 def _labelled(

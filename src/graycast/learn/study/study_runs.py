@@ -127,11 +127,7 @@ def run_study(
 
 
 def _trained(
-    spec: StudySpec,
-    run: StudyRun,
-    folder: Path,
-    device: str,
-    progress: ProgressMeter,
+    spec: StudySpec, run: StudyRun, folder: Path, device: str, progress: ProgressMeter
 ) -> Detector:
     model = run.model
     training = TrainSpec(
@@ -151,12 +147,7 @@ def _trained(
         device=device,
     )
     progress.stage(f"{run.name}: training")
-    return train(
-        spec.training[run.training],
-        folder,
-        training,
-        progress=progress,
-    )
+    return train(spec.training[run.training], folder, training, progress=progress)
 
 
 def _found(detector: Detector, dataset: Path, world: TestSection, folder: Path) -> list[Detections]:

@@ -142,7 +142,7 @@ def mesh_bytes(mesh: Mesh) -> bytes:
         [("double", name) for name in "xyz"],
         vertices=len(mesh.vertices_m),
         faces=len(mesh.faces),
-        comments=[f"comment {WORLD_FRAME}"],
+        notes=[f"comment {WORLD_FRAME}"],
     )
     table = np.empty(len(mesh.faces), dtype=[("count", "u1"), ("corner", "<i4", 3)])
     table["count"], table["corner"] = 3, mesh.faces

@@ -14,7 +14,7 @@ from ...dataset.safe_reading import Unreadable
 from ...dataset.scene_folder import AnyView, SceneFolder
 from ...rig.optics import Optics, optics_of, picture_rays, points
 from ..depth_file import DEPTH_FILES
-from ..picture_pairs import RealPicture, ShotImages, find_shots, read_shot
+from ..picture_pairs import RealPicture, ShotData, find_shots, read_shot
 
 _NO_DISTORTION = (0.0, 0.0, 0.0, 0.0, 0.0)
 _LEAST_POINTS = 1000
@@ -107,7 +107,7 @@ class BinView:
 
 
 def read_views(
-    paths: Sequence[Path], *, rgb: Sequence[Path] = (), file_options: FileOptions, own: Optics
+    paths: Sequence[Path], *, rgb: Sequence[Path] = (), options: FileOptions, own: Optics
 ) -> tuple[BinView, ...]:
     """All views, of one camera that stood still.
 
@@ -132,9 +132,9 @@ def read_views(
         if (path / "scene_camera_sl.json").is_file():
             views += _read_scene(path)
         elif path.is_dir():
-            views += [_read(shot, file_options, own) for shot in find_shots(path)]
+            views += [_read(shot, options, own) for shot in find_shots(path)]
         else:
-            views.append(_read(_shot(path, colours.get(path)), file_options, own))
+            views.append(_read(_shot(path, colours.get(path)), options, own))
     if not views:
         raise DatasetError("no view is given: name a depth file or a folder")
     for view in views[1:]:
@@ -152,19 +152,19 @@ def _shot(path: Path, rgb: Path | None) -> RealPicture:
     return RealPicture(stem=str(path), rgb=rgb, gray=None, depth=path)
 
 
-def _read(shot: RealPicture, file_options: FileOptions, own: Optics) -> BinView:
+def _read(shot: RealPicture, options: FileOptions, own: Optics) -> BinView:
     if shot.depth is None:
         raise DatasetError(f"{shot.stem}: has no depth: put it into the folder depth")
     brings_own = shot.depth.suffix.lower() == ".ply"
-    by_rig = file_options.K is None and not brings_own
-    K = own.K if by_rig else file_options.K
-    images = read_shot(shot, K=K, scale_m=file_options.scale_m, size_px=file_options.size_px)
+    by_rig = options.K is None and not brings_own
+    K = own.K if by_rig else options.K
+    images = read_shot(shot, K=K, scale_m=options.scale_m, size_px=options.size_px)
     if by_rig and images.size_px != (own.height_px, own.width_px):
         raise DatasetError(
             f"{shot.depth}: is {images.size_px[1]} x {images.size_px[0]} pixels, the rig's camera "
             f"{own.width_px} x {own.height_px}: give its intrinsics (--intrinsics fx,fy,cx,cy)"
         )
-    lens = file_options.distortion or (own.distortion if by_rig else _NO_DISTORTION)
+    lens = options.distortion or (own.distortion if by_rig else _NO_DISTORTION)
     return _view(str(shot.depth), images, lens)
 
 
@@ -196,7 +196,7 @@ def _read_scene(scene: Path) -> list[BinView]:
     return views
 
 
-def _view(name: str, images: ShotImages, distortion: Sequence[float]) -> BinView:
+def _view(name: str, images: ShotData, distortion: Sequence[float]) -> BinView:
     try:
         camera = optics_of(images.K, images.size_px, distortion)
     except ValueError as error:

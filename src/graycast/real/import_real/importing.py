@@ -26,14 +26,7 @@ from ...dataset.records import FORMAT_VERSION, split_annotation
 from ...dataset.seal import sealed
 from ...render.radiance import Silhouette
 from ..depth_sense import filled_holes, refuse_beyond
-from ..picture_pairs import (
-    RealPicture,
-    ShotImages,
-    depth_step_mm,
-    depth_steps,
-    find_shots,
-    read_shot,
-)
+from ..picture_pairs import RealPicture, ShotData, depth_step_mm, depth_steps, find_shots, read_shot
 from .annotations import Annotation, read_annotations
 
 NO_DISTORTION = (0.0, 0.0, 0.0, 0.0, 0.0)
@@ -59,7 +52,7 @@ class _Camera:
     scale_m: float | None
     size_px: tuple[int, int] | None
 
-    def read(self, shot: RealPicture) -> ShotImages:
+    def read(self, shot: RealPicture) -> ShotData:
         return read_shot(shot, K=self.K, scale_m=self.scale_m, size_px=self.size_px)
 
 
@@ -156,7 +149,7 @@ def _object_names(found: Sequence[str], names: Sequence[str] | None) -> list[str
 
 def _survey(
     shots: Sequence[RealPicture], camera: _Camera, range_m: tuple[float, float] | None
-) -> tuple[ShotImages, float, list[str]]:
+) -> tuple[ShotData, float, list[str]]:
     """Reads all once, so that what cannot be used is told before anything is written."""
     pictures = map(camera.read, shots)
     first, deepest_m, notes = next(pictures), 0.0, []
@@ -202,14 +195,14 @@ class _Writer:
             "versions": {"graycast": __version__, "python": platform.python_version()},
         }
 
-    def camera(self, images: ShotImages) -> dict[str, Any]:
+    def camera(self, images: ShotData) -> dict[str, Any]:
         (fx, _, cx), (_, fy, cy), _ = images.K.tolist()
         height_px, width_px = images.size_px
         size = {"width": width_px, "height": height_px, "depth_scale": self.step_mm}
         return size | {"fx": fx, "fy": fy, "cx": cx, "cy": cy} | self._distortion()
 
     def scene(
-        self, place: Path, shot: RealPicture, images: ShotImages, drawn: Annotation | None
+        self, place: Path, shot: RealPicture, images: ShotData, drawn: Annotation | None
     ) -> None:
         files: dict[str, bytes] = {}
         view = {"cam_K": images.K.ravel(), "depth_scale": self.step_mm} | self._distortion()
@@ -256,7 +249,7 @@ class _Writer:
         return {"distortion": list(self.distortion)} if any(self.distortion) else {}
 
     def _label_files(
-        self, shot: RealPicture, images: ShotImages, drawn: Annotation, suffixes: Sequence[str]
+        self, shot: RealPicture, images: ShotData, drawn: Annotation, suffixes: Sequence[str]
     ) -> dict[str, bytes]:
         height_px, width_px = images.size_px
         if drawn.size_px != images.size_px:

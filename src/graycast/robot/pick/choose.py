@@ -35,7 +35,6 @@ LEAST_UP_M = 0.02
 UNKNOWN_CENTER_M = 0.01
 # What is so far off the part's surface over so large a share of the tool's ground is another.
 UNLIKE_M, UNLIKE_SHARE = 4e-3, 0.02
-# What was not found, by how far the search came.
 _MISSING = (
     "no detection",
     "no depth: too little was measured on every detection",

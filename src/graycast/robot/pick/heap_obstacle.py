@@ -123,14 +123,12 @@ def _supported(depth_m: Float[np.ndarray, "h w"]) -> Bool[np.ndarray, "h w"]:
 
 
 def _guessed(
-    height: Float[np.ndarray, "r c"], is_measured: Bool[np.ndarray, "r c"], rim_m: float
+    height: Float[np.ndarray, "r c"], valid: Bool[np.ndarray, "r c"], rim_m: float
 ) -> Float[np.ndarray, "r c"]:
-    if not is_measured.any():
+    if not valid.any():
         return np.full(height.shape, rim_m)  # nothing is known, so nothing is free
     reach = int(np.ceil(GUESSED_M / CELL_M))
     around = ndimage.maximum_filter(height, size=2 * reach + 1, mode="nearest")
-    nearest = ndimage.distance_transform_edt(
-        ~is_measured, return_distances=False, return_indices=True
-    )
-    whole = np.where(is_measured, height, around[tuple(nearest)])
+    nearest = ndimage.distance_transform_edt(~valid, return_distances=False, return_indices=True)
+    whole = np.where(valid, height, around[tuple(nearest)])
     return np.asarray(ndimage.maximum_filter(whole, footprint=BESIDE, mode="nearest"))

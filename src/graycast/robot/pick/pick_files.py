@@ -171,15 +171,13 @@ def read_episodes(out: Path) -> tuple[StoredEpisode, ...]:
 
 def _read(folder: Path) -> StoredEpisode:
     try:
-        record = parse_json((folder / EPISODE).read_bytes())
+        data = parse_json((folder / EPISODE).read_bytes())
         work = parse_json((folder / WORK).read_bytes())
         return StoredEpisode(
-            attempts=tuple(record["attempts"]),
+            attempts=tuple(data["attempts"]),
             work_s=tuple(work["attempts"]),
-            kinds=tuple(record.get("kinds", ())),
-            **{
-                name: int(record[name]) for name in ("bin_id", "filled", "taken", "left", "spilled")
-            },
+            kinds=tuple(data.get("kinds", ())),
+            **{name: int(data[name]) for name in ("bin_id", "filled", "taken", "left", "spilled")},
         )
     except (OSError, ValueError, KeyError, TypeError) as error:
         raise GraycastError(

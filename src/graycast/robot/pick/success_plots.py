@@ -35,9 +35,7 @@ def plot_runs(runs: Mapping[str, PickSummary], path: Path) -> None:
     )
     _rates(rate, runs)
     _failures(failures, runs)
-    share = [
-        100 * summary.left / summary.filled if summary.filled else 0.0 for summary in runs.values()
-    ]
+    share = [100 * picks.left / picks.filled if picks.filled else 0.0 for picks in runs.values()]
     left.barh(range(len(runs)), share, color=SOFT, height=0.6)
     caption(left, "Parts left in the bins", "of 100 parts")
     for ax in (rate, failures, left):
@@ -48,7 +46,7 @@ def plot_runs(runs: Mapping[str, PickSummary], path: Path) -> None:
 
 
 def _rates(ax: Axes, runs: Mapping[str, PickSummary]) -> None:
-    rate, low, high = 100 * np.array([summary.rate for summary in runs.values()]).T
+    rate, low, high = 100 * np.array([picks.rate for picks in runs.values()]).T
     ends = np.stack([rate - low, high - rate])
     ax.errorbar(rate, range(len(runs)), xerr=ends, fmt="o", color=ACCENT, ecolor=INK, lw=1.2, ms=5)
     ax.set_xlim(right=100.5)
@@ -57,9 +55,9 @@ def _rates(ax: Axes, runs: Mapping[str, PickSummary]) -> None:
 
 def _failures(ax: Axes, runs: Mapping[str, PickSummary]) -> None:
     start = np.zeros(len(runs))
-    parts = np.array([max(summary.filled, 1) for summary in runs.values()])
+    parts = np.array([max(picks.filled, 1) for picks in runs.values()])
     for outcome, color in COLOR.items():
-        count = np.array([summary.outcomes.get(str(outcome), 0) for summary in runs.values()])
+        count = np.array([picks.outcomes.get(str(outcome), 0) for picks in runs.values()])
         if count.any():
             each = 100 * count / parts
             ax.barh(range(len(runs)), each, left=start, color=color, height=0.6, label=outcome)

@@ -139,7 +139,7 @@ def _found(
             f"x {inside.shape[0]}, the camera {camera.width_px} x {camera.height_px}: give depth, "
             "mask and camera of one picture"
         )
-    part_crop = crop(
+    patch = crop(
         depth_m,
         camera,
         inside,
@@ -147,44 +147,42 @@ def _found(
         reach_m=REACH * model.diameter_m,
         window_m=WINDOW * model.diameter_m,
     )
-    if part_crop is None:
+    if patch is None:
         return NOTHING
-    point, normal = _scene_points(part_crop)
+    point, normal = _scene_points(patch)
     if len(point) < LEAST_POINTS:
         return NOTHING
-    guesses = _guesses(model, part_crop, point, normal)
+    guesses = _guesses(model, patch, point, normal)
     surface = model.surface
     settle(
         guesses, point, normal, surface.point, surface.normal, surface.low_m, surface.cell_m,
         surface.nearest, np.array(GATES) * model.diameter_m, ROUNDS,
     )  # fmt: skip
-    best = _best(model, part_crop, guesses)
+    best = _best(model, patch, guesses)
     return _estimate(best, nearest_member(best.T, model.symmetry, near=near))
 
 
-def _scene_points(part_crop: Crop) -> tuple[np.ndarray, np.ndarray]:
+def _scene_points(patch: Crop) -> tuple[np.ndarray, np.ndarray]:
     """Places of the detection with normals, spread evenly over its pixels."""
-    usable = part_crop.inside & np.isfinite(part_crop.smooth)
+    usable = patch.inside & np.isfinite(patch.smooth)
     i, j = np.nonzero(usable)
     chosen = np.linspace(0, len(i) - 1, min(SCENE_POINTS, len(i))).astype(int)
     stride = max(int(np.sqrt(len(i) / SCENE_POINTS)), 1)
     even = np.flatnonzero((i % stride == 0) & (j % stride == 0))
     chosen = even if len(even) >= LEAST_POINTS else chosen
     i, j = i[chosen], j[chosen]
-    z = part_crop.smooth[i, j]
-    point = np.column_stack([part_crop.ray[i, j] * z[:, None], z])
-    return point, np.ascontiguousarray(part_crop.normal[i, j])
+    z = patch.smooth[i, j]
+    point = np.column_stack([patch.ray[i, j] * z[:, None], z])
+    return point, np.ascontiguousarray(patch.normal[i, j])
 
 
-def _guesses(
-    model: PoseModel, part_crop: Crop, point: np.ndarray, normal: np.ndarray
-) -> np.ndarray:
+def _guesses(model: PoseModel, patch: Crop, point: np.ndarray, normal: np.ndarray) -> np.ndarray:
     """Poses by votes, the best of each bundle of like ones, best bundle first."""
     references = np.arange(len(point))
-    if not part_crop.tight:
-        i, j = np.nonzero(part_crop.inside)
-        middle = part_crop.ray[(i.min() + i.max()) // 2, (j.min() + j.max()) // 2]
-        low, high = part_crop.ray[i.min(), j.min()], part_crop.ray[i.max(), j.max()]
+    if not patch.tight:
+        i, j = np.nonzero(patch.inside)
+        middle = patch.ray[(i.min() + i.max()) // 2, (j.min() + j.max()) // 2]
+        low, high = patch.ray[i.min(), j.min()], patch.ray[i.max(), j.max()]
         half = np.maximum((high - low) / 2, 1e-9)
         away = (point[:, :2] / point[:, 2:] - middle) / half
         core = np.flatnonzero(np.square(away).sum(axis=1) < CORE**2)
@@ -220,9 +218,9 @@ def _bundled(model: PoseModel, T: np.ndarray, weight: np.ndarray) -> np.ndarray:
     return np.ascontiguousarray(T[best])
 
 
-def _best(model: PoseModel, part_crop: Crop, guesses: Float[np.ndarray, "n 4 4"]) -> PoseTrial:
+def _best(model: PoseModel, patch: Crop, guesses: Float[np.ndarray, "n 4 4"]) -> PoseTrial:
     """Compare the guesses with the depth, align the best, and try equivalent alternatives."""
-    trials = Trials(model, part_crop)
+    trials = Trials(model, patch)
     first = np.array([trials.judge(T).worth for T in guesses])
     tried = (
         trials.judge(T)

@@ -18,7 +18,7 @@ from ...world.parts import Mesh, Symmetry
 from ...world.parts.symmetry import motions
 from .pose_errors import mspd, mssd, rotation_translation, vsd
 
-# BOP 2020, section 2.4: thresholds of correctness.
+# The thresholds of correctness are those of BOP 2020, section 2.4.
 TAU = np.arange(1, 11) * 0.05  # VSD's tolerance, of the diameter
 THETA_VSD = np.arange(1, 11) * 0.05  # of VSD itself
 THETA_MSSD = np.arange(1, 11) * 0.05  # of the diameter

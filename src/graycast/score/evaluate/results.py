@@ -9,7 +9,7 @@ import numpy as np
 
 from ...base.errors import GraycastError
 from ...base.file_limits import parse_json
-from ...dataset.detections import DETECTION_RECORD, RESULTS, Detections, read_results
+from ...dataset.detections import DETECT_JSON, RESULTS, Detections, read_results
 from ...dataset.export.split import Split
 
 
@@ -56,12 +56,12 @@ def open_run(path: Path) -> DetectionRun:
             f"{path}: has no {RESULTS}: give a folder that graycast detect wrote, or a file of "
             "COCO results"
         )
-    if not (path / DETECTION_RECORD).is_file():
+    if not (path / DETECT_JSON).is_file():
         raise GraycastError(
-            f"{path}: has no {DETECTION_RECORD}, which lists the scenes of the detections: give "
+            f"{path}: has no {DETECT_JSON}, which lists the scenes of the detections: give "
             f"{path / RESULTS} itself, and state its set of scenes with --split"
         )
-    return _run(path / RESULTS, path / DETECTION_RECORD)
+    return _run(path / RESULTS, path / DETECT_JSON)
 
 
 def read_found(

@@ -55,14 +55,14 @@ def surface_figures(
     """Shares of the surface that at least one camera sees; `best_order` is the greedy one."""
     has, places = parts.has, max(parts.why.shape[1], 1)
     some = has.any(axis=0)
-    reason_names = reason_name | OWN_NAMES
+    names_of = reason_name | OWN_NAMES
     views = [
         {
             "view": name,
             "measured": float(row.sum() / places),
             "only_this_view": float((row & (has.sum(axis=0) == 1)).sum() / places),
-            "filled_by_others": _shares(parts.why[i][some & ~row], reason_names, places),
-            "missing": _shares(parts.why[i][~row], reason_names, places),
+            "filled_by_others": _shares(parts.why[i][some & ~row], names_of, places),
+            "missing": _shares(parts.why[i][~row], names_of, places),
         }
         for i, (name, row) in enumerate(zip(names, has, strict=True))
     ]
@@ -142,8 +142,6 @@ def _noise(
     }
 
 
-def _shares(
-    reason: UInt8[np.ndarray, " n"], reason_names: dict[int, str], of: int
-) -> dict[str, float]:
+def _shares(reason: UInt8[np.ndarray, " n"], names_of: dict[int, str], of: int) -> dict[str, float]:
     number, count = np.unique(reason, return_counts=True)
-    return {reason_names[int(k)]: float(c / max(of, 1)) for k, c in zip(number, count, strict=True)}
+    return {names_of[int(k)]: float(c / max(of, 1)) for k, c in zip(number, count, strict=True)}

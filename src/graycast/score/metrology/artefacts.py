@@ -174,7 +174,6 @@ class BallBar:
         return float(np.linalg.norm(self.ends_m[1] - self.ends_m[0]))
 
 
-# From one corner of the volume (u, v, w) to another, through its middle.
 BAR_DIRECTIONS = {
     "space diagonal 1": ((-1.0, -1.0, 0.0), (1.0, 1.0, 1.0)),
     "space diagonal 2": ((1.0, -1.0, 0.0), (-1.0, 1.0, 1.0)),

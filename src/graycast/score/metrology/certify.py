@@ -41,7 +41,6 @@ PROBING_SHARE, BAR_SPHERE_SHARE = 0.1, 0.05  # spheres' diameters, of the volume
 SMALLEST_FIELD_SHARE = 0.35
 MAP_WIDTH = 104
 
-# Where the probing spheres stand (u, v, w): across the field and from near to far.
 PLACES = (
     (0.0, 0.0, 0.5),
     (-1.0, -1.0, 0.0),

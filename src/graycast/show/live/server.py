@@ -29,7 +29,6 @@ GRACE_S = 2.0  # that a page may take to be loaded again, before all it needs is
 MOST_BYTES = 1_000_000  # of what a page sends
 _BEAT_S = 0.25  # at which a page's stream looks whether the page is still there
 
-# The report page's own scripts, and those of this page.
 _SHARED = ("core.js", "geometry.js", "paint.js", "viewer.js", "shapes.js", "cloud.js", "style.css")
 _OWN = ("index.html", "live.css", "live.js", "controls.js", "world.js")
 _TYPES = {".html": "text/html", ".js": "text/javascript", ".css": "text/css"}

@@ -209,10 +209,8 @@ def _surface(pieces: Sequence, *, shares_vertices: bool) -> RawMesh:
             raise Refusal("faces name vertices that do not exist; export the mesh again")
     uv = [_uv(piece) for piece in pieces]
     pictures = [_picture(piece) for piece in pieces]
-    images = [p for p in pictures if p is not None]
-    distinct = [
-        p for i, p in enumerate(images) if not any(np.array_equal(p, q) for q in images[:i])
-    ]
+    maps = [p for p in pictures if p is not None]
+    distinct = [p for i, p in enumerate(maps) if not any(np.array_equal(p, q) for q in maps[:i])]
     bare = sum(p is None for p in pictures)
     findings = []
     coloured = any(_has_colours(piece) for piece in pieces)

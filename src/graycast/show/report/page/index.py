@@ -17,7 +17,6 @@ from ....rig.pattern import Code, CodeSpec
 from .packing import color_table
 from .scene_files import MISSING_COLOR
 
-# Depth, column, difference as in previews; captured frames.
 _COLORMAPS = ("viridis_r", "viridis", "RdBu_r", "gray")
 
 

@@ -8,7 +8,16 @@ from dataclasses import dataclass, field
 from importlib.util import find_spec
 from statistics import median
 
-from graycast.cell.engine import Failed, Made, Pool, SceneMaker, SceneTask, make_all, open_pool
+from graycast.cell.engine import (
+    Failed,
+    Made,
+    Pool,
+    SceneMaker,
+    SceneTask,
+    Workers,
+    make_all,
+    open_pool,
+)
 from graycast.cell.generate import depth_step_mm
 
 from .figures import Figures, Show
@@ -63,7 +72,7 @@ def _contenders(task: SceneTask, open_now: ExitStack) -> Iterator[tuple[str, _Co
     yield "bare", _Contender(bare)
     engines = ["local"] + (["ray"] if find_spec("ray") else [])
     for engine in engines:
-        pool = open_pool(task, engine=engine, workers=2, threads=1)
+        pool = open_pool(task, Workers(engine=engine, count=2, threads=1), scenes=2)
         open_now.enter_context(closing(pool))
         for workers in (2, 1):
             yield f"{engine}_{workers}", _Contender(_all_by(_Narrowed(pool, workers)))

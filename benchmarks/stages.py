@@ -35,7 +35,7 @@ SCENES = 3  # in the dataset that is validated
 def imports(work: Path, number: int) -> Iterator[Job]:
     for row, words in (
         ("import graycast", ("-c", "import graycast")),
-        ("graycast --help", ("-m", "graycast.cli", "--help")),
+        ("graycast --help", ("-c", "from graycast.cli import main; main(['--help'])")),
     ):
         command = [sys.executable, *words]
         job = partial(subprocess.run, command, check=True, stdout=subprocess.DEVNULL)

@@ -30,4 +30,6 @@ def main(folder: Path) -> None:
 
 
 if __name__ == "__main__":
+    if len(sys.argv) != 2:
+        raise SystemExit("give the folder of a dataset, as the line at the top of this file shows")
     main(Path(sys.argv[1]))

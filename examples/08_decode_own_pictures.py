@@ -37,4 +37,6 @@ def main(pictures: Path, rig_file: Path, cloud: Path) -> None:
 
 
 if __name__ == "__main__":
+    if len(sys.argv) != 4:
+        raise SystemExit("give pictures, rig and cloud, as the line at the top of this file shows")
     main(*map(Path, sys.argv[1:4]))

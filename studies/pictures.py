@@ -97,7 +97,7 @@ def detections(page: Page) -> None:
 
 def replay(folder: Path) -> None:
     def graycast(*words: object) -> None:
-        subprocess.run([sys.executable, "-m", "graycast.cli", *map(str, words)], check=True)
+        subprocess.run([sys.executable, "-m", "graycast", *map(str, words)], check=True)
 
     with tempfile.TemporaryDirectory() as made:
         graycast("report", folder, "--out", Path(made) / "page")

@@ -15,7 +15,7 @@ from graycast.camera.scanner import Scanner
 from graycast.rig.pair import preset_rig
 from studies.smaller import shrunk
 
-GRAYCAST = [sys.executable, "-m", "graycast.cli"]
+GRAYCAST = [sys.executable, "-m", "graycast"]
 
 
 def write_cell(folder: Path, *without: str, **changes) -> Path:

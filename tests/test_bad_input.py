@@ -453,13 +453,14 @@ def test_a_cut_picture_is_found_and_its_scene_named(capsys, tmp_path, dataset):
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
-        (["nope"], "invalid choice: 'nope'"),
+        (["nope"], "'nope' does not exist: graycast --help lists all"),
+        (["generat"], "'generat' does not exist: did you mean generate?"),
         (["generate"], "required: config, --out"),
         (["generate", "x.yaml", "--out", "x", "--wrokers", "2"], "--wrokers"),
         (["generate", "x.yaml", "--out", "x", "--workers", "0"], "'0' is not a whole number"),
         (["generate", "x.yaml", "--out", "x", "--scenes", "-3"], "--scenes"),
         (["generate", "x.yaml", "--out", "x", "--seed", "1.5"], "'1.5' is not a whole number"),
-        (["generate", "x.yaml", "--out", "x", "--device", "tpu"], "invalid choice: 'tpu'"),
+        (["generate", "x.yaml", "--out", "x", "--device", "tpu"], "did you mean cpu?"),
         (["preview", "x.yaml", "--out", "x", "--scene", "-1"], "'-1' is not a whole number"),
         (["schema", "part"], "invalid choice: 'part'"),
         (["rig", "import", "x", "--out", "y", "--near", "1", "--far", "2", "--camera-size", "9"],

@@ -1,8 +1,10 @@
 """`import graycast` shows the whole line, and costs nothing until it is used."""
 
 import ast
+import re
 import subprocess
 import sys
+from dataclasses import replace
 from importlib import import_module
 from pathlib import Path
 
@@ -62,6 +64,20 @@ def test_a_name_that_the_door_lacks_is_an_attribute_error_and_a_broken_room_is_n
         _ = graycast.render
 
 
+def test_the_door_lists_only_what_stands_in_it():
+    assert {name for name in dir(graycast) if name[:2] != "__"} == {*graycast.__all__[1:]}
+
+
+def test_a_shot_is_one_line(made):
+    assert re.fullmatch(r"Shot\(scene 0, \d+ parts, \d+ x \d+ px, \d+% decoded\)", str(made[1]))
+
+
+def test_python_runs_the_package():
+    command = [sys.executable, "-m", "graycast", "--version"]
+    told = subprocess.run(command, capture_output=True, text=True, check=True)
+    assert told.stdout == f"graycast {graycast.__version__}\n"
+
+
 @pytest.fixture(scope="module")
 def made(tmp_path_factory, mitsuba_renderer):
     """A small cell, and one scene of it made by hand."""
@@ -85,8 +101,11 @@ def test_a_scene_is_saved_once_and_with_its_own_cell(made, tmp_path):
     cell, shot = made
     graycast.save_scene(cell, shot, tmp_path / "out")
     before = content(tmp_path / "out")
-    with pytest.raises(DatasetError, match="000000"):
-        graycast.save_scene(cell, shot, tmp_path / "out")
+    graycast.save_scene(cell, shot, tmp_path / "out")  # the same once more
+    assert content(tmp_path / "out") == before
+    darker = replace(shot, sample=replace(shot.sample, rgb=shot.sample.rgb // 2))
+    with pytest.raises(DatasetError, match=r"000000 exists already, and its rgb/000000.png "):
+        graycast.save_scene(cell, darker, tmp_path / "out")
     other = write_cell(tmp_path, count=4)
     other = graycast.resolve_cell(graycast.load_config(other), tmp_path)
     with pytest.raises(ValueError, match="another configuration than this cell's"):

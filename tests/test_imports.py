@@ -61,8 +61,11 @@ ONLY_VALUES = {"dataset": {"render": {"render", "render.radiance"}}}
 
 
 def modules():
-    """Dotted name below the package, file, and whether it is a folder's `__init__`."""
-    for file in sorted(SOURCE.rglob("*.py")):
+    """Dotted name below the package, file, and whether it is a folder's `__init__`.
+
+    `python -m graycast` is no room: it only runs the command line.
+    """
+    for file in sorted({*SOURCE.rglob("*.py")} - {SOURCE / "__main__.py"}):
         parts = file.relative_to(SOURCE).with_suffix("").parts
         yield parts[:-1] if parts[-1] == "__init__" else parts, file, parts[-1] == "__init__"
 

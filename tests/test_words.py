@@ -85,7 +85,7 @@ with open(x) as asked: pass
     names = set(defined(ast.parse(text)))
     assert names == {
         *("told", "said", "held", "seen", "JudgedPose", "laid", "shown"),
-        *("_kept", "made", "asked"),
+        *("_kept", "made", "asked")
     }
     assert parts("JudgedPose") == {"judged", "pose"} and parts("_HELD_px") == {"held", "px"}
     assert parts("retold") == {"retold"}

@@ -57,7 +57,7 @@ if TYPE_CHECKING:  # for type checkers and editors; `_MODULE` says the same to P
     from .camera.stack import decode_stack as decode_stack
     from .cell.config import Config as Config
     from .cell.config import load_config as load_config
-    from .cell.generate import Workers as Workers
+    from .cell.engine import Workers as Workers
     from .cell.generate import save_scene as save_scene
     from .cell.resolve import Cell as Cell
     from .cell.resolve import open_cell_renderer as open_cell_renderer
@@ -114,7 +114,8 @@ _MODULE = {
         "dataset": ("validate",),
         "dataset.training": ("Example", "open_examples"),
         "cell.config": ("Config", "load_config"),
-        "cell.generate": ("Workers", "save_scene"),
+        "cell.engine": ("Workers",),
+        "cell.generate": ("save_scene",),
         "cell.resolve": ("Cell", "open_cell_renderer", "resolve_cell"),
         "cell.simulate": ("Shot", "make_images", "make_scene"),
     }.items()
@@ -144,4 +145,4 @@ def _room(name: str) -> object:
 
 
 def __dir__() -> list[str]:
-    return sorted({*globals(), *_MODULE})
+    return sorted({*(name for name in globals() if name.startswith("__")), *_MODULE})

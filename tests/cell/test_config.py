@@ -174,6 +174,22 @@ def test_a_scaled_part_is_the_same_part_of_another_size(tmp_path):
     assert large.symmetry.continuous[0][1] == pytest.approx((0.0102, 0.0, 0.0))
 
 
+def test_a_symmetry_is_stated_as_turns_or_found_in_the_shape(tmp_path):
+    """A box beside the origin: turns are about the middle of its own box unless stated."""
+    told = {}
+    for name, symmetry in {
+        "turns": {"turns": [{"axis": "z", "fold": 2}, {"axis": [3, 0, 0], "fold": 2}]},
+        "auto": {"auto": True},
+        "none": None,
+    }.items():
+        part = {"mesh": "box.stl", "unit": "mm", "symmetry": symmetry}
+        (own,), _ = words.resolve_parts(load_config(write_cell(tmp_path, parts=[part])), tmp_path)
+        told[name] = own.symmetry.discrete
+    assert [len(told[name]) for name in told] == [3, 3, 0]
+    for T in told["turns"]:
+        assert any(np.allclose(T, other, atol=1e-9) for other in told["auto"])
+
+
 def test_a_symmetry_s_axis_may_have_any_length(tmp_path):
     part = {"mesh": "box.stl", "unit": "mm", "symmetry": {"continuous": [{"axis": [3, 0, 4]}]}}
     path = write_cell(tmp_path, parts=[part])
@@ -406,6 +422,7 @@ _PLACES = {
     "MaterialSection": ("parts", 0, "material"),
     "SymmetrySection": ("parts", 0, "symmetry"),
     "ContinuousSymmetry": ("parts", 0, "symmetry", "continuous", 0),
+    "TurnSymmetry": ("parts", 0, "symmetry", "turns", 0),
     "CyclesSection": ("render", "cycles"),
     "LightSection": ("light",),
     "EnvironmentSection": ("light", "environment"),

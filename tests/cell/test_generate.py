@@ -21,8 +21,8 @@ from graycast.camera.faults import FaultSpec
 from graycast.camera.scanner import ExposureSpec, Scanner
 from graycast.camera.sensor import SensorSpec
 from graycast.cell.config import load_config
-from graycast.cell.engine import SceneMaker
-from graycast.cell.generate import Workers, generate, read_origin, rerender
+from graycast.cell.engine import SceneMaker, Workers
+from graycast.cell.generate import generate, read_origin, rerender
 from graycast.cell.resolve import resolve_cell
 from graycast.cell.simulate import counts_of
 from graycast.cli import main

@@ -7,7 +7,7 @@ from rich.console import Console
 from rich.progress import Progress
 
 from graycast.base.progress import UNWATCHED, ProgressMeter
-from graycast.cli.bars import Bars
+from graycast.cli.bars import Bars, open_bars
 
 
 @pytest.fixture
@@ -25,7 +25,23 @@ def test_each_kind_has_a_bar_and_the_stage_a_line_above_which_notes_stay(drawn):
     assert [(task.completed, task.total) for task in drawn.tasks] == [(0, None), (3, 5), (1, 9)]
     text = drawn.console.file.getvalue()
     assert "note: a part [is] coarse " + 60 * "-" + "\n" in text
-    assert all(words in text for words in ("reading [red].stl", "scenes", "pictures"))
+    assert all(words in text for words in ("scenes", "pictures")) and "reading" not in text
+
+
+def test_a_stage_has_no_number_and_is_gone_at_the_end(monkeypatch):
+    file = io.StringIO()
+    monkeypatch.setattr("rich.progress.get_console", lambda: Console(file=file, width=90))
+    with open_bars() as bars:
+        bars.count("scenes", 1, 5)
+        bars.stage("reading [red].stl")
+        bars._drawn.refresh()
+        (line,) = [part for part in bars._drawn.get_renderables()]
+        shown = Console(file=io.StringIO(), width=90)
+        shown.print(line)
+        lines = shown.file.getvalue().splitlines()
+    assert "1/5" in lines[0] and "left" in lines[0]
+    assert "reading [red].stl" in lines[1] and "?" not in lines[1] and "left" not in lines[1]
+    assert "scenes" in file.getvalue() and "reading" not in file.getvalue()
 
 
 def test_the_time_of_a_bar_begins_anew_with_the_next_of_its_kind(drawn):

@@ -27,36 +27,17 @@ from ..dataset import (
     differing_files,
     open_store,
     refuse_other_dataset,
+    scene_files
 )
 from ..dataset.claim import BESIDE_CONFIG, Taker
 from ..dataset.records import Claim
 from ..dataset.safe_reading import Unreadable, read_json
-from ..render import choose_device
 from ..rig.pair import PRESETS
 from ..world.drop import hull_notes, prepare
 from .config import Config
-from .engine import Failed, Made, Pool, SceneMaker, SceneTask, make_all, open_pool
+from .engine import ALONE, Failed, Made, SceneMaker, SceneTask, Workers, make_all, open_pool
 from .resolve import Cell, reach_m
 from .simulate import Shot, compile_kernels
-
-MOST_THREADS = 1024  # Blender's own limit; tens of thousands end the process
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Workers:
-    """Who makes the scenes; as in `engine.open_pool`."""
-
-    engine: str = "local"
-    count: int = 1
-    threads: int | None = None
-    address: str | None = None
-
-    def __post_init__(self) -> None:
-        if self.threads is not None and not 1 <= self.threads <= MOST_THREADS:
-            raise ValueError(
-                f"threads is {self.threads} per worker; give 1 to {MOST_THREADS}: more threads "
-                "than processors do not make a run faster"
-            )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -78,7 +59,7 @@ def generate(
     scenes: int,
     seed: int,
     device: str = "auto",
-    workers: Workers = Workers(),
+    workers: Workers = ALONE,
     on_made: Callable[[Made], None] = lambda _: None,
     on_failed: Callable[[Failed], None] = lambda failed: None,
     progress: ProgressMeter = UNWATCHED,
@@ -105,7 +86,7 @@ def generate(
     task = SceneTask(
         cell=cell,
         seed=seed,
-        device=_device(cell, device, workers.engine),
+        device=workers.device(cell.config.render.backend, device),
         depth_scale_mm=depth_step_mm(cell),
     )
     with open_store(out, **_claimed(task)) as store:
@@ -116,13 +97,14 @@ def generate(
         run = _Run(store=store, found=len(found), on_made=on_made, on_failed=on_failed)
         try:
             if todo:
-                prepared = prepare(cell.kinds, progress=progress)  # once, not by every worker
-                for note in hull_notes(cell.kinds, prepared):
+                prepared = prepare(task.parts, progress=progress)  # once, not by every worker
+                for note in hull_notes(task.parts, prepared):
                     progress.note(note)
                 if workers.engine == "local" and min(workers.count, len(todo)) > 1:
                     progress.stage("compiling the decoder, once on this machine")
                     compile_kernels(cell)
-                with closing(_open_pool(task, workers, len(todo), progress)) as pool:
+                pool = open_pool(task, workers, scenes=len(todo), progress=progress)
+                with closing(pool):
                     left = len(todo)
                     for outcome in make_all(pool, todo):
                         left -= isinstance(outcome, Made) or outcome.final
@@ -151,7 +133,8 @@ def save_scene(cell: Cell, shots: Shot | Sequence[Shot], out: Path) -> Path:
     Of a cell that takes several images of a scene, give all that `make_images` makes.
 
     The files are those that `generate` writes for the same cell, seed and number, which may go on
-    with the folder. Unlike `generate` it also takes a scene in which nothing was decoded.
+    with the folder. Unlike `generate` it also takes a scene in which nothing was decoded. If the
+    same scene is there already, it stays as it is.
 
     Returns:
         The scene's own folder.
@@ -159,8 +142,8 @@ def save_scene(cell: Cell, shots: Shot | Sequence[Shot], out: Path) -> Path:
     Raises:
         ValueError: the scene was made from another configuration than the cell's, or an image of
             it is missing.
-        DatasetError: the scene is there already; the folder is another dataset's or in use; the
-            disk refuses.
+        DatasetError: the scene is there already with other files; the folder is another dataset's
+            or in use; the disk refuses.
     """
     samples = [shot.sample for shot in ([shots] if isinstance(shots, Shot) else shots)]
     manifest = samples[0].manifest
@@ -182,14 +165,22 @@ def save_scene(cell: Cell, shots: Shot | Sequence[Shot], out: Path) -> Path:
         device=manifest["device"],
         depth_scale_mm=depth_step_mm(cell),
     )
+    scene = out / "train" / f"{scene_id:06d}"
     with open_store(out, **_claimed(task)) as store:
         try:
-            store.write(scene_id, samples)
+            if scene_id not in store.finished():
+                store.write(scene_id, samples)
+            elif differing := differing_files(scene, scene_files(samples, task.depth_scale_mm)):
+                name, how = next(iter(differing.items()))
+                raise DatasetError(
+                    f"{scene} exists already, and its {name} {how}: remove this folder, or save "
+                    "the scene to another dataset"
+                )
             store.finish(store.finished())
         except BaseException:
             store.tidy()
             raise
-    return out / "train" / f"{scene_id:06d}"
+    return scene
 
 
 def depth_step_mm(cell: Cell) -> float:
@@ -255,7 +246,7 @@ def rerender(
     task = SceneTask(
         cell=cell,
         seed=seed,
-        device=_device(cell, device, "local"),
+        device=ALONE.device(cell.config.render.backend, device),
         depth_scale_mm=depth_step_mm(cell),
     )
     refuse_other_dataset(out, **_claimed(task))
@@ -264,13 +255,6 @@ def rerender(
         raise DatasetError(f"{scene} is not there: give the number of a finished scene")
     with SceneMaker(task) as maker:
         return differing_files(scene, maker.make(scene_id).files)
-
-
-def _device(cell: Cell, device: str, engine: str) -> str:
-    """Resolve 'auto' so that all workers use the same device; a cluster resolves it itself."""
-    if engine == "ray":
-        return device
-    return choose_device(cell.config.render.backend, device)
 
 
 def _claimed(task: SceneTask) -> dict[str, Any]:
@@ -307,17 +291,6 @@ def described_scanner(scanner: Scanner) -> dict[str, Any]:
     """What a preset or a rig file says beside its rig, which the store keeps itself."""
     names = ("code", "sensor", "exposure", "decode", "filters", "faults")
     return {name: described_values(getattr(scanner, name)) for name in names}
-
-
-def _open_pool(task: SceneTask, workers: Workers, todo: int, progress: ProgressMeter) -> Pool:
-    return open_pool(
-        task,
-        engine=workers.engine,
-        workers=min(workers.count, todo),
-        threads=workers.threads,
-        address=workers.address,
-        progress=progress,
-    )
 
 
 _HOPELESS = 3  # scenes given up before any came out: then the rest would be, too

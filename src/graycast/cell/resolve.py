@@ -13,7 +13,7 @@ from ..camera.scanner import Scanner
 from ..render import OnPass, Renderer, open_renderer
 from ..rig.pair import grey_levels
 from ..rig.pattern import Code
-from ..world.parts import Part
+from ..world.parts import Part, size_notes
 from ..world.parts.part_sections import resolve_material
 from ..world.scene import Scene, bin_of
 from .config import (
@@ -223,7 +223,12 @@ def resolve_cell(config: Config, folder: Path, *, progress: ProgressMeter = UNWA
         config=config,
         scene=scene,
         scanner=scanner,
-        notes=notes + bin_notes + (domain.notes if domain else ()),
+        notes=(
+            *notes,
+            *size_notes(parts, box.inner_m),
+            *bin_notes,
+            *(domain.notes if domain else ())
+        ),
         file_digests=file_digests(config, folder),
         domain=domain,
         named=() if config.scanners is None else scanners,

@@ -43,6 +43,14 @@ class Shot:
     capture: Capture
     codes: CodeMap
 
+    def __repr__(self) -> str:
+        """One line, since the arrays inside fill screens."""
+        manifest, (height_px, width_px) = self.sample.manifest, self.codes.reason.shape
+        return (
+            f"Shot(scene {manifest['scene_id']}, {len(self.sample.layout.part_index)} parts, "
+            f"{width_px} x {height_px} px, {manifest['reasons']['decoded']:.0%} decoded)"
+        )
+
 
 def make_scene(
     cell: Cell,

@@ -14,7 +14,7 @@ from ..rig.pair import PRESETS, RESOLUTIONS
 from .bars import open_stages
 
 if TYPE_CHECKING:
-    from ..cell.generate import Workers
+    from ..cell.engine import Workers
 
 Run = Callable[[argparse.Namespace], int | None]
 
@@ -259,7 +259,7 @@ def workers_of(options: argparse.Namespace) -> "Workers":
     Raises:
         GraycastError: `--address` is given without `--engine ray`.
     """
-    from ..cell.generate import Workers
+    from ..cell.engine import Workers
 
     if options.address is not None and options.engine != "ray":
         raise GraycastError(

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, final
 from rich.markup import escape
 
 if TYPE_CHECKING:
+    from rich.console import RenderableType
     from rich.progress import Progress, TaskID
 
 # The rest of rich is imported by the command that draws, so that --help answers at once.
@@ -54,6 +55,8 @@ class Bars:
         error: BaseException | None,
         trace: TracebackType | None,
     ) -> None:
+        if None in self._tasks:  # no stage is going on any more
+            self._drawn.update(self._tasks[None], visible=False)
         self._drawn.stop()
 
 
@@ -63,19 +66,32 @@ def open_bars() -> Bars:
         BarColumn,
         MofNCompleteColumn,
         Progress,
+        ProgressColumn,
+        Task,
         TextColumn,
         TimeElapsedColumn,
         TimeRemainingColumn,
     )
+    from rich.text import Text
+
+    class OfCounted(ProgressColumn):
+        """A column that is empty beside a stage, which has neither a number nor an end."""
+
+        def __init__(self, column: ProgressColumn) -> None:
+            super().__init__()
+            self.column = column
+
+        def render(self, task: Task) -> "RenderableType":
+            return Text() if task.total is None else self.column(task)
 
     return Bars(
         Progress(
             TextColumn("{task.description}"),
             BarColumn(),
-            MofNCompleteColumn(),
+            OfCounted(MofNCompleteColumn()),
             TimeElapsedColumn(),
-            TextColumn("left"),
-            TimeRemainingColumn(),
+            OfCounted(TextColumn("left")),
+            OfCounted(TimeRemainingColumn()),
         )
     )
 

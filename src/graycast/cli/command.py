@@ -6,7 +6,9 @@ import select
 import signal
 import sys
 from collections.abc import Sequence
+from difflib import get_close_matches
 from functools import cache
+from typing import Any
 
 from .. import __version__
 from ..base.errors import GraycastError, error_line
@@ -30,6 +32,7 @@ from . import (
     twinning,
 )
 
+COMMAND = "COMMAND"
 EXAMPLES = """\
 examples:
   graycast generate configs/demo.yaml --out out/demo     make three scenes of brackets in a box
@@ -89,9 +92,25 @@ def _stop(number: int, frame: object) -> None:
     raise KeyboardInterrupt
 
 
+class _Parser(argparse.ArgumentParser):
+    """A parser whose error names the word that was probably meant, and not thirty others."""
+
+    def _check_value(self, action: argparse.Action, value: Any) -> None:
+        try:
+            super()._check_value(action, value)
+        except argparse.ArgumentError:
+            words = [str(choice) for choice in action.choices or ()]
+            near = get_close_matches(str(value), words, n=3)
+            if not near and action.metavar != COMMAND:
+                raise
+            help_for = f"{self.prog} --help lists all"
+            meant = f"did you mean {' or '.join(near)}?" if near else help_for
+            raise argparse.ArgumentError(action, f"{value!r} does not exist: {meant}") from None
+
+
 @cache  # a process that runs several commands, as the tests do, builds it once
 def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(
+    parser = _Parser(
         prog="graycast",
         description="Graycast simulates a structured-light camera and makes bin-picking "
         "datasets with it.",
@@ -100,7 +119,7 @@ def _parser() -> argparse.ArgumentParser:
     )
     parser.add_argument("--version", action="version", version=f"graycast {__version__}")
     parser.set_defaults(run=lambda _: parser.print_help(), debug=False, when_stopped="")
-    commands = parser.add_subparsers(metavar="COMMAND")
+    commands = parser.add_subparsers(metavar=COMMAND)
     generating.add_commands(commands)
     datasets.add_commands(commands)
     looking.add_commands(commands)

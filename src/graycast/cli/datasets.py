@@ -164,6 +164,8 @@ def _parts(options: argparse.Namespace) -> int:
 def _describe_hulls(parts) -> None:
     """Describe the collision hulls of the parts; hulls that are not in the cache are made now."""
     from ..world.drop import hull_notes, prepare
+    from ..world.parts import Symmetry
+    from ..world.parts.symmetry import shape_symmetry
 
     with open_stages() as progress:
         prepared = prepare(parts, progress=progress)
@@ -175,3 +177,10 @@ def _describe_hulls(parts) -> None:
         print(f"  {part.name}: {len(hulls.hulls)}, {worst} (the bound is {bound})")
     for note in hull_notes(parts, prepared):
         print(f"note: {note}")
+    for part in parts:
+        if part.symmetry == Symmetry() and shape_symmetry(part.mesh) != Symmetry():
+            print(
+                f"note: {part.name} states no symmetry, and its shape looks the same after some "
+                "turns: if neither print nor colour tells its sides apart, add "
+                "`symmetry: {auto: true}`"
+            )

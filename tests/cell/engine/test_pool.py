@@ -6,7 +6,7 @@ import pytest
 from metered import Metered
 
 from graycast.base.errors import ConfigError, DeviceError, DropError, GraycastError, WorkerDied
-from graycast.cell.engine import TRIES, Failed, Made, make_all, make_each, open_pool
+from graycast.cell.engine import TRIES, Failed, Made, Workers, make_all, make_each, open_pool
 
 IDS = range(20)
 
@@ -100,7 +100,7 @@ def test_scenes_that_are_lost_now_and_then_do_not_end_a_run():
 
 def test_an_unknown_engine_is_refused(task):
     with pytest.raises(ValueError, match="no engine 'slurm': choose 'local' or 'ray'"):
-        open_pool(task, engine="slurm", workers=2)
+        open_pool(task, Workers(engine="slurm", count=2), scenes=2)
 
 
 def handed(script, ids=IDS):

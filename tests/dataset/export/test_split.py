@@ -32,7 +32,7 @@ def test_another_seed_gives_another_split_and_the_same_seed_the_same():
 
 def test_a_set_without_a_share_is_not_there_and_one_without_scenes_is_refused():
     assert set(Split(shares=(0.5, 0.0, 0.5)).assign(range(10))) == {"train", "test"}
-    with pytest.raises(GraycastError, match="gets none of the 2 scenes: make more"):
+    with pytest.raises(GraycastError, match=r"gets none of the 2 scenes: the first \d+ scenes"):
         Split(shares=(0.4, 0.3, 0.3)).assign([1, 2])
 
 
@@ -40,3 +40,11 @@ def test_a_set_without_a_share_is_not_there_and_one_without_scenes_is_refused():
 def test_shares_that_are_none_are_refused(text):
     with pytest.raises(GraycastError, match=r"split is .*0\.8,0\.1,0\.1"):
         Split(shares=parse_shares(text))
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_the_least_number_of_scenes_is_the_first_that_is_not_refused(seed):
+    split = Split(shares=(0.8, 0.1, 0.1), seed=seed)
+    assert all(split.assign(range(split.least())).values())
+    with pytest.raises(GraycastError, match=f"the first {split.least()} scenes"):
+        split.assign(range(split.least() - 1))

@@ -139,7 +139,7 @@ def test_it_learns_what_is_drawn(tmp_path, model, epochs):
         assert score(labels, found, kind=kind).ap50 >= 0.7, kind
 
 
-COMMAND = [sys.executable, "-W", "ignore", "-m", "graycast.cli", "train"]
+COMMAND = [sys.executable, "-W", "ignore", "-m", "graycast", "train"]
 
 
 def command(dataset, out, *, epochs=6):

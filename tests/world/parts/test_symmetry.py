@@ -13,6 +13,7 @@ from graycast.world.parts.symmetry import (
     motions,
     nearest_member,
     shape_symmetry,
+    turns_together
 )
 
 
@@ -31,6 +32,33 @@ def test_a_box_has_the_rotations_that_group_theory_says(size, order):
     found = shape_symmetry(box(*size))
     assert not found.continuous
     assert len(found.discrete) + 1 == order
+
+
+MIDDLE, X, Z = (0.0, 0.0, 0.0), (1.0, 0.0, 0.0), (0.0, 0.0, 1.0)
+
+
+@pytest.mark.parametrize(
+    ("turns", "size", "order"),
+    [
+        ([(Z, MIDDLE, 2)], None, 2),
+        ([(Z, MIDDLE, 7)], None, 7),
+        ([(Z, MIDDLE, 2), (X, MIDDLE, 2)], (0.06, 0.04, 0.1), 4),
+        ([(Z, MIDDLE, 4), (X, MIDDLE, 2)], (0.05, 0.05, 0.1), 8),
+        ([(Z, MIDDLE, 4), (X, MIDDLE, 4)], (0.05, 0.05, 0.05), 24)
+    ]
+)
+def test_turns_make_the_group_that_the_shape_has(turns, size, order):
+    """Orders of C2, C7, D2, D4 and O, and the motions that a search on the shape finds."""
+    made = turns_together(turns)
+    assert len(made) + 1 == order
+    if size is not None:
+        found = shape_symmetry(box(*size)).discrete
+        assert all(any(np.allclose(one, other, atol=1e-6) for other in found) for one in made)
+
+
+def test_turns_about_axes_that_miss_each_other_are_refused():
+    with pytest.raises(ValueError, match="check that their axes meet in one point"):
+        turns_together([(Z, MIDDLE, 2), (X, (0.0, 0.0, 0.1), 2), (Z, (0.1, 0.0, 0.0), 3)])
 
 
 def test_the_ring_turns_about_its_axis_but_not_upside_down():

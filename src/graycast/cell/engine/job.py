@@ -1,14 +1,15 @@
 """The tasks of workers, and their results."""
 
-from abc import ABC, abstractmethod
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Protocol, TypeVar, runtime_checkable
+from typing import ClassVar, Protocol, TypeVar, runtime_checkable
 
 import numba
 
 from ... import __version__
 from ...base.errors import DeviceError, GraycastError, WorkerDied
 from ...base.progress import UNWATCHED, ProgressMeter
+from ...world.parts import Part
 
 J = TypeVar("J", bound="Job")
 
@@ -55,27 +56,31 @@ class TaskRunner(Protocol):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Job(ABC):
+class Job:
     """A task that can be sent to a worker, which opens it to make its scenes.
 
     `device` is one that is there: 'auto' was settled before, so that all workers take the same. For
-    a cluster it may be 'auto'. `graycast` is the release.
+    a cluster it may be 'auto'. `graycast` is the release, and `MAKER` makes one of a job, with the
+    arguments of `open`.
     """
+
+    MAKER: ClassVar[Callable[..., TaskRunner]]
 
     seed: int
     device: str
     graycast: str = __version__
 
+    @property
+    def parts(self) -> Sequence[Part]:
+        """The kinds of parts that fall."""
+        return ()
+
     def on(self: J, device: str) -> J:
         """The same job on another device."""
         return replace(self, device=device)
 
-    @abstractmethod
     def open(
-        self,
-        *,
-        threads: int | None = None,
-        progress: ProgressMeter = UNWATCHED,
+        self, *, threads: int | None = None, progress: ProgressMeter = UNWATCHED
     ) -> TaskRunner:
         """A maker of the job's scenes in this process; close it after use.
 
@@ -83,3 +88,4 @@ class Job(ABC):
             threads: processor threads that it may use; None leaves them as they are.
             progress: hears what is done for each scene.
         """
+        return type(self).MAKER(self, threads=threads, progress=progress)

@@ -12,6 +12,7 @@ from ...base.usage import rss_bytes
 from ...camera.decode import mean_shares
 from ...dataset import scene_files
 from ...dataset.sample import LEAST_DECODED, Sample
+from ...world.parts import Part
 from ..resolve import Cell
 from ..simulate import Shot, make_images
 from .job import Job, Made
@@ -20,24 +21,15 @@ from .worker_renderer import KeptRenderer
 GPU_DEVICES = ("cuda", "optix")
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class SceneTask(Job):
-    """What a worker needs to know to make any scene of a dataset."""
-
-    cell: Cell
-    depth_scale_mm: float
-
-    def open(
-        self, *, threads: int | None = None, progress: ProgressMeter = UNWATCHED
-    ) -> "SceneMaker":
-        return SceneMaker(self, threads=threads, progress=progress)
-
-
 class SceneMaker:
     """Makes scenes of one task; opens its renderer for the first one and keeps it."""
 
     def __init__(
-        self, task: SceneTask, *, threads: int | None = None, progress: ProgressMeter = UNWATCHED
+        self,
+        task: "SceneTask",
+        *,
+        threads: int | None = None,
+        progress: ProgressMeter = UNWATCHED,
     ) -> None:
         self.task = task
         self._progress = progress
@@ -80,6 +72,20 @@ class SceneMaker:
         trace: TracebackType | None,
     ) -> None:
         self.close()
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SceneTask(Job):
+    """What a worker needs to know to make any scene of a dataset."""
+
+    MAKER = SceneMaker
+
+    cell: Cell
+    depth_scale_mm: float
+
+    @property
+    def parts(self) -> tuple[Part, ...]:
+        return self.cell.kinds
 
 
 def _decoded(shots: Iterable[Shot], manifests: list[Mapping[str, Any]]) -> Iterator[Sample]:

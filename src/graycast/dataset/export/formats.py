@@ -1,13 +1,14 @@
-"""From a dataset in BOP's form to any other form: the one place that knows which there are."""
+"""From a dataset in BOP's form to any other form."""
 
 from collections.abc import Callable, Iterable, Iterator
+from importlib import import_module
 from pathlib import Path
 
 from ...base.errors import GraycastError
 from ...base.folder import new_folder
 from ...base.progress import UNWATCHED, ProgressMeter
 from ..stored import StoredDataset, StoredScene, open_dataset
-from .options import Options
+from .options import FORMATS, Options
 from .record import ExportRecord, write_record
 from .selection import chosen_pictures
 
@@ -65,36 +66,9 @@ def export(
 
 
 def _writers(name: str) -> tuple[WriteSplit, WriteRest]:
-    match name:
-        case "coco":
-            from .coco import write_split
-
-            return write_split, _nothing
-        case "yolo":
-            from .yolo import write_rest, write_split
-
-            return write_split, write_rest
-        case "bop-imagewise":
-            from .bop_shards import write_imagewise, write_rest
-
-            return write_imagewise, write_rest
-        case "bop-webdataset":
-            from .bop_shards import write_rest, write_webdataset
-
-            return write_webdataset, write_rest
-        case "webdataset":
-            from .webdataset import write_split
-
-            return write_split, _nothing
-        case "parquet":
-            from .parquet import write_split
-
-            return write_split, _nothing
-        case "clouds":
-            from .clouds import write_split
-
-            return write_split, _nothing
-    raise ValueError(f"no writer for {name!r}")
+    module_name, _, function = FORMATS[name].writer.partition(".")
+    module = import_module(f".{module_name}", __package__)
+    return getattr(module, function), getattr(module, "write_rest", _nothing)
 
 
 def _nothing(folder: Path, splits: Iterable[str], stored: StoredDataset, options: Options) -> None:

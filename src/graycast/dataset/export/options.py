@@ -18,20 +18,63 @@ _CHOICES = {
     "cloud": ("ply", "pcd"),
     "pixel_origin": ("centre", "corner"),
 }
-FORMATS: Mapping[str, Mapping[str, Any]] = {
-    "coco": {
-        "image": "rgb", "depth": "none", "polygons": False, "link": False, "min_visibility": 0.0
-    },
-    "yolo": {"image": "rgb", "labels": "segments", "link": False, "min_visibility": 0.0},
-    "bop-imagewise": {
-        "image": "rgb", "depth": "perfect", "link": False, "pixel_origin": "centre"
-    },
-    "bop-webdataset": {
-        "image": "rgb", "depth": "perfect", "shard_scenes": 1000, "pixel_origin": "centre"
-    },
-    "webdataset": {"image": "rgb", "depth": "both", "shard_scenes": 500, "min_visibility": 0.0},
-    "parquet": {"image": "rgb", "depth": "both", "shard_scenes": 500, "min_visibility": 0.0},
-    "clouds": {"image": "rgb", "depth": "both", "cloud": "ply", "organised": False},
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Format:
+    """One format of exports.
+
+    `writer` is a module of this folder and its function that writes one set of the split; what
+    belongs to the dataset as a whole is written by the module's `write_rest`, if it has one.
+    `reader` is a module of `dataset/training` and its function that opens the examples of one set;
+    None for a format without labels. `options` are those of the format with their defaults.
+    """
+
+    writer: str
+    reader: str | None
+    options: Mapping[str, Any]
+
+
+FORMATS: Mapping[str, Format] = {
+    "coco": Format(
+        writer="coco.write_split",
+        reader="picture_folders.open_coco",
+        options={
+            "image": "rgb", "depth": "none", "polygons": False, "link": False, "min_visibility": 0.0
+        }
+    ),
+    "yolo": Format(
+        writer="yolo.write_split",
+        reader="picture_folders.open_yolo",
+        options={"image": "rgb", "labels": "segments", "link": False, "min_visibility": 0.0}
+    ),
+    "bop-imagewise": Format(
+        writer="bop_shards.write_imagewise",
+        reader="shard_examples.open_bop_imagewise",
+        options={"image": "rgb", "depth": "perfect", "link": False, "pixel_origin": "centre"}
+    ),
+    "bop-webdataset": Format(
+        writer="bop_shards.write_webdataset",
+        reader="shard_examples.open_bop_shards",
+        options={
+            "image": "rgb", "depth": "perfect", "shard_scenes": 1000, "pixel_origin": "centre"
+        }
+    ),
+    "webdataset": Format(
+        writer="webdataset.write_split",
+        reader="shard_examples.open_webdataset",
+        options={"image": "rgb", "depth": "both", "shard_scenes": 500, "min_visibility": 0.0}
+    ),
+    "parquet": Format(
+        writer="parquet.write_split",
+        reader="parquet_examples.open_parquet",
+        options={"image": "rgb", "depth": "both", "shard_scenes": 500, "min_visibility": 0.0}
+    ),
+    "clouds": Format(
+        writer="clouds.write_split",
+        reader=None,
+        options={"image": "rgb", "depth": "both", "cloud": "ply", "organised": False}
+    )
 }  # fmt: skip
 _PICTURE = {"rgb": "rgb", "gray": "gray_sl"}
 _DEPTHS = {
@@ -76,10 +119,10 @@ class Options:
         if self.format not in FORMATS:
             raise GraycastError(f"format is {self.format!r}: choose one of {', '.join(FORMATS)}")
         for name in self.own_names():
-            if name not in FORMATS[self.format]:
+            if name not in FORMATS[self.format].options:
                 raise GraycastError(
                     f"{self.format} has no option {name}: remove it; the options are "
-                    f"{', '.join(FORMATS[self.format])}"
+                    f"{', '.join(FORMATS[self.format].options)}"
                 )
         for name, allowed in _CHOICES.items():
             if name == "depth" and self.format.startswith("bop"):
@@ -106,7 +149,7 @@ class Options:
         Raises:
             GraycastError: the dataset lacks what was said.
         """
-        chosen = dict(FORMATS[self.format]) | {
+        chosen = dict(FORMATS[self.format].options) | {
             name: getattr(self, name) for name in self.own_names()
         }
         holds = stored.holds

@@ -61,7 +61,7 @@ def write_record(
     folder: Path, stored: StoredDataset, options: Options, splits: dict[str, list[int]]
 ) -> ExportRecord:
     """Write `export.json`; its options are those in force."""
-    settings = {name: getattr(options, name) for name in FORMATS[options.format]}
+    settings = {name: getattr(options, name) for name in FORMATS[options.format].options}
     record = ExportRecord(
         format=options.format,
         options=settings | {"shares": list(options.split.shares), "split_seed": options.split.seed},

@@ -3,6 +3,7 @@
 import hashlib
 from collections.abc import Iterable
 from dataclasses import dataclass
+from itertools import count
 
 from ...base.errors import GraycastError
 
@@ -41,6 +42,15 @@ class Split:
         last = NAMES[max(i for i, share in enumerate(self.shares) if share > 0)]
         return "train" if at < train else "val" if at < train + val else last
 
+    def least(self) -> int:
+        """How many scenes, counted from scene 0, give each set with a share at least one."""
+        wanted = {name for name, share in zip(NAMES, self.shares, strict=True) if share > 0}
+        for scene_id in count():
+            wanted.discard(self.place(scene_id))
+            if not wanted:
+                break
+        return scene_id + 1
+
     def assign(self, image_ids: Iterable[int], *, images: int = 1) -> dict[str, list[int]]:
         """The pictures of every set that has a share, in their order; a scene stays together.
 
@@ -57,10 +67,11 @@ class Split:
             sets[self.place(image_id // images)].append(image_id)
         for name, ids in sets.items():
             if not ids:
-                count = sum(map(len, sets.values())) // images
+                scenes = sum(map(len, sets.values())) // images
                 raise GraycastError(
-                    f"split: {name} gets none of the {count} scenes: make more scenes, or give "
-                    "larger shares or another seed"
+                    f"split: {name} gets none of the {scenes} scenes: the first {self.least()} "
+                    "scenes of a dataset have some for each set; make so many, or give larger "
+                    "shares or another seed"
                 )
         return sets
 

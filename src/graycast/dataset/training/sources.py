@@ -4,11 +4,13 @@ from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
+from importlib import import_module
 from pathlib import Path
 from typing import final, overload
 
 from ...base.errors import DatasetError
 from ..example import Example
+from ..export.options import FORMATS
 from ..export.record import RECORD, read_record
 from ..export.split import Split
 from ..places import CLAIM
@@ -146,32 +148,11 @@ def _of_set(folder: Path, sets: Mapping[str, Sequence[int]], split: str) -> tupl
 
 
 def _reader(name: str) -> Callable[..., ReadOne]:
-    match name:
-        case "coco":
-            from .picture_folders import open_coco
-
-            return open_coco
-        case "yolo":
-            from .picture_folders import open_yolo
-
-            return open_yolo
-        case "bop-imagewise":
-            from .shard_examples import open_bop_imagewise
-
-            return open_bop_imagewise
-        case "bop-webdataset":
-            from .shard_examples import open_bop_shards
-
-            return open_bop_shards
-        case "webdataset":
-            from .shard_examples import open_webdataset
-
-            return open_webdataset
-        case "parquet":
-            from .parquet_examples import open_parquet
-
-            return open_parquet
-    raise DatasetError(
-        f"an export as {name} holds points but no labels: train from the dataset or from another "
-        "export"
-    )
+    reader = FORMATS[name].reader
+    if reader is None:
+        raise DatasetError(
+            f"an export as {name} holds points but no labels: train from the dataset or from "
+            "another export"
+        )
+    module, _, function = reader.partition(".")
+    return getattr(import_module(f".{module}", __package__), function)

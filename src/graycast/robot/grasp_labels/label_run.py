@@ -7,7 +7,7 @@ from pathlib import Path
 
 from ...base.progress import UNWATCHED, ProgressMeter
 from ...base.usage import rss_bytes
-from ...cell.engine import Failed, Job, Made, keep_to_threads, make_each, open_pool
+from ...cell.engine import Failed, Job, Made, Workers, keep_to_threads, make_missing
 from ...dataset.stored import StoredDataset, open_dataset
 from .label_files import open_labels, scene_json
 from .label_options import Labelling
@@ -15,27 +15,10 @@ from .scene_labels import label_scene
 from .stored_world import GraspWorld, Stock, make_world, read_heap, read_stock
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class LabelTask(Job):
-    """What a worker needs to know to label any scene of a dataset; it needs no light."""
-
-    dataset: StoredDataset
-    stock: Stock
-    labelling: Labelling
-
-    def open(
-        self,
-        *,
-        threads: int | None = None,
-        progress: ProgressMeter = UNWATCHED,
-    ) -> "SceneLabeller":
-        return SceneLabeller(self, threads=threads, progress=progress)
-
-
 class SceneLabeller:
     """Labels scenes of one task; places are looked for once, for the first."""
 
-    def __init__(self, task: LabelTask, *, threads: int | None, progress: ProgressMeter) -> None:
+    def __init__(self, task: "LabelTask", *, threads: int | None, progress: ProgressMeter) -> None:
         self._task, self._threads, self._progress = task, threads, progress
         self._world: GraspWorld | None = None
 
@@ -72,6 +55,17 @@ class SceneLabeller:
 
     def close(self) -> None:
         self._world = None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class LabelTask(Job):
+    """What a worker needs to know to label any scene of a dataset; it needs no light."""
+
+    MAKER = SceneLabeller
+
+    dataset: StoredDataset
+    stock: Stock
+    labelling: Labelling
 
 
 def label_dataset(
@@ -111,17 +105,12 @@ def label_dataset(
         on_made(scene.key, made)
 
     with open_labels(dataset, name, labelling, seed) as out:
-        todo = [k for k, scene in enumerate(scenes) if not out.of(scene).exists()]
-        progress.count("scenes", len(scenes) - len(todo), len(scenes))
-        if not todo:
-            return ()
-        task = LabelTask(dataset=dataset, stock=stock, labelling=labelling, seed=seed, device="cpu")
-        pool = open_pool(task, workers=min(workers, len(todo)), progress=progress)
-        lost = make_each(
-            pool,
-            todo,
+        lost = make_missing(
+            LabelTask(dataset=dataset, stock=stock, labelling=labelling, seed=seed, device="cpu"),
+            [k for k, scene in enumerate(scenes) if not out.of(scene).exists()],
             what="scenes",
             total=len(scenes),
+            workers=Workers(count=workers),
             progress=progress,
             on_made=keep,
             on_failed=lambda failed: on_failed(scenes[failed.scene_id].key, failed),

@@ -7,43 +7,18 @@ from pathlib import Path
 
 from ...base.progress import UNWATCHED, ProgressMeter
 from ...base.usage import rss_bytes
-from ...cell.engine import Failed, Job, KeptRenderer, Made, make_each, open_pool
-from ...cell.generate import Workers
-from ...render import choose_device
-from ...world.drop import prepare
+from ...cell.engine import ALONE, Failed, Job, KeptRenderer, Made, Workers, make_missing
+from ...world.parts import Part
 from .episode import empty_bin
 from .pick_files import episode_files, open_picks
 from .ready import Ready, make_ready
 from .robot_cell import PickCell
 
-ALONE = Workers()
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class PickTask(Job):
-    """What a worker needs to know to empty any bin of a cell."""
-
-    cell: PickCell
-
-    def open(
-        self,
-        *,
-        threads: int | None = None,
-        progress: ProgressMeter = UNWATCHED,
-    ) -> "BinEmptier":
-        return BinEmptier(self, threads=threads, progress=progress)
-
 
 class BinEmptier:
     """Empties bins of one task; renderer and robot are opened for the first one and kept."""
 
-    def __init__(
-        self,
-        task: PickTask,
-        *,
-        threads: int | None,
-        progress: ProgressMeter,
-    ) -> None:
+    def __init__(self, task: "PickTask", *, threads: int | None, progress: ProgressMeter) -> None:
         self._task, self._progress = task, progress
         self._kept = KeptRenderer(device=task.device, threads=threads, progress=progress)
         self._ready: Ready | None = None
@@ -76,6 +51,19 @@ class BinEmptier:
         self._kept.close()
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PickTask(Job):
+    """What a worker needs to know to empty any bin of a cell."""
+
+    MAKER = BinEmptier
+
+    cell: PickCell
+
+    @property
+    def parts(self) -> tuple[Part, ...]:
+        return self.cell.cell.scene.parts
+
+
 def pick_bins(
     cell: PickCell,
     out: Path,
@@ -103,8 +91,7 @@ def pick_bins(
         DeviceError: no such device here.
         GraycastError, ValueError: nothing came out, for this reason.
     """
-    backend = cell.config.render.backend
-    chosen = device if workers.engine == "ray" else choose_device(backend, device)
+    chosen = workers.device(cell.config.render.backend, device)
     task = PickTask(cell=cell, seed=seed, device=chosen)
 
     def keep(made: Made) -> None:
@@ -113,24 +100,12 @@ def pick_bins(
 
     with open_picks(out, cell, seed=seed) as folder:
         found = folder.finished()
-        todo = [bin_id for bin_id in range(bins) if bin_id not in found]
-        progress.count("bins", bins - len(todo), bins)
-        if not todo:
-            return ()
-        prepare(cell.cell.scene.parts, progress=progress)  # once, not by every worker
-        pool = open_pool(
+        return make_missing(
             task,
-            engine=workers.engine,
-            workers=min(workers.count, len(todo)),
-            threads=workers.threads,
-            address=workers.address,
-            progress=progress,
-        )
-        return make_each(
-            pool,
-            todo,
+            [bin_id for bin_id in range(bins) if bin_id not in found],
             what="bins",
             total=bins,
+            workers=workers,
             progress=progress,
             on_made=keep,
             on_failed=on_failed,

@@ -12,10 +12,9 @@ from ...base.usage import rss_bytes
 from ...camera.picture import gray_picture
 from ...camera.scanner import measure, scan_seconds, take
 from ...cell.config import resolve_quality
-from ...cell.engine import Failed, Job, KeptRenderer, Made, make_each, open_pool
-from ...cell.generate import Workers
-from ...render import Rendering, choose_device
-from ...world.drop import prepare
+from ...cell.engine import ALONE, Failed, Job, KeptRenderer, Made, Workers, make_missing
+from ...render import Rendering
+from ...world.parts import Part
 from .fate_picture import picture_png
 from .heap import Heap, make_heap
 from .point_fates import figures, judge, view_of
@@ -23,43 +22,11 @@ from .result_files import heap_files, open_design
 from .setting import Placed, Setting, lights_of, place_settings, settings_of
 from .study import DesignSpec
 
-ALONE = Workers()
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class DesignTask(Job):
-    """What a worker needs to know: with n lights its scene k is heap `k // n` in light `k % n`.
-
-    Heap by heap, so that a worker holds one of them and a stopped study has some of each setting.
-    """
-
-    spec: DesignSpec
-    lights: tuple[tuple[Placed, ...], ...]
-
-    def named(self, scene_id: int) -> tuple[tuple[Placed, ...], int]:
-        """The settings of a scene, which share their light, and the number of its heap."""
-        layout, light = divmod(scene_id, len(self.lights))
-        return self.lights[light], layout
-
-    def open(
-        self,
-        *,
-        threads: int | None = None,
-        progress: ProgressMeter = UNWATCHED,
-    ) -> "Comparer":
-        return Comparer(self, threads=threads, progress=progress)
-
 
 class Comparer:
     """Scans heaps of one study; the renderer and the heaps of each bin are kept."""
 
-    def __init__(
-        self,
-        task: DesignTask,
-        *,
-        threads: int | None,
-        progress: ProgressMeter,
-    ) -> None:
+    def __init__(self, task: "DesignTask", *, threads: int | None, progress: ProgressMeter) -> None:
         self._task, self._progress = task, progress
         self._kept = KeptRenderer(device=task.device, threads=threads, progress=progress)
         self._heaps: dict[tuple[str | None, int], Heap] = {}
@@ -134,6 +101,28 @@ class Comparer:
         self._kept.close()
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class DesignTask(Job):
+    """What a worker needs to know: with n lights its scene k is heap `k // n` in light `k % n`.
+
+    Heap by heap, so that a worker holds one of them and a stopped study has some of each setting.
+    """
+
+    MAKER = Comparer
+
+    spec: DesignSpec
+    lights: tuple[tuple[Placed, ...], ...]
+
+    @property
+    def parts(self) -> tuple[Part, ...]:
+        return self.lights[0][0].cell.scene.parts
+
+    def named(self, scene_id: int) -> tuple[tuple[Placed, ...], int]:
+        """The settings of a scene, which share their light, and the number of its heap."""
+        layout, light = divmod(scene_id, len(self.lights))
+        return self.lights[light], layout
+
+
 def run_design(
     spec: DesignSpec,
     out: Path,
@@ -161,8 +150,7 @@ def run_design(
         GraycastError, ValueError: nothing came out, for this reason.
     """
     placed = place_settings(spec, settings_of(spec), progress=progress)
-    backend = placed[0].cell.config.render.backend
-    chosen = device if workers.engine == "ray" else choose_device(backend, device)
+    chosen = workers.device(placed[0].cell.config.render.backend, device)
     task = DesignTask(spec=spec, lights=lights_of(placed), seed=spec.seed, device=chosen)
 
     def named(scene_id: int) -> tuple[str, int]:
@@ -176,29 +164,13 @@ def run_design(
     with open_design(out) as folder:
         for one in placed:
             folder.claim(one, one.described(spec))
-        todo = [
-            scene_id
-            for scene_id in range(len(task.lights) * spec.layouts)
-            if not _all_there(folder.finished, *task.named(scene_id))
-        ]
-        total = len(task.lights) * spec.layouts
-        progress.count("scans", total - len(todo), total)
-        if not todo:
-            return ()
-        prepare(placed[0].cell.scene.parts, progress=progress)  # once, not by every worker
-        pool = open_pool(
+        scene_ids = range(len(task.lights) * spec.layouts)
+        lost = make_missing(
             task,
-            engine=workers.engine,
-            workers=min(workers.count, len(todo)),
-            threads=workers.threads,
-            address=workers.address,
-            progress=progress,
-        )
-        lost = make_each(
-            pool,
-            todo,
+            [k for k in scene_ids if not _all_there(folder.finished, *task.named(k))],
             what="scans",
-            total=total,
+            total=len(scene_ids),
+            workers=workers,
             progress=progress,
             on_made=keep,
             on_failed=lambda failed: on_failed(*named(failed.scene_id), failed),

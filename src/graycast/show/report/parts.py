@@ -14,7 +14,7 @@ from ...render import Quality, Renderer
 from ...render.denoise import denoise
 from ...rig.optics import Optics
 from ...rig.pair import Rig
-from ...world.parts import Material, Mesh, Part, Symmetry
+from ...world.parts import Material, Mesh, Part, Symmetry, mass_kg
 from ...world.scene import Environment, Lamp, Layout, Quad, Scene
 from .preview import DPI, pixel_axes
 
@@ -194,17 +194,6 @@ def _rig() -> Rig:
 
 
 # --- words -------------------------------------------------------------------------------------
-
-
-def mass_kg(part: Part) -> float:
-    """Mass of the part as a solid: density times the volume that its mesh encloses.
-
-    Source: divergence theorem; the signed volumes of tetrahedra from the origin to each face.
-    """
-    corner = part.mesh.vertices_m[part.mesh.faces] - part.mesh.bounds_m[0]
-    a, b, c = np.moveaxis(corner, 1, 0)
-    volume_m3 = np.einsum("fi,fi->", a, np.cross(b, c)) / 6
-    return float(part.density_kg_m3 * volume_m3)
 
 
 def _size_words(mesh: Mesh) -> str:

@@ -3,6 +3,7 @@
 from .builtin import BUILTIN, builtin_part
 from .meshfile import load_mesh, load_part
 from .part import Material, Mesh, Part, Symmetry
+from .size import mass_kg, size_notes
 
 __all__ = [
     "BUILTIN",
@@ -13,4 +14,6 @@ __all__ = [
     "builtin_part",
     "load_mesh",
     "load_part",
+    "mass_kg",
+    "size_notes",
 ]

@@ -37,14 +37,14 @@ def load_part(
     material: Material | None = None,
     density_kg_m3: float,
     friction: float,
-    symmetry: Symmetry,
+    symmetry: Symmetry | None = None,
 ) -> tuple[Part, tuple[str, ...]]:
     """A part from an OBJ, PLY, STL or GLB file.
 
     Args:
         path: as in `load_mesh`, and so are `unit` and `material`.
         name: of the part; None takes the file's name without its ending.
-        symmetry: in the file's own frame, lengths in metres.
+        symmetry: in the file's own frame, lengths in metres; None: the part has none.
 
     Returns:
         The part, and notes on the file that are no reason to refuse it, a sentence each.
@@ -62,7 +62,7 @@ def load_part(
         material=material,
         density_kg_m3=density_kg_m3,
         friction=friction,
-        symmetry=symmetry,
+        symmetry=symmetry or Symmetry(),
         source=path.name,
     )
     return part, findings

@@ -2,12 +2,12 @@
 
 from dataclasses import replace
 from pathlib import Path
-from typing import Literal
+from typing import Annotated, Literal
 
 import numpy as np
 from jaxtyping import UInt8
 from PIL import Image, UnidentifiedImageError
-from pydantic import Field, field_validator, model_validator
+from pydantic import BeforeValidator, Field, model_validator
 
 from ...base.errors import ConfigError
 from ...base.file_limits import refuse_large_picture
@@ -15,7 +15,8 @@ from ...base.frames import is_rigid
 from ...base.settings import Positive, Settings, Share, Vector
 from .builtin import BUILTIN, builtin_part
 from .meshfile import load_part
-from .part import Color, Material, Part, Roughness, Symmetry
+from .part import Color, Material, Mesh, Part, Roughness, Symmetry
+from .symmetry import joined, shape_symmetry, turns_together
 
 Unit = Literal["m", "cm", "mm", "inch"]
 
@@ -46,21 +47,57 @@ class MaterialSection(Settings):
     )
 
 
-class ContinuousSymmetry(Settings):
-    axis: Vector
-    point_m: Vector = (0.0, 0.0, 0.0)
+def _direction(axis: str | tuple[float, ...]) -> tuple[float, ...]:
+    """A unit vector, as datasets hold them; x, y and z are those of the mesh."""
+    if isinstance(axis, str):
+        return tuple(float(name == axis) for name in "xyz")
+    if not any(axis):
+        raise ValueError("an axis must have a direction, such as [0, 0, 1]")
+    return tuple((np.array(axis) / np.linalg.norm(axis)).tolist())
 
-    @field_validator("axis")
-    @classmethod
-    def _direction(cls, axis: Vector) -> Vector:
-        if not any(axis):
-            raise ValueError("an axis must have a direction, such as [0, 0, 1]")
-        x, y, z = np.array(axis) / np.linalg.norm(axis)  # datasets hold unit vectors
-        return float(x), float(y), float(z)
+
+# The direction of an axis: x, y or z of the mesh, or three numbers of any length.
+Direction = Annotated[
+    Vector, BeforeValidator(_direction, json_schema_input_type=Literal["x", "y", "z"] | Vector)
+]
+
+
+class ContinuousSymmetry(Settings):
+    """Any turn about an axis leaves the part the same."""
+
+    axis: Direction = Field(description="The axis: x, y or z of the mesh, or a direction.")
+    point_m: Vector = Field(
+        (0.0, 0.0, 0.0), description="A point on the axis, in metres in the frame of the mesh."
+    )
+
+
+class TurnSymmetry(Settings):
+    """So many equal turns about an axis make a full circle, and each leaves the part the same."""
+
+    axis: Direction = Field(description="The axis: x, y or z of the mesh, or a direction.")
+    fold: int = Field(
+        ge=2, le=120, description="The number of turns in a full circle: 2 is a half turn."
+    )
+    point_m: Vector | None = Field(
+        None,
+        description="A point on the axis, in metres in the frame of the mesh. Without this key, "
+        "it is the middle of the bounding box.",
+    )
 
 
 class SymmetrySection(Settings):
     """Rigid motions that leave the part looking the same, in its own frame."""
+
+    auto: bool = Field(
+        False,
+        description="Whether the symmetries of the shape are found. Use it if neither print nor "
+        "colour tells the sides of the part apart.",
+    )
+    turns: tuple[TurnSymmetry, ...] = Field(
+        (),
+        description="The discrete symmetries as turns about axes, such as {axis: z, fold: 4}. "
+        "What several turns make together is added.",
+    )
 
     discrete: tuple[tuple[float, ...], ...] = Field(
         (),
@@ -104,7 +141,9 @@ class PartSection(Settings):
         None, description="The density of a solid mesh in kg/m^3; steel has 7800."
     )
     friction: float | None = Field(None, ge=0)
-    symmetry: SymmetrySection | None = None
+    symmetry: SymmetrySection | None = Field(
+        None, description="The motions that leave the part looking the same."
+    )
 
     @model_validator(mode="after")
     def _one_source(self) -> "PartSection":
@@ -139,19 +178,30 @@ def _unscaled(section: PartSection, folder: Path) -> tuple[Part, tuple[str, ...]
             friction=own.friction if section.friction is None else section.friction,
         ), ()
     assert section.mesh is not None  # the section has one of the two
-    symmetry = section.symmetry or SymmetrySection()
-    return load_part(
+    part, noticed = load_part(
         folder / section.mesh,
         name=section.name,
         unit=section.unit,
         material=material,
         density_kg_m3=section.density_kg_m3 or 1000.0,
         friction=0.4 if section.friction is None else section.friction,
-        symmetry=Symmetry(
-            discrete=tuple(np.reshape(matrix, (4, 4)) for matrix in symmetry.discrete),
-            continuous=tuple((s.axis, s.point_m) for s in symmetry.continuous),
-        ),
     )
+    return replace(part, symmetry=_symmetry(section.symmetry, part.mesh)), noticed
+
+
+def _symmetry(section: SymmetrySection | None, mesh: Mesh) -> Symmetry:
+    if section is None:
+        return Symmetry()
+    middle_m = tuple(mesh.bounds_m.mean(axis=0).tolist())
+    turns = [(turn.axis, turn.point_m or middle_m, turn.fold) for turn in section.turns]
+    stated = Symmetry(
+        discrete=(
+            *turns_together(turns),
+            *(np.reshape(matrix, (4, 4)) for matrix in section.discrete)
+        ),
+        continuous=tuple((s.axis, s.point_m) for s in section.continuous)
+    )
+    return joined(stated, shape_symmetry(mesh)) if section.auto else stated
 
 
 def resolve_material(section: MaterialSection, folder: Path) -> Material:

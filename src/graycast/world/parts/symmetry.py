@@ -1,5 +1,6 @@
 """Symmetries as sets of rigid motions, and the detection of the symmetry of a shape."""
 
+from collections.abc import Iterable
 from itertools import permutations, product
 
 import numpy as np
@@ -15,6 +16,7 @@ SHAPE_STEP = 0.04  # spacing of the points that a shape is compared by, as a sha
 SHAPE_TOLERANCE = 0.01  # a motion that moves the surface by less, as a share, leaves the shape
 LEFT = 0.98  # as a share of the points that have to be left on the surface
 FOLDS = (2, 3, 4, 5, 6, 8)  # turns by a full circle over these are tried
+MOST_MOTIONS = 120  # a solid with the most rotations, the icosahedron, has 60
 MANY = 36  # turns that a body of revolution has to bear
 # What each axis counts for in the choice of one pose of a symmetric part without a reference. With
 # equal weights the two poses of a part that a half turn maps to itself would be equally near to the
@@ -122,6 +124,34 @@ def shape_symmetry(mesh: Mesh) -> Symmetry:
         if not any(np.allclose(T, other, atol=1e-9) for other in found) and leaves(T):
             found.append(T)
     return Symmetry(discrete=tuple(found))
+
+
+def turns_together(
+    turns: Iterable[tuple[tuple[float, float, float], tuple[float, float, float], int]]
+) -> tuple[Float[np.ndarray, "4 4"], ...]:
+    """All motions but the identity that turns make one after the other, in any order.
+
+    Args:
+        turns: of each the axis, a point on it [m], and how many of them make a full circle.
+
+    Raises:
+        ValueError: they make more than `MOST_MOTIONS`; axes that miss each other never end.
+    """
+    steps = [
+        _turn(np.array(axis), np.array(point_m), 2 * np.pi / fold) for axis, point_m, fold in turns
+    ]
+    made = [np.eye(4)]
+    for motion in made:  # grows while it is read, until no step leads to a new one
+        for step in steps:
+            next_motion = step @ motion
+            if not any(np.allclose(next_motion, other, atol=1e-6) for other in made):
+                made.append(next_motion)
+        if len(made) > MOST_MOTIONS:
+            raise ValueError(
+                f"the turns together make more than {MOST_MOTIONS} motions: check that their axes "
+                "meet in one point, or give a continuous axis"
+            )
+    return tuple(made[1:])
 
 
 def joined(first: Symmetry, second: Symmetry) -> Symmetry:

@@ -1,8 +1,8 @@
-"""`python -m graycast.cli`."""
+"""`python -m graycast`."""
 
 import sys
 
-from .command import main
+from .cli import main
 
 if __name__ == "__main__":
     sys.exit(main())

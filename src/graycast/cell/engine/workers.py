@@ -1,0 +1,108 @@
+"""Who makes the scenes, and their pool: this process, others of this machine, or a cluster."""
+
+from collections.abc import Callable, Collection
+from dataclasses import dataclass
+
+from ...base.progress import UNWATCHED, ProgressMeter
+from ...render import choose_device
+from ...world.drop import prepare
+from .job import Job, Made
+from .pool import Failed, Pool, make_each
+
+MOST_THREADS = 1024  # Blender's own limit; tens of thousands end the process
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Workers:
+    """Who makes the scenes.
+
+    `engine` is 'local' or 'ray'. `count` scenes are made at a time: with 'local', 1 is this process
+    and more are processes of their own; with 'ray', 0 takes as many as the cluster has room for.
+    `threads` are processor threads per worker; None shares those of this machine among local
+    workers, and is one on Ray. `address` is that of a Ray cluster's head; None starts Ray here.
+    """
+
+    engine: str = "local"
+    count: int = 1
+    threads: int | None = None
+    address: str | None = None
+
+    def __post_init__(self) -> None:
+        if self.threads is not None and not 1 <= self.threads <= MOST_THREADS:
+            raise ValueError(
+                f"threads is {self.threads} per worker; give 1 to {MOST_THREADS}: more threads "
+                "than processors do not make a run faster"
+            )
+
+    def device(self, backend: str, wanted: str) -> str:
+        """The device on which all of them render; a cluster finds its own for 'auto'.
+
+        Raises:
+            DeviceError: no such device here.
+        """
+        return wanted if self.engine == "ray" else choose_device(backend, wanted)
+
+
+ALONE = Workers()
+
+
+def open_pool(
+    task: Job, workers: Workers = ALONE, *, scenes: int, progress: ProgressMeter = UNWATCHED
+) -> Pool:
+    """Workers for the scenes of a task, at most one for each scene; close the pool after use.
+
+    Args:
+        progress: hears of each scene what `make_scene` does, where this process makes all.
+
+    Raises:
+        GraycastError: Ray is not installed, or does not answer.
+        ValueError: no such engine.
+    """
+    count, threads = min(workers.count, scenes), workers.threads
+    match workers.engine:
+        case "local" if count == 1:
+            from .here import Here
+
+            return Here(task, threads=threads, progress=progress)
+        case "local":
+            from .local import LocalPool
+
+            return LocalPool(task, workers=count, threads=threads)
+        case "ray":
+            from .cluster import RayPool
+
+            return RayPool(task, workers=count, threads=threads or 1, address=workers.address)
+    raise ValueError(f"no engine {workers.engine!r}: choose 'local' or 'ray'")
+
+
+def make_missing(
+    task: Job,
+    missing: Collection[int],
+    *,
+    what: str,
+    total: int,
+    workers: Workers = ALONE,
+    progress: ProgressMeter,
+    on_made: Callable[[Made], None],
+    on_failed: Callable[[Failed], None]
+) -> tuple[int, ...]:
+    """Make the scenes that are missing, and hand over each; it raises what `make_each` raises.
+
+    The collision hulls of the job's parts are made first, once and not by every worker.
+
+    Returns:
+        The scenes that were given up.
+    """
+    progress.count(what, total - len(missing), total)
+    if not missing:
+        return ()
+    prepare(task.parts, progress=progress)
+    return make_each(
+        open_pool(task, workers, scenes=len(missing), progress=progress),
+        missing,
+        what=what,
+        total=total,
+        progress=progress,
+        on_made=on_made,
+        on_failed=on_failed
+    )

@@ -1,0 +1,46 @@
+"""What a part weighs, and whether size and weight are those of a part that a bin holds."""
+
+from collections.abc import Iterable
+
+import numpy as np
+
+from .part import Part
+
+# A gripper for bin picking lifts less; steel of this weight is a cube of 15 cm.
+HEAVIEST_KG = 30.0
+
+
+def mass_kg(part: Part) -> float:
+    """Mass of the part as a solid: density times the volume that its mesh encloses.
+
+    Source: divergence theorem; the signed volumes of tetrahedra from the origin to each face.
+    """
+    corner = part.mesh.vertices_m[part.mesh.faces] - part.mesh.bounds_m[0]
+    a, b, c = np.moveaxis(corner, 1, 0)
+    volume_m3 = np.einsum("fi,fi->", a, np.cross(b, c)) / 6
+    return float(part.density_kg_m3 * volume_m3)
+
+
+def size_notes(parts: Iterable[Part], inner_m: tuple[float, float, float]) -> tuple[str, ...]:
+    """Notes on parts that are longer than the bin's diagonal inside, or heavier than parts are.
+
+    Both mostly come from a wrong `unit` of a mesh, which no file of meshes states.
+
+    Args:
+        inner_m: length, width and height of the bin inside.
+    """
+    room_m = float(np.linalg.norm(inner_m))
+    notes = []
+    for part in parts:
+        longest_m, mass = float(part.mesh.extent_m.max()), mass_kg(part)
+        if longest_m > room_m:
+            why = (
+                f"is {1e3 * longest_m:.0f} mm long, and the diagonal of the bin is "
+                f"{1e3 * room_m:.0f} mm"
+            )
+        elif mass > HEAVIEST_KG:
+            why = f"is {1e3 * longest_m:.0f} mm long and weighs {mass:.0f} kg"
+        else:
+            continue
+        notes.append(f"the part {part.name} {why}: check its unit, and its density_kg_m3")
+    return tuple(notes)

@@ -1,0 +1,66 @@
+"""CONTRIBUTING.md names the files that a new thing touches: they exist, are few, and are all."""
+
+import ast
+import re
+from pathlib import Path
+from typing import get_args
+
+import pytest
+
+from graycast.cli import detecting, exporting
+from graycast.rig.pattern.spec import Codec
+
+ROOT = Path(__file__).resolve().parents[1]
+MOST_FILES = 3
+# The functions of codes are exported by their names, and light that Cycles stored is read apart.
+KNOWING = {"src/graycast/rig/pattern/__init__.py", "src/graycast/dataset/sense/light.py"}
+NAMES = {
+    "code": set(get_args(Codec)) - {"gray", "gray_phase"},  # "gray" also names pictures
+    "renderer": {"cycles"},
+    "detector": set(detecting.MODELS) - {"mask-rcnn"},  # the default of trainings
+    "exporter": set(exporting._FORMATS) - {"coco"},  # also the file that others' datasets have
+}
+KINDS = [*NAMES, "statistic of datasets"]
+
+
+def lines_on() -> dict[str, str]:
+    """The text on each kind of new thing."""
+    text = (ROOT / "CONTRIBUTING.md").read_text()
+    section = text.split("## Where new things go")[1].split("\n## ")[0]
+    found = re.findall(r"^- \*\*An? ([\w\- ]+)\*\*(.*?)(?=^- |\Z)", section, flags=re.M | re.S)
+    return dict(found)
+
+
+def files_for(kind: str) -> set[str]:
+    return set(re.findall(r"`(src/graycast/[\w/]+\.py)`", lines_on()[kind]))
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_new_thing_touches_three_files_at_most_and_they_exist(kind):
+    files = files_for(kind)
+    assert 1 <= len(files) <= MOST_FILES
+    assert all((ROOT / name).is_file() for name in files)
+
+
+def knowing(names: set[str]) -> set[str]:
+    """The files of the package that have one of these names as a text."""
+    found = set()
+    for path in (ROOT / "src").rglob("*.py"):
+        texts = {
+            n.value for n in ast.walk(ast.parse(path.read_text())) if isinstance(n, ast.Constant)
+        }
+        if names & {text for text in texts if isinstance(text, str)}:
+            found.add(path.relative_to(ROOT).as_posix())
+    return found
+
+
+@pytest.mark.parametrize("kind", NAMES)
+def test_no_other_file_knows_the_existing_ones_by_name(kind):
+    others = knowing(NAMES[kind]) - files_for(kind) - KNOWING
+    assert {name for name in others if "/render/cycles/" not in name} == set()
+
+
+def test_every_file_that_the_page_names_exists():
+    text = (ROOT / "CONTRIBUTING.md").read_text()
+    named = re.findall(r"`((?:src|tests|examples|configs|docs|benchmarks|studies)/[\w/.]+)`", text)
+    assert named and [name for name in named if not (ROOT / name).exists()] == []

@@ -28,6 +28,8 @@ from graycast.show.report import rig_picture as drawing
 from graycast.world.drop import Decomposition
 
 OPTIONS = {
+    "demo": "--out --device",
+    "new": "folder --part --builtin --unit --surface",
     "generate": (
         "config --out --scenes --seed --backend --device --workers --threads --engine --address"
     ),
@@ -285,7 +287,9 @@ def test_parts_lists_the_built_in_ones_or_those_of_a_configuration(capsys, made)
     assert "72 g" in own  # 72 cubic centimetres of the default density, 1000 kg/m3
     assert "toothpaste" not in own
     # Its diagonal is 78.1 mm, and one hull is the box itself.
-    assert "\n  box: 1, 0.00 mm (the bound is 0.78 mm)\n" in own and "note:" not in own
+    assert "\n  box: 1, 0.00 mm (the bound is 0.78 mm)\n" in own
+    # It has the three half turns of a box, and states none of them.
+    assert own.count("note: ") == 1 and "note: box states no symmetry" in own
 
 
 COARSE = "note: box: its collision hulls are too coarse: they are up to"

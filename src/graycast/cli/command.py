@@ -29,12 +29,15 @@ from . import (
     merging,
     picking,
     rigs,
+    starting,
     twinning,
 )
 
 COMMAND = "COMMAND"
 EXAMPLES = """\
 examples:
+  graycast demo                                          make a small dataset and its picture
+  graycast new bracket --part bracket.stl --unit mm      write a cell for your own part
   graycast generate configs/demo.yaml --out out/demo     make three scenes of brackets in a box
   graycast preview configs/own_part.yaml --out p.png     draw one scene of your own part
   graycast live configs/demo.yaml                        show a cell in the browser
@@ -120,6 +123,7 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--version", action="version", version=f"graycast {__version__}")
     parser.set_defaults(run=lambda _: parser.print_help(), debug=False, when_stopped="")
     commands = parser.add_subparsers(metavar=COMMAND)
+    starting.add_commands(commands)
     generating.add_commands(commands)
     datasets.add_commands(commands)
     looking.add_commands(commands)

@@ -1,0 +1,118 @@
+"""A commented configuration for one part: bin, number of parts and rig are fitted to its size."""
+
+from collections.abc import Mapping
+from itertools import product
+
+import numpy as np
+from scipy.spatial import ConvexHull
+
+from ..base.frames import inverse, transform_points
+from ..camera.scanner import preset
+from ..rig.optics import Optics, project
+from ..rig.pair import Rig
+from ..world.parts import Part, Symmetry
+from ..world.parts.symmetry import shape_symmetry
+from ..world.scene import Bin
+from .views import ViewSection, hang
+
+RIGS = ("phoxi-s", "phoxi-m", "phoxi-l")  # from the smallest field to the largest
+BIN_LENGTHS = 5.0  # length of the bin inside, in lengths of the part
+BIN_M = (0.12, 1.0)  # length of the smallest and of the largest bin
+PACKING = 0.5  # share of a full bin that lies within the convex hulls of its parts
+HEAP_SHARE = 1 / 3  # of the parts that would fill the bin
+MOST_PARTS = 60  # in a scene, since the time of a drop grows with them
+
+
+# What a configuration says of a surface, and a density [kg/m^3]. Reflectances are typical ones of
+# technical surfaces: a start, until the user knows those of the part.
+SURFACES: Mapping[str, tuple[str, int]] = {
+    "plastic": ("{base_color: [0.3, 0.3, 0.3], roughness: 0.5}", 1100),
+    "dark-plastic": ("{base_color: [0.04, 0.04, 0.04], roughness: 0.5}", 1100),
+    "steel": ("{base_color: [0.4, 0.4, 0.4], metallic: 1.0, roughness: 0.4}", 7850),
+    "aluminium": ("{base_color: [0.7, 0.7, 0.72], metallic: 1.0, roughness: 0.4}", 2700),
+    "card": ("{base_color: [0.5, 0.38, 0.25], roughness: 0.9, specular: 0.0}", 700),
+}
+
+
+def new_cell(name: str, part: Part, source: str, *, surface: str | None) -> str:
+    """The text of a configuration.
+
+    Args:
+        name: of the folder, for the commands in its first lines.
+        part: as it is read, to know its size.
+        source: the keys of `parts` that say where it comes from, a line each.
+        surface: one of `SURFACES`; None keeps the part's own material and density.
+    """
+    inner_m = bin_for(part)
+    rig_name, covers = rig_for(Bin(inner_m=inner_m))
+    full = max(1, round(PACKING * float(np.prod(inner_m)) / _hull_m3(part)))
+    most = int(np.clip(round(HEAP_SHARE * full), 3, MOST_PARTS))
+    keys = source.splitlines()
+    if surface is not None:
+        material, density_kg_m3 = SURFACES[surface]
+        keys.append(f"material: {material}   # {surface}; change it to that of your part")
+        keys.append(f"density_kg_m3: {density_kg_m3}")
+        if shape_symmetry(part.mesh) != Symmetry():
+            keys.append("symmetry: {auto: true}   # remove it if print or colour tells sides apart")
+    size = " x ".join(f"{1e3 * side:.0f}" for side in part.mesh.extent_m)
+    room = ", ".join(f"{side:.2f}" for side in inner_m)
+    field = "its field holds the bin" if covers else "the bin is larger than its field"
+    return f"""\
+# A cell for {part.name} ({size} mm). `graycast schema config` explains every key.
+#   graycast preview {name}/cell.yaml --out {name}/preview.png     draws one scene
+#   graycast live {name}/cell.yaml     shows the cell in a browser
+#   graycast generate {name}/cell.yaml --out {name}/dataset     makes the dataset
+parts:
+  - {f"{chr(10)}    ".join(keys)}
+
+count: [{max(1, most // 2)}, {most}]   # parts in a scene; about {full} fill the bin
+scenes: 10
+bin:
+  inner_m: [{room}]   # length, width and height inside
+rig: {rig_name}   # of {", ".join(RIGS)}: {field}
+resolution: low   # small, low or full
+"""
+
+
+def bin_for(part: Part) -> tuple[float, float, float]:
+    """Length, width and height inside of a bin for a part, in whole centimetres."""
+    length_m = float(np.clip(BIN_LENGTHS * part.mesh.extent_m.max(), *BIN_M))
+    length, width, height = (round(100 * length_m * share) / 100 for share in (1, 0.75, 0.375))
+    return length, width, height
+
+
+def rig_for(room: Bin) -> tuple[str, bool]:
+    """The first of `RIGS` that sees and lights the whole bin from where it hangs by default.
+
+    Returns:
+        Its name, and whether it does; otherwise it is the rig with the largest field.
+    """
+    for name in RIGS:
+        rig = preset(name).rig
+        if _sees(rig, room):
+            return name, True
+    return RIGS[-1], False
+
+
+def _sees(rig: Rig, room: Bin) -> bool:
+    length_m, width_m, height_m = room.inner_m
+    corner_m = np.array(
+        list(product((-length_m / 2, length_m / 2), (-width_m / 2, width_m / 2), (0, height_m)))
+    )
+    in_camera = transform_points(inverse(hang(ViewSection(), rig, room)), corner_m)
+    near_enough = (in_camera[:, 2] > rig.near_m) & (in_camera[:, 2] < rig.far_m)
+    in_projector = transform_points(inverse(rig.T_cam_proj), in_camera)
+    return bool(
+        near_enough.all()
+        and _inside(rig.camera, in_camera)
+        and _inside(rig.projector, in_projector)
+    )
+
+
+def _inside(optics: Optics, point_m: np.ndarray) -> bool:
+    x, y = project(optics, point_m).T
+    return bool(((x > 0) & (x < optics.width_px) & (y > 0) & (y < optics.height_px)).all())
+
+
+def _hull_m3(part: Part) -> float:
+    return float(ConvexHull(part.mesh.vertices_m).volume)

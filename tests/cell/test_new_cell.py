@@ -1,0 +1,81 @@
+"""A new cell fits its part: the configuration is read, the bin is in view, the heap has room."""
+
+from typing import get_args
+
+import numpy as np
+import pytest
+import trimesh
+
+from graycast.cell.config import load_config
+from graycast.cell.new_cell import RIGS, SURFACES, bin_for, new_cell, rig_for
+from graycast.cell.resolve import resolve_cell
+from graycast.cli import starting
+from graycast.cli.command import main
+from graycast.world.parts import builtin_part
+from graycast.world.parts.part_sections import Unit
+from graycast.world.scene import Bin
+
+
+def test_the_command_knows_the_surfaces_and_units_that_there_are():
+    assert (*SURFACES,) == starting.SURFACES and get_args(Unit) == starting.UNITS
+
+
+@pytest.mark.parametrize("surface", SURFACES)
+def test_a_new_cell_is_read_as_it_is_written(tmp_path, monkeypatch, surface):
+    monkeypatch.chdir(tmp_path)
+    trimesh.creation.box((0.02, 0.03, 0.06)).export(tmp_path / "block.stl")
+    words = ["new", "cell", "--part", "block.stl", "--unit", "m", "--surface", surface]
+    assert main(words) == 0
+    config = load_config(tmp_path / "cell/cell.yaml")
+    cell = resolve_cell(config, tmp_path / "cell")
+    (part,) = cell.scene.parts
+    assert part.density_kg_m3 == SURFACES[surface][1] and len(part.symmetry.discrete) == 3
+    assert cell.scene.bin.inner_m == (0.3, 0.22, 0.11) and cell.notes == ()
+    # A third of the blocks whose volume is half of the bin's, which is more than the most of 60.
+    least, most = config.count
+    full = 0.5 * 0.3 * 0.22 * 0.11 / (0.02 * 0.03 * 0.06)
+    assert most == round(round(full) / 3) and least == most // 2
+
+
+def test_the_rig_is_the_smallest_that_sees_the_bin():
+    chosen = [rig_for(Bin(inner_m=(s, 0.75 * s, 0.375 * s))) for s in (0.12, 0.3, 0.5, 0.9, 3.0)]
+    places = [RIGS.index(name) for name, _ in chosen]
+    assert places == sorted(places) and places[0] == 0 and places[-1] == len(RIGS) - 1
+    assert [covers for _, covers in chosen] == [True, True, True, True, False]
+
+
+@pytest.mark.parametrize(("longest_m", "length_m"), [(0.005, 0.12), (0.06, 0.3), (0.4, 1.0)])
+def test_a_bin_is_five_parts_long_within_what_bins_are(longest_m, length_m):
+    part = builtin_part("metal_workpiece_1")
+    part = part.scaled(longest_m / float(part.mesh.extent_m.max()))
+    np.testing.assert_allclose(bin_for(part), np.array([1, 0.75, 0.375]) * length_m, atol=0.0051)
+
+
+def test_a_built_in_part_keeps_its_own_surface():
+    part = builtin_part("toothpaste")
+    assert "material" not in new_cell("a", part, "builtin: toothpaste", surface=None)
+
+
+@pytest.mark.parametrize(
+    ("words", "wrong"),
+    [
+        (["new", "a", "--builtin", "nope"], "no built-in part 'nope': choose one of"),
+        (["new", "a", "--builtin", "toothpaste", "--unit", "mm"], "--unit belongs to a mesh"),
+        (["new", "a", "--part", "b.stl", "--unit", "mm"], "b.stl: there is no such file"),
+        (["new", ".", "--builtin", "toothpaste"], "is not empty: choose another folder"),
+    ],
+)
+def test_what_makes_no_cell_leaves_nothing(tmp_path, monkeypatch, capsys, words, wrong):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "there").touch()
+    assert main(words) == 1 and wrong in capsys.readouterr().err
+    assert [path.name for path in tmp_path.iterdir()] == ["there"]
+
+
+@pytest.mark.slow
+def test_the_demonstration_ends_with_a_picture_and_continues(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    assert main(["demo", "--device", "cpu"]) == 0
+    assert "Open graycast-demo/preview.png" in capsys.readouterr().out
+    assert len(list((tmp_path / "graycast-demo/dataset/train").iterdir())) == 3
+    assert main(["demo", "--device", "cpu"]) == 0  # what is made stays

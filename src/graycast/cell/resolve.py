@@ -227,7 +227,7 @@ def resolve_cell(config: Config, folder: Path, *, progress: ProgressMeter = UNWA
             *notes,
             *size_notes(parts, box.inner_m),
             *bin_notes,
-            *(domain.notes if domain else ())
+            *(domain.notes if domain else ()),
         ),
         file_digests=file_digests(config, folder),
         domain=domain,

@@ -63,7 +63,7 @@ def _design(options: argparse.Namespace) -> int:
             options.out,
             device=options.device,
             workers=workers,
-            on_made=report,
+            on_result=report,
             on_failed=failed,
             progress=bars,
         )

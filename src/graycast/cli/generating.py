@@ -101,7 +101,7 @@ def _generate(options: argparse.Namespace) -> int:
             device=options.device,
             workers=workers,
             progress=bars,
-            on_made=report,
+            on_result=report,
             on_failed=failed,
         )
     if summary.written or not (options.out / CARD).exists():

@@ -116,7 +116,7 @@ def _grasps(options: argparse.Namespace) -> int:
             seed=options.seed,
             files=options.files,
             workers=options.workers,
-            on_made=report,
+            on_result=report,
             on_failed=failed,
             progress=bars,
         )

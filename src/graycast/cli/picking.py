@@ -168,7 +168,7 @@ def _pick(options: argparse.Namespace) -> int:
             seed=seed,
             device=options.device,
             workers=workers,
-            on_made=report,
+            on_result=report,
             on_failed=failed,
             progress=bars,
         )

@@ -17,7 +17,7 @@ from graycast.learn.detect.training_pictures import (
     NO_AUGMENTATION,
     Augmentation,
     TrainingPictures,
-    collate
+    collate,
 )
 
 # pycocotools 2.0.11 has an array type from before NumPy 2, which NumPy asks it to mend.

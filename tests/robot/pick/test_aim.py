@@ -12,7 +12,7 @@ from graycast.robot.pick.aim import (
     best_first,
     covered_share,
     ranked,
-    spread
+    spread,
 )
 
 CAMERA = Optics(width_px=80, height_px=60, fx_px=100.0, fy_px=100.0, cx_px=39.5, cy_px=29.5)

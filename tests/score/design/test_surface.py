@@ -238,7 +238,7 @@ VISIBLE, OUTSIDE, BY_PARTS, BY_BIN = (
     Visibility.VISIBLE,
     Visibility.OUTSIDE,
     Visibility.BY_PARTS,
-    Visibility.BY_BIN
+    Visibility.BY_BIN,
 )
 
 

@@ -11,15 +11,7 @@ from graycast.base.frames import inverse, transform_points
 from graycast.render import open_renderer
 from graycast.rig.optics import project
 from graycast.show.report.parts import describe_parts, draw_parts, portrait_scene
-from graycast.world.parts import (
-    Material,
-    Mesh,
-    Part,
-    Symmetry,
-    builtin_part,
-    mass_kg,
-    size_notes
-)
+from graycast.world.parts import Material, Mesh, Part, Symmetry, builtin_part, mass_kg, size_notes
 
 
 def block(size_m, *, name="block", density_kg_m3=2000.0, material=None, symmetry=None, at=0.0):
@@ -69,8 +61,8 @@ def test_a_turned_ring_weighs_what_pappus_says():
     [
         ((0.04, 0.04, 0.09), None),
         ((0.4, 0.3, 0.1), "the part block is 400 mm long and weighs 94 kg: check its unit"),
-        ((0.01, 0.01, 0.53), "the part block is 530 mm long, and the diagonal of the bin is 520")
-    ]
+        ((0.01, 0.01, 0.53), "the part block is 530 mm long, and the diagonal of the bin is 520"),
+    ],
 )
 def test_a_part_in_the_wrong_unit_is_noted(size_m, note):
     notes = size_notes([block(size_m, density_kg_m3=7850.0)], (0.4, 0.3, 0.1428))

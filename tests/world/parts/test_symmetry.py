@@ -13,7 +13,7 @@ from graycast.world.parts.symmetry import (
     motions,
     nearest_member,
     shape_symmetry,
-    turns_together
+    turns_together,
 )
 
 
@@ -44,8 +44,8 @@ MIDDLE, X, Z = (0.0, 0.0, 0.0), (1.0, 0.0, 0.0), (0.0, 0.0, 1.0)
         ([(Z, MIDDLE, 7)], None, 7),
         ([(Z, MIDDLE, 2), (X, MIDDLE, 2)], (0.06, 0.04, 0.1), 4),
         ([(Z, MIDDLE, 4), (X, MIDDLE, 2)], (0.05, 0.05, 0.1), 8),
-        ([(Z, MIDDLE, 4), (X, MIDDLE, 4)], (0.05, 0.05, 0.05), 24)
-    ]
+        ([(Z, MIDDLE, 4), (X, MIDDLE, 4)], (0.05, 0.05, 0.05), 24),
+    ],
 )
 def test_turns_make_the_group_that_the_shape_has(turns, size, order):
     """Orders of C2, C7, D2, D4 and O, and the motions that a search on the shape finds."""

@@ -10,7 +10,7 @@ from typing import Any
 
 from ... import __version__
 from ...base.errors import GraycastError, WorkerDied
-from .job import Job, Made, TaskRunner
+from .job import Job, TaskResult, TaskRunner
 from .maker import GPU_DEVICES
 from .pool import Failed
 
@@ -60,7 +60,7 @@ class RayPool:
         job = self._make.remote(self._run, [self._task], scene_id, self._threads)
         self._running[job] = scene_id
 
-    def gather(self) -> Made | Failed:
+    def gather(self) -> TaskResult | Failed:
         (job, *_), _ = self._ray.wait(list(self._running), num_returns=1)
         scene_id = self._running.pop(job)
         try:
@@ -118,7 +118,7 @@ def _import_ray() -> Any:
 _maker: tuple[str, TaskRunner] | None = None  # Ray uses a worker process again; this stays in it
 
 
-def _make_on_node(run: str, task: list[Any], scene_id: int, threads: int) -> Made:
+def _make_on_node(run: str, task: list[Any], scene_id: int, threads: int) -> TaskResult:
     global _maker
     if _maker is None or _maker[0] != run:
         if _maker is not None:

@@ -15,7 +15,7 @@ J = TypeVar("J", bound="Job")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Made:
+class TaskResult:
     """A scene: its files as (path inside its folder, content), seconds, share of pixels per reason.
 
     `part_reasons` are the shares of the pixels that see parts, empty where none does. Of a bin that
@@ -50,7 +50,7 @@ def is_the_scenes_own(error: BaseException) -> bool:
 class TaskRunner(Protocol):
     """Makes one scene after the other, or one bin; close it after use."""
 
-    def make(self, scene_id: int) -> Made: ...
+    def make(self, scene_id: int) -> TaskResult: ...
 
     def close(self) -> None: ...
 

@@ -15,7 +15,7 @@ from ...dataset.sample import LEAST_DECODED, Sample
 from ...world.parts import Part
 from ..resolve import Cell
 from ..simulate import Shot, make_images
-from .job import Job, Made
+from .job import Job, TaskResult
 from .worker_renderer import KeptRenderer
 
 GPU_DEVICES = ("cuda", "optix")
@@ -35,7 +35,7 @@ class SceneMaker:
         self._progress = progress
         self._kept = KeptRenderer(device=task.device, threads=threads, progress=progress)
 
-    def make(self, scene_id: int) -> Made:
+    def make(self, scene_id: int) -> TaskResult:
         """One scene.
 
         Raises:
@@ -50,7 +50,7 @@ class SceneMaker:
                 task.cell, scene_id, seed=task.seed, renderer=renderer, progress=self._progress
             )
             files = tuple(scene_files(_decoded(shots, manifests), task.depth_scale_mm))
-        return Made(
+        return TaskResult(
             scene_id=scene_id,
             files=files,
             seconds=time.perf_counter() - start,

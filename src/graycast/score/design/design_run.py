@@ -12,7 +12,7 @@ from ...base.usage import rss_bytes
 from ...camera.picture import gray_picture
 from ...camera.scanner import measure, scan_seconds, take
 from ...cell.config import resolve_quality
-from ...cell.engine import ALONE, Failed, Job, KeptRenderer, Made, Workers, make_missing
+from ...cell.engine import ALONE, Failed, Job, KeptRenderer, TaskResult, Workers, make_missing
 from ...render import Rendering
 from ...world.parts import Part
 from .fate_picture import picture_png
@@ -31,7 +31,7 @@ class Comparer:
         self._kept = KeptRenderer(device=task.device, threads=threads, progress=progress)
         self._heaps: dict[tuple[str | None, int], Heap] = {}
 
-    def make(self, scene_id: int) -> Made:
+    def make(self, scene_id: int) -> TaskResult:
         """One heap in one light, by all codes and exposures.
 
         Raises:
@@ -59,7 +59,7 @@ class Comparer:
             if number == 0:
                 picture = picture_png(gray_picture(capture), view, heap.surface, fates)
             files += heap_files(name, number, record, picture)
-        return Made(
+        return TaskResult(
             scene_id=scene_id,
             files=tuple(files),
             seconds=time.perf_counter() - start,
@@ -129,7 +129,7 @@ def run_design(
     *,
     device: str = "auto",
     workers: Workers = ALONE,
-    on_made: Callable[[str, int, Made], None] = lambda name, layout, made: None,
+    on_result: Callable[[str, int, TaskResult], None] = lambda name, layout, result: None,
     on_failed: Callable[[str, int, Failed], None] = lambda name, layout, failed: None,
     progress: ProgressMeter = UNWATCHED,
 ) -> tuple[str, ...]:
@@ -138,7 +138,7 @@ def run_design(
     Args:
         out: the study's folder. The same study goes on in it, also with more settings or heaps.
         device: of the renderer.
-        on_made, on_failed: take results with the name of a rendering, and the number of its heap.
+        on_result, on_failed: take results with the name of a rendering, and the number of its heap.
 
     Returns:
         The renderings that could not be made, by name and heap.
@@ -157,9 +157,9 @@ def run_design(
         group, layout = task.named(scene_id)
         return _light_name(group), layout
 
-    def keep(made: Made) -> None:
-        folder.write(made.files)
-        on_made(*named(made.scene_id), made)
+    def keep(result: TaskResult) -> None:
+        folder.write(result.files)
+        on_result(*named(result.scene_id), result)
 
     with open_design(out) as folder:
         for one in placed:
@@ -172,7 +172,7 @@ def run_design(
             total=len(scene_ids),
             workers=workers,
             progress=progress,
-            on_made=keep,
+            on_result=keep,
             on_failed=lambda failed: on_failed(*named(failed.scene_id), failed),
         )
     return tuple("{}/{:03d}".format(*named(scene_id)) for scene_id in lost)

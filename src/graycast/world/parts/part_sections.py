@@ -197,9 +197,9 @@ def _symmetry(section: SymmetrySection | None, mesh: Mesh) -> Symmetry:
     stated = Symmetry(
         discrete=(
             *turns_together(turns),
-            *(np.reshape(matrix, (4, 4)) for matrix in section.discrete)
+            *(np.reshape(matrix, (4, 4)) for matrix in section.discrete),
         ),
-        continuous=tuple((s.axis, s.point_m) for s in section.continuous)
+        continuous=tuple((s.axis, s.point_m) for s in section.continuous),
     )
     return joined(stated, shape_symmetry(mesh)) if section.auto else stated
 

@@ -127,7 +127,7 @@ def shape_symmetry(mesh: Mesh) -> Symmetry:
 
 
 def turns_together(
-    turns: Iterable[tuple[tuple[float, float, float], tuple[float, float, float], int]]
+    turns: Iterable[tuple[tuple[float, float, float], tuple[float, float, float], int]],
 ) -> tuple[Float[np.ndarray, "4 4"], ...]:
     """All motions but the identity that turns make one after the other, in any order.
 
@@ -140,18 +140,18 @@ def turns_together(
     steps = [
         _turn(np.array(axis), np.array(point_m), 2 * np.pi / fold) for axis, point_m, fold in turns
     ]
-    made = [np.eye(4)]
-    for motion in made:  # grows while it is read, until no step leads to a new one
+    motions = [np.eye(4)]
+    for motion in motions:  # grows while it is read, until no step leads to a new one
         for step in steps:
             next_motion = step @ motion
-            if not any(np.allclose(next_motion, other, atol=1e-6) for other in made):
-                made.append(next_motion)
-        if len(made) > MOST_MOTIONS:
+            if not any(np.allclose(next_motion, other, atol=1e-6) for other in motions):
+                motions.append(next_motion)
+        if len(motions) > MOST_MOTIONS:
             raise ValueError(
                 f"the turns together make more than {MOST_MOTIONS} motions: check that their axes "
                 "meet in one point, or give a continuous axis"
             )
-    return tuple(made[1:])
+    return tuple(motions[1:])
 
 
 def joined(first: Symmetry, second: Symmetry) -> Symmetry:

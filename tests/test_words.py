@@ -27,7 +27,7 @@ REMAINING = {
     "made": 2,
     "made_by": 1,
     "made_up": 1,
-    "seen": 7,
+    "seen": 8,
     "seen_m": 1,
     "seen_px": 2,
     "shown": 8,

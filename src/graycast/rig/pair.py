@@ -347,11 +347,11 @@ def common_depths_m(
     """
     grid = pixel_grid(33, 33) / 32 * [camera.width_px - 1, camera.height_px - 1]
     ray = rays(camera, grid)
-    is_common = []
+    seen = []
     for z_m in depth_m:
         place_px = project(projector, transform_points(inverse(T_cam_proj), z_m * ray))
-        is_common.append(in_picture(projector, place_px).any())
-    return depth_m[np.array(is_common, dtype=bool)]
+        seen.append(in_picture(projector, place_px).any())
+    return depth_m[np.array(seen, dtype=bool)]
 
 
 def place(

@@ -103,6 +103,11 @@ def load_cell(options: argparse.Namespace):
     """Load the cell of `config` with the renderer of `--backend`; print its notes."""
     from ..cell.config import load_config
 
+    if not options.config.exists():
+        raise GraycastError(
+            f"{options.config}: no such file: check the path, or write a configuration with "
+            "'graycast new'; 'graycast demo' needs none"
+        )
     return resolve_cell_option(load_config(options.config), options)
 
 

@@ -22,7 +22,7 @@ from ...dataset.detections import WEIGHTS, Detections
 from ...dataset.example import Example
 from ...real.depth_sense import refuse_beyond
 from .encoding import Encoding, encoding_from
-from .network import NetOutput, Network
+from .network import NetworkOutput, Network
 from .networks import open_network
 
 ONE_CLASS = "part"  # what all parts are to a detector that does not tell them apart
@@ -163,14 +163,18 @@ class Detector:
 
     def answer(
         self, image: Float32[torch.Tensor, "1 c h w"], *, most: int, least_score: float
-    ) -> NetOutput:
+    ) -> NetworkOutput:
         """The answer of the network in pixels of its input, with the device's precision."""
         with torch.inference_mode(), autocast(self.device), without_denormals():
             return self.network.find(image, most=most, least_score=least_score)[0]
 
 
 def _detections(
-    found: NetOutput, scene_id: int, obj_ids: np.ndarray, picture_px: tuple[int, int], scale: float
+    found: NetworkOutput,
+    scene_id: int,
+    obj_ids: np.ndarray,
+    picture_px: tuple[int, int],
+    scale: float,
 ) -> Detections:
     """In the pixels of the picture, cut at its edges; what is empty there is left out."""
     height_px, width_px = picture_px

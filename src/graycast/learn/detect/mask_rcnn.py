@@ -22,7 +22,7 @@ from torchvision.ops import FeaturePyramidNetwork, MultiScaleRoIAlign
 from torchvision.ops.feature_pyramid_network import LastLevelMaxPool
 
 from .backbones import open_backbone
-from .network import NetOutput, Recipe, Target
+from .network import NetworkOutput, Recipe, Target
 
 DEFAULT_BACKBONE = "resnet18"
 _PYRAMID = 128
@@ -92,7 +92,7 @@ class MaskRcnn(nn.Module):
     @torch.no_grad()
     def find(
         self, image: Float[Tensor, "b c h w"], *, most: int, least_score: float
-    ) -> list[NetOutput]:
+    ) -> list[NetworkOutput]:
         self.rpn.eval(), self.heads.eval()
         images, maps = self._maps(image)
         self.heads.detections_per_img = most
@@ -102,7 +102,7 @@ class MaskRcnn(nn.Module):
         results, _ = self.heads(maps, proposals, images.image_sizes)
         size = image.shape[-2:]
         return [
-            NetOutput(
+            NetworkOutput(
                 box=result["boxes"],
                 label=result["labels"] - 1,
                 score=result["scores"],

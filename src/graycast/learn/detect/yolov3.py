@@ -17,7 +17,7 @@ from torch.nn.functional import binary_cross_entropy_with_logits, interpolate
 from torchvision.ops import box_iou
 
 from .backbones import Convolution, open_backbone
-from .network import NetOutput, Recipe, Target
+from .network import NetworkOutput, Recipe, Target
 from .suppression import best_boxes
 
 # Width and height in pixels of a picture of 416 x 416, from the coarsest scale to the finest: the
@@ -88,7 +88,7 @@ class Yolov3(nn.Module):
     @torch.no_grad()
     def find(
         self, image: Float[Tensor, "b c h w"], *, most: int, least_score: float
-    ) -> list[NetOutput]:
+    ) -> list[NetworkOutput]:
         """Boxes of all scales, each once."""
         raw = self(image)
         anchor, stride = self._anchors(image)

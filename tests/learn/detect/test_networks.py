@@ -8,7 +8,7 @@ import pytest
 torch = pytest.importorskip("torch", reason="needs torch: pip install 'graycast[detect]'")
 
 from graycast.base.errors import GraycastError
-from graycast.learn.detect.network import NetworkOutput, Network
+from graycast.learn.detect.network import Network, NetworkOutput
 from graycast.learn.detect.networks import MODELS, open_network
 
 from .shapes import CLASSES, ap50, drawn_pictures

@@ -235,7 +235,7 @@ def _bop_example(place: tuple[tuple[SceneFolder, int], ...], number: int) -> Exa
         infos = scene.of_instances("scene_gt_info", image, AnyInfo)
         camera = scene.of_image("scene_camera", image, _View)
         rgb, gray, steps = (scene.picture(kind, image) for kind in ("rgb", "gray", "depth"))
-        size = next((image.shape[:2] for image in (rgb, gray, steps) if image is not None), None)
+        size = next((array.shape[:2] for array in (rgb, gray, steps) if array is not None), None)
         if size is None:
             raise Unreadable(f"image {image} has no rgb, gray or depth")
         if len(poses) != len(infos):

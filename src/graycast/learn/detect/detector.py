@@ -22,7 +22,7 @@ from ...dataset.detections import WEIGHTS, Detections
 from ...dataset.example import Example
 from ...real.depth_sense import refuse_beyond
 from .encoding import Encoding, encoding_from
-from .network import NetworkOutput, Network
+from .network import Network, NetworkOutput
 from .networks import open_network
 
 ONE_CLASS = "part"  # what all parts are to a detector that does not tell them apart

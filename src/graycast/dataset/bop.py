@@ -119,7 +119,7 @@ class _SceneRecord:
 def _unsealed_files(
     samples: Iterable[Sample], scale_mm: float, scene_record: _SceneRecord
 ) -> Iterator[tuple[str, bytes]]:
-    """All but the manifest, whose content is told."""
+    """All but the manifest, whose content goes into `scene_record`."""
     coco: dict[str, list[_OfCoco]] = {}
     parts = 0
     for sample in samples:
@@ -138,7 +138,7 @@ def _unsealed_files(
 def _image_files(
     sample: Sample, scale_mm: float, scene_record: _SceneRecord, coco: dict[str, list["_OfCoco"]]
 ) -> Iterator[tuple[str, bytes]]:
-    """Pictures and masks of one image; its entries in JSON files are told."""
+    """Pictures and masks of one image; its entries of JSON files go into `scene_record`."""
     camera, silhouettes, number = sample.scene.rig.camera, _instances(sample), sample.image
     truth = _depth_steps(sample.truth.depth_m, scale_mm, needed=sample.truth.instance >= 0)
     known = sample.scanner_depth.reason == Reason.DECODED
@@ -189,8 +189,7 @@ class _Silhouettes:
 
 
 def _instances(sample: Sample) -> list[_Silhouettes]:
-    truth = sample.truth
-    height_px, width_px = truth.instance.shape
+    truth, (height_px, width_px) = sample.truth, sample.truth.instance.shape
     found = ndimage.find_objects(truth.instance + 1, max_label=len(truth.amodal))
     silhouettes = []
     for i, (whole, box) in enumerate(zip(truth.amodal, found, strict=True)):

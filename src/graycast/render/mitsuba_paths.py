@@ -226,8 +226,7 @@ class Tracer:
             aside += self.camera.psf_px * blur
         x = dr.fma(side, aside.x, mi.Float(lane % self.camera.width_px))
         y = dr.fma(side, aside.y, mi.Float(lane // self.camera.width_px))
-        direction = camera_ray(self.camera, x, y)
-        start = self.eye
+        start, direction = self.eye, camera_ray(self.camera, x, y)
         if self.camera.aperture_m:
             pupil = mi.warp.square_to_uniform_disk_concentric(_in_sequence(p, CAMERA_PUPIL))
             from_eye, direction = through_focus(self.camera, direction, side * pupil)
@@ -362,8 +361,7 @@ class Tracer:
         The first sample of a pair does it for both. First vertices follow a sequence, which takes
         off as much noise as that adds.
         """
-        samples = self.quality.samples
-        asking = hit & ((p.sample & 1) == 0)
+        samples, asking = self.quality.samples, hit & ((p.sample & 1) == 0)
         uv = mi.Point2f(p.rng.next_float32(), p.rng.next_float32())
         uv = dr.select(p.vertex == 0, _in_sequence(p, LAMP), uv)
         ds, radiance = self.world.sample_emitter_direction(si, uv, True, asking)

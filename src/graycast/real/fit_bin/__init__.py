@@ -18,7 +18,8 @@ from .fitting import (
     write_fit,
 )
 from .look import BinAppearance, Frames, fit_look
-from .registration import FaceFit, PoseFit, difference, find_pose, judge, register, settle
+from .pose_fit import FaceFit, PoseFit, difference, find_pose, judge, settle
+from .registration import register
 from .shape import BinShape
 
 __all__ = [

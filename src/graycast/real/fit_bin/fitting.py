@@ -24,7 +24,7 @@ from .bin_views import BinView
 from .box import open_box
 from .look import BinAppearance, Frames, fit_look, mean_color
 from .mesh import mesh_shape
-from .registration import FREEDOMS, FaceFit, PoseFit, difference, find_pose, settle
+from .pose_fit import FREEDOMS, FaceFit, PoseFit, difference, find_pose, settle
 from .residual_picture import draw_residuals
 from .shape import BinShape
 

@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 from ...base.frames import transform_points
 from ...base.plotting import ACCENT, INK, PALE, SECOND, caption, plain_axes, save_png
 from .bin_views import BinView
-from .registration import PoseFit
+from .pose_fit import PoseFit
 from .shape import NO_FACE, BinShape, height_over
 
 _RANGE_M = 0.006  # beyond, it is not the bin
